@@ -1,0 +1,182 @@
+#!/usr/bin/env python3
+"""Joint positions of BVH files as Blender sees them, for the tests of `read_bvh`.
+
+    python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
+    blender/bin/python tools/blender_fk.py DIR -o test/data/blender_fk.npz
+
+Imports every BVH file with Blender's own importer, keeping the file's axes and units, and writes for some
+frames of each file (`<stem>` is the file name without suffix)
+
+    <stem>/frames           (F,) int32         rows of the MOTION section, from 0
+    <stem>/names            (J,) str           joints, and end sites as `<joint>_end`
+    <stem>/positions        (F, J, 3) float32  world positions; a position channel replaces the OFFSET
+    <stem>/positions_added  (F, J, 3) float32  the same where position channels are added to the OFFSET
+    <stem>/moved            (M,) str           what Blender has moved at rest, see `moved_joints`
+    <stem>/size             float              diagonal of the box around the skeleton at rest
+
+Blender replaces. `positions_added` is there for files with position channels beside an OFFSET that is not zero,
+because some files want it, and is made by moving Blender's location curves by the OFFSET.
+The hierarchy, rotations and positions are Blender's; this script does not evaluate any motion.
+"""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import numpy as np
+from io_anim_bvh.import_bvh import read_bvh
+from mathutils import Matrix, Vector
+
+MAX_FRAMES = 12
+
+# Blender lengthens anything shorter, so that the tail of the bone is no longer the end site.
+SHORTEST_BONE = 1e-3
+
+
+def end_sites(path: Path) -> dict[str, Vector]:
+    """OFFSET of the end site of every joint that has one."""
+    sites = {}
+    joint = ""
+    in_site = False
+    for words in (line.split() for line in path.read_text().splitlines()):
+        if not words:
+            continue
+        keyword = words[0].lower()
+        if keyword == "motion":
+            break
+        if keyword in ("root", "joint"):
+            joint = "_".join(words[1:])
+        elif keyword == "end":
+            in_site = True
+        elif keyword == "offset" and in_site:
+            sites[joint] = Vector(map(float, words[1:4]))
+            in_site = False
+    return sites
+
+
+def import_bvh(path: Path) -> bpy.types.Object:
+    """The armature that Blender makes of a file, alone in a new scene."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.import_anim.bvh(
+        filepath=str(path),
+        target="ARMATURE",
+        axis_forward="Y",
+        axis_up="Z",
+        global_scale=1.0,
+        frame_start=1,
+        use_fps_scale=False,
+        rotate_mode="QUATERNION",
+    )
+    return bpy.context.object
+
+
+def location_curves(armature: bpy.types.Object) -> Iterator[tuple[str, bpy.types.FCurve]]:
+    """Name of the bone and curve of every animated location coordinate."""
+    for curve in armature.animation_data.action.fcurves:
+        if curve.data_path.endswith(".location"):
+            yield curve.data_path.split('"')[1], curve
+
+
+def add_offsets(armature: bpy.types.Object, offsets: dict[str, Vector]) -> None:
+    """Adds the OFFSETs to the positions. In a bone's location, position 0 stands for minus the OFFSET."""
+    for name, curve in location_curves(armature):
+        to_bone = armature.data.bones[name].matrix_local.to_3x3().inverted()
+        shift = (to_bone @ offsets[name])[curve.array_index]
+        for key in curve.keyframe_points:
+            key.co.y += shift
+        curve.update()
+
+
+def moved_joints(armature: bpy.types.Object, heads: dict[str, Vector], sites: dict[str, Vector]) -> list[str]:
+    """Joints and end sites that lie elsewhere at rest than the sum of their OFFSETs says.
+
+    Blender takes a bone within about 1e-4 radians of -y to point exactly there, which moves all that hangs on it.
+    """
+    expected = heads | {f"{name}_end": heads[name] + site for name, site in sites.items()}
+    actual = points({bone.name: bone.matrix_local for bone in armature.data.bones}, armature, sites)
+    tolerance = 1e-6 * size_at_rest(armature)
+    return [name for name, point in actual.items() if (point - expected[name]).length > tolerance]
+
+
+def number_of_frames(armature: bpy.types.Object) -> int:
+    """The number of MOTION rows, not what the file says on its `Frames:` line."""
+    return max(len(curve.keyframe_points) for curve in armature.animation_data.action.fcurves)
+
+
+def size_at_rest(armature: bpy.types.Object) -> float:
+    heads = np.array([bone.head_local for bone in armature.data.bones])
+    tails = np.array([bone.tail_local for bone in armature.data.bones if not bone.children])
+    points = np.concatenate([heads, tails])
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def points(
+    matrices: dict[str, Matrix], armature: bpy.types.Object, sites: dict[str, Vector]
+) -> dict[str, Vector]:
+    """Heads of all bones, and those tails that are end sites, when the bones are where the matrices say."""
+    positions = {}
+    for name, matrix in matrices.items():
+        positions[name] = matrix.translation
+        if name in sites and sites[name].length > SHORTEST_BONE:
+            positions[f"{name}_end"] = matrix @ Vector((0.0, armature.data.bones[name].length, 0.0))
+    return positions
+
+
+def positions_at(
+    armature: bpy.types.Object, frames: np.ndarray, sites: dict[str, Vector]
+) -> list[dict[str, Vector]]:
+    positions = []
+    for frame in frames:
+        bpy.context.scene.frame_set(int(frame) + 1)
+        world = {bone.name: armature.matrix_world @ bone.matrix for bone in armature.pose.bones}
+        positions.append(points(world, armature, sites))
+    return positions
+
+
+def read(path: Path) -> dict[str, np.ndarray]:
+    sites = end_sites(path)
+    armature = import_bvh(path)
+    nodes, _, _ = read_bvh(bpy.context, str(path))
+    names = set(armature.pose.bones.keys())
+    if names != set(nodes) or not names >= set(sites):
+        raise ValueError(
+            f"{path.name}: Blender has renamed joints: {sorted(names ^ (set(nodes) | set(sites)))}"
+        )
+    offsets = {name: node.rest_head_local for name, node in nodes.items()}
+    heads = {name: node.rest_head_world for name, node in nodes.items()}
+    count = number_of_frames(armature)
+    frames = np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).round().astype(np.int32))
+    positions = positions_at(armature, frames, sites)
+    arrays = {
+        "frames": frames,
+        "names": np.array(list(positions[0])),
+        "positions": np.array([list(each.values()) for each in positions], dtype=np.float32),
+        "moved": np.array(moved_joints(armature, heads, sites), dtype=str),
+        "size": np.array(size_at_rest(armature)),
+    }
+    if any(offsets[name].length > 0 for name, _ in location_curves(armature)):
+        add_offsets(armature, offsets)
+        positions = positions_at(armature, frames, sites)
+        arrays["positions_added"] = np.array([list(each.values()) for each in positions], dtype=np.float32)
+    return arrays
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("directory", type=Path, help="folder of BVH files")
+    parser.add_argument("-o", "--output", type=Path, default=Path("test/data/blender_fk.npz"))
+    arguments = parser.parse_args()
+    arrays = {}
+    for path in sorted(arguments.directory.glob("*.bvh")):
+        for key, array in read(path).items():
+            arrays[f"{path.stem}/{key}"] = array
+    if not arrays:
+        parser.error(f"no BVH files in {arguments.directory}")
+    np.savez_compressed(arguments.output, **arrays)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

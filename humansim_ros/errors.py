@@ -1,0 +1,72 @@
+"""The errors this package raises on bad input: one family, made for the person who reads them.
+
+Every message says what is wrong, where (file, line or key), and what to do. The command line prints them without a
+traceback and exits with code 2.
+"""
+
+from __future__ import annotations
+
+import os
+
+
+class HumansimError(Exception):
+    """Base of every error that bad input, a bad setting or a missing part of the system causes.
+
+    ``path``, ``line`` and ``key`` say where; they stand in front of the message when given.
+    """
+
+    def __init__(
+        self,
+        message: str,
+        *,
+        path: str | os.PathLike[str] | None = None,
+        line: int | None = None,
+        key: str | None = None,
+    ) -> None:
+        self.message = message
+        self.path = None if path is None else os.fspath(path)
+        self.line = line
+        self.key = key
+        super().__init__(message)
+
+    def __str__(self) -> str:
+        where = "".join(
+            (
+                self.path or "",
+                f":{self.line}" if self.line is not None else "",
+            )
+        )
+        parts = [part for part in (where, self.key, self.message) if part]
+        return ": ".join(parts)
+
+
+class ResourceError(HumansimError):
+    """A file that belongs to this package (configuration, asset) cannot be found."""
+
+
+class MotionError(HumansimError):
+    """A motion file cannot be read, or its joints cannot be understood."""
+
+
+class MeshError(HumansimError):
+    """A mesh, skeleton or human file cannot be read or used."""
+
+
+class CameraError(HumansimError):
+    """A camera's calibration cannot be used."""
+
+
+class SceneError(HumansimError):
+    """A scene file is wrong."""
+
+
+class RenderError(HumansimError):
+    """Nothing can be rendered: no OpenGL, or a request beyond its limits."""
+
+
+class RosError(HumansimError):
+    """ROS 2 is not installed or cannot be reached."""
+
+
+class HumansimWarning(UserWarning):
+    """Input that was usable but not as it should be; the message says what was assumed."""

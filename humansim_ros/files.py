@@ -1,0 +1,52 @@
+"""Reading input files with errors that a person can act on, and writing output files whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from humansim_ros.errors import HumansimError
+
+
+def read_bytes(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> bytes:
+    """Content of a file; ``error`` names the path and the reason if it is missing, a folder, unreadable or empty."""
+    try:
+        data = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise error(f"no such {what} file; check the path", path=path) from None
+    except IsADirectoryError:
+        raise error(f"this is a folder, not a {what} file", path=path) from None
+    except OSError as reason:
+        raise error(f"cannot read the {what} file: {reason.strerror or reason}", path=path) from None
+    if not data.strip():
+        raise error(f"the {what} file is empty", path=path)
+    return data
+
+
+def read_text(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> str:
+    """Text of a file (UTF-8, with or without BOM; bytes that are not UTF-8 are read as Latin-1)."""
+    data = read_bytes(path, error, what)
+    if b"\0" in data:
+        raise error(f"this is a binary file, not a {what} text file", path=path)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+@contextmanager
+def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """A temporary path beside ``path`` that takes its name when the block ends well, and vanishes when it does not."""
+    target = Path(path)
+    handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(0o644)
+        temporary.replace(target)
+    finally:
+        temporary.unlink(missing_ok=True)

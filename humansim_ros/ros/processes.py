@@ -1,0 +1,75 @@
+"""Which nodes a scene needs: the one list that ``humansim run`` and the launch file both start.
+
+Only the names in the scene file are looked at here (``humansim_ros.scene`` checks the rest), so that
+``ros2 launch`` needs none of the libraries that the nodes need.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from humansim_ros.errors import SceneError
+from humansim_ros.files import read_text
+
+
+@dataclass(frozen=True)
+class NodeProcess:
+    """One process to start: an executable of this package, the name its node gets, and its parameters."""
+
+    executable: str
+    node_name: str
+    parameters: Mapping[str, str]
+
+    @property
+    def ros_arguments(self) -> list[str]:
+        """The command-line arguments that give the node its name and parameters."""
+        arguments = ["--ros-args", "-r", f"__node:={self.node_name}"]
+        for name, value in self.parameters.items():
+            # quoted, since ROS reads a bare value as YAML: a camera called 1 would be an integer
+            arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
+        return arguments
+
+
+def scene_processes(scene_path: str | os.PathLike[str]) -> list[NodeProcess]:
+    """The motion player, one skinner per human and one camera node per camera of a scene file."""
+    path = Path(scene_path).resolve()
+    content = _read_yaml(path)
+    scene = {"scene": str(path)}
+    return [
+        NodeProcess("motion_player", "motion_player", scene),
+        *(
+            NodeProcess("skinner", f"skinner_{name}", {**scene, "human": name})
+            for name in _names(content, "humans", path)
+        ),
+        *(
+            NodeProcess("camera", f"camera_{name}", {**scene, "camera": name})
+            for name in _names(content, "cameras", path)
+        ),
+    ]
+
+
+def _read_yaml(path: Path) -> Mapping[str, Any]:
+    try:
+        content = yaml.safe_load(read_text(path, SceneError, "scene"))
+    except yaml.MarkedYAMLError as error:
+        line = None if error.problem_mark is None else error.problem_mark.line + 1
+        raise SceneError(f"not valid YAML: {error.problem}", path=path, line=line) from None
+    except yaml.YAMLError as error:
+        raise SceneError(f"not valid YAML: {error}", path=path) from None
+    if not isinstance(content, dict):
+        raise SceneError("this is not a scene; it needs the keys humans and cameras", path=path)
+    return content
+
+
+def _names(content: Mapping[str, Any], key: str, path: Path) -> list[str]:
+    section = content.get(key) or {}
+    if not isinstance(section, dict):
+        raise SceneError("must map each name to its settings", path=path, key=key)
+    return [str(name) for name in section]

@@ -1,0 +1,101 @@
+"""Rotations as arrays with leading batch axes, for the inner loops; SciPy's ``Rotation`` is the judge in the tests.
+
+Quaternions are ``xyzw`` (ROS, SciPy); matrices act on column vectors.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Body space (metres, y up, faces +z, +x is the person's left) to the world (REP-103: x forward, y left, z up).
+WORLD_FROM_BODY: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+def quaternion_to_matrix(quaternion: NDArray[Any]) -> Array:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4) xyzw."""
+    q = np.asarray(quaternion, dtype=float)
+    x, y, z, w = np.moveaxis(q, -1, 0)
+    out = np.empty((*q.shape[:-1], 3, 3))
+    out[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    out[..., 0, 1] = 2 * (x * y - z * w)
+    out[..., 0, 2] = 2 * (x * z + y * w)
+    out[..., 1, 0] = 2 * (x * y + z * w)
+    out[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    out[..., 1, 2] = 2 * (y * z - x * w)
+    out[..., 2, 0] = 2 * (x * z - y * w)
+    out[..., 2, 1] = 2 * (y * z + x * w)
+    out[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    return out
+
+
+def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
+    """Unit quaternions (..., 4) xyzw with w >= 0 of rotation matrices (..., 3, 3) (Shepperd's method)."""
+    m = np.asarray(matrix, dtype=float)
+    diagonal = np.diagonal(m, axis1=-2, axis2=-1)
+    trace = diagonal.sum(-1)
+    # Row k holds the quaternion scaled by four times its k-th element: the row of the largest is well conditioned.
+    table = np.empty((*m.shape[:-2], 4, 4))
+    for i in range(3):
+        j, k = (i + 1) % 3, (i + 2) % 3
+        table[..., i, i] = 1 + 2 * diagonal[..., i] - trace
+        table[..., i, j] = table[..., j, i] = m[..., j, i] + m[..., i, j]
+        table[..., i, 3] = table[..., 3, i] = m[..., k, j] - m[..., j, k]
+    table[..., 3, 3] = 1 + trace
+    best = np.argmax(np.diagonal(table, axis1=-2, axis2=-1), axis=-1)
+    q: Array = np.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]
+    q = q / np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(q[..., 3:] < 0, -q, q)
+
+
+def slerp(start: Array, end: Array, fraction: Array) -> Array:
+    """Spherical interpolation between unit quaternions (..., 4) the short way round; ``fraction`` (...,) in 0..1."""
+    cosine = np.sum(start * end, axis=-1, keepdims=True)
+    end = np.where(cosine < 0, -end, end)
+    angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
+    t = np.asarray(fraction, dtype=float)[..., None]
+    sine = np.sin(angle)
+    near = sine < 1e-6
+    safe = np.where(near, 1.0, sine)
+    first = np.where(near, 1 - t, np.sin((1 - t) * angle) / safe)
+    second = np.where(near, t, np.sin(t * angle) / safe)
+    out = first * start + second * end
+    result: Array = out / np.linalg.norm(out, axis=-1, keepdims=True)
+    return result
+
+
+def from_y_axis(direction: Array) -> Array:
+    """Shortest rotations (..., 4) xyzw that turn the y axis onto unit vectors (..., 3).
+
+    Thesis (9.43)-(9.48) with n = u x v normalised, and a branch of its own for v = -u (a half turn about x).
+    """
+    v = np.asarray(direction, dtype=float)
+    out = np.zeros((*v.shape[:-1], 4))
+    out[..., 0] = v[..., 2]
+    out[..., 2] = -v[..., 0]
+    out[..., 3] = 1 + v[..., 1]
+    length = np.linalg.norm(out, axis=-1, keepdims=True)
+    opposite = length < 1e-7
+    out = np.where(opposite, np.array([1.0, 0.0, 0.0, 0.0]), out / np.where(opposite, 1.0, length))
+    return out
+
+
+def transform(rotation: NDArray[Any], translation: NDArray[Any]) -> Array:
+    """Homogeneous matrices (..., 4, 4) from rotations (..., 3, 3) and translations (..., 3)."""
+    rotation, translation = np.asarray(rotation, dtype=float), np.asarray(translation, dtype=float)
+    shape = np.broadcast_shapes(rotation.shape[:-2], translation.shape[:-1])
+    out = np.zeros((*shape, 4, 4))
+    out[..., :3, :3] = rotation
+    out[..., :3, 3] = translation
+    out[..., 3, 3] = 1.0
+    return out
+
+
+def invert_rigid(matrix: Array) -> Array:
+    """Inverses of rigid transforms (..., 4, 4)."""
+    rotation = np.swapaxes(matrix[..., :3, :3], -1, -2)
+    return transform(rotation, -np.einsum("...ij,...j->...i", rotation, matrix[..., :3, 3]))

@@ -14,7 +14,7 @@ frames of each file (`<stem>` is the file name without suffix)
     <stem>/moved            (M,) str           what Blender has moved at rest, see `moved_joints`
     <stem>/size             float              diagonal of the box around the skeleton at rest
 
-Blender replaces. `positions_added` is there for files with position channels beside an OFFSET that is not zero,
+Blender replaces. `positions_added` is there for files with position channels beside an OFFSET that is not 0,
 because some files want it, and is made by moving Blender's location curves by the OFFSET.
 The hierarchy, rotations and positions are Blender's; this script does not evaluate any motion.
 """
@@ -92,7 +92,7 @@ def add_offsets(armature: bpy.types.Object, offsets: dict[str, Vector]) -> None:
 def moved_joints(armature: bpy.types.Object, heads: dict[str, Vector], sites: dict[str, Vector]) -> list[str]:
     """Joints and end sites that lie elsewhere at rest than the sum of their OFFSETs says.
 
-    Blender takes a bone within about 1e-4 radians of -y to point exactly there, which moves all that hangs on it.
+    Blender takes a bone within about 1e-4 radians of -y to point exactly there, which moves all below it.
     """
     expected = heads | {f"{name}_end": heads[name] + site for name, site in sites.items()}
     actual = points({bone.name: bone.matrix_local for bone in armature.data.bones}, armature, sites)

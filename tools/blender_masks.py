@@ -1,0 +1,137 @@
+#!/usr/bin/env python3
+"""Masks and depth of a mesh seen by Blender's cameras, for the tests of the renderer.
+
+    python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
+    blender/bin/python tools/blender_masks.py INPUT.npz -o test/data/blender_masks.npz
+
+INPUT holds, in metres (an earlier output will do),
+
+    vertices (V, 3) float32, triangles (T, 3)   the mesh where it stands in the world
+    K (C, 3, 3), R (C, 3, 3), t (C, 3)          x_cam = R x + t, z forward, x right, y down, no skew;
+                                                the centre of the top left pixel is (0, 0)
+    size (C, 2)                                 width, height
+
+and the output has the same and for every camera k
+
+    k/mask    packed bits of the (height, width) mask, see `numpy.unpackbits`
+    k/depth   float32, planar z of the mask's pixels, row by row
+
+Rendered by Cycles with one ray through the centre of each pixel: its narrowest filter keeps it within 0.005
+pixels, and hits are computed in float32 without a depth buffer.
+"""
+
+import argparse
+import sys
+import tempfile
+from pathlib import Path
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+# Cycles gives rays that hit nothing a depth of 1e10.
+NOTHING = 1e9
+SENSOR_WIDTH = 36.0
+
+
+def add_mesh(vertices: np.ndarray, triangles: np.ndarray) -> None:
+    mesh = bpy.data.meshes.new("human")
+    mesh.from_pydata(vertices.tolist(), [], triangles.tolist())
+    bpy.context.collection.objects.link(bpy.data.objects.new("human", mesh))
+
+
+def set_camera(
+    camera_matrix: np.ndarray, rotation: np.ndarray, translation: np.ndarray, size: np.ndarray
+) -> None:
+    """Gives the scene's camera and image the projection K [R | t]."""
+    width, height = map(int, size)
+    (fx, _, cx), (_, fy, cy) = camera_matrix[:2]
+    # Blender measures from the corner of the image, where the centre of the top left pixel is (0.5, 0.5).
+    right_of_middle = cx + 0.5 - width / 2
+    below_middle = cy + 0.5 - height / 2
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y = width, height
+    scene.render.resolution_percentage = 100
+    # Blender takes no aspect below 1, so the longer side of a pixel is what is set.
+    scene.render.pixel_aspect_x = max(1.0, fy / fx)
+    scene.render.pixel_aspect_y = max(1.0, fx / fy)
+    lens = scene.camera.data
+    lens.sensor_fit = "HORIZONTAL"
+    lens.sensor_width = SENSOR_WIDTH
+    lens.lens = fx * SENSOR_WIDTH / width
+    # The shift moves the window over the image plane, both ways in units of the image's width.
+    lens.shift_x = -right_of_middle / width
+    lens.shift_y = below_middle * (fx / fy) / width
+    lens.clip_start, lens.clip_end = 0.01, 1000.0
+    # Blender's cameras look along -z with y up.
+    pose = np.eye(4)
+    pose[:3, :3] = rotation.T @ np.diag([1.0, -1.0, -1.0])
+    pose[:3, 3] = -rotation.T @ translation
+    scene.camera.matrix_world = Matrix(pose.tolist())
+
+
+def set_cycles() -> None:
+    """One ray per pixel, and an image file that holds depth."""
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = 1
+    scene.cycles.use_adaptive_sampling = False
+    scene.cycles.use_denoising = False
+    scene.cycles.max_bounces = 0
+    scene.cycles.seed = 0
+    # The width of the box filter is always one pixel: not BOX.
+    scene.cycles.pixel_filter_type = "BLACKMAN_HARRIS"
+    scene.cycles.filter_width = 0.01
+    bpy.context.view_layer.use_pass_z = True
+    scene.use_nodes = True
+    nodes = scene.node_tree.nodes
+    nodes.clear()
+    layers = nodes.new("CompositorNodeRLayers")
+    composite = nodes.new("CompositorNodeComposite")
+    scene.node_tree.links.new(layers.outputs["Depth"], composite.inputs["Image"])
+    scene.render.image_settings.file_format = "OPEN_EXR"
+    scene.render.image_settings.color_mode = "RGB"
+    scene.render.image_settings.color_depth = "32"
+
+
+def render_depth() -> np.ndarray:
+    """Planar z (height, width) of the scene, top row first."""
+    with tempfile.TemporaryDirectory() as folder:
+        bpy.context.scene.render.filepath = str(Path(folder) / "depth.exr")
+        bpy.ops.render.render(write_still=True)
+        image = bpy.data.images.load(bpy.context.scene.render.filepath)
+        image.colorspace_settings.name = "Non-Color"
+        width, height = image.size
+        flat = np.empty(width * height * image.channels, dtype=np.float32)
+        image.pixels.foreach_get(flat)
+        bpy.data.images.remove(image)
+    return flat.reshape(height, width, -1)[::-1, :, 0]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("input", type=Path)
+    parser.add_argument("-o", "--output", type=Path, default=Path("test/data/blender_masks.npz"))
+    arguments = parser.parse_args()
+    with np.load(arguments.input) as archive:
+        arrays = {name: archive[name] for name in ("vertices", "triangles", "K", "R", "t", "size")}
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    add_mesh(arrays["vertices"], arrays["triangles"])
+    camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    bpy.context.collection.objects.link(camera)
+    bpy.context.scene.camera = camera
+    set_cycles()
+    views = zip(arrays["K"], arrays["R"], arrays["t"], arrays["size"], strict=True)
+    for number, view in enumerate(list(views)):
+        set_camera(*view)
+        depth = render_depth()
+        mask = depth < NOTHING
+        arrays[f"{number}/mask"] = np.packbits(mask)
+        arrays[f"{number}/depth"] = depth[mask]
+    np.savez_compressed(arguments.output, **arrays)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

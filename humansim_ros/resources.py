@@ -1,7 +1,7 @@
 """Where this package's own files (config/, assets/, launch/) are, however it was installed.
 
-In a source checkout, which an editable install points at, they lie beside the package. After pip or colcon they
-lie in ``share/humansim_ros`` of the same prefix. AMENT_PREFIX_PATH, which pip users do not have, is asked last.
+In a source checkout, which an editable install points at, they lie beside the package. After pip or colcon
+they lie in ``share/humansim_ros`` of the same prefix. AMENT_PREFIX_PATH, which pip users lack, is asked last.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def resource_root() -> Path:
         if (folder / "package.xml").is_file() and (folder / "config").is_dir():
             return folder
     raise ResourceError(
-        "the configuration and assets of humansim_ros were not installed with it; install it again. Looked in: "
+        "the configuration and assets of humansim_ros are missing; install it again. Looked in: "
         + ", ".join(map(str, candidates))
     )
 

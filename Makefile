@@ -1,0 +1,42 @@
+# make demo    install everything into .venv, run the nodes, write pictures to demo/
+# make test    format, lint, types and tests, as CI runs them
+# make lint    the first three of these
+# make bench   every benchmark, one after the other
+# make clean   remove what these have made
+VENV ?= .venv
+BIN := $(VENV)/bin
+export VENV
+
+# A sourced ROS would put its own Python packages and libraries in front of those in the environment.
+ifdef ROS_DISTRO
+unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH
+endif
+
+.PHONY: demo test lint bench clean env env-test env-bench
+
+demo: env
+	$(BIN)/humansim demo
+
+test: lint
+	$(BIN)/python -m pytest
+
+lint: env-test
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+bench: env-bench
+	@set -e; for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python "$$file"; done
+
+env:
+	@tools/setup_env.sh ros
+
+env-test:
+	@tools/setup_env.sh ros,test
+
+env-bench:
+	@tools/setup_env.sh ros,bench
+
+clean:
+	rm -rf $(VENV) build install log dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

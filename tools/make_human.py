@@ -25,6 +25,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import trimesh
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
@@ -40,6 +41,10 @@ METRES = 0.1  # MakeHuman works in decimetres
 TEXTURE_SIZE = 1024
 JPEG_QUALITY = 90
 BONES_PER_VERTEX = 4
+SHOE_MARGIN = 0.005  # metres, as all lengths here
+SOLE_THICKNESS = 0.014
+AO_RAYS = 96
+AO_REACH = 0.25
 
 
 @dataclass(frozen=True)
@@ -247,8 +252,9 @@ def bone_weights(source: Source, bones: Bones, vertex_count: int) -> Array:
         for bone, share in WEIGHT_SHARES[prefix].items():
             np.add.at(weights[:, bones.index(bone.format(side))], rows[:, 0].astype(int), share * rows[:, 1])
     weights[weights.sum(axis=1) == 0, bones.index("vt3")] = 1.0
-    smallest_kept = np.sort(weights, axis=1)[:, -BONES_PER_VERTEX][:, None]
-    weights[(weights < smallest_kept) | (weights < 1e-3)] = 0.0
+    # Whatever ties with the fifth goes too: left and right must stay each other's mirror.
+    fifth = np.sort(weights, axis=1)[:, -BONES_PER_VERTEX - 1][:, None]
+    weights[(weights <= fifth) | (weights < 1e-3)] = 0.0
     return weights / weights.sum(axis=1, keepdims=True)
 
 
@@ -485,6 +491,7 @@ class Tailor:
 
     bones: Bones
     eye: Array
+    eye_radius: float
     ear: Array
     skull_top: float
 
@@ -502,6 +509,25 @@ class Tailor:
     @property
     def sleeve_end(self) -> float:
         return 0.45 * self._head("l_shoulder")[0] + 0.55 * self._head("l_elbow")[0]
+
+    @property
+    def shoulder_x(self) -> float:
+        return float(self._head("l_shoulder")[0])
+
+    @property
+    def shoulder_y(self) -> float:
+        return float(self._head("l_shoulder")[1])
+
+    def _leg(self, p: Array, axis: int) -> Array:
+        joints = np.array([self._head(f"l_{part}") for part in ("ankle", "knee", "hip")])
+        return np.interp(p[:, 1], joints[:, 1], joints[:, axis])
+
+    def leg_x(self, p: Array) -> Array:
+        """|x| (N,) of the middle of the leg at the height of each point."""
+        return self._leg(p, 0)
+
+    def leg_z(self, p: Array) -> Array:
+        return self._leg(p, 2)
 
     def above_belt(self, p: Array) -> Array:
         return p[:, 1] - 0.12 * p[:, 2] - self.belt_height + 0.012
@@ -556,8 +582,57 @@ def smooth(vertices: Array, faces: Index, amount: Array, rounds: int) -> Array:
     return vertices
 
 
-def dress(mesh: Mesh, tailor: Tailor, is_ear: Array) -> Array:
-    """Vertices (V, 3) of the A pose with cloth, shoes and hair put on along the normals."""
+def outline(points: Array, grow: float) -> Array:
+    """The convex outline (K, 2) of points (N, 2), `grow` metres outside of it."""
+    hull = points[ConvexHull(points).vertices]
+    angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    rounded = (hull[:, None] + grow * np.c_[np.cos(angles), np.sin(angles)]).reshape(-1, 2)
+    return rounded[ConvexHull(rounded).vertices]
+
+
+def put_on_shoe(vertices: Array, faces: Index, naked: Array, foot: Index, ball: Array, amount: Array) -> Array:
+    """Vertices (V, 3) with one foot wrapped in a convex shoe.
+
+    `foot` are the rows of the naked foot below the ankle, `ball` (3,) the joint of the big toe, `amount` (V,) how much
+    of the shoe a vertex takes. The toes are first drawn flat like a skin over a drum, then blown up onto the shoe, so
+    that the many small faces between them spread over its front without folds.
+    """
+    skin = naked[foot]
+    floor, tip = skin[:, 1].min(), skin[:, 2].max()
+    low = outline(skin[skin[:, 1] < floor + 0.05][:, [0, 2]], SHOE_MARGIN)
+    low[:, 1] += np.where(low[:, 1] > tip - 0.02, 0.006, 0.0)  # room before the toes
+    levels = [np.insert(low, 1, floor + y, axis=1) for y in (-SOLE_THICKNESS, 0.012)]
+    # The toe box is as high as the big toe right to the front.
+    box = low[low[:, 1] > ball[2]]
+    box = np.insert((box - box.mean(axis=0)) * 0.86 + box.mean(axis=0), 1, floor + 0.034, axis=1)
+    shoe = ConvexHull(np.concatenate([skin + 0.004 * np.sign(skin - skin.mean(axis=0)) * [1, 0, 0], *levels, box]))
+    normals, offsets = shoe.equations[:, :3], -shoe.equations[:, 3]
+
+    heel = skin[:, 2].min() + 0.045
+    middle = np.array([low[:, 0].mean(), floor + 0.03, ball[2] - 0.035])
+
+    def project(points: Array) -> Array:
+        centre = np.tile(middle, (len(points), 1))
+        centre[:, 2] = np.clip(points[:, 2], heel, middle[2])
+        ray = points - centre
+        reach = ray @ normals.T
+        room = offsets - centre @ normals.T
+        stretch = np.where(reach > 1e-9, room / np.maximum(reach, 1e-9), np.inf).min(axis=1)
+        return centre + ray * stretch[:, None]
+
+    free = np.zeros(len(vertices))
+    free[foot] = naked[foot, 2] > ball[2] - 0.012
+    wrapped = smooth(naked, faces, free, 300)
+    for _ in range(40):
+        rows = np.flatnonzero(free)
+        wrapped[rows] = project(wrapped[rows])
+        wrapped = smooth(wrapped, faces, 0.5 * free, 2)
+    wrapped[foot] = project(wrapped[foot])
+    return vertices + amount[:, None] * (wrapped - vertices)
+
+
+def dress(mesh: Mesh, tailor: Tailor, is_ear: Array, balls: tuple[Array, Array]) -> Array:
+    """Vertices (V, 3) of the A pose with cloth, shoes and hair put on. `balls` are the joints of the big toes."""
     p, body = mesh.canonical, mesh.part == 0
     shirt, trousers = tailor.shirt(p), tailor.trousers(p)
     cloth = np.where(body, ramp(np.maximum(shirt, trousers), 0.0, 0.02), 0.0)
@@ -566,44 +641,224 @@ def dress(mesh: Mesh, tailor: Tailor, is_ear: Array) -> Array:
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
     thickness = np.zeros(len(vertices))
     sleeve = ramp(np.abs(p[:, 0]), tailor.sleeve_end - 0.12, tailor.sleeve_end)
-    blouse = ramp(-tailor.above_belt(p), -0.12, -0.02)
+    blouse = ramp(tailor.above_belt(p), 0.12, 0.03)
     thickness += ramp(shirt, -0.004, 0.004) * (0.006 + 0.006 * sleeve + 0.006 * blouse)
     below_knee = ramp(p[:, 1], 0.50, tailor.hem_height)
     thickness += ramp(trousers, -0.004, 0.004) * (0.006 + 0.012 * below_knee)
-    thickness += ramp(tailor.shoes(p), -0.002, 0.004) * 0.006
     hair = tailor.hair(p)
     top = ramp(p[:, 1], tailor.eye[1], tailor.skull_top)
-    thickness += ramp(hair, -0.004, 0.02) * (1 - is_ear) * (0.006 + 0.010 * top)
-    return vertices + np.where(body, thickness, 0)[:, None] * normals
+    lumps = 1 + 0.25 * noise(p, 0.02, 1)
+    thickness += ramp(hair, -0.004, 0.02) * (1 - is_ear) * (0.005 + 0.011 * top) * lumps
+    worn = vertices + np.where(body, thickness, 0)[:, None] * normals
+    in_shoe = np.where(body, ramp(tailor.shoes(p), -0.002, 0.015), 0.0)
+    for side, ball in zip((1, -1), balls, strict=True):
+        foot = np.flatnonzero(body & (p[:, 0] * side > 0) & (p[:, 1] < tailor.hem_height + 0.015))
+        worn = put_on_shoe(worn, mesh.faces, mesh.vertices, foot, ball, in_shoe * (p[:, 0] * side > 0))
+    return worn
 
 
 # --- colours ---------------------------------------------------------------------------------------------------
 
 
-def paint(mesh: Mesh, tailor: Tailor, outfit: Outfit, source: Source, uv_old: Array) -> NDArray[np.uint8]:
-    """The texture (TEXTURE_SIZE, TEXTURE_SIZE, 3), RGB."""
+def openness(vertices: Array, faces: Index) -> Array:
+    """How much of the surroundings within AO_REACH each vertex (V,) sees, 0..1: ambient occlusion by ray casting."""
+    fan = np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
+    caster = trimesh.Trimesh(vertices, fan, process=False).ray
+    normals = vertex_normals(vertices, faces)
+    k = np.arange(AO_RAYS) + 0.5  # a Fibonacci sphere pushed out by the normal is a cosine-weighted hemisphere
+    z, turn = 1 - 2 * k / AO_RAYS, np.pi * (1 + 5**0.5) * k
+    sphere = np.c_[np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z]
+    rays = (normals[:, None] + 0.98 * sphere).reshape(-1, 3)
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    origins = np.repeat(vertices + 0.002 * normals, AO_RAYS, axis=0)
+    hits, ray_of_hit, _ = caster.intersects_location(origins, rays, multiple_hits=False)
+    distance = np.full(len(rays), np.inf)
+    distance[ray_of_hit] = np.linalg.norm(hits - origins[ray_of_hit], axis=1)
+    return ramp(distance, 0.0, AO_REACH).reshape(-1, AO_RAYS).mean(axis=1)
+
+
+def blend(colour: Array, new: Array | tuple[float, ...], amount: Array) -> Array:
+    """Colours (N, 3) with `amount` (N,) in 0..1 of a new colour."""
+    return colour + amount[:, None] * (np.asarray(new, float) - colour)
+
+
+def line(distance: Array, width: float) -> Array:
+    """1 (N,) where |distance| < width / 2, with soft edges of a millimetre."""
+    return ramp(np.abs(distance), width / 2 + 0.001, width / 2)
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """What the painter knows of each texel (N): position on the naked body, position as worn, base UV, tailor, masks."""
+
+    body: Array
+    worn: Array
+    uv: Array
+    tailor: Tailor
+    source: Source
+
+    def mask(self, name: str) -> Array:
+        return sample(self.source.mask(name), self.uv)
+
+
+def paint_skin(c: Canvas, outfit: Outfit) -> Array:
+    p, eye = c.body, c.tailor.eye
+    skin = np.array(outfit.skin, float)
+    mottle = 1 + 0.025 * noise(p, 0.012, 2) + 0.02 * noise(p, 0.004, 3) + 0.02 * noise(p, 0.05, 4)
+    colour = skin * mottle[:, None]
+    side = np.abs(p[:, 0])
+    on_face = ramp(p[:, 2], eye[2] - 0.03, eye[2]) * ramp(p[:, 1], eye[1] - 0.15, eye[1] - 0.12)
+    red = skin * [1.02, 0.80, 0.76]
+    cheek = np.exp(-(((side - 0.042) / 0.022) ** 2) - ((p[:, 1] - eye[1] + 0.042) / 0.022) ** 2)
+    nose = np.exp(-((side / 0.014) ** 2) - ((p[:, 1] - eye[1] + 0.045) / 0.014) ** 2)
+    colour = blend(colour, red, on_face * np.clip(0.42 * cheek + 0.35 * nose, 0, 1))
+    colour = blend(colour, red, 0.45 * c.mask("ears"))
+    hand = ramp(side, 0.70, 0.74) * (p[:, 1] > 1.0)
+    colour = blend(colour, red, 0.25 * hand * ramp(noise(p, 0.015, 5), -0.3, 0.6))
+    # Where a shaved beard shows through: jaw, chin and upper lip.
+    jaw = ramp(p[:, 1], eye[1] - 0.052, eye[1] - 0.068) * ramp(p[:, 1], eye[1] - 0.150, eye[1] - 0.125)
+    jaw *= ramp(p[:, 2], c.tailor.ear[2] + 0.005, c.tailor.ear[2] + 0.03)
+    stubble = 0.20 + 0.10 * noise(p, 0.0025, 6)
+    colour = blend(colour, 0.62 * np.array(outfit.hair) + 0.3 * skin, jaw * stubble)
+    lips = np.clip(c.mask("lips") * 1.2 - 0.1, 0, 1)
+    colour = blend(colour, skin * [0.84, 0.62, 0.62], 0.85 * lips)
+    colour = blend(colour, skin * [1.06, 1.02, 1.02], 0.6 * c.mask("fingernails"))
+    return paint_brows_and_lids(c, outfit, colour)
+
+
+def paint_brows_and_lids(c: Canvas, outfit: Outfit, colour: Array) -> Array:
+    p, eye = c.body, c.tailor.eye
+    side = np.abs(p[:, 0])
+    along = (side - 0.014) / 0.040  # 0 at the inner end of the brow, 1 at the outer
+    middle = eye[1] + 0.0205 + 0.008 * np.sin(np.clip(along, 0, 1) * 2.3) - 0.004 * np.clip(along, 0, 1)
+    half = 0.0048 * ramp(along, -0.06, 0.10) * (1 - 0.65 * np.clip(along, 0, 1) ** 2) + 1e-4
+    strands = noise(p * [1, 2.5, 1] + p[:, [1, 0, 2]] * [0.8, 0, 0], 0.003, 7)
+    brow = ramp(np.abs(p[:, 1] - middle) / half, 1.25 + 0.25 * strands, 0.55)
+    brow *= ramp(along, -0.08, 0.04) * ramp(along, 1.05, 0.9) * (p[:, 2] > eye[2] - 0.02)
+    colour = blend(colour, 0.85 * np.array(outfit.hair), np.clip(brow, 0, 1) * (0.82 + 0.15 * strands))
+    mirrored = np.c_[side, p[:, 1:]]
+    rim = np.linalg.norm(mirrored - eye, axis=1) - c.tailor.eye_radius
+    lash = ramp(rim, 0.0035, 0.0012) * (p[:, 2] > eye[2])
+    upper = ramp(p[:, 1] - eye[1], -0.002, 0.003)
+    colour = blend(colour, np.array(outfit.skin) * [0.80, 0.62, 0.58], 0.5 * lash)
+    return blend(colour, 0.45 * np.array(outfit.hair, float), 0.9 * lash * upper)
+
+
+def paint_eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
+    ray = c.body - centre
+    angle = np.arccos(np.clip(ray @ axis / np.linalg.norm(ray, axis=1), -1, 1))
+    colour = np.tile([226.0, 221.0, 214.0], (len(ray), 1))
+    colour = blend(colour, (196, 140, 128), 0.6 * ramp(angle, 0.75, 1.35))
+    rays = 1 + 0.25 * noise(ray / np.linalg.norm(ray, axis=1, keepdims=True) * [1, 1, 0.2], 0.12, 8)
+    iris = np.array(outfit.iris) * rays[:, None]
+    iris = blend(iris, 0.35 * np.array(outfit.iris), ramp(angle, 0.42, 0.52))
+    colour = blend(colour, iris, ramp(angle, 0.55, 0.51))
+    colour = blend(colour, (14, 12, 12), ramp(angle, 0.22, 0.19))
+    shade = 1 - 0.45 * ramp(ray[:, 1], 0.001, 0.007)  # of the upper lid and its lashes
+    return colour * shade[:, None]
+
+
+def paint_hair(c: Canvas, outfit: Outfit) -> Array:
+    crown = np.array([0, c.tailor.skull_top - 0.09, c.tailor.ear[2] - 0.03])
+    ray = c.body - crown
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    around = ray * [1, 0, 1] / np.maximum(np.linalg.norm(ray[:, [0, 2]], axis=1, keepdims=True), 1e-3)
+    along = around + [[0, 0.06, 0]] * ray[:, [1, 1, 1]]
+    strands = 0.6 * noise(along, 0.035, 9) + 0.4 * noise(along, 0.016, 10) + 0.25 * noise(c.body, 0.02, 11)
+    return np.array(outfit.hair) * (1 + 0.38 * strands)[:, None]
+
+
+def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
+    p, t = c.body, c.tailor
+    knit = 0.05 * noise(p, 0.003, 12) + 0.03 * noise(p, 0.010, 13)
+    folds = 0.05 * noise(p * [1, 0.5, 1], 0.06, 14)
+    colour = np.array(outfit.shirt) * (1 + knit + folds)[:, None]
+    collar = -t.above_neckline(p)
+    colour *= 1 - 0.16 * ramp(collar, 0.020, 0.018)[:, None]
+    from_cuff = t.sleeve_end - np.abs(p[:, 0])
+    seams = np.maximum.reduce([line(collar - 0.020, 0.002), line(from_cuff - 0.022, 0.002), ramp(from_cuff, 0.003, 0.001)])
+    armhole = line(np.abs(p[:, 0]) - t.shoulder_x + 0.012 + 0.10 * (t.shoulder_y - p[:, 1]).clip(0), 0.002)
+    return colour * (1 - 0.28 * np.maximum(seams, 0.6 * armhole))[:, None]
+
+
+def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
+    p, t = c.body, c.tailor
+    twill = 0.07 * noise(p * [1, 0.5, 1], 0.003, 15) + 0.05 * noise(p, 0.008, 16) + 0.05 * noise(p, 0.05, 17)
+    colour = np.array(outfit.trousers) * (1 + twill)[:, None]
+    from_leg, front = np.abs(p[:, 0]) - t.leg_x(p), p[:, 2] - t.leg_z(p)
+    worn_out = np.exp(-((from_leg / 0.05) ** 2)) * ramp(front, 0.0, 0.05)
+    worn_out *= np.exp(-(((p[:, 1] - 0.62) / 0.17) ** 2))
+    colour = blend(colour, np.array(outfit.trousers) * 1.25 + 24, 0.45 * worn_out)
+    below = -t.above_belt(p)
+    seam = line(front, 0.003) * (below > 0.05)  # down both sides of each leg
+    fly = line(p[:, 0] - 0.018, 0.0025) * ramp(below, 0.14, 0.135) * (front > 0)
+    hem = line(p[:, 1] - t.hem_height - 0.02, 0.003)
+    pocket = line(below - 0.06 - 1.1 * (from_leg - 0.02), 0.003) * (from_leg > -0.035) * (from_leg < 0.075) * (front > 0)
+    across, down = np.abs(np.abs(p[:, 0]) - 0.085) - 0.055, np.abs(below - 0.155) - 0.06
+    back_pocket = line(np.maximum(across, down + 0.25 * across), 0.003) * (front < -0.03)
+    stitches = np.maximum.reduce([fly, hem, pocket, back_pocket])
+    colour = blend(colour, np.array(outfit.trousers) * 0.55, np.maximum(0.7 * seam, 0.75 * stitches))
+    belt = ramp(below, 0.036, 0.034)
+    leather = np.array(outfit.belt) * (1 + 0.08 * noise(p, 0.006, 18) - 0.35 * line(below - 0.035, 0.004))[:, None]
+    colour = blend(colour, leather, belt)
+    buckle = np.maximum(np.abs(p[:, 0]) - 0.022, np.abs(below - 0.017) - 0.018)
+    return blend(colour, (168, 160, 144), ramp(np.abs(buckle + 0.003), 0.0035, 0.0025) * (p[:, 2] > 0))
+
+
+def paint_shoes(c: Canvas, outfit: Outfit, balls: Array) -> Array:
+    q = c.worn
+    grain = 1 + 0.07 * noise(q, 0.005, 19) + 0.06 * noise(q, 0.02, 20)
+    colour = np.array(outfit.shoes) * grain[:, None]
+    height = q[:, 1] - q[:, 1].min()
+    forward, across = q[:, 2] - balls[2], np.abs(q[:, 0]) - balls[0]
+    cap = line(forward - 0.030 + 8 * across**2, 0.003)
+    laces = np.clip(np.sin(forward / 0.013 * np.pi) * 3 - 1.5, 0, 1) * (forward < -0.002) * (forward > -0.085)
+    laces *= ramp(np.abs(across), 0.022, 0.020) * (height > 0.045)
+    colour *= 1 - 0.35 * np.maximum(cap, line(np.abs(across) - 0.024, 0.003) * (height > 0.045) * (forward < 0))[:, None]
+    colour = blend(colour, (210, 204, 192), laces)
+    sole = np.array(outfit.soles) * (1 + 0.04 * noise(q, 0.006, 21))[:, None]
+    colour = blend(colour, sole, ramp(height, 0.0235, 0.0215))
+    colour *= 1 - 0.4 * line(height - 0.0235, 0.0025)[:, None]
+    tread = (height < 0.003) * ramp(np.sin(q[:, 2] / 0.012 * 2 * np.pi), 0.2, 0.6)
+    return colour * (1 - 0.25 * tread)[:, None]
+
+
+def paint(
+    mesh: Mesh, worn: Array, tailor: Tailor, outfit: Outfit, source: Source, uv_old: Array, gaze: Array, balls: Array
+) -> NDArray[np.uint8]:
+    """The texture (TEXTURE_SIZE, TEXTURE_SIZE, 3), RGB. `gaze` (2, 3) is where each eye looks."""
     texels = rasterise(mesh, 2 * TEXTURE_SIZE)
-    p = texels.mix(mesh.canonical)
-    colour = np.tile(np.array(outfit.skin, float), (len(p), 1))
-    colour[tailor.hair(p) > 0] = outfit.hair
-    colour[tailor.shirt(p) > 0] = outfit.shirt
-    colour[tailor.trousers(p) > 0] = outfit.trousers
-    colour[tailor.shoes(p) > 0] = outfit.shoes
-    return downsample(texels, colour)
+    base_uv = np.einsum("nk,nkj->nj", texels.weights, uv_old[texels.uv])
+    canvas = Canvas(texels.mix(mesh.canonical), texels.mix(worn), base_uv, tailor, source)
+    p, part = canvas.body, mesh.part[texels.vertices[:, 0]]
+    colour = paint_skin(canvas, outfit)
+    hairline = tailor.hair(p) + 0.004 * noise(p, 0.006, 22) + 0.003 * noise(p, 0.002, 23)
+    colour = blend(colour, paint_hair(canvas, outfit), ramp(hairline, -0.004, 0.005) * (1 - canvas.mask("ears")))
+    for inside, painted in (
+        (tailor.shirt(p), paint_shirt(canvas, outfit)),
+        (tailor.trousers(p), paint_trousers(canvas, outfit)),
+        (tailor.shoes(p), paint_shoes(canvas, outfit, balls)),
+    ):
+        colour = np.where(inside[:, None] > 0, painted, colour)
+    for number in (1, 2):
+        vertices = mesh.canonical[mesh.part == number]
+        centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+        axis = gaze[number - 1] - centre
+        eye = paint_eye(canvas, outfit, centre, axis / np.linalg.norm(axis))
+        colour = np.where((part == number)[:, None], eye, colour)
+    light = np.where(part == 0, 0.55 + 0.45 * texels.mix(openness(worn, mesh.faces)), 1.0)
+    return downsample(texels, colour * light[:, None])
 
 
 def downsample(texels: Texels, colour: Array) -> NDArray[np.uint8]:
     """Texel colours (N, 3) as an image of half their raster's size, the gaps filled from the nearest texel."""
     size = 2 * TEXTURE_SIZE
-    image = np.zeros((size, size, 3))
     empty = np.ones((size, size), np.uint8)
-    image[texels.row, texels.column] = colour
     empty[texels.row, texels.column] = 0
     _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     nearest = np.zeros((labels.max() + 1, 3))
     nearest[labels[texels.row, texels.column]] = colour
-    image = nearest[labels]
-    half = image.reshape(TEXTURE_SIZE, 2, TEXTURE_SIZE, 2, 3).mean(axis=(1, 3))
+    half = nearest[labels].reshape(TEXTURE_SIZE, 2, TEXTURE_SIZE, 2, 3).mean(axis=(1, 3))
     return np.clip(np.rint(half), 0, 255).astype(np.uint8)
 
 
@@ -638,14 +893,20 @@ def make_human(source: Source, name: str, body: Body) -> dict[str, NDArray]:
     uv_of_vertex[faces] = uv_old[uv_faces]
     is_ear = sample(source.mask("ears"), uv_of_vertex)
     left_ear = (is_ear > 0.5) & (canonical[:, 0] > 0)
-    tailor = Tailor(
-        bones, points["joint-l-eye"] - floor, canonical[left_ear].mean(axis=0), canonical[:, 1].max()
-    )
+    eyes = [canonical[part == number] for number in (1, 2)]
+    eye = (eyes[0].min(axis=0) + eyes[0].max(axis=0)) / 2
+    radius = float(np.ptp(eyes[0], axis=0).max() / 2)
+    ear = canonical[left_ear].mean(axis=0)
+    tailor = Tailor(bones, eye, radius, ear, float(canonical[part == 0, 1].max()))
 
     uv = relay_uv(uv_old, uv_faces, groups != "body")
     mesh = Mesh(naked, faces, uv, uv_faces, weights, canonical, part)
-    dressed = unskin(dress(mesh, tailor, is_ear), weights, motion) - floor
-    texture = paint(mesh, tailor, body.outfit, source, uv_old)
+    balls_a = (points["joint-l-toe-1-1"], points["joint-r-toe-1-1"])
+    dressed = unskin(dress(mesh, tailor, is_ear, balls_a), weights, motion) - floor
+    ankle = bones.index("l_ankle")
+    ball = bones.heads[ankle] + balls_a[0] - bones_a.heads[ankle]
+    gaze = np.array([points["joint-l-eye-target"], points["joint-r-eye-target"]]) - floor
+    texture = paint(mesh, dressed, tailor, body.outfit, source, uv_old, gaze, ball)
 
     sole = np.array([0, dressed[:, 1].min(), 0])
     order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]

@@ -24,7 +24,7 @@ find_python() {
             return
         fi
     done
-    die "this needs Python 3.10 to 3.13 (${PYTHON:-python3} is $("${PYTHON:-python3}" -V 2>&1 || true))." \
+    die "this needs Python 3.10 to 3.13 (${PYTHON:-python3} is $("${PYTHON:-python3}" -V 2>/dev/null || echo not there))." \
         "Name one with: make demo PYTHON=/path/to/python3.12"
 }
 
@@ -45,7 +45,6 @@ install_system_packages() {
     export DEBIAN_FRONTEND=noninteractive
     apt-get update -qq && apt-get install -qq -y --no-install-recommends "$@" >/dev/null ||
         die "apt-get could not install: $*"
-    [ -z "$(missing_packages)" ] || die "$* are installed, but OpenGL still cannot draw without a screen here"
 }
 
 # What the installed state follows from: the description of the package, the interpreter, and where the checkout is.
@@ -85,8 +84,12 @@ install() {
     say "Installed in $SECONDS s."
 }
 
+[ -n "${PYTHON:-}" ] || command -v python3 >/dev/null || install_system_packages python3 python3-venv
 python=$(find_python)
 packages=$(missing_packages | xargs)
-# shellcheck disable=SC2086  # one word per package
-[ -z "$packages" ] || install_system_packages $packages
+if [ -n "$packages" ]; then
+    # shellcheck disable=SC2086  # one word per package
+    install_system_packages $packages
+    [ -z "$(missing_packages)" ] || die "$packages: installed, but $python still does not find them"
+fi
 is_installed || install

@@ -18,7 +18,7 @@ with np.load(Path(__file__).parent / "data" / "blender_masks.npz") as _archive:
     BLENDER = {key: _archive[key] for key in _archive}
 CAMERAS = range(len(BLENDER["K"]))
 
-#: Pixels whose centre lies so close to an edge that rounding decides.
+#: Pixels whose centre lies within 1/512 pixel of an edge: OpenGL puts vertices on a grid of 1/256 pixel.
 DIFFERENT_PIXELS = 3
 #: Median over the pixels, metres.
 DEPTH_TOLERANCE = 1e-5

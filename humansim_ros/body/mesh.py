@@ -64,6 +64,20 @@ class Mesh:
         quads = self.faces[:, 3] >= 0
         return np.repeat(np.arange(len(self.faces), dtype=np.int32), 1 + quads)
 
+    @cached_property
+    def closed(self) -> bool:
+        """Whether the surface has an inside: every edge has two faces that run along it in opposite ways, facing out.
+
+        Seen from outside, the back faces of a closed surface never show, and need not be drawn.
+        """
+        edges = self.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+        forth = edges[:, 0] * len(self.vertices) + edges[:, 1]
+        back = edges[:, 1] * len(self.vertices) + edges[:, 0]
+        if len(np.unique(forth)) < len(forth) or not np.array_equal(np.sort(forth), np.sort(back)):
+            return False
+        a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
+        return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0
+
     def _split(self, faces: Indices) -> Indices:
         both = faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 2, 3)
         keep = np.stack([np.ones(len(faces), dtype=bool), self.faces[:, 3] >= 0], axis=1)

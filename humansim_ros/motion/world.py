@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.bvh import Motion
@@ -30,6 +31,8 @@ UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0
 _ANKLE_SHARE = 0.06
 _PLAUSIBLE_STATURE = (1.2, 2.1)
 _TYPICAL_STATURE = 1.7
+#: Half the span of the differences that velocities are, seconds.
+VELOCITY_STEP = 1e-3
 
 
 @dataclass(frozen=True)
@@ -37,12 +40,32 @@ class JointPoses:
     """Joints at N instants: ``positions`` (N, J, 3) and ``rotations`` (N, J, 4) xyzw.
 
     In ``map``, metres. A rotation is the joint's turn from the motion's rest pose with the person standing there facing
-    +x: at rest every rotation is the identity.
+    +x: at rest every rotation is the identity. ``linear`` (m/s) and ``angular`` (rad/s) velocities (N, J, 3) in ``map``, or
+    None where a source does not give them.
     """
 
     names: tuple[str, ...]
     positions: Array
     rotations: Array
+    linear: Array | None = None
+    angular: Array | None = None
+
+    def moved(self, seconds: float) -> JointPoses:
+        """The joints a short time later, or earlier, if they keep their velocities."""
+        if self.linear is None or self.angular is None:
+            raise MotionError("these joints have no velocities")
+        turn = Rotation.from_rotvec((self.angular * seconds).reshape(-1, 3))
+        turned = turn * Rotation.from_quat(self.rotations.reshape(-1, 4))
+        rotations = turned.as_quat().reshape(self.rotations.shape)
+        return JointPoses(self.names, self.positions + self.linear * seconds, rotations)
+
+
+def central_difference(
+    before: Array, after: Array, rotation_before: Array, rotation_after: Array, seconds: float
+) -> tuple[Array, Array]:
+    """Linear and angular velocity (..., 3) from positions (..., 3) and quaternions (..., 4) ``seconds`` apart."""
+    turn = Rotation.from_quat(rotation_after.reshape(-1, 4)) * Rotation.from_quat(rotation_before.reshape(-1, 4)).inv()
+    return (after - before) / seconds, turn.as_rotvec().reshape(before.shape) / seconds
 
 
 @dataclass(frozen=True)
@@ -251,6 +274,15 @@ class WorldMotion:
                 positions = np.einsum("nij,nkj->nki", carry_r, positions) + carry_t[:, None]
                 turn = carry_r[:, None] @ turn
         return JointPoses(self.names, positions, matrix_to_quaternion(turn))
+
+    def sample_moving(self, times: ArrayLike) -> JointPoses:
+        """:meth:`sample` with velocities: central differences over two milliseconds."""
+        t = np.atleast_1d(np.asarray(times, dtype=float))
+        at, before, after = (self.sample(t + dt) for dt in (0.0, -VELOCITY_STEP, VELOCITY_STEP))
+        linear, angular = central_difference(
+            before.positions, after.positions, before.rotations, after.rotations, 2 * VELOCITY_STEP
+        )
+        return JointPoses(self.names, at.positions, at.rotations, linear, angular)
 
     def _carried(self, rounds: Array) -> tuple[Array, Array]:
         """Rotation (N, 3, 3) and translation (N, 3) of the floor plane that carry the first round to each round."""

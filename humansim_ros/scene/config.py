@@ -1,0 +1,158 @@
+"""The scene file: which humans, motions and cameras there are (YAML, checked key by key)."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import yaml
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
+
+from humansim_ros.errors import SceneError
+from humansim_ros.files import read_text
+from humansim_ros.resources import resource_path
+
+Vector3 = tuple[float, float, float]
+Row4 = tuple[float, float, float, float]
+#: Names become parts of ROS topics and frames.
+Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class MotionConfig(_Section):
+    """What a human does."""
+
+    file: str = Field("walk", description="a motion that comes with the package (walk), or a BVH file")
+    joint_names: str | None = Field(None, description="joint table: a built-in name or a YAML file; found by itself if absent")
+    unit: float | None = Field(None, gt=0, description="metres per file unit; found by itself if absent")
+    position: tuple[float, float] = Field((0.0, 0.0), description="where the anchor goes: x, y in map, metres")
+    yaw_deg: float = Field(0.0, description="heading of the motion's forward direction, degrees from +x to the left")
+    anchor: Literal["start", "center", "file"] = Field("start", description="what goes to position")
+    loop: Literal["none", "repeat", "continue"] = Field("repeat", description="what follows the last frame")
+    offset: float = Field(0.0, description="seconds into the motion at the start")
+
+
+class HumanConfig(_Section):
+    """One person."""
+
+    body: str = Field("adult_man", description="a body that comes with the package, or an .npz or .obj file")
+    motion: MotionConfig = MotionConfig()
+
+
+class CameraConfig(_Section):
+    """One camera: a pose (position, look_at, fov_deg) or a calibration (K, R, t)."""
+
+    size: tuple[int, int] = Field((640, 480), description="width, height in pixels")
+    position: Vector3 | None = None
+    look_at: Vector3 | None = None
+    fov_deg: float | None = Field(None, gt=0, lt=180, description="horizontal field of view")
+    K: tuple[Vector3, Vector3, Vector3] | None = None
+    R: tuple[Vector3, Vector3, Vector3] | None = None
+    t: Vector3 | None = None
+    P: tuple[Row4, Row4, Row4] | None = None
+    distortion: tuple[float, ...] = ()
+
+    @model_validator(mode="after")
+    def _one_way(self) -> CameraConfig:
+        ways = {"position, look_at": (self.position, self.look_at), "K, R, t": (self.K, self.R, self.t), "P": (self.P,)}
+        given = [way for way, parts in ways.items() if any(p is not None for p in parts)]
+        whole = [way for way, parts in ways.items() if all(p is not None for p in parts)]
+        if len(given) != 1 or given != whole:
+            raise ValueError("give a camera as position and look_at (and fov_deg), or as K, R and t, or as P: one of them, whole")
+        if self.fov_deg is not None and given != ["position, look_at"]:
+            raise ValueError("fov_deg goes with position and look_at only")
+        return self
+
+
+class RoomConfig(_Section):
+    """The furnished room."""
+
+    size: tuple[float, float, float] = Field((7.0, 6.4, 2.8), description="length along x, width along y, height; metres")
+    seed: int = 1
+
+    @model_validator(mode="after")
+    def _big_enough(self) -> RoomConfig:
+        if min(self.size[:2]) < 5.0 or max(self.size) > 100 or self.size[2] < 2.2:
+            raise ValueError("the furniture needs a room of at least 5 x 5 x 2.2 m (and at most 100 m)")
+        return self
+
+
+class SceneConfig(_Section):
+    """A scene file."""
+
+    rate: float = Field(30.0, gt=0, le=1000, description="frames per second")
+    room: RoomConfig | None = Field(RoomConfig(), description="null for an empty world")
+    humans: dict[Name, HumanConfig] = Field(default_factory=dict)
+    cameras: dict[Name, CameraConfig]
+
+    @model_validator(mode="after")
+    def _names_differ(self) -> SceneConfig:
+        if not self.cameras:
+            raise ValueError("a scene needs at least one camera")
+        if len(self.humans) > 65535:
+            raise ValueError("at most 65535 humans")
+        return self
+
+
+def load_config(path: str | os.PathLike[str]) -> SceneConfig:
+    """Read and check a scene file. Raises SceneError with file, line and key."""
+    text = read_text(path, SceneError, "scene")
+    try:
+        data = yaml.safe_load(text)
+        tree = yaml.compose(text, Loader=yaml.SafeLoader)
+    except yaml.YAMLError as reason:
+        mark = getattr(reason, "problem_mark", None)
+        line = None if mark is None else mark.line + 1
+        raise SceneError(f"not valid YAML: {getattr(reason, 'problem', None) or reason}", path=path, line=line) from None
+    if not isinstance(data, dict):
+        raise SceneError("a scene is a mapping with 'humans' and 'cameras'", path=path)
+    try:
+        return SceneConfig.model_validate(data)
+    except ValidationError as reason:
+        first = reason.errors()[0]
+        keys = [k for k in first["loc"] if k != "[key]"]
+        message = first["msg"].removeprefix("Value error, ")
+        if first["type"] == "extra_forbidden":
+            message = "unknown key" + _known_keys(keys)
+        raise SceneError(message, path=path, line=_line_of(tree, keys), key=".".join(map(str, keys)) or None) from None
+
+
+def _known_keys(keys: list[Any]) -> str:
+    models: dict[str, type[BaseModel]] = {"humans": HumanConfig, "cameras": CameraConfig, "room": RoomConfig}
+    model: type[BaseModel] = SceneConfig
+    if len(keys) > 1:
+        model = MotionConfig if "motion" in keys[:-1] else models.get(str(keys[0]), SceneConfig)
+    return f"; known here: {', '.join(model.model_fields)}"
+
+
+def _line_of(node: Any, keys: list[Any]) -> int | None:
+    """Line of the deepest part of a key path that is in the file."""
+    line = None
+    for key in keys:
+        children = node.value if isinstance(node, (yaml.MappingNode, yaml.SequenceNode)) else []
+        if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(children):
+            node = children[key]
+            line = node.start_mark.line + 1
+            continue
+        found = [(k, v) for k, v in children if k.value == str(key)] if isinstance(node, yaml.MappingNode) else []
+        if not found:
+            break
+        line, node = found[0][0].start_mark.line + 1, found[0][1]
+    return line
+
+
+def find_file(name: str, folder: str, suffix: str, base: Path, key: str) -> Path:
+    """A file named in a scene: a built-in of ``assets/<folder>`` by its bare name, or a path from the scene file's folder."""
+    built_in = resource_path(f"assets/{folder}")
+    if (built_in / f"{name}{suffix}").is_file():
+        return built_in / f"{name}{suffix}"
+    path = Path(name).expanduser()
+    path = path if path.is_absolute() else base / path
+    if not path.suffix and not path.exists():
+        known = ", ".join(sorted(p.stem for p in built_in.glob(f"*{suffix}")))
+        raise SceneError(f"no {name!r} among the built-in {folder} ({known}), and no such file", key=key)
+    return path

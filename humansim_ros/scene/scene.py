@@ -1,0 +1,175 @@
+"""A scene ready to run: humans with their motions, cameras, the static world."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.body import Human
+from humansim_ros.body.mesh import Mesh
+from humansim_ros.camera import Camera
+from humansim_ros.errors import CameraError
+from humansim_ros.motion.bvh import read_bvh
+from humansim_ros.motion.joint_names import find_match
+from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.world import (
+    VELOCITY_STEP,
+    JointPoses,
+    Placement,
+    WorldMotion,
+    central_difference,
+    understand,
+)
+from humansim_ros.render import Body
+from humansim_ros.resources import resource_path
+from humansim_ros.rotations import Array, matrix_to_quaternion
+from humansim_ros.scene.config import CameraConfig, HumanConfig, SceneConfig, find_file, load_config
+from humansim_ros.scene.room import furnished_room
+
+DEMO_SCENE = "config/scenes/demo.yaml"
+
+
+@dataclass(frozen=True)
+class HumanState:
+    """A human at one instant, in ``map``, metres.
+
+    ``joint_names``: J names. ``joints``: (J, 4, 4) poses of the joints, each with its bone's axes (y along the bone).
+    ``linear``, ``angular``: (J, 3) velocities in ``map``, m/s and rad/s, or None where the motion gives none.
+    ``vertices``: (V, 3) float32 in mesh order.
+    """
+
+    joint_names: tuple[str, ...]
+    joints: Array
+    linear: Array | None
+    angular: Array | None
+    vertices: NDArray[np.float32]
+
+    @property
+    def positions(self) -> Array:
+        """(J, 3) joint positions."""
+        return self.joints[:, :3, 3]
+
+
+@dataclass(frozen=True)
+class Actor:
+    """One human of a scene: its body, what drives it, and the label it is drawn with."""
+
+    name: str
+    instance: int
+    human: Human
+    motion: WorldMotion
+    retargeter: Retargeter
+    offset: float = 0.0
+
+    def joint_poses(self, seconds: float) -> JointPoses:
+        """The motion's joints at a time since the start of the scene: what the motion player publishes."""
+        return self.motion.sample_moving(seconds + self.offset)
+
+    def state(self, poses: JointPoses) -> HumanState:
+        """The body at one instant, from joint poses with N = 1: what the skinner publishes."""
+        skeleton = self.human.skeleton
+        joints = self._joints(poses)
+        linear = angular = None
+        if poses.linear is not None:
+            before, after = (self._joints(poses.moved(dt)) for dt in (-VELOCITY_STEP, VELOCITY_STEP))
+            linear, angular = central_difference(
+                before[:, :3, 3],
+                after[:, :3, 3],
+                matrix_to_quaternion(before[:, :3, :3]),
+                matrix_to_quaternion(after[:, :3, :3]),
+                2 * VELOCITY_STEP,
+            )
+        vertices = self.human.pose(joints[: len(skeleton)])
+        return HumanState(skeleton.joint_names, joints, linear, angular, vertices)
+
+    def at(self, seconds: float) -> HumanState:
+        """The body at a time since the start of the scene."""
+        return self.state(self.joint_poses(seconds))
+
+    def body(self, vertices: NDArray[np.float32]) -> Body:
+        """What a renderer needs to draw this human with its vertices (V, 3) as they stand in a frame."""
+        return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance)
+
+    def _joints(self, poses: JointPoses) -> Array:
+        rotations, root = self.retargeter.apply(poses)
+        skeleton = self.human.skeleton
+        return skeleton.joint_transforms(skeleton.pose(rotations, root))[0]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Everything that is simulated. Humans are numbered from 1 in the file's order: their instance labels."""
+
+    path: Path
+    config: SceneConfig
+    actors: dict[str, Actor]
+    cameras: dict[str, Camera]
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
+        """Load a scene file (the demo scene if none is given). Raises HumansimError naming file, line or key."""
+        path = resource_path(DEMO_SCENE) if path is None else Path(path)
+        return cls.build(load_config(path), path)
+
+    @classmethod
+    def build(cls, config: SceneConfig, path: Path) -> Scene:
+        """The scene of a checked configuration; files it names are looked for from the folder of ``path``."""
+        base = path.resolve().parent
+        actors = {
+            name: _actor(name, number, human, base) for number, (name, human) in enumerate(config.humans.items(), 1)
+        }
+        cameras = {}
+        for name, camera in config.cameras.items():
+            try:
+                cameras[name] = _camera(camera)
+            except CameraError as error:
+                key = f"cameras.{name}" + (f".{error.key}" if error.key else "")
+                raise CameraError(error.message, path=path, key=key) from None
+        return cls(path, config, actors, cameras)
+
+    @property
+    def period(self) -> float:
+        """Seconds between frames."""
+        return 1 / self.config.rate
+
+    def frame_time(self, index: int) -> int:
+        """Nanoseconds from the start to frame ``index``: round(index * period), so that errors do not add up."""
+        return round(index * 1_000_000_000 / self.config.rate)
+
+    @cached_property
+    def static_meshes(self) -> list[Mesh]:
+        """The world that stands still."""
+        room = self.config.room
+        return [] if room is None else furnished_room(room.size, room.seed)
+
+
+def _actor(name: str, instance: int, config: HumanConfig, base: Path) -> Actor:
+    key = f"humans.{name}"
+    human = Human.load(find_file(config.body, "humans", ".npz", base, f"{key}.body"))
+    chosen = config.motion
+    path = find_file(chosen.file, "motions", ".bvh", base, f"{key}.motion.file")
+    motion = read_bvh(path)
+    table = chosen.joint_names
+    if table is not None and (base / table).is_file():
+        table = str(base / table)
+    match = find_match(motion.joint_names, table, path)
+    placement = Placement(chosen.position, float(np.radians(chosen.yaw_deg)), chosen.anchor)
+    world = WorldMotion(motion, match, understand(motion, match, chosen.unit), placement, chosen.loop)
+    return Actor(name, instance, human, world, Retargeter.fit(world, human.skeleton), chosen.offset)
+
+
+def _camera(config: CameraConfig) -> Camera:
+    if config.position is not None and config.look_at is not None:
+        fov = np.radians(60.0 if config.fov_deg is None else config.fov_deg)
+        return Camera.look_at(config.position, config.look_at, config.size, float(fov))
+    if config.P is not None:
+        return Camera.from_projection_matrix(config.P, config.size)
+    assert config.K is not None and config.R is not None and config.t is not None
+    return Camera(config.size, np.array(config.K), np.array(config.R), np.array(config.t), config.distortion)
+
+

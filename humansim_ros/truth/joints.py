@@ -1,0 +1,74 @@
+"""What a camera can know of the joints: where they fall in the image and whether they can be seen."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.body import Human
+from humansim_ros.camera import Camera
+from humansim_ros.render import View
+from humansim_ros.rotations import Array
+
+#: Visibility of a joint: outside the image (or behind the camera), hidden by something, or seen.
+OUTSIDE, OCCLUDED, VISIBLE = 0, 1, 2
+
+
+@dataclass(frozen=True)
+class JointView:
+    """Joints (J) as a camera sees them.
+
+    ``optical``: (J, 3) in the optical frame, metres. ``pixels``: (J, 2), NaN behind the camera. ``visible``: (J,) uint8:
+    OUTSIDE, OCCLUDED or VISIBLE.
+    """
+
+    optical: Array
+    pixels: Array
+    visible: NDArray[np.uint8]
+
+
+def view_joints(camera: Camera, positions: Array, view: View, instance: int, surfaces: NDArray[np.bool_]) -> JointView:
+    """Joints (J, 3) of the human labelled ``instance``, seen by a camera whose ``view`` has instance and part labels.
+
+    Joints lie inside the body, so one counts as visible where the first surface at its pixel is skin around that joint:
+    ``surfaces`` (J, 256) says which part labels those are (:func:`joint_surfaces`).
+    """
+    assert view.instance is not None and view.part is not None
+    optical = camera.to_optical(positions)
+    pixels, _ = camera.project_optical(optical)
+    width, height = camera.size
+    inside = ((pixels > -0.5) & (pixels < np.array([width, height]) - 0.5)).all(-1)
+    column, row = np.where(inside[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(int).T
+    own = view.instance[row, column] == instance
+    near = surfaces[np.arange(len(positions)), view.part[row, column]]
+    visible = np.where(inside, np.where(own & near, VISIBLE, OCCLUDED), OUTSIDE)
+    return JointView(optical, pixels, visible.astype(np.uint8))
+
+
+def joint_surfaces(human: Human) -> NDArray[np.bool_]:
+    """(J, 256) which part labels are skin around each ground-truth joint: those of the bones that meet there."""
+    skeleton = human.skeleton
+    with_surface = set((human.triangle_parts - 1).tolist())
+    neighbours: list[set[int]] = []
+    for joint, bone in enumerate(skeleton.joint_bones):
+        is_end = joint >= len(skeleton)
+        meeting = {bone} if is_end else {bone, *_siblings(skeleton.parents, skeleton.heads, bone)}
+        if not is_end and skeleton.parents[bone] >= 0:
+            meeting.add(int(skeleton.parents[bone]))
+        if skeleton.parents[bone] < 0:
+            meeting |= set(np.flatnonzero(skeleton.parents == bone).tolist())
+        # a connector bone has no skin: what it connects meets here instead
+        for bare in meeting - with_surface:
+            meeting |= {int(skeleton.parents[bare]), *np.flatnonzero(skeleton.parents == bare).tolist()}
+        neighbours.append(meeting - {-1})
+    table = np.zeros((len(neighbours), 256), dtype=bool)
+    for joint, bones in enumerate(neighbours):
+        table[joint, [bone + 1 for bone in bones]] = True
+    return table
+
+
+def _siblings(parents: NDArray[np.intp], heads: Array, bone: int) -> list[int]:
+    same = (parents == parents[bone]) & (np.linalg.norm(heads - heads[bone], axis=1) < 1e-6)
+    return [int(b) for b in np.flatnonzero(same)]

@@ -52,22 +52,34 @@ def fit_limbs(skeleton: Skeleton, mesh: Mesh) -> Skeleton:
     height = skeleton.tails[:, 1].max()
     for side, sign in (("l", 1.0), ("r", -1.0)):
         half = mesh.vertices[mesh.vertices[:, 0] * sign > 0]
-        hip, knee, ankle = (skeleton.heads[skeleton.bone(f"{side}_{name}")] for name in ("hip", "knee", "ankle"))
-        ankle_at = _section(half, np.array([hip[0], ankle[1], ankle[2]]), np.array([0.0, 1.0, 0.0]), 0.012 * height)
+        hip, knee, ankle = (
+            skeleton.heads[skeleton.bone(f"{side}_{name}")] for name in ("hip", "knee", "ankle")
+        )
+        ankle_at = _section(
+            half, np.array([hip[0], ankle[1], ankle[2]]), np.array([0.0, 1.0, 0.0]), 0.012 * height
+        )
         legs = half[(half[:, 1] < hip[1]) & (np.abs(half[:, 0]) < 2.5 * max(abs(ankle_at[0]), abs(hip[0])))]
         knee_at = _section(legs, np.array([0.0, knee[1], 0.0]), np.array([0.0, 1.0, 0.0]), 0.012 * height)
-        thigh_at = _section(legs, np.array([0.0, 0.9 * hip[1], 0.0]), np.array([0.0, 1.0, 0.0]), 0.012 * height)
+        thigh_at = _section(
+            legs, np.array([0.0, 0.9 * hip[1], 0.0]), np.array([0.0, 1.0, 0.0]), 0.012 * height
+        )
         hip_at = np.array([hip[0], hip[1], thigh_at[2]])
         for name, point in (("hip", hip_at), ("knee", knee_at), ("ankle", ankle_at)):
             move(f"{side}_{name}", point)
         toes = half[(half[:, 1] < 0.05 * height)]
-        tails[skeleton.bone(f"{side}_ankle")] = [ankle_at[0], skeleton.tails[skeleton.bone(f"{side}_ankle"), 1], toes[:, 2].max()]
+        tails[skeleton.bone(f"{side}_ankle")] = [
+            ankle_at[0],
+            skeleton.tails[skeleton.bone(f"{side}_ankle"), 1],
+            toes[:, 2].max(),
+        ]
 
         shoulder = skeleton.heads[skeleton.bone(f"{side}_shoulder")]
         tip = half[np.argmax(np.abs(half[:, 0]))]  # of the longest finger
         along = (tip - shoulder) / np.linalg.norm(tip - shoulder)
         reach = (half - shoulder) @ along
-        arm = half[(reach > 0) & (np.linalg.norm(half - shoulder - reach[:, None] * along, axis=1) < 0.1 * height)]
+        arm = half[
+            (reach > 0) & (np.linalg.norm(half - shoulder - reach[:, None] * along, axis=1) < 0.1 * height)
+        ]
         length = np.linalg.norm(tip - shoulder)
         bones = [skeleton.lengths[skeleton.bone(f"{side}_{name}")] for name in ("shoulder", "elbow", "wrist")]
         shares = np.cumsum(bones) / np.sum(bones)
@@ -86,7 +98,9 @@ def _section(points: Array, at: Array, normal: Array, thickness: float) -> Array
     """Middle of the cross-section of a limb: the box centre of the points within ``thickness`` of a plane."""
     near = points[np.abs((points - at) @ normal) < thickness]
     if len(near) < 4:
-        raise MeshError("no limb where a person in a T or A pose has one: stand the mesh upright, arms out or down")
+        raise MeshError(
+            "no limb where a person in a T or A pose has one: stand the mesh upright, arms out or down"
+        )
     return np.asarray((near.min(0) + near.max(0)) / 2)
 
 
@@ -107,7 +121,9 @@ def _upright(vertices: Array) -> Array:
     side = min(wide, key=lambda axis: _asymmetry(vertices, axis))
     up = next(axis for axis in wide if axis != side)
     if up == 0:
-        raise MeshError("the mesh lies on its side (its height runs along x): turn it so that y or z points up")
+        raise MeshError(
+            "the mesh lies on its side (its height runs along x): turn it so that y or z points up"
+        )
     upward = np.zeros(3)
     upward[up] = _up_sign(vertices, up)
     forward = np.zeros(3)

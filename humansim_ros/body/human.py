@@ -134,7 +134,12 @@ def _from_arrays(arrays: dict[str, Any], name: str) -> Human:
         rolls=arrays["bone_rolls"].astype(float),
     )
     bones, values = arrays["weight_bones"].astype(int), arrays["weight_values"].astype(float)
-    if bones.shape != values.shape or len(bones) != len(vertices) or bones.min() < 0 or bones.max() >= len(skeleton):
+    if (
+        bones.shape != values.shape
+        or len(bones) != len(vertices)
+        or bones.min() < 0
+        or bones.max() >= len(skeleton)
+    ):
         raise MeshError("the weights do not fit the vertices and bones")
     rows = np.repeat(np.arange(len(vertices)), bones.shape[1])
     weights = csr_matrix((values.ravel(), (rows, bones.ravel())), shape=(len(vertices), len(skeleton)))

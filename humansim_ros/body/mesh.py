@@ -159,7 +159,11 @@ def _numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, 
         except ValueError:
             good = False
         if not good:
-            raise MeshError(f"'{keyword}' needs {width} finite numbers, not {' '.join(row)[:40]!r}", path=path, line=number)
+            raise MeshError(
+                f"'{keyword}' needs {width} finite numbers, not {' '.join(row)[:40]!r}",
+                path=path,
+                line=number,
+            )
     raise MeshError(f"'{keyword}' lines cannot be read", path=path)
 
 

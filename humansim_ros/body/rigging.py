@@ -30,7 +30,12 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "thesis") -> csr_matrix:
     """
     vertices = mesh.vertices
     angles = _angle_seen(vertices, skeleton)
-    sides = np.array([1 if n.startswith("l_") or "_l_" in n else -1 if n.startswith("r_") or "_r_" in n else 0 for n in skeleton.names])
+    sides = np.array(
+        [
+            1 if n.startswith("l_") or "_l_" in n else -1 if n.startswith("r_") or "_r_" in n else 0
+            for n in skeleton.names
+        ]
+    )
     other_side = sides[None, :] * np.sign(vertices[:, :1]) < 0
     angles[other_side] = -1.0
     best = np.argmax(angles, axis=1)

@@ -32,8 +32,12 @@ class Skeleton:
         if n == 0 or shapes != ((n,), (n, 3), (n, 3), (n,)):
             raise MeshError(f"a skeleton of {n} bones cannot have arrays of shapes {shapes}")
         if not all(-1 <= parent < bone for bone, parent in enumerate(self.parents)):
-            raise MeshError("every bone's parent must come before it; the hierarchy has a cycle or is out of order")
-        if not (np.isfinite(self.heads).all() and np.isfinite(self.tails).all() and np.isfinite(self.rolls).all()):
+            raise MeshError(
+                "every bone's parent must come before it; the hierarchy has a cycle or is out of order"
+            )
+        if not (
+            np.isfinite(self.heads).all() and np.isfinite(self.tails).all() and np.isfinite(self.rolls).all()
+        ):
             raise MeshError("a bone's head, tail or roll is not a finite number")
         if (np.linalg.norm(self.tails - self.heads, axis=1) < 1e-9).any():
             raise MeshError("a bone has no length: its head and tail are the same point")

@@ -12,7 +12,9 @@ from humansim_ros.errors import MeshError
 from humansim_ros.rotations import Array
 
 
-def skin(vertices: NDArray[np.floating], weights: csr_matrix, transforms: NDArray[np.floating]) -> NDArray[np.floating]:
+def skin(
+    vertices: NDArray[np.floating], weights: csr_matrix, transforms: NDArray[np.floating]
+) -> NDArray[np.floating]:
     """Posed vertices ``v' = sum_b w_b T_b v / sum_b w_b`` (thesis 9.6, Blender's armature modifier).
 
     ``vertices``: (V, 3) at rest. ``weights``: (V, B) sparse. ``transforms``: (..., B, 4, 4) from rest to posed, that is
@@ -46,7 +48,8 @@ class LinearBlend:
         data = (normalised.data[:, None] * homogeneous[rows]).astype(dtype)
         columns = (normalised.indices[:, None] * 4 + np.arange(4)).astype(np.int32)
         matrix = csr_matrix(
-            (data.ravel(), columns.ravel(), normalised.indptr * 4), shape=(len(vertices), 4 * weights.shape[1])
+            (data.ravel(), columns.ravel(), normalised.indptr * 4),
+            shape=(len(vertices), 4 * weights.shape[1]),
         )
         object.__setattr__(self, "matrix", matrix)
 

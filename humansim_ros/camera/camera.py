@@ -40,7 +40,9 @@ class Camera:
     def __post_init__(self) -> None:
         width, height = (int(n) for n in self.size)
         if not (0 < width <= MAX_SIZE and 0 < height <= MAX_SIZE):
-            raise CameraError(f"the image size must be 1 to {MAX_SIZE} pixels, not {width}x{height}", key="size")
+            raise CameraError(
+                f"the image size must be 1 to {MAX_SIZE} pixels, not {width}x{height}", key="size"
+            )
         k, r = _matrix(self.K, (3, 3), "K"), _matrix(self.R, (3, 3), "R")
         t = _matrix(self.t, (3,), "t")
         if abs(np.linalg.det(k)) < 1e-9 * np.abs(k).max() ** 3 or k[0, 0] <= 0 or k[1, 1] <= 0:
@@ -50,7 +52,9 @@ class Camera:
         if np.abs(r @ r.T - np.eye(3)).max() > _ROTATION_SLACK or np.linalg.det(r) < 0:
             raise CameraError("R is not a rotation matrix (orthonormal, determinant +1)", key="R")
         if np.any(np.asarray(self.distortion, dtype=float)):
-            raise CameraError("lens distortion is not rendered yet: give an undistorted calibration", key="distortion")
+            raise CameraError(
+                "lens distortion is not rendered yet: give an undistorted calibration", key="distortion"
+            )
         u, _, vt = np.linalg.svd(r)
         object.__setattr__(self, "size", (width, height))
         object.__setattr__(self, "K", k / k[2, 2])
@@ -75,7 +79,9 @@ class Camera:
         """
         width, height = size
         if not 0 < fov < np.pi:
-            raise CameraError(f"the field of view must be between 0 and 180 degrees, not {np.degrees(fov):g}", key="fov")
+            raise CameraError(
+                f"the field of view must be between 0 and 180 degrees, not {np.degrees(fov):g}", key="fov"
+            )
         centre = _matrix(position, (3,), "position")
         forward = _matrix(target, (3,), "look_at") - centre
         right = np.cross(forward, np.asarray(up, dtype=float))
@@ -175,5 +181,3 @@ def _matrix(value: ArrayLike, shape: tuple[int, ...], key: str) -> Array:
     if not np.isfinite(array).all():
         raise CameraError("a number is not finite (NaN or infinity)", key=key)
     return array
-
-

@@ -122,7 +122,9 @@ class Motion:
         for level in self._levels[1:]:
             parents = self.parents[level]
             parent_r = world_r[..., parents, :, :]
-            world_t[..., level, :] = (parent_r @ world_t[..., level, :, None])[..., 0] + world_t[..., parents, :]
+            world_t[..., level, :] = (parent_r @ world_t[..., level, :, None])[..., 0] + world_t[
+                ..., parents, :
+            ]
             world_r[..., level, :, :] = parent_r @ world_r[..., level, :, :]
         return transform(world_r, world_t)
 
@@ -271,7 +273,9 @@ class _Parser:
         words = rest.split()
         names = tuple(_CANONICAL.get(word.lower(), "") for word in words[1:])
         if not words or not words[0].isdigit() or "" in names or len(set(names)) != len(names):
-            raise self.error(f"CHANNELS needs a count and names such as Zrotation, not {rest.strip()[:60]!r}", number)
+            raise self.error(
+                f"CHANNELS needs a count and names such as Zrotation, not {rest.strip()[:60]!r}", number
+            )
         if int(words[0]) != len(names):
             raise self.error(f"CHANNELS says {words[0]} but names {len(names)}", number)
         return names
@@ -300,13 +304,17 @@ class _Parser:
             raise self.error("no frames after 'Frame Time:': the file is truncated", len(self.lines))
         if len(rows) != n_frames:
             warnings.warn(
-                f"{self.path}: says {n_frames:g} frames but has {len(rows)}; the rows count", HumansimWarning, stacklevel=4
+                f"{self.path}: says {n_frames:g} frames but has {len(rows)}; the rows count",
+                HumansimWarning,
+                stacklevel=4,
             )
         return rows, frame_time
 
     def _header_number(self, header: dict[str, tuple[int, str]], key: str, line: int) -> float:
         if key not in header:
-            raise self.error(f"'{key.title()}:' is missing after MOTION: the file is truncated or damaged", line)
+            raise self.error(
+                f"'{key.title()}:' is missing after MOTION: the file is truncated or damaged", line
+            )
         number, text = header[key]
         try:
             value = float(text)
@@ -378,10 +386,10 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
             lines.append(indent + f"\tCHANNELS {len(names)} " + " ".join(names))
         stack.append((joint, depth, True))
         stack += [(child, depth + 1, False) for child in reversed(children[joint])]
-    columns = np.concatenate([motion._columns[j] + np.arange(len(motion.channels[j])) for j in order]).astype(int)
+    columns = np.concatenate([motion._columns[j] + np.arange(len(motion.channels[j])) for j in order]).astype(
+        int
+    )
     lines += ["MOTION", f"Frames: {motion.n_frames}", f"Frame Time: {motion.frame_time:.9f}"]
     lines += [" ".join(f"{v:.6f}" for v in row) for row in motion.values[:, columns]]
     with atomic_path(Path(path)) as temporary:
         temporary.write_text("\n".join(lines) + "\n")
-
-

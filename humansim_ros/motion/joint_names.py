@@ -16,7 +16,17 @@ from humansim_ros.files import read_text
 from humansim_ros.resources import resource_path
 
 #: Without these bones nobody would call the result a person moving.
-REQUIRED_BONES = ("HumanoidRoot", "l_hip", "l_knee", "l_shoulder", "l_elbow", "r_hip", "r_knee", "r_shoulder", "r_elbow")
+REQUIRED_BONES = (
+    "HumanoidRoot",
+    "l_hip",
+    "l_knee",
+    "l_shoulder",
+    "l_elbow",
+    "r_hip",
+    "r_knee",
+    "r_shoulder",
+    "r_elbow",
+)
 _PREFIX = re.compile(r"^(.*:|mixamorig\d*)")
 
 
@@ -96,7 +106,9 @@ def match_table(table: JointTable, joint_names: Sequence[str]) -> JointMatch:
 
 
 def find_match(
-    joint_names: Sequence[str], table: str | os.PathLike[str] | None = None, path: str | os.PathLike[str] | None = None
+    joint_names: Sequence[str],
+    table: str | os.PathLike[str] | None = None,
+    path: str | os.PathLike[str] | None = None,
 ) -> JointMatch:
     """The joints that drive the bones: by the given table (a built-in name or a YAML file), else by the best built-in.
 
@@ -107,12 +119,16 @@ def find_match(
         named = [t for t in tables if t.name == os.fspath(table)]
         if not named and not Path(table).is_file():
             known = ", ".join(t.name for t in tables)
-            raise MotionError(f"no joint table {os.fspath(table)!r}: give a YAML file or one of {known}", path=path)
+            raise MotionError(
+                f"no joint table {os.fspath(table)!r}: give a YAML file or one of {known}", path=path
+            )
         tables = named or [load_table(table)]
     matches = [match_table(candidate, joint_names) for candidate in tables]
     best = max(matches, key=lambda m: (m.complete, len(m.parallel) + len(m.difference), len(m.roles)))
     if not best.complete:
-        lacking = [bone for bone in REQUIRED_BONES if bone not in best.parallel and bone not in best.difference]
+        lacking = [
+            bone for bone in REQUIRED_BONES if bone not in best.parallel and bone not in best.difference
+        ]
         raise MotionError(
             f"no joint table fits these joints ({', '.join(joint_names[:12])}{', …' if len(joint_names) > 12 else ''}); "
             f"the nearest is {best.table!r}, which finds nothing for {', '.join(lacking)}. "

@@ -109,5 +109,3 @@ def _sole_heights(skeleton: Skeleton, posed: Array) -> Array:
             offset = skeleton.rest_inverse[bone] @ np.array([*point, 1.0])
             heights.append((posed[..., bone, :, :] @ offset)[..., 2])
     return np.stack(heights, axis=-1)
-
-

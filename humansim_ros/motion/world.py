@@ -64,7 +64,10 @@ def central_difference(
     before: Array, after: Array, rotation_before: Array, rotation_after: Array, seconds: float
 ) -> tuple[Array, Array]:
     """Linear and angular velocity (..., 3) from positions (..., 3) and quaternions (..., 4) ``seconds`` apart."""
-    turn = Rotation.from_quat(rotation_after.reshape(-1, 4)) * Rotation.from_quat(rotation_before.reshape(-1, 4)).inv()
+    turn = (
+        Rotation.from_quat(rotation_after.reshape(-1, 4))
+        * Rotation.from_quat(rotation_before.reshape(-1, 4)).inv()
+    )
     return (after - before) / seconds, turn.as_rotvec().reshape(before.shape) / seconds
 
 
@@ -184,7 +187,9 @@ def _body_axes(positions: Array, roles: dict[str, int] | object, up: int, motion
     )
     left = np.asarray(left, dtype=float) * (np.arange(3) != up)
     if np.linalg.norm(left) < 1e-9:
-        raise MotionError("left and right hips are at the same place: cannot tell where the person faces", path=motion.path)
+        raise MotionError(
+            "left and right hips are at the same place: cannot tell where the person faces", path=motion.path
+        )
     left /= np.linalg.norm(left)
     snapped = np.round(left)
     if snapped @ left > np.cos(np.radians(25)):
@@ -238,7 +243,9 @@ class WorldMotion:
         stride = max(1, self.motion.n_frames // 500)
         points = self.motion.world_positions(slice(None, None, stride)) @ (self.frame.unit * self._axes).T
         root = points[:, self.match.roles["Hips"], :2]
-        at = {"start": root[0], "center": (root.min(0) + root.max(0)) / 2, "file": np.zeros(2)}[self.placement.anchor]
+        at = {"start": root[0], "center": (root.min(0) + root.max(0)) / 2, "file": np.zeros(2)}[
+            self.placement.anchor
+        ]
         # the floor is where the lowest joint mostly is: a low percentile, so that one bad frame does not lift the rest
         floor = np.percentile(points[..., 2].min(1), 5)
         return np.array([*(np.array(self.placement.position) - at), -floor])

@@ -55,7 +55,9 @@ class GLRenderer:
     def __init__(self, static: Sequence[Mesh] = (), lighting: Lighting | None = None) -> None:
         self._lighting = lighting or Lighting()
         self._ctx = create_context()
-        self._ctx.front_face = "cw"  # the image's rows run down where OpenGL's run up: everything is mirrored once
+        self._ctx.front_face = (
+            "cw"  # the image's rows run down where OpenGL's run up: everything is mirrored once
+        )
         self._static = tuple(static)
         self._surfaces: dict[int, _Surface] = {}
         self._targets: dict[tuple[int, int], _Targets] = {}
@@ -90,8 +92,13 @@ class GLRenderer:
         layer = self._layer(camera)
         wants_rgb = "rgb" in channels
         wants_truth = bool(set(channels) - {"rgb"})
-        shadows = [contact_shadow(b.vertices, self._surface(b.mesh).areas) for b in bodies] if wants_rgb else []
-        near = [np.array([[s.corner[0] + dx, s.corner[1] + dy, 0] for dx in (0, s.side) for dy in (0, s.side)]) for s in shadows]
+        shadows = (
+            [contact_shadow(b.vertices, self._surface(b.mesh).areas) for b in bodies] if wants_rgb else []
+        )
+        near = [
+            np.array([[s.corner[0] + dx, s.corner[1] + dy, 0] for dx in (0, s.side) for dy in (0, s.side)])
+            for s in shadows
+        ]
         for body in bodies:
             self._surface(body.mesh).upload(body.vertices, with_normals=wants_rgb)
         view: dict[str, Any] = {}
@@ -104,7 +111,12 @@ class GLRenderer:
         return View(**view)
 
     def _draw_rgb(
-        self, bodies: Sequence[Body], shadows: Sequence[Any], layer: _StaticLayer, camera: Camera, rectangle: _Rectangle
+        self,
+        bodies: Sequence[Body],
+        shadows: Sequence[Any],
+        layer: _StaticLayer,
+        camera: Camera,
+        rectangle: _Rectangle,
     ) -> NDArray[np.uint8]:
         image = layer.rgb.copy()
         if rectangle.empty:
@@ -127,7 +139,12 @@ class GLRenderer:
         return image
 
     def _draw_truth(
-        self, bodies: Sequence[Body], layer: _StaticLayer, camera: Camera, rectangle: _Rectangle, channels: Collection[str]
+        self,
+        bodies: Sequence[Body],
+        layer: _StaticLayer,
+        camera: Camera,
+        rectangle: _Rectangle,
+        channels: Collection[str],
     ) -> dict[str, Any]:
         height, width = layer.depth.shape
         out: dict[str, Any] = {}
@@ -168,7 +185,9 @@ class GLRenderer:
         else:
             self._ctx.disable(moderngl.CULL_FACE)
 
-    def _draw_layer(self, program: moderngl.Program, window: moderngl.VertexArray, layer: _StaticLayer) -> None:
+    def _draw_layer(
+        self, program: moderngl.Program, window: moderngl.VertexArray, layer: _StaticLayer
+    ) -> None:
         """Fill the rectangle with the static scene, depth buffer included, whatever was there."""
         self._ctx.depth_func = "1"  # always
         layer.use(program)
@@ -204,7 +223,9 @@ class GLRenderer:
         return self._targets[size]
 
     def _layer(self, camera: Camera) -> _StaticLayer:
-        key = b"".join((np.array(camera.size).tobytes(), camera.K.tobytes(), camera.R.tobytes(), camera.t.tobytes()))
+        key = b"".join(
+            (np.array(camera.size).tobytes(), camera.K.tobytes(), camera.R.tobytes(), camera.t.tobytes())
+        )
         if key not in self._layers:
             self._layers[key] = self._draw_static(camera)
         return self._layers[key]
@@ -227,7 +248,9 @@ class GLRenderer:
         for surface in surfaces:
             surface.draw_rgb()
         image = np.frombuffer(color.read(components=3, alignment=1), np.uint8).reshape(fine[1], fine[0], 3)
-        rgb = np.ascontiguousarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)
+        rgb = np.ascontiguousarray(
+            cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8
+        )
 
         target = self._target(camera.size).truth
         target.scissor = None
@@ -363,7 +386,9 @@ class _StaticLayer:
 class _Surface:
     """A mesh on the device. Vertices on texture seams are there twice, once per texture coordinate."""
 
-    def __init__(self, ctx: moderngl.Context, mesh: Mesh, rgb: moderngl.Program, truth: moderngl.Program) -> None:
+    def __init__(
+        self, ctx: moderngl.Context, mesh: Mesh, rgb: moderngl.Program, truth: moderngl.Program
+    ) -> None:
         self.mesh = mesh
         self._ctx = ctx
         triangles = mesh.triangles
@@ -387,7 +412,9 @@ class _Surface:
             [(self._moving, "3f 3f", "position", "normal"), (self._looks, "2f 3f", "uv", "color")],
             index_buffer=self._index,
         )
-        self._truth = ctx.vertex_array(truth, [(self._moving, "3f 3x4", "position")], index_buffer=self._index)
+        self._truth = ctx.vertex_array(
+            truth, [(self._moving, "3f 3x4", "position")], index_buffer=self._index
+        )
         # one texel per triangle, in rows of 1024: a plain texture, as moderngl has no buffer textures
         self._parts = ctx.texture((_ROW, -(-len(triangles) // _ROW)), 1, dtype="u1", alignment=1)
         self._parts_of: NDArray[np.uint8] | None = None
@@ -421,7 +448,15 @@ class _Surface:
         self._truth.render(moderngl.TRIANGLES)
 
     def release(self) -> None:
-        for thing in (self._rgb, self._truth, self._moving, self._looks, self._index, self._texture, self._parts):
+        for thing in (
+            self._rgb,
+            self._truth,
+            self._moving,
+            self._looks,
+            self._index,
+            self._texture,
+            self._parts,
+        ):
             thing.release()
 
 

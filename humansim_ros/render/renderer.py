@@ -65,7 +65,9 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
         raise RenderError(f"no such channel: {', '.join(sorted(unknown))}; there are {', '.join(CHANNELS)}")
     for body in bodies:
         if body.vertices.shape != body.mesh.vertices.shape:
-            raise RenderError(f"vertices of shape {body.vertices.shape} do not fit a mesh of {len(body.mesh.vertices)}")
+            raise RenderError(
+                f"vertices of shape {body.vertices.shape} do not fit a mesh of {len(body.mesh.vertices)}"
+            )
         if not np.isfinite(body.vertices).all():
             raise RenderError(f"a vertex of body {body.instance} is not finite (NaN or infinity)")
         if not 0 < body.instance < 65536:

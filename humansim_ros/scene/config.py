@@ -27,10 +27,16 @@ class MotionConfig(_Section):
     """What a human does."""
 
     file: str = Field("walk", description="a motion that comes with the package (walk), or a BVH file")
-    joint_names: str | None = Field(None, description="joint table: a built-in name or a YAML file; found by itself if absent")
+    joint_names: str | None = Field(
+        None, description="joint table: a built-in name or a YAML file; found by itself if absent"
+    )
     unit: float | None = Field(None, gt=0, description="metres per file unit; found by itself if absent")
-    position: tuple[float, float] = Field((0.0, 0.0), description="where the anchor goes: x, y in map, metres")
-    yaw_deg: float = Field(0.0, description="heading of the motion's forward direction, degrees from +x to the left")
+    position: tuple[float, float] = Field(
+        (0.0, 0.0), description="where the anchor goes: x, y in map, metres"
+    )
+    yaw_deg: float = Field(
+        0.0, description="heading of the motion's forward direction, degrees from +x to the left"
+    )
     anchor: Literal["start", "center", "file"] = Field("start", description="what goes to position")
     loop: Literal["none", "repeat", "continue"] = Field("repeat", description="what follows the last frame")
     offset: float = Field(0.0, description="seconds into the motion at the start")
@@ -58,11 +64,17 @@ class CameraConfig(_Section):
 
     @model_validator(mode="after")
     def _one_way(self) -> CameraConfig:
-        ways = {"position, look_at": (self.position, self.look_at), "K, R, t": (self.K, self.R, self.t), "P": (self.P,)}
+        ways = {
+            "position, look_at": (self.position, self.look_at),
+            "K, R, t": (self.K, self.R, self.t),
+            "P": (self.P,),
+        }
         given = [way for way, parts in ways.items() if any(p is not None for p in parts)]
         whole = [way for way, parts in ways.items() if all(p is not None for p in parts)]
         if len(given) != 1 or given != whole:
-            raise ValueError("give a camera as position and look_at (and fov_deg), or as K, R and t, or as P: one of them, whole")
+            raise ValueError(
+                "give a camera as position and look_at (and fov_deg), or as K, R and t, or as P: one of them, whole"
+            )
         if self.fov_deg is not None and given != ["position, look_at"]:
             raise ValueError("fov_deg goes with position and look_at only")
         return self
@@ -71,7 +83,9 @@ class CameraConfig(_Section):
 class RoomConfig(_Section):
     """The furnished room."""
 
-    size: tuple[float, float, float] = Field((7.0, 6.4, 2.8), description="length along x, width along y, height; metres")
+    size: tuple[float, float, float] = Field(
+        (7.0, 6.4, 2.8), description="length along x, width along y, height; metres"
+    )
     seed: int = 1
 
     @model_validator(mode="after")
@@ -107,7 +121,9 @@ def load_config(path: str | os.PathLike[str]) -> SceneConfig:
     except yaml.YAMLError as reason:
         mark = getattr(reason, "problem_mark", None)
         line = None if mark is None else mark.line + 1
-        raise SceneError(f"not valid YAML: {getattr(reason, 'problem', None) or reason}", path=path, line=line) from None
+        raise SceneError(
+            f"not valid YAML: {getattr(reason, 'problem', None) or reason}", path=path, line=line
+        ) from None
     if not isinstance(data, dict):
         raise SceneError("a scene is a mapping with 'humans' and 'cameras'", path=path)
     try:
@@ -118,7 +134,9 @@ def load_config(path: str | os.PathLike[str]) -> SceneConfig:
         message = first["msg"].removeprefix("Value error, ")
         if first["type"] == "extra_forbidden":
             message = "unknown key" + _known_keys(keys)
-        raise SceneError(message, path=path, line=_line_of(tree, keys), key=".".join(map(str, keys)) or None) from None
+        raise SceneError(
+            message, path=path, line=_line_of(tree, keys), key=".".join(map(str, keys)) or None
+        ) from None
 
 
 def _known_keys(keys: list[Any]) -> str:
@@ -138,7 +156,9 @@ def _line_of(node: Any, keys: list[Any]) -> int | None:
             node = children[key]
             line = node.start_mark.line + 1
             continue
-        found = [(k, v) for k, v in children if k.value == str(key)] if isinstance(node, yaml.MappingNode) else []
+        found = (
+            [(k, v) for k, v in children if k.value == str(key)] if isinstance(node, yaml.MappingNode) else []
+        )
         if not found:
             break
         line, node = found[0][0].start_mark.line + 1, found[0][1]

@@ -28,7 +28,9 @@ def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int
     meshes = [
         _floor(length, width, _planks(rng, (168, 138, 104), rows=12)),
         *_walls(x, y, height, rng),
-        _quad([(-1.9, -1.35, 0.004), (1.9, -1.35, 0.004), (1.9, 1.35, 0.004), (-1.9, 1.35, 0.004)], _rug(rng)),
+        _quad(
+            [(-1.9, -1.35, 0.004), (1.9, -1.35, 0.004), (1.9, 1.35, 0.004), (-1.9, 1.35, 0.004)], _rug(rng)
+        ),
         *_table((x - 0.62, -0.5), (0.9, 1.7, 0.74), wood),
         *_sofa((-x + 0.52, 0.4), (0.95, 2.0), cloth),
         *_shelf((-0.7, y - 0.19), (1.5, 0.34, 1.9), pale, rng),
@@ -65,7 +67,11 @@ def _walls(x: float, y: float, height: float, rng: _Rng) -> list[Mesh]:
     for i, image in enumerate((plaster, accent, plaster, plaster)):
         (ax, ay), (bx, by) = corners[i], corners[(i + 1) % 4]
         span = float(np.hypot(bx - ax, by - ay))
-        meshes.append(_quad([(ax, ay, 0), (bx, by, 0), (bx, by, height), (ax, ay, height)], image, (span / 2, height / 2)))
+        meshes.append(
+            _quad(
+                [(ax, ay, 0), (bx, by, 0), (bx, by, height), (ax, ay, height)], image, (span / 2, height / 2)
+            )
+        )
         middle = ((ax + bx) / 2, (ay + by) / 2, 0.05)
         meshes.append(_box(middle, (abs(bx - ax) + 0.03, abs(by - ay) + 0.03, 0.1), trim))
     return meshes
@@ -74,7 +80,10 @@ def _walls(x: float, y: float, height: float, rng: _Rng) -> list[Mesh]:
 def _table(at: tuple[float, float], size: tuple[float, float, float], image: Image) -> list[Mesh]:
     (x, y), (w, d, h) = at, size
     legs = [(x + sx * (w / 2 - 0.06), y + sy * (d / 2 - 0.06)) for sx in (-1, 1) for sy in (-1, 1)]
-    return [_box((x, y, h - 0.02), (w, d, 0.04), image), *(_box((a, b, h / 2), (0.06, 0.06, h - 0.04), image) for a, b in legs)]
+    return [
+        _box((x, y, h - 0.02), (w, d, 0.04), image),
+        *(_box((a, b, h / 2), (0.06, 0.06, h - 0.04), image) for a, b in legs),
+    ]
 
 
 def _sofa(at: tuple[float, float], size: tuple[float, float], image: Image) -> list[Mesh]:
@@ -98,9 +107,20 @@ def _shelf(at: tuple[float, float], size: tuple[float, float, float], image: Ima
             book = float(rng.uniform(0.025, 0.07))
             tall = float(rng.uniform(0.2, 0.31))
             if rng.random() < 0.82:
-                color = rng.choice([(150, 60, 52), (58, 84, 120), (196, 176, 130), (70, 100, 76), (60, 56, 62), (206, 204, 196)])
+                color = rng.choice(
+                    [
+                        (150, 60, 52),
+                        (58, 84, 120),
+                        (196, 176, 130),
+                        (70, 100, 76),
+                        (60, 56, 62),
+                        (206, 204, 196),
+                    ]
+                )
                 place = (x + left + book / 2, y - 0.03, float(z) + 0.015 + tall / 2)
-                meshes.append(_box(place, (book, 0.22, tall), _plaster(rng, tuple(int(c) for c in color), 64)))
+                meshes.append(
+                    _box(place, (book, 0.22, tall), _plaster(rng, tuple(int(c) for c in color), 64))
+                )
             left += book + 0.004
     return meshes
 
@@ -112,7 +132,9 @@ def _picture(at: Sequence[float], along: Sequence[float], size: tuple[float, flo
     return _quad(corners, _poster(rng, (int(360 * size[1]), int(360 * size[0]))))
 
 
-def _quad(corners: Sequence[Sequence[float] | Array], image: Image, repeat: tuple[float, float] = (1.0, 1.0)) -> Mesh:
+def _quad(
+    corners: Sequence[Sequence[float] | Array], image: Image, repeat: tuple[float, float] = (1.0, 1.0)
+) -> Mesh:
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * np.array(repeat)
     face = np.array([[0, 1, 2, 3]], dtype=np.int32)
     return Mesh(np.array(corners, dtype=float), face, uv, face, texture=image)
@@ -172,13 +194,24 @@ def _planks(rng: _Rng, color: Sequence[int], rows: int = 8, side: int = 1024) ->
 
 def _weave(rng: _Rng, color: Sequence[int], side: int = 512) -> Image:
     y, x = np.mgrid[:side, :side] * (2 * np.pi * 64 / side)
-    return _shade(color, 0.08 * np.sin(x) * np.sin(y) + 0.05 * _noise(rng, (side, side), 2) + 0.04 * _noise(rng, (side, side), 20))
+    return _shade(
+        color,
+        0.08 * np.sin(x) * np.sin(y)
+        + 0.05 * _noise(rng, (side, side), 2)
+        + 0.04 * _noise(rng, (side, side), 20),
+    )
 
 
 def _rug(rng: _Rng, shape: tuple[int, int] = (720, 1024)) -> Image:
     h, w = shape
     image = np.full((h, w, 3), (172, 160, 140), np.uint8)
-    for inset, color in ((0, (96, 62, 58)), (26, (196, 184, 160)), (38, (70, 84, 104)), (70, (196, 184, 160)), (80, (124, 74, 66))):
+    for inset, color in (
+        (0, (96, 62, 58)),
+        (26, (196, 184, 160)),
+        (38, (70, 84, 104)),
+        (70, (196, 184, 160)),
+        (80, (124, 74, 66)),
+    ):
         cv2.rectangle(image, (inset, inset), (w - 1 - inset, h - 1 - inset), color, -1)
     for i in range(7):
         for j in range(4):
@@ -186,7 +219,9 @@ def _rug(rng: _Rng, shape: tuple[int, int] = (720, 1024)) -> Image:
             for radius, color in ((46, (196, 176, 140)), (34, (70, 84, 104)), (18, (206, 196, 176))):
                 diamond = centre + radius * np.array([[1, 0], [0, 1.15], [-1, 0], [0, -1.15]])
                 cv2.fillPoly(image, [np.rint(diamond).astype(np.int32)], color, cv2.LINE_AA)
-    return np.clip(image * (1 + 0.06 * _noise(rng, shape, 1.5) + 0.03 * _noise(rng, shape, 20))[..., None], 0, 255).astype(np.uint8)
+    return np.clip(
+        image * (1 + 0.06 * _noise(rng, shape, 1.5) + 0.03 * _noise(rng, shape, 20))[..., None], 0, 255
+    ).astype(np.uint8)
 
 
 def _cardboard(rng: _Rng) -> Image:
@@ -205,7 +240,9 @@ def _door(rng: _Rng) -> Image:
 def _poster(rng: _Rng, shape: tuple[int, int]) -> Image:
     """A framed abstract picture: something for features to hold on to."""
     h, w = shape
-    palette = np.array([(212, 96, 66), (236, 190, 92), (66, 104, 132), (92, 138, 112), (40, 48, 60), (222, 216, 200)])
+    palette = np.array(
+        [(212, 96, 66), (236, 190, 92), (66, 104, 132), (92, 138, 112), (40, 48, 60), (222, 216, 200)]
+    )
     image = np.full((h, w, 3), palette[rng.integers(len(palette))], np.uint8)
     for _ in range(26):
         color = tuple(int(c) for c in palette[rng.integers(len(palette))])

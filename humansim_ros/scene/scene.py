@@ -121,7 +121,8 @@ class Scene:
         """The scene of a checked configuration; files it names are looked for from the folder of ``path``."""
         base = path.resolve().parent
         actors = {
-            name: _actor(name, number, human, base) for number, (name, human) in enumerate(config.humans.items(), 1)
+            name: _actor(name, number, human, base)
+            for number, (name, human) in enumerate(config.humans.items(), 1)
         }
         cameras = {}
         for name, camera in config.cameras.items():
@@ -171,5 +172,3 @@ def _camera(config: CameraConfig) -> Camera:
         return Camera.from_projection_matrix(config.P, config.size)
     assert config.K is not None and config.R is not None and config.t is not None
     return Camera(config.size, np.array(config.K), np.array(config.R), np.array(config.t), config.distortion)
-
-

@@ -58,7 +58,8 @@ class Simulation:
         humans = {name: actor.at(elapsed * 1e-9) for name, actor in self.scene.actors.items()}
         bodies = [actor.body(humans[name].vertices) for name, actor in self.scene.actors.items()]
         views = {
-            name: self.renderer.render(bodies, camera, self.channels) for name, camera in self.scene.cameras.items()
+            name: self.renderer.render(bodies, camera, self.channels)
+            for name, camera in self.scene.cameras.items()
         }
         joints: dict[str, dict[str, JointView]] = {}
         if {"instance", "part"} <= set(self.channels):

@@ -29,7 +29,9 @@ class JointView:
     visible: NDArray[np.uint8]
 
 
-def view_joints(camera: Camera, positions: Array, view: View, instance: int, surfaces: NDArray[np.bool_]) -> JointView:
+def view_joints(
+    camera: Camera, positions: Array, view: View, instance: int, surfaces: NDArray[np.bool_]
+) -> JointView:
     """Joints (J, 3) of the human labelled ``instance``, seen by a camera whose ``view`` has instance and part labels.
 
     Joints lie inside the body, so one counts as visible where the first surface at its pixel is skin around that joint:

@@ -70,7 +70,7 @@ progress() {
 
 install() {
     say "Installing humansim_ros[$extras] into $venv, $("$python" -V): half a minute, plus 400 MB of download at first."
-    if [ "$("$venv/bin/python" -V 2>/dev/null)" != "$("$python" -V)" ] || ! "$venv/bin/python" -c 'import pip'; then
+    if [ "$("$venv/bin/python" -V 2>/dev/null)" != "$("$python" -V)" ] || ! "$venv/bin/python" -c 'import pip' 2>/dev/null; then
         "$python" -m venv --clear "$venv"
     fi
     if ! "$venv/bin/python" -m pip install --disable-pip-version-check -e ".[$extras]" 2>&1 | progress; then

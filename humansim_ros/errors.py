@@ -1,7 +1,7 @@
 """The errors this package raises on bad input: one family, made for the person who reads them.
 
-Every message says what is wrong, where (file, line or key), and what to do. The command line prints them without a
-traceback and exits with code 2.
+Every message says what is wrong, where (file, line or key), and what to do. The command line prints them
+without a traceback and exits with code 2.
 """
 
 from __future__ import annotations

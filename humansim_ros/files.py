@@ -12,7 +12,9 @@ from humansim_ros.errors import HumansimError
 
 
 def read_bytes(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> bytes:
-    """Content of a file; ``error`` names the path and the reason if it is missing, a folder, unreadable or empty."""
+    """Content of a file; ``error`` names the path and the reason if it is missing, a folder, unreadable or
+    empty.
+    """
     try:
         data = Path(path).read_bytes()
     except FileNotFoundError:
@@ -39,7 +41,9 @@ def read_text(path: str | os.PathLike[str], error: type[HumansimError], what: st
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its name when the block ends well, and vanishes when it does not."""
+    """A temporary path beside ``path`` that takes its name when the block ends well, and vanishes when it
+    does not.
+    """
     target = Path(path)
     handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
     os.close(handle)

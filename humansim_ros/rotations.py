@@ -1,4 +1,5 @@
-"""Rotations as arrays with leading batch axes, for the inner loops; SciPy's ``Rotation`` is the judge in the tests.
+"""Rotations as arrays with leading batch axes, for the inner loops; SciPy's ``Rotation`` is the judge in the
+tests.
 
 Quaternions are ``xyzw`` (ROS, SciPy); matrices act on column vectors.
 """
@@ -12,7 +13,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Body space (metres, y up, faces +z, +x is the person's left) to the world (REP-103: x forward, y left, z up).
+#: Body space (metres, y up, faces +z, +x is the person's left) to the world (REP-103: x forward, y left, z
+#: up).
 WORLD_FROM_BODY: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
@@ -38,7 +40,8 @@ def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
     m = np.asarray(matrix, dtype=float)
     diagonal = np.diagonal(m, axis1=-2, axis2=-1)
     trace = diagonal.sum(-1)
-    # Row k holds the quaternion scaled by four times its k-th element: the row of the largest is well conditioned.
+    # Row k holds the quaternion scaled by four times its k-th element: the row of the largest is well
+    # conditioned.
     table = np.empty((*m.shape[:-2], 4, 4))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -53,7 +56,9 @@ def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
 
 
 def slerp(start: Array, end: Array, fraction: Array) -> Array:
-    """Spherical interpolation between unit quaternions (..., 4) the short way round; ``fraction`` (...,) in 0..1."""
+    """Spherical interpolation between unit quaternions (..., 4) the short way round; ``fraction`` (...,) in
+    0..1.
+    """
     cosine = np.sum(start * end, axis=-1, keepdims=True)
     end = np.where(cosine < 0, -end, end)
     angle = np.arccos(np.clip(np.abs(cosine), 0.0, 1.0))
@@ -80,8 +85,7 @@ def from_y_axis(direction: Array) -> Array:
     out[..., 3] = 1 + v[..., 1]
     length = np.linalg.norm(out, axis=-1, keepdims=True)
     opposite = length < 1e-7
-    out = np.where(opposite, np.array([1.0, 0.0, 0.0, 0.0]), out / np.where(opposite, 1.0, length))
-    return out
+    return np.where(opposite, np.array([1.0, 0.0, 0.0, 0.0]), out / np.where(opposite, 1.0, length))
 
 
 def transform(rotation: NDArray[Any], translation: NDArray[Any]) -> Array:

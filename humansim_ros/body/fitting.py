@@ -1,4 +1,6 @@
-"""A mesh scaled, turned and moved to stand in the skeleton (thesis S1, chapter 4); limb joints moved into the mesh."""
+"""A mesh scaled, turned and moved to stand in the skeleton (thesis S1, chapter 4); limb joints moved into the
+mesh.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +18,11 @@ _ANKLES, _FEET = (0.03, 0.08), (0.0, 0.05)
 
 
 def fit_to_skeleton(mesh: Mesh, skeleton: Skeleton) -> Mesh:
-    """The mesh in body space (metres, y up, facing +z), as tall as the skeleton, soles at height 0, legs on its legs.
+    """The mesh in body space (metres, y up, facing +z), as tall as the skeleton, soles at height 0, legs on
+    its legs.
 
-    The mesh must stand in a T or A pose, y up or z up, in any unit and anywhere. Raises MeshError where no person
-    standing upright can be seen in it.
+    The mesh must stand in a T or A pose, y up or z up, in any unit and anywhere. Raises MeshError where no
+    person standing upright can be seen in it.
     """
     upright = mesh.vertices @ _upright(mesh.vertices).T
     low, high = upright[:, 1].min(), upright[:, 1].max()
@@ -35,9 +38,9 @@ def fit_to_skeleton(mesh: Mesh, skeleton: Skeleton) -> Mesh:
 def fit_limbs(skeleton: Skeleton, mesh: Mesh) -> Skeleton:
     """The skeleton with the joints of its legs and arms in the middle of the mesh's limbs; the trunk stays.
 
-    ``mesh`` is one that :func:`fit_to_skeleton` made. The general skeleton stands with its legs together and its arms out;
-    a mesh with its legs apart or its arms down would bend beside its joints. Raises MeshError if a limb is not where a
-    person standing in a T or A pose has it.
+    ``mesh`` is one that :func:`fit_to_skeleton` made. The general skeleton stands with its legs together and
+    its arms out; a mesh with its legs apart or its arms down would bend beside its joints. Raises MeshError
+    if a limb is not where a person standing in a T or A pose has it.
     """
     heads, tails = skeleton.heads.copy(), skeleton.tails.copy()
 
@@ -116,7 +119,8 @@ def _upright(vertices: Array) -> Array:
     if extent.min() <= 0:
         raise MeshError("the mesh is flat: it is no person")
     depth = int(np.argmin(extent))
-    # of the two wide axes, the one the mesh is symmetric about is left-right: mirrored, the cloud keeps its shape
+    # of the two wide axes, the one the mesh is symmetric about is left-right: mirrored, the cloud keeps its
+    # shape
     wide = [axis for axis in range(3) if axis != depth]
     side = min(wide, key=lambda axis: _asymmetry(vertices, axis))
     up = next(axis for axis in wide if axis != side)
@@ -137,7 +141,9 @@ def _upright(vertices: Array) -> Array:
 
 
 def _asymmetry(vertices: Array, axis: int) -> float:
-    """How much the outline changes when mirrored along an axis (mean difference of its profiles, of its extent)."""
+    """How much the outline changes when mirrored along an axis (mean difference of its profiles, of its
+    extent).
+    """
     centred = vertices - (vertices.min(0) + vertices.max(0)) / 2
     across = [a for a in range(3) if a != axis]
     height = np.ptp(centred, axis=0)
@@ -153,7 +159,9 @@ def _asymmetry(vertices: Array, axis: int) -> float:
 
 
 def _up_sign(vertices: Array, up: int) -> float:
-    """Which way is up: the legs' end is narrower in total than the arms' end, so the widest height is above the middle."""
+    """Which way is up: the legs' end is narrower in total than the arms' end, so the widest height is above
+    the middle.
+    """
     side = [axis for axis in range(3) if axis != up]
     extent = np.ptp(vertices[:, side], axis=0)
     wide = side[int(np.argmax(extent))]

@@ -26,7 +26,8 @@ from humansim_ros.rotations import Array
 
 _SKIN, _HAIR = (208, 158, 130), (62, 44, 34)
 _SHIRT, _TROUSERS, _SHOES = (88, 120, 158), (58, 62, 78), (44, 38, 36)
-#: Colours of meshes that bring none: by body part, so that a grey export looks dressed (a detector finds it so).
+#: Colours of meshes that bring none: by body part, so that a grey export looks dressed (a detector finds it
+#: so).
 _CLOTHES = {
     "vt3": _SKIN,
     "l_wrist": _SKIN,
@@ -47,7 +48,9 @@ _CLOTHES = {
 
 @dataclass(frozen=True)
 class Human:
-    """A body at rest in body space (metres, y up, faces +z): ``mesh``, ``skeleton``, ``weights`` (V, B) rows sum to one."""
+    """A body at rest in body space (metres, y up, faces +z): ``mesh``, ``skeleton``, ``weights`` (V, B) rows
+    sum to one.
+    """
 
     name: str
     mesh: Mesh
@@ -56,7 +59,8 @@ class Human:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Human:
-        """Load a built human (.npz), or a mesh (.obj), which is fitted to the general skeleton and rigged (thesis S1-S3).
+        """Load a built human (.npz), or a mesh (.obj), which is fitted to the general skeleton and rigged
+        (thesis S1-S3).
 
         Raises MeshError with the file and the reason.
         """

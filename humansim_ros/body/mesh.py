@@ -20,9 +20,10 @@ Indices = NDArray[np.int32]
 class Mesh:
     """A surface of triangles and quads.
 
-    ``vertices``: (V, 3). ``faces``: (F, 4) vertex indices, triangles padded with -1. ``uv``: (T, 2) texture coordinates,
-    v up, or None; ``uv_faces``: (F, 4) indices into them. ``colors``: (V, 3) uint8 sRGB or None. ``texture``: (H, W, 3)
-    uint8 sRGB, first row on top, or None. Raises MeshError where indices or numbers are impossible.
+    ``vertices``: (V, 3). ``faces``: (F, 4) vertex indices, triangles padded with -1. ``uv``: (T, 2) texture
+    coordinates, v up, or None; ``uv_faces``: (F, 4) indices into them. ``colors``: (V, 3) uint8 sRGB or None.
+    ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. Raises MeshError where indices or numbers
+    are impossible.
     """
 
     vertices: Array
@@ -66,7 +67,8 @@ class Mesh:
 
     @cached_property
     def closed(self) -> bool:
-        """Whether the surface has an inside: every edge has two faces that run along it in opposite ways, facing out.
+        """Whether the surface has an inside: every edge has two faces that run along it in opposite ways,
+        facing out.
 
         Seen from outside, the back faces of a closed surface never show, and need not be drawn.
         """
@@ -85,7 +87,9 @@ class Mesh:
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
-    """Read a mesh file (Wavefront OBJ). Units and axes stay as in the file. Raises MeshError with file and line."""
+    """Read a mesh file (Wavefront OBJ). Units and axes stay as in the file. Raises MeshError with file and
+    line.
+    """
     text = read_text(path, MeshError, "mesh")
     try:
         return _read_obj(text, os.fspath(path))
@@ -200,7 +204,8 @@ class NormalMaker:
         from scipy.sparse import csr_matrix
 
         quad = faces[:, 3] >= 0
-        # half the cross product of the diagonals is a quad's area vector; a triangle's diagonals are two of its edges
+        # half the cross product of the diagonals is a quad's area vector; a triangle's diagonals are two of
+        # its edges
         self._diagonals = np.where(quad[:, None], faces[:, [0, 2, 1, 3]], faces[:, [0, 1, 0, 2]])
         corner, face = faces[faces >= 0], np.nonzero(faces >= 0)[0]
         shape = (n_vertices, len(faces))

@@ -19,14 +19,15 @@ RigRule = Literal["thesis", "thesis-printed"]
 def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "thesis") -> csr_matrix:
     """Skinning weights (V, B) of a mesh that stands in the skeleton's rest pose; rows sum to one.
 
-    A vertex goes to the bone that it sees under the largest angle head-vertex-tail; bones on the other side of the body
-    do not count; near the bone's head it is shared with the parent. The share is where the thesis disagrees with itself.
-    Its pseudo-code gives the bone ``angle / 60`` of the vertex, with the angle between (vertex - head) and (tail - head):
-    zero for a vertex out along the bone, so that finger tips would follow the forearm. Its text says the opposite ("the
-    weight factor is decreased for vertices with larger angle"), and its figures agree with the text.
+    A vertex goes to the bone that it sees under the largest angle head-vertex-tail; bones on the other side
+    of the body do not count; near the bone's head it is shared with the parent. The share is where the thesis
+    disagrees with itself. Its pseudo-code gives the bone ``angle / 60`` of the vertex, with the angle between
+    (vertex - head) and (tail - head): zero for a vertex out along the bone, so that finger tips would follow
+    the forearm. Its text says the opposite ("the weight factor is decreased for vertices with larger angle"),
+    and its figures agree with the text.
 
-    ``rule``: ``thesis`` follows the text: weight ``min(1, 60 / angle)``; ``thesis-printed`` the pseudo-code to the letter.
-    Raises MeshError if the skeleton has no bone for a side of the mesh.
+    ``rule``: ``thesis`` follows the text: weight ``min(1, 60 / angle)``; ``thesis-printed`` the pseudo-code
+    to the letter. Raises MeshError if the skeleton has no bone for a side of the mesh.
     """
     vertices = mesh.vertices
     angles = _angle_seen(vertices, skeleton)
@@ -62,7 +63,9 @@ def dominant_bones(weights: csr_matrix) -> NDArray[np.intp]:
 
 
 def triangle_parts(triangles: NDArray[np.integer], weights: csr_matrix) -> NDArray[np.uint8]:
-    """(N,) the bone each triangle follows most, by the sum of its corners' weights: its body part label less one."""
+    """(N,) the bone each triangle follows most, by the sum of its corners' weights: its body part label less
+    one.
+    """
     total = weights[triangles[:, 0]] + weights[triangles[:, 1]] + weights[triangles[:, 2]]
     return np.asarray(total.argmax(axis=1)).ravel().astype(np.uint8)
 

@@ -1,4 +1,6 @@
-"""Skeletons of bones: rest pose, forward kinematics and the general H-Anim skeleton of the thesis (table 4.1)."""
+"""Skeletons of bones: rest pose, forward kinematics and the general H-Anim skeleton of the thesis (table
+4.1).
+"""
 
 from __future__ import annotations
 
@@ -16,8 +18,9 @@ from humansim_ros.rotations import Array, from_y_axis, invert_rigid, quaternion_
 class Skeleton:
     """Bones in body space (metres, y up, faces +z, +x is the person's left), parents before children.
 
-    ``names``: B names. ``parents``: (B,) parent index or -1. ``heads``, ``tails``: (B, 3). ``rolls``: (B,) radians, the
-    turn of the bone's frame about its own y axis, as in Blender. Raises MeshError if these do not make a tree.
+    ``names``: B names. ``parents``: (B,) parent index or -1. ``heads``, ``tails``: (B, 3). ``rolls``: (B,)
+    radians, the turn of the bone's frame about its own y axis, as in Blender. Raises MeshError if these do
+    not make a tree.
     """
 
     names: tuple[str, ...]
@@ -61,7 +64,8 @@ class Skeleton:
     def rest(self) -> Array:
         """Bone frames at rest (B, 4, 4) in body space: origin at the head, y along the bone (thesis 9.5).
 
-        With roll 0 the frame is the shortest rotation from +y to the bone, as Blender's ``bone.matrix_local``.
+        With roll 0 the frame is the shortest rotation from +y to the bone, as Blender's
+        ``bone.matrix_local``.
         """
         swing = quaternion_to_matrix(from_y_axis((self.tails - self.heads) / self.lengths[:, None]))
         half = self.rolls / 2
@@ -83,8 +87,8 @@ class Skeleton:
     def pose(self, rotations: NDArray[np.float64], root: NDArray[np.float64] | None = None) -> Array:
         """Posed bone frames (..., B, 4, 4).
 
-        ``rotations``: (..., B, 4) quaternions xyzw in bone space; ``root``: (..., 4, 4) transform put in front of
-        everything (identity: body space; give world-from-body to get world frames).
+        ``rotations``: (..., B, 4) quaternions xyzw in bone space; ``root``: (..., 4, 4) transform put in
+        front of everything (identity: body space; give world-from-body to get world frames).
         ``pose[b] = pose[parent] rest[parent]^-1 rest[b] R(q_b)`` (thesis 9.5, Blender's armature).
         """
         local = self.rest_in_parent @ transform(quaternion_to_matrix(rotations), np.zeros(3))
@@ -102,7 +106,9 @@ class Skeleton:
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """The J ground-truth joints: every bone's head under the bone's name, then ``<bone>_end`` of the leaves."""
+        """The J ground-truth joints: every bone's head under the bone's name, then ``<bone>_end`` of the
+        leaves.
+        """
         return (*self.names, *(f"{self.names[bone]}_end" for bone in self.leaves))
 
     @property

@@ -17,14 +17,16 @@ def skin(
 ) -> NDArray[np.floating]:
     """Posed vertices ``v' = sum_b w_b T_b v / sum_b w_b`` (thesis 9.6, Blender's armature modifier).
 
-    ``vertices``: (V, 3) at rest. ``weights``: (V, B) sparse. ``transforms``: (..., B, 4, 4) from rest to posed, that is
+    ``vertices``: (V, 3) at rest. ``weights``: (V, B) sparse. ``transforms``: (..., B, 4, 4) from rest to
+    posed, that is
     ``pose[b] rest[b]^-1``. Returns (..., V, 3). Raises MeshError on shapes that do not fit and on weights
     that are negative or sum to zero.
     """
     vertices, transforms = np.asarray(vertices), np.asarray(transforms)
     if weights.shape != (len(vertices), transforms.shape[-3]):
         raise MeshError(
-            f"weights of shape {weights.shape} do not fit {len(vertices)} vertices and {transforms.shape[-3]} bones"
+            f"weights of shape {weights.shape} do not fit {len(vertices)} vertices "
+            f"and {transforms.shape[-3]} bones"
         )
     skinner = LinearBlend(vertices, weights, dtype=np.float64)
     batch = transforms.reshape(-1, *transforms.shape[-3:])
@@ -35,8 +37,9 @@ def skin(
 class LinearBlend:
     """Skinning of one body, frame after frame.
 
-    Every vertex is a fixed linear function of the bones' matrices: ``v'_i = sum_b T_b[:3] (w_ib [v_i, 1])``, so that a frame
-    is one product of a sparse (V, 4 B) matrix, made once, with the bones' stacked (4 B, 3) matrices.
+    Every vertex is a fixed linear function of the bones' matrices: ``v'_i = sum_b T_b[:3] (w_ib [v_i, 1])``,
+    so that a frame is one product of a sparse (V, 4 B) matrix, made once, with the bones' stacked (4 B, 3)
+    matrices.
     """
 
     matrix: csr_matrix
@@ -61,7 +64,9 @@ class LinearBlend:
 
 
 def normalise_weights(weights: csr_matrix) -> csr_matrix:
-    """Weights (V, B) whose rows sum to one. MeshError where a weight is negative or not finite, or a row sums to zero."""
+    """Weights (V, B) whose rows sum to one. MeshError where a weight is negative or not finite, or a row sums
+    to zero.
+    """
     weights = csr_matrix(weights, dtype=np.float64)
     if not np.isfinite(weights.data).all() or (weights.data < 0).any():
         raise MeshError("a skinning weight is negative or not finite")

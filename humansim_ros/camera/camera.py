@@ -1,7 +1,7 @@
 """The camera: the one place where world points become pixels.
 
-Frames and pixels are those of OpenCV and ROS (REP-103): x_cam = R x_world + t in the optical frame (z forward, x right,
-y down); a pixel is (x, y) = (column, row) and the centre of the top-left pixel is (0, 0).
+Frames and pixels are those of OpenCV and ROS (REP-103): x_cam = R x_world + t in the optical frame (z
+forward, x right, y down); a pixel is (x, y) = (column, row) and the centre of the top-left pixel is (0, 0).
 """
 
 from __future__ import annotations
@@ -26,9 +26,10 @@ MAX_SIZE = 8192
 class Camera:
     """A calibrated pinhole camera.
 
-    ``size``: (width, height) pixels. ``K``: (3, 3) intrinsics. ``R`` (3, 3), ``t`` (3,): extrinsics, world to optical frame,
-    metres. ``distortion``: coefficients; only zeros are supported so far (idealise the images and the calibration first).
-    Raises CameraError, with the name of the wrong part as key, where these cannot be a camera.
+    ``size``: (width, height) pixels. ``K``: (3, 3) intrinsics. ``R`` (3, 3), ``t`` (3,): extrinsics, world to
+    optical frame, metres. ``distortion``: coefficients; only zeros are supported so far (idealise the images
+    and the calibration first). Raises CameraError, with the name of the wrong part as key, where these cannot
+    be a camera.
     """
 
     size: tuple[int, int]
@@ -74,8 +75,8 @@ class Camera:
     ) -> Camera:
         """A camera at ``position`` that sees ``target`` (world, metres) in the middle of its image.
 
-        ``fov``: horizontal field of view in radians. Square pixels; the principal point is the image's middle,
-        ((width - 1) / 2, (height - 1) / 2).
+        ``fov``: horizontal field of view in radians. Square pixels; the principal point is the image's
+        middle, ((width - 1) / 2, (height - 1) / 2).
         """
         width, height = size
         if not 0 < fov < np.pi:
@@ -98,7 +99,9 @@ class Camera:
 
     @classmethod
     def from_projection_matrix(cls, P: ArrayLike, size: tuple[int, int]) -> Camera:
-        """The camera of a 3x4 projection matrix P = K [R | t] of any scale and sign (thesis 9.8, RQ decomposition)."""
+        """The camera of a 3x4 projection matrix P = K [R | t] of any scale and sign (thesis 9.8, RQ
+        decomposition).
+        """
         p = _matrix(P, (3, 4), "P")
         if abs(np.linalg.det(p[:, :3])) < 1e-12 * np.abs(p[:, :3]).max() ** 3:
             raise CameraError("P is singular: its camera is at infinity or it is no projection", key="P")
@@ -156,8 +159,9 @@ class Camera:
     def opengl_clip(self, near: float, far: float) -> Array:
         """(4, 4) optical frame to OpenGL clip coordinates: the one place that knows both pixel conventions.
 
-        OpenGL's window has pixel centres at half-integers, so the principal point is moved by +0.5. The image's first row is
-        the window's lowest, so that a read-back comes top row first. Depth is the standard perspective row, -1 at ``near``.
+        OpenGL's window has pixel centres at half-integers, so the principal point is moved by +0.5. The
+        image's first row is the window's lowest, so that a read-back comes top row first. Depth is the
+        standard perspective row, -1 at ``near``.
         """
         width, height = self.size
         k = self.K

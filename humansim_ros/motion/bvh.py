@@ -1,8 +1,8 @@
 """Biovision hierarchy (BVH) files and their forward kinematics.
 
-Conventions (agree with Blender's importer): a joint's rotation is ``R_channel1 R_channel2 R_channel3`` in the order of
-its CHANNELS line, on column vectors; the translation is outermost wherever its channels stand; position channels
-replace the OFFSET. Nothing is converted: positions stay in the file's own units and axes.
+Conventions (agree with Blender's importer): a joint's rotation is ``R_channel1 R_channel2 R_channel3`` in the
+order of its CHANNELS line, on column vectors; the translation is outermost wherever its channels stand;
+position channels replace the OFFSET. Nothing is converted: positions stay in the file's own units and axes.
 """
 
 from __future__ import annotations
@@ -33,9 +33,11 @@ _GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
 class Motion:
     """A skeleton of joints and what its channels say in each frame, exactly as in the file.
 
-    ``joint_names``: J names, parents before children; end sites are joints without channels named ``<parent>_end``.
+    ``joint_names``: J names, parents before children; end sites are joints without channels named
+    ``<parent>_end``.
     ``parents``: (J,) index of each parent, -1 for a root. ``offsets``: (J, 3) in file units.
-    ``channels``: per joint the names of its channels. ``values``: (F, C) channel values (file units and degrees).
+    ``channels``: per joint the names of its channels. ``values``: (F, C) channel values (file units and
+    degrees).
     ``frame_time``: seconds.
     """
 
@@ -85,7 +87,9 @@ class Motion:
         return tuple(int(n) for n in np.concatenate(([0], np.cumsum(counts)))[:-1])
 
     def local_translations(self, frames: ArrayLike = slice(None)) -> Array:  # type: ignore[assignment]
-        """Translation of each joint in its parent (..., J, 3), file units; position channels replace the OFFSET."""
+        """Translation of each joint in its parent (..., J, 3), file units; position channels replace the
+        OFFSET.
+        """
         values = self.values[frames]  # type: ignore[index]
         out = np.broadcast_to(self.offsets, (*values.shape[:-1], *self.offsets.shape)).copy()
         for joint, (names, start) in enumerate(zip(self.channels, self._columns, strict=True)):
@@ -116,7 +120,9 @@ class Motion:
         return self.compose_world(self.local_translations(frames), rotations)
 
     def compose_world(self, translations: Array, rotations: Array) -> Array:
-        """Joint frames (..., J, 4, 4) from local translations (..., J, 3) and rotation matrices (..., J, 3, 3)."""
+        """Joint frames (..., J, 4, 4) from local translations (..., J, 3) and rotation matrices (..., J, 3,
+        3).
+        """
         world_r = np.array(np.broadcast_to(rotations, (*translations.shape[:-1], 3, 3)))
         world_t = np.array(translations)
         for level in self._levels[1:]:
@@ -156,7 +162,8 @@ def _compose(sine: Array, cosine: Array, axes: Sequence[int]) -> Array:
 def read_bvh(path: str | os.PathLike[str]) -> Motion:
     """Read a BVH file (text, any line ends).
 
-    Raises MotionError, with file and line, on anything that cannot be understood; warns (HumansimWarning) where the
+    Raises MotionError, with file and line, on anything that cannot be understood; warns (HumansimWarning)
+    where the
     ``Frames:`` count is wrong but the rows are whole: the rows decide.
     """
     return _Parser(path, read_text(path, MotionError, "BVH motion")).parse()
@@ -203,7 +210,7 @@ class _Parser:
         stack: list[int] = []
         pending: int | None = None
         for number, statement in statements:
-            keyword, rest = (statement.split(maxsplit=1) + [""])[:2]
+            keyword, rest = [*statement.split(maxsplit=1), ""][:2]
             keyword = keyword.upper()
             if keyword == "MOTION":
                 if stack or pending is not None:
@@ -325,7 +332,9 @@ class _Parser:
         return value
 
     def _rows(self, first: int, n_channels: int) -> Array:
-        """Frame rows from line ``first`` on (F, C). Reads all at once; looks at single lines only to explain an error."""
+        """Frame rows from line ``first`` on (F, C). Reads all at once; looks at single lines only to explain
+        an error.
+        """
         if n_channels == 0:
             return np.zeros((1, 0))
         text = "\n".join(self.lines[first - 1 :])

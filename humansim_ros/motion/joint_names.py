@@ -31,9 +31,11 @@ _PREFIX = re.compile(r"^(.*:|mixamorig\d*)")
 
 
 class JointTable(BaseModel):
-    """A name table. ``joints``: role -> the names it occurs under. ``parallel``: bone -> (start role, end role).
+    """A name table. ``joints``: role -> the names it occurs under. ``parallel``: bone -> (start role, end
+    role).
 
-    ``difference``: bone -> role of the joint whose turn from the motion's rest pose the bone takes (thesis 7.2).
+    ``difference``: bone -> role of the joint whose turn from the motion's rest pose the bone takes (thesis
+    7.2).
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -110,7 +112,8 @@ def find_match(
     table: str | os.PathLike[str] | None = None,
     path: str | os.PathLike[str] | None = None,
 ) -> JointMatch:
-    """The joints that drive the bones: by the given table (a built-in name or a YAML file), else by the best built-in.
+    """The joints that drive the bones: by the given table (a built-in name or a YAML file), else by the best
+    built-in.
 
     ``path`` is the motion's file, for messages. Raises MotionError naming what is missing if no table fits.
     """
@@ -129,8 +132,9 @@ def find_match(
         lacking = [
             bone for bone in REQUIRED_BONES if bone not in best.parallel and bone not in best.difference
         ]
+        shown = ", ".join(joint_names[:12]) + (", …" if len(joint_names) > 12 else "")
         raise MotionError(
-            f"no joint table fits these joints ({', '.join(joint_names[:12])}{', …' if len(joint_names) > 12 else ''}); "
+            f"no joint table fits these joints ({shown}); "
             f"the nearest is {best.table!r}, which finds nothing for {', '.join(lacking)}. "
             "Copy one of config/joint_names, put your names in, and pass it as the joint table",
             path=path,

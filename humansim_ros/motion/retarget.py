@@ -27,8 +27,9 @@ class Retargeter:
     """Turns joint poses in ``map`` into a pose of ``skeleton``; a pure function with its constants.
 
     Bones with a joint link become parallel to it by the shortest turn from where their parent carries them;
-    difference-only bones take their joint's turn from the motion's rest pose. The middle of the hips goes where the
-    motion's is, scaled by ``scale`` about ``origin`` (x, y) on the floor and lifted by ``lift`` metres.
+    difference-only bones take their joint's turn from the motion's rest pose. The middle of the hips goes
+    where the motion's is, scaled by ``scale`` about ``origin`` (x, y) on the floor and lifted by ``lift``
+    metres.
     """
 
     skeleton: Skeleton
@@ -39,7 +40,9 @@ class Retargeter:
 
     @classmethod
     def fit(cls, motion: WorldMotion, skeleton: Skeleton) -> Retargeter:
-        """Scale by ankle-to-head height (thesis 7.2); lift so that the lowest toe or ankle stands on the floor."""
+        """Scale by ankle-to-head height (thesis 7.2); lift so that the lowest toe or ankle stands on the
+        floor.
+        """
         scale = skeleton_ankle_to_head(skeleton) / (motion.frame.ankle_to_head * motion.frame.unit)
         position = motion.placement.position
         ground = cls(skeleton, motion.match, scale, (float(position[0]), float(position[1])))
@@ -88,7 +91,9 @@ class Retargeter:
 
 
 def skeleton_ankle_to_head(skeleton: Skeleton) -> float:
-    """Ankle-to-head height of a skeleton along its bones, metres: what a motion's own height is compared with."""
+    """Ankle-to-head height of a skeleton along its bones, metres: what a motion's own height is compared
+    with.
+    """
 
     def lengths(*names: str) -> float:
         return float(sum(skeleton.lengths[skeleton.bone(name)] for name in names))

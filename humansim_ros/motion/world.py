@@ -1,4 +1,6 @@
-"""A motion put into the world: up axis, facing and unit found, turned into ``map`` in metres, sampled at any time."""
+"""A motion put into the world: up axis, facing and unit found, turned into ``map`` in metres, sampled at any
+time.
+"""
 
 from __future__ import annotations
 
@@ -39,9 +41,9 @@ VELOCITY_STEP = 1e-3
 class JointPoses:
     """Joints at N instants: ``positions`` (N, J, 3) and ``rotations`` (N, J, 4) xyzw.
 
-    In ``map``, metres. A rotation is the joint's turn from the motion's rest pose with the person standing there facing
-    +x: at rest every rotation is the identity. ``linear`` (m/s) and ``angular`` (rad/s) velocities (N, J, 3) in ``map``, or
-    None where a source does not give them.
+    In ``map``, metres. A rotation is the joint's turn from the motion's rest pose with the person standing
+    there facing +x: at rest every rotation is the identity. ``linear`` (m/s) and ``angular`` (rad/s)
+    velocities (N, J, 3) in ``map``, or None where a source does not give them.
     """
 
     names: tuple[str, ...]
@@ -63,7 +65,9 @@ class JointPoses:
 def central_difference(
     before: Array, after: Array, rotation_before: Array, rotation_after: Array, seconds: float
 ) -> tuple[Array, Array]:
-    """Linear and angular velocity (..., 3) from positions (..., 3) and quaternions (..., 4) ``seconds`` apart."""
+    """Linear and angular velocity (..., 3) from positions (..., 3) and quaternions (..., 4) ``seconds``
+    apart.
+    """
     turn = (
         Rotation.from_quat(rotation_after.reshape(-1, 4))
         * Rotation.from_quat(rotation_before.reshape(-1, 4)).inv()
@@ -75,8 +79,8 @@ def central_difference(
 class Placement:
     """Where a motion goes in the world: its anchor is put at ``position`` (x, y), turned by ``yaw`` radians.
 
-    ``anchor``: ``start`` is the root's place in the first frame, ``center`` the middle of the ground it covers, ``file``
-    the file's own origin.
+    ``anchor``: ``start`` is the root's place in the first frame, ``center`` the middle of the ground it
+    covers, ``file`` the file's own origin.
     """
 
     position: tuple[float, float] = (0.0, 0.0)
@@ -88,9 +92,10 @@ class Placement:
 class FileFrame:
     """How a file's space lies in the world: found from skeleton and data by :func:`understand`.
 
-    ``up``: file axis that points up ("x", "y" or "z"). ``unit``: metres per file unit, ``unit_name``: its name, or
-    "unknown" where no known unit gives a person's height and 1.7 m is assumed. ``world_from_file`` (3, 3): rotation with
-    the rest pose's facing on +x. ``rest_from_body`` (3, 3): body axes in the file's rest pose. ``ankle_to_head``: file units.
+    ``up``: file axis that points up ("x", "y" or "z"). ``unit``: metres per file unit, ``unit_name``: its
+    name, or "unknown" where no known unit gives a person's height and 1.7 m is assumed. ``world_from_file``
+    (3, 3): rotation with the rest pose's facing on +x. ``rest_from_body`` (3, 3): body axes in the file's
+    rest pose. ``ankle_to_head``: file units.
     """
 
     up: str
@@ -109,8 +114,9 @@ class FileFrame:
 def understand(motion: Motion, match: JointMatch, unit: float | None = None) -> FileFrame:
     """Find up axis, facing and unit of a motion whose joints are known.
 
-    Up is where the head is seen from the feet most of the time; facing is what lies ahead of hips and shoulders at rest;
-    the unit is the known one that makes the person nearest to 1.7 m. ``unit``: metres per file unit where it is known.
+    Up is where the head is seen from the feet most of the time; facing is what lies ahead of hips and
+    shoulders at rest; the unit is the known one that makes the person nearest to 1.7 m. ``unit``: metres per
+    file unit where it is known.
     """
     roles = match.roles
     rest = motion.rest_positions()
@@ -178,7 +184,9 @@ def _main_axis(direction: Array) -> int:
 
 
 def _body_axes(positions: Array, roles: dict[str, int] | object, up: int, motion: Motion) -> Array:
-    """Body axes (left, up, forward as columns) in file space, of a person in a pose (J, 3); snapped to file axes."""
+    """Body axes (left, up, forward as columns) in file space, of a person in a pose (J, 3); snapped to file
+    axes.
+    """
     assert isinstance(roles, dict)
     left = sum(
         positions[roles[f"Left{part}"]] - positions[roles[f"Right{part}"]]
@@ -210,8 +218,8 @@ def _guess_unit(stature: float) -> tuple[str, float]:
 class WorldMotion:
     """A motion in the world: ``map`` frame, metres, lowest joint on the floor, placed, looped.
 
-    ``loop``: ``none`` holds the last frame, ``repeat`` jumps back to the first, ``continue`` carries position and heading
-    on, so that a walk cycle walks on.
+    ``loop``: ``none`` holds the last frame, ``repeat`` jumps back to the first, ``continue`` carries position
+    and heading on, so that a walk cycle walks on.
     """
 
     motion: Motion
@@ -246,12 +254,15 @@ class WorldMotion:
         at = {"start": root[0], "center": (root.min(0) + root.max(0)) / 2, "file": np.zeros(2)}[
             self.placement.anchor
         ]
-        # the floor is where the lowest joint mostly is: a low percentile, so that one bad frame does not lift the rest
+        # the floor is where the lowest joint mostly is: a low percentile, so that one bad frame does not lift
+        # the rest
         floor = np.percentile(points[..., 2].min(1), 5)
         return np.array([*(np.array(self.placement.position) - at), -floor])
 
     def _at(self, times: Array) -> tuple[Array, Array]:
-        """Joint positions (N, J, 3) and rotation matrices from rest (N, J, 3, 3) at file times within the duration."""
+        """Joint positions (N, J, 3) and rotation matrices from rest (N, J, 3, 3) at file times within the
+        duration.
+        """
         last = self.motion.n_frames - 1
         place = np.clip(times / self.motion.frame_time, 0, last)
         # a time that is a frame but for rounding is that frame
@@ -268,7 +279,9 @@ class WorldMotion:
         return positions, turn
 
     def sample(self, times: ArrayLike) -> JointPoses:
-        """Joints at N times in seconds from the start of the motion (slerp between frames, then forward kinematics)."""
+        """Joints at N times in seconds from the start of the motion (slerp between frames, then forward
+        kinematics).
+        """
         t = np.atleast_1d(np.asarray(times, dtype=float))
         duration = self.motion.duration
         if self.loop == "none" or duration <= 0:
@@ -292,7 +305,9 @@ class WorldMotion:
         return JointPoses(self.names, at.positions, at.rotations, linear, angular)
 
     def _carried(self, rounds: Array) -> tuple[Array, Array]:
-        """Rotation (N, 3, 3) and translation (N, 3) of the floor plane that carry the first round to each round."""
+        """Rotation (N, 3, 3) and translation (N, 3) of the floor plane that carry the first round to each
+        round.
+        """
         positions, turn = self._at(np.array([0.0, self.motion.duration]))
         root = self.match.roles["Hips"]
         change = turn[1, root] @ turn[0, root].T

@@ -1,7 +1,8 @@
 """The default renderer: OpenGL 3.3 through EGL, without a display; a GPU is used where there is one.
 
-The static scene is drawn once per camera and kept. Each frame redraws only the rectangle that the bodies can touch, in
-two passes over their triangles: colour with four samples a pixel, labels and depth with exactly one at its centre.
+The static scene is drawn once per camera and kept. Each frame redraws only the rectangle that the bodies can
+touch, in two passes over their triangles: colour with four samples a pixel, labels and depth with exactly one
+at its centre.
 """
 
 from __future__ import annotations
@@ -47,7 +48,8 @@ class Lighting:
 
 
 class GLRenderer:
-    """Renders bodies in a static scene of meshes (world coordinates). One OpenGL context; use it from one thread.
+    """Renders bodies in a static scene of meshes (world coordinates). One OpenGL context; use it from one
+    thread.
 
     Raises RenderError, naming the system packages, where no OpenGL can be had.
     """
@@ -275,7 +277,9 @@ class GLRenderer:
 
 
 def create_context() -> moderngl.Context:
-    """A standalone OpenGL 3.3 context through EGL. RenderError, naming the packages to install, where there is none."""
+    """A standalone OpenGL 3.3 context through EGL. RenderError, naming the packages to install, where there
+    is none.
+    """
     try:
         return moderngl.create_context(require=330, standalone=True, backend="egl")  # type: ignore[call-arg]
     except Exception as reason:  # moderngl and glcontext raise bare Exceptions
@@ -314,7 +318,9 @@ class _Rectangle:
 
 
 def _touched(clouds: Sequence[NDArray[np.floating]], camera: Camera) -> _Rectangle:
-    """The pixels that surfaces spanned by clouds of points (N, 3) can touch: the whole image if one comes too near."""
+    """The pixels that surfaces spanned by clouds of points (N, 3) can touch: the whole image if one comes too
+    near.
+    """
     width, height = camera.size
     p = camera.P.astype(np.float32)
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
@@ -363,7 +369,9 @@ class _Targets:
 
 
 class _StaticLayer:
-    """The static scene as one camera sees it, kept on both sides: ``rgb`` (H, W, 3) uint8 and ``depth`` (H, W) float32."""
+    """The static scene as one camera sees it, kept on both sides: ``rgb`` (H, W, 3) uint8 and ``depth`` (H,
+    W) float32.
+    """
 
     def __init__(self, ctx: moderngl.Context, rgb: NDArray[np.uint8], depth: NDArray[np.float32]) -> None:
         self.rgb, self.depth = rgb, depth
@@ -471,5 +479,7 @@ def _texture(ctx: moderngl.Context, image: NDArray[np.uint8] | None) -> moderngl
 
 
 def threads_for(processes: int) -> int:
-    """How many threads each of several rendering processes should give the software rasteriser on this machine."""
+    """How many threads each of several rendering processes should give the software rasteriser on this
+    machine.
+    """
     return max(1, (os.cpu_count() or 1) // processes)

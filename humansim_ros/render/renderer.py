@@ -21,8 +21,10 @@ CHANNELS = ("rgb", "depth", "instance", "part")
 class Body:
     """A moving surface as it stands in one frame.
 
-    ``mesh``: its topology and looks (its own vertices are not used). ``vertices``: (V, 3) float32, ``map``, metres.
-    ``parts``: (N,) uint8 part label of each of ``mesh.triangles``. ``instance``: label of this body, 1 to 65535.
+    ``mesh``: its topology and looks (its own vertices are not used). ``vertices``: (V, 3) float32, ``map``,
+    metres.
+    ``parts``: (N,) uint8 part label of each of ``mesh.triangles``. ``instance``: label of this body, 1 to
+    65535.
     """
 
     mesh: Mesh
@@ -35,9 +37,9 @@ class Body:
 class View:
     """What one camera sees: (H, W, ...) arrays on one pixel grid; None for a channel that was not asked for.
 
-    ``rgb``: (H, W, 3) uint8 sRGB, anti-aliased. ``depth``: (H, W) float32 metres along z of the optical frame, +inf where
-    nothing is. ``instance``: (H, W) uint16, ``part``: (H, W) uint8; 0 where no body is. Labels and depth are those of the
-    pixel's centre, never blended.
+    ``rgb``: (H, W, 3) uint8 sRGB, anti-aliased. ``depth``: (H, W) float32 metres along z of the optical
+    frame, +inf where nothing is. ``instance``: (H, W) uint16, ``part``: (H, W) uint8; 0 where no body is.
+    Labels and depth are those of the pixel's centre, never blended.
     """
 
     rgb: NDArray[np.uint8] | None = None

@@ -18,7 +18,9 @@ _STRENGTH = 0.62
 
 @dataclass(frozen=True)
 class ContactShadow:
-    """Darkness on the floor: ``darkness`` (64, 64) uint8, 255 is black, rows along y from ``corner`` (x, y), ``side`` metres."""
+    """Darkness on the floor: ``darkness`` (64, 64) uint8, 255 is black, rows along y from ``corner`` (x, y),
+    ``side`` metres.
+    """
 
     corner: tuple[float, float]
     side: float

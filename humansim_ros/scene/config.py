@@ -73,7 +73,8 @@ class CameraConfig(_Section):
         whole = [way for way, parts in ways.items() if all(p is not None for p in parts)]
         if len(given) != 1 or given != whole:
             raise ValueError(
-                "give a camera as position and look_at (and fov_deg), or as K, R and t, or as P: one of them, whole"
+                "give a camera as position and look_at (and fov_deg), or as K, R and t, or as P: "
+                "one of them, whole"
             )
         if self.fov_deg is not None and given != ["position, look_at"]:
             raise ValueError("fov_deg goes with position and look_at only")
@@ -166,7 +167,9 @@ def _line_of(node: Any, keys: list[Any]) -> int | None:
 
 
 def find_file(name: str, folder: str, suffix: str, base: Path, key: str) -> Path:
-    """A file named in a scene: a built-in of ``assets/<folder>`` by its bare name, or a path from the scene file's folder."""
+    """A file named in a scene: a built-in of ``assets/<folder>`` by its bare name, or a path from the scene
+    file's folder.
+    """
     built_in = resource_path(f"assets/{folder}")
     if (built_in / f"{name}{suffix}").is_file():
         return built_in / f"{name}{suffix}"

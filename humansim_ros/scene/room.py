@@ -1,6 +1,7 @@
 """A furnished room, made by rule: textured floor, walls and furniture for the bodies to move in.
 
-Everything stands along the walls, so that the middle is free. World coordinates: metres, z up, the floor at z = 0.
+Everything stands along the walls, so that the middle is free. World coordinates: metres, z up, the floor at z
+= 0.
 """
 
 from __future__ import annotations
@@ -19,7 +20,9 @@ _Rng = np.random.Generator
 
 
 def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int = 1) -> list[Mesh]:
-    """Meshes of a room of ``size`` (x, y, z) metres, centred on the origin; the same seed gives the same room."""
+    """Meshes of a room of ``size`` (x, y, z) metres, centred on the origin; the same seed gives the same
+    room.
+    """
     rng = np.random.default_rng(seed)
     length, width, height = size
     x, y = length / 2, width / 2
@@ -141,7 +144,9 @@ def _quad(
 
 
 def _box(centre: Sequence[float], size: Sequence[float], image: Image) -> Mesh:
-    """A box with a face's texture scaled to a metre; corners are not shared, so that edges stay sharp when lit."""
+    """A box with a face's texture scaled to a metre; corners are not shared, so that edges stay sharp when
+    lit.
+    """
     half = np.array(size) / 2
     vertices, uv = [], []
     for axis in range(3):

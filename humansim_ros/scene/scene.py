@@ -38,7 +38,8 @@ DEMO_SCENE = "config/scenes/demo.yaml"
 class HumanState:
     """A human at one instant, in ``map``, metres.
 
-    ``joint_names``: J names. ``joints``: (J, 4, 4) poses of the joints, each with its bone's axes (y along the bone).
+    ``joint_names``: J names. ``joints``: (J, 4, 4) poses of the joints, each with its bone's axes (y along
+    the bone).
     ``linear``, ``angular``: (J, 3) velocities in ``map``, m/s and rad/s, or None where the motion gives none.
     ``vertices``: (V, 3) float32 in mesh order.
     """

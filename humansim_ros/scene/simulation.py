@@ -31,7 +31,8 @@ class Frame:
 class Simulation:
     """Iterate over a scene's frames without end, or call :meth:`frame` for any of them.
 
-    ``channels``: what the cameras render. ``start``: stamp of frame 0 in nanoseconds. The same scene gives the same frames.
+    ``channels``: what the cameras render. ``start``: stamp of frame 0 in nanoseconds. The same scene gives
+    the same frames.
     """
 
     def __init__(

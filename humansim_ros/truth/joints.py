@@ -20,8 +20,8 @@ OUTSIDE, OCCLUDED, VISIBLE = 0, 1, 2
 class JointView:
     """Joints (J) as a camera sees them.
 
-    ``optical``: (J, 3) in the optical frame, metres. ``pixels``: (J, 2), NaN behind the camera. ``visible``: (J,) uint8:
-    OUTSIDE, OCCLUDED or VISIBLE.
+    ``optical``: (J, 3) in the optical frame, metres. ``pixels``: (J, 2), NaN behind the camera. ``visible``:
+    (J,) uint8: OUTSIDE, OCCLUDED or VISIBLE.
     """
 
     optical: Array
@@ -32,9 +32,11 @@ class JointView:
 def view_joints(
     camera: Camera, positions: Array, view: View, instance: int, surfaces: NDArray[np.bool_]
 ) -> JointView:
-    """Joints (J, 3) of the human labelled ``instance``, seen by a camera whose ``view`` has instance and part labels.
+    """Joints (J, 3) of the human labelled ``instance``, seen by a camera whose ``view`` has instance and part
+    labels.
 
-    Joints lie inside the body, so one counts as visible where the first surface at its pixel is skin around that joint:
+    Joints lie inside the body, so one counts as visible where the first surface at its pixel is skin around
+    that joint:
     ``surfaces`` (J, 256) says which part labels those are (:func:`joint_surfaces`).
     """
     assert view.instance is not None and view.part is not None

@@ -7,11 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import SHARED_DATA, needs_shared_data
 
 from humansim_ros.motion import Motion, read_bvh
 
 REFERENCE = Path(__file__).parent / "data" / "blender_fk.npz"
-FILES = Path(__file__).parents[2] / "shared" / "data" / "bvh"
 
 with np.load(REFERENCE) as _archive:
     BLENDER = {key: _archive[key] for key in _archive}
@@ -23,14 +23,14 @@ TOLERANCE = 1e-5
 TOLERANCE_OF_MOVED_JOINTS = 2e-5
 
 pytestmark = [
-    pytest.mark.skipif(not FILES.is_dir(), reason=f"the BVH files are not at {FILES}"),
+    needs_shared_data,
     # One of the files has more rows than its `Frames:` line says.
     pytest.mark.filterwarnings("ignore:.*the rows count"),
 ]
 
 
 def read(stem: str) -> Motion:
-    return read_bvh(FILES / f"{stem}.bvh")
+    return read_bvh(SHARED_DATA / "bvh" / f"{stem}.bvh")
 
 
 def indices(motion: Motion, names: Iterable[str]) -> list[int]:
@@ -68,7 +68,7 @@ def test_the_last_frame_is_the_last_row_of_the_file(stem: str) -> None:
 @pytest.mark.parametrize("stem", STEMS)
 def test_joint_positions_agree_with_bvhio(stem: str) -> None:
     bvhio = pytest.importorskip("bvhio")
-    path = FILES / f"{stem}.bvh"
+    path = SHARED_DATA / "bvh" / f"{stem}.bvh"
     motion = read_bvh(path)
     root = bvhio.readAsHierarchy(str(path))
     # bvhio stops at the number of frames that the file says it has.

@@ -1,14 +1,15 @@
 """Make ``assets/motions/walk.bvh``: a synthetic walk from published joint-angle curves of normal adult gait.
 
-The curves say how a person moves, but played on a body of other proportions they make the feet slide. So the feet are
-planned (heel, flat foot, toe; each rolling over a point that stays where it is), the legs follow by inverse kinematics,
-and the free parameters of the plan (how the pelvis bobs, how the foot rolls and swings) are fitted so that hips, knees
-and ankles follow the published curves as closely as planted feet allow.
+The curves say how a person moves, but played on a body of other proportions they make the feet slide. So
+the feet are planned (on the heel, flat, over the toes, each about a point that stays where it is), the legs
+follow by inverse kinematics, and the free parameters of the plan (how the pelvis bobs, how the foot rolls and
+swings) are fitted so that hips, knees and ankles follow the curves as closely as planted feet allow.
 
-    python tools/make_walk.py                    the committed walk: 2 s, two strides, a quarter circle to the left
+    python tools/make_walk.py          the committed walk: 2 s, two strides, a quarter circle to the left
     python tools/make_walk.py --turn 0 --output assets/motions/walk_straight.bvh
 
-Everything is in body space: metres (the file: centimetres), y up, z forward, x to the person's left, floor at y = 0.
+Everything is in body space: metres (the file: centimetres), y up, z forward, x to the person's left,
+floor at 0.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from __future__ import annotations
 import argparse
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -31,81 +33,61 @@ FRAME_RATE = 60
 STRIDE_TIME = 1.0
 STRIDES = 2
 
-# Typical values of normal adults at natural cadence, degrees, (per cent of the gait cycle from heel strike, value).
-# Rounded from the mean curves in D. A. Winter, "The Biomechanics and Motor Control of Human Gait", 2nd ed., 1991, and
-# compared with J. Perry, "Gait Analysis: Normal and Pathological Function", 1992 and M. Whittle, "Gait Analysis".
-HIP_FLEXION = (
-    (0, 20),
-    (10, 17),
-    (20, 9),
-    (30, 1),
-    (40, -6),
-    (50, -11),
-    (54, -11),
-    (60, -6),
-    (66, 3),
-    (72, 11),
-    (80, 19),
-    (86, 22),
-    (92, 21),
-)
-KNEE_FLEXION = ((0, 4), (6, 13), (14, 20), (20, 18), (30, 11), (40, 7), (46, 9), (50, 14), (56, 26), (60, 38), (66, 56), (72, 64), (78, 58),
-                (84, 41), (90, 20), (96, 3))  # fmt: skip
-ANKLE_DORSIFLEXION = ((0, 0), (6, -5), (10, -3), (20, 4), (30, 7), (40, 9), (45, 9), (50, 5), (56, -7), (62, -19), (66, -19), (72, -9),
-                      (78, -2), (84, 1), (90, 1), (96, 0))  # fmt: skip
-# Pelvis and trunk, ranges as in Perry (1992) and M. P. Murray, "Gait as a total pattern of movement", Am J Phys Med 46, 1967.
-# Left side up, and left side forward; the second half of the cycle is the first one mirrored.
-PELVIS_LIST = ((0, 1), (6, 3), (14, 4.5), (22, 3), (30, 1.3), (40, 0.3))
-PELVIS_ROTATION = ((0, 4.5), (10, 4), (20, 2), (30, -0.5), (40, -3))
-TRUNK_ROTATION = ((0, -3.5), (10, -3), (20, -1.3), (30, 0.5), (40, 2.4))
-# Arms: M. P. Murray, S. B. Sepic, E. J. Barnard, "Patterns of sagittal rotation of the upper limbs in walking", Phys Ther 47, 1967.
-SHOULDER_FLEXION = (
-    (0, -21),
-    (10, -19),
-    (20, -12),
-    (30, -3),
-    (40, 5),
-    (50, 9),
-    (60, 7),
-    (70, 1),
-    (80, -9),
-    (90, -18),
-)
-ELBOW_FLEXION = (
-    (0, 17),
-    (10, 18),
-    (20, 22),
-    (30, 28),
-    (40, 35),
-    (50, 38),
-    (60, 36),
-    (70, 31),
-    (80, 24),
-    (90, 19),
-)
+Table = tuple[tuple[float, float], ...]
 
-# Events of the gait cycle (Perry): the foot is flat after the loading response, the heel leaves the floor in terminal stance.
-FOOT_FLAT, HEEL_OFF, TOE_OFF = 0.11, 0.24, 0.61
+# Typical values of normal adults at natural cadence: (per cent of the cycle from heel strike, degrees).
+# Typed in to a degree or two, not digitised (the hip without the tilt of the pelvis), after mean curves in
+#   D. A. Winter, "The Biomechanics and Motor Control of Human Gait", 2nd ed., 1991;
+#   J. Perry, "Gait Analysis: Normal and Pathological Function", 1992;  M. Whittle, "Gait Analysis", 1991.
+# fmt: off
+HIP_FLEXION: Table = (
+    (0, 20), (10, 17), (20, 9), (30, 1), (40, -6), (50, -11), (54, -11), (60, -6), (66, 3), (72, 11),
+    (80, 19), (86, 22), (92, 21),
+)
+KNEE_FLEXION: Table = (
+    (0, 4), (6, 13), (14, 20), (20, 18), (30, 11), (40, 7), (46, 9), (50, 14), (56, 26), (60, 38), (66, 56),
+    (72, 64), (78, 58), (84, 41), (90, 20), (96, 3),
+)
+ANKLE_DORSIFLEXION: Table = (
+    (0, 0), (6, -5), (10, -3), (20, 4), (30, 7), (40, 9), (45, 9), (50, 5), (56, -7), (62, -19), (66, -19),
+    (72, -9), (78, -2), (84, 1), (90, 1), (96, 0),
+)
+# Ranges of pelvis and trunk as in Perry (1992) and in M. P. Murray, "Gait as a total pattern of movement",
+# Am J Phys Med 46, 1967. Left side up, left side forward; the second half of the cycle mirrors the first.
+PELVIS_LIST: Table = ((0, 1), (6, 3), (14, 4.5), (22, 3), (30, 1.3), (40, 0.3))
+PELVIS_ROTATION: Table = ((0, 4.5), (10, 4), (20, 2), (30, -0.5), (40, -3))
+TRUNK_ROTATION: Table = ((0, -3.5), (10, -3), (20, -1.3), (30, 0.5), (40, 2.4))
+# After M. P. Murray, S. B. Sepic, E. J. Barnard, "Patterns of sagittal rotation of the upper limbs in
+# walking", Phys Ther 47, 1967.
+SHOULDER_FLEXION: Table = (
+    (0, -21), (10, -19), (20, -12), (30, -3), (40, 5), (50, 9), (60, 7), (70, 1), (80, -9), (90, -18),
+)
+ELBOW_FLEXION: Table = (
+    (0, 17), (10, 18), (20, 22), (30, 28), (40, 35), (50, 38), (60, 36), (70, 31), (80, 24), (90, 19),
+)
+# fmt: on
+
+# Events of the cycle (Perry). The heel rises with the cube of time, so it is off to the eye at about a third.
+FOOT_FLAT, HEEL_OFF, TOE_OFF = 0.11, 0.22, 0.61
+MID_STANCE = 0.31
 STEP_WIDTH = 0.09  # between the ankles; Murray (1967) and Whittle give 5 to 10 cm
 TOE_OUT = math.radians(6)
 SWAY = 0.022  # of the pelvis to the foot that stands, each way
-BOB = 0.02  # rise and fall of the pelvis, each way, highest over the standing leg
-HIGHEST = 0.31
-STEEPEST_FOOT = math.radians(64)  # without a toe joint it has to be flatter than a real heel at toe-off
-CLEARANCE = 0.018  # of heel and toe in mid-swing, at least
-JERK = 6.0  # weight of smoothness in the fit
+BOB = 0.02  # of the pelvis, each way, highest over the foot that stands
+STEEPEST_FOOT = math.radians(64)  # at toe-off
+STRIKE = math.radians(17)  # toes up at heel strike: what the curves add up to
+CLEARANCE = 0.018  # of heel, ball and tip in mid-swing, at least
 STRAIGHTEST_KNEE = math.radians(4)
 HEEL_BEHIND_ANKLE = 0.05
-# The sole in front of the ball is an arc, as of a shoe. It advances a little less than an arc that rolls, because the end
-# of the bone is above the sole: so both the sole and the joint stay on their spots, to some millimetres.
-ROCKER_RADIUS = 0.02
-ROCKER_BEHIND_TOE = 0.02
-ROCKER_ADVANCE = 0.7
+# The foot has no toe joint, so the heel rises about the tip. A pivot between the end of the bone and the sole
+# under it lets both drift by 1 cm, one forwards, one backwards, where either alone would slide twice as far.
+TOE_PIVOT_BEHIND, TOE_PIVOT_HEIGHT = 0.01, 0.01
 TRUNK_LEAN = math.radians(3)
 ARM_ABDUCTION = math.radians(9)
 ARM_ROTATION = math.radians(18)  # inwards, so that the forearm swings a little towards the middle
 HEAD_LOOKS_AHEAD = 0.25  # metres along the path: on a curve the head leads the trunk
-PELVIS_BANKS = 0.4  # share of the lean into a curve
+# Shares of the lean into a curve: the pelvis such that both legs stay equally long, the head almost level
+PELVIS_BANKS, NECK_BANKS, HEAD_BANKS = 0.4, 0.6, 0.15
 GRAVITY = 9.81
 
 # BVH joint: (parent, bone of the human, the end of that bone where the joint is). Both sides likewise.
@@ -113,11 +95,8 @@ TRUNK_JOINTS = {
     "Hips": ("", "sacroiliac", 0.0),
     "Chest": ("Hips", "sacroiliac", 1.0),
     "Neck": ("Chest", "vl5", 1.0),
-    "Head": (
-        "Neck",
-        "vt3",
-        0.35,
-    ),  # table 4.1 has one bone from the neck base to the crown; a BVH neck has two joints
+    # Table 4.1 has one bone from the neck base to the crown; a neck and a head share it
+    "Head": ("Neck", "vt3", 0.35),
     "Head_end": ("Head", "vt3", 1.0),
 }
 SIDE_JOINTS = {
@@ -131,19 +110,18 @@ SIDE_JOINTS = {
     "Ankle": ("Knee", "ankle", 0.0),
     "Ankle_end": ("Ankle", "ankle", 1.0),
 }
-ORDER = ("Hips", "Chest", "Neck", "Head", "Head_end") + tuple(
-    side + name
-    for names in (("Collar", "Shoulder", "Elbow", "Wrist", "Wrist_end"), ("Hip", "Knee", "Ankle", "Ankle_end"))
-    for side in ("Left", "Right")
-    for name in names
-)  # fmt: skip
+_ARM, _LEG = ("Collar", "Shoulder", "Elbow", "Wrist", "Wrist_end"), ("Hip", "Knee", "Ankle", "Ankle_end")
+ORDER = (
+    *TRUNK_JOINTS,
+    *(side + name for names in (_ARM, _LEG) for side in ("Left", "Right") for name in names),
+)
 SIDES = {"Left": 1.0, "Right": -1.0}  # the sign of x
 DELAY = {"Left": 0.0, "Right": 0.5}  # heel strike in the cycle of the walk
 
 
 @dataclass(frozen=True)
 class Body:
-    """The skeleton of the file: joint positions (3,) in the T pose with the soles on the floor, and each joint's parent."""
+    """The skeleton of the file: joint positions (3,) in the T pose, soles on the floor, and parents."""
 
     joints: dict[str, Array]
     parents: dict[str, str]
@@ -158,14 +136,11 @@ def load_body(path: Path) -> Body:
     with np.load(path) as data:
         names = [str(name) for name in data["bone_names"]]
         heads, tails = data["bone_heads"].astype(float), data["bone_tails"].astype(float)
-    table = {joint: spec for joint, spec in TRUNK_JOINTS.items()}
+    table = dict(TRUNK_JOINTS)
     for side, letter in (("Left", "l"), ("Right", "r")):
         for joint, (parent, bone, along) in SIDE_JOINTS.items():
-            table[side + joint] = (
-                parent if parent in TRUNK_JOINTS else side + parent,
-                f"{letter}_{bone}",
-                along,
-            )
+            above = parent if parent in TRUNK_JOINTS else side + parent
+            table[side + joint] = (above, f"{letter}_{bone}", along)
     joints: dict[str, Array] = {}
     for joint, (_, bone, along) in table.items():
         row = names.index(bone)
@@ -178,14 +153,14 @@ def load_body(path: Path) -> Body:
 def _stretch_arm(joints: dict[str, Array], side: str, sign: float) -> None:
     """Lay an arm that rests in an A pose along the x axis, in place; a T pose stays as it is."""
     chain = [side + name for name in ("Shoulder", "Elbow", "Wrist", "Wrist_end")]
-    links = [joints[b] - joints[a] for a, b in zip(chain, chain[1:], strict=False)]
+    links = [joints[b] - joints[a] for a, b in pairwise(chain)]
     if all(abs(link[0]) > 0.9 * np.linalg.norm(link) for link in links):
         return
-    for a, b, link in zip(chain, chain[1:], links, strict=False):
+    for (a, b), link in zip(pairwise(chain), links, strict=True):
         joints[b] = joints[a] + np.array([sign * np.linalg.norm(link), 0.0, 0.0])
 
 
-# --- small tools -----------------------------------------------------------------------------------------------------
+# --- small tools --------------------------------------------------------------------------------------------
 
 
 def rot(axis: str, angle: Array | float) -> Array:
@@ -203,25 +178,25 @@ def rot(axis: str, angle: Array | float) -> Array:
 
 def apply(matrix: Array, vector: Array) -> Array:
     """Matrices (..., 3, 3) on vectors (..., 3)."""
-    return np.einsum("...ij,...j->...i", matrix, vector)
+    return np.asarray(np.einsum("...ij,...j->...i", matrix, vector))
 
 
 def unit(vector: Array) -> Array:
-    return vector / np.linalg.norm(vector, axis=-1, keepdims=True)
+    return np.asarray(vector / np.linalg.norm(vector, axis=-1, keepdims=True))
 
 
 def xyz(x: Array | float, y: Array | float, z: Array | float) -> Array:
     return np.stack(np.broadcast_arrays(x, y, z), axis=-1).astype(float)
 
 
-def curve(table: tuple[tuple[float, float], ...], phase: Array) -> Array:
+def curve(table: Table, phase: Array) -> Array:
     """Periodic curve through a table of (per cent, degrees), at phases of the gait cycle, in radians."""
     at, value = np.array([*table, (table[0][0] + 100, table[0][1])], dtype=float).T
-    return np.radians(CubicSpline(at / 100, value, bc_type="periodic")(phase % 1.0))
+    return np.asarray(np.radians(CubicSpline(at / 100, value, bc_type="periodic")(phase % 1.0)))
 
 
-def alternating(table: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
-    """Complete a table of the first half cycle with its mirror image: the other leg does the same half a cycle later."""
+def alternating(table: Table) -> Table:
+    """Complete a table of the first half cycle with its mirror image: the other leg's turn."""
     return (*table, *((at + 50, -value) for at, value in table))
 
 
@@ -232,12 +207,12 @@ def segment_frame(down: Array, lateral: Array) -> Array:
     return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 
-# --- the path --------------------------------------------------------------------------------------------------------
+# --- the path -----------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Path2D:
-    """A circle to the left (or a line) on the floor that starts at the origin towards +z. Curvature in 1/m."""
+    """A circle to the left (or a line) on the floor, from the origin towards +z. Curvature in 1/m."""
 
     curvature: float
 
@@ -250,7 +225,7 @@ class Path2D:
         return rot("y", heading), xyz(half * np.sin(heading / 2), 0.0, half * np.cos(heading / 2))
 
 
-# --- the plan of one foot --------------------------------------------------------------------------------------------
+# --- the plan of one foot -----------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -265,7 +240,7 @@ class Foot:
     @property
     def sole(self) -> tuple[float, ...]:
         """Where the foot may touch the floor, along the sole: heel, ball, tip."""
-        return float(self.heel[0]), float(self.toe[0] - ROCKER_BEHIND_TOE), float(self.toe[0] - 0.005)
+        return float(self.heel[0]), float(self.toe[0] - 0.04), float(self.toe[0])
 
     @staticmethod
     def of(body: Body, side: str) -> Foot:
@@ -278,18 +253,12 @@ class Foot:
             math.atan2(link[0], link[2]),
         )
 
-    def on_heel(self, pitch: Array) -> Array:
-        """Ankle (..., 2) of a foot turned toes-up by ``pitch`` about the heel."""
-        return self._turned(self.heel, pitch)
+    @property
+    def toe_pivot(self) -> Array:
+        return np.array([self.toe[0] - TOE_PIVOT_BEHIND, TOE_PIVOT_HEIGHT])
 
-    def on_toes(self, pitch: Array) -> Array:
-        """Ankle (..., 2) of a foot rolling forwards (``pitch`` < 0) over the rounded front of the sole."""
-        centre = np.array([self.toe[0] - ROCKER_BEHIND_TOE, ROCKER_RADIUS])
-        return self._turned(centre, pitch) + np.stack(
-            [-ROCKER_ADVANCE * ROCKER_RADIUS * pitch, np.zeros_like(pitch)], axis=-1
-        )
-
-    def _turned(self, pivot: Array, pitch: Array) -> Array:
+    def ankle_about(self, pivot: Array, pitch: Array) -> Array:
+        """Where the ankle (..., 2) is when the flat foot is turned toes-up about one of its points."""
         (z, y), c, s = self.ankle - pivot, np.cos(pitch), np.sin(pitch)
         return np.stack([pivot[0] + z * c - y * s, pivot[1] + z * s + y * c], axis=-1)
 
@@ -315,17 +284,18 @@ class Plan:
         return Plan(float(parts[0][0]), *parts[1:])
 
     def stance_pitch(self, phase: Array) -> Array:
-        """Pitch of the foot on the floor: falling after heel strike, zero when flat, then rising over the toes."""
+        """Pitch of the foot on the floor: falling after heel strike, zero when flat, then over the toes."""
         u = np.clip(1 - phase / FOOT_FLAT, 0, None)
         v = np.clip((phase - HEEL_OFF) / (TOE_OFF - HEEL_OFF), 0, None)
         # Cubes: position, velocity and acceleration all join the flat foot
-        return u**3 * (self.strike[0] + self.strike[1] * (1 - u)) - v**3 * (self.push[0] + self.push[1] * v)
+        down = u**3 * (self.strike[0] + self.strike[1] * (1 - u))
+        return np.asarray(down - v**3 * (self.push[0] + self.push[1] * v))
 
     def stance(self, foot: Foot, phase: Array) -> Array:
         """(..., 3) pitch and ankle (forward, up) of a standing foot."""
         pitch = self.stance_pitch(phase)
         early = (phase < (FOOT_FLAT + HEEL_OFF) / 2)[..., None]
-        ankle = np.where(early, foot.on_heel(pitch), foot.on_toes(pitch))
+        ankle = np.where(early, foot.ankle_about(foot.heel, pitch), foot.ankle_about(foot.toe_pivot, pitch))
         return np.concatenate([pitch[..., None], ankle], axis=-1)
 
     def cycle(self, foot: Foot, phase: Array, stride: float) -> Array:
@@ -337,7 +307,7 @@ class Plan:
         length, step = 1 - TOE_OFF, 1e-4
         ends = []
         for at, offset in ((TOE_OFF, 0.0), (0.0, stride)):
-            # The stance curves are smooth beyond their ends on the side of the swing, where the derivatives are taken
+            # The curves of the stance go on smoothly beyond its ends, so differences may straddle them
             before, here, after = self.stance(foot, at + step * np.array([-1.0, 0.0, 1.0]))
             velocity, acceleration = (after - before) / (2 * step), (after - 2 * here + before) / step**2
             ends.append((here + np.array([0.0, offset, 0.0]), velocity * length, acceleration * length**2))
@@ -347,13 +317,13 @@ class Plan:
         rest, slope, bend = p1 - (p0 + v0 + a0 / 2), v1 - (v0 + a0), a1 - a0
         out = out + rest * (10 * w**3 - 15 * w**4 + 6 * w**5) + slope * (-4 * w**3 + 7 * w**4 - 3 * w**5)
         out = out + bend * (w**3 - 2 * w**4 + w**5) / 2
-        # Squares: the speed at both ends stays that of the foot on the floor, but it may be put down and lifted briskly
+        # Squares: the speed at both ends is that of the foot on the floor, but it may be lifted briskly
         bump = 16 * (w * (1 - w)) ** 2
         shapes = np.stack([self.swing_pitch, self.swing_forward, self.swing_up], axis=-1)
-        return out + bump * np.polynomial.chebyshev.chebval(2 * w[..., 0] - 1, shapes).T
+        return np.asarray(out + bump * np.polynomial.chebyshev.chebval(2 * w[..., 0] - 1, shapes).T)
 
 
-# --- the whole body --------------------------------------------------------------------------------------------------
+# --- the whole body -----------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -381,18 +351,14 @@ class Walk:
         shape = [np.cos(2 * turn), np.sin(2 * turn), np.cos(4 * turn), np.sin(4 * turn)]
         height = self.plan.height[0] + sum(a * b for a, b in zip(self.plan.height[1:], shape, strict=True))
         surge = self.plan.surge[0] * shape[0] + self.plan.surge[1] * shape[1]
-        middle_of_stance = (FOOT_FLAT + TOE_OFF) / 2 - 0.05
-        sway = SWAY * np.cos(turn - 2 * np.pi * middle_of_stance)
+        sway = SWAY * np.cos(turn - 2 * np.pi * MID_STANCE)
         hips = self.body.joints["Hips"]
-        frame, origin = self._banked(self.speed * time)
-        # The pelvis leans less than the body as a whole: both legs are as long on the curve as on the straight
-        upright = self._banked(self.speed * time, PELVIS_BANKS)[0]
-        rotation = (
-            upright
-            @ rot("y", -curve(alternating(PELVIS_ROTATION), phase))
-            @ rot("z", curve(alternating(PELVIS_LIST), phase))
-        )
-        return rotation, origin + apply(frame, xyz(sway, hips[1] + height, surge))
+        along = self.speed * time
+        frame, origin = self._banked(along)
+        rotation = rot("y", -curve(alternating(PELVIS_ROTATION), phase))
+        rotation = rotation @ rot("z", curve(alternating(PELVIS_LIST), phase))
+        position = origin + apply(frame, xyz(sway, hips[1] + height, surge))
+        return self._banked(along, PELVIS_BANKS)[0] @ rotation, position
 
     def _banked(self, along: Array, share: float = 1.0) -> tuple[Array, Array]:
         frame, origin = self.path.frame(along)
@@ -404,54 +370,15 @@ class Walk:
         cycles = time / STRIDE_TIME - DELAY[side]
         count, phase = np.floor(cycles + 1e-9), (cycles + 1e-9) % 1.0
         pitch, forward, up = np.moveaxis(self.plan.cycle(foot, phase, self.stride), -1, 0)
-        # The frame that the foot is planned in stands still with the foot and moves on to the next footprint in the swing
+        # The frame of the plan stands still with the foot, and moves on to the next footprint in the swing
         w = np.clip((phase - TOE_OFF) / (1 - TOE_OFF), 0, 1)
         moved = w**3 * (10 - 15 * w + 6 * w**2)
         start = self.plan.lead + self.stride * (count + DELAY[side])
         frame, origin = self.path.frame(start + moved * self.stride)
         outwards = rot("y", sign * TOE_OUT)
-        local = xyz(sign * STEP_WIDTH / 2, up, 0.0) + apply(
-            outwards, xyz(0.0, 0.0, forward - moved * self.stride)
-        )
+        line = apply(outwards, xyz(0.0, 0.0, forward - moved * self.stride))
+        local = xyz(sign * STEP_WIDTH / 2, up, 0.0) + line
         return frame @ outwards @ rot("x", -pitch) @ rot("y", -foot.yaw), origin + apply(frame, local)
-
-    def leg(self, side: str, time: Array) -> tuple[dict[str, Array], Array]:
-        """World rotations of hip, knee and ankle, and the angles (..., 4): hip, knee, ankle (radians), missing reach (m)."""
-        body, foot = self.body, Foot.of(self.body, side)
-        pelvis, origin = self.pelvis(time)
-        foot_rotation, ankle = self.foot(side, time)
-        hip = origin + apply(pelvis, body.link(side + "Hip"))
-        thigh, shank = body.link(side + "Knee"), body.link(side + "Ankle")
-        a, b = float(np.linalg.norm(thigh)), float(np.linalg.norm(shank))
-        straight = ankle - hip
-        wanted = np.linalg.norm(straight, axis=-1)
-        reach = np.minimum(wanted, (a + b) * 0.99999)
-        down = straight / wanted[..., None]
-        # The knee points between where the pelvis faces and where the foot points
-        toes = apply(foot_rotation @ rot("y", foot.yaw), np.array([0.0, 0.0, 1.0]))
-        toes = unit(toes * np.array([1.0, 0.0, 1.0]))
-        facing = unit(0.5 * toes + 0.5 * pelvis[..., :, 2])
-        lateral = unit(np.cross(-down, facing))
-        ahead = np.cross(lateral, -down)
-        bend = np.arccos(np.clip((a**2 + reach**2 - b**2) / (2 * a * reach), -1, 1))[..., None]
-        knee = hip + a * (down * np.cos(bend) + ahead * np.sin(bend))
-        to_ankle = hip + down * reach[..., None] - knee
-        rest_lateral = unit(np.cross(-(thigh + shank), np.array([0.0, 0.0, 1.0])))
-        rotations = {
-            side + "Hip": segment_frame(knee - hip, lateral) @ segment_frame(thigh, rest_lateral).T,
-            side + "Knee": segment_frame(to_ankle, lateral) @ segment_frame(shank, rest_lateral).T,
-            side + "Ankle": foot_rotation,
-        }
-        in_pelvis = apply(np.swapaxes(pelvis, -1, -2), knee - hip)
-        hip_angle = np.arctan2(in_pelvis[..., 2], -in_pelvis[..., 1])
-        knee_angle = np.pi - np.arccos(np.clip((a**2 + b**2 - reach**2) / (2 * a * b), -1, 1))
-        sole = np.arcsin(
-            np.clip(apply(foot_rotation @ rot("y", foot.yaw), np.array([0.0, 0.0, 1.0]))[..., 1], -1, 1)
-        )
-        lean = np.arctan2(-np.sum(to_ankle * toes, axis=-1), -to_ankle[..., 1])
-        return rotations, np.stack(
-            [hip_angle, knee_angle, lean + sole, np.maximum(wanted - reach, 0)], axis=-1
-        )
 
     def leg_line(self, side: str, time: Array) -> tuple[Array, Array]:
         """Direction of the leg (hip to ankle, forward, in the pelvis) and its length."""
@@ -459,6 +386,38 @@ class Walk:
         hip = origin + apply(pelvis, self.body.link(side + "Hip"))
         line = apply(np.swapaxes(pelvis, -1, -2), self.foot(side, time)[1] - hip)
         return np.arctan2(line[..., 2], -line[..., 1]), np.linalg.norm(line, axis=-1)
+
+    def leg(self, side: str, time: Array) -> tuple[dict[str, Array], Array]:
+        """World rotations of hip, knee and ankle; angles (..., 3) of hip, knee and ankle in the side view."""
+        body, ahead_of = self.body, np.array([0.0, 0.0, 1.0])
+        pelvis, origin = self.pelvis(time)
+        foot_rotation, ankle = self.foot(side, time)
+        thigh, shank = body.link(side + "Knee"), body.link(side + "Ankle")
+        a, b = float(np.linalg.norm(thigh)), float(np.linalg.norm(shank))
+        hip = origin + apply(pelvis, body.link(side + "Hip"))
+        reach = np.linalg.norm(ankle - hip, axis=-1)
+        if reach.max() > a + b:
+            raise SystemExit(f"the {side.lower()} foot is out of reach by {reach.max() - a - b:.4f} m")
+        down = (ankle - hip) / reach[..., None]
+
+        # The knee points between where the pelvis faces and where the foot points
+        toes = apply(foot_rotation @ rot("y", Foot.of(body, side).yaw), ahead_of)
+        heading = unit(toes * (1.0, 0.0, 1.0))
+        lateral = unit(np.cross(-down, unit(heading + pelvis[..., :, 2])))
+        bend = np.arccos((a**2 + reach**2 - b**2) / (2 * a * reach))[..., None]
+        upper = a * (down * np.cos(bend) + np.cross(lateral, -down) * np.sin(bend))
+        lower = ankle - hip - upper
+        rest_lateral = unit(np.cross(-(thigh + shank), ahead_of))
+        rotations = {
+            side + "Hip": segment_frame(upper, lateral) @ segment_frame(thigh, rest_lateral).T,
+            side + "Knee": segment_frame(lower, lateral) @ segment_frame(shank, rest_lateral).T,
+            side + "Ankle": foot_rotation,
+        }
+        in_pelvis = apply(np.swapaxes(pelvis, -1, -2), upper)
+        flexion = np.arctan2(in_pelvis[..., 2], -in_pelvis[..., 1])
+        knee = np.pi - np.arccos((a**2 + b**2 - reach**2) / (2 * a * b))
+        lean = np.arctan2(-np.sum(lower * heading, axis=-1), -lower[..., 1])
+        return rotations, np.stack([flexion, knee, lean + np.arcsin(toes[..., 1])], axis=-1)
 
     def arm(self, side: str, time: Array, trunk: Array) -> dict[str, Array]:
         """World rotations of shoulder, elbow and wrist; the arm swings with the other leg."""
@@ -469,7 +428,7 @@ class Walk:
         fore = upper @ rot("y", -sign * curve(ELBOW_FLEXION, phase))
         links = {"Shoulder": (upper, "Elbow"), "Elbow": (fore, "Wrist"), "Wrist": (fore, "Wrist_end")}
         return {
-            side + name: matrix @ self._straighten(side + end, sign) for name, (matrix, end) in links.items()
+            side + name: world @ self._straighten(side + end, sign) for name, (world, end) in links.items()
         }
 
     def _straighten(self, joint: str, sign: float) -> Array:
@@ -477,9 +436,8 @@ class Walk:
         axis, link = np.array([sign, 0.0, 0.0]), unit(self.body.link(joint))
         turn = np.cross(link, axis)
         sine = float(np.linalg.norm(turn))
-        return np.asarray(
-            Rotation.from_rotvec(turn / max(sine, 1e-12) * math.atan2(sine, link @ axis)).as_matrix()
-        )
+        vector = turn / max(sine, 1e-12) * math.atan2(sine, float(link @ axis))
+        return np.asarray(Rotation.from_rotvec(vector).as_matrix())
 
     def rotations(self, time: Array) -> tuple[dict[str, Array], Array]:
         """World rotations (T, 3, 3) of all joints and positions (T, 3) of Hips."""
@@ -491,13 +449,9 @@ class Walk:
         # The spine takes back most of the pelvic list, so that the shoulders stay level
         tilt = -0.25 * curve(alternating(PELVIS_LIST), phase)
         out["Chest"] = frame @ rot("y", -twist) @ rot("z", tilt) @ rot("x", TRUNK_LEAN)
-        ahead = along + HEAD_LOOKS_AHEAD
-        out["Neck"] = (
-            self._banked(along + HEAD_LOOKS_AHEAD / 2, 0.6)[0]
-            @ rot("y", -twist / 3)
-            @ rot("x", TRUNK_LEAN / 2)
-        )
-        out["Head"] = self._banked(ahead, 0.15)[0]
+        neck = self._banked(along + HEAD_LOOKS_AHEAD / 2, NECK_BANKS)[0]
+        out["Neck"] = neck @ rot("y", -twist / 3) @ rot("x", TRUNK_LEAN / 2)
+        out["Head"] = self._banked(along + HEAD_LOOKS_AHEAD, HEAD_BANKS)[0]
         for side in SIDES:
             out[side + "Collar"] = out["Chest"]
             out.update(self.arm(side, time, out["Chest"]))
@@ -505,7 +459,7 @@ class Walk:
         return out, position
 
 
-# --- the fit ---------------------------------------------------------------------------------------------------------
+# --- the fit ------------------------------------------------------------------------------------------------
 
 
 def published(phase: Array) -> Array:
@@ -514,7 +468,7 @@ def published(phase: Array) -> Array:
 
 
 def leg_of(angles: Array, thigh: float, shank: float) -> tuple[Array, Array, Array]:
-    """Pitch of the foot, direction of the leg (hip to ankle, forward) and its length, from hip, knee and ankle angles."""
+    """Pitch of the foot, direction (hip to ankle, forward) and length of a leg with angles (..., 3)."""
     hip, knee, ankle = np.moveaxis(angles, -1, 0)
     forward = thigh * np.sin(hip) + shank * np.sin(hip - knee)
     down = thigh * np.cos(hip) + shank * np.cos(hip - knee)
@@ -524,8 +478,8 @@ def leg_of(angles: Array, thigh: float, shank: float) -> tuple[Array, Array, Arr
 def fit(body: Body, path: Path2D, speed: float) -> Plan:
     """The plan whose walk along the path follows the published curves best.
 
-    The angles of a leg that is nearly straight, or too short to reach, are no ground to search on. So the search compares
-    the direction and length of the whole leg, where everything is smooth, in units of the angles they stand for.
+    The angles of a leg that is nearly straight, or too short to reach, are no ground to search on. So the
+    search compares direction and length of the whole leg, in units of the angles they stand for.
     """
     time = np.arange(100) * STRIDE_TIME / 100
     target, foot = published(time), Foot.of(body, "Left")
@@ -533,38 +487,34 @@ def fit(body: Body, path: Path2D, speed: float) -> Plan:
     target_pitch, target_direction, target_length = leg_of(target, thigh, shank)
     knee_per_metre = target_length / (thigh * shank * np.sin(np.maximum(target[:, 1], math.radians(10))))
     longest = math.sqrt(thigh**2 + shank**2 + 2 * thigh * shank * math.cos(STRAIGHTEST_KNEE))
-    bob = BOB * np.array([math.cos(4 * math.pi * HIGHEST), math.sin(4 * math.pi * HIGHEST), 0.0, 0.0])
-    # A stiff sole rolling over its front dips by up to a centimetre, so that is where the swing starts
-    clearance = (
-        -0.01 + (CLEARANCE + 0.01) * np.sin(np.pi * np.clip((time - TOE_OFF) / (1 - TOE_OFF), 0, 1)) ** 0.6
-    )
+    highest = 4 * math.pi * MID_STANCE
+    bob = BOB * np.array([math.cos(highest), math.sin(highest), 0.0, 0.0])
+    swing = np.clip((time - TOE_OFF) / (1 - TOE_OFF), 0, 1)
+    # Half a centimetre low at the ends: so much does the sole under the end of the bone dip below the pivot
+    clearance = (CLEARANCE + 0.005) * np.sin(np.pi * swing) ** 0.8 - 0.005
 
     def residuals(values: Array) -> Array:
         plan = Plan.from_vector(values)
-        walk, terms = Walk(body, plan, path, speed), []
+        walk, terms = Walk(body, plan, path, speed), [0.02 * values[-12:]]
         pitch, _, up = np.moveaxis(plan.cycle(foot, time, speed * STRIDE_TIME), -1, 0)
         for side, delay in DELAY.items():
             direction, length = walk.leg_line(side, time + delay * STRIDE_TIME)
             d_pitch, d_direction = pitch - target_pitch, direction - target_direction
             d_knee = (target_length - length) * knee_per_metre
-            error = np.stack([d_direction + d_knee / 2, d_knee, 1.5 * (d_pitch - d_direction + d_knee / 2)])
-            terms.append(error.ravel())
-            terms.append(JERK * np.diff(np.concatenate([error, error[:, :3]], axis=1), n=3).ravel())
-            # A foot out of reach, or a knee that snaps straight
-            terms.append(1000 * np.clip(length - longest, 0, None))
-        rise = [up + np.sin(pitch) * z - np.cos(pitch) * foot.ankle[1] for z in foot.sole]
-        terms.append((30 * np.clip(clearance - np.stack(rise), 0, None))[:, time > TOE_OFF].ravel())
+            error = np.stack([d_direction + d_knee / 2, d_knee, 1.7 * (d_pitch - d_direction + d_knee / 2)])
+            smooth = np.diff(np.concatenate([error, error[:, :3]], axis=1), n=3)
+            terms += [error.ravel(), 6 * smooth.ravel(), 1000 * np.clip(length - longest, 0, None)]
+        rise = np.stack([up + np.sin(pitch) * z - np.cos(pitch) * foot.ankle[1] for z in foot.sole])
+        terms.append((30 * np.clip(clearance - rise, 0, None))[:, time > TOE_OFF].ravel())
         terms.append(2 * np.clip(-pitch - STEEPEST_FOOT, 0, None))
-        terms += [150 * (plan.height[1:] - bob), 30 * plan.surge, 0.02 * values[-12:]]
+        terms += [140 * (plan.height[1:] - bob), 3 * (plan.strike[:1] - STRIKE), 80 * plan.surge]
         return np.concatenate(terms)
 
-    guess = np.concatenate(
-        [[0.25], [-0.025, *bob], [0, 0], [0.3, 0.3], [0.8, 0], np.zeros(4), np.zeros(4), np.zeros(4)]
-    )
+    guess = np.array([0.25, -0.025, *bob, 0, 0, 0.3, 0.3, 0.8, 0, *np.zeros(12)])
     return Plan.from_vector(least_squares(residuals, guess).x)
 
 
-# --- the file --------------------------------------------------------------------------------------------------------
+# --- the file -----------------------------------------------------------------------------------------------
 
 
 def write_bvh(path: Path, body: Body, rotations: dict[str, Array], position: Array) -> None:
@@ -576,7 +526,7 @@ def write_bvh(path: Path, body: Body, rotations: dict[str, Array], position: Arr
     def joint(name: str, depth: int) -> None:
         pad, parent = "\t" * depth, body.parents[name]
         end = name.endswith("_end")
-        # The position channels of the root are absolute, so its offset is zero: readers differ on whether they add it
+        # The root's channels are absolute; readers differ on whether they add the offset, so it is 0
         offset = 100 * body.link(name) if parent else np.zeros(3)
         lines.append(f"{pad}{'End Site' if end else f'JOINT {name}' if parent else f'ROOT {name}'}")
         lines.append(f"{pad}{{")
@@ -594,7 +544,7 @@ def write_bvh(path: Path, body: Body, rotations: dict[str, Array], position: Arr
 
     joint("Hips", 0)
     frames = np.concatenate(columns, axis=1)
-    lines += ["MOTION", f"Frames: {len(frames)}", f"Frame Time: {1 / FRAME_RATE:.8f}"]
+    lines += ["MOTION", f"Frames: {len(frames)}", f"Frame Time: {1 / FRAME_RATE:.10f}"]
     # Adding zero after rounding turns -0 into 0
     lines += [" ".join(f"{value:.5f}" for value in row) for row in np.round(frames, 5) + 0.0]
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -604,12 +554,10 @@ def write_bvh(path: Path, body: Body, rotations: dict[str, Array], position: Arr
 def main() -> None:
     parser = argparse.ArgumentParser(description="Make the synthetic walk.")
     parser.add_argument(
-        "--human", type=Path, default=ROOT / "assets/humans/adult_man.npz", help="human whose bones to use"
+        "--human", type=Path, default=ROOT / "assets/humans/adult_man.npz", help="whose bones"
     )
-    parser.add_argument(
-        "--turn", type=float, default=90.0, help="degrees to the left in the two strides of the file"
-    )
-    parser.add_argument("--speed", type=float, default=1.2, help="m/s along the path")
+    parser.add_argument("--turn", type=float, default=90.0, help="degrees to the left in the whole file")
+    parser.add_argument("--speed", type=float, default=1.25, help="m/s along the path")
     parser.add_argument("--output", type=Path, default=ROOT / "assets/motions/walk.bvh")
     arguments = parser.parse_args()
 
@@ -620,19 +568,12 @@ def main() -> None:
     time = np.arange(round(duration * FRAME_RATE) + 1) / FRAME_RATE
     write_bvh(arguments.output, body, *walk.rotations(time))
 
-    print(
-        f"{arguments.output}: {len(time)} frames, {arguments.speed} m/s, turn {arguments.turn} deg, bank {math.degrees(walk.bank):.1f} deg"
-    )
+    bank = math.degrees(walk.bank)
+    print(f"{arguments.output}: {len(time)} frames, {arguments.speed} m/s, leaning {bank:.1f} degrees")
     for side, delay in DELAY.items():
-        angles = walk.leg(side, time)[1]
-        error = np.degrees(angles[:, :3] - published(time / STRIDE_TIME - delay))
-        names = ("hip", "knee", "ankle")
-        rms = ", ".join(
-            f"{n} {v:.1f}" for n, v in zip(names, np.sqrt(np.mean(error**2, axis=0)), strict=True)
-        )
-        print(
-            f"  {side}: RMS from the published curves, degrees: {rms}; out of reach {1000 * angles[:, 3].max():.2f} mm"
-        )
+        error = np.degrees(walk.leg(side, time)[1] - published(time / STRIDE_TIME - delay))
+        hip, knee, ankle = np.sqrt(np.mean(error**2, axis=0))
+        print(f"  {side}, RMS degrees from the curves: hip {hip:.1f}, knee {knee:.1f}, ankle {ankle:.1f}")
 
 
 if __name__ == "__main__":

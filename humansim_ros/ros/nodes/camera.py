@@ -1,0 +1,202 @@
+"""Node ``camera``: renders what one camera of a scene sees.
+
+Subscribes to ``humans/<id>/vertices`` and ``humans/<id>/joints`` of every human and joins them by exact
+stamp. Publishes the images, labels and joints of that instant with that stamp; nothing is rendered for a
+topic that nobody subscribes to.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2
+
+from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.render import GLRenderer
+from humansim_ros.ros import messages
+from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.qos import DATA, NEWEST
+from humansim_ros.ros.runtime import run_node
+from humansim_ros.rotations import Array
+from humansim_ros.truth.joints import joint_surfaces, view_joints
+
+#: Topic of each channel below the camera's name.
+_IMAGE_TOPICS = {
+    "rgb": "image_raw",
+    "depth": "depth/image",
+    "instance": "instance/image",
+    "part": "part/image",
+}
+#: Frames that may wait for a human's message before they are given up.
+_MOST_WAITING = 8
+#: Seconds without any vertices after which the still scene is shown.
+_STILL_AFTER = 1.5
+
+
+class CameraNode(SceneNode):
+    """One camera with its ground truth."""
+
+    def __init__(self, **options: Any) -> None:
+        super().__init__("camera", **options)
+        name = self.text_parameter("camera", "", "Which camera of the scene; empty for the first")
+        name = name or next(iter(self.scene.cameras))
+        if name not in self.scene.cameras:
+            known = ", ".join(self.scene.cameras)
+            raise SceneError(
+                f"no camera {name!r}; the scene has {known}", path=self.scene.path, key="cameras"
+            )
+        self._name = name
+        self._camera = self.scene.cameras[name]
+        self._frame = messages.optical_frame(name)
+        self._renderer = GLRenderer(self.scene.static_meshes)
+        self._surfaces = {human: joint_surfaces(actor.human) for human, actor in self.scene.actors.items()}
+        self._images = {
+            channel: self.create_publisher(Image, f"{name}/{topic}", DATA)
+            for channel, topic in _IMAGE_TOPICS.items()
+        }
+        self._info = self.create_publisher(CameraInfo, f"{name}/camera_info", DATA)
+        self._joints = self.create_publisher(PointCloud2, f"{name}/joints", DATA)
+        self._publish_constants()
+        # stamp -> (vertices by human, joint positions by human), for frames that are not whole yet
+        self._waiting: dict[int, tuple[dict[str, NDArray[np.float32]], dict[str, Array]]] = {}
+        self._last = 0
+        self._told = False
+        self._started = self.now()
+        for human in self.scene.actors:
+            self.create_subscription(PointCloud2, f"humans/{human}/vertices", self._taker(human, 0), NEWEST)
+            self.create_subscription(
+                MultiDOFJointState, f"humans/{human}/joints", self._taker(human, 1), NEWEST
+            )
+        self._still = self.create_timer(self.scene.period, self._show_still)
+        self.get_logger().info(
+            f"{name}: {self._camera.size[0]}x{self._camera.size[1]} on {self._renderer.device}"
+        )
+
+    def close(self) -> None:
+        self._renderer.close()
+
+    def _publish_constants(self) -> None:
+        extrinsics = messages.extrinsics_message(self._name, self._camera, self.now())
+        self.publish_latched(extrinsics, f"{self._name}/extrinsics")
+        self.publish_latched(messages.projection_message(self._camera), f"{self._name}/projection")
+        actors = self.scene.actors.values()
+        instances = {actor.name: actor.instance for actor in actors}
+        self.publish_latched(messages.instance_legend(instances), f"{self._name}/instance/legend")
+        for actor in actors:
+            self.publish_latched(messages.part_legend(actor.human.skeleton), f"{self._name}/part/legend")
+            break
+        joints = {actor.name: (actor.instance, actor.human.skeleton.joint_names) for actor in actors}
+        self.publish_latched(messages.joints_legend(joints), f"{self._name}/joints/legend")
+        try:
+            from tf2_msgs.msg import TFMessage
+        except ImportError:
+            return
+        self.publish_latched(TFMessage(transforms=[extrinsics]), "/tf_static")
+
+    def _taker(self, human: str, kind: int) -> Callable[[Any], None]:
+        """Callback for one human's vertices (kind 0) or joints (kind 1): puts them with the others of their
+        stamp.
+        """
+
+        def take(message: Any) -> None:
+            stamp = messages.to_nanoseconds(message.header.stamp)
+            if stamp <= self._last:
+                return
+            try:
+                part = (
+                    messages.read_vertices(message)
+                    if kind == 0
+                    else messages.read_joints(message).positions[0]
+                )
+            except HumansimError as error:
+                self.get_logger().error(f"{human}: frame skipped: {error}", throttle_duration_sec=1.0)
+                return
+            waiting = self._waiting.setdefault(stamp, ({}, {}))
+            waiting[kind][human] = part  # type: ignore[assignment]
+            if all(len(parts) == len(self.scene.actors) for parts in waiting):
+                self._render(stamp, *waiting)
+            elif len(self._waiting) > _MOST_WAITING:
+                self._give_up()
+
+        return take
+
+    def _give_up(self) -> None:
+        stamp = min(self._waiting)
+        vertices, joints = self._waiting.pop(stamp)
+        missing = [human for human in self.scene.actors if human not in vertices or human not in joints]
+        self.count("drops")
+        self.get_logger().warn(
+            f"frames wait for {', '.join(missing)}: is its skinner running?", throttle_duration_sec=5.0
+        )
+
+    def _show_still(self) -> None:
+        """Until a skinner speaks, show the scene as it is at its start, so that the node alone shows
+        something.
+        """
+        now = self.now()
+        if self._last and self.scene.actors:
+            self._still.cancel()
+        elif now - self._started > _STILL_AFTER * 1e9 or not self.scene.actors:
+            if not self._told:
+                self._told = True
+                self.get_logger().info(
+                    "no skinner is publishing: showing the scene as it stands at its start"
+                )
+            states = {name: actor.at(0.0) for name, actor in self.scene.actors.items()}
+            vertices = {name: state.vertices for name, state in states.items()}
+            self._publish(now, vertices, {name: state.positions for name, state in states.items()})
+
+    def _render(self, stamp: int, vertices: dict[str, NDArray[np.float32]], joints: dict[str, Array]) -> None:
+        """A frame is whole: publish it, and give up those that are older."""
+        older = [waiting for waiting in self._waiting if waiting < stamp]
+        self.count("drops", len(older))
+        for waiting in [*older, stamp]:
+            del self._waiting[waiting]
+        self._last = stamp
+        try:
+            self._publish(stamp, vertices, joints)
+        except HumansimError as error:
+            self.count("drops")
+            self.get_logger().error(f"frame skipped: {error}", throttle_duration_sec=1.0)
+
+    def _publish(
+        self, stamp: int, vertices: dict[str, NDArray[np.float32]], joints: dict[str, Array]
+    ) -> None:
+        channels = {c for c, publisher in self._images.items() if publisher.get_subscription_count()}
+        wanted = set(channels)
+        wants_joints = self._joints.get_subscription_count() > 0
+        if wants_joints:
+            wanted |= {"instance", "part"}
+        if self._info.get_subscription_count():
+            self._info.publish(messages.camera_info_message(self._camera, stamp, self._frame))
+        if not wanted:
+            return
+        bodies = [actor.body(vertices[name]) for name, actor in self.scene.actors.items()]
+        view = self._renderer.render(bodies, self._camera, wanted)
+        for channel in channels:
+            image = getattr(view, channel)
+            encoding = messages.ENCODINGS[channel]
+            self._images[channel].publish(messages.image_message(image, encoding, stamp, self._frame))
+        if wants_joints:
+            seen = [
+                (
+                    actor.instance,
+                    view_joints(self._camera, joints[name], view, actor.instance, self._surfaces[name]),
+                )
+                for name, actor in self.scene.actors.items()
+            ]
+            self._joints.publish(messages.joint_view_message(seen, stamp, self._frame))
+        self.count("frames")
+        self.report_lateness(stamp)
+
+
+def main() -> int:
+    return run_node(CameraNode)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,76 @@
+"""What every node process does around its node: transports, start, spin, errors and a clean end."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Any
+
+from humansim_ros.errors import HumansimError, RosError
+
+#: glibc's mallopt parameters: trim threshold, top pad, mmap threshold.
+_MALLOPT = ((-3, 32 << 20), (-1, 512 << 20), (-2, 64 << 20))
+
+
+def require_ros() -> None:
+    """RosError with the way to install it where rclpy or a message package cannot be imported."""
+    try:
+        import rclpy  # noqa: F401
+        import sensor_msgs.msg
+        import shape_msgs.msg
+        import visualization_msgs.msg  # noqa: F401
+    except ImportError as reason:
+        raise RosError(
+            f"ROS 2 is not there ({reason}). With ROS 2 Jazzy installed: source /opt/ros/jazzy/setup.bash; "
+            "without: pip install 'humansim_ros[ros]'"
+        ) from None
+
+
+def prepare_transport() -> None:
+    """Make room for images in Fast DDS's shared memory; before ``rclpy.init()``. The user's own setting wins.
+
+    By default two of three 640x480 images of a best-effort subscriber are lost: they do not fit.
+    """
+    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "DEFAULT?sockets_size=32MB")
+    with suppress(OSError, AttributeError):
+        libc = ctypes.CDLL("libc.so.6")
+        # image-sized blocks stay in the heap instead of being mapped and unmapped for every message
+        for parameter, value in _MALLOPT:
+            libc.mallopt(parameter, value)
+
+
+def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) -> int:
+    """Run one node until SIGINT or SIGTERM. Returns the exit code: 0 stopped, 2 the input was wrong."""
+    try:
+        require_ros()
+    except HumansimError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    prepare_transport()
+    import rclpy
+    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+
+    rclpy.init(args=None if arguments is None else list(arguments))
+    node = None
+    try:
+        node = make()
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        signal.signal(signal.SIGTERM, lambda *_: rclpy.try_shutdown())
+        executor.spin()
+    except HumansimError as error:
+        print(f"error: {error}", file=sys.stderr)
+        return 2
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        if node is not None:
+            with suppress(Exception):  # the context may be gone already
+                node.close()
+                node.destroy_node()
+        rclpy.try_shutdown()
+    return 0

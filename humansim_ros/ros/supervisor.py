@@ -1,0 +1,95 @@
+"""Starts the nodes of a scene as processes, watches them, and stops them together: ``humansim run`` without
+ros2 launch.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from types import TracebackType
+
+from humansim_ros.ros.processes import NodeProcess
+
+_PR_SET_PDEATHSIG = 1
+#: Seconds a node gets to stop after SIGINT, and again after SIGTERM.
+_PATIENCE = 4.0
+
+
+class Supervisor:
+    """Context manager around a set of running nodes. They stop with it, whatever ends it."""
+
+    def __init__(
+        self, processes: Sequence[NodeProcess], environment: Mapping[str, str] | None = None
+    ) -> None:
+        self._processes = list(processes)
+        self._environment = {**os.environ, **(environment or {})}
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+
+    def __enter__(self) -> Supervisor:
+        cameras = sum(process.executable == "camera" for process in self._processes)
+        # several processes share the cores: each rasterising with a thread per core would only get in each
+        # other's way
+        self._environment.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // max(1, cameras))))
+        try:
+            for process in self._processes:
+                self._running[process.node_name] = self._start(process)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    def dead(self) -> tuple[str, int] | None:
+        """Name and exit code of a node that has ended by itself, None while all run."""
+        for name, process in self._running.items():
+            code = process.poll()
+            if code is not None:
+                return name, code
+        return None
+
+    def wait(self, until: float | None = None) -> tuple[str, int] | None:
+        """Wait until a node dies (its name and exit code) or the monotonic time ``until`` comes (None)."""
+        while until is None or time.monotonic() < until:
+            dead = self.dead()
+            if dead:
+                return dead
+            time.sleep(0.1)
+        return None
+
+    def stop(self) -> None:
+        """SIGINT to all, SIGTERM to those that stay, SIGKILL to the rest."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            alive = [process for process in self._running.values() if process.poll() is None]
+            for process in alive:
+                with suppress(ProcessLookupError):
+                    process.send_signal(number)
+            deadline = time.monotonic() + _PATIENCE
+            for process in alive:
+                with suppress(subprocess.TimeoutExpired):
+                    process.wait(max(0.0, deadline - time.monotonic()))
+
+    def _start(self, process: NodeProcess) -> subprocess.Popen[bytes]:
+        module = f"humansim_ros.ros.nodes.{process.executable}"
+        return subprocess.Popen(
+            [sys.executable, "-m", module, *process.ros_arguments],
+            env=self._environment,
+            # a session of its own: Ctrl-C reaches us alone, and we stop the nodes in order
+            start_new_session=True,
+            preexec_fn=_die_with_parent,
+        )
+
+
+def _die_with_parent() -> None:
+    """In the child: ask for SIGINT if the parent dies without stopping it (Linux)."""
+    with suppress(OSError, AttributeError):
+        ctypes.CDLL("libc.so.6").prctl(_PR_SET_PDEATHSIG, signal.SIGINT)

@@ -115,7 +115,7 @@ class Motion:
         return out
 
     def world_transforms(self, frames: ArrayLike = slice(None)) -> Array:  # type: ignore[assignment]
-        """Joint frames in file space (..., J, 4, 4) for a frame number, a slice or an array of frame numbers."""
+        """Joint frames in file space (..., J, 4, 4) for a frame number, a slice or a list of frame numbers."""
         rotations = quaternion_to_matrix(self.local_rotations(frames))
         return self.compose_world(self.local_translations(frames), rotations)
 
@@ -139,7 +139,7 @@ class Motion:
         return self.world_transforms(frames)[..., :3, 3]
 
     def rest_positions(self) -> Array:
-        """Joint positions (J, 3) with every rotation zero and every joint at its OFFSET, file units and axes."""
+        """Joint positions (J, 3), every rotation zero and every joint at its OFFSET, file units and axes."""
         return self.compose_world(self.offsets, np.broadcast_to(np.eye(3), (self.n_joints, 3, 3)))[..., :3, 3]
 
 
@@ -174,6 +174,7 @@ class _Parser:
         self.path = os.fspath(path)
         self.lines = text.splitlines()
         self.names: list[str] = []
+        self.joint_lines: list[int] = []
         self.parents: list[int] = []
         self.offsets: list[list[float]] = []
         self.channels: list[tuple[str, ...]] = []
@@ -204,7 +205,7 @@ class _Parser:
     def _hierarchy(self) -> int | None:
         """Fill the joints; returns the number of the MOTION line, None where the file has none."""
         statements = self._statements()
-        number, first = next(statements)
+        number, first = next(statements, (1, ""))
         if first.upper() != "HIERARCHY":
             raise self.error(f"not a BVH file: it should start with HIERARCHY, not {first[:40]!r}", number)
         stack: list[int] = []
@@ -244,9 +245,9 @@ class _Parser:
         if not self.names:
             raise self.error("the hierarchy has no joints", number)
         seen: set[str] = set()
-        for name in self.names:
+        for name, line in zip(self.names, self.joint_lines, strict=True):
             if name in seen:
-                raise self.error(f"two joints are named {name!r}; names must differ", None)
+                raise self.error(f"two joints are named {name!r}; names must differ", line)
             seen.add(name)
         return number
 
@@ -258,6 +259,7 @@ class _Parser:
         if (keyword == "ROOT") != (parent < 0):
             raise self.error(f"{keyword} {name!r} does not belong here", number)
         self.names.append(name)
+        self.joint_lines.append(number)
         self.parents.append(parent)
         self.offsets.append([])
         self.channels.append(())
@@ -332,38 +334,38 @@ class _Parser:
         return value
 
     def _rows(self, first: int, n_channels: int) -> Array:
-        """Frame rows from line ``first`` on (F, C). Reads all at once; looks at single lines only to explain
-        an error.
-        """
+        """Frame rows from line ``first`` on (F, C)."""
         if n_channels == 0:
             return np.zeros((1, 0))
-        text = "\n".join(self.lines[first - 1 :])
+        rows: list[Array] = []
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            try:
-                values = np.fromstring(text, sep=" ")
-            except (DeprecationWarning, ValueError):
-                values = np.fromiter(self._words(first), dtype=float)
-        if len(values) % n_channels or not np.isfinite(values).all():
-            self._explain_rows(first, n_channels)
-        return values.reshape(-1, n_channels)
+            for number, line in enumerate(self.lines[first - 1 :], first):
+                if line.strip():
+                    rows.append(self._row(line, number, n_channels))
+        return np.array(rows).reshape(-1, n_channels)
 
-    def _words(self, first: int) -> Iterator[float]:
-        for number, line in enumerate(self.lines[first - 1 :], first):
-            for word in _GLUED_MINUS.sub(" -", line).split():
-                try:
-                    yield float(word)
-                except ValueError:
-                    raise self.error(f"{word[:40]!r} is not a number", number) from None
+    def _row(self, line: str, number: int, n_channels: int) -> Array:
+        try:
+            row = np.fromstring(line, sep=" ")
+            # fromstring also parts "1.52.5": as many numbers as words, or each word is looked at
+            plain = len(row) == len(line.split())
+        except (DeprecationWarning, ValueError):
+            plain = False
+        if not plain:
+            row = np.array([self._number(word, number) for word in _GLUED_MINUS.sub(" -", line).split()])
+        if len(row) != n_channels:
+            reason = "; the file is truncated" if number == len(self.lines) else ""
+            raise self.error(f"a frame needs {n_channels} values, this has {len(row)}{reason}", number)
+        if not np.isfinite(row).all():
+            raise self.error("a value is not finite (NaN or infinity)", number)
+        return row
 
-    def _explain_rows(self, first: int, n_channels: int) -> None:
-        for number, line in enumerate(self.lines[first - 1 :], first):
-            words = _GLUED_MINUS.sub(" -", line).split()
-            if words and len(words) != n_channels:
-                reason = "; the file is truncated" if number == len(self.lines) else ""
-                raise self.error(f"a frame needs {n_channels} values, this has {len(words)}{reason}", number)
-            if not np.isfinite([float(word) for word in words]).all():
-                raise self.error("a value is not finite (NaN or infinity)", number)
+    def _number(self, word: str, line: int) -> float:
+        try:
+            return float(word)
+        except ValueError:
+            raise self.error(f"{word[:40]!r} is not a number", line) from None
 
 
 def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:

@@ -1,0 +1,399 @@
+"""BVH files: how they are written in the wild, what their channels mean, and what is said of broken ones."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import tracemalloc
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.errors import HumansimWarning, MotionError
+from humansim_ros.motion import Motion, read_bvh, write_bvh
+from humansim_ros.motion.bvh import CHANNEL_NAMES
+from humansim_ros.rotations import Array
+
+GOOD = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 1 2 3
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT Chest
+  {
+    OFFSET 0 10 0
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0 5 0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.04
+4 5 6 10 20 30 40 50 60
+7 8 9 -10 -20 -30 -40 -50 -60
+"""
+VALUES = [[4, 5, 6, 10, 20, 30, 40, 50, 60], [7, 8, 9, -10, -20, -30, -40, -50, -60]]
+
+
+def read(tmp_path: Path, text: str | bytes) -> Motion:
+    path = tmp_path / "motion.bvh"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return read_bvh(path)
+
+
+def one_joint(channels: str, values: str, offset: str = "0 0 0") -> str:
+    return (
+        f"HIERARCHY\nROOT a\n{{\nOFFSET {offset}\nCHANNELS {len(channels.split())} {channels}\n"
+        f"End Site\n{{\nOFFSET 1 2 3\n}}\n}}\nMOTION\nFrames: 1\nFrame Time: 0.1\n{values}\n"
+    )
+
+
+# What the channels mean
+
+
+def test_skeleton_and_values_are_those_of_the_file(tmp_path: Path) -> None:
+    motion = read(tmp_path, GOOD)
+    assert motion.joint_names == ("Hips", "Chest", "Chest_end")
+    assert motion.parents.tolist() == [-1, 0, 1]
+    assert motion.offsets.tolist() == [[1, 2, 3], [0, 10, 0], [0, 5, 0]]
+    assert motion.channels == (
+        ("Xposition", "Yposition", "Zposition", "Zrotation", "Xrotation", "Yrotation"),
+        ("Zrotation", "Xrotation", "Yrotation"),
+        (),
+    )
+    assert motion.values.tolist() == VALUES
+    assert motion.frame_time == 0.04
+    assert motion.duration == 0.04
+
+
+@pytest.mark.parametrize("order", ["".join(o) for o in itertools.permutations("XYZ")] + ["XZ", "Y", "ZX"])
+def test_rotation_channels_compose_in_file_order(tmp_path: Path, order: str) -> None:
+    """SciPy's upper-case sequences turn about the moved axes: R_1 R_2 R_3 on column vectors."""
+    degrees = [25.0, -130.0, 77.0][: len(order)]
+    text = one_joint(" ".join(f"{axis}rotation" for axis in order), " ".join(map(str, degrees)))
+    motion = read(tmp_path, text)
+    expected = Rotation.from_euler(order, degrees, degrees=True).as_matrix()
+    transforms = motion.world_transforms(0)
+    np.testing.assert_allclose(transforms[0, :3, :3], np.squeeze(expected), atol=1e-12)
+    np.testing.assert_allclose(transforms[1, :3, 3], np.squeeze(expected) @ [1, 2, 3], atol=1e-12)
+
+
+def test_position_is_outermost_wherever_its_channels_stand(tmp_path: Path) -> None:
+    first = read(tmp_path, one_joint("Xposition Yposition Zposition Zrotation Xrotation", "7 8 9 30 40"))
+    last = read(tmp_path, one_joint("Zrotation Xrotation Xposition Yposition Zposition", "30 40 7 8 9"))
+    mixed = read(tmp_path, one_joint("Zposition Zrotation Xposition Xrotation Yposition", "9 30 7 40 8"))
+    expected = Rotation.from_euler("ZX", [30, 40], degrees=True).apply([1, 2, 3]) + np.array([7, 8, 9])
+    for motion in (first, last, mixed):
+        np.testing.assert_allclose(motion.world_positions(0)[0], [7, 8, 9], atol=1e-12)
+        np.testing.assert_allclose(motion.world_positions(0)[1], expected, atol=1e-12)
+
+
+def test_an_axis_without_position_channel_keeps_its_offset(tmp_path: Path) -> None:
+    motion = read(tmp_path, one_joint("Yposition Zrotation", "50 0", offset="1 2 3"))
+    np.testing.assert_allclose(motion.world_positions(0)[0], [1, 50, 3])
+
+
+def test_two_roots_are_two_trees(tmp_path: Path) -> None:
+    tree = (
+        "ROOT {0}\n{{\nOFFSET 0 0 0\nCHANNELS 3 Xposition Yposition Zposition\n"
+        "JOINT {0}1\n{{\nOFFSET 1 0 0\nCHANNELS 0\n}}\n}}\n"
+    )
+    rows = "MOTION\nFrames: 1\nFrame Time: 1\n1 2 3 4 5 6"
+    text = "HIERARCHY\n" + tree.format("a") + tree.format("b") + rows
+    motion = read(tmp_path, text)
+    assert motion.parents.tolist() == [-1, 0, -1, 2]
+    np.testing.assert_allclose(motion.world_positions(0), [[1, 2, 3], [2, 2, 3], [4, 5, 6], [5, 5, 6]])
+
+
+def test_frames_may_be_asked_for_by_number_slice_or_list(tmp_path: Path) -> None:
+    motion = read(tmp_path, GOOD)
+    every = motion.world_positions()
+    assert every.shape == (2, 3, 3)
+    np.testing.assert_array_equal(motion.world_positions(1), every[1])
+    np.testing.assert_array_equal(motion.world_positions(slice(1, 2)), every[1:])
+    np.testing.assert_array_equal(motion.world_positions([1, 0, 1]), every[[1, 0, 1]])
+
+
+def test_unknown_joint_is_named_with_the_known_ones(tmp_path: Path) -> None:
+    with pytest.raises(MotionError, match=r"no joint 'Hisp'.*Hips, Chest, Chest_end"):
+        read(tmp_path, GOOD).joint("Hisp")
+
+
+# How files are written
+
+SPELLINGS = {
+    "windows line ends": GOOD.replace("\n", "\r\n"),
+    "old Mac line ends": GOOD.replace("\n", "\r"),
+    "tabs": GOOD.replace("  ", "\t")
+    .replace(" ", "\t")
+    .replace("End\tSite", "End Site")
+    .replace("Frame\t", "Frame "),
+    "blank lines": GOOD.replace("\n", "\n\n \t\n"),
+    "no final newline": GOOD.rstrip(),
+    "many final newlines": GOOD + "\n\n   \n",
+    "scientific notation": GOOD.replace("4 5 6 10", "4e0 5.0E+00 +600e-2 1.0e+001"),
+    "braces on the joint's line": GOOD.replace("\n{", " {").replace("\n  {", " {").replace("\n    {", "{"),
+    "lower case keywords": GOOD.replace("HIERARCHY", "hierarchy")
+    .replace("ROOT", "root")
+    .replace("JOINT", "joint")
+    .replace("CHANNELS", "channels")
+    .replace("Xrotation", "XROTATION")
+    .replace("OFFSET", "Offset")
+    .replace("MOTION", "Motion")
+    .replace("End Site", "END SITE"),
+    "byte order mark": b"\xef\xbb\xbf" + GOOD.encode(),
+    "tabs after the colon": GOOD.replace("Frames: ", "Frames:\t").replace("Time: ", "Time:\t"),
+    "no space after the colon": GOOD.replace("Frames: ", "Frames:").replace("Time: ", "Time:"),
+    "numbers glued to a minus": GOOD.replace("-10 -20 -30 -40", "-10-20-30-40"),
+    "no leading zero": GOOD.replace("0.04", ".04").replace(" 5 0\n", " 5. .0\n"),
+}
+
+
+@pytest.mark.parametrize("spelling", SPELLINGS)
+def test_spellings_of_one_file_read_alike(tmp_path: Path, spelling: str) -> None:
+    assert SPELLINGS[spelling] != GOOD
+    expected, motion = read(tmp_path, GOOD), read(tmp_path, SPELLINGS[spelling])
+    assert motion.joint_names == expected.joint_names
+    assert motion.channels == expected.channels
+    assert motion.offsets.tolist() == expected.offsets.tolist()
+    assert motion.values.tolist() == VALUES
+    assert motion.frame_time == 0.04
+
+
+def test_exponents_are_not_taken_for_glued_numbers(tmp_path: Path) -> None:
+    motion = read(tmp_path, GOOD.replace("4 5 6 10", "4e-1-5e-2 6 10"))
+    assert motion.values[0, :4].tolist() == [0.4, -0.05, 6, 10]
+
+
+def test_names_that_are_not_utf8_are_read(tmp_path: Path) -> None:
+    assert read(tmp_path, GOOD.replace("Hips", "Hüfte").encode("latin-1")).joint_names[0] == "Hüfte"
+
+
+def test_a_joint_without_channels_stays_at_its_offset(tmp_path: Path) -> None:
+    text = GOOD.replace("CHANNELS 3 Zrotation Xrotation Yrotation", "CHANNELS 0").replace(" 40 50 60", "")
+    motion = read(tmp_path, text.replace(" -40 -50 -60", ""))
+    turn = Rotation.from_euler("ZXY", [10, 20, 30], degrees=True)
+    np.testing.assert_allclose(
+        motion.world_positions(0)[1], turn.apply([0, 10, 0]) + np.array([4, 5, 6]), atol=1e-12
+    )
+
+
+def test_a_root_without_channels_can_be_read(shared_data: Path) -> None:
+    motion = read_bvh(shared_data / "bvh" / "firepal_vr.bvh")
+    assert motion.channels[0] == ()
+    assert motion.n_frames > 1
+
+
+def test_rotation_before_position_at_a_real_root(shared_data: Path) -> None:
+    motion = read_bvh(shared_data / "bvh" / "pybvh_rotation_first_root.bvh")
+    assert [name[1:] for name in motion.channels[0]] == ["rotation"] * 3 + ["position"] * 3
+    x, y, z = (motion.channels[0].index(f"{axis}position") for axis in "XYZ")
+    np.testing.assert_array_equal(motion.world_positions()[:, 0], motion.values[:, [x, y, z]])
+
+
+def test_more_rows_than_announced_are_all_read_with_a_warning(tmp_path: Path) -> None:
+    with pytest.warns(HumansimWarning, match=r"motion.bvh: says 1 frames but has 2"):
+        motion = read(tmp_path, GOOD.replace("Frames: 2", "Frames: 1"))
+    assert motion.n_frames == 2
+
+
+def test_a_promise_of_a_billion_frames_allocates_nothing(tmp_path: Path) -> None:
+    tracemalloc.start()
+    with pytest.warns(HumansimWarning, match="says 1e\\+09 frames but has 2"):
+        read(tmp_path, GOOD.replace("Frames: 2", "Frames: 1000000000"))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 5e6
+
+
+def test_a_file_without_motion_is_a_static_pose(tmp_path: Path) -> None:
+    with pytest.warns(HumansimWarning, match="no MOTION section"):
+        motion = read(tmp_path, GOOD[: GOOD.index("MOTION")])
+    assert motion.n_frames == 1
+
+
+def test_a_chain_of_ten_thousand_joints_is_read_and_posed(tmp_path: Path) -> None:
+    depth = 10_000
+    lines = ["HIERARCHY"]
+    for joint in range(depth):
+        lines += [f"{'JOINT' if joint else 'ROOT'} j{joint}", "{", "OFFSET 0 1 0", "CHANNELS 1 Zrotation"]
+    lines += ["}"] * depth + ["MOTION", "Frames: 1", "Frame Time: 1", " ".join(["90"] + ["0"] * (depth - 1))]
+    motion = read(tmp_path, "\n".join(lines))
+    assert motion.n_joints == depth
+    np.testing.assert_allclose(motion.world_positions(0)[-1], [-(depth - 1), 1, 0], atol=1e-6)
+
+
+# Bad input: (what is wrong, the file, the line that is named, a part of the message)
+
+ROW = "4 5 6 10 20 30 40 50 60"
+BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
+    ("empty", "", None, "empty"),
+    ("only blanks", " \n\t\n", None, "empty"),
+    ("only a byte order mark", b"\xef\xbb\xbf", 1, "HIERARCHY"),
+    ("binary", b"\x7fELF\0\0\1\2", None, "binary"),
+    ("another format", "# Wavefront\nv 1 2 3\n", 1, "HIERARCHY"),
+    ("truncated after HIERARCHY", "HIERARCHY\n", 1, "no joints"),
+    ("truncated after a joint's name", GOOD[: GOOD.index("{")], 2, "truncated"),
+    ("truncated in the hierarchy", GOOD[: GOOD.index("    End Site")], 9, "truncated"),
+    ("truncated in an OFFSET", GOOD[: GOOD.index(" 2 3")], 4, "OFFSET"),
+    ("truncated in CHANNELS", GOOD[: GOOD.index(" Yrotation")], 5, "CHANNELS says 6 but names 5"),
+    ("truncated after MOTION", GOOD[: GOOD.index("Frames")], 16, "truncated"),
+    ("truncated after Frames", GOOD[: GOOD.index("Frame Time")], 17, "truncated"),
+    ("truncated before the rows", GOOD[: GOOD.index(ROW)], 18, "truncated"),
+    ("truncated in a row", GOOD.rstrip()[:-8], 20, "truncated"),
+    ("missing brace", GOOD.replace("}\nMOTION", "MOTION"), 15, "'}' is missing"),
+    ("one brace too many", GOOD.replace("}\nMOTION", "}\n}\nMOTION"), 16, "without a matching"),
+    ("brace without a joint", GOOD.replace("ROOT Hips\n{", "{"), 2, "without a joint"),
+    ("joint without a brace", GOOD.replace("Hips\n{", "Hips"), 3, "cannot understand"),
+    ("joint without a name", GOOD.replace("JOINT Chest", "JOINT"), 6, "without a name"),
+    ("JOINT outside a ROOT", GOOD.replace("ROOT", "JOINT"), 2, "does not belong"),
+    ("joint without an OFFSET", GOOD.replace("    OFFSET 0 10 0\n", ""), 13, "'Chest' has no OFFSET"),
+    ("same name twice", GOOD.replace("Chest", "Hips"), 6, "two joints are named 'Hips'"),
+    ("OFFSET of two numbers", GOOD.replace("OFFSET 0 10 0", "OFFSET 0 10"), 8, "three"),
+    ("OFFSET that is no number", GOOD.replace("OFFSET 0 10 0", "OFFSET 0 ten 0"), 8, "0 ten 0"),
+    ("OFFSET that is NaN", GOOD.replace("OFFSET 0 10 0", "OFFSET 0 nan 0"), 8, "finite"),
+    ("unknown channel", GOOD.replace("3 Zrotation", "3 Wrotation"), 9, "Wrotation"),
+    ("same channel twice", GOOD.replace("3 Zrotation", "3 Xrotation"), 9, "CHANNELS needs"),
+    ("wrong channel count", GOOD.replace("CHANNELS 3", "CHANNELS 4"), 9, "says 4 but names 3"),
+    ("frame time of zero", GOOD.replace("0.04", "0"), 18, "above zero"),
+    ("negative frame time", GOOD.replace("0.04", "-0.04"), 18, "above zero"),
+    ("frame time that is no number", GOOD.replace("0.04", "fast"), 18, "'fast'"),
+    ("frame time that is NaN", GOOD.replace("0.04", "nan"), 18, "number"),
+    ("Frames that is no number", GOOD.replace("Frames: 2", "Frames: two"), 17, "'two'"),
+    ("no Frames line", GOOD.replace("Frames: 2\n", ""), 18, "expected"),
+    ("a value too few", GOOD.replace(ROW, ROW[:-3]), 19, "needs 9 values, this has 8"),
+    ("a value too many", GOOD.replace(ROW, ROW + " 1"), 19, "needs 9 values, this has 10"),
+    (
+        "one row's value in the next",
+        GOOD.replace("50 60\n7", "50\n60 7"),
+        19,
+        "needs 9 values, this has 8",
+    ),
+    ("a word", GOOD.replace("20 30 40", "20 thirty 40"), 19, "'thirty'"),
+    ("decimal comma", GOOD.replace("20 30 40", "20,5 30 40"), 19, "'20,5'"),
+    ("two points in a number", GOOD.replace("10 20 30", "10 20.5.5"), 19, "'20.5.5'"),
+    ("NaN", GOOD.replace("20 30 40", "20 nan 40"), 19, "not finite"),
+    ("infinity", GOOD.replace("20 30 40", "20 -inf 40"), 19, "not finite"),
+    ("overflow", GOOD.replace("20 30 40", "20 1e999 40"), 19, "not finite"),
+]
+
+
+@pytest.mark.parametrize(("text", "line", "message"), [b[1:] for b in BROKEN], ids=[b[0] for b in BROKEN])
+def test_broken_file_is_refused_with_file_and_line(
+    tmp_path: Path, text: str | bytes, line: int | None, message: str
+) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        with pytest.raises(MotionError) as caught:
+            read(tmp_path, text)
+    assert caught.value.path == str(tmp_path / "motion.bvh")
+    assert caught.value.line == line
+    assert message in caught.value.message
+    where = str(tmp_path / "motion.bvh") + (f":{line}" if line else "")
+    assert str(caught.value).startswith(f"{where}: ")
+
+
+def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(MotionError, match=r"nowhere\.bvh: no such BVH motion file"):
+        read_bvh(tmp_path / "nowhere.bvh")
+    with pytest.raises(MotionError, match="folder"):
+        read_bvh(tmp_path)
+
+
+@settings(deadline=None, max_examples=150)
+@given(cut=st.integers(0, len(GOOD)), junk=st.binary(max_size=8))
+def test_any_damage_gives_a_motion_or_a_motion_error(
+    tmp_path_factory: pytest.TempPathFactory, cut: int, junk: bytes
+) -> None:
+    folder = tmp_path_factory.getbasetemp()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HumansimWarning)
+        for text in (GOOD[:cut].encode() + junk, GOOD[:cut].encode() + junk + GOOD[cut:].encode()):
+            with contextlib.suppress(MotionError):
+                assert np.isfinite(read(folder, text).world_positions()).all()
+
+
+# Writing
+
+numbers = st.floats(-1e4, 1e4).map(lambda x: round(x, 6))
+
+
+@st.composite
+def motions(draw: st.DrawFn) -> Motion:
+    """Trees in the order in which a file lists them, with any channels."""
+    names, parents, channels = ["j0"], [-1], [draw(st.permutations(CHANNEL_NAMES))[: draw(st.integers(1, 6))]]
+    open_joints = [0]
+    for joint in range(1, draw(st.integers(1, 7))):
+        del open_joints[draw(st.integers(1, len(open_joints))) :]
+        parent = open_joints[-1]
+        is_end = f"{names[parent]}_end" not in names and draw(st.booleans())
+        names.append(f"{names[parent]}_end" if is_end else f"j{joint}")
+        parents.append(parent)
+        channels.append([] if is_end else draw(st.permutations(CHANNEL_NAMES))[: draw(st.integers(0, 6))])
+        if not is_end:
+            open_joints.append(joint)
+    width = sum(map(len, channels))
+    offsets = draw(
+        st.lists(st.lists(numbers, min_size=3, max_size=3), min_size=len(names), max_size=len(names))
+    )
+    rows = draw(st.lists(st.lists(numbers, min_size=width, max_size=width), min_size=1, max_size=3))
+    return Motion(
+        joint_names=tuple(names),
+        parents=np.array(parents),
+        offsets=np.array(offsets),
+        channels=tuple(map(tuple, channels)),
+        values=np.array(rows),
+        frame_time=draw(st.floats(1e-4, 1.0)),
+    )
+
+
+def assert_same(ours: Motion, expected: Motion) -> None:
+    assert ours.joint_names == expected.joint_names
+    assert ours.channels == expected.channels
+    assert ours.parents.tolist() == expected.parents.tolist()
+    np.testing.assert_allclose(ours.offsets, expected.offsets, atol=1e-6)
+    np.testing.assert_allclose(ours.values, expected.values, atol=1e-6)
+    assert ours.frame_time == pytest.approx(expected.frame_time, abs=1e-9)
+
+
+@settings(deadline=None, max_examples=60)
+@given(motion=motions())
+def test_a_written_motion_reads_back_the_same(
+    tmp_path_factory: pytest.TempPathFactory, motion: Motion
+) -> None:
+    path = tmp_path_factory.getbasetemp() / "written.bvh"
+    write_bvh(path, motion)
+    assert_same(read_bvh(path), motion)
+
+
+@pytest.mark.parametrize("stem", ["mixamo_freebvh", "pybvh_test1", "firepal_vr", "bvhtoolbox_walk01"])
+def test_a_real_motion_written_and_read_is_the_same(shared_data: Path, tmp_path: Path, stem: str) -> None:
+    motion = read_bvh(shared_data / "bvh" / f"{stem}.bvh")
+    write_bvh(tmp_path / "out.bvh", motion)
+    assert_same(read_bvh(tmp_path / "out.bvh"), motion)
+
+
+def test_bvhio_reads_what_we_write(tmp_path: Path) -> None:
+    bvhio = pytest.importorskip("bvhio")
+    write_bvh(tmp_path / "out.bvh", read(tmp_path, GOOD))
+    root = bvhio.readAsHierarchy(str(tmp_path / "out.bvh"))
+    root.loadPose(1)
+    theirs: dict[str, Array] = {j.Name: np.array(j.PositionWorld) for j, _, _ in root.layout()}
+    ours = read(tmp_path, GOOD).world_positions(1)
+    np.testing.assert_allclose(theirs["Chest"], ours[1], atol=1e-5)
+
+
+def test_a_write_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
+    motion = read(tmp_path, GOOD)
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(OSError):
+        write_bvh(tmp_path / "folder", motion)  # a folder of that name is in the way
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["folder", "motion.bvh"]

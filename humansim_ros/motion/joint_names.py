@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
+from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
 from humansim_ros.files import read_text
 from humansim_ros.resources import resource_path
@@ -27,6 +28,8 @@ REQUIRED_BONES = (
     "r_shoulder",
     "r_elbow",
 )
+#: Without these joints nobody could say how tall the person is, where it faces and where it stands.
+REQUIRED_ROLES = ("Hips", "LeftHip", "LeftKnee", "RightHip", "RightKnee")
 _PREFIX = re.compile(r"^(.*:|mixamorig\d*)")
 
 
@@ -44,6 +47,21 @@ class JointTable(BaseModel):
     joints: Mapping[str, Sequence[str]]
     parallel: Mapping[str, tuple[str, str]]
     difference: Mapping[str, str]
+
+    @model_validator(mode="after")
+    def _names_are_known(self) -> JointTable:
+        bones = hanim_skeleton().names
+        for bone in (*self.parallel, *self.difference):
+            if bone not in bones:
+                raise ValueError(f"no bone {bone!r}; the bones are {', '.join(bones)}")
+        for role in REQUIRED_ROLES:
+            if role not in self.joints:
+                raise ValueError(f"the role {role!r} is missing under 'joints'")
+        ends = {f"{role}_end" for role in self.joints}
+        for role in (*(r for link in self.parallel.values() for r in link), *self.difference.values()):
+            if role not in self.joints and role not in ends:
+                raise ValueError(f"no role {role!r} under 'joints'")
+        return self
 
 
 @dataclass(frozen=True)
@@ -80,7 +98,7 @@ def load_table(path: str | os.PathLike[str]) -> JointTable:
     except ValidationError as reason:
         first = reason.errors()[0]
         key = ".".join(map(str, first["loc"]))
-        raise MotionError(first["msg"], path=path, key=key) from None
+        raise MotionError(first["msg"].removeprefix("Value error, "), path=path, key=key or None) from None
 
 
 def built_in_tables() -> list[JointTable]:
@@ -96,7 +114,7 @@ def match_table(table: JointTable, joint_names: Sequence[str]) -> JointMatch:
         return next((index[name] for name in names if name in index), None)
 
     roles = {role: joint for role, names in table.joints.items() if (joint := find(names)) is not None}
-    for role in {end for _, end in table.parallel.values()} - set(table.joints):
+    for role in {role for link in table.parallel.values() for role in link} - set(table.joints):
         base = roles.get(role.removesuffix("_end"))
         if base is not None and (joint := find([plain_name(joint_names[base]) + "_end"])) is not None:
             roles[role] = joint

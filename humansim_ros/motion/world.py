@@ -63,7 +63,7 @@ class JointPoses:
 
 
 def central_difference(
-    before: Array, after: Array, rotation_before: Array, rotation_after: Array, seconds: float
+    before: Array, after: Array, rotation_before: Array, rotation_after: Array, seconds: float | Array
 ) -> tuple[Array, Array]:
     """Linear and angular velocity (..., 3) from positions (..., 3) and quaternions (..., 4) ``seconds``
     apart.
@@ -127,10 +127,8 @@ def understand(motion: Motion, match: JointMatch, unit: float | None = None) -> 
     up = _main_axis((frames[:, head] - frames[:, ankles].mean(1)).mean(0))
     rest_up = _main_axis(rest[head] - rest[ankles].mean(0))
     rest_axes = _body_axes(rest, roles, rest_up, motion)
-    if rest_up == up:
-        axes = rest_axes
-    else:  # the rest pose lies down in file space (root rotation stands it up): face as in the first frame
-        axes = _body_axes(frames[0], roles, up, motion)
+    # a rest pose that lies down in file space is stood up by the root's rotation: face as in the first frame
+    axes = rest_axes if rest_up == up else _body_axes(frames[0], roles, up, motion)
 
     height = ankle_to_head(rest, motion.parents, match)
     if height <= 0:
@@ -214,6 +212,14 @@ def _guess_unit(stature: float) -> tuple[str, float]:
     return min(plausible, key=lambda named: abs(stature * named[1] - _TYPICAL_STATURE))
 
 
+def floor_height(lowest: Array) -> float:
+    """Height of the floor under a motion, from the height of its lowest point in each frame (F,).
+
+    In most frames some foot stands on the floor; toes that dip below it at push-off, and jumps, are few.
+    """
+    return float(np.percentile(lowest, 33))
+
+
 @dataclass(frozen=True)
 class WorldMotion:
     """A motion in the world: ``map`` frame, metres, lowest joint on the floor, placed, looped.
@@ -254,9 +260,7 @@ class WorldMotion:
         at = {"start": root[0], "center": (root.min(0) + root.max(0)) / 2, "file": np.zeros(2)}[
             self.placement.anchor
         ]
-        # the floor is where the lowest joint mostly is: a low percentile, so that one bad frame does not lift
-        # the rest
-        floor = np.percentile(points[..., 2].min(1), 5)
+        floor = floor_height(points[..., 2].min(1))
         return np.array([*(np.array(self.placement.position) - at), -floor])
 
     def _at(self, times: Array) -> tuple[Array, Array]:
@@ -279,30 +283,45 @@ class WorldMotion:
         return positions, turn
 
     def sample(self, times: ArrayLike) -> JointPoses:
-        """Joints at N times in seconds from the start of the motion (slerp between frames, then forward
-        kinematics).
-        """
+        """Joints at N times in seconds from the motion's start: slerp between frames, then kinematics."""
         t = np.atleast_1d(np.asarray(times, dtype=float))
-        duration = self.motion.duration
-        if self.loop == "none" or duration <= 0:
-            positions, turn = self._at(t)
-        else:
-            rounds = np.floor(t / duration + 1e-9)
-            positions, turn = self._at(np.clip(t - rounds * duration, 0, duration))
-            if self.loop == "continue":
-                carry_r, carry_t = self._carried(rounds)
-                positions = np.einsum("nij,nkj->nki", carry_r, positions) + carry_t[:, None]
-                turn = carry_r[:, None] @ turn
-        return JointPoses(self.names, positions, matrix_to_quaternion(turn))
+        return self._sample(t, self._rounds(t))
 
     def sample_moving(self, times: ArrayLike) -> JointPoses:
-        """:meth:`sample` with velocities: central differences over two milliseconds."""
+        """:meth:`sample` with velocities: central differences over two milliseconds.
+
+        Where the motion jumps back to its start or stands still after its end, they reach no farther.
+        """
         t = np.atleast_1d(np.asarray(times, dtype=float))
-        at, before, after = (self.sample(t + dt) for dt in (0.0, -VELOCITY_STEP, VELOCITY_STEP))
+        rounds = self._rounds(t)
+        early, late = t - VELOCITY_STEP, t + VELOCITY_STEP
+        if self.loop == "continue":
+            before, after = self.sample(early), self.sample(late)
+        else:
+            start, end = rounds * self.motion.duration, (rounds + 1) * self.motion.duration
+            early, late = np.clip(early, start, end), np.clip(late, start, end)
+            before, after = self._sample(early, rounds), self._sample(late, rounds)
+        seconds = np.maximum(late - early, 1e-9)[:, None, None]
         linear, angular = central_difference(
-            before.positions, after.positions, before.rotations, after.rotations, 2 * VELOCITY_STEP
+            before.positions, after.positions, before.rotations, after.rotations, seconds
         )
+        at = self._sample(t, rounds)
         return JointPoses(self.names, at.positions, at.rotations, linear, angular)
+
+    def _rounds(self, times: Array) -> Array:
+        """Which round of the loop each time (N,) is in."""
+        if self.loop == "none" or self.motion.duration <= 0:
+            return np.zeros_like(times)
+        return np.floor(times / self.motion.duration + 1e-9)
+
+    def _sample(self, times: Array, rounds: Array) -> JointPoses:
+        duration = self.motion.duration
+        positions, turn = self._at(np.clip(times - rounds * duration, 0, duration))
+        if self.loop == "continue" and duration > 0:
+            carry_r, carry_t = self._carried(rounds)
+            positions = np.einsum("nij,nkj->nki", carry_r, positions) + carry_t[:, None]
+            turn = carry_r[:, None] @ turn
+        return JointPoses(self.names, positions, matrix_to_quaternion(turn))
 
     def _carried(self, rounds: Array) -> tuple[Array, Array]:
         """Rotation (N, 3, 3) and translation (N, 3) of the floor plane that carry the first round to each

@@ -57,7 +57,7 @@ NONE, SHOES, TROUSERS, SHIRT = range(4)  # the later hangs over the earlier
 
 @dataclass(frozen=True)
 class Outfit:
-    """Colours as sRGB 0..255."""
+    """Colours as sRGB 0..255; stubble is how much of a shaved beard shows, 0..1."""
 
     skin: tuple[int, int, int]
     hair: tuple[int, int, int]
@@ -67,6 +67,7 @@ class Outfit:
     belt: tuple[int, int, int]
     shoes: tuple[int, int, int]
     soles: tuple[int, int, int]
+    stubble: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -92,6 +93,7 @@ BODIES = {
             belt=(62, 40, 26),
             shoes=(58, 46, 40),
             soles=(176, 168, 154),
+            stubble=1.0,
         ),
     ),
 }
@@ -991,7 +993,7 @@ def paint_skin(c: Canvas, outfit: Outfit) -> Array:
     jaw = ramp(p[:, 1], eye[1] - 0.052, eye[1] - 0.068) * ramp(p[:, 1], eye[1] - 0.150, eye[1] - 0.125)
     jaw *= ramp(p[:, 2], c.tailor.ear[2] + 0.005, c.tailor.ear[2] + 0.03)
     stubble = 0.20 + 0.10 * noise(p, 0.0025, 6)
-    colour = blend(colour, 0.62 * np.array(outfit.hair) + 0.3 * skin, jaw * stubble)
+    colour = blend(colour, 0.62 * np.array(outfit.hair) + 0.3 * skin, jaw * stubble * outfit.stubble)
     lips = np.clip(c.mask("lips") * 1.2 - 0.1, 0, 1)
     colour = blend(colour, skin * [0.84, 0.62, 0.62], 0.65 * lips)
     colour = blend(colour, skin * [1.06, 1.02, 1.02], 0.6 * c.mask("fingernails"))

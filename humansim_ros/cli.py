@@ -135,8 +135,9 @@ def _describe(scene: Any) -> None:
     for actor in scene.actors.values():
         frame, motion = actor.motion.frame, actor.motion.motion
         print(
-            f"{actor.name}: {actor.human.name}, {Path(motion.path).name} ({actor.motion.match.table} joints, {frame.up} up, "
-            f"unit {frame.unit_name}, {motion.n_frames} frames, recorded person {frame.stature:.2f} m)"
+            f"{actor.name}: {actor.human.name}, {Path(motion.path).name} "
+            f"({actor.motion.match.table} joints, {frame.up} up, unit {frame.unit_name}, "
+            f"{motion.n_frames} frames, recorded person {frame.stature:.2f} m)"
         )
     for name, camera in scene.cameras.items():
         print(f"{name}: {camera.size[0]}x{camera.size[1]}")

@@ -8,7 +8,7 @@ import numpy as np
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.motion.joint_names import JointMatch
-from humansim_ros.motion.world import JointPoses, WorldMotion
+from humansim_ros.motion.world import JointPoses, WorldMotion, floor_height
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
     Array,
@@ -51,8 +51,7 @@ class Retargeter:
             times = times[:: len(times) // 400 + 1]
         rotations, root = ground.apply(motion.sample(np.minimum(times, motion.motion.duration - 1e-9)))
         lowest = _sole_heights(skeleton, skeleton.pose(rotations, root)).min(-1)
-        # as WorldMotion finds its floor: mostly on it, one bad frame does not lift the rest
-        return cls(skeleton, motion.match, scale, ground.origin, -float(np.percentile(lowest, 5)))
+        return cls(skeleton, motion.match, scale, ground.origin, -floor_height(lowest))
 
     def apply(self, poses: JointPoses) -> tuple[Array, Array]:
         """Bone rotations (N, B, 4) xyzw in bone space, and world-from-body transforms (N, 4, 4)."""

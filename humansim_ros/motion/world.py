@@ -4,7 +4,7 @@ time.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -33,6 +33,8 @@ UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0
 _ANKLE_SHARE = 0.06
 _PLAUSIBLE_STATURE = (1.2, 2.1)
 _TYPICAL_STATURE = 1.7
+#: A pose stands if the straight way from ankles to head is at least this part of the way along the links.
+_STRAIGHT = 0.7
 #: Half the span of the differences that velocities are, seconds.
 VELOCITY_STEP = 1e-3
 
@@ -92,10 +94,11 @@ class Placement:
 class FileFrame:
     """How a file's space lies in the world: found from skeleton and data by :func:`understand`.
 
-    ``up``: file axis that points up ("x", "y" or "z"). ``unit``: metres per file unit, ``unit_name``: its
-    name, or "unknown" where no known unit gives a person's height and 1.7 m is assumed. ``world_from_file``
-    (3, 3): rotation with the rest pose's facing on +x. ``rest_from_body`` (3, 3): body axes in the file's
-    rest pose. ``ankle_to_head``: file units.
+    ``up``: file axis that points up ("x", "y", "z", or "-y" where y points down). ``unit``: metres per file
+    unit, ``unit_name``: its name, or "unknown" where no known unit gives a person's height and 1.7 m is
+    assumed. ``world_from_file`` (3, 3): rotation with the rest pose's facing on +x. ``rest_from_body``: body
+    axes in the file's rest pose (3, 3), or in each joint's own axes (J, 3, 3) where the OFFSETs make no standing
+    person and the straightest frame counts as the rest pose. ``ankle_to_head``: file units.
     """
 
     up: str
@@ -120,25 +123,32 @@ def understand(motion: Motion, match: JointMatch, unit: float | None = None) -> 
     """
     roles = match.roles
     rest = motion.rest_positions()
-    frames = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, 60).astype(int)))
+    transforms = motion.world_transforms(np.unique(np.linspace(0, motion.n_frames - 1, 60).astype(int)))
+    frames = transforms[..., :3, 3]
     head = roles.get("Head", roles.get("Neck", roles["Hips"]))
     ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
 
-    up = _main_axis((frames[:, head] - frames[:, ankles].mean(1)).mean(0))
-    rest_up = _main_axis(rest[head] - rest[ankles].mean(0))
-    rest_axes = _body_axes(rest, roles, rest_up, motion)
-    # a rest pose that lies down in file space is stood up by the root's rotation: face as in the first frame
-    axes = rest_axes if rest_up == up else _body_axes(frames[0], roles, up, motion)
-
+    up = _main_direction((frames[:, head] - frames[:, ankles].mean(1)).mean(0))
     height = ankle_to_head(rest, motion.parents, match)
     if height <= 0:
         raise MotionError("the skeleton has no height: all its OFFSETs are zero", path=motion.path)
+    stretch = rest[head] - rest[ankles].mean(0)
+    if np.linalg.norm(stretch) > _STRAIGHT * height:
+        rest_up = _main_direction(stretch)
+        rest_axes = _body_axes(rest, roles, rest_up, motion)
+        # a rest pose that lies down in file space is stood up by the root: face as in the first frame
+        axes = rest_axes if (rest_up == up).all() else _body_axes(frames[0], roles, up, motion)
+    else:
+        # the OFFSETs are no standing person (all bones along one axis, say): the straightest frame is
+        straightest = int(np.argmax(np.linalg.norm(frames[:, head] - frames[:, ankles].mean(1), axis=-1)))
+        axes = _body_axes(frames[straightest], roles, up, motion)
+        rest_axes = np.swapaxes(transforms[straightest, :, :3, :3], -1, -2) @ axes
     if unit is None:
         unit_name, unit = _guess_unit(height * (1 + _ANKLE_SHARE))
     else:
         unit_name = "given"
     return FileFrame(
-        up="xyz"[up],
+        up=("-" if up.sum() < 0 else "") + "xyz"[int(np.argmax(np.abs(up)))],
         unit=unit,
         unit_name=unit_name,
         world_from_file=WORLD_FROM_BODY @ axes.T,
@@ -177,31 +187,31 @@ def _farthest_child(positions: Array, parents: Sequence[int] | NDArray[np.intp],
     return float(np.linalg.norm(positions[children] - positions[joint], axis=1).max(initial=0.0))
 
 
-def _main_axis(direction: Array) -> int:
-    return int(np.argmax(np.abs(direction)))
+def _main_direction(direction: Array) -> Array:
+    """The file axis (3,), or its opposite, that a direction is nearest to."""
+    axis = int(np.argmax(np.abs(direction)))
+    return np.eye(3)[axis] * np.sign(direction[axis])
 
 
-def _body_axes(positions: Array, roles: dict[str, int] | object, up: int, motion: Motion) -> Array:
+def _body_axes(positions: Array, roles: Mapping[str, int], up: Array, motion: Motion) -> Array:
     """Body axes (left, up, forward as columns) in file space, of a person in a pose (J, 3); snapped to file
     axes.
     """
-    assert isinstance(roles, dict)
     left = sum(
         positions[roles[f"Left{part}"]] - positions[roles[f"Right{part}"]]
         for part in ("Hip", "Shoulder")
         if f"Left{part}" in roles and f"Right{part}" in roles
     )
-    left = np.asarray(left, dtype=float) * (np.arange(3) != up)
+    left = np.asarray(left, dtype=float) * (up == 0)
     if np.linalg.norm(left) < 1e-9:
         raise MotionError(
             "left and right hips are at the same place: cannot tell where the person faces", path=motion.path
         )
     left /= np.linalg.norm(left)
-    snapped = np.round(left)
-    if snapped @ left > np.cos(np.radians(25)):
-        left = snapped
-    upward = np.eye(3)[up]
-    return np.stack([left, upward, np.cross(left, upward)], axis=1)
+    axis = _main_direction(left)
+    if axis @ left > np.cos(np.radians(25)):
+        left = axis
+    return np.stack([left, up, np.cross(left, up)], axis=1)
 
 
 def _guess_unit(stature: float) -> tuple[str, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import importlib
 import os
 import signal
 import sys
@@ -11,7 +12,15 @@ from contextlib import suppress
 from typing import Any
 
 from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.resources import resource_path
 
+#: Whoever sets one of these has configured Fast DDS's transports.
+_TRANSPORT_SETTINGS = (
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_BUILTIN_TRANSPORTS",
+    "ROS_DISCOVERY_SERVER",
+)
 #: glibc's mallopt parameters: trim threshold, top pad, mmap threshold.
 _MALLOPT = ((-3, 32 << 20), (-1, 512 << 20), (-2, 64 << 20))
 
@@ -19,10 +28,8 @@ _MALLOPT = ((-3, 32 << 20), (-1, 512 << 20), (-2, 64 << 20))
 def require_ros() -> None:
     """RosError with the way to install it where rclpy or a message package cannot be imported."""
     try:
-        import rclpy  # noqa: F401
-        import sensor_msgs.msg
-        import shape_msgs.msg
-        import visualization_msgs.msg  # noqa: F401
+        for module in ("rclpy", "sensor_msgs.msg", "shape_msgs.msg", "visualization_msgs.msg"):
+            importlib.import_module(module)
     except ImportError as reason:
         raise RosError(
             f"ROS 2 is not there ({reason}). With ROS 2 Jazzy installed: source /opt/ros/jazzy/setup.bash; "
@@ -31,11 +38,12 @@ def require_ros() -> None:
 
 
 def prepare_transport() -> None:
-    """Make room for images in Fast DDS's shared memory; before ``rclpy.init()``. The user's own setting wins.
+    """Make room for images in Fast DDS's shared memory; before ``rclpy.init()``. The user's own settings win.
 
     By default two of three 640x480 images of a best-effort subscriber are lost: they do not fit.
     """
-    os.environ.setdefault("FASTDDS_BUILTIN_TRANSPORTS", "DEFAULT?sockets_size=32MB")
+    if not any(name in os.environ for name in _TRANSPORT_SETTINGS):
+        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(resource_path("config/fastdds.xml"))
     with suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")
         # image-sized blocks stay in the heap instead of being mapped and unmapped for every message
@@ -72,5 +80,6 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
             with suppress(Exception):  # the context may be gone already
                 node.close()
                 node.destroy_node()
-        rclpy.try_shutdown()
+        with suppress(Exception):  # a signal handler may be shutting the context down at this moment
+            rclpy.try_shutdown()
     return 0

@@ -66,7 +66,7 @@ def _walls(x: float, y: float, height: float, rng: _Rng) -> list[Mesh]:
     accent = _plaster(rng, (156, 172, 176))
     trim = _plaster(rng, (236, 234, 228))
     corners = [(x, y), (-x, y), (-x, -y), (x, -y)]
-    meshes: list[Mesh] = []
+    meshes: list[Mesh] = [_quad([(-x, -y, height), (-x, y, height), (x, y, height), (x, -y, height)], trim)]
     for i, image in enumerate((plaster, accent, plaster, plaster)):
         (ax, ay), (bx, by) = corners[i], corners[(i + 1) % 4]
         span = float(np.hypot(bx - ax, by - ay))

@@ -97,8 +97,8 @@ class FileFrame:
     ``up``: file axis that points up ("x", "y", "z", or "-y" where y points down). ``unit``: metres per file
     unit, ``unit_name``: its name, or "unknown" where no known unit gives a person's height and 1.7 m is
     assumed. ``world_from_file`` (3, 3): rotation with the rest pose's facing on +x. ``rest_from_body``: body
-    axes in the file's rest pose (3, 3), or in each joint's own axes (J, 3, 3) where the OFFSETs make no standing
-    person and the straightest frame counts as the rest pose. ``ankle_to_head``: file units.
+    axes in the file's rest pose (3, 3), or in each joint's own axes (J, 3, 3) where the OFFSETs make no
+    standing person and the straightest frame counts as the rest pose. ``ankle_to_head``: file units.
     """
 
     up: str

@@ -426,7 +426,7 @@ def test_difference_bones_turn_as_their_joint_has_turned_since_rest(stem: str) -
 
 @needs_shared_data
 def test_offsets_that_make_no_person_take_the_straightest_frame_for_rest() -> None:
-    """In this file bones lie along x at rest; pelvis and trunk must follow hips and shoulders all the same."""
+    """In this file bones lie along x at rest; pelvis and trunk follow hips and shoulders all the same."""
     motion, retargeter, frames, frame, _, posed = retargeted("animdraw_rokoko_jesse_dance", 40)
     roles = retargeter.match.roles
     positions = motion.world_positions(frames) @ frame.world_from_file.T

@@ -39,14 +39,14 @@ class Camera:
     distortion: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        width, height = (int(n) for n in self.size)
-        if not (0 < width <= MAX_SIZE and 0 < height <= MAX_SIZE):
-            raise CameraError(
-                f"the image size must be 1 to {MAX_SIZE} pixels, not {width}x{height}", key="size"
-            )
+        width, height = _checked_size(self.size)
         k, r = _matrix(self.K, (3, 3), "K"), _matrix(self.R, (3, 3), "R")
         t = _matrix(self.t, (3,), "t")
-        if abs(np.linalg.det(k)) < 1e-9 * np.abs(k).max() ** 3 or k[0, 0] <= 0 or k[1, 1] <= 0:
+        if abs(k[2, 2]) <= 1e-12 * np.abs(k).max():
+            raise CameraError("K is singular: its last element is zero", key="K")
+        k = k / k[2, 2]
+        # as a fraction of the principal point too, so that a focal length lost to rounding is found
+        if min(k[0, 0], k[1, 1]) <= 1e-6 * np.abs(k).max():
             raise CameraError("K is singular or has a focal length that is not positive", key="K")
         if not np.allclose([k[1, 0], k[2, 0], k[2, 1]], 0, atol=1e-9 * k[0, 0]):
             raise CameraError("K must be upper triangular: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]", key="K")
@@ -58,7 +58,7 @@ class Camera:
             )
         u, _, vt = np.linalg.svd(r)
         object.__setattr__(self, "size", (width, height))
-        object.__setattr__(self, "K", k / k[2, 2])
+        object.__setattr__(self, "K", k)
         # orthonormal to rounding, so that the published extrinsics are a rigid transform
         object.__setattr__(self, "R", u @ vt if np.abs(r @ r.T - np.eye(3)).max() > 1e-12 else r)
         object.__setattr__(self, "t", t)
@@ -78,14 +78,14 @@ class Camera:
         ``fov``: horizontal field of view in radians. Square pixels; the principal point is the image's
         middle, ((width - 1) / 2, (height - 1) / 2).
         """
-        width, height = size
+        width, height = _checked_size(size)
         if not 0 < fov < np.pi:
             raise CameraError(
                 f"the field of view must be between 0 and 180 degrees, not {np.degrees(fov):g}", key="fov"
             )
         centre = _matrix(position, (3,), "position")
         forward = _matrix(target, (3,), "look_at") - centre
-        right = np.cross(forward, np.asarray(up, dtype=float))
+        right = np.cross(forward, _matrix(up, (3,), "up"))
         if np.linalg.norm(forward) < 1e-9:
             raise CameraError("position and look_at are the same point", key="look_at")
         if np.linalg.norm(right) < 1e-9 * np.linalg.norm(forward):
@@ -103,7 +103,7 @@ class Camera:
         decomposition).
         """
         p = _matrix(P, (3, 4), "P")
-        if abs(np.linalg.det(p[:, :3])) < 1e-12 * np.abs(p[:, :3]).max() ** 3:
+        if abs(np.linalg.det(p[:, :3])) <= 1e-12 * np.abs(p[:, :3]).max() ** 3:
             raise CameraError("P is singular: its camera is at infinity or it is no projection", key="P")
         p = p * np.sign(np.linalg.det(p[:, :3]))
         k, r = rq(p[:, :3])
@@ -173,6 +173,22 @@ class Camera:
                 [0, 0, 1, 0],
             ]
         )
+
+
+def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
+    """Width and height, if they are whole numbers that an image can have."""
+    try:
+        width, height = (int(n) for n in size)
+        whole = (width, height) == tuple(size)
+    except (TypeError, ValueError, OverflowError):
+        whole = False
+    if not whole:
+        raise CameraError(
+            f"the image size must be two whole numbers, width and height, not {size}", key="size"
+        )
+    if not (0 < width <= MAX_SIZE and 0 < height <= MAX_SIZE):
+        raise CameraError(f"the image size must be 1 to {MAX_SIZE} pixels, not {width}x{height}", key="size")
+    return width, height
 
 
 def _matrix(value: ArrayLike, shape: tuple[int, ...], key: str) -> Array:

@@ -49,12 +49,14 @@ def run(
     duration: Annotated[float | None, typer.Option(help="Stop after so many seconds.", min=0.1)] = None,
 ) -> None:
     """Start every node of a scene as a process; Ctrl-C stops them all."""
+    from humansim_ros.render.gl import create_context
     from humansim_ros.ros.processes import scene_processes
     from humansim_ros.ros.runtime import require_ros
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
 
     require_ros()
+    create_context().release()  # without OpenGL every camera would fail: say so once, before anything starts
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
     with tempfile.TemporaryDirectory(prefix="humansim-") as folder:
         path = scene or resource_path("config/scenes/demo.yaml")
@@ -73,7 +75,7 @@ def run(
         print(
             f"error: node {name} ended by itself (exit code {code}); the others were stopped", file=sys.stderr
         )
-        raise typer.Exit(1)
+        raise typer.Exit(2 if code == 2 else 1)  # 2: the node was given wrong input, and has said so
 
 
 @app.command()

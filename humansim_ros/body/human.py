@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import os
 import zipfile
+import zlib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -107,15 +108,27 @@ def _dressed(mesh: Mesh, skeleton: Skeleton, weights: csr_matrix) -> NDArray[np.
 
 def _load_npz(path: str | os.PathLike[str]) -> Human:
     data = read_bytes(path, MeshError, "human")
+    if not data.startswith(b"PK"):
+        raise MeshError("not a human file: it is no .npz archive", path=path)
     try:
         with np.load(io.BytesIO(data), allow_pickle=False) as file:
             arrays = {key: file[key] for key in file.files}
-    except (ValueError, OSError, zipfile.BadZipFile, EOFError, KeyError) as reason:
-        raise MeshError(f"not a human file (.npz): {reason}", path=path) from None
+    except (
+        ValueError,
+        OSError,
+        EOFError,
+        KeyError,
+        zipfile.BadZipFile,
+        zlib.error,
+        NotImplementedError,
+    ) as reason:
+        raise MeshError(f"not a human file, or a damaged one: {reason}", path=path) from None
     try:
         return _from_arrays(arrays, Path(path).stem)
     except KeyError as reason:
         raise MeshError("not a human file: an array is missing", path=path, key=str(reason.args[0])) from None
+    except (ValueError, TypeError, IndexError, cv2.error) as reason:
+        raise MeshError(f"an array has the wrong shape or type: {reason}", path=path) from None
 
 
 def _from_arrays(arrays: dict[str, Any], name: str) -> Human:

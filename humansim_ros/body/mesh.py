@@ -108,7 +108,7 @@ def _read_obj(text: str, path: str) -> Mesh:
     face_lines: list[int] = []
     counts: list[tuple[int, int]] = []
     for number, line in enumerate(text.splitlines(), 1):
-        words = line.split()
+        words = line.partition("#")[0].split()
         if not words:
             continue
         keyword = words[0]

@@ -1,14 +1,14 @@
 """The default renderer: OpenGL 3.3 through EGL, without a display; a GPU is used where there is one.
 
-The static scene is drawn once per camera and kept. Each frame redraws only the rectangle that the bodies can
-touch, in two passes over their triangles: colour with four samples a pixel, labels and depth with exactly one
-at its centre.
+The static scene is drawn once per camera and kept. Each frame redraws only the rectangle that the bodies can touch, in one
+pass, with one sample at each pixel's centre: colour, depth, and the number of the triangle, from which all labels follow.
+The outlines of the bodies are anti-aliased afterwards (outline.py). Triangles that cannot show are not sent at all.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -19,21 +19,22 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.mesh import Mesh, NormalMaker
+from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
+from humansim_ros.render.outline import blend, crossings
+from humansim_ros.render.posed import Floats, Posed, Topology
 from humansim_ros.render.renderer import CHANNELS, Body, View, check_request
-from humansim_ros.render.shadow import contact_shadow, vertex_areas
+from humansim_ros.render.shadow import CELLS, ContactShadow, contact_shadow
 from humansim_ros.rotations import Array
 
 _SHADERS = Path(__file__).parent / "shaders"
 _NEAR, _FAR = 0.05, 200.0
-_SAMPLES = 4
 #: The static scene is drawn this many times finer and averaged: it is drawn once, so quality costs nothing.
 _STATIC_SUPERSAMPLING = 4
 _MAX_STATIC_SIDE = 8192
-#: Width of the texture that holds a label per triangle; truth.frag knows it too.
-_ROW = 1024
+#: Cameras whose static scene is kept; a camera that moves leaves many behind.
+_MAX_LAYERS = 32
 
 
 @dataclass(frozen=True)
@@ -48,8 +49,7 @@ class Lighting:
 
 
 class GLRenderer:
-    """Renders bodies in a static scene of meshes (world coordinates). One OpenGL context; use it from one
-    thread.
+    """Renders bodies in a static scene of meshes (world coordinates). One OpenGL context; use it from one thread.
 
     Raises RenderError, naming the system packages, where no OpenGL can be had.
     """
@@ -61,24 +61,20 @@ class GLRenderer:
             "cw"  # the image's rows run down where OpenGL's run up: everything is mirrored once
         )
         self._static = tuple(static)
-        self._surfaces: dict[int, _Surface] = {}
-        self._targets: dict[tuple[int, int], _Targets] = {}
+        self._topologies: dict[int, Topology] = {}
+        self._surfaces: dict[tuple[int, int], _Surface] = {}
+        self._targets: dict[tuple[int, int], _Target] = {}
         self._layers: dict[bytes, _StaticLayer] = {}
-        self._rgb = self._program("surface.vert", "rgb.frag")
-        self._truth = self._program("surface.vert", "truth.frag")
-        self._static_rgb = self._program("window.vert", "static_rgb.frag")
-        self._static_truth = self._program("window.vert", "static_truth.frag")
-        self._window_rgb = self._ctx.vertex_array(self._static_rgb, [])
-        self._window_truth = self._ctx.vertex_array(self._static_truth, [])
+        self._lit = self._program("lit.vert", "lit.frag")
+        self._truth = self._program("truth.vert", "truth.frag")
         self._shadow = self._program("shadow.vert", "shadow.frag")
         corners = self._ctx.buffer(np.array([0, 0, 1, 0, 0, 1, 1, 1], dtype="f4").tobytes())
         self._shadow_quad = self._ctx.vertex_array(self._shadow, [(corners, "2f", "corner")])
-        self._shadow_texture = self._ctx.texture((64, 64), 1, alignment=1)
+        self._shadow_texture = self._ctx.texture((CELLS, CELLS), 1, alignment=1)
         light = self._lighting
-        sun = np.array(light.sun) / np.linalg.norm(light.sun)
-        for name, value in (("sun", sun), ("sun_color", light.sun_color), ("sky_color", light.sky_color)):
-            _set(self._rgb, name, tuple(value))
-        _set(self._rgb, "ground_color", light.ground_color)
+        _set(self._lit, "sun", tuple(np.array(light.sun) / np.linalg.norm(light.sun)))
+        for name in ("sun_color", "sky_color", "ground_color"):
+            _set(self._lit, name, getattr(light, name))
 
     @property
     def device(self) -> str:
@@ -86,142 +82,93 @@ class GLRenderer:
         return str(self._ctx.info["GL_RENDERER"])
 
     def close(self) -> None:
+        """Free the OpenGL context and what is in it."""
         self._ctx.release()
 
     def render(self, bodies: Sequence[Body], camera: Camera, channels: Collection[str] = CHANNELS) -> View:
-        """See :class:`humansim_ros.render.Renderer`."""
+        """See :class:`humansim_ros.render.Renderer`.
+
+        What was worked out of a body for one camera serves the next one, as long as it is the same Body object.
+        """
         check_request(bodies, channels)
+        with self._ctx:  # others in this thread may have made their own context the current one
+            return self._render(bodies, camera, frozenset(channels))
+
+    def _render(self, bodies: Sequence[Body], camera: Camera, channels: frozenset[str]) -> View:
         layer = self._layer(camera)
-        wants_rgb = "rgb" in channels
-        wants_truth = bool(set(channels) - {"rgb"})
-        shadows = (
-            [contact_shadow(b.vertices, self._surface(b.mesh).areas) for b in bodies] if wants_rgb else []
-        )
-        near = [
-            np.array([[s.corner[0] + dx, s.corner[1] + dy, 0] for dx in (0, s.side) for dy in (0, s.side)])
-            for s in shadows
-        ]
-        for body in bodies:
-            self._surface(body.mesh).upload(body.vertices, with_normals=wants_rgb)
-        view: dict[str, Any] = {}
-        if wants_rgb:
-            rectangle = _touched([b.vertices for b in bodies] + near, camera)
-            view["rgb"] = self._draw_rgb(bodies, shadows, layer, camera, rectangle)
-        if wants_truth:
-            rectangle = _touched([b.vertices for b in bodies], camera)
-            view |= self._draw_truth(bodies, layer, camera, rectangle, channels)
-        return View(**view)
+        lit = "rgb" in channels
+        surfaces = [self._surface(body) for body in bodies]
+        clouds = [surface.posed.points for surface in surfaces]
+        if lit:
+            clouds += [surface.shadow.corners.T for surface in surfaces]
+        rectangle = _touched(clouds, camera)
+        view = layer.view(channels | {"depth"} if lit else channels)
+        if not rectangle.empty:
+            target = self._target(camera.size)
+            target.start(layer.target, rectangle)
+            if lit:
+                self._draw_shadows(surfaces, camera)
+            target.use(lit)
+            seen = self._draw_bodies(surfaces, camera, rectangle.near, lit)
+            if "depth" in view:
+                depth = target.read("depth", lit)
+                np.copyto(view["depth"][rectangle.slices], depth, where=depth > 0)
+            if lit:
+                view["rgb"][rectangle.slices] = target.read("rgb", lit)
+                blend(view["rgb"], view["depth"], crossings(camera, *seen.outline))
+            if not channels.isdisjoint(("instance", "part")):
+                labels = target.read("label", lit)
+                for name in channels & {"instance", "part"}:
+                    view[name][rectangle.slices] = seen.table(name)[labels]
+        return View(**{name: view[name] for name in channels})
 
-    def _draw_rgb(
-        self,
-        bodies: Sequence[Body],
-        shadows: Sequence[Any],
-        layer: _StaticLayer,
-        camera: Camera,
-        rectangle: _Rectangle,
-    ) -> NDArray[np.uint8]:
-        image = layer.rgb.copy()
-        if rectangle.empty:
-            return image
-        targets = self._target(camera.size)
-        targets.samples.use()
-        targets.samples.scissor = rectangle.xywh
+    def _draw_bodies(self, surfaces: Sequence[_Surface], camera: Camera, near: bool, lit: bool) -> _Seen:
+        """Draw what can be seen, every triangle with a number of its own, counted on from body to body."""
+        program = self._lit if lit else self._truth
+        self._use_camera(program, camera)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
-        self._draw_layer(self._static_rgb, self._window_rgb, layer)
-        self._draw_shadows(shadows, camera)
-        self._use_camera(self._rgb, camera)
-        _set(self._rgb, "eye", tuple(camera.center))
-        for body in bodies:
-            self._cull(body, rectangle)
-            self._surface(body.mesh).draw_rgb()
-        targets.resolved.scissor = rectangle.xywh
-        self._ctx.copy_framebuffer(targets.resolved, targets.samples)
-        pixels = targets.resolved.read(rectangle.xywh, components=3, alignment=1)
-        image[rectangle.slices] = np.frombuffer(pixels, np.uint8).reshape(*rectangle.shape, 3)
-        return image
+        eye = camera.center
+        seen = _Seen()
+        for surface in surfaces:
+            facing = surface.posed.facing(eye)
+            # from outside a closed surface its back faces never show; a camera within a body's reach may be inside it
+            culled = surface.topology.mesh.closed and not near
+            _set(program, "first_label", seen.count)
+            surface.draw(lit, facing if culled else None)
+            seen.add(surface.body, facing if culled else slice(None))
+            if lit:
+                seen.outlines.append(surface.posed.contour(facing))
+        return seen
 
-    def _draw_truth(
-        self,
-        bodies: Sequence[Body],
-        layer: _StaticLayer,
-        camera: Camera,
-        rectangle: _Rectangle,
-        channels: Collection[str],
-    ) -> dict[str, Any]:
-        height, width = layer.depth.shape
-        out: dict[str, Any] = {}
-        if "depth" in channels:
-            out["depth"] = layer.depth.copy()
-        if "instance" in channels:
-            out["instance"] = np.zeros((height, width), np.uint16)
-        if "part" in channels:
-            out["part"] = np.zeros((height, width), np.uint8)
-        if rectangle.empty:
-            return out
-        target = self._target(camera.size).truth
-        target.use()
-        target.scissor = rectangle.xywh
-        self._ctx.enable_only(moderngl.DEPTH_TEST)
-        self._draw_layer(self._static_truth, self._window_truth, layer)
-        self._use_camera(self._truth, camera)
-        for body in bodies:
-            _set(self._truth, "instance", body.instance)
-            self._cull(body, rectangle)
-            self._surface(body.mesh).draw_truth(body.parts)
-        if "depth" in out:
-            pixels = target.read(rectangle.xywh, components=1, attachment=1, dtype="f4", alignment=1)
-            out["depth"][rectangle.slices] = np.frombuffer(pixels, np.float32).reshape(rectangle.shape)
-        if "instance" in out or "part" in out:
-            pixels = target.read(rectangle.xywh, components=1, attachment=0, dtype="u4", alignment=1)
-            labels = np.frombuffer(pixels, np.uint32).reshape(rectangle.shape)
-            if "instance" in out:
-                out["instance"][rectangle.slices] = labels >> 8
-            if "part" in out:
-                out["part"][rectangle.slices] = labels & 255
-        return out
-
-    def _cull(self, body: Body, rectangle: _Rectangle) -> None:
-        """Leave out back faces where they cannot show: on a closed body that the camera is well outside of."""
-        if body.mesh.closed and not rectangle.near:
-            self._ctx.enable(moderngl.CULL_FACE)
-        else:
-            self._ctx.disable(moderngl.CULL_FACE)
-
-    def _draw_layer(
-        self, program: moderngl.Program, window: moderngl.VertexArray, layer: _StaticLayer
-    ) -> None:
-        """Fill the rectangle with the static scene, depth buffer included, whatever was there."""
-        self._ctx.depth_func = "1"  # always
-        layer.use(program)
-        window.render(moderngl.TRIANGLES, vertices=3)
-        self._ctx.depth_func = "<"
-
-    def _draw_shadows(self, shadows: Sequence[Any], camera: Camera) -> None:
-        if not shadows:
-            return
-        self._ctx.enable(moderngl.BLEND)
+    def _draw_shadows(self, surfaces: Sequence[_Surface], camera: Camera) -> None:
+        self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
         self._ctx.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
         _set(self._shadow, "clip", _clip(camera))
-        for shadow in shadows:
+        for surface in surfaces:
+            shadow = surface.shadow
             self._shadow_texture.write(shadow.darkness.tobytes())
             self._shadow_texture.use(0)
             _set(self._shadow, "place", (*shadow.corner, shadow.side, shadow.side))
             self._shadow_quad.render(moderngl.TRIANGLE_STRIP)
-        self._ctx.disable(moderngl.BLEND)
 
     def _use_camera(self, program: moderngl.Program, camera: Camera) -> None:
         _set(program, "clip", _clip(camera))
         _set(program, "optical_z", (*camera.R[2], camera.t[2]))
 
-    def _surface(self, mesh: Mesh) -> _Surface:
-        """The mesh on the device; kept, with the mesh so that its id stays its own."""
-        if id(mesh) not in self._surfaces:
-            self._surfaces[id(mesh)] = _Surface(self._ctx, mesh, self._rgb, self._truth)
-        return self._surfaces[id(mesh)]
+    def _surface(self, body: Body) -> _Surface:
+        """The body on the device, standing as it should. Two bodies may share a mesh, but not a surface."""
+        key = id(body.mesh), body.instance
+        if key not in self._surfaces:
+            # kept with its mesh, so that the id stays its own
+            topology = self._topologies.setdefault(id(body.mesh), Topology(body.mesh))
+            self._surfaces[key] = _Surface(self._ctx, topology, self._lit, self._truth)
+        surface = self._surfaces[key]
+        surface.stand(body)
+        return surface
 
-    def _target(self, size: tuple[int, int]) -> _Targets:
+    def _target(self, size: tuple[int, int]) -> _Target:
         if size not in self._targets:
-            self._targets[size] = _Targets(self._ctx, size)
+            self._targets[size] = _Target(self._ctx, size)
         return self._targets[size]
 
     def _layer(self, camera: Camera) -> _StaticLayer:
@@ -229,46 +176,35 @@ class GLRenderer:
             (np.array(camera.size).tobytes(), camera.K.tobytes(), camera.R.tobytes(), camera.t.tobytes())
         )
         if key not in self._layers:
+            if len(self._layers) >= _MAX_LAYERS:
+                self._layers.pop(next(iter(self._layers))).target.release()
             self._layers[key] = self._draw_static(camera)
         return self._layers[key]
 
     def _draw_static(self, camera: Camera) -> _StaticLayer:
         width, height = camera.size
         factor = max(1, min(_STATIC_SUPERSAMPLING, _MAX_STATIC_SIDE // max(width, height)))
-        fine = (width * factor, height * factor)
         ctx = self._ctx
-        surfaces = [_Surface(ctx, mesh, self._rgb, self._truth) for mesh in self._static]
+        surfaces = [_Surface(ctx, Topology(mesh), self._lit, self._truth) for mesh in self._static]
         for surface in surfaces:
-            surface.upload(surface.mesh.vertices.astype(np.float32), with_normals=True)
-        color = ctx.framebuffer([ctx.texture(fine, 4)], ctx.depth_renderbuffer(fine))
-        color.use()
-        ctx.enable_only(moderngl.DEPTH_TEST)
-        color.clear(*(c / 255 for c in self._lighting.background), 1.0)
+            mesh = surface.topology.mesh
+            parts = np.zeros(len(mesh.triangles), np.uint8)
+            surface.stand(Body(mesh, mesh.vertices.astype(np.float32), parts, 1))
         # the same window, only finer: clip coordinates do not know how many pixels there are
-        self._use_camera(self._rgb, camera)
-        _set(self._rgb, "eye", tuple(camera.center))
-        for surface in surfaces:
-            surface.draw_rgb()
-        image = np.frombuffer(color.read(components=3, alignment=1), np.uint8).reshape(fine[1], fine[0], 3)
-        rgb = np.ascontiguousarray(
-            cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8
-        )
-
-        target = self._target(camera.size).truth
-        target.scissor = None
-        target.use()
-        target.clear(0.0, 0.0, 0.0, 0.0)
-        target.color_attachments[1].write(np.full((height, width), np.inf, np.float32).tobytes())
-        self._use_camera(self._truth, camera)
-        _set(self._truth, "instance", 0)
-        for surface in surfaces:
-            surface.draw_truth(np.zeros(len(surface.mesh.triangles), np.uint8))
-        pixels = target.read(components=1, attachment=1, dtype="f4", alignment=1)
-        depth = np.frombuffer(pixels, np.float32).reshape(height, width).copy()
-        for surface in surfaces:
-            surface.release()
-        color.release()
-        return _StaticLayer(ctx, rgb, depth)
+        fine, target = _Target(ctx, (width * factor, height * factor)), _Target(ctx, camera.size)
+        for into, lit in ((fine, True), (target, False)):
+            program = self._lit if lit else self._truth
+            into.clear(self._lighting.background)
+            into.use(lit)
+            ctx.enable_only(moderngl.DEPTH_TEST)
+            self._use_camera(program, camera)
+            for surface in surfaces:
+                surface.draw(lit)
+        rgb = cv2.resize(fine.read("rgb", lit=True), camera.size, interpolation=cv2.INTER_AREA)
+        target.take(np.ascontiguousarray(rgb, dtype=np.uint8))
+        for thing in (*surfaces, fine):
+            thing.release()
+        return _StaticLayer(target)
 
     def _program(self, vertex: str, fragment: str) -> moderngl.Program:
         return self._ctx.program(
@@ -317,22 +253,21 @@ class _Rectangle:
         return slice(self.y0, self.y1), slice(self.x0, self.x1)
 
 
-def _touched(clouds: Sequence[NDArray[np.floating]], camera: Camera) -> _Rectangle:
-    """The pixels that surfaces spanned by clouds of points (N, 3) can touch: the whole image if one comes too
-    near.
-    """
+def _touched(clouds: Sequence[Floats], camera: Camera) -> _Rectangle:
+    """The pixels that surfaces spanned by clouds of points (3, N) can touch: the whole image if one comes too near."""
     width, height = camera.size
     p = camera.P.astype(np.float32)
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for points in clouds:
-        homogeneous = np.asarray(points, np.float32) @ p[:, :3].T + p[:, 3]
-        depth = homogeneous[:, 2]
-        if (depth < 2 * _NEAR).any():
-            if (depth < 0).all():
+        x, y, depth = p[:, :3] @ points + p[:, 3:]
+        nearest = depth.min()
+        if nearest < 2 * _NEAR:
+            if depth.max() < 0:
                 continue
             return _Rectangle(0, 0, width, height, near=True)
-        pixels = homogeneous[:, :2] / depth[:, None]
-        low, high = np.minimum(low, pixels.min(0)), np.maximum(high, pixels.max(0))
+        x /= depth
+        y /= depth
+        low, high = np.minimum(low, (x.min(), y.min())), np.maximum(high, (x.max(), y.max()))
     if not np.isfinite(low).all():
         return _Rectangle(0, 0, 0, 0)
     x0, y0 = np.clip(np.floor(low) - 2, 0, camera.size).astype(int)
@@ -355,50 +290,127 @@ def _set(program: moderngl.Program, name: str, value: Any) -> None:
             uniform.value = value  # type: ignore[union-attr]
 
 
-class _Targets:
-    """What frames of one size are drawn into."""
+class _Seen:
+    """The triangles drawn of one picture's bodies: label 0 is no body, label n the n-th triangle drawn."""
+
+    def __init__(self) -> None:
+        self.count = 1
+        self.outlines: list[tuple[Floats, Floats]] = []
+        self._labels: dict[str, list[NDArray[Any]]] = {
+            "instance": [np.zeros(1, np.uint16)],
+            "part": [np.zeros(1, np.uint8)],
+        }
+
+    def add(self, body: Body, drawn: NDArray[np.bool_] | slice) -> None:
+        parts = body.parts[drawn]
+        self.count += len(parts)
+        self._labels["part"].append(parts)
+        self._labels["instance"].append(np.full(len(parts), body.instance, np.uint16))
+
+    def table(self, channel: str) -> NDArray[Any]:
+        """What each label is in a channel."""
+        return np.concatenate(self._labels[channel])
+
+    @property
+    def outline(self) -> tuple[Floats, Floats]:
+        """Starts and ends (N, 3) of all edges that outlines lie on."""
+        starts, ends = zip(*self.outlines, strict=True)
+        return np.concatenate(starts), np.concatenate(ends)
+
+
+class _Target:
+    """What one picture is drawn into: colour, depth in metres, triangle number, and OpenGL's own depth buffer.
+
+    Without ``lit`` the colour is left out.
+    """
+
+    _ATTACHMENTS = {"depth": (0, 1, "f4"), "label": (1, 1, "u4"), "rgb": (2, 3, "f1")}
 
     def __init__(self, ctx: moderngl.Context, size: tuple[int, int]) -> None:
-        samples = min(_SAMPLES, ctx.max_samples)
-        self.samples = ctx.framebuffer(
-            [ctx.renderbuffer(size, 4, samples=samples)], ctx.depth_renderbuffer(size, samples=samples)
+        self._ctx = ctx
+        self._textures = [
+            ctx.texture(size, 1, dtype="f4"),
+            ctx.texture(size, 1, dtype="u4"),
+            ctx.texture(size, 4),
+        ]
+        self._buffer = ctx.depth_renderbuffer(size)
+        self._framebuffers = {
+            lit: ctx.framebuffer(self._textures[: 2 + lit], self._buffer) for lit in (False, True)
+        }
+        self._colour = ctx.framebuffer(self._textures[2:], self._buffer)
+        self._colour.depth_mask = False  # shadows colour what is there, they hide nothing
+        self._rectangle = _Rectangle(0, 0, *size)
+
+    def start(self, background: _Target, rectangle: _Rectangle) -> None:
+        """Fill a rectangle with the colour of a background that hides what lies behind it, and keep to the rectangle."""
+        self._rectangle = rectangle
+        for framebuffer in (*self._framebuffers.values(), self._colour):
+            framebuffer.scissor = rectangle.xywh
+        self._clear()  # cheaper than to copy these as well
+        self._colour.use()
+        self._ctx.copy_framebuffer(self._colour, background._colour)
+
+    def clear(self, colour: Sequence[int]) -> None:
+        """Start anew: nothing there but a colour, endlessly far away."""
+        self._clear()
+        self._colour.clear(*(c / 255 for c in colour), 1.0)
+
+    def take(self, rgb: NDArray[np.uint8]) -> None:
+        """Take over a picture (H, W, 3)."""
+        self._textures[2].write(np.dstack([rgb, np.full(rgb.shape[:2], 255, np.uint8)]).tobytes())
+
+    def _clear(self) -> None:
+        self._framebuffers[False].use()  # or the scissor of what was in use would count
+        self._framebuffers[False].clear()
+
+    def use(self, lit: bool) -> None:
+        self._framebuffers[lit].use()
+
+    def read(self, name: str, lit: bool) -> NDArray[Any]:
+        """The rectangle's pixels (H, W) or (H, W, 3)."""
+        attachment, components, dtype = self._ATTACHMENTS[name]
+        pixels = self._framebuffers[lit].read(
+            self._rectangle.xywh, components=components, attachment=attachment, dtype=dtype, alignment=1
         )
-        self.resolved = ctx.framebuffer([ctx.renderbuffer(size, 4)])
-        label, depth = ctx.texture(size, 1, dtype="u4"), ctx.texture(size, 1, dtype="f4")
-        self.truth = ctx.framebuffer([label, depth], ctx.depth_renderbuffer(size))
+        image = np.frombuffer(pixels, np.uint8 if dtype == "f1" else dtype)
+        return image.reshape(*self._rectangle.shape, *(() if components == 1 else (components,)))
+
+    def release(self) -> None:
+        for thing in (*self._framebuffers.values(), self._colour, *self._textures, self._buffer):
+            thing.release()
 
 
 class _StaticLayer:
-    """The static scene as one camera sees it, kept on both sides: ``rgb`` (H, W, 3) uint8 and ``depth`` (H,
-    W) float32.
-    """
+    """The static scene as one camera sees it, kept on the device and as arrays."""
 
-    def __init__(self, ctx: moderngl.Context, rgb: NDArray[np.uint8], depth: NDArray[np.float32]) -> None:
-        self.rgb, self.depth = rgb, depth
-        size = depth.shape[::-1]
-        self._rgb = ctx.texture(size, 3, rgb.tobytes(), alignment=1)
-        self._depth = ctx.texture(size, 1, depth.tobytes(), alignment=1, dtype="f4")
-        for texture in (self._rgb, self._depth):
-            texture.filter = (moderngl.NEAREST, moderngl.NEAREST)
+    def __init__(self, target: _Target) -> None:
+        self.target = target
+        self._rgb, depth = (target.read(name, lit=True) for name in ("rgb", "depth"))
+        self._depth = np.where(depth > 0, depth, np.float32(np.inf))
 
-    def use(self, program: moderngl.Program) -> None:
-        self._rgb.use(0)
-        self._depth.use(1)
-        _set(program, "static_rgb", 0)
-        _set(program, "static_depth", 1)
-        # window depth of the standard perspective row: half of it plus a half
-        row = (_FAR + _NEAR) / (_FAR - _NEAR), -2 * _FAR * _NEAR / (_FAR - _NEAR)
-        _set(program, "depth_row", (row[0] / 2 + 0.5, row[1] / 2))
+    def view(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:
+        """The channels of a picture without bodies, to be drawn into."""
+        shape = self._depth.shape
+        make: dict[str, Callable[[], NDArray[Any]]] = {
+            "rgb": self._rgb.copy,
+            "depth": self._depth.copy,
+            "instance": lambda: np.zeros(shape, np.uint16),
+            "part": lambda: np.zeros(shape, np.uint8),
+        }
+        return {name: make[name]() for name in channels}
 
 
 class _Surface:
     """A mesh on the device. Vertices on texture seams are there twice, once per texture coordinate."""
 
+    body: Body
+    posed: Posed
+
     def __init__(
-        self, ctx: moderngl.Context, mesh: Mesh, rgb: moderngl.Program, truth: moderngl.Program
+        self, ctx: moderngl.Context, topology: Topology, lit: moderngl.Program, truth: moderngl.Program
     ) -> None:
-        self.mesh = mesh
-        self._ctx = ctx
+        self.topology = topology
+        mesh = topology.mesh
         triangles = mesh.triangles
         if mesh.uv is None or mesh.uv_triangles is None:
             self._source = np.arange(len(mesh.vertices))
@@ -410,62 +422,62 @@ class _Surface:
             corners, uv = inverse.reshape(triangles.shape), mesh.uv[unique[:, 1]]
         colors = np.full((len(mesh.vertices), 3), 255, np.uint8) if mesh.colors is None else mesh.colors
         looks = np.concatenate([uv, colors[self._source] / 255.0], axis=1).astype("f4")
+        self._corners = np.ascontiguousarray(corners, dtype=np.int32)
         self._texture = _texture(ctx, mesh.texture)
-        self._dynamic = np.zeros((len(self._source), 6), np.float32)
-        self._moving = ctx.buffer(reserve=self._dynamic.nbytes, dynamic=True)
+        self._positions, self._normals = (ctx.buffer(reserve=len(looks) * 12, dynamic=True) for _ in range(2))
         self._looks = ctx.buffer(looks.tobytes())
-        self._index = ctx.buffer(np.ascontiguousarray(corners, dtype=np.int32).tobytes())
-        self._rgb = ctx.vertex_array(
-            rgb,
-            [(self._moving, "3f 3f", "position", "normal"), (self._looks, "2f 3f", "uv", "color")],
+        self._index = ctx.buffer(self._corners.tobytes(), dynamic=True)
+        self._lit = ctx.vertex_array(
+            lit,
+            [
+                (self._positions, "3f", "position"),
+                (self._normals, "3f", "normal"),
+                (self._looks, "2f 3f", "uv", "color"),
+            ],
             index_buffer=self._index,
         )
-        self._truth = ctx.vertex_array(
-            truth, [(self._moving, "3f 3x4", "position")], index_buffer=self._index
-        )
-        # one texel per triangle, in rows of 1024: a plain texture, as moderngl has no buffer textures
-        self._parts = ctx.texture((_ROW, -(-len(triangles) // _ROW)), 1, dtype="u1", alignment=1)
-        self._parts_of: NDArray[np.uint8] | None = None
+        self._truth = ctx.vertex_array(truth, [(self._positions, "3f", "position")], index_buffer=self._index)
+        self._has_normals = False
+
+    def stand(self, body: Body) -> None:
+        """Take up the body's pose."""
+        if getattr(self, "body", None) is body:
+            return
+        self.body, self.posed = body, Posed(self.topology, body.vertices)
+        self.__dict__.pop("shadow", None)
+        self._upload(self._positions, body.vertices)
+        self._has_normals = False
 
     @cached_property
-    def areas(self) -> NDArray[np.float32]:
-        return vertex_areas(self.mesh)
+    def shadow(self) -> ContactShadow:
+        return contact_shadow(self.posed.points, self.topology.vertex_areas)
 
-    @cached_property
-    def _normals(self) -> NormalMaker:
-        return NormalMaker(self.mesh.faces, len(self.mesh.vertices))
-
-    def upload(self, vertices: NDArray[np.float32], with_normals: bool) -> None:
-        np.take(vertices, self._source, axis=0, out=self._dynamic[:, :3])
-        if with_normals:
-            np.take(self._normals(vertices), self._source, axis=0, out=self._dynamic[:, 3:])
-        self._moving.orphan()
-        self._moving.write(self._dynamic)
-
-    def draw_rgb(self) -> None:
+    def draw(self, lit: bool, shown: NDArray[np.bool_] | None = None) -> None:
+        """Draw all triangles, or those that are ``shown`` (N,)."""
+        if lit and not self._has_normals:
+            self._upload(self._normals, self.posed.normals)
+            self._has_normals = True
+        corners = self._corners if shown is None else self._corners[shown]
+        self._index.orphan()
+        self._index.write(corners)
         self._texture.use(0)
-        self._rgb.render(moderngl.TRIANGLES)
-
-    def draw_truth(self, parts: NDArray[np.uint8]) -> None:
-        if parts is not self._parts_of:
-            padded = np.zeros(self._parts.width * self._parts.height, np.uint8)
-            padded[: len(parts)] = parts
-            self._parts.write(padded.tobytes())
-            self._parts_of = parts
-        self._parts.use(0)
-        self._truth.render(moderngl.TRIANGLES)
+        (self._lit if lit else self._truth).render(moderngl.TRIANGLES, vertices=corners.size)
 
     def release(self) -> None:
         for thing in (
-            self._rgb,
+            self._lit,
             self._truth,
-            self._moving,
+            self._positions,
+            self._normals,
             self._looks,
             self._index,
             self._texture,
-            self._parts,
         ):
             thing.release()
+
+    def _upload(self, buffer: moderngl.Buffer, values: Floats) -> None:
+        buffer.orphan()
+        buffer.write(values.take(self._source, axis=0))
 
 
 def _texture(ctx: moderngl.Context, image: NDArray[np.uint8] | None) -> moderngl.Texture:

@@ -8,11 +8,13 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.mesh import Mesh
-
-_CELLS = 64
+CELLS = 64
+#: Metres around the body that the shadow may reach.
+_MARGIN = 0.35
 #: Metres above the floor at which a surface's shadow has faded to 1/e.
 _FADE = 0.22
+#: Metres above the floor from which on a surface leaves no shadow (it would be 1 % there).
+_REACH = 1.0
 _STRENGTH = 0.62
 
 
@@ -26,22 +28,25 @@ class ContactShadow:
     side: float
     darkness: NDArray[np.uint8]
 
+    @property
+    def corners(self) -> NDArray[np.float32]:
+        """(4, 3) of the square on the floor."""
+        (x, y), s = self.corner, self.side
+        return np.array([(x, y, 0), (x + s, y, 0), (x, y + s, 0), (x + s, y + s, 0)], dtype=np.float32)
 
-def vertex_areas(mesh: Mesh) -> NDArray[np.float32]:
-    """(V,) surface area that each vertex stands for at rest, square metres."""
-    a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 6
-    return np.bincount(mesh.triangles.ravel(), np.repeat(area, 3), len(mesh.vertices)).astype(np.float32)
 
+def contact_shadow(points: NDArray[np.float32], areas: NDArray[np.float32]) -> ContactShadow:
+    """Shadow of a body on the floor z = 0: its surface seen from below, fading with height, blurred.
 
-def contact_shadow(vertices: NDArray[np.float32], areas: NDArray[np.float32]) -> ContactShadow:
-    """Shadow of a body (V, 3) on the floor z = 0: its surface seen from below, fading with height, blurred."""
-    low, high = vertices[:, :2].min(0) - 0.35, vertices[:, :2].max(0) + 0.35
+    ``points``: (3, V) vertices. ``areas``: (V,) the surface that each stands for, square metres.
+    """
+    low, high = points[:2].min(axis=1) - _MARGIN, points[:2].max(axis=1) + _MARGIN
     side = float((high - low).max())
-    cell = side / _CELLS
-    x, y = ((vertices[:, :2] - low) / cell).astype(np.intp).T
-    amount = areas * np.exp(-np.maximum(vertices[:, 2], 0) / _FADE)
-    grid = np.bincount(y * _CELLS + x, amount, _CELLS * _CELLS).reshape(_CELLS, _CELLS)
+    cell = side / CELLS
+    below = np.flatnonzero(points[2] < _REACH)
+    x, y = ((points[:2, below] - low[:, None]) / np.float32(cell)).astype(np.intp)
+    amount = areas[below] * np.exp(-np.maximum(points[2, below], 0) / np.float32(_FADE))
+    grid = np.bincount(y * CELLS + x, amount, CELLS * CELLS).reshape(CELLS, CELLS)
     # a closed surface covers each cell at least twice, from below and from above
     coverage = np.minimum(grid / (2 * cell * cell), 1.0).astype(np.float32)
     near = cv2.GaussianBlur(coverage, (0, 0), 0.03 / cell)

@@ -26,7 +26,7 @@ class MotionPlayer(SceneNode):
             "rate", 0.0, 0.0, 1000.0, "Frames per second; 0 for the scene's own rate"
         )
         self._period = 1e9 / (rate or self.scene.config.rate)
-        self._publishers = {
+        self._motions = {
             name: self.create_publisher(MultiDOFJointState, f"humans/{name}/motion", DATA)
             for name in self.scene.actors
         }
@@ -35,7 +35,7 @@ class MotionPlayer(SceneNode):
         self.create_timer(self._period * 1e-9, self._tick)
         frames = 1e9 / self._period
         self.get_logger().info(
-            f"playing {len(self._publishers)} motions at {frames:g} Hz from {self.scene.path}"
+            f"playing {len(self._motions)} motions at {frames:g} Hz from {self.scene.path}"
         )
 
     def _tick(self) -> None:
@@ -51,7 +51,7 @@ class MotionPlayer(SceneNode):
         elapsed = round(due * self._period)
         stamp = self._start + elapsed
         for name, actor in self.scene.actors.items():
-            self._publishers[name].publish(motion_message(actor.joint_poses(elapsed * 1e-9), stamp))
+            self._motions[name].publish(motion_message(actor.joint_poses(elapsed * 1e-9), stamp))
         self.count("frames")
         self.report_lateness(stamp)
 

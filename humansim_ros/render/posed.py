@@ -1,0 +1,102 @@
+"""A body as it stands in a frame, ready to be drawn: what does not depend on the camera is worked out once."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.body.mesh import Mesh
+
+Floats = NDArray[np.float32]
+Indices = NDArray[np.intp]
+
+
+class Topology:
+    """What never changes about a mesh of N triangles and V vertices.
+
+    ``edges``: (E, 2) vertices. ``sides``: (E, 2) the triangles on either side of each edge, twice the same one at a border.
+    ``border``: (E,) bool. Where more than two triangles share an edge it is there once for each pair of neighbours.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        self.mesh = mesh
+        triangles = mesh.triangles.astype(np.intp)
+        self.corners = tuple(np.ascontiguousarray(column) for column in triangles.T)
+        edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        order = np.lexsort(edges.T)
+        edges, owner = edges[order], order // 3
+        same = (edges[1:] == edges[:-1]).all(axis=1)
+        alone = ~(np.append(same, False) | np.insert(same, 0, False))
+        first, second = owner[:-1][same], owner[1:][same]
+        self.edges = np.concatenate([edges[:-1][same], edges[alone]])
+        self.sides = (np.concatenate([first, owner[alone]]), np.concatenate([second, owner[alone]]))
+        self.border = np.repeat([False, True], [len(first), np.count_nonzero(alone)])
+
+    @cached_property
+    def around(self) -> Any:
+        """(V, N) sparse: sums over the triangles around each vertex."""
+        from scipy.sparse import csr_matrix
+
+        n = len(self.mesh.triangles)
+        rows, columns = self.mesh.triangles.ravel(), np.repeat(np.arange(n), 3)
+        shape = (len(self.mesh.vertices), n)
+        return csr_matrix((np.ones(3 * n, dtype=np.float32), (rows, columns)), shape=shape)
+
+    @cached_property
+    def vertex_areas(self) -> Floats:
+        """(V,) surface area that each vertex stands for at rest, square metres."""
+        area = np.linalg.norm(Posed(self, self.mesh.vertices.astype(np.float32)).areas, axis=0)
+        return np.asarray(self.around @ area / 3, dtype=np.float32)
+
+
+class Posed:
+    """Vertices (V, 3) float32 of a topology. Arrays here have the coordinates first: (3, V), (3, N)."""
+
+    def __init__(self, topology: Topology, vertices: Floats) -> None:
+        self.topology = topology
+        self.vertices = vertices
+        self.points: Floats = np.ascontiguousarray(vertices.T)
+
+    @cached_property
+    def _first_corners(self) -> Floats:
+        return self.points.take(self.topology.corners[0], axis=1)
+
+    @cached_property
+    def areas(self) -> Floats:
+        """(3, N) area vectors: along each triangle's outward normal, as long as its area."""
+        a = self._first_corners
+        b, c = (self.points.take(corner, axis=1) - a for corner in self.topology.corners[1:])
+        areas = np.empty_like(a)
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            np.multiply(b[j], c[k], out=areas[i])
+            areas[i] -= b[k] * c[j]
+        areas *= np.float32(0.5)
+        return areas
+
+    @cached_property
+    def _planes(self) -> Floats:
+        return np.einsum("ij,ij->j", self.areas, self._first_corners)
+
+    @cached_property
+    def normals(self) -> Floats:
+        """(V, 3) unit vertex normals: the area-weighted mean of the triangles around each."""
+        around = self.topology.around
+        normals = np.stack([around @ component for component in self.areas])
+        normals /= np.maximum(np.sqrt(np.einsum("ij,ij->j", normals, normals)), np.float32(1e-20))
+        return np.ascontiguousarray(normals.T)
+
+    def facing(self, eye: NDArray[np.floating]) -> NDArray[np.bool_]:
+        """(N,) which triangles show their outside to a point."""
+        return np.asarray(eye.astype(np.float32) @ self.areas > self._planes)
+
+    def contour(self, facing: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+        """Starts and ends (E, 3) of the edges that part what faces the eye from what does not, or that end the surface.
+
+        All outlines lie on them.
+        """
+        first, second = self.topology.sides
+        edges = self.topology.edges[(facing[first] != facing[second]) | self.topology.border]
+        return self.vertices[edges[:, 0]], self.vertices[edges[:, 1]]

@@ -1,0 +1,84 @@
+"""What the ROS tests share: a domain of their own, and a client that collects messages by stamp."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import defaultdict
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+# a domain per test process, before anything imports rclpy
+os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+
+rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed (pip install '.[ros]')")
+
+#: Two people and two small cameras, one of them with a principal point off centre and oblong pixels.
+SMALL_SCENE = """
+rate: 20
+humans:
+  first:
+    motion: {file: walk, position: [0.0, -1.59], loop: continue}
+  second:
+    motion: {file: walk_straight, position: [-0.5, 0.8], yaw_deg: -20, anchor: center, offset: 0.5}
+cameras:
+  left: {size: [160, 120], position: [3.0, 2.6, 2.0], look_at: [0, 0, 0.8], fov_deg: 65}
+  right:
+    size: [200, 150]
+    K: [[150, 0, 90.25], [0, 160, 81.5], [0, 0, 1]]
+    R: [[0, 1, 0], [0, 0, -1], [-1, 0, 0]]
+    t: [0.3, 1.1, 3.2]
+"""
+
+
+def write_scene(folder: Path, text: str = SMALL_SCENE) -> Path:
+    path = folder / "scene.yaml"
+    path.write_text(text)
+    return path
+
+
+class Client:
+    """Subscribes to topics and keeps every message by topic and stamp, as a tracker under test would."""
+
+    def __init__(self, name: str = "client") -> None:
+        from rclpy.executors import SingleThreadedExecutor
+
+        self.node = rclpy.create_node(name)
+        self.executor = SingleThreadedExecutor()
+        self.executor.add_node(self.node)
+        self.received: dict[str, dict[int, Any]] = defaultdict(dict)
+
+    def subscribe(self, kind: Any, topics: Iterable[str], qos: Any = None) -> None:
+        from rclpy.qos import qos_profile_sensor_data
+
+        for topic in topics:
+            self.node.create_subscription(kind, topic, self._keeper(topic), qos or qos_profile_sensor_data)
+
+    def _keeper(self, topic: str) -> Callable[[Any], None]:
+        def keep(message: Any) -> None:
+            from humansim_ros.ros.messages import to_nanoseconds
+
+            stamp = to_nanoseconds(message.header.stamp) if hasattr(message, "header") else 0
+            self.received[topic][stamp] = message
+
+        return keep
+
+    def common_stamps(self) -> list[int]:
+        """Stamps at which every topic that has spoken at all has a message."""
+        return sorted(set.intersection(*(set(messages) for messages in self.received.values())))
+
+    def spin_until(self, done: Callable[[], bool], limit: float = 30.0) -> bool:
+        """Spin until something is true; False where the time is up."""
+        end = time.monotonic() + limit
+        while time.monotonic() < end:
+            self.executor.spin_once(timeout_sec=0.05)
+            if done():
+                return True
+        return False
+
+    def close(self) -> None:
+        self.node.destroy_node()

@@ -1,0 +1,197 @@
+"""Messages carry what they are given; rosbags, which knows nothing of rclpy, reads it from their bytes."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import numpy as np
+import pytest
+import ros_support  # noqa: F401  (skips where ROS is missing)
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.camera import Camera
+from humansim_ros.errors import RosError
+from humansim_ros.ros import messages
+from humansim_ros.scene import Scene
+from humansim_ros.truth.joints import JointView
+
+STAMP = 1_700_000_000_123_456_789
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene.load()
+
+
+@pytest.fixture(scope="module")
+def read_outside() -> Any:
+    """Deserialises CDR with rosbags' own message definitions."""
+    rosbags_typesys = pytest.importorskip("rosbags.typesys")
+    from rclpy.serialization import serialize_message
+
+    store = rosbags_typesys.get_typestore(rosbags_typesys.Stores.ROS2_JAZZY)
+
+    def read(message: Any) -> Any:
+        kind = f"{type(message).__module__.split('.')[0]}/msg/{type(message).__name__}"
+        return store.deserialize_cdr(bytes(serialize_message(message)), kind)
+
+    return read
+
+
+def test_stamps_are_kept_to_the_nanosecond() -> None:
+    stamp = messages.to_time(STAMP)
+    assert (stamp.sec, stamp.nanosec) == (1_700_000_000, 123_456_789)
+    assert messages.to_nanoseconds(stamp) == STAMP
+
+
+def test_joints_arrive_as_they_were_sent(scene: Scene, read_outside: Any) -> None:
+    state = scene.actors["walker"].at(0.7)
+    sent = messages.joints_message(state, STAMP)
+    outside = read_outside(sent)
+    assert outside.header.frame_id == "map"
+    assert outside.joint_names == list(state.joint_names)
+    for transform, twist, joint, linear, angular in zip(
+        outside.transforms, outside.twist, state.joints, state.linear, state.angular, strict=True
+    ):
+        t, q = transform.translation, transform.rotation
+        assert np.allclose([t.x, t.y, t.z], joint[:3, 3], atol=0)
+        assert np.allclose(Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), joint[:3, :3], atol=1e-12)
+        assert np.allclose([twist.linear.x, twist.linear.y, twist.linear.z], linear, atol=0)
+        assert np.allclose([twist.angular.x, twist.angular.y, twist.angular.z], angular, atol=0)
+    back = messages.read_joints(sent)
+    assert np.array_equal(back.positions[0], state.positions)
+
+
+def test_a_pose_that_is_not_finite_is_refused(scene: Scene) -> None:
+    message = messages.motion_message(scene.actors["walker"].joint_poses(0.0), STAMP)
+    message.transforms[3].translation.y = float("nan")
+    with pytest.raises(RosError):
+        messages.read_joints(message)
+    message.transforms[3].translation.y = 0.0
+    message.joint_names.append("one_too_many")
+    with pytest.raises(RosError):
+        messages.read_joints(message)
+
+
+def test_vertices_are_x_y_z_float32_in_mesh_order(scene: Scene, read_outside: Any) -> None:
+    state = scene.actors["walker"].at(0.3)
+    message = messages.vertices_message(state.vertices, STAMP)
+    outside = read_outside(message)
+    assert (outside.height, outside.width, outside.point_step) == (1, len(state.vertices), 12)
+    assert [(f.name, f.offset, f.datatype, f.count) for f in outside.fields] == [
+        ("x", 0, 7, 1),
+        ("y", 4, 7, 1),
+        ("z", 8, 7, 1),
+    ]
+    assert np.array_equal(outside.data.view("<f4").reshape(-1, 3), state.vertices)
+    assert np.array_equal(messages.read_vertices(message), state.vertices)
+
+
+def test_points_with_more_fields_or_the_wrong_layout() -> None:
+    vertices = np.arange(12, dtype=np.float32).reshape(4, 3)
+    message = messages.vertices_message(vertices, STAMP)
+    wide = np.zeros((4, 5), "<f4")
+    wide[:, :3] = vertices
+    message.point_step, message.row_step = 20, 80
+    message._data = wide.reshape(-1).view(np.uint8)
+    assert np.array_equal(messages.read_vertices(message), vertices)
+    message.fields[0].name = "intensity"
+    with pytest.raises(RosError):
+        messages.read_vertices(message)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "array"),
+    [
+        ("rgb8", np.arange(5 * 7 * 3, dtype=np.uint8).reshape(5, 7, 3)),
+        ("32FC1", np.linspace(0, 9, 35, dtype=np.float32).reshape(5, 7)),
+        ("mono16", (np.arange(35, dtype=np.uint16) * 1000).reshape(5, 7)),
+        ("mono8", np.arange(35, dtype=np.uint8).reshape(5, 7)),
+    ],
+)
+def test_images_keep_their_rows_and_numbers(encoding: str, array: np.ndarray, read_outside: Any) -> None:
+    outside = read_outside(messages.image_message(array, encoding, STAMP, "cam_optical_frame"))
+    assert (outside.height, outside.width, outside.encoding) == (5, 7, encoding)
+    assert outside.is_bigendian == 0
+    assert outside.step == 7 * array.itemsize * (3 if array.ndim == 3 else 1)
+    assert np.array_equal(outside.data.view(array.dtype).reshape(array.shape), array)
+    assert outside.header.frame_id == "cam_optical_frame"
+
+
+def test_camera_info_is_that_of_an_undistorted_driver(read_outside: Any) -> None:
+    camera = Camera((320, 240), np.array([[300, 0, 150], [0, 310, 120], [0, 0, 1.0]]), np.eye(3), np.zeros(3))
+    info = read_outside(messages.camera_info_message(camera, STAMP, "cam_optical_frame"))
+    assert (info.width, info.height, info.distortion_model) == (320, 240, "plumb_bob")
+    assert np.array_equal(info.k, [300, 0, 150, 0, 310, 120, 0, 0, 1])
+    assert np.array_equal(info.d, np.zeros(5))
+    assert np.array_equal(info.r, np.eye(3).ravel())
+    assert np.array_equal(info.p, [300, 0, 150, 0, 0, 310, 120, 0, 0, 0, 1, 0])
+
+
+def test_extrinsics_put_the_optical_frame_where_tf_would(read_outside: Any) -> None:
+    camera = Camera.look_at([2.0, -1.0, 1.5], [0.0, 0.0, 1.0])
+    message = read_outside(messages.extrinsics_message("cam", camera, STAMP))
+    assert (message.header.frame_id, message.child_frame_id) == ("map", "cam_optical_frame")
+    t, q = message.transform.translation, message.transform.rotation
+    assert np.allclose([t.x, t.y, t.z], [2.0, -1.0, 1.5], atol=1e-12)
+    # the optical axis, turned into the world, runs to the target
+    axis = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([0, 0, 1])
+    assert np.allclose(axis, np.array([-2.0, 1.0, -0.5]) / np.sqrt(5.25), atol=1e-12)
+
+
+def test_projection_is_the_camera_matrix_row_by_row(read_outside: Any) -> None:
+    camera = Camera.look_at([2.0, -1.0, 1.5], [0.0, 0.0, 1.0])
+    message = read_outside(messages.projection_message(camera))
+    assert [d.size for d in message.layout.dim] == [3, 4]
+    image = message.data.reshape(3, 4) @ [0.0, 0.0, 1.0, 1.0]
+    assert np.allclose(image[:2] / image[2], [319.5, 239.5], atol=1e-9)
+
+
+def test_joint_view_has_the_layout_its_fields_say(read_outside: Any) -> None:
+    view = JointView(
+        optical=np.array([[0.1, 0.2, 3.0], [0.0, 0.0, -1.0]]),
+        pixels=np.array([[12.5, 100.25], [np.nan, np.nan]]),
+        visible=np.array([2, 0], np.uint8),
+    )
+    outside = read_outside(messages.joint_view_message([(1, view), (7, view)], STAMP, "cam_optical_frame"))
+    assert (outside.width, outside.point_step, outside.is_dense) == (4, 28, False)
+    rows = outside.data.reshape(4, 28)
+    column = {f.name: (f.offset, {7: "<f4", 2: "u1", 4: "<u2"}[f.datatype]) for f in outside.fields}
+    read = {
+        name: np.ascontiguousarray(rows[:, offset : offset + np.dtype(kind).itemsize]).view(kind).ravel()
+        for name, (offset, kind) in column.items()
+    }
+    assert np.allclose(read["z"], [3.0, -1.0, 3.0, -1.0])
+    assert np.allclose(read["u"], [12.5, np.nan, 12.5, np.nan], equal_nan=True)
+    assert np.allclose(read["v"], [100.25, np.nan, 100.25, np.nan], equal_nan=True)
+    assert read["visible"].tolist() == [2, 0, 2, 0]
+    assert read["human"].tolist() == [1, 1, 7, 7]
+    assert read["joint"].tolist() == [0, 1, 0, 1]
+
+
+def test_legends_are_json_that_name_every_number(scene: Scene) -> None:
+    skeleton = scene.actors["walker"].human.skeleton
+    parts = json.loads(messages.part_legend(skeleton).data)
+    assert parts["0"] == "background"
+    assert [parts[str(i + 1)] for i in range(22)] == list(skeleton.names)
+    assert json.loads(messages.instance_legend({"walker": 1}).data) == {"0": "background", "1": "walker"}
+    joints = json.loads(messages.joints_legend({"walker": (1, skeleton.joint_names)}).data)
+    assert joints["human"] == {"1": "walker"}
+    assert joints["joint"]["walker"] == list(skeleton.joint_names)
+    assert joints["visible"] == {"0": "outside", "1": "occluded", "2": "visible"}
+
+
+def test_markers_are_few_enough_for_a_viewer_and_lie_on_the_body(scene: Scene) -> None:
+    actor = scene.actors["walker"]
+    state = actor.at(0.0)
+    array = messages.MarkerMaker(actor.human)("walker", 1, state, STAMP)
+    by_kind = {marker.ns.split("/")[1]: marker for marker in array.markers}
+    assert set(by_kind) == {"skeleton", "joints", "skin"}
+    skin = np.array([(p.x, p.y, p.z) for p in by_kind["skin"].points])
+    assert len(skin) % 3 == 0
+    assert 500 < len(skin) // 3 < 8000
+    # a coarse skin is as large as the fine one
+    assert np.abs(skin.min(0) - state.vertices.min(0)).max() < 0.05
+    assert np.abs(skin.max(0) - state.vertices.max(0)).max() < 0.05
+    assert len(by_kind["skeleton"].points) == 2 * 22

@@ -110,7 +110,10 @@ def _section(points: Array, at: Array, normal: Array, thickness: float) -> Array
 def _slice(points: Array, low: float, high: float) -> Array:
     bottom, top = points[:, 1].min(), points[:, 1].max()
     height = (points[:, 1] - bottom) / (top - bottom)
-    return points[(height >= low) & (height <= high)]
+    inside = (height >= low) & (height <= high)
+    if not inside.any():
+        raise MeshError("no feet at the lower end: the mesh is no person standing upright")
+    return points[inside]
 
 
 def _upright(vertices: Array) -> Array:
@@ -154,7 +157,7 @@ def _asymmetry(vertices: Array, axis: int) -> float:
         np.maximum.at(top, bins, centred[:, axis])
         np.minimum.at(bottom, bins, centred[:, axis])
         seen = np.isfinite(top)
-        total += float(np.abs(top + bottom)[seen].mean() / height[axis])
+        total += float(np.abs(top[seen] + bottom[seen]).mean() / height[axis])
     return total
 
 

@@ -1,8 +1,9 @@
 """The default renderer: OpenGL 3.3 through EGL, without a display; a GPU is used where there is one.
 
-The static scene is drawn once per camera and kept. Each frame redraws only the rectangle that the bodies can touch, in one
-pass, with one sample at each pixel's centre: colour, depth, and the number of the triangle, from which all labels follow.
-The outlines of the bodies are anti-aliased afterwards (outline.py). Triangles that cannot show are not sent at all.
+The static scene is drawn once per camera and kept. Each frame redraws only the rectangle that the bodies can
+touch, in one pass, with one sample at each pixel's centre: colour, depth, and the triangle's number, which
+all labels follow from. The outlines of the bodies are anti-aliased afterwards (outline.py). Triangles that
+cannot show are not sent at all.
 """
 
 from __future__ import annotations
@@ -10,7 +11,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,7 @@ from humansim_ros.errors import RenderError
 from humansim_ros.render.outline import blend, crossings
 from humansim_ros.render.posed import Floats, Posed, Topology
 from humansim_ros.render.renderer import CHANNELS, Body, View, check_request
-from humansim_ros.render.shadow import CELLS, ContactShadow, contact_shadow
+from humansim_ros.render.shadow import CELLS
 from humansim_ros.rotations import Array
 
 _SHADERS = Path(__file__).parent / "shaders"
@@ -35,6 +35,8 @@ _STATIC_SUPERSAMPLING = 4
 _MAX_STATIC_SIDE = 8192
 #: Cameras whose static scene is kept; a camera that moves leaves many behind.
 _MAX_LAYERS = 32
+#: What a target is made of: the shaders' location, components read back, their type.
+_ATTACHMENTS = {"depth": (0, 1, "f4"), "label": (1, 1, "u4"), "rgb": (2, 3, "f1")}
 
 
 @dataclass(frozen=True)
@@ -49,9 +51,9 @@ class Lighting:
 
 
 class GLRenderer:
-    """Renders bodies in a static scene of meshes (world coordinates). One OpenGL context; use it from one thread.
+    """Renders bodies in a static scene of meshes (world coordinates), with an OpenGL context of its own.
 
-    Raises RenderError, naming the system packages, where no OpenGL can be had.
+    Use it from one thread. Raises RenderError, naming the system packages, where no OpenGL can be had.
     """
 
     def __init__(self, static: Sequence[Mesh] = (), lighting: Lighting | None = None) -> None:
@@ -88,7 +90,7 @@ class GLRenderer:
     def render(self, bodies: Sequence[Body], camera: Camera, channels: Collection[str] = CHANNELS) -> View:
         """See :class:`humansim_ros.render.Renderer`.
 
-        What was worked out of a body for one camera serves the next one, as long as it is the same Body object.
+        What was worked out of a body for one camera serves the next, as long as it is the same Body object.
         """
         check_request(bodies, channels)
         with self._ctx:  # others in this thread may have made their own context the current one
@@ -100,7 +102,7 @@ class GLRenderer:
         surfaces = [self._surface(body) for body in bodies]
         clouds = [surface.posed.points for surface in surfaces]
         if lit:
-            clouds += [surface.shadow.corners.T for surface in surfaces]
+            clouds += [surface.posed.shadow.corners.T for surface in surfaces]
         rectangle = _touched(clouds, camera)
         view = layer.view(channels | {"depth"} if lit else channels)
         if not rectangle.empty:
@@ -131,7 +133,7 @@ class GLRenderer:
         seen = _Seen()
         for surface in surfaces:
             facing = surface.posed.facing(eye)
-            # from outside a closed surface its back faces never show; a camera within a body's reach may be inside it
+            # from outside a closed surface its back faces never show; a camera that is near may be inside
             culled = surface.topology.mesh.closed and not near
             _set(program, "first_label", seen.count)
             surface.draw(lit, facing if culled else None)
@@ -145,7 +147,7 @@ class GLRenderer:
         self._ctx.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
         _set(self._shadow, "clip", _clip(camera))
         for surface in surfaces:
-            shadow = surface.shadow
+            shadow = surface.posed.shadow
             self._shadow_texture.write(shadow.darkness.tobytes())
             self._shadow_texture.use(0)
             _set(self._shadow, "place", (*shadow.corner, shadow.side, shadow.side))
@@ -158,13 +160,18 @@ class GLRenderer:
     def _surface(self, body: Body) -> _Surface:
         """The body on the device, standing as it should. Two bodies may share a mesh, but not a surface."""
         key = id(body.mesh), body.instance
-        if key not in self._surfaces:
+        if key in self._surfaces:
+            self._surfaces[key].stand(body)
+        else:
             # kept with its mesh, so that the id stays its own
             topology = self._topologies.setdefault(id(body.mesh), Topology(body.mesh))
-            self._surfaces[key] = _Surface(self._ctx, topology, self._lit, self._truth)
-        surface = self._surfaces[key]
-        surface.stand(body)
-        return surface
+            self._surfaces[key] = _Surface(self._ctx, topology, body, self._lit, self._truth)
+        return self._surfaces[key]
+
+    def _standing(self, mesh: Mesh) -> _Surface:
+        """A mesh of the static scene on the device."""
+        body = Body(mesh, mesh.vertices.astype(np.float32), np.zeros(len(mesh.triangles), np.uint8), 1)
+        return _Surface(self._ctx, Topology(mesh), body, self._lit, self._truth)
 
     def _target(self, size: tuple[int, int]) -> _Target:
         if size not in self._targets:
@@ -185,11 +192,7 @@ class GLRenderer:
         width, height = camera.size
         factor = max(1, min(_STATIC_SUPERSAMPLING, _MAX_STATIC_SIDE // max(width, height)))
         ctx = self._ctx
-        surfaces = [_Surface(ctx, Topology(mesh), self._lit, self._truth) for mesh in self._static]
-        for surface in surfaces:
-            mesh = surface.topology.mesh
-            parts = np.zeros(len(mesh.triangles), np.uint8)
-            surface.stand(Body(mesh, mesh.vertices.astype(np.float32), parts, 1))
+        surfaces = [self._standing(mesh) for mesh in self._static]
         # the same window, only finer: clip coordinates do not know how many pixels there are
         fine, target = _Target(ctx, (width * factor, height * factor)), _Target(ctx, camera.size)
         for into, lit in ((fine, True), (target, False)):
@@ -202,8 +205,9 @@ class GLRenderer:
                 surface.draw(lit)
         rgb = cv2.resize(fine.read("rgb", lit=True), camera.size, interpolation=cv2.INTER_AREA)
         target.take(np.ascontiguousarray(rgb, dtype=np.uint8))
-        for thing in (*surfaces, fine):
-            thing.release()
+        for surface in surfaces:
+            surface.release()
+        fine.release()
         return _StaticLayer(target)
 
     def _program(self, vertex: str, fragment: str) -> moderngl.Program:
@@ -217,7 +221,7 @@ def create_context() -> moderngl.Context:
     is none.
     """
     try:
-        return moderngl.create_context(require=330, standalone=True, backend="egl")  # type: ignore[call-arg]
+        return moderngl.create_context(require=330, standalone=True, backend="egl")  # type: ignore[arg-type]
     except Exception as reason:  # moderngl and glcontext raise bare Exceptions
         raise RenderError(
             f"no OpenGL through EGL ({str(reason).splitlines()[0]}). "
@@ -254,7 +258,7 @@ class _Rectangle:
 
 
 def _touched(clouds: Sequence[Floats], camera: Camera) -> _Rectangle:
-    """The pixels that surfaces spanned by clouds of points (3, N) can touch: the whole image if one comes too near."""
+    """The pixels that surfaces spanned by points (3, N) can touch: the whole image if one comes too near."""
     width, height = camera.size
     p = camera.P.astype(np.float32)
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
@@ -319,12 +323,10 @@ class _Seen:
 
 
 class _Target:
-    """What one picture is drawn into: colour, depth in metres, triangle number, and OpenGL's own depth buffer.
+    """What one picture is drawn into: colour, depth in metres, triangle number; and OpenGL's depth buffer.
 
-    Without ``lit`` the colour is left out.
+    Without ``lit`` the colour is left out. Where nothing was drawn depth and number are 0.
     """
-
-    _ATTACHMENTS = {"depth": (0, 1, "f4"), "label": (1, 1, "u4"), "rgb": (2, 3, "f1")}
 
     def __init__(self, ctx: moderngl.Context, size: tuple[int, int]) -> None:
         self._ctx = ctx
@@ -342,7 +344,7 @@ class _Target:
         self._rectangle = _Rectangle(0, 0, *size)
 
     def start(self, background: _Target, rectangle: _Rectangle) -> None:
-        """Fill a rectangle with the colour of a background that hides what lies behind it, and keep to the rectangle."""
+        """Keep to a rectangle, and fill it with the colour of a background that hides what is behind it."""
         self._rectangle = rectangle
         for framebuffer in (*self._framebuffers.values(), self._colour):
             framebuffer.scissor = rectangle.xywh
@@ -353,7 +355,8 @@ class _Target:
     def clear(self, colour: Sequence[int]) -> None:
         """Start anew: nothing there but a colour, endlessly far away."""
         self._clear()
-        self._colour.clear(*(c / 255 for c in colour), 1.0)
+        red, green, blue = (c / 255 for c in colour)
+        self._colour.clear(red, green, blue, 1.0)
 
     def take(self, rgb: NDArray[np.uint8]) -> None:
         """Take over a picture (H, W, 3)."""
@@ -368,7 +371,7 @@ class _Target:
 
     def read(self, name: str, lit: bool) -> NDArray[Any]:
         """The rectangle's pixels (H, W) or (H, W, 3)."""
-        attachment, components, dtype = self._ATTACHMENTS[name]
+        attachment, components, dtype = _ATTACHMENTS[name]
         pixels = self._framebuffers[lit].read(
             self._rectangle.xywh, components=components, attachment=attachment, dtype=dtype, alignment=1
         )
@@ -376,8 +379,11 @@ class _Target:
         return image.reshape(*self._rectangle.shape, *(() if components == 1 else (components,)))
 
     def release(self) -> None:
-        for thing in (*self._framebuffers.values(), self._colour, *self._textures, self._buffer):
-            thing.release()
+        for framebuffer in (*self._framebuffers.values(), self._colour):
+            framebuffer.release()
+        for texture in self._textures:
+            texture.release()
+        self._buffer.release()
 
 
 class _StaticLayer:
@@ -403,18 +409,21 @@ class _StaticLayer:
 class _Surface:
     """A mesh on the device. Vertices on texture seams are there twice, once per texture coordinate."""
 
-    body: Body
-    posed: Posed
-
     def __init__(
-        self, ctx: moderngl.Context, topology: Topology, lit: moderngl.Program, truth: moderngl.Program
+        self,
+        ctx: moderngl.Context,
+        topology: Topology,
+        body: Body,
+        lit: moderngl.Program,
+        truth: moderngl.Program,
     ) -> None:
         self.topology = topology
         mesh = topology.mesh
         triangles = mesh.triangles
         if mesh.uv is None or mesh.uv_triangles is None:
-            self._source = np.arange(len(mesh.vertices))
-            corners, uv = triangles, np.zeros((len(mesh.vertices), 2))
+            self._source: NDArray[Any] = np.arange(len(mesh.vertices))
+            corners: NDArray[Any] = triangles
+            uv = np.zeros((len(mesh.vertices), 2))
         else:
             pairs = np.stack([triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
             unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
@@ -437,26 +446,23 @@ class _Surface:
             index_buffer=self._index,
         )
         self._truth = ctx.vertex_array(truth, [(self._positions, "3f", "position")], index_buffer=self._index)
-        self._has_normals = False
+        self._pose(body)
 
     def stand(self, body: Body) -> None:
         """Take up the body's pose."""
-        if getattr(self, "body", None) is body:
-            return
-        self.body, self.posed = body, Posed(self.topology, body.vertices)
-        self.__dict__.pop("shadow", None)
-        self._upload(self._positions, body.vertices)
-        self._has_normals = False
+        if body is not self.body:
+            self._pose(body)
 
-    @cached_property
-    def shadow(self) -> ContactShadow:
-        return contact_shadow(self.posed.points, self.topology.vertex_areas)
+    def _pose(self, body: Body) -> None:
+        self.body, self.posed = body, Posed(self.topology, body.vertices)
+        self._upload(self._positions, body.vertices)
+        self._normals_of: Posed | None = None
 
     def draw(self, lit: bool, shown: NDArray[np.bool_] | None = None) -> None:
         """Draw all triangles, or those that are ``shown`` (N,)."""
-        if lit and not self._has_normals:
+        if lit and self._normals_of is not self.posed:
             self._upload(self._normals, self.posed.normals)
-            self._has_normals = True
+            self._normals_of = self.posed
         corners = self._corners if shown is None else self._corners[shown]
         self._index.orphan()
         self._index.write(corners)

@@ -1,4 +1,4 @@
-"""A body as it stands in a frame, ready to be drawn: what does not depend on the camera is worked out once."""
+"""A body as it stands in a frame, ready to be drawn: what is the same for all cameras is worked out once."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.mesh import Mesh
+from humansim_ros.render.shadow import ContactShadow, contact_shadow
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.intp]
@@ -17,8 +18,9 @@ Indices = NDArray[np.intp]
 class Topology:
     """What never changes about a mesh of N triangles and V vertices.
 
-    ``edges``: (E, 2) vertices. ``sides``: (E, 2) the triangles on either side of each edge, twice the same one at a border.
-    ``border``: (E,) bool. Where more than two triangles share an edge it is there once for each pair of neighbours.
+    ``corners``: three of (N,), the triangles' vertices. ``edges``: (E, 2) vertices. ``sides``: two of (E,),
+    the triangles on either side of each edge; ``border``: (E,) where there is only one. Where more than two
+    triangles share an edge it is there once for each pair of neighbours.
     """
 
     def __init__(self, mesh: Mesh) -> None:
@@ -33,7 +35,7 @@ class Topology:
         first, second = owner[:-1][same], owner[1:][same]
         self.edges = np.concatenate([edges[:-1][same], edges[alone]])
         self.sides = (np.concatenate([first, owner[alone]]), np.concatenate([second, owner[alone]]))
-        self.border = np.repeat([False, True], [len(first), np.count_nonzero(alone)])
+        self.border = np.arange(len(self.edges)) >= len(first)
 
     @cached_property
     def around(self) -> Any:
@@ -88,14 +90,19 @@ class Posed:
         normals /= np.maximum(np.sqrt(np.einsum("ij,ij->j", normals, normals)), np.float32(1e-20))
         return np.ascontiguousarray(normals.T)
 
+    @cached_property
+    def shadow(self) -> ContactShadow:
+        """What it leaves on the floor."""
+        return contact_shadow(self.points, self.topology.vertex_areas)
+
     def facing(self, eye: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(N,) which triangles show their outside to a point."""
         return np.asarray(eye.astype(np.float32) @ self.areas > self._planes)
 
     def contour(self, facing: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-        """Starts and ends (E, 3) of the edges that part what faces the eye from what does not, or that end the surface.
+        """Starts and ends (C, 3) of the edges that all outlines lie on.
 
-        All outlines lie on them.
+        They part a triangle that faces the eye from one that does not, or end the surface.
         """
         first, second = self.topology.sides
         edges = self.topology.edges[(facing[first] != facing[second]) | self.topology.border]

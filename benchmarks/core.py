@@ -1,0 +1,304 @@
+"""What a camera-frame costs without ROS, beside a bare OpenGL draw and pyrender: one human, the demo scene.
+
+All contestants draw the same posed triangles for the same cameras, turn and turn about in one process: what
+else the machine does hits them alike. The figures are medians of wall-clock milliseconds; read the ratios.
+We draw in the furnished room, with shadow and lighting; the others draw the body alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+
+import moderngl
+import numpy as np
+
+from humansim_ros.body.mesh import NormalMaker
+from humansim_ros.camera import Camera
+from humansim_ros.render import CHANNELS, Body, GLRenderer
+from humansim_ros.render.gl import create_context
+from humansim_ros.render.outline import crossings
+from humansim_ros.render.posed import Posed, Topology
+from humansim_ros.render.shadow import contact_shadow
+from humansim_ros.scene import Scene
+
+_NEAR, _FAR = 0.05, 200.0
+
+
+@dataclass(frozen=True)
+class Shot:
+    """One thing to draw: a body as it stands in a frame, and the camera that sees it."""
+
+    body: Body
+    camera: Camera
+
+
+def shots(scene: Scene, count: int) -> list[Shot]:
+    """``count`` frames of the scene's first human, each seen by the next of its cameras."""
+    actor = next(iter(scene.actors.values()))
+    cameras = list(scene.cameras.values())
+    bodies = [actor.body(actor.at(0.25 * i).vertices) for i in range(count)]
+    return [Shot(body, cameras[i % len(cameras)]) for i, body in enumerate(bodies)]
+
+
+class BareDraw:
+    """The least one can do: the mesh with its texture, unlit, into rgb, id and depth, all three read back."""
+
+    VERTEX = """#version 330
+        in vec3 position; in vec2 uv; uniform mat4 clip; uniform vec4 optical_z; out vec2 v_uv; out float v_z;
+        void main() {
+            gl_Position = clip * vec4(position, 1.0); v_uv = uv; v_z = dot(optical_z, vec4(position, 1.0));
+        }"""
+    FRAGMENT = """#version 330
+        in vec2 v_uv; in float v_z; uniform sampler2D surface;
+        layout(location = 0) out vec4 rgb;
+        layout(location = 1) out uint label;
+        layout(location = 2) out float depth;
+        void main() { rgb = texture(surface, v_uv); label = uint(gl_PrimitiveID + 1); depth = v_z; }"""
+
+    def __init__(self, shot: Shot) -> None:
+        mesh, size = shot.body.mesh, shot.camera.size
+        assert mesh.uv is not None and mesh.uv_triangles is not None and mesh.texture is not None
+        pairs = np.stack([mesh.triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
+        unique, corners = np.unique(pairs, axis=0, return_inverse=True)
+        self.source = unique[:, 0]
+        ctx = self.ctx = create_context()
+        self.program = ctx.program(self.VERTEX, self.FRAGMENT)
+        self.positions = ctx.buffer(reserve=len(unique) * 12, dynamic=True)
+        uv = ctx.buffer(mesh.uv[unique[:, 1]].astype("f4").tobytes())
+        self.triangles = ctx.vertex_array(
+            self.program,
+            [(self.positions, "3f", "position"), (uv, "2f", "uv")],
+            index_buffer=ctx.buffer(corners.astype("i4").tobytes()),
+        )
+        self.texture = ctx.texture(mesh.texture.shape[1::-1], 3, mesh.texture[::-1].tobytes())
+        targets = [ctx.texture(size, 4), ctx.texture(size, 1, dtype="u4"), ctx.texture(size, 1, dtype="f4")]
+        self.target = ctx.framebuffer(targets, ctx.depth_renderbuffer(size))
+
+    def __call__(self, shot: Shot) -> None:
+        with self.ctx:
+            self._draw(shot)
+
+    def _draw(self, shot: Shot) -> None:
+        self.positions.orphan()
+        self.positions.write(shot.body.vertices[self.source])
+        clip = shot.camera.opengl_clip(_NEAR, _FAR) @ shot.camera.optical_from_world
+        self.program["clip"].write(clip.T.astype("f4").tobytes())
+        self.program["optical_z"].value = (*shot.camera.R[2], shot.camera.t[2])
+        self.texture.use(0)
+        self.target.use()
+        self.ctx.enable_only(moderngl.DEPTH_TEST)
+        self.target.clear()
+        self.triangles.render(moderngl.TRIANGLES)
+        self.target.read(components=3, attachment=0)
+        self.target.read(components=1, attachment=1, dtype="u4")
+        self.target.read(components=1, attachment=2, dtype="f4")
+
+
+class Pyrender:
+    """pyrender with the mesh added anew each frame, as its vertices cannot be changed."""
+
+    def __init__(self, shot: Shot, by_part: bool) -> None:
+        import pyrender
+        import trimesh
+        from PIL import Image
+
+        self.pyrender, self.by_part = pyrender, by_part
+        self.scene = pyrender.Scene(ambient_light=[0.6, 0.6, 0.6])
+        self.scene.add(pyrender.DirectionalLight(intensity=3.0), pose=np.eye(4))
+        mesh = shot.body.mesh
+        pairs = np.stack([mesh.triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
+        unique, corners = np.unique(pairs, axis=0, return_inverse=True)
+        self.source, self.corners = unique[:, 0], corners.reshape(-1, 3)
+        image = Image.fromarray(mesh.texture)
+        visual = trimesh.visual.TextureVisuals(uv=mesh.uv[unique[:, 1]], image=image)
+        self.material = (
+            pyrender.Mesh.from_trimesh(
+                trimesh.Trimesh(mesh.vertices[self.source], self.corners, visual=visual, process=False)
+            )
+            .primitives[0]
+            .material
+        )
+        self.uv = mesh.uv[unique[:, 1]].astype(np.float32)
+        labels = np.unique(shot.body.parts)
+        self.parts = (
+            [(int(n), self.corners[shot.body.parts == n]) for n in labels] if by_part else [(1, self.corners)]
+        )
+        self.normals = NormalMaker(mesh.faces, len(mesh.vertices))
+        self.renderer = pyrender.OffscreenRenderer(*shot.camera.size)
+
+    def __call__(self, shot: Shot) -> None:
+        pyrender, k = self.pyrender, shot.camera.K
+        camera = pyrender.IntrinsicsCamera(k[0, 0], k[1, 1], k[0, 2] + 0.5, k[1, 2] + 0.5, _NEAR, _FAR)
+        pose = shot.camera.world_from_optical @ np.diag([1.0, -1.0, -1.0, 1.0])
+        nodes = [self.scene.add(camera, pose=pose)]
+        positions = shot.body.vertices[self.source]
+        normals = self.normals(shot.body.vertices)[self.source]
+        labels = {}
+        for number, triangles in self.parts:
+            primitive = pyrender.Primitive(
+                positions, normals, texcoord_0=self.uv, indices=triangles, material=self.material, mode=4
+            )
+            nodes.append(self.scene.add(pyrender.Mesh([primitive])))
+            labels[nodes[-1]] = (number, 0, 0)
+        self.renderer.render(self.scene)
+        if self.by_part:
+            self.renderer.render(self.scene, flags=pyrender.RenderFlags.SEG, seg_node_map=labels)
+        for node in nodes:
+            self.scene.remove_node(node)
+
+
+def ours(renderer: GLRenderer, channels: Sequence[str]) -> Callable[[Shot], object]:
+    # a new Body, as in a new frame: of one that it knows the renderer would keep what it has worked out
+    return lambda shot: renderer.render([replace(shot.body)], shot.camera, channels)
+
+
+def interleave(
+    contestants: dict[str, Callable[[Shot], object]], order: Sequence[Shot], rounds: int
+) -> dict[str, list[float]]:
+    """Milliseconds of each call: every contestant draws a shot before the next shot comes."""
+    times: dict[str, list[float]] = {name: [] for name in contestants}
+    for number in range(-len(order), rounds):  # the first time round warms up
+        shot = order[number % len(order)]
+        for name, draw in contestants.items():
+            start = time.perf_counter()
+            draw(shot)
+            if number >= 0:
+                times[name].append((time.perf_counter() - start) * 1e3)
+    return times
+
+
+def table(times: dict[str, list[float]], bare: str, title: str) -> list[dict[str, object]]:
+    reference = float(np.median(times[bare]))
+    print(f"\n{title:<58} {'median':>8} {'best':>8} {'x bare':>8}")
+    rows: list[dict[str, object]] = []
+    for name, values in times.items():
+        median, best = float(np.median(values)), float(np.min(values))
+        print(f"{name:<58} {median:8.2f} {best:8.2f} {median / reference:8.2f}")
+        rows.append({"what": name, "median_ms": median, "best_ms": best, "x_bare": median / reference})
+    return rows
+
+
+def stages(shot: Shot, repeat: int) -> list[dict[str, object]]:
+    """What the parts of a frame that run on the CPU cost, each on its own."""
+    topology, vertices, camera = Topology(shot.body.mesh), shot.body.vertices, shot.camera
+    posed = Posed(topology, vertices)
+    areas, facing = topology.vertex_areas, posed.facing(camera.center)
+    contour = posed.contour(facing)
+    work: dict[str, Callable[[], object]] = {
+        "area vectors of the triangles": lambda: Posed(topology, vertices).areas,
+        "area vectors and vertex normals": lambda: Posed(topology, vertices).normals,
+        "contact shadow": lambda: contact_shadow(posed.points, areas),
+        "what faces the camera": lambda: posed.facing(camera.center),
+        "contour edges": lambda: posed.contour(facing),
+        "crossings of the contour with pixels": lambda: crossings(camera, *contour),
+    }
+    print(f"\n{'stages on the CPU, ms':<58} {'median':>8} {'best':>8}")
+    rows: list[dict[str, object]] = []
+    for name, run in work.items():
+        values = []
+        for _ in range(repeat):
+            start = time.perf_counter()
+            run()
+            values.append((time.perf_counter() - start) * 1e3)
+        print(f"{name:<58} {np.median(values):8.2f} {min(values):8.2f}")
+        rows.append({"what": name, "median_ms": float(np.median(values)), "best_ms": min(values)})
+    return rows
+
+
+def cpu_time(channels: Sequence[str], rounds: int) -> None:
+    """Print CPU milliseconds per frame, all threads together, and wall-clock milliseconds, as JSON."""
+    scene = Scene.load()
+    order = [shot for shot in shots(scene, 16) if shot.camera is next(iter(scene.cameras.values()))]
+    renderer = GLRenderer(scene.static_meshes)
+    draw = ours(renderer, channels)
+    for shot in order:
+        draw(shot)
+    best_cpu, best_wall = np.inf, np.inf
+    for _ in range(rounds // len(order)):
+        before, start = resource.getrusage(resource.RUSAGE_SELF), time.perf_counter()
+        for shot in order:
+            draw(shot)
+        wall, after = time.perf_counter() - start, resource.getrusage(resource.RUSAGE_SELF)
+        cpu = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
+        best_cpu, best_wall = min(best_cpu, cpu), min(best_wall, wall)
+    print(json.dumps({"cpu_ms": best_cpu * 1e3 / len(order), "wall_ms": best_wall * 1e3 / len(order)}))
+
+
+def threads(rounds: int) -> list[dict[str, object]]:
+    """How many threads the software rasteriser should have when each camera has its own process."""
+    print(f"\n{'rgb alone, one camera per process, LP_NUM_THREADS':<58} {'CPU ms':>8} {'wall ms':>8}")
+    rows: list[dict[str, object]] = []
+    for setting in (None, "0", "1", "2"):
+        environment = {key: value for key, value in os.environ.items() if key != "LP_NUM_THREADS"}
+        if setting is not None:
+            environment["LP_NUM_THREADS"] = setting
+        command = [sys.executable, __file__, "--cpu-time", "--rounds", str(rounds)]
+        answer = json.loads(subprocess.run(command, env=environment, capture_output=True, check=True).stdout)
+        print(f"{setting or 'unset':<58} {answer['cpu_ms']:8.2f} {answer['wall_ms']:8.2f}")
+        rows.append({"LP_NUM_THREADS": setting, **answer})
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--rounds", type=int, default=120, help="frames of each contestant (default: %(default)s)"
+    )
+    parser.add_argument("--no-pyrender", action="store_true", help="leave pyrender out")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
+    parser.add_argument("--cpu-time", action="store_true", help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.cpu_time:
+        cpu_time(("rgb",), options.rounds)
+        return
+
+    scene = Scene.load()
+    order = shots(scene, 16)
+    renderer = GLRenderer(scene.static_meshes)
+    mesh = order[0].body.mesh
+    print(
+        f"{renderer.device}, {os.cpu_count()} cores; {len(mesh.triangles)} triangles, {order[0].camera.size}"
+    )
+    contestants: dict[str, Callable[[Shot], object]] = {
+        "bare draw: rgb, id, depth; no anti-aliasing": BareDraw(order[0])
+    }
+    for name, channels in (
+        ("humansim_ros: rgb (anti-aliased), depth, instance, part", CHANNELS),
+        ("humansim_ros: rgb alone", ("rgb",)),
+        ("humansim_ros: depth, instance, part", ("depth", "instance", "part")),
+    ):
+        contestants[name] = ours(renderer, channels)
+    if not options.no_pyrender:
+        for name, by_part in (
+            ("pyrender: rgb, depth", False),
+            ("pyrender: rgb, depth, SEG pass by part", True),
+        ):
+            contestants[name] = Pyrender(order[0], by_part)
+    bare = next(iter(contestants))
+    figures = {
+        "device": renderer.device,
+        "cores": os.cpu_count(),
+        "triangles": len(mesh.triangles),
+        "frames": table(interleave(contestants, order, options.rounds), bare, "ms per camera-frame"),
+        "stages": stages(order[0], options.rounds),
+        "threads": threads(options.rounds),
+    }
+    if options.json:
+        options.json.write_text(json.dumps(figures, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -149,14 +149,12 @@ def main() -> int:
     """Entry point: our errors become one line on standard error and exit code 2."""
     warnings.showwarning = _show_warning
     try:
-        app(standalone_mode=False)
+        result = app(standalone_mode=False)
     except HumansimError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130
-    except typer.Exit as stop:
-        return stop.exit_code
     except typer.Abort:
         return 1
     except Exception as error:
@@ -166,7 +164,7 @@ def main() -> int:
             print(f"error: {error.format_message()}", file=sys.stderr)
             return 2
         raise
-    return 0
+    return result if isinstance(result, int) else 0  # typer.Exit ends here as its code
 
 
 def _show_warning(message: Any, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:

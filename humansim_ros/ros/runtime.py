@@ -75,6 +75,10 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
+    except Exception:
+        if rclpy.ok():
+            raise
+        # told to stop while it was still starting: whatever rclpy made of that is no error
     finally:
         if node is not None:
             with suppress(Exception):  # the context may be gone already

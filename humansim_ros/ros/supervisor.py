@@ -79,9 +79,8 @@ class Supervisor:
                     process.wait(max(0.0, deadline - time.monotonic()))
 
     def _start(self, process: NodeProcess) -> subprocess.Popen[bytes]:
-        module = f"humansim_ros.ros.nodes.{process.executable}"
         return subprocess.Popen(
-            [sys.executable, "-m", module, *process.ros_arguments],
+            [sys.executable, "-m", "humansim_ros.ros.nodes", process.executable, *process.ros_arguments],
             env=self._environment,
             # a session of its own: Ctrl-C reaches us alone, and we stop the nodes in order
             start_new_session=True,

@@ -26,36 +26,44 @@ class _Section(BaseModel):
 class MotionConfig(_Section):
     """What a human does."""
 
-    file: str = Field("walk", description="a motion that comes with the package (walk), or a BVH file")
-    joint_names: str | None = Field(
-        None, description="joint table: a built-in name or a YAML file; found by itself if absent"
+    file: str = Field(
+        default="walk", description="a motion that comes with the package (walk), or a BVH file"
     )
-    unit: float | None = Field(None, gt=0, description="metres per file unit; found by itself if absent")
+    joint_names: str | None = Field(
+        default=None, description="joint table: a built-in name or a YAML file; found by itself if absent"
+    )
+    unit: float | None = Field(
+        default=None, gt=0, description="metres per file unit; found by itself if absent"
+    )
     position: tuple[float, float] = Field(
-        (0.0, 0.0), description="where the anchor goes: x, y in map, metres"
+        default=(0.0, 0.0), description="where the anchor goes: x, y in map, metres"
     )
     yaw_deg: float = Field(
-        0.0, description="heading of the motion's forward direction, degrees from +x to the left"
+        default=0.0, description="heading of the motion's forward direction, degrees from +x to the left"
     )
-    anchor: Literal["start", "center", "file"] = Field("start", description="what goes to position")
-    loop: Literal["none", "repeat", "continue"] = Field("repeat", description="what follows the last frame")
-    offset: float = Field(0.0, description="seconds into the motion at the start")
+    anchor: Literal["start", "center", "file"] = Field(default="start", description="what goes to position")
+    loop: Literal["none", "repeat", "continue"] = Field(
+        default="repeat", description="what follows the last frame"
+    )
+    offset: float = Field(default=0.0, description="seconds into the motion at the start")
 
 
 class HumanConfig(_Section):
     """One person."""
 
-    body: str = Field("adult_man", description="a body that comes with the package, or an .npz or .obj file")
+    body: str = Field(
+        default="adult_man", description="a body that comes with the package, or an .npz or .obj file"
+    )
     motion: MotionConfig = MotionConfig()
 
 
 class CameraConfig(_Section):
     """One camera: a pose (position, look_at, fov_deg) or a calibration (K, R, t)."""
 
-    size: tuple[int, int] = Field((640, 480), description="width, height in pixels")
+    size: tuple[int, int] = Field(default=(640, 480), description="width, height in pixels")
     position: Vector3 | None = None
     look_at: Vector3 | None = None
-    fov_deg: float | None = Field(None, gt=0, lt=180, description="horizontal field of view")
+    fov_deg: float | None = Field(default=None, gt=0, lt=180, description="horizontal field of view")
     K: tuple[Vector3, Vector3, Vector3] | None = None
     R: tuple[Vector3, Vector3, Vector3] | None = None
     t: Vector3 | None = None
@@ -78,6 +86,8 @@ class CameraConfig(_Section):
             )
         if self.fov_deg is not None and given != ["position, look_at"]:
             raise ValueError("fov_deg goes with position and look_at only")
+        if any(self.distortion) and given != ["K, R, t"]:
+            raise ValueError("distortion goes with K, R and t only")
         return self
 
 
@@ -85,9 +95,9 @@ class RoomConfig(_Section):
     """The furnished room."""
 
     size: tuple[float, float, float] = Field(
-        (7.0, 6.4, 2.8), description="length along x, width along y, height; metres"
+        default=(7.0, 6.4, 2.8), description="length along x, width along y, height; metres"
     )
-    seed: int = 1
+    seed: int = Field(default=1, ge=0, description="another seed, another room")
 
     @model_validator(mode="after")
     def _big_enough(self) -> RoomConfig:
@@ -99,13 +109,13 @@ class RoomConfig(_Section):
 class SceneConfig(_Section):
     """A scene file."""
 
-    rate: float = Field(30.0, gt=0, le=1000, description="frames per second")
-    room: RoomConfig | None = Field(RoomConfig(), description="null for an empty world")
+    rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
+    room: RoomConfig | None = Field(default=RoomConfig(), description="null for an empty world")
     humans: dict[Name, HumanConfig] = Field(default_factory=dict)
     cameras: dict[Name, CameraConfig]
 
     @model_validator(mode="after")
-    def _names_differ(self) -> SceneConfig:
+    def _something_to_see(self) -> SceneConfig:
         if not self.cameras:
             raise ValueError("a scene needs at least one camera")
         if len(self.humans) > 65535:
@@ -117,14 +127,17 @@ def load_config(path: str | os.PathLike[str]) -> SceneConfig:
     """Read and check a scene file. Raises SceneError with file, line and key."""
     text = read_text(path, SceneError, "scene")
     try:
-        data = yaml.safe_load(text)
         tree = yaml.compose(text, Loader=yaml.SafeLoader)
+        _refuse_repeated_keys(tree, path)
+        data = yaml.safe_load(text)
     except yaml.YAMLError as reason:
         mark = getattr(reason, "problem_mark", None)
         line = None if mark is None else mark.line + 1
         raise SceneError(
             f"not valid YAML: {getattr(reason, 'problem', None) or reason}", path=path, line=line
         ) from None
+    except (ValueError, RecursionError) as reason:  # an impossible date, brackets without end
+        raise SceneError(f"not valid YAML: {reason}", path=path) from None
     if not isinstance(data, dict):
         raise SceneError("a scene is a mapping with 'humans' and 'cameras'", path=path)
     try:
@@ -138,6 +151,26 @@ def load_config(path: str | os.PathLike[str]) -> SceneConfig:
         raise SceneError(
             message, path=path, line=_line_of(tree, keys), key=".".join(map(str, keys)) or None
         ) from None
+
+
+def _refuse_repeated_keys(root: yaml.Node | None, path: str | os.PathLike[str]) -> None:
+    """YAML readers take the last of two equal keys: a camera would be lost without a word."""
+    pending, seen = [root], set[int]()
+    while pending:
+        node = pending.pop()
+        if id(node) in seen or not isinstance(node, yaml.CollectionNode):
+            continue
+        seen.add(id(node))
+        if isinstance(node, yaml.SequenceNode):
+            pending += node.value
+            continue
+        keys: set[str] = set()
+        for key, value in node.value:
+            if isinstance(key.value, str) and key.value in keys and key.value != "<<":
+                line = key.start_mark.line + 1
+                raise SceneError("this key is here a second time", path=path, line=line, key=key.value)
+            keys.add(str(key.value))
+            pending.append(value)
 
 
 def _known_keys(keys: list[Any]) -> str:
@@ -166,16 +199,17 @@ def _line_of(node: Any, keys: list[Any]) -> int | None:
     return line
 
 
-def find_file(name: str, folder: str, suffix: str, base: Path, key: str) -> Path:
-    """A file named in a scene: a built-in of ``assets/<folder>`` by its bare name, or a path from the scene
-    file's folder.
+def find_file(name: str, folder: str, suffix: str, scene: Path, key: str) -> Path:
+    """A file named in a scene: a built-in of ``assets/<folder>``, or a path from the scene's folder.
+
+    Raises SceneError naming the scene file and ``key`` if there is no such file.
     """
     built_in = resource_path(f"assets/{folder}")
     if (built_in / f"{name}{suffix}").is_file():
         return built_in / f"{name}{suffix}"
-    path = Path(name).expanduser()
-    path = path if path.is_absolute() else base / path
-    if not path.suffix and not path.exists():
+    path = scene.resolve().parent / Path(name).expanduser()
+    if not path.exists():
         known = ", ".join(sorted(p.stem for p in built_in.glob(f"*{suffix}")))
-        raise SceneError(f"no {name!r} among the built-in {folder} ({known}), and no such file", key=key)
+        where = f"no such file {str(path)!r}" if Path(name).suffix else f"no {name!r}"
+        raise SceneError(f"{where}; the built-in {folder} are {known}", path=scene, key=key)
     return path

@@ -113,16 +113,15 @@ class Scene:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
-        """Load a scene file (the demo scene if none is given). Raises HumansimError naming file, line or key."""
+        """Load a scene file (the demo scene if none is given). Raises HumansimError naming file and key."""
         path = resource_path(DEMO_SCENE) if path is None else Path(path)
         return cls.build(load_config(path), path)
 
     @classmethod
     def build(cls, config: SceneConfig, path: Path) -> Scene:
         """The scene of a checked configuration; files it names are looked for from the folder of ``path``."""
-        base = path.resolve().parent
         actors = {
-            name: _actor(name, number, human, base)
+            name: _actor(name, number, human, path)
             for number, (name, human) in enumerate(config.humans.items(), 1)
         }
         cameras = {}
@@ -140,7 +139,7 @@ class Scene:
         return 1 / self.config.rate
 
     def frame_time(self, index: int) -> int:
-        """Nanoseconds from the start to frame ``index``: round(index * period), so that errors do not add up."""
+        """Nanoseconds from the start to frame ``index``: round(index * period), so that no error adds up."""
         return round(index * 1_000_000_000 / self.config.rate)
 
     @cached_property
@@ -150,15 +149,15 @@ class Scene:
         return [] if room is None else furnished_room(room.size, room.seed)
 
 
-def _actor(name: str, instance: int, config: HumanConfig, base: Path) -> Actor:
+def _actor(name: str, instance: int, config: HumanConfig, scene: Path) -> Actor:
     key = f"humans.{name}"
-    human = Human.load(find_file(config.body, "humans", ".npz", base, f"{key}.body"))
+    human = Human.load(find_file(config.body, "humans", ".npz", scene, f"{key}.body"))
     chosen = config.motion
-    path = find_file(chosen.file, "motions", ".bvh", base, f"{key}.motion.file")
+    path = find_file(chosen.file, "motions", ".bvh", scene, f"{key}.motion.file")
     motion = read_bvh(path)
     table = chosen.joint_names
-    if table is not None and (base / table).is_file():
-        table = str(base / table)
+    if table is not None and (scene.resolve().parent / table).is_file():
+        table = str(scene.resolve().parent / table)
     match = find_match(motion.joint_names, table, path)
     placement = Placement(chosen.position, float(np.radians(chosen.yaw_deg)), chosen.anchor)
     world = WorldMotion(motion, match, understand(motion, match, chosen.unit), placement, chosen.loop)

@@ -43,7 +43,7 @@ def view_joints(
     optical = camera.to_optical(positions)
     pixels, _ = camera.project_optical(optical)
     width, height = camera.size
-    inside = ((pixels > -0.5) & (pixels < np.array([width, height]) - 0.5)).all(-1)
+    inside = np.all((pixels > -0.5) & (pixels < np.array([width, height]) - 0.5), axis=-1)
     column, row = np.where(inside[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(int).T
     own = view.instance[row, column] == instance
     near = surfaces[np.arange(len(positions)), view.part[row, column]]

@@ -147,7 +147,7 @@ def _describe(scene: Any) -> None:
 
 def main() -> int:
     """Entry point: our errors become one line on standard error and exit code 2."""
-    warnings.showwarning = _show_warning
+    warnings.showwarning = _show_warning  # type: ignore[assignment]  # a narrower one is enough here
     try:
         result = app(standalone_mode=False)
     except HumansimError as error:

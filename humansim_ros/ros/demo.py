@@ -4,6 +4,7 @@ arrived.
 
 from __future__ import annotations
 
+import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -29,6 +30,12 @@ _START_LIMIT = 60.0
 _VIDEO_WIDTH = 480
 #: Newest instants that are held until one of them has arrived from all cameras.
 _INSTANTS = 20
+#: Number type and channels of the image encodings that are shown.
+_ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
+    "rgb8": (np.uint8, (3,)),
+    "32FC1": (np.float32, ()),
+    "mono8": (np.uint8, ()),
+}
 
 
 def record_demo(scene_path: Path, output: Path, duration: float) -> bool:
@@ -38,27 +45,10 @@ def record_demo(scene_path: Path, output: Path, duration: float) -> bool:
     console = Console()
     scene = Scene.load(scene_path)
     output.mkdir(parents=True, exist_ok=True)
-    started = time.monotonic()
     with Supervisor(scene_processes(scene_path)) as nodes, _Listener(scene) as listener:
-        with _progress(console) as progress:
-            task = progress.add_task("starting the nodes", total=None)
-            while not listener.complete:
-                if time.monotonic() - started > _START_LIMIT or nodes.dead():
-                    progress.stop()
-                    _explain(console, nodes.dead(), listener.silent)
-                    return False
-                listener.spin(0.1)
-            listener.reset()
-            progress.update(task, description="recording", total=duration)
-            begin = time.monotonic()
-            while (passed := time.monotonic() - begin) < duration:
-                listener.spin(0.1)
-                progress.update(task, completed=min(passed, duration))
-                if nodes.dead():
-                    progress.stop()
-                    _explain(console, nodes.dead(), [])
-                    return False
-            seconds = time.monotonic() - begin
+        seconds = _listen(nodes, listener, duration, console)
+    if seconds is None:
+        return False
     with _progress(console) as progress:
         task = progress.add_task("writing pictures", total=2)
         pictures.write_png(output / "contact_sheet.png", _contact_sheet(scene, listener))
@@ -71,6 +61,26 @@ def record_demo(scene_path: Path, output: Path, duration: float) -> bool:
     for name in ("contact_sheet.png", "walk.mp4"):
         console.print(f"wrote {output / name}")
     return True
+
+
+def _listen(nodes: Supervisor, listener: _Listener, duration: float, console: Console) -> float | None:
+    """Wait until every topic speaks, then collect for ``duration``: the seconds it took, None if a node died."""
+    with _progress(console) as progress:
+        task = progress.add_task("starting the nodes", total=None)
+        limit = time.monotonic() + _START_LIMIT
+        while listener.silent and not nodes.dead() and time.monotonic() < limit:
+            listener.spin(0.1)
+        silent = listener.silent
+        listener.reset()
+        progress.update(task, description="recording", total=duration)
+        begin = time.monotonic()
+        while not silent and not nodes.dead() and time.monotonic() < begin + duration:
+            listener.spin(0.1)
+            progress.update(task, completed=time.monotonic() - begin)
+    if silent or nodes.dead():
+        _explain(console, nodes.dead(), silent)
+        return None
+    return time.monotonic() - begin
 
 
 def _explain(console: Console, dead: tuple[str, int] | None, silent: list[str]) -> None:
@@ -102,10 +112,10 @@ class _Listener:
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self.types: dict[str, str] = {}
-        self.sizes: dict[str, int] = {}
+        self.bytes: Counter[str] = Counter()
         self.messages: Counter[str] = Counter()
-        self._waiting: dict[int, dict[str, Any]] = {}
-        self.sheet: dict[str, Any] = {}
+        self._waiting: dict[int, dict[str, bytes]] = {}
+        self.sheet: dict[str, bytes] = {}
         self.small: dict[int, dict[str, Any]] = {}
         topics: list[tuple[str, Any]] = []
         for human in scene.actors:
@@ -117,9 +127,10 @@ class _Listener:
             topics += [(topic, Image) for topic in images]
             topics += [(f"/{camera}/camera_info", CameraInfo), (f"/{camera}/joints", PointCloud2)]
             self._sheet_topics += [*images, f"/{camera}/joints"]
+        self._kinds = dict(topics)
         for topic, kind in topics:
             self.types[topic] = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
-            self._node.create_subscription(kind, topic, self._taker(topic), qos_profile_sensor_data)
+            self._node.create_subscription(kind, topic, self._taker(topic), qos_profile_sensor_data, raw=True)
 
     def __enter__(self) -> _Listener:
         return self
@@ -135,19 +146,16 @@ class _Listener:
         """Topics that have not spoken yet."""
         return [topic for topic in self.types if not self.messages[topic]]
 
-    @property
-    def complete(self) -> bool:
-        return not self.silent
-
     def spin(self, seconds: float) -> None:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            # always the same timeout: with another one rclpy starts its round of ready topics anew, and the first
-            # topics starve the last
+            # always the same timeout: with another one rclpy starts its round of ready topics anew, and the
+            # first topics starve the last
             self._executor.spin_once(timeout_sec=0.05)
 
     def reset(self) -> None:
         self.messages.clear()
+        self.bytes.clear()
         self.small.clear()
 
     def equal_stamps(self) -> tuple[int, int]:
@@ -156,34 +164,42 @@ class _Listener:
             self.small
         )
 
-    def _taker(self, topic: str) -> Callable[[Any], None]:
+    def _taker(self, topic: str) -> Callable[[bytes], None]:
+        """Callback for a topic's serialised messages: only what is shown is turned into messages."""
         camera = topic.split("/")[1]
-        is_picture = topic.endswith("/image_raw")
 
-        def take(message: Any) -> None:
-            from rclpy.serialization import serialize_message
-
-            from humansim_ros.ros.messages import to_nanoseconds
-
-            stamp = to_nanoseconds(message.header.stamp)
+        def take(data: bytes) -> None:
+            # after four bytes that say how it is encoded, every stamped message begins with its stamp
+            seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+            stamp = seconds * 1_000_000_000 + nanoseconds
             self.messages[topic] += 1
-            if topic not in self.sizes:
-                self.sizes[topic] = len(serialize_message(message))
-            if is_picture:
-                image = np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)
-                height = round(message.height * _VIDEO_WIDTH / message.width)
-                small = cv2.resize(image, (_VIDEO_WIDTH, height), interpolation=cv2.INTER_AREA)
-                self.small.setdefault(stamp, {})[camera] = small
+            self.bytes[topic] += len(data)
+            if topic.endswith("/image_raw"):
+                image = self.image(topic, data)
+                size = (_VIDEO_WIDTH, round(image.shape[0] * _VIDEO_WIDTH / image.shape[1]))
+                self.small.setdefault(stamp, {})[camera] = cv2.resize(image, size)
             if topic in self._sheet_topics:
-                self._keep_for_sheet(stamp, topic, message)
+                self._keep_for_sheet(stamp, topic, data)
 
         return take
 
-    def _keep_for_sheet(self, stamp: int, topic: str, message: Any) -> None:
+    def message(self, topic: str, data: bytes) -> Any:
+        """The message of some serialised bytes."""
+        from rclpy.serialization import deserialize_message
+
+        return deserialize_message(data, self._kinds[topic])
+
+    def image(self, topic: str, data: bytes) -> Any:
+        """The array of an image message's bytes."""
+        message = self.message(topic, data)
+        kind, channels = _ARRAYS[message.encoding]
+        return np.frombuffer(message.data, kind).reshape(message.height, message.width, *channels)
+
+    def _keep_for_sheet(self, stamp: int, topic: str, data: bytes) -> None:
         """Hold the messages of the newest few stamps until one instant is there whole; the latest such is
         shown.
         """
-        self._waiting.setdefault(stamp, {})[topic] = message
+        self._waiting.setdefault(stamp, {})[topic] = data
         if len(self._waiting[stamp]) == len(self._sheet_topics):
             self.sheet = self._waiting[stamp]
         for old in sorted(self._waiting)[:-_INSTANTS]:
@@ -199,11 +215,12 @@ def _contact_sheet(scene: Scene, listener: _Listener) -> pictures.Image:
         )
     rows = []
     for camera in scene.cameras:
-        rgb, depth, part = (
-            listener.sheet[f"/{camera}/{kind}"] for kind in ("image_raw", "depth/image", "part/image")
+        image, depth, part = (
+            listener.image(topic, listener.sheet[topic])
+            for topic in (f"/{camera}/{kind}" for kind in ("image_raw", "depth/image", "part/image"))
         )
-        image = np.frombuffer(rgb.data, np.uint8).reshape(rgb.height, rgb.width, 3)
-        points = read_joint_view(listener.sheet[f"/{camera}/joints"])
+        joints = f"/{camera}/joints"
+        points = read_joint_view(listener.message(joints, listener.sheet[joints]))
         drawn = image
         for actor in scene.actors.values():
             own = points[points["human"] == actor.instance]
@@ -217,10 +234,8 @@ def _contact_sheet(scene: Scene, listener: _Listener) -> pictures.Image:
             [
                 image,
                 drawn,
-                pictures.color_depth(
-                    np.frombuffer(depth.data, np.float32).reshape(depth.height, depth.width)
-                ),
-                pictures.color_labels(np.frombuffer(part.data, np.uint8).reshape(part.height, part.width)),
+                pictures.color_depth(depth),
+                pictures.color_labels(part),
             ]
         )
     titles = ("image_raw", "image_raw with joints", "depth/image", "part/image")
@@ -247,7 +262,6 @@ def _table(listener: _Listener, seconds: float) -> Table:
         table.add_column(column, justify="right")
     for topic, kind in listener.types.items():
         number = listener.messages[topic]
-        rate = number / seconds
-        size = rate * listener.sizes.get(topic, 0) / 1e6
-        table.add_row(topic, kind, str(number), f"{rate:.1f}", f"{size:.2f}")
+        megabytes = listener.bytes[topic] / 1e6 / seconds
+        table.add_row(topic, kind, str(number), f"{number / seconds:.1f}", f"{megabytes:.2f}")
     return table

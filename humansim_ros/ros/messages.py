@@ -239,7 +239,7 @@ def image_message(image: NDArray[Any], encoding: str, stamp: int, frame: str) ->
 
 
 def _fill(message: Any, data: NDArray[Any]) -> None:
-    """Put bytes into ``message.data`` as they are: assigning to ``data`` itself would check them one by one."""
+    """Put bytes into ``message.data`` as they are: assigning to ``data`` would check them one by one."""
     message._data = np.ascontiguousarray(data).reshape(-1).view(np.uint8)
 
 

@@ -7,6 +7,9 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.body.skeleton import Skeleton
@@ -15,6 +18,10 @@ from humansim_ros.rotations import Array
 
 #: Slices of a standing person, as fractions of the height: where the ankles and the trunk are.
 _ANKLES, _FEET = (0.03, 0.08), (0.0, 0.05)
+#: Height of the hip joints as a fraction of the height (Drillis and Contini, 1966). The general skeleton has
+#: them lower, where the legs part: a thigh that turned there would fold in the middle.
+_HIPS = 0.53
+_NO_LIMB = "no limb where a person in a T or A pose has one: stand the mesh upright, arms out or down"
 
 
 def fit_to_skeleton(mesh: Mesh, skeleton: Skeleton) -> Mesh:
@@ -53,6 +60,7 @@ def fit_limbs(skeleton: Skeleton, mesh: Mesh) -> Skeleton:
             tails[parent] = point
 
     height = skeleton.tails[:, 1].max()
+    ways = _ways_along_skin(mesh, 0.02 * height)
     for side, sign in (("l", 1.0), ("r", -1.0)):
         half = mesh.vertices[mesh.vertices[:, 0] * sign > 0]
         hip, knee, ankle = (
@@ -66,7 +74,7 @@ def fit_limbs(skeleton: Skeleton, mesh: Mesh) -> Skeleton:
         thigh_at = _section(
             legs, np.array([0.0, 0.9 * hip[1], 0.0]), np.array([0.0, 1.0, 0.0]), 0.012 * height
         )
-        hip_at = np.array([hip[0], hip[1], thigh_at[2]])
+        hip_at = np.array([hip[0], _HIPS * height, thigh_at[2]])
         for name, point in (("hip", hip_at), ("knee", knee_at), ("ankle", ankle_at)):
             move(f"{side}_{name}", point)
         toes = half[(half[:, 1] < 0.05 * height)]
@@ -76,35 +84,74 @@ def fit_limbs(skeleton: Skeleton, mesh: Mesh) -> Skeleton:
             toes[:, 2].max(),
         ]
 
-        shoulder = skeleton.heads[skeleton.bone(f"{side}_shoulder")]
-        tip = half[np.argmax(np.abs(half[:, 0]))]  # of the longest finger
-        along = (tip - shoulder) / np.linalg.norm(tip - shoulder)
-        reach = (half - shoulder) @ along
-        arm = half[
-            (reach > 0) & (np.linalg.norm(half - shoulder - reach[:, None] * along, axis=1) < 0.1 * height)
-        ]
-        length = np.linalg.norm(tip - shoulder)
-        bones = [skeleton.lengths[skeleton.bone(f"{side}_{name}")] for name in ("shoulder", "elbow", "wrist")]
-        shares = np.cumsum(bones) / np.sum(bones)
-        elbow_at = _section(arm, shoulder + shares[0] * length * along, along, 0.012 * height)
-        wrist_at = _section(arm, shoulder + shares[1] * length * along, along, 0.012 * height)
-        upper_at = _section(arm, shoulder + 0.45 * shares[0] * length * along, along, 0.012 * height)
-        axis = (elbow_at - upper_at) / (elbow_at - upper_at)[0]
-        shoulder_at = upper_at + axis * (shoulder[0] - upper_at[0])
-        for name, point in (("shoulder", shoulder_at), ("elbow", elbow_at), ("wrist", wrist_at)):
+        joints, tip = _arm(mesh.vertices, ways, skeleton, side, sign)
+        for name, point in zip(("shoulder", "elbow", "wrist"), joints, strict=True):
             move(f"{side}_{name}", point)
         tails[skeleton.bone(f"{side}_wrist")] = tip
     return replace(skeleton, heads=heads, tails=tails)
 
 
+def _arm(
+    vertices: Array, ways: csr_matrix, skeleton: Skeleton, side: str, sign: float
+) -> tuple[tuple[Array, Array, Array], Array]:
+    """Shoulder, elbow and wrist (3,) in the middle of an arm that points anywhere, and its finger tip (3,).
+
+    Distances along the skin from the finger tip follow the arm however it is held and bent: bands of equal
+    distance go round the arm alone, where planes across it would cut the trunk as well.
+    """
+    height = skeleton.tails[:, 1].max()
+    bones = [skeleton.lengths[skeleton.bone(f"{side}_{name}")] for name in ("shoulder", "elbow", "wrist")]
+    upper_share = bones[0] / sum(bones)
+    shoulder = skeleton.heads[skeleton.bone(f"{side}_shoulder")]
+    tip = int(np.argmax(vertices[:, 0] * sign))
+    distance = dijkstra(ways, directed=False, indices=tip, limit=0.7 * height)
+    reach = distance[np.argmin(np.linalg.norm(vertices - shoulder, axis=1))]
+    if not np.isfinite(reach):
+        raise MeshError("an arm is not joined to the trunk: the mesh is in pieces, far apart")
+
+    def band(share: float) -> Array:
+        return _middle(vertices[np.abs(distance - share * reach) < 0.012 * height])
+
+    elbow, higher = band(1 - upper_share), band(1 - 0.45 * upper_share)
+    along = (higher - elbow) / np.linalg.norm(higher - elbow)
+    forearm = vertices[tip] - elbow
+    wrist = _section(
+        vertices[distance < (1 - upper_share) * reach],
+        elbow + bones[1] / (bones[1] + bones[2]) * forearm,
+        forearm / np.linalg.norm(forearm),
+        0.012 * height,
+    )
+    upper = elbow + along * upper_share * reach
+    # an arm is about 0.4 of the height long
+    if np.linalg.norm(upper - shoulder) > 0.1 * height or reach < 0.3 * height:
+        raise MeshError(_NO_LIMB)
+    return (upper, elbow, wrist), vertices[tip]
+
+
+def _ways_along_skin(mesh: Mesh, gap: float) -> csr_matrix:
+    """Lengths (V, V) of the mesh's edges, and of the gaps between its pieces."""
+    vertices = mesh.vertices
+    edges = mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    # a few nearest vertices too: seams have their vertices twice, hands end in sleeves
+    near, neighbours = cKDTree(vertices).query(vertices, k=min(6, len(vertices)), distance_upper_bound=gap)
+    first, column = np.nonzero(np.isfinite(near[:, 1:]))
+    edges = np.vstack([edges, np.column_stack([first, neighbours[first, column + 1]])])
+    edges = np.unique(np.sort(edges, axis=1), axis=0)
+    # zero would mean no edge
+    length = np.maximum(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1), 1e-9)
+    return csr_matrix((length, (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)
+
+
 def _section(points: Array, at: Array, normal: Array, thickness: float) -> Array:
     """Middle of the cross-section of a limb: the box centre of the points within ``thickness`` of a plane."""
-    near = points[np.abs((points - at) @ normal) < thickness]
-    if len(near) < 4:
-        raise MeshError(
-            "no limb where a person in a T or A pose has one: stand the mesh upright, arms out or down"
-        )
-    return np.asarray((near.min(0) + near.max(0)) / 2)
+    return _middle(points[np.abs((points - at) @ normal) < thickness])
+
+
+def _middle(points: Array) -> Array:
+    """Centre of the box around the points of a cross-section."""
+    if len(points) < 4:
+        raise MeshError(_NO_LIMB)
+    return np.asarray((points.min(0) + points.max(0)) / 2)
 
 
 def _slice(points: Array, low: float, high: float) -> Array:

@@ -1,9 +1,8 @@
 """Anti-aliasing where it shows: the outlines of bodies, blended by where exactly they cross a pixel.
 
-The picture is drawn with one sample a pixel. An outline that crosses the line between the centres of two
-neighbouring pixels leaves the one whose centre is nearer with a share of the other's surface: 0.5 less the
-distance from the crossing to that centre. This share is blended in (E. Persson, Geometric Post-process
-Anti-Aliasing, 2011).
+The picture is drawn with one sample a pixel. Where an outline crosses the line between the centres of two
+neighbouring pixels, it leaves each with a share of the other's surface, which follows from the place and the
+slope of the crossing. This share is blended in (after E. Persson, Geometric Post-process Anti-Aliasing).
 """
 
 from __future__ import annotations
@@ -19,6 +18,8 @@ from humansim_ros.rotations import Array
 
 #: A surface that curves away is nearer than its outline by less than this, metres, half a pixel inside it.
 _RIM = 0.1
+#: Vertices are drawn on a grid of 1/256 pixel: an edge may pass a centre on the other side than computed.
+_SNAP = 1 / 128
 
 
 @dataclass(frozen=True)
@@ -61,8 +62,29 @@ def _crossings(
     other = centre + np.where(y < centre, -1, 1)
     inside = np.flatnonzero((np.minimum(centre, other) >= 0) & (np.maximum(centre, other) < size[1]))
     x, y, inverse, centre, other = (values[inside] for values in (x, y, inverse, centre, other))
-    pixel, neighbour = (x * stride[0] + row.astype(np.intp) * stride[1] for row in (centre, other))
-    return pixel, neighbour, 0.5 - np.abs(y - centre), 1 / inverse
+    nearer, farther = (x * stride[0] + row.astype(np.intp) * stride[1] for row in (centre, other))
+    slope = np.minimum(
+        np.abs(way[inside, 1] / way[inside, 0]), 1
+    )  # what is steeper is found along the other axis
+    distance, depth = np.abs(y - centre), 1 / inverse
+    both = np.flatnonzero(distance + slope / 2 > 0.5)
+    # right on a centre either neighbour may be the one on the other side
+    tie = np.flatnonzero((distance < _SNAP) & (2 * centre - other >= 0) & (2 * centre - other < size[1]))
+    return (
+        np.concatenate([nearer, farther[both], nearer[tie]]),
+        np.concatenate([farther, nearer[both], 2 * nearer[tie] - farther[tie]]),
+        np.concatenate(
+            [_share(distance, slope), _share(1 - distance[both], slope[both]), 0.5 - distance[tie]]
+        ),
+        np.concatenate([depth, depth[both], depth[tie]]),
+    )
+
+
+def _share(distance: Array, slope: Array) -> Array:
+    """How much of a pixel lies beyond an edge that crosses at a distance from its centre; at most half."""
+    # over the pixel's width the edge goes up and down by half the slope, and may leave the pixel
+    corner = np.maximum(0.5 + slope / 2 - distance, 0)
+    return np.where(distance + slope / 2 > 0.5, corner**2 / np.maximum(2 * slope, 1e-9), 0.5 - distance)
 
 
 def blend(image: NDArray[np.uint8], depth: NDArray[np.float32], outline: Crossings) -> None:
@@ -70,7 +92,7 @@ def blend(image: NDArray[np.uint8], depth: NDArray[np.float32], outline: Crossin
     z, z_neighbour = depth.ravel()[outline.pixel], depth.ravel()[outline.neighbour]
     # what lies in front is the outlined surface, not something that hides it; and something lies behind
     front, behind = np.minimum(z, z_neighbour), np.maximum(z, z_neighbour)
-    seen = np.flatnonzero((front > outline.depth - _RIM) & (behind > outline.depth))
+    seen = np.flatnonzero((np.abs(front - outline.depth) < _RIM) & (behind > outline.depth))
     # where outlines share a pixel the largest share counts: along a slanted edge it is the right one of two
     order = seen[np.argsort(outline.share[seen], kind="stable")]
     pixel, share = outline.pixel[order], outline.share[order, None].astype(np.float32)

@@ -22,9 +22,8 @@ class Body:
     """A moving surface as it stands in one frame.
 
     ``mesh``: its topology and looks (its own vertices are not used). ``vertices``: (V, 3) float32, ``map``,
-    metres.
-    ``parts``: (N,) uint8 part label of each of ``mesh.triangles``. ``instance``: label of this body, 1 to
-    65535.
+    metres. ``parts``: (N,) uint8 part label of each of ``mesh.triangles``. ``instance``: label of this body
+    and of no other, 1 to 65535. Make a new Body for a new frame: renderers keep what they worked out of one.
     """
 
     mesh: Mesh
@@ -65,6 +64,7 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
     unknown = set(channels) - set(CHANNELS)
     if unknown:
         raise RenderError(f"no such channel: {', '.join(sorted(unknown))}; there are {', '.join(CHANNELS)}")
+    labels = [body.instance for body in bodies]
     for body in bodies:
         if body.vertices.shape != body.mesh.vertices.shape:
             raise RenderError(
@@ -74,3 +74,8 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
             raise RenderError(f"a vertex of body {body.instance} is not finite (NaN or infinity)")
         if not 0 < body.instance < 65536:
             raise RenderError(f"an instance label must be 1 to 65535, not {body.instance}")
+        if labels.count(body.instance) > 1:
+            raise RenderError(f"two bodies cannot be told apart: instance label {body.instance} twice")
+        if body.parts.shape != (len(body.mesh.triangles),):
+            n = len(body.mesh.triangles)
+            raise RenderError(f"part labels of shape {body.parts.shape} do not fit a mesh of {n} triangles")

@@ -1,0 +1,94 @@
+"""Things to render in tests: flat quads, boxes, and people in mid-stride."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from numpy.typing import ArrayLike, NDArray
+
+from humansim_ros.body import Mesh
+from humansim_ros.camera import Camera
+from humansim_ros.errors import RenderError
+from humansim_ros.render import Body, GLRenderer, Lighting
+from humansim_ros.scene import Scene
+
+#: Even light: a white surface is white whichever way it looks.
+EVEN = Lighting(sun_color=(0, 0, 0), sky_color=(1, 1, 1), ground_color=(1, 1, 1), background=(0, 0, 0))
+
+
+def renderer_or_skip(static: Iterable[Mesh] = (), lighting: Lighting | None = None) -> GLRenderer:
+    try:
+        return GLRenderer(tuple(static), lighting)
+    except RenderError as reason:
+        pytest.skip(str(reason))
+
+
+def quad(corners: ArrayLike, color: tuple[int, int, int] = (255, 255, 255)) -> Mesh:
+    """A quad, its front where the corners run counter-clockwise."""
+    colors = np.tile(np.array(color, np.uint8), (4, 1))
+    return Mesh(np.array(corners, float), np.array([[0, 1, 2, 3]], np.int32), colors=colors)
+
+
+def wall(x: float, y: float, z: float, half: float, color: tuple[int, int, int] = (255, 255, 255)) -> Mesh:
+    """A square that faces -x."""
+    corners = [
+        (x, y + half, z - half),
+        (x, y - half, z - half),
+        (x, y - half, z + half),
+        (x, y + half, z + half),
+    ]
+    return quad(corners, color)
+
+
+def box(centre: ArrayLike, half: float) -> Mesh:
+    """A closed cube."""
+    signs = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
+    faces = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    return Mesh(np.array(centre) + half * signs, np.array(faces, np.int32))
+
+
+def body(mesh: Mesh, instance: int = 1, part: int = 1) -> Body:
+    parts = np.full(len(mesh.triangles), part, np.uint8)
+    return Body(mesh, mesh.vertices.astype(np.float32), parts, instance)
+
+
+def along_x(size: tuple[int, int] = (320, 240), focal: float = 300.0) -> Camera:
+    """At the origin, one metre up, looking along +x."""
+    k = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
+    r = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
+    return Camera(size, k, r, -r @ np.array([0, 0, 1.0]))
+
+
+def oblique(position: ArrayLike, target: ArrayLike) -> Camera:
+    """Principal point off centre, pixels that are not square, and skew."""
+    straight = Camera.look_at(position, target, (640, 480), 1.0)
+    k = np.array([[610.3, 13.7, 287.4], [0, 553.8, 268.9], [0, 0, 1]])
+    return Camera((640, 480), k, straight.R, straight.t)
+
+
+def walkers(scene: Scene, seconds: float, places: Iterable[tuple[float, float]] = ((0, 0),)) -> list[Body]:
+    """The scene's first human at a moment, once for each place that it is moved to."""
+    actor = next(iter(scene.actors.values()))
+    vertices = actor.at(seconds).vertices
+    vertices = vertices - np.float32([*vertices[:, :2].mean(0), 0])
+    bodies = []
+    for number, (x, y) in enumerate(places, 1):
+        here = (vertices + np.float32([x, y, 0])).astype(np.float32)
+        bodies.append(Body(actor.human.mesh, here, actor.human.triangle_parts, number))
+    return bodies
+
+
+def finer(camera: Camera, factor: int) -> Camera:
+    """The same camera with every pixel cut into ``factor`` x ``factor``."""
+    k = camera.K.copy()
+    k[:2] *= factor
+    k[:2, 2] += (factor - 1) / 2
+    return Camera((camera.size[0] * factor, camera.size[1] * factor), k, camera.R, camera.t)
+
+
+def block_means(image: NDArray[np.generic], factor: int) -> NDArray[np.float64]:
+    height, width = image.shape[0] // factor, image.shape[1] // factor
+    blocks = image.reshape(height, factor, width, factor, -1).astype(float).mean(axis=(1, 3))
+    return blocks[..., 0] if image.ndim == 2 else blocks

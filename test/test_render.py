@@ -1,0 +1,340 @@
+"""What a renderer promises: labels, colours, borderline views and bad input."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from render_scenes import EVEN, along_x, body, box, quad, renderer_or_skip, walkers, wall
+
+from humansim_ros.camera import Camera
+from humansim_ros.errors import RenderError
+from humansim_ros.render import CHANNELS, Body, GLRenderer, Lighting, View
+from humansim_ros.scene import Scene
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene.load()
+
+
+@pytest.fixture(scope="module")
+def empty() -> Iterator[GLRenderer]:
+    renderer = renderer_or_skip(lighting=EVEN)
+    yield renderer
+    renderer.close()
+
+
+@pytest.fixture(scope="module")
+def room(scene: Scene) -> Iterator[GLRenderer]:
+    renderer = renderer_or_skip(scene.static_meshes)
+    yield renderer
+    renderer.close()
+
+
+def assert_same(a: View, b: View) -> None:
+    for channel in CHANNELS:
+        np.testing.assert_array_equal(getattr(a, channel), getattr(b, channel), err_msg=channel)
+
+
+# labels and depth
+
+
+def test_background_is_labelled_zero_and_endlessly_far(empty: GLRenderer) -> None:
+    view = empty.render([], along_x())
+    assert view.rgb.shape == (240, 320, 3) and view.rgb.dtype == np.uint8 and not view.rgb.any()
+    assert view.depth.dtype == np.float32 and np.isposinf(view.depth).all()
+    assert view.instance.dtype == np.uint16 and not view.instance.any()
+    assert view.part.dtype == np.uint8 and not view.part.any()
+
+
+def test_only_the_asked_channels_come(empty: GLRenderer) -> None:
+    for channel in CHANNELS:
+        view = empty.render([body(wall(3, 0, 1, 0.5))], along_x(), [channel])
+        assert [name for name in CHANNELS if getattr(view, name) is not None] == [channel]
+
+
+def test_a_channel_does_not_depend_on_what_else_is_asked(room: GLRenderer, scene: Scene) -> None:
+    bodies, camera = walkers(scene, 0.4), scene.cameras["camera_1"]
+    everything = room.render(bodies, camera)
+    for channel in CHANNELS:
+        alone = room.render(bodies, camera, [channel])
+        np.testing.assert_array_equal(getattr(alone, channel), getattr(everything, channel), err_msg=channel)
+
+
+def test_nearer_bodies_hide_farther_ones(empty: GLRenderer) -> None:
+    near, far = body(wall(2, 0, 1, 0.2), 65535, 255), body(wall(4, 0, 1, 1.0), 300, 7)
+    for bodies in ([near, far], [far, near]):
+        view = empty.render(bodies, along_x())
+        assert view.instance[120, 160] == 65535 and view.part[120, 160] == 255
+        assert view.instance[120, 100] == 300 and view.part[120, 100] == 7
+        assert view.depth[120, 160] == pytest.approx(2, abs=1e-5)
+        assert view.depth[120, 100] == pytest.approx(4, abs=1e-5)
+
+
+def test_labels_are_never_blended(empty: GLRenderer, scene: Scene) -> None:
+    actor = next(iter(scene.actors.values()))
+    bodies = [
+        replace(b, instance=n)
+        for b, n in zip(walkers(scene, 0.2, [(3, 0), (3.4, 0.2)]), (5, 900), strict=True)
+    ]
+    view = empty.render(bodies, along_x())
+    assert set(np.unique(view.instance)) == {0, 5, 900}
+    assert set(np.unique(view.part)) <= {0, *actor.human.triangle_parts.tolist()}
+    np.testing.assert_array_equal(view.instance > 0, view.part > 0)
+    np.testing.assert_array_equal(view.instance > 0, np.isfinite(view.depth))
+
+
+def test_two_bodies_can_share_a_mesh(empty: GLRenderer) -> None:
+    mesh = wall(3, 0, 1, 0.2)
+    left, right = (
+        Body(mesh, (mesh.vertices + np.array([0, y, 0])).astype(np.float32), np.ones(2, np.uint8), n)
+        for n, y in ((1, 0.8), (2, -0.8))
+    )
+    view = empty.render([left, right], along_x())
+    columns = [np.nonzero(view.instance == n)[1].mean() for n in (1, 2)]
+    assert columns == pytest.approx([159.5 - 80, 159.5 + 80], abs=0.51)
+
+
+def test_the_static_scene_hides_bodies_and_carries_no_label() -> None:
+    renderer = renderer_or_skip([wall(2, 0.5, 1, 0.5, (0, 255, 0))], EVEN)
+    view = renderer.render([body(wall(3, 0, 1, 0.6, (255, 0, 0)))], along_x())
+    hidden, seen = (120, 130), (120, 190)
+    assert view.rgb[hidden].tolist() == [0, 255, 0] and view.instance[hidden] == 0
+    assert view.depth[hidden] == pytest.approx(2, abs=1e-5)
+    assert view.rgb[seen].tolist() == [255, 0, 0] and view.instance[seen] == 1
+    renderer.close()
+
+
+# colour
+
+
+@pytest.mark.parametrize("backwards", [False, True])
+def test_colour_inside_a_surface_is_what_the_lighting_says(backwards: bool) -> None:
+    light = Lighting()
+    color = (200, 120, 60)
+    corners = np.array([(3, 1, 0.2), (3, -1, 0.2), (4, -1, 1.8), (4, 1, 1.8)], float)
+    renderer = renderer_or_skip()
+    view = renderer.render([body(quad(corners[::-1] if backwards else corners, color))], along_x())
+    # the side that is seen is the one that is lit, whichever way the corners run
+    normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    normal /= np.linalg.norm(normal)
+    sun = np.array(light.sun) / np.linalg.norm(light.sun)
+    up = 0.5 + 0.5 * normal[2]
+    ambient = (1 - up) * np.array(light.ground_color) + up * np.array(light.sky_color)
+    linear = (np.array(color) / 255) ** 2 * (ambient + np.array(light.sun_color) * max(normal @ sun, 0))
+    np.testing.assert_allclose(view.rgb[120, 160], 255 * np.sqrt(linear), atol=1)
+    renderer.close()
+
+
+def test_a_texture_is_the_right_way_up(empty: GLRenderer) -> None:
+    image = np.zeros((64, 64, 3), np.uint8)
+    image[:32, :32], image[:32, 32:], image[32:, :32], image[32:, 32:] = (
+        (250, 0, 0),
+        (0, 250, 0),
+        (0, 0, 250),
+        (250, 250, 0),
+    )
+    uv = np.array([(0, 0), (1, 0), (1, 1), (0, 1)], float)
+    plain = wall(3, 0, 1, 0.6)
+    mesh = replace(plain, uv=uv, uv_faces=plain.faces, colors=None, texture=image)
+    rgb = empty.render([body(mesh)], along_x()).rgb
+    for row, column, expected in ((90, 130, image[0, 0]), (90, 190, image[0, 63]), (150, 130, image[63, 0])):
+        np.testing.assert_allclose(rgb[row, column].astype(int), expected, atol=1)
+
+
+def test_what_a_body_does_not_touch_is_not_changed(room: GLRenderer, scene: Scene) -> None:
+    camera, bodies = scene.cameras["camera_2"], walkers(scene, 0.9)
+    without, with_body = room.render([], camera), room.render(bodies, camera)
+    floor = np.array([[x, y, 0.0] for x in (-1.3, 1.3) for y in (-1.3, 1.3)])
+    reach, _ = camera.project(np.concatenate([bodies[0].vertices, floor]))
+    (x0, y0), (x1, y1) = np.floor(reach.min(0)).astype(int) - 2, np.ceil(reach.max(0)).astype(int) + 3
+    far = np.ones(without.depth.shape, bool)
+    far[max(y0, 0) : y1, max(x0, 0) : x1] = False
+    assert far.mean() > 0.2
+    np.testing.assert_array_equal(with_body.rgb[far], without.rgb[far])
+    unlabelled = with_body.instance == 0
+    np.testing.assert_array_equal(with_body.depth[unlabelled], without.depth[unlabelled])
+    # and the shadow only darkens
+    margin = unlabelled & ~_grown(with_body.instance > 0)
+    assert (with_body.rgb[margin].astype(int) <= without.rgb[margin]).all()
+
+
+def _grown(mask: np.ndarray) -> np.ndarray:
+    padded = np.pad(mask, 1)
+    height, width = mask.shape
+    return np.any([padded[y : y + height, x : x + width] for y in range(3) for x in range(3)], axis=0)
+
+
+def test_the_shadow_lies_under_the_body_and_hides_nothing(scene: Scene) -> None:
+    floor = quad([(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], (200, 200, 200))
+    renderer = renderer_or_skip([floor])
+    camera = Camera.look_at((0, -4, 3), (0, 0, 0.5))
+    sunk = [replace(b, vertices=b.vertices - np.float32([0, 0, 0.001])) for b in walkers(scene, 0.3)]
+    with_rgb, without = (
+        renderer.render(sunk, camera),
+        renderer.render(sunk, camera, ("depth", "instance", "part")),
+    )
+    np.testing.assert_array_equal(with_rgb.instance, without.instance)
+    bare = renderer.render([], camera).rgb.astype(int)
+    darker = bare - with_rgb.rgb
+    around = with_rgb.instance == 0
+    assert np.count_nonzero(darker.min(axis=2)[around] > 20) > 200
+    column, row = camera.project(np.array([[1.5, 0.0, 0.0]]))[0][0].round().astype(int)
+    assert not darker[row - 5 : row + 5, column - 5 : column + 5].any()
+    renderer.close()
+
+
+# borderline views
+
+
+def test_a_body_behind_the_camera_is_not_there(empty: GLRenderer) -> None:
+    view = empty.render([body(box((-3, 0, 1), 0.5))], along_x())
+    assert not view.rgb.any() and not view.instance.any() and np.isposinf(view.depth).all()
+
+
+def test_a_body_beside_the_image_is_not_there(empty: GLRenderer) -> None:
+    view = empty.render([body(box((3, 40, 1), 0.5))], along_x())
+    assert not view.rgb.any() and not view.instance.any()
+
+
+def test_a_body_cut_by_the_image_border_is_drawn_up_to_it(empty: GLRenderer) -> None:
+    view = empty.render([body(wall(3, 1.6, 1, 0.3))], along_x())
+    assert view.instance[120, 0] == 1 and view.instance[120, 60] == 0
+
+
+def test_from_inside_a_body_its_inside_is_seen(empty: GLRenderer) -> None:
+    view = empty.render([body(box((0, 0, 1), 0.5))], along_x(), ("depth", "instance"))
+    assert (view.instance == 1).all()
+    np.testing.assert_allclose(view.depth[100:140, 140:180], 0.5, atol=1e-5)
+
+
+def test_a_surface_through_the_camera_is_clipped_not_folded(empty: GLRenderer) -> None:
+    floor = quad([(-5, -5, 0.9), (5, -5, 0.9), (5, 5, 0.9), (-5, 5, 0.9)])
+    view = empty.render([body(floor)], along_x())
+    below = np.isfinite(view.depth)
+    assert not below[:125].any() and below[130:].all()
+    rows = np.arange(130, 240)
+    np.testing.assert_allclose(view.depth[130:, 160], 0.1 * 300 / (rows - 119.5), rtol=1e-5)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 480), (641, 479), (33, 7), (1920, 1080)])
+def test_any_image_size(empty: GLRenderer, size: tuple[int, int]) -> None:
+    camera = along_x(size, focal=size[0])
+    view = empty.render([body(wall(3, 0, 1, 0.4))], camera)
+    assert view.rgb.shape == (size[1], size[0], 3) and view.depth.shape == (size[1], size[0])
+    columns, rows = np.meshgrid(np.arange(size[0]), np.arange(size[1]))
+    world = camera.unproject(np.stack([columns, rows], axis=-1), np.full(columns.shape, 3.0))
+    expected = (np.abs(world[..., 1]) < 0.4) & (np.abs(world[..., 2] - 1) < 0.4)
+    np.testing.assert_array_equal(view.instance == 1, expected)
+
+
+def test_cameras_of_different_size_share_a_renderer(room: GLRenderer, scene: Scene) -> None:
+    bodies = walkers(scene, 0.5)
+    cameras = [Camera.look_at((3, 2, 2), (0, 0, 1), size) for size in ((641, 479), (320, 240))]
+    together = [room.render(bodies, cameras[i]) for i in (0, 1, 0, 1)]
+    assert_same(together[0], together[2])
+    assert_same(together[1], together[3])
+    assert together[0].rgb.shape == (479, 641, 3) and together[1].rgb.shape == (240, 320, 3)
+
+
+def test_two_renderers_do_not_disturb_each_other(scene: Scene) -> None:
+    first, second = renderer_or_skip(scene.static_meshes), renderer_or_skip(lighting=EVEN)
+    camera, bodies = scene.cameras["camera_1"], walkers(scene, 0.1)
+    before = first.render(bodies, camera)
+    second.render(bodies, along_x((64, 48)))
+    assert_same(first.render(bodies, camera), before)
+    second.close()
+    assert_same(first.render(bodies, camera), before)
+    first.close()
+
+
+def test_the_same_input_gives_the_same_bytes(scene: Scene) -> None:
+    camera = scene.cameras["camera_3"]
+    views = []
+    for _ in range(2):
+        renderer = renderer_or_skip(scene.static_meshes)
+        for seconds in (0.0, 0.7):
+            view = renderer.render(walkers(scene, seconds, [(0, 0), (0.5, 0.3)]), camera)
+            views.append(view)
+        renderer.close()
+    assert_same(views[0], views[2])
+    assert_same(views[1], views[3])
+
+
+def test_a_view_is_the_callers_own(room: GLRenderer, scene: Scene) -> None:
+    camera, bodies = scene.cameras["camera_1"], walkers(scene, 0.0)
+    view = room.render(bodies, camera)
+    for channel in CHANNELS:
+        getattr(view, channel)[:] = 0
+    assert room.render(bodies, camera).rgb.any() and room.render([], camera).rgb.any()
+
+
+def test_cameras_that_move_do_not_pile_up(empty: GLRenderer) -> None:
+    for step in range(40):
+        view = empty.render([body(wall(3, 0, 1, 0.4))], along_x((32, 24), focal=30 + step))
+    assert view.instance.any()
+
+
+# bad input
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_vertices_that_are_not_finite_are_refused(empty: GLRenderer, value: float) -> None:
+    good = body(wall(3, 0, 1, 0.4), instance=3)
+    vertices = good.vertices.copy()
+    vertices[1, 2] = value
+    with pytest.raises(RenderError, match="body 3 is not finite"):
+        empty.render([replace(good, vertices=vertices)], along_x())
+    assert empty.render([good], along_x()).instance.any()
+
+
+def test_a_wrong_number_of_vertices_is_refused(empty: GLRenderer) -> None:
+    good = body(wall(3, 0, 1, 0.4))
+    with pytest.raises(RenderError, match="do not fit a mesh of 4"):
+        empty.render([replace(good, vertices=good.vertices[:3])], along_x())
+
+
+def test_a_wrong_number_of_parts_is_refused(empty: GLRenderer) -> None:
+    good = body(wall(3, 0, 1, 0.4))
+    with pytest.raises(RenderError, match="part labels"):
+        empty.render([replace(good, parts=good.parts[:1])], along_x())
+
+
+@pytest.mark.parametrize("instance", [0, -1, 65536])
+def test_an_impossible_instance_is_refused(empty: GLRenderer, instance: int) -> None:
+    with pytest.raises(RenderError, match="1 to 65535"):
+        empty.render([body(wall(3, 0, 1, 0.4), instance)], along_x())
+
+
+def test_an_instance_given_twice_is_refused(empty: GLRenderer) -> None:
+    with pytest.raises(RenderError, match="label 2 twice"):
+        empty.render([body(wall(3, 0, 1, 0.4), 2), body(wall(4, 0, 1, 0.4), 2)], along_x())
+
+
+def test_an_unknown_channel_is_refused(empty: GLRenderer) -> None:
+    with pytest.raises(RenderError, match=r"no such channel: sonar; there are rgb"):
+        empty.render([], along_x(), ["rgb", "sonar"])
+
+
+def test_without_opengl_the_packages_to_install_are_named() -> None:
+    nowhere = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent", "LIBGL_DRIVERS_PATH": "/nonexistent"}
+    code = (
+        "from humansim_ros.render import GLRenderer\n"
+        "from humansim_ros.errors import RenderError\n"
+        "try:\n    GLRenderer()\nexcept RenderError as reason:\n    print(reason)\n"
+    )
+    answer = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, **nowhere},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert answer.returncode == 0, answer.stderr
+    assert "libegl1 libgl1-mesa-dri" in answer.stdout

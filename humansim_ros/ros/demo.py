@@ -64,7 +64,7 @@ def record_demo(scene_path: Path, output: Path, duration: float) -> bool:
 
 
 def _listen(nodes: Supervisor, listener: _Listener, duration: float, console: Console) -> float | None:
-    """Wait until every topic speaks, then collect for ``duration``: the seconds it took, None if a node died."""
+    """Wait until every topic speaks, then collect for ``duration``: seconds taken, None if a node dies."""
     with _progress(console) as progress:
         task = progress.add_task("starting the nodes", total=None)
         limit = time.monotonic() + _START_LIMIT

@@ -19,7 +19,7 @@ def _profile(depth: int, durability: QoSDurabilityPolicy) -> QoSProfile:
 DATA = _profile(5, QoSDurabilityPolicy.VOLATILE)
 
 #: Subscribers between our own nodes: a node that is late finds only the newest frames waiting.
-NEWEST = _profile(2, QoSDurabilityPolicy.VOLATILE)
+NEWEST = _profile(3, QoSDurabilityPolicy.VOLATILE)
 
 #: What is sent once and kept for those who come later.
 LATCHED = _profile(1, QoSDurabilityPolicy.TRANSIENT_LOCAL)

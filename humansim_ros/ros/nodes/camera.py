@@ -33,6 +33,8 @@ _IMAGE_TOPICS = {
 }
 #: Frames that may wait for a human's message before they are given up.
 _MOST_WAITING = 8
+#: Periods that a frame may be behind the newest before it is skipped.
+_PATIENCE = 1.5
 #: Seconds without any vertices after which the still scene is shown.
 _STILL_AFTER = 1.5
 
@@ -66,6 +68,7 @@ class CameraNode(SceneNode):
         self._last = 0
         self._told = False
         self._started = self.now()
+        self._whole = self.create_guard_condition(self._render_next)
         for human in self.scene.actors:
             self.create_subscription(PointCloud2, f"humans/{human}/vertices", self._taker(human, 0), NEWEST)
             self.create_subscription(
@@ -117,12 +120,16 @@ class CameraNode(SceneNode):
                 return
             waiting = self._waiting.setdefault(stamp, ({}, {}))
             waiting[kind][human] = part  # type: ignore[assignment]
-            if all(len(parts) == len(self.scene.actors) for parts in waiting):
-                self._render(stamp, *waiting)
+            if self._is_whole(stamp):
+                # not at once: what else has arrived is taken first, so that a late camera sees it is late
+                self._whole.trigger()
             elif len(self._waiting) > _MOST_WAITING:
                 self._give_up()
 
         return take
+
+    def _is_whole(self, stamp: int) -> bool:
+        return all(len(parts) == len(self.scene.actors) for parts in self._waiting[stamp])
 
     def _give_up(self) -> None:
         stamp = min(self._waiting)
@@ -132,6 +139,26 @@ class CameraNode(SceneNode):
         self.get_logger().warn(
             f"frames wait for {', '.join(missing)}: is its skinner running?", throttle_duration_sec=5.0
         )
+
+    def _render_next(self) -> None:
+        """Render the oldest whole frame that is not late, or the newest whole one if all are."""
+        whole = sorted(stamp for stamp in self._waiting if self._is_whole(stamp))
+        if not whole:
+            return
+        patience = _PATIENCE * self.scene.period * 1e9
+        newest = max(self._waiting)
+        stamp = next((stamp for stamp in whole if newest - stamp <= patience), whole[-1])
+        self.count("drops", sum(older < stamp for older in self._waiting))
+        vertices, joints = self._waiting[stamp]
+        self._waiting = {later: parts for later, parts in self._waiting.items() if later > stamp}
+        self._last = stamp
+        try:
+            self._publish(stamp, vertices, joints)
+        except HumansimError as error:
+            self.count("drops")
+            self.get_logger().error(f"frame skipped: {error}", throttle_duration_sec=1.0)
+        if any(self._is_whole(later) for later in self._waiting):
+            self._whole.trigger()
 
     def _show_still(self) -> None:
         """Until a skinner speaks, show the scene as it is at its start, so that the node alone shows
@@ -149,19 +176,6 @@ class CameraNode(SceneNode):
             states = {name: actor.at(0.0) for name, actor in self.scene.actors.items()}
             vertices = {name: state.vertices for name, state in states.items()}
             self._publish(now, vertices, {name: state.positions for name, state in states.items()})
-
-    def _render(self, stamp: int, vertices: dict[str, NDArray[np.float32]], joints: dict[str, Array]) -> None:
-        """A frame is whole: publish it, and give up those that are older."""
-        older = [waiting for waiting in self._waiting if waiting < stamp]
-        self.count("drops", len(older))
-        for waiting in [*older, stamp]:
-            del self._waiting[waiting]
-        self._last = stamp
-        try:
-            self._publish(stamp, vertices, joints)
-        except HumansimError as error:
-            self.count("drops")
-            self.get_logger().error(f"frame skipped: {error}", throttle_duration_sec=1.0)
 
     def _publish(
         self, stamp: int, vertices: dict[str, NDArray[np.float32]], joints: dict[str, Array]

@@ -12,7 +12,7 @@ import trimesh
 from conftest import SHARED_DATA, needs_shared_data
 from numpy.typing import NDArray
 
-from humansim_ros.body import Mesh, Skeleton, fit_to_skeleton, hanim_skeleton, read_mesh
+from humansim_ros.body import Mesh, Skeleton, fit_to_skeleton, hanim_skeleton, read_mesh, rig
 from humansim_ros.body.fitting import fit_limbs
 from humansim_ros.errors import MeshError
 from humansim_ros.rotations import Array
@@ -97,6 +97,19 @@ def test_a_mesh_whose_faces_share_no_vertices_is_fitted_alike(figure: str) -> No
     torn = Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(mesh.faces.size, dtype=np.int32).reshape(-1, 4))
     heads = fit_limbs(hanim_skeleton(), torn).heads
     assert np.linalg.norm(heads - skeleton.heads, axis=1).max() < 0.005
+
+
+@pytest.mark.parametrize("figure", FIGURES)
+def test_hands_follow_the_arm_alone(figure: str) -> None:
+    """A finger tip beyond its bone's end would be rigged to what it sees under a larger angle: the thigh."""
+    mesh, skeleton = fitted(figure)
+    weights = rig(mesh, skeleton).toarray()
+    for side in "lr":
+        tip = skeleton.tails[skeleton.bone(f"{side}_wrist")]
+        hand = np.linalg.norm(mesh.vertices - tip, axis=1) < 0.15
+        arm = [skeleton.bone(f"{side}_{name}") for name in ("shoulder", "elbow", "wrist")]
+        assert hand.sum() > 500
+        np.testing.assert_allclose(weights[hand][:, arm].sum(1), 1)
 
 
 def without(mesh: Mesh, gone: NDArray[np.bool_]) -> Mesh:

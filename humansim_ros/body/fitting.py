@@ -103,7 +103,9 @@ def _arm(
     bones = [skeleton.lengths[skeleton.bone(f"{side}_{name}")] for name in ("shoulder", "elbow", "wrist")]
     upper_share = bones[0] / sum(bones)
     shoulder = skeleton.heads[skeleton.bone(f"{side}_shoulder")]
-    tip = int(np.argmax(vertices[:, 0] * sign))
+    outermost = int(np.argmax(vertices[:, 0] * sign))
+    distance = dijkstra(ways, directed=False, indices=outermost, limit=0.7 * height)
+    tip = _finger_tip(vertices, distance, height)
     distance = dijkstra(ways, directed=False, indices=tip, limit=0.7 * height)
     reach = distance[np.argmin(np.linalg.norm(vertices - shoulder, axis=1))]
     if not np.isfinite(reach):
@@ -126,6 +128,18 @@ def _arm(
     if np.linalg.norm(upper - shoulder) > 0.1 * height or reach < 0.3 * height:
         raise MeshError(_NO_LIMB)
     return (upper, elbow, wrist), vertices[tip]
+
+
+def _finger_tip(vertices: Array, distance: Array, height: float) -> int:
+    """The vertex farthest out along the hand; the outermost one, where ``distance`` starts, may be a knuckle.
+
+    Skin beyond the end of its bone would see other bones under larger angles, and be rigged to them.
+    """
+    hand, forearm = distance < 0.1 * height, np.abs(distance - 0.2 * height) < 0.05 * height
+    if not forearm.any():
+        raise MeshError(_NO_LIMB)
+    axis = vertices[hand].mean(0) - vertices[forearm].mean(0)
+    return int(np.flatnonzero(hand)[np.argmax(vertices[hand] @ axis)])
 
 
 def _ways_along_skin(mesh: Mesh, gap: float) -> csr_matrix:

@@ -52,7 +52,7 @@ def view_joints(
 
 
 def joint_surfaces(human: Human) -> NDArray[np.bool_]:
-    """(J, 256) which part labels are skin around each ground-truth joint: those of the bones that meet there."""
+    """(J, 256) which part labels are skin around each ground-truth joint: of the bones that meet there."""
     skeleton = human.skeleton
     with_surface = set((human.triangle_parts - 1).tolist())
     neighbours: list[set[int]] = []

@@ -3,8 +3,8 @@
     python benchmarks/live.py [--seconds 10] [--json FILE]
 
 For each set of topics: the lowest rate at which a topic reached the subscriber's callback, the share of the
-player's frames that did, how many frames came whole (all topics of all cameras with one stamp), and the time from
-a frame's stamp to the callback.
+player's frames that did, how many frames came whole (all topics of all cameras with one stamp), and the time
+from a frame's stamp to the callback.
 """
 
 from __future__ import annotations

@@ -54,14 +54,16 @@ class JointPoses:
     linear: Array | None = None
     angular: Array | None = None
 
-    def moved(self, seconds: float) -> JointPoses:
-        """The joints a short time later, or earlier, if they keep their velocities."""
+    def moved(self, seconds: ArrayLike) -> JointPoses:
+        """The joints of one instant (N = 1) a few short times (M,) before and after it, at their velocities."""
         if self.linear is None or self.angular is None:
             raise MotionError("these joints have no velocities")
-        turn = Rotation.from_rotvec((self.angular * seconds).reshape(-1, 3))
-        turned = turn * Rotation.from_quat(self.rotations.reshape(-1, 4))
-        rotations = turned.as_quat().reshape(self.rotations.shape)
-        return JointPoses(self.names, self.positions + self.linear * seconds, rotations)
+        steps = np.asarray(seconds, dtype=float)[:, None, None]
+        positions = self.positions + self.linear * steps
+        turn = Rotation.from_rotvec((self.angular * steps).reshape(-1, 3))
+        rotations = np.broadcast_to(self.rotations, (*positions.shape[:-1], 4)).reshape(-1, 4)
+        turned = (turn * Rotation.from_quat(rotations)).as_quat()
+        return JointPoses(self.names, positions, turned.reshape(*positions.shape[:-1], 4))
 
 
 def central_difference(

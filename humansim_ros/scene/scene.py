@@ -74,10 +74,10 @@ class Actor:
     def state(self, poses: JointPoses) -> HumanState:
         """The body at one instant, from joint poses with N = 1: what the skinner publishes."""
         skeleton = self.human.skeleton
-        joints = self._joints(poses)
-        linear = angular = None
-        if poses.linear is not None:
-            before, after = (self._joints(poses.moved(dt)) for dt in (-VELOCITY_STEP, VELOCITY_STEP))
+        if poses.linear is None:
+            (joints,), linear, angular = self._joints(poses), None, None
+        else:
+            before, joints, after = self._joints(poses.moved([-VELOCITY_STEP, 0.0, VELOCITY_STEP]))
             linear, angular = central_difference(
                 before[:, :3, 3],
                 after[:, :3, 3],
@@ -97,9 +97,10 @@ class Actor:
         return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance)
 
     def _joints(self, poses: JointPoses) -> Array:
+        """(N, J, 4, 4) frames of the ground-truth joints."""
         rotations, root = self.retargeter.apply(poses)
         skeleton = self.human.skeleton
-        return skeleton.joint_transforms(skeleton.pose(rotations, root))[0]
+        return skeleton.joint_transforms(skeleton.pose(rotations, root))
 
 
 @dataclass(frozen=True)

@@ -34,7 +34,7 @@ def cameras(draw: st.DrawFn, skew: bool = False) -> Camera:
             [0, 0, 1],
         ]
     )
-    rotation = Rotation.random(rng=draw(st.integers(0, 10_000))).as_matrix()
+    rotation = Rotation.random(None, draw(st.integers(0, 10_000))).as_matrix()
     return Camera((width, height), k, rotation, np.array([draw(st.floats(-20, 20)) for _ in range(3)]))
 
 

@@ -57,7 +57,7 @@ def test_quaternion_of_a_matrix_is_scipys(q: Array) -> None:
 
 
 def test_conversions_keep_leading_axes() -> None:
-    q = Rotation.random(24, rng=3).as_quat().reshape(2, 3, 4, 4)
+    q = Rotation.random(24, 3).as_quat().reshape(2, 3, 4, 4)
     matrices = quaternion_to_matrix(q)
     for index in np.ndindex(2, 3, 4):
         np.testing.assert_allclose(matrices[index], Rotation.from_quat(q[index]).as_matrix(), atol=1e-14)
@@ -110,5 +110,5 @@ def test_body_axes_in_the_world() -> None:
 
 def test_inverse_of_rigid_transforms_is_numpys() -> None:
     rng = np.random.default_rng(5)
-    matrices = transform(Rotation.random(6, rng=5).as_matrix(), rng.normal(size=(6, 3))).reshape(2, 3, 4, 4)
+    matrices = transform(Rotation.random(6, 5).as_matrix(), rng.normal(size=(6, 3))).reshape(2, 3, 4, 4)
     np.testing.assert_allclose(invert_rigid(matrices), np.linalg.inv(matrices), atol=1e-14)

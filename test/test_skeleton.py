@@ -60,7 +60,7 @@ def chain(skeleton: Skeleton, rotations: Array, root: Array) -> Array:
 
 def rigid(seed: int) -> Array:
     out = np.eye(4)
-    out[:3, :3] = Rotation.random(rng=seed).as_matrix()
+    out[:3, :3] = Rotation.random(None, seed).as_matrix()
     out[:3, 3] = np.random.default_rng(seed).normal(size=3)
     return out
 
@@ -112,13 +112,13 @@ def test_no_rotation_is_the_rest_pose() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_posed_frames_are_a_chain_of_matrices(seed: int) -> None:
     skeleton = rolled(seed)
-    rotations, root = Rotation.random(22, rng=seed).as_quat(), rigid(seed)
+    rotations, root = Rotation.random(22, seed).as_quat(), rigid(seed)
     np.testing.assert_allclose(skeleton.pose(rotations, root), chain(skeleton, rotations, root), atol=1e-12)
     np.testing.assert_allclose(skeleton.pose(rotations), chain(skeleton, rotations, np.eye(4)), atol=1e-12)
 
 
 def test_posing_many_frames_at_once_is_posing_each() -> None:
-    rotations = Rotation.random(2 * 3 * 22, rng=1).as_quat().reshape(2, 3, 22, 4)
+    rotations = Rotation.random(2 * 3 * 22, 1).as_quat().reshape(2, 3, 22, 4)
     roots = np.array([[rigid(3 * i + j) for j in range(3)] for i in range(2)])
     posed = SKELETON.pose(rotations, roots)
     for index in np.ndindex(2, 3):
@@ -126,14 +126,14 @@ def test_posing_many_frames_at_once_is_posing_each() -> None:
 
 
 def test_moving_the_root_moves_all_frames_alike() -> None:
-    rotations, root, move = Rotation.random(22, rng=5).as_quat(), rigid(5), rigid(6)
+    rotations, root, move = Rotation.random(22, 5).as_quat(), rigid(5), rigid(6)
     np.testing.assert_allclose(
         SKELETON.pose(rotations, move @ root), move @ SKELETON.pose(rotations, root), atol=1e-12
     )
 
 
 def test_bones_stay_connected_and_keep_their_lengths_in_any_pose() -> None:
-    posed = SKELETON.pose(Rotation.random(22, rng=2).as_quat())
+    posed = SKELETON.pose(Rotation.random(22, 2).as_quat())
     tails = (
         posed[:, :3, 3] + posed[:, :3, 1] * np.linalg.norm(SKELETON.tails - SKELETON.heads, axis=1)[:, None]
     )

@@ -29,7 +29,7 @@ def random_body(seed: int, vertices: int = 40) -> tuple[Array, csr_matrix]:
 
 def random_transforms(seed: int, bones: int = 22) -> Array:
     out = np.tile(np.eye(4), (bones, 1, 1))
-    out[:, :3, :3] = Rotation.random(bones, rng=seed).as_matrix()
+    out[:, :3, :3] = Rotation.random(bones, seed).as_matrix()
     out[:, :3, 3] = np.random.default_rng(seed).normal(size=(bones, 3))
     return out
 

@@ -463,7 +463,8 @@ class _Surface:
         if lit and self._normals_of is not self.posed:
             self._upload(self._normals, self.posed.normals)
             self._normals_of = self.posed
-        corners = self._corners if shown is None else self._corners[shown]
+        # (taking rows by number is several times faster than by a mask)
+        corners = self._corners if shown is None else self._corners.take(np.flatnonzero(shown), axis=0)
         self._index.orphan()
         self._index.write(corners)
         self._texture.use(0)

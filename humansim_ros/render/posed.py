@@ -105,5 +105,6 @@ class Posed:
         They part a triangle that faces the eye from one that does not, or end the surface.
         """
         first, second = self.topology.sides
-        edges = self.topology.edges[(facing[first] != facing[second]) | self.topology.border]
-        return self.vertices[edges[:, 0]], self.vertices[edges[:, 1]]
+        chosen = np.flatnonzero((facing.take(first) != facing.take(second)) | self.topology.border)
+        starts, ends = self.topology.edges.take(chosen, axis=0).T
+        return self.vertices.take(starts, axis=0), self.vertices.take(ends, axis=0)

@@ -55,7 +55,7 @@ class JointPoses:
     angular: Array | None = None
 
     def moved(self, seconds: ArrayLike) -> JointPoses:
-        """The joints of one instant (N = 1) a few short times (M,) before and after it, at their velocities."""
+        """The joints of one instant (N = 1) some short times (M,) before and after it, as they move."""
         if self.linear is None or self.angular is None:
             raise MotionError("these joints have no velocities")
         steps = np.asarray(seconds, dtype=float)[:, None, None]

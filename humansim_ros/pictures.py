@@ -79,7 +79,7 @@ def draw_joints(
 def contact_sheet(
     rows: Sequence[Sequence[Image]], titles: Sequence[str], labels: Sequence[str], width: int = 480
 ) -> Image:
-    """Images in a grid, scaled to ``width``: a title above each column and a label in the corner of each row."""
+    """Images in a grid, scaled to ``width``: a title above each column, a label in the corner of each row."""
     lines = [_strip([_fit(image, width) for image in row]) for row in rows]
     for line, label in zip(lines, labels, strict=True):
         cv2.putText(

@@ -189,8 +189,10 @@ BROKEN_SCENES = {
         ["cameras.c.lookat", "look_at"],
     ),
     "singular_k": (
-        ("cameras:\n  c:\n    K: [[500, 0, 320], [0, 0, 240], [0, 0, 1]]\n"
-        "    R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n    t: [0, 0, 3]\n"),
+        (
+            "cameras:\n  c:\n    K: [[500, 0, 320], [0, 0, 240], [0, 0, 1]]\n"
+            "    R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n    t: [0, 0, 3]\n"
+        ),
         ["cameras.c.K", "singular"],
     ),
     "no_cameras": ("humans: {}\n", ["cameras"]),

@@ -255,7 +255,7 @@ def _video(scene: Scene, listener: _Listener) -> Iterator[pictures.Image]:
 
 
 def _table(listener: _Listener, seconds: float) -> Table:
-    table = Table(title="received")
+    table = Table(title="received", box=None, padding=(0, 1, 0, 0))
     for column in ("topic", "type"):
         table.add_column(column)
     for column in ("messages", "Hz", "MB/s"):

@@ -97,7 +97,8 @@ class Posed:
 
     def facing(self, eye: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(N,) which triangles show their outside to a point."""
-        return np.asarray(eye.astype(np.float32) @ self.areas > self._planes)
+        # not by BLAS: its threads would round differently on another machine
+        return np.asarray(np.einsum("i,ij->j", eye.astype(np.float32), self.areas) > self._planes)
 
     def contour(self, facing: NDArray[np.bool_]) -> tuple[Floats, Floats]:
         """Starts and ends (C, 3) of the edges that all outlines lie on.

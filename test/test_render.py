@@ -173,7 +173,8 @@ def _grown(mask: np.ndarray) -> np.ndarray:
 
 def test_the_shadow_lies_under_the_body_and_hides_nothing(scene: Scene) -> None:
     floor = quad([(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], (200, 200, 200))
-    renderer = renderer_or_skip([floor])
+    rug = quad([(-1, -1, 0.004), (1, -1, 0.004), (1, 1, 0.004), (-1, 1, 0.004)], (180, 200, 200))
+    renderer = renderer_or_skip([floor, rug])
     camera = Camera.look_at((0, -4, 3), (0, 0, 0.5))
     sunk = [replace(b, vertices=b.vertices - np.float32([0, 0, 0.001])) for b in walkers(scene, 0.3)]
     with_rgb, without = (

@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import struct
 import time
 from collections import defaultdict
 from pathlib import Path
@@ -29,6 +28,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 
 from humansim_ros.resources import resource_path
+from humansim_ros.ros.messages import serialised_stamp
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import prepare_transport
@@ -54,8 +54,7 @@ def measure(scene: Path, kinds: tuple[str, ...], seconds: float) -> dict[str, An
     def keeper(topic: str) -> Any:
         def keep(data: bytes) -> None:
             now = time.time_ns()
-            second, nanosecond = struct.unpack_from("<iI", data, 4)
-            stamp = second * 1_000_000_000 + nanosecond
+            stamp = serialised_stamp(data)
             arrived[topic][stamp] = (now - stamp) * 1e-6
 
         return keep

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
+from humansim_ros.hierarchy import levels
 from humansim_ros.rotations import Array, from_y_axis, invert_rigid, quaternion_to_matrix, transform
 
 
@@ -92,12 +93,24 @@ class Skeleton:
         ``pose[b] = pose[parent] rest[parent]^-1 rest[b] R(q_b)`` (thesis 9.5, Blender's armature).
         """
         local = self.rest_in_parent @ transform(quaternion_to_matrix(rotations), np.zeros(3))
-        out = np.array(local)
-        for bone, parent in enumerate(self.parents):
-            above = root if parent < 0 else out[..., parent, :, :]
-            if above is not None:
-                out[..., bone, :, :] = above @ local[..., bone, :, :]
+        first, *rest = self.levels
+        if root is None:
+            out = np.array(local)
+        else:
+            out = np.array(
+                np.broadcast_to(
+                    local, (*np.broadcast_shapes(local.shape[:-3], root.shape[:-2]), *local.shape[-3:])
+                )
+            )
+            out[..., first, :, :] = root[..., None, :, :] @ local[..., first, :, :]
+        for bones in rest:
+            out[..., bones, :, :] = out[..., self.parents[bones], :, :] @ local[..., bones, :, :]
         return out
+
+    @cached_property
+    def levels(self) -> tuple[NDArray[np.intp], ...]:
+        """Bones by their depth in the tree, roots first."""
+        return levels(self.parents)
 
     @cached_property
     def leaves(self) -> tuple[int, ...]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.files import atomic_path, read_text
+from humansim_ros.hierarchy import levels
 from humansim_ros.rotations import Array, quaternion_to_matrix, transform
 
 CHANNEL_NAMES = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
@@ -76,12 +77,7 @@ class Motion:
 
     @cached_property
     def _levels(self) -> tuple[NDArray[np.intp], ...]:
-        """Joints by their depth in the tree, so that a whole level is posed at once."""
-        depth = np.zeros(self.n_joints, dtype=np.intp)
-        for joint, parent in enumerate(self.parents):
-            depth[joint] = 0 if parent < 0 else depth[parent] + 1
-        order = np.argsort(depth, kind="stable")
-        return tuple(np.split(order, np.flatnonzero(np.diff(depth[order])) + 1))
+        return levels(self.parents)
 
     @cached_property
     def _columns(self) -> tuple[int, ...]:

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.motion.joint_names import JointMatch
@@ -49,44 +52,97 @@ class Retargeter:
         times = np.arange(motion.motion.n_frames) * motion.motion.frame_time
         if len(times) > 400:
             times = times[:: len(times) // 400 + 1]
-        rotations, root = ground.apply(motion.sample(np.minimum(times, motion.motion.duration - 1e-9)))
-        lowest = _sole_heights(skeleton, skeleton.pose(rotations, root)).min(-1)
+        posed = ground.pose(motion.sample(np.minimum(times, motion.motion.duration - 1e-9)))
+        lowest = _sole_heights(skeleton, posed).min(-1)
         return cls(skeleton, motion.match, scale, ground.origin, -floor_height(lowest))
 
     def apply(self, poses: JointPoses) -> tuple[Array, Array]:
-        """Bone rotations (N, B, 4) xyzw in bone space, and world-from-body transforms (N, 4, 4)."""
+        """Bone rotations (N, B, 4) xyzw in bone space, and world-from-body transforms (N, 4, 4).
+
+        ``skeleton.pose(*apply(poses))`` is :meth:`pose`.
+        """
+        rotations, _, _, shift = self._solve(poses)
+        return rotations, transform(WORLD_FROM_BODY, shift)
+
+    def pose(self, poses: JointPoses) -> Array:
+        """Posed bone frames (N, B, 4, 4) in ``map``."""
+        _, turns, heads, shift = self._solve(poses)
+        return transform(turns, heads + shift[:, None])
+
+    def _solve(self, poses: JointPoses) -> tuple[Array, Array, Array, Array]:
+        """Bone rotations (N, B, 4); in ``map`` axes, from an unplaced body, bone turns (N, B, 3, 3) and heads
+        (N, B, 3); and the translation (N, 3) that places it.
+        """
         skeleton = self.skeleton
         n = len(poses.positions)
-        turns = quaternion_to_matrix(poses.rotations)
-        local = skeleton.rest_in_parent[:, :3, :3]
-        rest = skeleton.rest[:, :3, :3]
-        world = np.empty((n, len(skeleton), 3, 3))
+        joint_turns = quaternion_to_matrix(poses.rotations)
+        local = skeleton.rest_in_parent
+        turns, heads = np.empty((n, len(skeleton), 3, 3)), np.empty((n, len(skeleton), 3))
         rotations = np.zeros((n, len(skeleton), 4))
         rotations[..., 3] = 1.0
-        for bone, name in enumerate(skeleton.names):
-            parent = skeleton.parents[bone]
-            carried = (WORLD_FROM_BODY if parent < 0 else world[:, parent]) @ local[bone]
-            if name in self.match.parallel:
-                start, end = self.match.parallel[name]
-                link = poses.positions[:, end] - poses.positions[:, start]
+        for bones, links, joints in self._levels:
+            parents = skeleton.parents[bones]
+            if parents[0] < 0:
+                carried = np.broadcast_to(WORLD_FROM_BODY @ local[bones, :3, :3], (n, len(bones), 3, 3))
+                heads[:, bones] = local[bones, :3, 3] @ WORLD_FROM_BODY.T
+            else:
+                carried = turns[:, parents] @ local[bones, :3, :3]
+                heads[:, bones] = heads[:, parents] + _apply(turns[:, parents], local[bones, :3, 3])
+            back = np.swapaxes(carried, -1, -2)
+            if len(links.bones):
+                link = poses.positions[:, links.ends] - poses.positions[:, links.starts]
                 length = np.linalg.norm(link, axis=-1, keepdims=True)
-                aim = (np.swapaxes(carried, -1, -2) @ link[..., None])[..., 0] / np.maximum(length, 1e-12)
-                rotations[:, bone] = np.where(length < _SHORTEST_LINK, rotations[:, bone], from_y_axis(aim))
-            elif name in self.match.difference:
-                goal = turns[:, self.match.difference[name]] @ WORLD_FROM_BODY @ rest[bone]
-                rotations[:, bone] = matrix_to_quaternion(np.swapaxes(carried, -1, -2) @ goal)
-            world[:, bone] = carried @ quaternion_to_matrix(rotations[:, bone])
-        return rotations, self._root(poses, rotations)
+                swing = from_y_axis(_apply(back[:, links.places], link) / np.maximum(length, 1e-12))
+                rest = rotations[:, links.bones]
+                rotations[:, links.bones] = np.where(length < _SHORTEST_LINK, rest, swing)
+            if len(joints.bones):
+                goal = joint_turns[:, joints.starts] @ (WORLD_FROM_BODY @ skeleton.rest[joints.bones, :3, :3])
+                rotations[:, joints.bones] = matrix_to_quaternion(back[:, joints.places] @ goal)
+            turns[:, bones] = carried @ quaternion_to_matrix(rotations[:, bones])
+        hips = [skeleton.bone("l_hip"), skeleton.bone("r_hip")]
+        return rotations, turns, heads, self._hips(poses) - heads[:, hips].mean(1)
 
-    def _root(self, poses: JointPoses, rotations: Array) -> Array:
+    def _hips(self, poses: JointPoses) -> Array:
+        """Where the middle of the hips goes (N, 3)."""
         roles = self.match.roles
         source = (poses.positions[:, roles["LeftHip"]] + poses.positions[:, roles["RightHip"]]) / 2
         origin = np.array([*self.origin, 0.0])
-        target = origin + self.scale * (source - origin) + np.array([0.0, 0.0, self.lift])
-        unplaced = transform(WORLD_FROM_BODY, np.zeros(3))
-        hips = [self.skeleton.bone("l_hip"), self.skeleton.bone("r_hip")]
-        posed = self.skeleton.pose(rotations, unplaced)[:, hips][..., :3, 3].mean(1)
-        return transform(WORLD_FROM_BODY, target - posed)
+        return np.asarray(origin + self.scale * (source - origin) + np.array([0.0, 0.0, self.lift]))
+
+    @cached_property
+    def _levels(self) -> tuple[tuple[NDArray[np.intp], _Driven, _Driven], ...]:
+        """For each level of the skeleton: its bones, those that follow links, and those that follow joints."""
+        links = self.match.parallel
+        joints = {bone: (joint, joint) for bone, joint in self.match.difference.items() if bone not in links}
+        return tuple(
+            (bones, _Driven.among(bones, self.skeleton, links), _Driven.among(bones, self.skeleton, joints))
+            for bones in self.skeleton.levels
+        )
+
+
+@dataclass(frozen=True)
+class _Driven:
+    """Bones of one level: their ``places`` in it, their indices, and the joints that drive them (start, end)."""
+
+    places: NDArray[np.intp]
+    bones: NDArray[np.intp]
+    starts: NDArray[np.intp]
+    ends: NDArray[np.intp]
+
+    @classmethod
+    def among(
+        cls, bones: NDArray[np.intp], skeleton: Skeleton, drivers: Mapping[str, tuple[int, int]]
+    ) -> _Driven:
+        rows = [
+            (place, bone, *drivers[skeleton.names[bone]])
+            for place, bone in enumerate(bones)
+            if skeleton.names[bone] in drivers
+        ]
+        return cls(*np.array(rows, dtype=np.intp).reshape(-1, 4).T)
+
+
+def _apply(matrices: Array, vectors: Array) -> Array:
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
 
 
 def skeleton_ankle_to_head(skeleton: Skeleton) -> float:

@@ -308,17 +308,17 @@ class WorldMotion:
         rounds = self._rounds(t)
         early, late = t - VELOCITY_STEP, t + VELOCITY_STEP
         if self.loop == "continue":
-            before, after = self.sample(early), self.sample(late)
+            all_rounds = np.concatenate([self._rounds(early), rounds, self._rounds(late)])
         else:
             start, end = rounds * self.motion.duration, (rounds + 1) * self.motion.duration
             early, late = np.clip(early, start, end), np.clip(late, start, end)
-            before, after = self._sample(early, rounds), self._sample(late, rounds)
+            all_rounds = np.tile(rounds, 3)
+        poses = self._sample(np.concatenate([early, t, late]), all_rounds)
+        before, positions, after = np.split(poses.positions, 3)
+        turn_before, rotations, turn_after = np.split(poses.rotations, 3)
         seconds = np.maximum(late - early, 1e-9)[:, None, None]
-        linear, angular = central_difference(
-            before.positions, after.positions, before.rotations, after.rotations, seconds
-        )
-        at = self._sample(t, rounds)
-        return JointPoses(self.names, at.positions, at.rotations, linear, angular)
+        linear, angular = central_difference(before, after, turn_before, turn_after, seconds)
+        return JointPoses(self.names, positions, rotations, linear, angular)
 
     def _rounds(self, times: Array) -> Array:
         """Which round of the loop each time (N,) is in."""
@@ -335,22 +335,24 @@ class WorldMotion:
             turn = carry_r[:, None] @ turn
         return JointPoses(self.names, positions, matrix_to_quaternion(turn))
 
-    def _carried(self, rounds: Array) -> tuple[Array, Array]:
-        """Rotation (N, 3, 3) and translation (N, 3) of the floor plane that carry the first round to each
-        round.
-        """
+    @cached_property
+    def _step(self) -> tuple[float, Array]:
+        """Turn about z and translation (3,) of the floor plane that carry the first frame to the last."""
         positions, turn = self._at(np.array([0.0, self.motion.duration]))
         root = self.match.roles["Hips"]
         change = turn[1, root] @ turn[0, root].T
         yaw = float(np.arctan2(change[1, 0] - change[0, 1], change[0, 0] + change[1, 1]))
-        step_r = _yaw_matrix(yaw)
-        step_t = (positions[1, root] - step_r @ positions[0, root]) * (1, 1, 0)
+        return yaw, (positions[1, root] - _yaw_matrix(yaw) @ positions[0, root]) * (1, 1, 0)
+
+    def _carried(self, rounds: Array) -> tuple[Array, Array]:
+        """Rotation (N, 3, 3) and translation (N, 3) of the floor plane that carry the first round to each."""
+        yaw, step = self._step
         carry_r = np.stack([_yaw_matrix(yaw * n) for n in rounds])
         if abs(yaw) < 1e-9:
-            return carry_r, rounds[:, None] * step_t
+            return carry_r, rounds[:, None] * step
         # the fixed point of a plane rotation: every round turns about it
         fixed = np.zeros(3)
-        fixed[:2] = np.linalg.solve(np.eye(2) - step_r[:2, :2], step_t[:2])
+        fixed[:2] = np.linalg.solve(np.eye(2) - _yaw_matrix(yaw)[:2, :2], step[:2])
         return carry_r, fixed - carry_r @ fixed
 
 

@@ -4,7 +4,6 @@ arrived.
 
 from __future__ import annotations
 
-import struct
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -168,10 +167,10 @@ class _Listener:
         """Callback for a topic's serialised messages: only what is shown is turned into messages."""
         camera = topic.split("/")[1]
 
+        from humansim_ros.ros.messages import serialised_stamp
+
         def take(data: bytes) -> None:
-            # after four bytes that say how it is encoded, every stamped message begins with its stamp
-            seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
-            stamp = seconds * 1_000_000_000 + nanoseconds
+            stamp = serialised_stamp(data)
             self.messages[topic] += 1
             self.bytes[topic] += len(data)
             if topic.endswith("/image_raw"):

@@ -7,6 +7,7 @@ Standard messages only. Stamps are integer nanoseconds, world poses are in ``map
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -62,6 +63,12 @@ def to_time(nanoseconds: int) -> Time:
 
 def to_nanoseconds(stamp: Time) -> int:
     return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+
+
+def serialised_stamp(data: bytes) -> int:
+    """Nanoseconds of a serialised message that begins with a header: behind four bytes on how it is encoded."""
+    seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
+    return int(seconds) * 1_000_000_000 + int(nanoseconds)
 
 
 def header(stamp: int, frame: str) -> Header:

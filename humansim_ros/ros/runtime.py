@@ -25,6 +25,10 @@ _TRANSPORT_SETTINGS = (
 _MALLOPT = ((-3, 32 << 20), (-1, 512 << 20), (-2, 64 << 20))
 
 
+#: Seconds that taking a node down may take.
+_LAST_WORDS = 5
+
+
 def require_ros() -> None:
     """RosError with the way to install it where rclpy or a message package cannot be imported."""
     try:
@@ -80,10 +84,15 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
             raise
         # told to stop while it was still starting: whatever rclpy made of that is no error
     finally:
+        # Fast DDS has been seen to spin for ever while its participant is taken down: then this ends the
+        # process
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+        signal.alarm(_LAST_WORDS)
         if node is not None:
             with suppress(Exception):  # the context may be gone already
                 node.close()
                 node.destroy_node()
         with suppress(Exception):  # a signal handler may be shutting the context down at this moment
             rclpy.try_shutdown()
+        signal.alarm(0)
     return 0

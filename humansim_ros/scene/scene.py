@@ -98,9 +98,7 @@ class Actor:
 
     def _joints(self, poses: JointPoses) -> Array:
         """(N, J, 4, 4) frames of the ground-truth joints."""
-        rotations, root = self.retargeter.apply(poses)
-        skeleton = self.human.skeleton
-        return skeleton.joint_transforms(skeleton.pose(rotations, root))
+        return self.human.skeleton.joint_transforms(self.retargeter.pose(poses))
 
 
 @dataclass(frozen=True)

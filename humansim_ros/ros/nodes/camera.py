@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2
 
 from humansim_ros.errors import HumansimError, SceneError
@@ -63,16 +65,20 @@ class CameraNode(SceneNode):
         self._info = self.create_publisher(CameraInfo, f"{name}/camera_info", DATA)
         self._joints = self.create_publisher(PointCloud2, f"{name}/joints", DATA)
         self._publish_constants()
-        # stamp -> (vertices by human, joint positions by human), for frames that are not whole yet
-        self._waiting: dict[int, tuple[dict[str, NDArray[np.float32]], dict[str, Array]]] = {}
+        # stamp -> (vertices by human, serialised joints by human), for frames that are not whole yet
+        self._waiting: dict[int, tuple[dict[str, NDArray[np.float32]], dict[str, bytes]]] = {}
         self._last = 0
         self._told = False
         self._started = self.now()
         self._whole = self.create_guard_condition(self._render_next)
         for human in self.scene.actors:
-            self.create_subscription(PointCloud2, f"humans/{human}/vertices", self._taker(human, 0), NEWEST)
+            topic = f"humans/{human}"
             self.create_subscription(
-                MultiDOFJointState, f"humans/{human}/joints", self._taker(human, 1), NEWEST
+                PointCloud2, f"{topic}/vertices", partial(self._take_vertices, human), NEWEST
+            )
+            # as bytes: they are read only if somebody wants this camera's joints
+            self.create_subscription(
+                MultiDOFJointState, f"{topic}/joints", partial(self._take_joints, human), NEWEST, raw=True
             )
         self._still = self.create_timer(self.scene.period, self._show_still)
         self.get_logger().info(
@@ -100,33 +106,27 @@ class CameraNode(SceneNode):
             return
         self.publish_latched(TFMessage(transforms=[extrinsics]), "/tf_static")
 
-    def _taker(self, human: str, kind: int) -> Callable[[Any], None]:
-        """Callback for one human's vertices (kind 0) or joints (kind 1): puts them with the others of their
-        stamp.
-        """
+    def _take_vertices(self, human: str, message: PointCloud2) -> None:
+        try:
+            self._take(
+                messages.to_nanoseconds(message.header.stamp), 0, human, messages.read_vertices(message)
+            )
+        except HumansimError as error:
+            self.get_logger().error(f"{human}: frame skipped: {error}", throttle_duration_sec=1.0)
 
-        def take(message: Any) -> None:
-            stamp = messages.to_nanoseconds(message.header.stamp)
-            if stamp <= self._last:
-                return
-            try:
-                part = (
-                    messages.read_vertices(message)
-                    if kind == 0
-                    else messages.read_joints(message).positions[0]
-                )
-            except HumansimError as error:
-                self.get_logger().error(f"{human}: frame skipped: {error}", throttle_duration_sec=1.0)
-                return
-            waiting = self._waiting.setdefault(stamp, ({}, {}))
-            waiting[kind][human] = part  # type: ignore[assignment]
-            if self._is_whole(stamp):
-                # not at once: what else has arrived is taken first, so that a late camera sees it is late
-                self._whole.trigger()
-            elif len(self._waiting) > _MOST_WAITING:
-                self._give_up()
+    def _take_joints(self, human: str, data: bytes) -> None:
+        self._take(messages.serialised_stamp(data), 1, human, data)
 
-        return take
+    def _take(self, stamp: int, kind: int, human: str, part: Any) -> None:
+        """Put one human's vertices (kind 0) or joints (kind 1) with the others of their stamp."""
+        if stamp <= self._last:
+            return
+        self._waiting.setdefault(stamp, ({}, {}))[kind][human] = part
+        if self._is_whole(stamp):
+            # not at once: what else has arrived is taken first, so that a late camera sees it is late
+            self._whole.trigger()
+        elif len(self._waiting) > _MOST_WAITING:
+            self._give_up()
 
     def _is_whole(self, stamp: int) -> bool:
         return all(len(parts) == len(self.scene.actors) for parts in self._waiting[stamp])
@@ -149,11 +149,11 @@ class CameraNode(SceneNode):
         newest = max(self._waiting)
         stamp = next((stamp for stamp in whole if newest - stamp <= patience), whole[-1])
         self.count("drops", sum(older < stamp for older in self._waiting))
-        vertices, joints = self._waiting[stamp]
+        vertices, serialised = self._waiting[stamp]
         self._waiting = {later: parts for later, parts in self._waiting.items() if later > stamp}
         self._last = stamp
         try:
-            self._publish(stamp, vertices, joints)
+            self._publish(stamp, vertices, lambda human: _positions(serialised[human]))
         except HumansimError as error:
             self.count("drops")
             self.get_logger().error(f"frame skipped: {error}", throttle_duration_sec=1.0)
@@ -175,11 +175,12 @@ class CameraNode(SceneNode):
                 )
             states = {name: actor.at(0.0) for name, actor in self.scene.actors.items()}
             vertices = {name: state.vertices for name, state in states.items()}
-            self._publish(now, vertices, {name: state.positions for name, state in states.items()})
+            self._publish(now, vertices, lambda human: states[human].positions)
 
     def _publish(
-        self, stamp: int, vertices: dict[str, NDArray[np.float32]], joints: dict[str, Array]
+        self, stamp: int, vertices: dict[str, NDArray[np.float32]], joints_of: Callable[[str], Array]
     ) -> None:
+        """Render what somebody wants of this instant, and send it."""
         channels = {c for c, publisher in self._images.items() if publisher.get_subscription_count()}
         wanted = set(channels)
         wants_joints = self._joints.get_subscription_count() > 0
@@ -189,7 +190,9 @@ class CameraNode(SceneNode):
             self._info.publish(messages.camera_info_message(self._camera, stamp, self._frame))
         if not wanted:
             return
-        bodies = [actor.body(vertices[name]) for name, actor in self.scene.actors.items()]
+        actors = self.scene.actors
+        joints = {name: joints_of(name) for name in actors} if wants_joints else {}
+        bodies = [actor.body(vertices[name]) for name, actor in actors.items()]
         view = self._renderer.render(bodies, self._camera, wanted)
         for channel in channels:
             image = getattr(view, channel)
@@ -198,14 +201,19 @@ class CameraNode(SceneNode):
         if wants_joints:
             seen = [
                 (
-                    actor.instance,
-                    view_joints(self._camera, joints[name], view, actor.instance, self._surfaces[name]),
+                    actors[name].instance,
+                    view_joints(self._camera, positions, view, actors[name].instance, self._surfaces[name]),
                 )
-                for name, actor in self.scene.actors.items()
+                for name, positions in joints.items()
             ]
             self._joints.publish(messages.joint_view_message(seen, stamp, self._frame))
         self.count("frames")
         self.report_lateness(stamp)
+
+
+def _positions(data: bytes) -> Array:
+    """(J, 3) joint positions of a serialised ``joints`` message."""
+    return messages.read_joints(deserialize_message(data, MultiDOFJointState)).positions[0]
 
 
 def main() -> int:

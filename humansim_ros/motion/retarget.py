@@ -111,7 +111,7 @@ class Retargeter:
 
     @cached_property
     def _levels(self) -> tuple[tuple[NDArray[np.intp], _Driven, _Driven], ...]:
-        """For each level of the skeleton: its bones, those that follow links, and those that follow joints."""
+        """For each level of the skeleton: its bones, those that follow links, those that follow joints."""
         links = self.match.parallel
         joints = {bone: (joint, joint) for bone, joint in self.match.difference.items() if bone not in links}
         return tuple(
@@ -122,7 +122,7 @@ class Retargeter:
 
 @dataclass(frozen=True)
 class _Driven:
-    """Bones of one level: their ``places`` in it, their indices, and the joints that drive them (start, end)."""
+    """Bones of one level: their ``places`` in it, their indices, the joints that drive them (start, end)."""
 
     places: NDArray[np.intp]
     bones: NDArray[np.intp]

@@ -66,7 +66,7 @@ def to_nanoseconds(stamp: Time) -> int:
 
 
 def serialised_stamp(data: bytes) -> int:
-    """Nanoseconds of a serialised message that begins with a header: behind four bytes on how it is encoded."""
+    """Nanoseconds of a serialised message that begins with a header (after four bytes on its encoding)."""
     seconds, nanoseconds = struct.unpack_from("<iI", data, 4)
     return int(seconds) * 1_000_000_000 + int(nanoseconds)
 

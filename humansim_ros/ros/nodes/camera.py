@@ -8,6 +8,7 @@ topic that nobody subscribes to.
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -21,6 +22,7 @@ from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.render import GLRenderer
 from humansim_ros.ros import messages
 from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.pace import Pace
 from humansim_ros.ros.qos import DATA, NEWEST
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.rotations import Array
@@ -67,6 +69,7 @@ class CameraNode(SceneNode):
         self._publish_constants()
         # stamp -> (vertices by human, serialised joints by human), for frames that are not whole yet
         self._waiting: dict[int, tuple[dict[str, NDArray[np.float32]], dict[str, bytes]]] = {}
+        self._pace = Pace(self.scene.period * 1e9)
         self._last = 0
         self._told = False
         self._started = self.now()
@@ -119,7 +122,7 @@ class CameraNode(SceneNode):
 
     def _take(self, stamp: int, kind: int, human: str, part: Any) -> None:
         """Put one human's vertices (kind 0) or joints (kind 1) with the others of their stamp."""
-        if stamp <= self._last:
+        if stamp <= self._last or not self._pace.keeps(stamp):
             return
         self._waiting.setdefault(stamp, ({}, {}))[kind][human] = part
         if self._is_whole(stamp):
@@ -148,15 +151,21 @@ class CameraNode(SceneNode):
         patience = _PATIENCE * self.scene.period * 1e9
         newest = max(self._waiting)
         stamp = next((stamp for stamp in whole if newest - stamp <= patience), whole[-1])
-        self.count("drops", sum(older < stamp for older in self._waiting))
+        lost = sum(older < stamp for older in self._waiting)
+        self._pace.lost(lost)
         vertices, serialised = self._waiting[stamp]
         self._waiting = {later: parts for later, parts in self._waiting.items() if later > stamp}
+        if self._last:
+            # those that the pace leaves out are drops too
+            self.count("drops", round((stamp - self._last) / (self.scene.period * 1e9)) - 1)
         self._last = stamp
+        start = time.monotonic()
         try:
             self._publish(stamp, vertices, lambda human: _positions(serialised[human]))
         except HumansimError as error:
             self.count("drops")
             self.get_logger().error(f"frame skipped: {error}", throttle_duration_sec=1.0)
+        self._pace.worked(start, time.monotonic())
         if any(self._is_whole(later) for later in self._waiting):
             self._whole.trigger()
 

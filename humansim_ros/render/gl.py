@@ -44,9 +44,9 @@ class Lighting:
     """Linear-light colours and the direction to the sun, ``map`` frame."""
 
     sun: tuple[float, float, float] = (0.45, 0.3, 0.84)
-    sun_color: tuple[float, float, float] = (0.62, 0.59, 0.54)
-    sky_color: tuple[float, float, float] = (0.62, 0.64, 0.68)
-    ground_color: tuple[float, float, float] = (0.34, 0.31, 0.28)
+    sun_color: tuple[float, float, float] = (0.78, 0.74, 0.68)
+    sky_color: tuple[float, float, float] = (0.80, 0.82, 0.86)
+    ground_color: tuple[float, float, float] = (0.46, 0.43, 0.39)
     background: tuple[int, int, int] = (168, 176, 184)
 
 

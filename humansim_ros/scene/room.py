@@ -179,7 +179,7 @@ def _shade(color: Sequence[int], amount: Array) -> Image:
 
 
 def _plaster(rng: _Rng, color: Sequence[int], side: int = 256) -> Image:
-    return _shade(color, 0.012 * _noise(rng, (side, side), 3) + 0.015 * _noise(rng, (side, side), 24))
+    return _shade(color, 0.008 * _noise(rng, (side, side), 3) + 0.008 * _noise(rng, (side, side), 24))
 
 
 def _planks(rng: _Rng, color: Sequence[int], rows: int = 8, side: int = 1024) -> Image:

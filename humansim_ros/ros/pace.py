@@ -4,11 +4,11 @@ from __future__ import annotations
 
 _WINDOW = 1.0
 #: More than this share of a second's frames lost: too fast.
-_LOST = 0.1
+_LOST = 0.2
 #: Less than this share of the time at work: twice as fast may do.
 _IDLE = 0.4
 _MOST = 8
-_FIRST_WAIT, _LONGEST_WAIT = 4.0, 60.0
+_FIRST_WAIT, _LONGEST_WAIT = 2.0, 16.0
 
 
 class Pace:

@@ -71,7 +71,8 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     try:
         node = make()
         executor = SingleThreadedExecutor()
-        executor.add_node(node)
+        for each in getattr(node, "nodes", [node]):
+            executor.add_node(each)
         signal.signal(signal.SIGTERM, lambda *_: rclpy.try_shutdown())
         executor.spin()
     except HumansimError as error:

@@ -18,6 +18,16 @@ from humansim_ros.rotations import Array
 Image = NDArray[np.uint8]
 _Rng = np.random.Generator
 
+#: Colours of the books on the shelf.
+_BOOKS = (
+    (150, 60, 52),
+    (58, 84, 120),
+    (196, 176, 130),
+    (70, 100, 76),
+    (60, 56, 62),
+    (206, 204, 196),
+)
+
 
 def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int = 1) -> list[Mesh]:
     """Meshes of a room of ``size`` (x, y, z) metres, centred on the origin; the same seed gives the same
@@ -110,20 +120,9 @@ def _shelf(at: tuple[float, float], size: tuple[float, float, float], image: Ima
             book = float(rng.uniform(0.025, 0.07))
             tall = float(rng.uniform(0.2, 0.31))
             if rng.random() < 0.82:
-                color = rng.choice(
-                    [
-                        (150, 60, 52),
-                        (58, 84, 120),
-                        (196, 176, 130),
-                        (70, 100, 76),
-                        (60, 56, 62),
-                        (206, 204, 196),
-                    ]
-                )
+                color = _BOOKS[int(rng.integers(len(_BOOKS)))]
                 place = (x + left + book / 2, y - 0.03, float(z) + 0.015 + tall / 2)
-                meshes.append(
-                    _box(place, (book, 0.22, tall), _plaster(rng, tuple(int(c) for c in color), 64))
-                )
+                meshes.append(_box(place, (book, 0.22, tall), _plaster(rng, color, 64)))
             left += book + 0.004
     return meshes
 

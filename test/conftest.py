@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -28,3 +29,16 @@ def shared_data() -> Path:
 def assets() -> Path:
     """The bodies and motions that come with the package."""
     return ROOT / "assets"
+
+
+@pytest.fixture(scope="module")
+def ros() -> Iterator[None]:
+    """rclpy, with room for images, for the tests of one file."""
+    import rclpy
+
+    from humansim_ros.ros.runtime import prepare_transport
+
+    prepare_transport()
+    rclpy.init()
+    yield
+    rclpy.try_shutdown()

@@ -20,19 +20,10 @@ from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayer
 from humansim_ros.ros.nodes.skinner import Skinner
 from humansim_ros.ros.qos import LATCHED
-from humansim_ros.ros.runtime import prepare_transport
 from humansim_ros.scene import Scene
 
 HUMANS, CAMERAS = ("first", "second"), ("left", "right")
 IMAGES = {"image_raw": "rgb8", "depth/image": "32FC1", "instance/image": "mono16", "part/image": "mono8"}
-
-
-@pytest.fixture(scope="module")
-def ros() -> Iterator[None]:
-    prepare_transport()
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
 
 
 def parameters(**values: Any) -> dict[str, Any]:

@@ -12,22 +12,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from ros_support import Client, rclpy, write_scene
-
-from humansim_ros.ros.runtime import prepare_transport
+from ros_support import Client, write_scene
 
 WALK = Path(__file__).resolve().parents[1] / "assets" / "motions" / "walk.bvh"
 HUMANSIM = [sys.executable, "-m", "humansim_ros.cli"]
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 CAMERA = "{position: [3, 0, 1], look_at: [0, 0, 1]}"
-
-
-@pytest.fixture(scope="module")
-def ros() -> Iterator[None]:
-    prepare_transport()
-    rclpy.init()
-    yield
-    rclpy.try_shutdown()
 
 
 @pytest.fixture

@@ -149,8 +149,8 @@ def _ways_along_skin(mesh: Mesh, gap: float) -> csr_matrix:
     # a few nearest vertices too: seams have their vertices twice, hands end in sleeves
     near, neighbours = cKDTree(vertices).query(vertices, k=min(6, len(vertices)), distance_upper_bound=gap)
     first, column = np.nonzero(np.isfinite(near[:, 1:]))
-    edges = np.vstack([edges, np.column_stack([first, neighbours[first, column + 1]])])
-    edges = np.unique(np.sort(edges, axis=1), axis=0)
+    gaps = np.column_stack([first, neighbours[first, column + 1]])
+    edges = np.unique(np.sort(np.vstack([edges, gaps]), axis=1), axis=0).astype(np.int32)
     # zero would mean no edge
     length = np.maximum(np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1), 1e-9)
     return csr_matrix((length, (edges[:, 0], edges[:, 1])), shape=(len(vertices),) * 2)

@@ -423,7 +423,7 @@ class _Surface:
         if mesh.uv is None or mesh.uv_triangles is None:
             self._source: NDArray[Any] = np.arange(len(mesh.vertices))
             corners: NDArray[Any] = triangles
-            uv = np.zeros((len(mesh.vertices), 2))
+            uv: Array = np.zeros((len(mesh.vertices), 2))
         else:
             pairs = np.stack([triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
             unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
@@ -491,7 +491,8 @@ def _texture(ctx: moderngl.Context, image: NDArray[np.uint8] | None) -> moderngl
     if image is None:
         return ctx.texture((1, 1), 3, b"\xff\xff\xff", alignment=1)
     # the texture coordinate v points up, the image's first row is on top
-    texture = ctx.texture(image.shape[1::-1], 3, np.ascontiguousarray(image[::-1]).tobytes(), alignment=1)
+    height, width = image.shape[:2]
+    texture = ctx.texture((width, height), 3, np.ascontiguousarray(image[::-1]).tobytes(), alignment=1)
     texture.build_mipmaps()
     texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
     return texture

@@ -15,10 +15,10 @@ from humansim_ros.scene import Scene
 class SceneNode(Node):
     """A node of a scene. Parameter ``scene``: the scene file, empty for the demo scene."""
 
-    def __init__(self, name: str, scene: Scene | None = None, **options: Any) -> None:
+    def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         path = self.text_parameter("scene", "", "Scene file (YAML); empty for the demo scene")
-        self.scene = scene or Scene.load(path or None)
+        self.scene = Scene.load(path or None)
         self._counts: dict[str, int] = {}
         self._latest_lateness = 0.0
         self._worst_lateness = 0.0

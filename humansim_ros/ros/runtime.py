@@ -71,8 +71,7 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     try:
         node = make()
         executor = SingleThreadedExecutor()
-        for each in getattr(node, "nodes", [node]):
-            executor.add_node(each)
+        executor.add_node(node)
         signal.signal(signal.SIGTERM, lambda *_: rclpy.try_shutdown())
         executor.spin()
     except HumansimError as error:

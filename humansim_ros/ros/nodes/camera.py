@@ -19,7 +19,6 @@ from humansim_ros.ros.joiner import FrameJoiner, Instant
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene import Scene
 from humansim_ros.truth.joints import joint_surfaces, view_joints
 
 #: Topic of each channel below the camera's name.
@@ -32,17 +31,11 @@ _IMAGE_TOPICS = {
 
 
 class CameraNode(SceneNode):
-    """One camera with its ground truth.
+    """One camera with its ground truth."""
 
-    ``camera``: its name, instead of the parameter's. ``scene`` and ``renderer``: those of a rig that several
-    cameras share; the rig then joins the frames and calls :meth:`show`.
-    """
-
-    def __init__(
-        self, camera: str = "", scene: Scene | None = None, renderer: GLRenderer | None = None, **options: Any
-    ) -> None:
-        super().__init__(f"camera_{camera}" if camera else "camera", scene=scene, **options)
-        name = self.text_parameter("camera", camera, "Which camera of the scene; empty for the first")
+    def __init__(self, **options: Any) -> None:
+        super().__init__("camera", **options)
+        name = self.text_parameter("camera", "", "Which camera of the scene; empty for the first")
         name = name or next(iter(self.scene.cameras))
         if name not in self.scene.cameras:
             known = ", ".join(self.scene.cameras)
@@ -52,8 +45,7 @@ class CameraNode(SceneNode):
         self._name = name
         self._camera = self.scene.cameras[name]
         self._frame = messages.optical_frame(name)
-        self._owns_renderer = renderer is None
-        self._renderer = renderer or GLRenderer(self.scene.static_meshes)
+        self._renderer = GLRenderer(self.scene.static_meshes)
         self._surfaces = {human: joint_surfaces(actor.human) for human, actor in self.scene.actors.items()}
         self._images = {
             channel: self.create_publisher(Image, f"{name}/{topic}", DATA)
@@ -62,15 +54,13 @@ class CameraNode(SceneNode):
         self._info = self.create_publisher(CameraInfo, f"{name}/camera_info", DATA)
         self._joints = self.create_publisher(PointCloud2, f"{name}/joints", DATA)
         self._publish_constants()
-        if self._owns_renderer:
-            self._joiner = FrameJoiner(self, self.show)
+        self._joiner = FrameJoiner(self, self.show)
         self.get_logger().info(
             f"{name}: {self._camera.size[0]}x{self._camera.size[1]} on {self._renderer.device}"
         )
 
     def close(self) -> None:
-        if self._owns_renderer:
-            self._renderer.close()
+        self._renderer.close()
 
     def _publish_constants(self) -> None:
         extrinsics = messages.extrinsics_message(self._name, self._camera, self.now())

@@ -351,3 +351,40 @@ def test_a_name_that_the_scene_lacks_is_refused_with_those_it_has(
 ) -> None:
     with pytest.raises(SceneError, match=r"nobody.*(first|left)"):
         node(**parameters(scene=str(write_scene(tmp_path)), **{key: "nobody"}))
+
+
+def test_a_camera_follows_a_clock_that_is_set_back(ros: None, tmp_path: Path) -> None:
+    """As when a bag is played a second time: what comes then is shown, and not taken for late."""
+    from sensor_msgs.msg import Image, MultiDOFJointState, PointCloud2
+
+    node = CameraNode(**parameters(scene=str(write_scene(tmp_path))), namespace="jump")
+    client = Client("jumper")
+    client.executor.add_node(node)
+    client.subscribe(Image, ["/jump/left/part/image"])
+    senders = {
+        name: (
+            client.node.create_publisher(MultiDOFJointState, f"/jump/humans/{name}/joints", 5),
+            client.node.create_publisher(PointCloud2, f"/jump/humans/{name}/vertices", 5),
+        )
+        for name in HUMANS
+    }
+    assert client.spin_until(
+        lambda: (
+            all(p.get_subscription_count() for pair in senders.values() for p in pair)
+            and client.node.count_publishers("/jump/left/part/image") == 1
+        )
+    )
+    images = client.received["/jump/left/part/image"]
+    for stamp in (20_000_000_000, 1_000_000_000, 1_050_000_000):
+
+        def send_until_shown(stamp: int = stamp) -> bool:
+            for name, (joints, vertices) in senders.items():
+                state = node.scene.actors[name].at(stamp * 1e-9)
+                joints.publish(messages.joints_message(state, stamp))
+                vertices.publish(messages.vertices_message(state.vertices, stamp))
+            return stamp in images
+
+        assert client.spin_until(send_until_shown, 15), f"{stamp} was not shown, only {sorted(images)}"
+    node.close()
+    node.destroy_node()
+    client.close()

@@ -242,15 +242,16 @@ def _contact_sheet(scene: Scene, listener: _Listener) -> pictures.Image:
 
 
 def _video(scene: Scene, listener: _Listener) -> Iterator[pictures.Image]:
-    """Frames with every camera at the same stamp, two cameras a row."""
+    """Frames with every camera at the same stamp, two cameras a row; one stands until the next, as on a clock."""
     names = list(scene.cameras)
-    for stamp in sorted(listener.small):
+    whole = [stamp for stamp in sorted(listener.small) if len(listener.small[stamp]) == len(names)]
+    for stamp, following in zip(whole, [*whole[1:], None], strict=True):
         images = listener.small[stamp]
-        if len(images) == len(names):
-            rows = [
-                np.concatenate([images[n] for n in names[i : i + 2]], axis=1) for i in range(0, len(names), 2)
-            ]
-            yield np.concatenate(rows)
+        rows = [
+            np.concatenate([images[n] for n in names[i : i + 2]], axis=1) for i in range(0, len(names), 2)
+        ]
+        periods = 1 if following is None else round((following - stamp) * 1e-9 / scene.period)
+        yield from [np.concatenate(rows)] * max(1, periods)
 
 
 def _table(listener: _Listener, seconds: float) -> Table:

@@ -70,3 +70,15 @@ def test_the_readme_lists_the_topics_that_the_nodes_have() -> None:
         assert topic in source, topic
     for topic in re.findall(r"`/humans/<id>/([a-z_/]+)`", README):
         assert f"/{topic}" in source, topic
+
+
+def test_the_scene_of_the_documents_loads_and_every_key_is_described(tmp_path: Path) -> None:
+    from humansim_ros.scene import Scene, config
+
+    text = (ROOT / "docs" / "scene.md").read_text()
+    example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
+    assert example
+    assert len(Scene.load(write_scene(tmp_path, example.group(1))).cameras) == 2
+    for section in (config.HumanConfig, config.MotionConfig, config.CameraConfig, config.RoomConfig):
+        for key in section.model_fields:
+            assert f"`{key}`" in text or f".{key}`" in text, key

@@ -242,7 +242,7 @@ def _contact_sheet(scene: Scene, listener: _Listener) -> pictures.Image:
 
 
 def _video(scene: Scene, listener: _Listener) -> Iterator[pictures.Image]:
-    """Frames with every camera at the same stamp, two cameras a row; one stands until the next, as on a clock."""
+    """Frames with every camera at the same stamp, two cameras a row; each stands until the next is due."""
     names = list(scene.cameras)
     whole = [stamp for stamp in sorted(listener.small) if len(listener.small[stamp]) == len(names)]
     for stamp, following in zip(whole, [*whole[1:], None], strict=True):

@@ -67,6 +67,8 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 
     rclpy.init(args=None if arguments is None else list(arguments))
+    # half-made rclpy objects of a node that is stopped while it starts complain as they are deleted: let them
+    sys.unraisablehook = lambda problem: sys.__unraisablehook__(problem) if rclpy.ok() else None
     node = None
     try:
         node = make()

@@ -29,9 +29,7 @@ REQUIRES = [
     "pydantic>=2.5",
     "pyyaml>=6.0",
     "rich>=13.0",
-    "rosbags>=0.10.6",
     "scipy>=1.11,<1.18",
-    "trimesh>=4.0",
     "typer>=0.9",
 ]
 
@@ -46,12 +44,14 @@ EXTRAS = {
         "mypy",
         "pyrender==0.1.45",
         "pytest",
+        "rosbags>=0.10.6",
         "ruff",
         # 70.1 builds wheels on its own; colcon needs an older one than 80
         "setuptools>=70.1,<80",
+        "trimesh>=4.0",
         "types-PyYAML",
     ],
-    "bench": ["pyrender==0.1.45"],
+    "bench": ["pyrender==0.1.45", "trimesh>=4.0"],
 }
 
 
@@ -83,7 +83,7 @@ setup(
     description="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2",
     license="Apache-2.0",
     maintainer="humansim_ros maintainers",
-    maintainer_email="maintainers@users.noreply.h-seed-9cc55bcf.example",
+    maintainer_email="humansim-ros@example.org",
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={

@@ -8,7 +8,6 @@ cannot show are not sent at all.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -496,10 +495,3 @@ def _texture(ctx: moderngl.Context, image: NDArray[np.uint8] | None) -> moderngl
     texture.build_mipmaps()
     texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
     return texture
-
-
-def threads_for(processes: int) -> int:
-    """How many threads each of several rendering processes should give the software rasteriser on this
-    machine.
-    """
-    return max(1, (os.cpu_count() or 1) // processes)

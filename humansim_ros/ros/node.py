@@ -20,7 +20,6 @@ class SceneNode(Node):
         path = self.text_parameter("scene", "", "Scene file (YAML); empty for the demo scene")
         self.scene = Scene.load(path or None)
         self._counts: dict[str, int] = {}
-        self._latest_lateness = 0.0
         self._worst_lateness = 0.0
         self._latched: list[Any] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DATA)
@@ -53,8 +52,7 @@ class SceneNode(Node):
 
     def report_lateness(self, stamp: int) -> None:
         """Note how long after its stamp a frame has left this node."""
-        self._latest_lateness = (self.now() - stamp) * 1e-9
-        self._worst_lateness = max(self._worst_lateness, self._latest_lateness)
+        self._worst_lateness = max(self._worst_lateness, (self.now() - stamp) * 1e-9)
 
     def close(self) -> None:
         """Free what the node holds besides its ROS entities."""

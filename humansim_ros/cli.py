@@ -49,14 +49,11 @@ def run(
     duration: Annotated[float | None, typer.Option(help="Stop after so many seconds.", min=0.1)] = None,
 ) -> None:
     """Start every node of a scene as a process; Ctrl-C stops them all."""
-    from humansim_ros.render.gl import create_context
     from humansim_ros.ros.processes import scene_processes
-    from humansim_ros.ros.runtime import require_ros
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
 
-    require_ros()
-    create_context().release()  # without OpenGL every camera would fail: say so once, before anything starts
+    _check_machine()
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
     with tempfile.TemporaryDirectory(prefix="humansim-") as folder:
         path = scene or resource_path("config/scenes/demo.yaml")
@@ -85,12 +82,20 @@ def demo(
 ) -> None:
     """Run the demo scene's nodes, subscribe to them as a client would, and write pictures of what arrived."""
     from humansim_ros.ros.demo import record_demo
-    from humansim_ros.ros.runtime import require_ros
 
-    require_ros()
+    _check_machine()
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
     if not record_demo(resource_path("config/scenes/demo.yaml"), output, duration):
         raise typer.Exit(1)
+
+
+def _check_machine() -> None:
+    """Without ROS or OpenGL every node would fail: say so once, before anything starts."""
+    from humansim_ros.render.gl import create_context
+    from humansim_ros.ros.runtime import require_ros
+
+    require_ros()
+    create_context().release()
 
 
 def _scene_with(

@@ -216,8 +216,9 @@ def test_a_wrong_option_is_refused() -> None:
 def test_without_opengl_the_packages_are_named(tmp_path: Path) -> None:
     nothing = str(tmp_path / "nothing")
     without = {"__EGL_VENDOR_LIBRARY_DIRS": nothing, "__EGL_VENDOR_LIBRARY_FILENAMES": nothing}
-    result = humansim("run", "--duration", "5", **without)
-    refused(result, "libegl1", "libgl1-mesa-dri")
+    refused(humansim("run", "--duration", "5", **without), "libegl1", "libgl1-mesa-dri")
+    refused(humansim("demo", "-o", tmp_path / "demo", **without), "libegl1", "libgl1-mesa-dri")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_without_ros_the_way_to_install_it_is_named() -> None:

@@ -183,7 +183,7 @@ BROKEN_SCENES = {
             "cameras:\n  c:\n    K: [[500, 0, 320], [0, 0, 240], [0, 0, 1]]\n"
             "    R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n    t: [0, 0, 3]\n"
         ),
-        ["cameras.c.K", "singular"],
+        ["scene.yaml:3", "cameras.c.K", "singular"],
     ),
     "no_cameras": ("humans: {}\n", ["cameras"]),
     "not_yaml": ("cameras: [\n", ["YAML"]),

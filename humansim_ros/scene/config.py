@@ -181,6 +181,15 @@ def _known_keys(keys: list[Any]) -> str:
     return f"; known here: {', '.join(model.model_fields)}"
 
 
+def line_of_key(path: str | os.PathLike[str], key: str) -> int | None:
+    """Line of a dotted key in a scene file, or of as much of it as is there; None if it cannot be read."""
+    try:
+        tree = yaml.compose(Path(path).read_text(), Loader=yaml.SafeLoader)
+    except (OSError, ValueError, yaml.YAMLError):
+        return None
+    return _line_of(tree, list(key.split(".")))
+
+
 def _line_of(node: Any, keys: list[Any]) -> int | None:
     """Line of the deepest part of a key path that is in the file."""
     line = None

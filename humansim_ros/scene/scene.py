@@ -28,7 +28,14 @@ from humansim_ros.motion.world import (
 from humansim_ros.render import Body
 from humansim_ros.resources import resource_path
 from humansim_ros.rotations import Array, matrix_to_quaternion
-from humansim_ros.scene.config import CameraConfig, HumanConfig, SceneConfig, find_file, load_config
+from humansim_ros.scene.config import (
+    CameraConfig,
+    HumanConfig,
+    SceneConfig,
+    find_file,
+    line_of_key,
+    load_config,
+)
 from humansim_ros.scene.room import furnished_room
 
 DEMO_SCENE = "config/scenes/demo.yaml"
@@ -129,7 +136,7 @@ class Scene:
                 cameras[name] = _camera(camera)
             except CameraError as error:
                 key = f"cameras.{name}" + (f".{error.key}" if error.key else "")
-                raise CameraError(error.message, path=path, key=key) from None
+                raise CameraError(error.message, path=path, line=line_of_key(path, key), key=key) from None
         return cls(path, config, actors, cameras)
 
     @property

@@ -23,7 +23,6 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 import moderngl
 import numpy as np
 
-from humansim_ros.body.mesh import NormalMaker
 from humansim_ros.camera import Camera
 from humansim_ros.render import CHANNELS, Body, GLRenderer
 from humansim_ros.render.gl import create_context
@@ -134,7 +133,7 @@ class Pyrender:
         self.parts = (
             [(int(n), self.corners[shot.body.parts == n]) for n in labels] if by_part else [(1, self.corners)]
         )
-        self.normals = NormalMaker(mesh.faces, len(mesh.vertices))
+        self.topology = Topology(mesh)
         self.renderer = pyrender.OffscreenRenderer(*shot.camera.size)
 
     def __call__(self, shot: Shot) -> None:
@@ -143,7 +142,7 @@ class Pyrender:
         pose = shot.camera.world_from_optical @ np.diag([1.0, -1.0, -1.0, 1.0])
         nodes = [self.scene.add(camera, pose=pose)]
         positions = shot.body.vertices[self.source]
-        normals = self.normals(shot.body.vertices)[self.source]
+        normals = Posed(self.topology, shot.body.vertices).normals[self.source]
         labels = {}
         for number, triangles in self.parts:
             primitive = pyrender.Primitive(

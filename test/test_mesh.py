@@ -11,8 +11,8 @@ import trimesh
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body import Mesh, fit_to_skeleton, hanim_skeleton, read_mesh
-from humansim_ros.body.mesh import vertex_normals
 from humansim_ros.errors import MeshError
+from humansim_ros.render.posed import Floats, Posed, Topology
 from humansim_ros.rotations import Array
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -178,6 +178,11 @@ def as_mesh(theirs: trimesh.Trimesh) -> Mesh:
     return Mesh(np.array(theirs.vertices), faces)
 
 
+def normals_of(mesh: Mesh) -> Floats:
+    """The normals that the renderer lights a mesh with."""
+    return Posed(Topology(mesh), mesh.vertices.astype(np.float32)).normals
+
+
 def test_normals_are_trimeshs() -> None:
     """Weighted by the areas of the triangles round a vertex, on a surface that is no ball."""
     theirs = ball()
@@ -186,17 +191,17 @@ def test_normals_are_trimeshs() -> None:
     expected = trimesh.geometry.mean_vertex_normals(
         len(theirs.vertices), theirs.faces, theirs.face_normals * theirs.area_faces[:, None]
     )
-    np.testing.assert_allclose(vertex_normals(mesh.vertices, mesh.faces), expected, atol=1e-5)
+    np.testing.assert_allclose(normals_of(mesh), expected, atol=1e-5)
 
 
 def test_normals_of_a_quad_point_to_where_it_runs_counter_clockwise(tmp_path: Path) -> None:
     mesh = read(tmp_path, SQUARE + "f 1 2 3 4")
-    np.testing.assert_allclose(vertex_normals(mesh.vertices, mesh.faces), [[0, 0, 1]] * 4, atol=1e-7)
+    np.testing.assert_allclose(normals_of(mesh), [[0, 0, 1]] * 4, atol=1e-7)
 
 
 def test_normals_of_a_vertex_without_faces_are_zero() -> None:
     vertices = np.vstack([np.eye(3), [[9, 9, 9]]])
-    normals = vertex_normals(vertices, TRIANGLE.faces)
+    normals = normals_of(Mesh(vertices, TRIANGLE.faces))
     np.testing.assert_array_equal(normals[3], 0)
     assert np.isfinite(normals).all()
 

@@ -190,35 +190,3 @@ def _quads(corners: int) -> list[tuple[int, int, int, int]]:
     if corners == 4:
         return [(0, 1, 2, 3)]
     return [(0, i, i + 1, -1) for i in range(1, corners - 1)]
-
-
-def vertex_normals(vertices: NDArray[np.floating], faces: Indices) -> NDArray[np.float32]:
-    """Unit normals (V, 3) float32: the area-weighted mean of the faces around each vertex."""
-    return NormalMaker(faces, len(vertices))(vertices)
-
-
-class NormalMaker:
-    """Vertex normals of one topology, frame after frame: the sums are a sparse matrix made once."""
-
-    def __init__(self, faces: Indices, n_vertices: int) -> None:
-        from scipy.sparse import csr_matrix
-
-        quad = faces[:, 3] >= 0
-        # half the cross product of the diagonals is a quad's area vector; a triangle's diagonals are two of
-        # its edges
-        self._diagonals = np.where(quad[:, None], faces[:, [0, 2, 1, 3]], faces[:, [0, 1, 0, 2]])
-        corner, face = faces[faces >= 0], np.nonzero(faces >= 0)[0]
-        shape = (n_vertices, len(faces))
-        self._sum = csr_matrix((np.ones(len(face), dtype=np.float32), (corner, face)), shape=shape)
-
-    def __call__(self, vertices: NDArray[np.floating]) -> NDArray[np.float32]:
-        points = np.asarray(vertices, dtype=np.float32)[self._diagonals]
-        a, b = points[:, 1] - points[:, 0], points[:, 3] - points[:, 2]
-        area = np.empty_like(a)
-        area[:, 0] = a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1]
-        area[:, 1] = a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]
-        area[:, 2] = a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
-        normals: NDArray[np.float32] = self._sum @ area
-        length = np.sqrt(np.einsum("ij,ij->i", normals, normals))
-        normals /= np.maximum(length, np.float32(1e-20))[:, None]
-        return normals

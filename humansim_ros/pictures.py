@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.skeleton import side_of
 from humansim_ros.errors import HumansimError
 from humansim_ros.files import atomic_path
 from humansim_ros.truth.joints import OUTSIDE, VISIBLE
@@ -18,7 +19,8 @@ from humansim_ros.truth.joints import OUTSIDE, VISIBLE
 Image = NDArray[np.uint8]
 
 _SEEN, _HIDDEN = (60, 230, 90), (255, 150, 40)
-_LEFT, _RIGHT, _TRUNK = (80, 170, 255), (255, 110, 150), (250, 220, 90)
+#: Colours of left, right and trunk.
+_SIDES = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
 
 
 def color_depth(depth: NDArray[np.float32]) -> Image:
@@ -63,10 +65,7 @@ def draw_joints(
     }
     for name, parent in zip(names, parents, strict=True):
         if parent is not None and name in fixed and parent in fixed:
-            color = _LEFT if "l_" in name[:20] and not name.startswith("r_") else _TRUNK
-            color = _RIGHT if name.startswith("r_") or "_r_" in name else color
-            color = _TRUNK if name in ("vl5", "vt3", "sacroiliac", "vt3_end") else color
-            cv2.line(out, fixed[parent], fixed[name], color, 2, cv2.LINE_AA, 4)
+            cv2.line(out, fixed[parent], fixed[name], _SIDES[side_of(name)], 2, cv2.LINE_AA, 4)
     for name, state in zip(names, visible, strict=True):
         if name in fixed and state != OUTSIDE:
             if state == VISIBLE:

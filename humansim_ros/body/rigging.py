@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.body.mesh import Mesh
-from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.body.skeleton import Skeleton, side_of
 from humansim_ros.errors import MeshError
 from humansim_ros.rotations import Array
 
@@ -31,12 +31,7 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "thesis") -> csr_matrix:
     """
     vertices = mesh.vertices
     angles = _angle_seen(vertices, skeleton)
-    sides = np.array(
-        [
-            1 if n.startswith("l_") or "_l_" in n else -1 if n.startswith("r_") or "_r_" in n else 0
-            for n in skeleton.names
-        ]
-    )
+    sides = np.array([side_of(name) for name in skeleton.names])
     other_side = sides[None, :] * np.sign(vertices[:, :1]) < 0
     angles[other_side] = -1.0
     best = np.argmax(angles, axis=1)

@@ -137,6 +137,13 @@ class Skeleton:
         return np.concatenate([posed, ends], axis=-3)
 
 
+def side_of(name: str) -> int:
+    """Side of the body that a bone or joint belongs to by its H-Anim name: 1 left, -1 right, 0 neither."""
+    if name.startswith("l_") or "_l_" in name:
+        return 1
+    return -1 if name.startswith("r_") or "_r_" in name else 0
+
+
 _TRUNK = (
     ("HumanoidRoot", (0.000, 0.824, 0.0277), (0.000, 0.921, -0.080), None),
     ("sacroiliac", (0.000, 0.921, -0.080), (0.000, 1.057, -0.034), "HumanoidRoot"),

@@ -213,6 +213,11 @@ def test_a_wrong_option_is_refused() -> None:
     refused(humansim("no-such-command"), "no-such-command")
 
 
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    refused(humansim("demo", "-o", tmp_path / "file" / "pictures"), "file/pictures", "folder")
+
+
 def test_without_opengl_the_packages_are_named(tmp_path: Path) -> None:
     nothing = str(tmp_path / "nothing")
     without = {"__EGL_VENDOR_LIBRARY_DIRS": nothing, "__EGL_VENDOR_LIBRARY_FILENAMES": nothing}

@@ -43,7 +43,12 @@ def record_demo(scene_path: Path, output: Path, duration: float) -> bool:
     """
     console = Console()
     scene = Scene.load(scene_path)
-    output.mkdir(parents=True, exist_ok=True)
+    try:
+        output.mkdir(parents=True, exist_ok=True)
+    except OSError as reason:
+        raise HumansimError(
+            f"cannot make the folder for the pictures: {reason.strerror}", path=output
+        ) from None
     with Supervisor(scene_processes(scene_path)) as nodes, _Listener(scene) as listener:
         seconds = _listen(nodes, listener, duration, console)
     if seconds is None:

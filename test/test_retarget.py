@@ -16,7 +16,7 @@ from humansim_ros.body import Human, hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_bvh
 from humansim_ros.motion.joint_names import find_match
-from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.retarget import Mode, Retargeter
 from humansim_ros.motion.world import FileFrame, JointPoses, Loop, Placement, WorldMotion, understand
 from humansim_ros.rotations import WORLD_FROM_BODY, Array
 
@@ -370,19 +370,22 @@ def test_one_frame_is_a_pose_that_stays(tmp_path: Path) -> None:
 # On the skeleton
 
 
-def retargeted(stem: str, count: int = 12) -> tuple[Motion, Retargeter, Array, FileFrame, Array, Array]:
+def retargeted(
+    stem: str, count: int = 12, mode: Mode = "full"
+) -> tuple[Motion, Retargeter, Array, FileFrame, Array, Array]:
     """Motion, retargeter, frames, file frame, bone rotations (N, B, 4), posed world frames (N, B, 4, 4)."""
     motion = read(stem)
     world = in_world(motion)
-    retargeter = Retargeter.fit(world, SKELETON)
+    retargeter = Retargeter.fit(world, SKELETON, mode)
     frames = some_frames(motion, count)
     rotations, root = retargeter.apply(at_frames(world, frames))
     return motion, retargeter, frames, world.frame, rotations, SKELETON.pose(rotations, root)
 
 
+@pytest.mark.parametrize("mode", ["full", "thesis"])
 @real_and_ours
-def test_bones_are_parallel_to_their_joint_links(stem: str) -> None:
-    motion, retargeter, frames, frame, _, posed = retargeted(stem)
+def test_bones_are_parallel_to_their_joint_links(stem: str, mode: Mode) -> None:
+    motion, retargeter, frames, frame, _, posed = retargeted(stem, mode=mode)
     positions = motion.world_positions(frames)
     for bone, (start, end) in retargeter.match.parallel.items():
         link = (positions[:, end] - positions[:, start]) @ frame.world_from_file.T
@@ -394,7 +397,7 @@ def test_bones_are_parallel_to_their_joint_links(stem: str) -> None:
 
 @real_and_ours
 def test_swing_is_the_smallest_turn_from_where_the_parent_carries_the_bone(stem: str) -> None:
-    _, retargeter, _, _, rotations, posed = retargeted(stem)
+    _, retargeter, _, _, rotations, posed = retargeted(stem, mode="thesis")
     rest = SKELETON.rest
     for name in retargeter.match.parallel:
         bone = SKELETON.bone(name)

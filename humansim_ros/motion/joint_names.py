@@ -7,6 +7,7 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
@@ -14,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
 from humansim_ros.files import read_text
+from humansim_ros.motion.bvh import Motion
 from humansim_ros.resources import resource_path
 
 #: Without these bones nobody would call the result a person moving.
@@ -77,6 +79,8 @@ class JointMatch:
     difference: Mapping[str, int]
     roles: Mapping[str, int]
     missing: tuple[str, ...]
+    by: Literal["names", "shape", "given"] = "names"
+    confidence: float = 1.0
 
     @property
     def complete(self) -> bool:
@@ -158,3 +162,8 @@ def find_match(
             path=path,
         )
     return best
+
+
+def match_motion(motion: Motion, table: str | os.PathLike[str] | None = None) -> JointMatch:
+    """The joints of a motion that drive the bones: by the given table, else by the best built-in."""
+    return find_match(motion.joint_names, table, motion.path)

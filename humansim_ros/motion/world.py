@@ -466,16 +466,23 @@ class WorldMotion:
         length = self.round_length
         phases = np.clip(times - rounds * length, 0, length)
         positions, turn = self._placed(*self._blended(phases, rounds))
-        carry_r = np.broadcast_to(np.eye(3), (len(times), 3, 3))
         if self.loop == "continue" and length > 0:
             carry_r, carry_t = self._carried(rounds)
             positions = np.einsum("nij,nkj->nki", carry_r, positions) + carry_t[:, None]
             turn = carry_r[:, None] @ turn
         if self.mirror:
             positions, turn = self._mirrored(positions, turn)
-            carry_r = np.swapaxes(carry_r, -1, -2)  # turns about the vertical: the other way round
         poses = JointPoses(self.names, positions, matrix_to_quaternion(turn))
-        return poses if self.clean_up is None else self.clean_up.apply(poses, phases, carry_r)
+        if self.clean_up is None:
+            return poses
+        return self.clean_up.apply(poses, phases, self.round_turns(rounds))
+
+    def round_turns(self, rounds: Array) -> Array:
+        """Rotations (N, 3, 3) about the vertical that carry the first round to each of ``rounds`` (N,)."""
+        if self.loop != "continue" or self.round_length <= 0:
+            return np.broadcast_to(np.eye(3), (len(rounds), 3, 3))
+        carry_r, _ = self._carried(rounds)
+        return np.swapaxes(carry_r, -1, -2) if self.mirror else carry_r  # mirrored: the other way round
 
     def _mirrored(self, positions: Array, turn: Array) -> tuple[Array, Array]:
         """Positions (N, J, 3) and turns (N, J, 3, 3) with the sides changed."""

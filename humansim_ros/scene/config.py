@@ -17,6 +17,8 @@ Vector3 = tuple[float, float, float]
 Row4 = tuple[float, float, float, float]
 #: Names become parts of ROS topics and frames.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+#: A file axis, such as y or -z.
+Axis = Annotated[str, StringConstraints(pattern=r"^[+-]?[xyz]$")]
 
 
 class _Section(BaseModel):
@@ -45,7 +47,30 @@ class MotionConfig(_Section):
     loop: Literal["none", "repeat", "continue"] = Field(
         default="repeat", description="what follows the last frame"
     )
-    offset: float = Field(default=0.0, description="seconds into the motion at the start")
+    offset: float = Field(default=0.0, description="seconds of the scene that the motion is ahead by")
+    start: float = Field(default=0.0, ge=0, description="where in the file it starts, seconds of the file")
+    end: float | None = Field(
+        default=None, gt=0, description="where in the file it ends, seconds of the file; its end if absent"
+    )
+    speed: float = Field(default=1.0, ge=0, le=100, description="seconds of the file per second")
+    blend: float = Field(
+        default=0.0, ge=0, description="seconds of the file over which the end fades into the next start"
+    )
+    mirror: bool = Field(default=False, description="left and right change sides")
+    up: Axis | None = Field(default=None, description="the file's up axis; found by itself if absent")
+    facing: Axis | None = Field(
+        default=None, description="the file's axis that the person faces at rest; found by itself if absent"
+    )
+    positions: Literal["auto", "replace", "add"] = Field(
+        default="auto", description="whether position channels replace the OFFSET or are added to it"
+    )
+    retarget: Literal["full", "thesis"] = Field(
+        default="full", description="whole rotations with twist, or the thesis' bones parallel to links only"
+    )
+    root_scale: Literal["height", "legs"] | Annotated[float, Field(gt=0, le=100)] = Field(
+        default="height", description="what the root's way is scaled by: height, legs, or a number"
+    )
+    pin_feet: bool = Field(default=False, description="feet that stand are kept from sliding")
 
 
 class HumanConfig(_Section):

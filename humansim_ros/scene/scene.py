@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -15,7 +15,8 @@ from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError
 from humansim_ros.motion.bvh import read_bvh
-from humansim_ros.motion.joint_names import find_match
+from humansim_ros.motion.contacts import FootContacts
+from humansim_ros.motion.joint_names import match_motion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world import (
     VELOCITY_STEP,
@@ -31,6 +32,7 @@ from humansim_ros.rotations import Array, matrix_to_quaternion
 from humansim_ros.scene.config import (
     CameraConfig,
     HumanConfig,
+    MotionConfig,
     SceneConfig,
     find_file,
     line_of_key,
@@ -73,6 +75,37 @@ class Actor:
     motion: WorldMotion
     retargeter: Retargeter
     offset: float = 0.0
+
+    @classmethod
+    def build(cls, name: str, instance: int, human: Human, config: MotionConfig, scene: Path) -> Actor:
+        """A human with the motion of a scene file. Raises HumansimError naming what is wrong with it."""
+        path = find_file(config.file, "motions", ".bvh", scene, f"humans.{name}.motion.file")
+        motion = read_bvh(path)
+        table = config.joint_names
+        if table is not None and (scene.resolve().parent / table).is_file():
+            table = str(scene.resolve().parent / table)
+        match = match_motion(motion, table)
+        world = WorldMotion(
+            motion,
+            match,
+            understand(motion, match, config.unit, config.up, config.facing),
+            Placement(config.position, float(np.radians(config.yaw_deg)), config.anchor),
+            config.loop,
+            config.start,
+            config.end,
+            config.speed,
+            config.blend,
+            config.mirror,
+        )
+        retargeter = Retargeter.fit(world, human.skeleton, config.retarget, config.root_scale)
+        if config.pin_feet:
+            world = replace(world, clean_up=FootContacts.detect(world, retargeter))
+        return cls(name, instance, human, world, retargeter, config.offset)
+
+    def with_motion(self, config: MotionConfig, scene: Path) -> Actor:
+        """The same human doing something else; files are looked for as from the scene file."""
+        changed = Actor.build(self.name, self.instance, self.human, config, scene)
+        return replace(self, motion=changed.motion, retargeter=changed.retargeter, offset=changed.offset)
 
     def joint_poses(self, seconds: float) -> JointPoses:
         """The motion's joints at a time since the start of the scene: what the motion player publishes."""
@@ -156,18 +189,8 @@ class Scene:
 
 
 def _actor(name: str, instance: int, config: HumanConfig, scene: Path) -> Actor:
-    key = f"humans.{name}"
-    human = Human.load(find_file(config.body, "humans", ".npz", scene, f"{key}.body"))
-    chosen = config.motion
-    path = find_file(chosen.file, "motions", ".bvh", scene, f"{key}.motion.file")
-    motion = read_bvh(path)
-    table = chosen.joint_names
-    if table is not None and (scene.resolve().parent / table).is_file():
-        table = str(scene.resolve().parent / table)
-    match = find_match(motion.joint_names, table, path)
-    placement = Placement(chosen.position, float(np.radians(chosen.yaw_deg)), chosen.anchor)
-    world = WorldMotion(motion, match, understand(motion, match, chosen.unit), placement, chosen.loop)
-    return Actor(name, instance, human, world, Retargeter.fit(world, human.skeleton), chosen.offset)
+    human = Human.load(find_file(config.body, "humans", ".npz", scene, f"humans.{name}.body"))
+    return Actor.build(name, instance, human, config.motion, scene)
 
 
 def _camera(config: CameraConfig) -> Camera:

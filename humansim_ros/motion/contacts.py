@@ -1,0 +1,296 @@
+"""Feet that stand: found in a motion, measured for sliding, and pinned to the floor by two-bone inverse
+kinematics.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.errors import MotionError
+from humansim_ros.motion.bvh import Motion
+from humansim_ros.motion.retarget import Retargeter, sole_points
+from humansim_ros.motion.world import JointPoses, WorldMotion
+from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix
+
+#: A toe or heel stands if it is lower than this (metres) and slower than this (m/s) over the floor.
+_LOW, _SLOW = 0.07, 0.55
+#: Stances and gaps between them that are shorter than this (seconds) are noise.
+_SHORTEST_STANCE, _SHORTEST_GAP = 0.10, 0.06
+#: Seconds of the rounds before and after that are looked at, so that a stance over the end of a loop is one.
+_MARGIN = 2.0
+#: Farthest that a foot is moved (metres): what slides farther does not stand.
+_FARTHEST = 0.25
+#: How gradually the weight goes from heel to toe: metres between their heights.
+_SOFT = 0.01
+#: A leg is not pulled straighter than this part of its length, unless it was.
+_STRAIGHTEST = 0.9995
+_SIDES = (("Left", "l"), ("Right", "r"))
+
+
+@dataclass(frozen=True)
+class Stance:
+    """A time that a foot stands. ``foot``: 0 left, 1 right; ``first``, ``last``: indices of samples.
+
+    ``slide``: metres that the part of the sole that stands goes over the floor meanwhile.
+    """
+
+    foot: int
+    first: int
+    last: int
+    slide: float
+
+
+def find_stances(skeleton: Skeleton, posed: Array, times: Array) -> list[Stance]:
+    """When which foot stands, from posed bone frames (N, B, 4, 4) in ``map`` at times (N,)."""
+    points = sole_points(skeleton, posed)
+    if len(times) < 2:
+        return []
+    stands, bears = _standing(points, times)
+    stances = []
+    for foot in (0, 1):
+        way = _contact_steps(points[:, foot], bears[:, foot])[:, :2]
+        for first, last in _runs(stands[:, foot]):
+            slide = float(np.linalg.norm(way[first:last], axis=-1).sum())
+            stances.append(Stance(foot, first, last, slide))
+    return stances
+
+
+def mean_slide(skeleton: Skeleton, posed: Array, times: Array) -> float:
+    """Metres that a foot slides per stance, on average; 0 where no foot ever stands."""
+    stances = find_stances(skeleton, posed, times)
+    return float(np.mean([stance.slide for stance in stances])) if stances else 0.0
+
+
+@dataclass(frozen=True)
+class FootContacts:
+    """Corrections of a motion's feet that keep them where they stand; a pure function of time.
+
+    ``shifts`` (M, 2, 3): metres in ``map``, for the left and right ankle, at ``phases`` (M,) seconds of
+    motion since the start of a round. :meth:`apply` moves the joints of the source's legs so that the
+    retargeted foot moves by that much, with its orientation as it was.
+    """
+
+    motion: Motion
+    retargeter: Retargeter
+    phases: Array
+    shifts: Array
+
+    @classmethod
+    def detect(cls, world: WorldMotion, retargeter: Retargeter) -> FootContacts:
+        """Find stances of the retargeted feet in a round of a motion, and what keeps each at its place.
+
+        In a stance, the part of the sole that stands (heel, toe or both) goes nowhere, and is on the floor;
+        between stances the correction fades from one to the next.
+        """
+        plain = replace(world, clean_up=None, speed=1.0)
+        length = plain.round_length
+        count = max(2, round(length / max(world.motion.frame_time, 1 / 120)) + 1)
+        phases = np.linspace(0.0, length, count)
+        step = phases[1]
+        margin = 0
+        if plain.loop != "none" and step > 0:
+            margin = min(count - 1, int(_MARGIN / step))
+        # a round with an end of the one before and a start of the one after (the first round has no blend)
+        before = np.arange(-margin, count + margin) * step + (length if margin else 0.0)
+        contacts = cls(world.motion, retargeter, phases, np.zeros((count, 2, 3)))
+        assert contacts._legs  # a leg without ankle is refused now, not while it plays
+        if step == 0:
+            return contacts
+        shifts = _shifts(_in_batches(plain, retargeter, before), before)[margin : margin + count]
+        if margin:
+            shifts = shifts @ plain.round_turns(np.ones(1))[0]  # back into the first round
+        return replace(contacts, shifts=shifts)
+
+    def apply(self, poses: JointPoses, phases: Array, turns: Array) -> JointPoses:
+        """The poses with their feet where they should be; see :class:`CleanUp`."""
+        shift = np.stack(
+            [
+                np.stack([np.interp(phases, self.phases, self.shifts[:, foot, k]) for k in range(3)], axis=-1)
+                for foot in (0, 1)
+            ],
+            axis=1,
+        )
+        return self._moved(poses, shift @ np.swapaxes(turns, -1, -2))
+
+    def _moved(self, poses: JointPoses, shift: Array) -> JointPoses:
+        """Joints with the ankles of the retargeted body moved by ``shift`` (N, 2, 3), metres in ``map``."""
+        skeleton = self.retargeter.skeleton
+        posed = self.retargeter.pose(poses)
+        old, turns = poses.positions, quaternion_to_matrix(poses.rotations)
+        new = np.array(old)
+        for foot, leg in enumerate(self._legs):
+            hip, knee, ankle = (
+                posed[:, skeleton.bone(f"{_SIDES[foot][1]}_{part}"), :3, 3]
+                for part in ("hip", "knee", "ankle")
+            )
+            thigh, shin = two_bone(hip, knee, ankle, ankle + shift[:, foot])
+            # the source's leg turns as the skeleton's does; its foot keeps its orientation
+            at_knee = old[:, leg.hip] + _turned(thigh, old[:, leg.knee] - old[:, leg.hip])
+            at_ankle = at_knee + _turned(shin, old[:, leg.ankle] - old[:, leg.knee])
+            still = np.broadcast_to(np.eye(3), thigh.shape)
+            for joints, before, after, turn in (
+                (leg.thigh, old[:, leg.hip], old[:, leg.hip], thigh),
+                (leg.shin, old[:, leg.knee], at_knee, shin),
+                (leg.foot, old[:, leg.ankle], at_ankle, still),
+            ):
+                arms = old[:, joints] - before[:, None]
+                new[:, joints] = after[:, None] + arms @ np.swapaxes(turn, -1, -2)
+                turns[:, joints] = turn[:, None] @ turns[:, joints]
+        return JointPoses(poses.names, new, matrix_to_quaternion(turns))
+
+    @cached_property
+    def _legs(self) -> tuple[_Leg, _Leg]:
+        left, right = (_Leg.of(side, self.motion, self.retargeter.match.roles) for side, _ in _SIDES)
+        return left, right
+
+
+@dataclass(frozen=True)
+class _Leg:
+    """Joints of a leg: its three main ones, and all that go with thigh, shin and foot."""
+
+    hip: int
+    knee: int
+    ankle: int
+    thigh: list[int]
+    shin: list[int]
+    foot: list[int]
+
+    @classmethod
+    def of(cls, side: str, motion: Motion, roles: Mapping[str, int]) -> _Leg:
+        if (ankle := roles.get(f"{side}Ankle")) is None:
+            raise MotionError("feet cannot be pinned: the joint table knows no ankles", path=motion.path)
+        main = (roles[f"{side}Hip"], roles[f"{side}Knee"], ankle)
+        part = {joint: number for number, joint in enumerate(main)}
+        for joint, parent in enumerate(motion.parents):  # parents come first
+            if joint not in part and int(parent) in part:
+                part[joint] = part[int(parent)]
+        thigh, shin, foot = ([j for j, number in part.items() if number == k] for k in range(3))
+        return cls(*main, thigh, shin, foot)
+
+
+def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array, Array]:
+    """Turns (N, 3, 3) of thigh and shin that bring the ankle to a goal; all points (N, 3).
+
+    The leg keeps the plane it bends in, turned by the shortest way with the line from hip to ankle. A goal
+    out of reach is reached for.
+    """
+    thigh, shin = np.linalg.norm(knee - hip, axis=-1), np.linalg.norm(ankle - knee, axis=-1)
+    before, after = _unit(ankle - hip), _unit(goal - hip)
+    reach = np.linalg.norm(ankle - hip, axis=-1)
+    longest = np.maximum(reach, _STRAIGHTEST * (thigh + shin))
+    distance = np.clip(np.linalg.norm(goal - hip, axis=-1), 1.001 * np.abs(thigh - shin) + 1e-9, longest)
+    bend = _across(knee - hip, before)
+    flat = np.linalg.norm(bend, axis=-1, keepdims=True) < 1e-9
+    bend = _unit(np.where(flat, _across(np.array([1.0, 0.1, 0.0]), before), bend))
+    bent = _turned(_shortest(before, after), bend)
+    along = (thigh**2 - shin**2 + distance**2) / (2 * distance)
+    aside = np.sqrt(np.maximum(thigh**2 - along**2, 0.0))
+    new_knee = hip + along[:, None] * after + aside[:, None] * bent
+    new_ankle = hip + distance[:, None] * after
+    old_normal, new_normal = np.cross(before, bend), np.cross(after, bent)
+    return (
+        _frame(new_knee - hip, new_normal) @ np.swapaxes(_frame(knee - hip, old_normal), -1, -2),
+        _frame(new_ankle - new_knee, new_normal) @ np.swapaxes(_frame(ankle - knee, old_normal), -1, -2),
+    )
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
+
+
+def _across(vectors: Array, along: Array) -> Array:
+    """What of vectors (N, 3) is perpendicular to unit vectors (N, 3)."""
+    return np.asarray(vectors - (vectors * along).sum(-1, keepdims=True) * along)
+
+
+def _turned(turns: Array, vectors: Array) -> Array:
+    return np.asarray((turns @ vectors[..., None])[..., 0])
+
+
+def _shortest(a: Array, b: Array) -> Array:
+    """Shortest rotations (N, 3, 3) from unit vectors a to b (N, 3), not opposite ones."""
+    v, c = np.cross(a, b), (a * b).sum(-1)
+    cross = np.zeros((len(a), 3, 3))
+    cross[:, [2, 0, 1], [1, 2, 0]] = v
+    cross[:, [1, 2, 0], [2, 0, 1]] = -v
+    return np.asarray(np.eye(3) + cross + cross @ cross / np.maximum(1 + c, 1e-9)[:, None, None])
+
+
+def _frame(along: Array, normal: Array) -> Array:
+    """Rotations (N, 3, 3) with their first axis along a bone and their second on its hinge."""
+    x = _unit(along)
+    return np.stack([x, normal, np.cross(x, normal)], axis=-1)
+
+
+def _in_batches(motion: WorldMotion, retargeter: Retargeter, times: Array, size: int = 1000) -> Array:
+    """Sole points (N, 2, 2, 3) of the retargeted feet."""
+    skeleton = retargeter.skeleton
+    batches = [times[first : first + size] for first in range(0, len(times), size)]
+    return np.concatenate([sole_points(skeleton, retargeter.pose(motion.sample(batch))) for batch in batches])
+
+
+def _standing(points: Array, times: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Whether each foot stands (N, 2), and how much toe and heel bear (N, 2, 2), from points (N, 2, 2, 3)."""
+    speed = np.linalg.norm(np.gradient(points[..., :2], times, axis=0), axis=-1)
+    height = points[..., 2]
+    stands = ((height < _LOW) & (speed < _SLOW)).any(-1)
+    step = times[1] - times[0]
+    for foot in (0, 1):
+        stands[:, foot] = _without_short_runs(~stands[:, foot], _SHORTEST_GAP / step)
+        stands[:, foot] = _without_short_runs(~stands[:, foot], _SHORTEST_STANCE / step)
+    bears = np.exp(-(height - height.min(-1, keepdims=True)) / _SOFT)
+    return stands, bears / bears.sum(-1, keepdims=True)
+
+
+def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """First and last index of every run of True."""
+    edges = np.diff(np.concatenate([[False], flags, [False]]).astype(int))
+    return list(zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1) - 1, strict=True))
+
+
+def _without_short_runs(flags: NDArray[np.bool_], shortest: float) -> NDArray[np.bool_]:
+    """Flags with runs of True shorter than so many samples cleared, but for those at the ends."""
+    out = flags.copy()
+    for first, last in _runs(flags):
+        if last - first + 1 < shortest and first > 0 and last < len(flags) - 1:
+            out[first : last + 1] = False
+    return out
+
+
+def _contact_steps(points: Array, bears: Array) -> Array:
+    """How far the part of one foot's sole that bears it goes from sample to sample (N - 1, 3)."""
+    share = (bears[1:] + bears[:-1]) / 2
+    return np.asarray((np.diff(points, axis=0) * share[..., None]).sum(-2))
+
+
+def _shifts(points: Array, times: Array) -> Array:
+    """What to move each foot by (N, 2, 3) so that it stays where it stands."""
+    stands, bears = _standing(points, times)
+    out = np.zeros((len(times), 2, 3))
+    for foot in (0, 1):
+        height = (points[:, foot, :, 2] * bears[:, foot]).sum(-1)
+        steps = _contact_steps(points[:, foot], bears[:, foot])
+        runs = _runs(stands[:, foot])
+        for first, last in runs:
+            way = np.concatenate([np.zeros((1, 2)), np.cumsum(steps[first:last, :2], axis=0)])
+            out[first : last + 1, foot, :2] = way.mean(0) - way
+            out[first : last + 1, foot, 2] = -height[first : last + 1]
+        if not runs:
+            continue
+        out[: runs[0][0], foot] = out[runs[0][0], foot]
+        out[runs[-1][1] :, foot] = out[runs[-1][1], foot]
+        for (_, left), (right, _) in pairwise(runs):
+            part = np.linspace(0.0, 1.0, right - left + 1)[:, None]
+            part = part * part * (3 - 2 * part)
+            out[left : right + 1, foot] = (1 - part) * out[left, foot] + part * out[right, foot]
+        # a foot in the air stays above the floor
+        out[:, foot, 2] = np.maximum(out[:, foot, 2], -points[:, foot, :, 2].min(-1))
+    size = np.linalg.norm(out, axis=-1, keepdims=True)
+    return np.asarray(out * np.minimum(1.0, _FARTHEST / np.maximum(size, 1e-12)))

@@ -4,13 +4,14 @@ kinematics.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError
@@ -31,41 +32,34 @@ _FARTHEST = 0.25
 _SOFT = 0.01
 #: A leg is not pulled straighter than this part of its length, unless it was.
 _STRAIGHTEST = 0.9995
+#: The body comes down by at most so many metres, over so many seconds.
+_DEEPEST, _DROP_TIME = 0.15, 0.12
 _SIDES = (("Left", "l"), ("Right", "r"))
 
 
 @dataclass(frozen=True)
 class Stance:
-    """A time that a foot stands. ``foot``: 0 left, 1 right; ``first``, ``last``: indices of samples.
-
-    ``slide``: metres that the part of the sole that stands goes over the floor meanwhile.
-    """
+    """A time that a foot stands. ``foot``: 0 left, 1 right; ``first``, ``last``: indices of samples."""
 
     foot: int
     first: int
     last: int
-    slide: float
 
 
 def find_stances(skeleton: Skeleton, posed: Array, times: Array) -> list[Stance]:
-    """When which foot stands, from posed bone frames (N, B, 4, 4) in ``map`` at times (N,)."""
-    points = sole_points(skeleton, posed)
+    """When which foot stands, from posed bone frames (N, B, 4, 4) in ``map`` at evenly spaced times (N,)."""
     if len(times) < 2:
         return []
-    stands, bears = _standing(points, times)
-    stances = []
-    for foot in (0, 1):
-        way = _contact_steps(points[:, foot], bears[:, foot])[:, :2]
-        for first, last in _runs(stands[:, foot]):
-            slide = float(np.linalg.norm(way[first:last], axis=-1).sum())
-            stances.append(Stance(foot, first, last, slide))
-    return stances
+    stands, _ = _standing(sole_points(skeleton, posed), times)
+    return [Stance(foot, first, last) for foot in (0, 1) for first, last in _runs(stands[:, foot])]
 
 
-def mean_slide(skeleton: Skeleton, posed: Array, times: Array) -> float:
-    """Metres that a foot slides per stance, on average; 0 where no foot ever stands."""
-    stances = find_stances(skeleton, posed, times)
-    return float(np.mean([stance.slide for stance in stances])) if stances else 0.0
+def slides(skeleton: Skeleton, posed: Array, stances: Sequence[Stance]) -> Array:
+    """Metres (S,) that the part of the sole that stands goes over the floor in each stance."""
+    points = sole_points(skeleton, posed)
+    steps = [_contact_steps(points[:, foot], _bearing(points[:, foot]))[:, :2] for foot in (0, 1)]
+    lengths = [np.linalg.norm(way, axis=-1) for way in steps]
+    return np.array([lengths[stance.foot][stance.first : stance.last].sum() for stance in stances])
 
 
 @dataclass(frozen=True)
@@ -73,7 +67,8 @@ class FootContacts:
     """Corrections of a motion's feet that keep them where they stand; a pure function of time.
 
     ``shifts`` (M, 2, 3): metres in ``map``, for the left and right ankle, at ``phases`` (M,) seconds of
-    motion since the start of a round. :meth:`apply` moves the joints of the source's legs so that the
+    motion since the start of a round. ``drops`` (M,): metres that the whole body comes down so that legs
+    reach. :meth:`apply` moves the joints of the source's legs so that the
     retargeted foot moves by that much, with its orientation as it was.
     """
 
@@ -81,6 +76,7 @@ class FootContacts:
     retargeter: Retargeter
     phases: Array
     shifts: Array
+    drops: Array
 
     @classmethod
     def detect(cls, world: WorldMotion, retargeter: Retargeter) -> FootContacts:
@@ -99,25 +95,29 @@ class FootContacts:
             margin = min(count - 1, int(_MARGIN / step))
         # a round with an end of the one before and a start of the one after (the first round has no blend)
         before = np.arange(-margin, count + margin) * step + (length if margin else 0.0)
-        contacts = cls(world.motion, retargeter, phases, np.zeros((count, 2, 3)))
+        contacts = cls(world.motion, retargeter, phases, np.zeros((count, 2, 3)), np.zeros(count))
         assert contacts._legs  # a leg without ankle is refused now, not while it plays
         if step == 0:
             return contacts
-        shifts = _shifts(_in_batches(plain, retargeter, before), before)[margin : margin + count]
+        points, hips, ankles = _in_batches(plain, retargeter, before)
+        stands, bears = _standing(points, before)
+        shifts = _shifts(points, stands, bears)
+        drops = _drops(retargeter.skeleton, hips, ankles + shifts, stands, step)
+        round_ = slice(margin, margin + count)
+        shifts = shifts[round_]
         if margin:
             shifts = shifts @ plain.round_turns(np.ones(1))[0]  # back into the first round
-        return replace(contacts, shifts=shifts)
+        return replace(contacts, shifts=shifts, drops=drops[round_])
 
     def apply(self, poses: JointPoses, phases: Array, turns: Array) -> JointPoses:
         """The poses with their feet where they should be; see :class:`CleanUp`."""
-        shift = np.stack(
-            [
-                np.stack([np.interp(phases, self.phases, self.shifts[:, foot, k]) for k in range(3)], axis=-1)
-                for foot in (0, 1)
-            ],
-            axis=1,
-        )
-        return self._moved(poses, shift @ np.swapaxes(turns, -1, -2))
+        shift = np.array(
+            [[np.interp(phases, self.phases, way) for way in foot.T] for foot in self.shifts.swapaxes(0, 1)]
+        ).transpose(2, 0, 1)
+        drop = np.interp(phases, self.phases, self.drops)[:, None] * [0.0, 0.0, 1.0]
+        lowered = poses.positions - drop[:, None] / self.retargeter.scale
+        shift = shift @ np.swapaxes(turns, -1, -2) + drop[:, None]
+        return self._moved(replace(poses, positions=lowered), shift)
 
     def _moved(self, poses: JointPoses, shift: Array) -> JointPoses:
         """Joints with the ankles of the retargeted body moved by ``shift`` (N, 2, 3), metres in ``map``."""
@@ -229,11 +229,37 @@ def _frame(along: Array, normal: Array) -> Array:
     return np.stack([x, normal, np.cross(x, normal)], axis=-1)
 
 
-def _in_batches(motion: WorldMotion, retargeter: Retargeter, times: Array, size: int = 1000) -> Array:
-    """Sole points (N, 2, 2, 3) of the retargeted feet."""
+def _in_batches(
+    motion: WorldMotion, retargeter: Retargeter, times: Array, size: int = 1000
+) -> tuple[Array, Array, Array]:
+    """Sole points (N, 2, 2, 3), hips and ankles (N, 2, 3) of the retargeted body."""
     skeleton = retargeter.skeleton
-    batches = [times[first : first + size] for first in range(0, len(times), size)]
-    return np.concatenate([sole_points(skeleton, retargeter.pose(motion.sample(batch))) for batch in batches])
+    joints = [[skeleton.bone(f"{side}_{part}") for _, side in _SIDES] for part in ("hip", "ankle")]
+    points, hips, ankles = [], [], []
+    for first in range(0, len(times), size):
+        posed = retargeter.pose(motion.sample(times[first : first + size]))
+        points.append(sole_points(skeleton, posed))
+        hips.append(posed[:, joints[0]][..., :3, 3])
+        ankles.append(posed[:, joints[1]][..., :3, 3])
+    return np.concatenate(points), np.concatenate(hips), np.concatenate(ankles)
+
+
+def _drops(skeleton: Skeleton, hips: Array, goals: Array, stands: NDArray[np.bool_], step: float) -> Array:
+    """How far the body must come down (N,) so that standing legs reach their goals (N, 2, 3); smooth."""
+    needed = np.zeros(len(hips))
+    for foot, (_, side) in enumerate(_SIDES):
+        longest = _STRAIGHTEST * float(
+            skeleton.lengths[[skeleton.bone(f"{side}_hip"), skeleton.bone(f"{side}_knee")]].sum()
+        )
+        way = hips[:, foot] - goals[:, foot]
+        height = np.sqrt(np.maximum(longest**2 - (way[:, :2] ** 2).sum(-1), 0.0))
+        needed = np.maximum(needed, np.where(stands[:, foot], way[:, 2] - height, 0.0))
+    needed = np.minimum(needed, _DEEPEST)
+    width = 2 * max(1, round(_DROP_TIME / step / 2)) + 1
+    for _ in range(2):
+        # the mean of maxima over the same window is never below what is needed
+        needed = uniform_filter1d(maximum_filter1d(needed, width, mode="nearest"), width, mode="nearest")
+    return np.asarray(needed)
 
 
 def _standing(points: Array, times: Array) -> tuple[NDArray[np.bool_], Array]:
@@ -245,8 +271,14 @@ def _standing(points: Array, times: Array) -> tuple[NDArray[np.bool_], Array]:
     for foot in (0, 1):
         stands[:, foot] = _without_short_runs(~stands[:, foot], _SHORTEST_GAP / step)
         stands[:, foot] = _without_short_runs(~stands[:, foot], _SHORTEST_STANCE / step)
+    return stands, _bearing(points)
+
+
+def _bearing(points: Array) -> Array:
+    """How much of a foot's weight toe and heel bear (..., 2), from their places (..., 2, 3)."""
+    height = points[..., 2]
     bears = np.exp(-(height - height.min(-1, keepdims=True)) / _SOFT)
-    return stands, bears / bears.sum(-1, keepdims=True)
+    return np.asarray(bears / bears.sum(-1, keepdims=True))
 
 
 def _runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -270,10 +302,9 @@ def _contact_steps(points: Array, bears: Array) -> Array:
     return np.asarray((np.diff(points, axis=0) * share[..., None]).sum(-2))
 
 
-def _shifts(points: Array, times: Array) -> Array:
+def _shifts(points: Array, stands: NDArray[np.bool_], bears: Array) -> Array:
     """What to move each foot by (N, 2, 3) so that it stays where it stands."""
-    stands, bears = _standing(points, times)
-    out = np.zeros((len(times), 2, 3))
+    out = np.zeros((len(points), 2, 3))
     for foot in (0, 1):
         height = (points[:, foot, :, 2] * bears[:, foot]).sum(-1)
         steps = _contact_steps(points[:, foot], bears[:, foot])

@@ -32,6 +32,8 @@ _FARTHEST = 0.25
 _SOFT = 0.01
 #: A leg is not pulled straighter than this part of its length, unless it was.
 _STRAIGHTEST = 0.9995
+#: A leg whose ankle is nearer to its hip than this part of its length is left as it is.
+_FOLDED = 0.25
 #: The body comes down by at most so many metres, over so many seconds.
 _DEEPEST, _DROP_TIME = 0.15, 0.12
 _SIDES = (("Left", "l"), ("Right", "r"))
@@ -130,7 +132,7 @@ class FootContacts:
                 posed[:, skeleton.bone(f"{_SIDES[foot][1]}_{part}"), :3, 3]
                 for part in ("hip", "knee", "ankle")
             )
-            thigh, shin = two_bone(hip, knee, ankle, ankle + shift[:, foot])
+            thigh, shin = two_bone(hip, knee, ankle, ankle + shift[:, foot] * _may_move(hip, knee, ankle))
             # the source's leg turns as the skeleton's does; its foot keeps its orientation
             at_knee = old[:, leg.hip] + _turned(thigh, old[:, leg.knee] - old[:, leg.hip])
             at_ankle = at_knee + _turned(shin, old[:, leg.ankle] - old[:, leg.knee])
@@ -199,6 +201,16 @@ def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array,
         _frame(new_knee - hip, new_normal) @ np.swapaxes(_frame(knee - hip, old_normal), -1, -2),
         _frame(new_ankle - new_knee, new_normal) @ np.swapaxes(_frame(ankle - knee, old_normal), -1, -2),
     )
+
+
+def _may_move(hip: Array, knee: Array, ankle: Array) -> Array:
+    """How much of a correction a leg takes (N, 1): none where it is folded so much that the knee would swing
+    far.
+    """
+    leg = np.linalg.norm(knee - hip, axis=-1) + np.linalg.norm(ankle - knee, axis=-1)
+    part = (np.linalg.norm(ankle - hip, axis=-1) / leg - _FOLDED) / _FOLDED
+    part = np.clip(part, 0.0, 1.0)[:, None]
+    return np.asarray(part * part * (3 - 2 * part))
 
 
 def _unit(vectors: Array) -> Array:

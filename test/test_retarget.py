@@ -533,7 +533,7 @@ def test_ground_covered_is_scaled_by_ankle_to_head_height(stem: str) -> None:
     """Heights measured here from the rest offsets and from table 4.1."""
     motion = read(stem)
     world = in_world(motion)
-    retargeter = Retargeter.fit(world, SKELETON)
+    retargeter = Retargeter.fit(world, SKELETON, root_scale="height")
     frames = np.array([0, motion.n_frames - 1])
     rotations, root = retargeter.apply(at_frames(world, frames))
     posed = SKELETON.pose(rotations, root)

@@ -22,6 +22,8 @@ from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_ma
 
 #: A toe or heel stands if it is lower than this (metres) and slower than this (m/s) over the floor.
 _LOW, _SLOW = 0.07, 0.55
+#: No foot is faster than this, m/s.
+_FASTEST = 20.0
 #: Stances and gaps between them that are shorter than this (seconds) are noise.
 _SHORTEST_STANCE, _SHORTEST_GAP = 0.10, 0.06
 #: Seconds of the rounds before and after that are looked at, so that a stance over the end of a loop is one.
@@ -281,8 +283,10 @@ def _standing(points: Array, times: Array) -> tuple[NDArray[np.bool_], Array]:
     stands = ((height < _LOW) & (speed < _SLOW)).any(-1)
     step = times[1] - times[0]
     for foot in (0, 1):
-        stands[:, foot] = _without_short_runs(~stands[:, foot], _SHORTEST_GAP / step)
-        stands[:, foot] = _without_short_runs(~stands[:, foot], _SHORTEST_STANCE / step)
+        stands[:, foot] = ~_without_short_runs(~stands[:, foot], _SHORTEST_GAP / step)
+        # where a loop jumps back, nobody stands
+        stands[:, foot] &= (speed[:, foot] < _FASTEST).all(-1)
+        stands[:, foot] = _without_short_runs(stands[:, foot], _SHORTEST_STANCE / step)
     return stands, _bearing(points)
 
 

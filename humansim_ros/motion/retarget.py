@@ -66,12 +66,15 @@ class Retargeter:
         motion: WorldMotion,
         skeleton: Skeleton,
         mode: Mode = "full",
-        root_scale: RootScale | float = "height",
+        root_scale: RootScale | float | None = None,
     ) -> Retargeter:
         """Find the shared rest pose and the scale; lift so that the lowest toe or ankle stands on the floor.
 
-        ``root_scale``: what the scale is measured by, or the scale itself.
+        ``root_scale``: what the scale is measured by, or the scale itself; None: the legs, with which feet
+        slide least, and the height in the thesis' mode.
         """
+        if root_scale is None:
+            root_scale = "legs" if mode == "full" else "height"
         motion = replace(motion, clean_up=None)
         times = motion.frame_times
         times = times[:: len(times) // 400 + 1]

@@ -407,7 +407,7 @@ class WorldMotion:
         translations, rotations = self._local(self.start + phases)
         if self.blend == 0 or self.loop == "none":
             return translations, rotations
-        fading = np.flatnonzero((rounds > 0) & (phases < self.blend))
+        fading = np.flatnonzero((rounds != 0) & (phases < self.blend))
         if len(fading):
             t, r = self._local(self.start + self.round_length + phases[fading])
             roots = np.flatnonzero(self.motion.parents < 0)
@@ -444,6 +444,8 @@ class WorldMotion:
         step = VELOCITY_STEP * max(self.speed, 1e-6)
         early, late = t - step, t + step
         if self.loop == "continue" or (self.loop == "repeat" and self.blend > 0):
+            # the first round does not fade in from one before it
+            early = np.where(rounds == 0, np.maximum(early, 0.0), early)
             all_rounds = np.concatenate([self._rounds(early), rounds, self._rounds(late)])
         else:
             start, end = rounds * self.round_length, (rounds + 1) * self.round_length

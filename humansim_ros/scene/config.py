@@ -67,8 +67,10 @@ class MotionConfig(_Section):
     retarget: Literal["full", "thesis"] = Field(
         default="full", description="whole rotations with twist, or the thesis' bones parallel to links only"
     )
-    root_scale: Literal["height", "legs"] | Annotated[float, Field(gt=0, le=100)] = Field(
-        default="height", description="what the root's way is scaled by: height, legs, or a number"
+    root_scale: Literal["height", "legs"] | Annotated[float, Field(gt=0, le=100)] | None = Field(
+        default=None,
+        description="what the root's way is scaled by: legs (if absent; height with retarget: thesis), "
+        "height, or a number",
     )
     pin_feet: bool = Field(default=False, description="feet that stand are kept from sliding")
 

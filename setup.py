@@ -22,6 +22,7 @@ COMMANDS = [
 # for NumPy 2, and pip would rather replace the system's NumPy than take an older wheel of them.
 # imageio-ffmpeg 0.8 doubles the download (to 68 MB) for codecs nobody needs here.
 REQUIRES = [
+    "defusedxml>=0.7",
     "imageio-ffmpeg>=0.5,<0.8",
     "moderngl>=5.8",
     "numpy>=1.26",
@@ -50,6 +51,7 @@ EXTRAS = {
         "setuptools>=70.1,<80",
         "trimesh>=4.0",
         "types-PyYAML",
+        "types-defusedxml",
     ],
     "bench": ["pyrender==0.1.45", "trimesh>=4.0"],
 }

@@ -15,6 +15,10 @@ from humansim_ros.resources import resource_path
 
 Vector3 = tuple[float, float, float]
 Row4 = tuple[float, float, float, float]
+Byte = Annotated[int, Field(ge=0, le=255)]
+#: Metres or degrees; what is beyond is a mistake.
+Bounded = Annotated[float, Field(ge=-1e6, le=1e6)]
+Size = Annotated[float, Field(gt=0, le=1e6)]
 #: Names become parts of ROS topics and frames.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 #: A file axis, such as y or -z.
@@ -75,6 +79,20 @@ class MotionConfig(_Section):
     pin_feet: bool = Field(default=False, description="feet that stand are kept from sliding")
 
 
+class KeyframesConfig(_Section):
+    """What moves, turns and sizes a human or an object: a file, and which of its objects."""
+
+    file: str = Field(description="a keyframe animation file (XML)")
+    object: str | None = Field(
+        default=None, description="name in that file; that of the human or object if absent"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _file_alone(cls, value: Any) -> Any:
+        return {"file": value} if isinstance(value, str) else value
+
+
 class HumanConfig(_Section):
     """One person."""
 
@@ -82,6 +100,26 @@ class HumanConfig(_Section):
         default="adult_man", description="a body that comes with the package, or an .npz or .obj file"
     )
     motion: MotionConfig = MotionConfig()
+    keyframes: KeyframesConfig | None = Field(
+        default=None, description="moves, turns and sizes the person on top of the motion"
+    )
+
+
+class ObjectConfig(_Section):
+    """A thing that stands in the scene or moves."""
+
+    mesh: str = Field(default="box", description="box, sphere, cylinder, or an .obj file (z up, metres)")
+    color: tuple[Byte, Byte, Byte] = Field(default=(170, 150, 130), description="red, green, blue; 0 to 255")
+    size: tuple[Size, Size, Size] = Field(
+        default=(1.0, 1.0, 1.0), description="along its own x, y, z: metres for a built-in mesh, else factors"
+    )
+    position: tuple[Bounded, Bounded, Bounded] = Field(
+        default=(0.0, 0.0, 0.0), description="where its middle goes (the origin of a file)"
+    )
+    rotation_deg: tuple[Bounded, Bounded, Bounded] = Field(
+        default=(0.0, 0.0, 0.0), description="degrees about the x axis of map, then y, then z"
+    )
+    keyframes: KeyframesConfig | None = Field(default=None, description="moves, turns and sizes it")
 
 
 class CameraConfig(_Section):
@@ -139,6 +177,7 @@ class SceneConfig(_Section):
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
     room: RoomConfig | None = Field(default=RoomConfig(), description="null for an empty world")
     humans: dict[Name, HumanConfig] = Field(default_factory=dict)
+    objects: dict[Name, ObjectConfig] = Field(default_factory=dict)
     cameras: dict[Name, CameraConfig]
 
     @model_validator(mode="after")
@@ -201,10 +240,18 @@ def _refuse_repeated_keys(root: yaml.Node | None, path: str | os.PathLike[str]) 
 
 
 def _known_keys(keys: list[Any]) -> str:
-    models: dict[str, type[BaseModel]] = {"humans": HumanConfig, "cameras": CameraConfig, "room": RoomConfig}
+    models: dict[str, type[BaseModel]] = {
+        "humans": HumanConfig,
+        "objects": ObjectConfig,
+        "cameras": CameraConfig,
+        "room": RoomConfig,
+    }
     model: type[BaseModel] = SceneConfig
     if len(keys) > 1:
-        model = MotionConfig if "motion" in keys[:-1] else models.get(str(keys[0]), SceneConfig)
+        model = models.get(str(keys[0]), SceneConfig)
+    if len(keys) > 3:
+        inner: dict[str, type[BaseModel]] = {"motion": MotionConfig, "keyframes": KeyframesConfig}
+        model = inner.get(str(keys[2]), model)
     return f"; known here: {', '.join(model.model_fields)}"
 
 

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 from conftest import SHARED_DATA, needs_shared_data
 
+from humansim_ros.errors import HumansimWarning
 from humansim_ros.motion import Motion, read_bvh
+from humansim_ros.motion.bvh import Positions
 
 REFERENCE = Path(__file__).parent / "data" / "blender_fk.npz"
 
@@ -29,8 +31,8 @@ pytestmark = [
 ]
 
 
-def read(stem: str) -> Motion:
-    return read_bvh(SHARED_DATA / "bvh" / f"{stem}.bvh")
+def read(stem: str, positions: Positions = "replace") -> Motion:
+    return read_bvh(SHARED_DATA / "bvh" / f"{stem}.bvh", positions)
 
 
 def indices(motion: Motion, names: Iterable[str]) -> list[int]:
@@ -46,6 +48,25 @@ def test_joint_positions_agree_with_blender(stem: str) -> None:
     moved = np.isin(names, BLENDER[f"{stem}/moved"])
     assert error[~moved].max() < TOLERANCE
     assert error[moved].max(initial=0.0) < TOLERANCE_OF_MOVED_JOINTS
+
+
+@pytest.mark.parametrize("stem", STEMS)
+def test_added_positions_agree_with_blender_given_the_sums(stem: str) -> None:
+    motion = read(stem, "add")
+    ours = motion.world_positions(BLENDER[f"{stem}/frames"])[:, indices(motion, BLENDER[f"{stem}/names"])]
+    expected = BLENDER.get(f"{stem}/positions_added", BLENDER[f"{stem}/positions"])
+    error = np.linalg.norm(ours - expected, axis=-1).max() / BLENDER[f"{stem}/size"]
+    assert error < TOLERANCE_OF_MOVED_JOINTS
+
+
+@pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
+def test_only_the_files_of_old_exporters_are_read_as_added() -> None:
+    assert {stem for stem in STEMS if read(stem, "auto").positions == "add"} == {
+        "makehuman_tpose",
+        "makehuman_walk1",
+    }
+    with pytest.warns(HumansimWarning, match=r"Root stay near 0 beside their OFFSETs"):
+        read("makehuman_walk1", "auto")
 
 
 @pytest.mark.parametrize("stem", STEMS)
@@ -69,7 +90,7 @@ def test_the_last_frame_is_the_last_row_of_the_file(stem: str) -> None:
 def test_joint_positions_agree_with_bvhio(stem: str) -> None:
     bvhio = pytest.importorskip("bvhio")
     path = SHARED_DATA / "bvh" / f"{stem}.bvh"
-    motion = read_bvh(path)
+    motion = read(stem)
     root = bvhio.readAsHierarchy(str(path))
     # bvhio stops at the number of frames that the file says it has.
     count = bvhio.readAsBvh(str(path)).FrameCount

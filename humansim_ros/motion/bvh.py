@@ -2,7 +2,8 @@
 
 Conventions (agree with Blender's importer): a joint's rotation is ``R_channel1 R_channel2 R_channel3`` in the
 order of its CHANNELS line, on column vectors; the translation is outermost wherever its channels stand;
-position channels replace the OFFSET. Nothing is converted: positions stay in the file's own units and axes.
+position channels replace the OFFSET, but for files of old programs that want them added and are found by
+that. Nothing is converted: positions stay in the file's own units and axes.
 """
 
 from __future__ import annotations
@@ -11,15 +12,16 @@ import os
 import re
 import warnings
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimWarning, MotionError
-from humansim_ros.files import atomic_path, read_text
+from humansim_ros.files import atomic_path, read_bytes
 from humansim_ros.hierarchy import levels
 from humansim_ros.rotations import Array, quaternion_to_matrix, transform
 
@@ -29,6 +31,18 @@ _CANONICAL = {name.lower(): name for name in CHANNEL_NAMES}
 Frames = int | slice | Sequence[int] | NDArray[np.integer]
 _ALL = slice(None)
 _AXES = {"X": 0, "Y": 1, "Z": 2}
+#: The line that ends the hierarchy.
+_MOTION = re.compile(rb"(?:^|\})[ \t]*MOTION\b[^\n]*\n?", re.IGNORECASE | re.MULTILINE)
+#: Bytes of rows that are read at a time.
+_BLOCK = 1 << 19
+#: The characters of plain numbers and of white space, by their codes.
+_PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f"))
+#: OFFSETs shorter than this part of the skeleton's size say nothing of what positions mean.
+_NO_OFFSET = 0.005
+#: Positions are added to an OFFSET if they reach less than this part of it.
+_NEAR_ZERO = 0.3
+#: Deeper joints are not indented more: a chain of thousands would be mostly tabs.
+_DEEPEST_INDENT = 40
 #: A minus sign that starts a new number although no space stands before it ("1.5-2.5"), but not in "1e-5".
 _GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
 
@@ -42,7 +56,7 @@ class Motion:
     ``parents``: (J,) index of each parent, -1 for a root. ``offsets``: (J, 3) in file units.
     ``channels``: per joint the names of its channels. ``values``: (F, C) channel values (file units and
     degrees).
-    ``frame_time``: seconds.
+    ``frame_time``: seconds. ``positions``: whether position channels replace the OFFSET or are added to it.
     """
 
     joint_names: tuple[str, ...]
@@ -52,6 +66,7 @@ class Motion:
     values: Array
     frame_time: float
     path: str = field(default="", compare=False)
+    positions: Literal["replace", "add"] = "replace"
 
     @property
     def n_frames(self) -> int:
@@ -87,14 +102,16 @@ class Motion:
 
     def local_translations(self, frames: Frames = _ALL) -> Array:
         """Translation of each joint in its parent (..., J, 3), file units; position channels replace the
-        OFFSET.
+        OFFSET, or are added to it, as :attr:`positions` says.
         """
         values = self.values[frames]
         out = np.broadcast_to(self.offsets, (*values.shape[:-1], *self.offsets.shape)).copy()
         for joint, (names, start) in enumerate(zip(self.channels, self._columns, strict=True)):
             for column, name in enumerate(names, start):
                 if name.endswith("position"):
-                    out[..., joint, _AXES[name[0]]] = values[..., column]
+                    axis = _AXES[name[0]]
+                    base = self.offsets[joint, axis] if self.positions == "add" else 0.0
+                    out[..., joint, axis] = base + values[..., column]
         return out
 
     def local_rotations(self, frames: Frames = _ALL) -> Array:
@@ -158,32 +175,94 @@ def _compose(sine: Array, cosine: Array, axes: Sequence[int]) -> Array:
     return total
 
 
-def read_bvh(path: str | os.PathLike[str]) -> Motion:
+Positions = Literal["auto", "replace", "add"]
+
+
+def read_bvh(path: str | os.PathLike[str], positions: Positions = "auto") -> Motion:
     """Read a BVH file (text, any line ends).
 
-    Raises MotionError, with file and line, on anything that cannot be understood; warns (HumansimWarning)
-    where the
-    ``Frames:`` count is wrong but the rows are whole: the rows decide.
+    ``positions``: whether position channels replace the OFFSET, as nearly all programs mean them, or are
+    added to it; "auto" finds the files of those that add: their positions stay near 0 beside large OFFSETs.
+
+    Raises MotionError, with file and line, on anything that cannot be understood. Warns (HumansimWarning)
+    where something is odd but its meaning clear: a wrong ``Frames:`` count (the rows decide), no MOTION (a
+    static pose), joints of one name (they are numbered), added positions.
     """
-    return _Parser(path, read_text(path, MotionError, "BVH motion")).parse()
+    if positions not in ("auto", "replace", "add"):
+        raise MotionError(f"positions are 'auto', 'replace' or 'add', not {positions!r}", path=path)
+    motion = _Parser(path, read_bytes(path, MotionError, "BVH motion")).parse()
+    if positions != "auto":
+        return replace(motion, positions=positions)
+    added = _joints_with_added_positions(motion)
+    if not added:
+        return motion
+    names = ", ".join(motion.joint_names[joint] for joint in added[:4]) + (", …" if len(added) > 4 else "")
+    _warn(
+        f"{motion.path}: the positions of {names} stay near 0 beside their OFFSETs: added to them "
+        "(positions='replace' takes them as they are)"
+    )
+    return replace(motion, positions="add")
+
+
+def _warn(message: str) -> None:
+    warnings.warn(message, HumansimWarning, stacklevel=3)
+
+
+def _joints_with_added_positions(motion: Motion) -> list[int]:
+    """Joints whose positions never come near their OFFSETs, if they are most of those that have both."""
+    size = float(np.ptp(motion.rest_positions(), axis=0).max())
+    added, judged = [], 0
+    for joint, (names, start) in enumerate(zip(motion.channels, motion._columns, strict=True)):
+        columns = [(_AXES[n[0]], c) for c, n in enumerate(names, start) if n.endswith("position")]
+        offset = motion.offsets[joint]
+        length = float(np.linalg.norm(offset))
+        if len(columns) < 3 or length <= _NO_OFFSET * size:
+            continue
+        judged += 1
+        values = motion.values[:, [c for _, c in sorted(columns)]]
+        if abs(float(np.median(values @ offset))) < _NEAR_ZERO * length**2:
+            added.append(joint)
+    return added if 2 * len(added) > judged else []
 
 
 class _Parser:
-    def __init__(self, path: str | os.PathLike[str], text: str) -> None:
+    """One file. The hierarchy is read statement by statement; the rows, which are nearly all of a file, in
+    blocks of bytes, and word by word only where something is wrong with a block.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], data: bytes) -> None:
         self.path = os.fspath(path)
-        self.lines = text.splitlines()
+        if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
+            raise self.error("this is UTF-16 text: save it as UTF-8", None)
+        if b"\0" in data:
+            raise self.error("this is a binary file, not a BVH motion text file", None)
+        if b"\r" in data:
+            data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        self.data = data
+        found = _MOTION.search(data)
+        # where the rows' section starts: behind the line of MOTION
+        self.body = len(data) if found is None else found.end()
+        self.lines = self._decoded(data[: self.body])
+        self.last_line = data.count(b"\n") + (not data.endswith(b"\n"))
         self.names: list[str] = []
         self.joint_lines: list[int] = []
         self.parents: list[int] = []
         self.offsets: list[list[float]] = []
         self.channels: list[tuple[str, ...]] = []
 
+    @staticmethod
+    def _decoded(data: bytes) -> list[str]:
+        try:
+            return data.decode("utf-8-sig").split("\n")
+        except UnicodeDecodeError:
+            return data.decode("latin-1").split("\n")
+
     def error(self, message: str, line: int | None) -> MotionError:
         return MotionError(message, path=self.path, line=line)
 
     def parse(self) -> Motion:
-        motion_line = self._hierarchy()
-        values, frame_time = self._motion(motion_line)
+        has_motion = self._hierarchy()
+        values, frame_time = self._motion(has_motion)
         return Motion(
             joint_names=tuple(self.names),
             parents=np.array(self.parents, dtype=np.intp),
@@ -201,8 +280,8 @@ class _Parser:
                 if part.strip():
                     yield number, part.strip()
 
-    def _hierarchy(self) -> int | None:
-        """Fill the joints; returns the number of the MOTION line, None where the file has none."""
+    def _hierarchy(self) -> bool:
+        """Fill the joints; returns whether a MOTION section follows."""
         statements = self._statements()
         number, first = next(statements, (1, ""))
         if first.upper() != "HIERARCHY":
@@ -215,7 +294,8 @@ class _Parser:
             if keyword == "MOTION":
                 if stack or pending is not None:
                     raise self.error("MOTION before the hierarchy is closed: a '}' is missing above", number)
-                return self._checked(number)
+                self._checked(number)
+                return True
             if keyword in ("ROOT", "JOINT") or statement.upper().split() == ["END", "SITE"]:
                 if pending is not None:
                     raise self.error(f"'{{' expected after joint {self.names[pending]!r}", number)
@@ -236,19 +316,32 @@ class _Parser:
             else:
                 raise self.error(f"cannot understand {statement[:40]!r} in the hierarchy", number)
         if stack or pending is not None:
-            raise self.error("the file ends inside the hierarchy: it is truncated", len(self.lines))
+            raise self.error("the file ends inside the hierarchy: it is truncated", self.last_line)
         self._checked(number)
-        return None
+        return False
 
-    def _checked(self, number: int) -> int:
+    def _checked(self, number: int) -> None:
+        """Joints of one name are numbered as Blender does, since names are what joints are asked for by."""
         if not self.names:
             raise self.error("the hierarchy has no joints", number)
-        seen: set[str] = set()
-        for name, line in zip(self.names, self.joint_lines, strict=True):
-            if name in seen:
-                raise self.error(f"two joints are named {name!r}; names must differ", line)
-            seen.add(name)
-        return number
+        seen = set(self.names)
+        if len(seen) == len(self.names):
+            return
+        taken: set[str] = set()
+        copies: dict[str, int] = {}
+        for joint, name in enumerate(self.names):
+            if name in taken:
+                unique = name
+                while unique in seen:
+                    copies[name] = copies.get(name, 0) + 1
+                    unique = f"{name}.{copies[name]:03d}"
+                self.names[joint] = unique
+                seen.add(unique)
+                is_end = self.parents[joint] >= 0 and not self.channels[joint]
+                if not (is_end and name == f"{self.names[self.parents[joint]]}_end"):
+                    line = self.joint_lines[joint]
+                    _warn(f"{self.path}:{line}: a second joint is named {name!r}: it is called {unique!r}")
+            taken.add(self.names[joint])
 
     def _add_joint(self, keyword: str, name: str, parent: int, number: int) -> int:
         if keyword == "END":
@@ -269,8 +362,9 @@ class _Parser:
             raise self.error(f"joint {self.names[joint]!r} has no OFFSET", number)
 
     def _offset(self, rest: str, number: int) -> list[float]:
+        words = _GLUED_MINUS.sub(" -", rest).split()
         try:
-            values = [float(word) for word in rest.split()]
+            values = [float(word) for word in words]
         except ValueError:
             raise self.error(f"OFFSET needs three numbers, not {rest.strip()[:40]!r}", number) from None
         if len(values) != 3 or not np.isfinite(values).all():
@@ -288,87 +382,147 @@ class _Parser:
             raise self.error(f"CHANNELS says {words[0]} but names {len(names)}", number)
         return names
 
-    def _motion(self, motion_line: int | None) -> tuple[Array, float]:
+    def _motion(self, has_motion: bool) -> tuple[Array, float]:
         n_channels = sum(len(names) for names in self.channels)
-        if motion_line is None:
-            warnings.warn(f"{self.path}: no MOTION section: a static pose", HumansimWarning, stacklevel=4)
-            return np.zeros((1, n_channels)), 1 / 30
+        if not has_motion:
+            _warn(f"{self.path}: no MOTION section: a static pose")
+            return self._resting(), 1 / 30
         header: dict[str, tuple[int, str]] = {}
-        number = motion_line
-        while number < len(self.lines) and len(header) < 2:
-            number += 1
-            key, colon, value = self.lines[number - 1].partition(":")
-            if not key.strip():
-                continue
-            if not colon:
+        number, at = len(self.lines), self.body
+        while at < len(self.data) and len(header) < 2:
+            end = self.data.find(b"\n", at)
+            end = len(self.data) if end < 0 else end
+            line = self.data[at : min(end, at + 1000)].decode("latin-1")
+            key, colon, value = line.partition(":")
+            if key.strip() and not colon:
                 raise self.error(f"'Frames:' and 'Frame Time:' expected, not {key.strip()[:40]!r}", number)
-            header[" ".join(key.lower().split())] = (number, value.strip())
-        n_frames = self._header_number(header, "frames", number)
-        frame_time = self._header_number(header, "frame time", number)
+            if key.strip():
+                header["".join(key.lower().split())] = (number, value.strip())
+            at, number = end + 1, number + 1
+        n_frames = self._header_number(header, "Frames", number)
+        frame_time = self._header_number(header, "Frame Time", number)
         if frame_time <= 0:
-            raise self.error(f"Frame Time must be above zero, not {frame_time:g}", header["frame time"][0])
-        rows = self._rows(number + 1, n_channels)
+            raise self.error(f"Frame Time must be above zero, not {frame_time:g}", header["frametime"][0])
+        rows = self._rows(at, number, n_channels)
         if len(rows) == 0:
-            raise self.error("no frames after 'Frame Time:': the file is truncated", len(self.lines))
+            if n_frames == 0:
+                _warn(f"{self.path}: no frames: a static pose")
+                return self._resting(), frame_time
+            raise self.error("no frames after 'Frame Time:': the file is truncated", self.last_line)
         if len(rows) != n_frames:
-            warnings.warn(
-                f"{self.path}: says {n_frames:g} frames but has {len(rows)}; the rows count",
-                HumansimWarning,
-                stacklevel=4,
-            )
+            _warn(f"{self.path}: says {n_frames:g} frames but has {len(rows)}; the rows count")
         return rows, frame_time
 
+    def _resting(self) -> Array:
+        """The row of channel values (1, C) that leaves every joint at rest."""
+        pairs = zip(self.offsets, self.channels, strict=True)
+        values = [
+            offset[_AXES[name[0]]] if name.endswith("position") else 0.0
+            for offset, names in pairs
+            for name in names
+        ]
+        return np.array(values).reshape(1, -1)
+
     def _header_number(self, header: dict[str, tuple[int, str]], key: str, line: int) -> float:
-        if key not in header:
+        found = header.get("".join(key.lower().split()))
+        if found is None:
             raise self.error(
-                f"'{key.title()}:' is missing after MOTION: the file is truncated or damaged", line
+                f"'{key}:' is missing after MOTION: the file is truncated or damaged",
+                min(line, self.last_line),
             )
-        number, text = header[key]
+        number, text = found
         try:
             value = float(text)
         except ValueError:
             value = float("nan")
         if not np.isfinite(value):
-            raise self.error(f"'{key.title()}:' needs a number, not {text[:40]!r}", number)
+            raise self.error(f"'{key}:' needs a number, not {text[:40]!r}", number)
         return value
 
-    def _rows(self, first: int, n_channels: int) -> Array:
-        """Frame rows from line ``first`` on (F, C)."""
+    def _rows(self, at: int, line: int, n_channels: int) -> Array:
+        """Frame rows (F, C) from a byte on, which starts a line of that number."""
         if n_channels == 0:
             return np.zeros((1, 0))
-        rows: list[Array] = []
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            for number, line in enumerate(self.lines[first - 1 :], first):
-                if line.strip():
-                    rows.append(self._row(line, number, n_channels))
-        return np.array(rows).reshape(-1, n_channels)
+        # never more than the rows there can be, whatever the header says; memory is touched only as it fills
+        most = (len(self.data) - at) // (2 * n_channels) + 1
+        rows = np.empty((min(most, self.data.count(b"\n", at) + 1), n_channels))
+        n_rows = 0
+        while at < len(self.data):
+            end = len(self.data) if at + _BLOCK >= len(self.data) else self.data.find(b"\n", at + _BLOCK) + 1
+            end = end or len(self.data)
+            block = self.data[at:end]
+            values = _fast_rows(block, n_channels)
+            if values is None:
+                values = self._slow_rows(block, line, n_channels, last=end == len(self.data))
+            rows[n_rows : n_rows + len(values)] = values
+            n_rows += len(values)
+            at, line = end, line + block.count(b"\n")
+        # a copy only where blank lines would keep much memory
+        return rows[:n_rows] if n_rows > 0.9 * len(rows) else rows[:n_rows].copy()
 
-    def _row(self, line: str, number: int, n_channels: int) -> Array:
-        try:
-            row = np.fromstring(line, sep=" ")
-            # fromstring also parts "1.52.5": as many numbers as words, or each word is looked at
-            plain = len(row) == len(line.split())
-        except (DeprecationWarning, ValueError):
-            plain = False
-        if not plain:
-            row = np.array([self._number(word, number) for word in _GLUED_MINUS.sub(" -", line).split()])
-        if len(row) != n_channels:
-            reason = "; the file is truncated" if number == len(self.lines) else ""
-            raise self.error(f"a frame needs {n_channels} values, this has {len(row)}{reason}", number)
-        if not np.isfinite(row).all():
-            raise self.error("a value is not finite (NaN or infinity)", number)
-        return row
+    def _slow_rows(self, block: bytes, first: int, n_channels: int, last: bool) -> Array:
+        """Rows of a block, line by line: numbers glued together are parted, and errors know their line."""
+        rows = []
+        lines = block.decode("latin-1").split("\n")
+        while lines and not lines[-1].strip():
+            lines.pop()
+        for number, line in enumerate(lines, first):
+            words = _GLUED_MINUS.sub(" -", line).split()
+            if not words:
+                continue
+            row = np.array([self._number(word, number) for word in words])
+            if len(row) != n_channels:
+                reason = "; the file is truncated" if last and number == first + len(lines) - 1 else ""
+                raise self.error(f"a frame needs {n_channels} values, this has {len(row)}{reason}", number)
+            if not np.isfinite(row).all():
+                raise self.error("a value is not finite (NaN or infinity)", number)
+            rows.append(row)
+        return np.array(rows).reshape(-1, n_channels)
 
     def _number(self, word: str, line: int) -> float:
         try:
             return float(word)
         except ValueError:
-            raise self.error(f"{word[:40]!r} is not a number", line) from None
+            comma = "; decimals need a point, not a comma" if "," in word else ""
+            raise self.error(f"{word[:40]!r} is not a number{comma}", line) from None
+
+
+def _fast_rows(block: bytes, n_channels: int) -> Array | None:
+    """Rows (F, C) of whole lines of plain finite numbers, or None where any line is anything else."""
+    characters = np.frombuffer(block, dtype=np.uint8)
+    # only what a plain number is written with: nothing is left that could be parted or read by half
+    if not _PLAIN[characters].all():
+        return None
+    blank = characters <= 32
+    starts = ~blank
+    starts[1:] &= blank[:-1]
+    places = np.flatnonzero(starts)
+    if len(places) % n_channels:
+        return None
+    # numbers before each line's end: every line with numbers has a row of them
+    before = np.searchsorted(places, np.append(np.flatnonzero(characters == 10), len(characters)))
+    rows = before[np.diff(before, prepend=0) > 0]
+    if (rows % n_channels).any() or len(rows) * n_channels != len(places):
+        return None
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            values = np.fromstring(block.decode("ascii"), sep=" ")
+    except (DeprecationWarning, ValueError):
+        return None
+    if len(values) != len(places) or not np.isfinite(values).all():
+        return None
+    return values.reshape(-1, n_channels)
 
 
 def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
-    """Write a motion as a BVH file that :func:`read_bvh` and other programs read back (values to 1e-6)."""
+    """Write a motion as a BVH file that :func:`read_bvh` and other programs read back the same.
+
+    Numbers are written with as many digits as they have. Positions that are added to OFFSETs are written as
+    positions that replace them, as all programs read them.
+    """
+    if motion.positions == "add":
+        motion = _with_replacing_positions(motion)
     lines = ["HIERARCHY"]
     children: list[list[int]] = [[] for _ in motion.joint_names]
     for joint, parent in enumerate(motion.parents):
@@ -380,7 +534,7 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
     order: list[int] = []
     while stack:
         joint, depth, closing = stack.pop()
-        indent = "\t" * depth
+        indent = "\t" * min(depth, _DEEPEST_INDENT)
         if closing:
             lines.append(f"{indent}}}")
             continue
@@ -390,7 +544,7 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
         is_end = is_end and not children[joint] and not motion.channels[joint]
         title = "End Site" if is_end else f"{'ROOT' if parent < 0 else 'JOINT'} {motion.joint_names[joint]}"
         lines += [indent + title, indent + "{"]
-        lines.append(indent + "\tOFFSET " + " ".join(f"{v:.6f}" for v in motion.offsets[joint]))
+        lines.append(indent + "\tOFFSET " + " ".join(map(_number, motion.offsets[joint].tolist())))
         if not is_end:
             names = motion.channels[joint]
             lines.append(indent + f"\tCHANNELS {len(names)} " + " ".join(names))
@@ -399,7 +553,22 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
     columns = np.concatenate([motion._columns[j] + np.arange(len(motion.channels[j])) for j in order]).astype(
         int
     )
-    lines += ["MOTION", f"Frames: {motion.n_frames}", f"Frame Time: {motion.frame_time:.9f}"]
-    lines += [" ".join(f"{v:.6f}" for v in row) for row in motion.values[:, columns]]
+    lines += ["MOTION", f"Frames: {motion.n_frames}", f"Frame Time: {_number(motion.frame_time)}"]
+    lines += [" ".join(map(_number, row)) for row in motion.values[:, columns].tolist()]
     with atomic_path(Path(path)) as temporary:
         temporary.write_text("\n".join(lines) + "\n")
+
+
+def _number(value: float) -> str:
+    """The shortest text that is read back as this number, without an exponent."""
+    text = repr(float(value))
+    return np.format_float_positional(value, trim="0") if "e" in text else text
+
+
+def _with_replacing_positions(motion: Motion) -> Motion:
+    values = motion.values.copy()
+    for joint, (names, start) in enumerate(zip(motion.channels, motion._columns, strict=True)):
+        for column, name in enumerate(names, start):
+            if name.endswith("position"):
+                values[:, column] += motion.offsets[joint, _AXES[name[0]]]
+    return replace(motion, values=values, positions="replace")

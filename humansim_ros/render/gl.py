@@ -100,15 +100,15 @@ class GLRenderer:
         lit = "rgb" in channels
         surfaces = [self._surface(body) for body in bodies]
         clouds = [surface.posed.points for surface in surfaces]
-        if lit:
-            clouds += [surface.posed.shadow.corners.T for surface in surfaces]
+        shadowed = [surface for surface in surfaces if surface.body.instance] if lit else []
+        clouds += [surface.posed.shadow.corners.T for surface in shadowed]
         rectangle = _touched(clouds, camera)
         view = layer.view(channels | {"depth"} if lit else channels)
         if not rectangle.empty:
             target = self._target(camera.size)
             target.start(layer.target, rectangle)
-            if lit:
-                self._draw_shadows(surfaces, camera)
+            if shadowed:
+                self._draw_shadows(shadowed, camera)
             target.use(lit)
             seen = self._draw_bodies(surfaces, camera, rectangle.near, lit)
             if "depth" in view:

@@ -23,7 +23,9 @@ class Body:
 
     ``mesh``: its topology and looks (its own vertices are not used). ``vertices``: (V, 3) float32, ``map``,
     metres. ``parts``: (N,) uint8 part label of each of ``mesh.triangles``. ``instance``: label of this body
-    and of no other, 1 to 65535. Make a new Body for a new frame: renderers keep what they worked out of one.
+    and of no other, 1 to 65535; or 0 for a thing that has no label, only colour and depth, and leaves no
+    shadow: things need a mesh of their own each. Make a new Body for a new frame: renderers keep what they
+    worked out of one.
     """
 
     mesh: Mesh
@@ -64,7 +66,10 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
     unknown = set(channels) - set(CHANNELS)
     if unknown:
         raise RenderError(f"no such channel: {', '.join(sorted(unknown))}; there are {', '.join(CHANNELS)}")
-    labels = [body.instance for body in bodies]
+    labels = [body.instance for body in bodies if body.instance]
+    things = [id(body.mesh) for body in bodies if not body.instance]
+    if len(set(things)) < len(things):
+        raise RenderError("two things without a label cannot share a mesh")
     for body in bodies:
         if body.vertices.shape != body.mesh.vertices.shape:
             raise RenderError(
@@ -72,8 +77,8 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
             )
         if not np.isfinite(body.vertices).all():
             raise RenderError(f"a vertex of body {body.instance} is not finite (NaN or infinity)")
-        if not 0 < body.instance < 65536:
-            raise RenderError(f"an instance label must be 1 to 65535, not {body.instance}")
+        if not 0 <= body.instance < 65536:
+            raise RenderError(f"an instance label must be 0 to 65535, not {body.instance}")
         if labels.count(body.instance) > 1:
             raise RenderError(f"two bodies cannot be told apart: instance label {body.instance} twice")
         if body.parts.shape != (len(body.mesh.triangles),):

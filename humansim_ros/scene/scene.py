@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -17,6 +17,7 @@ from humansim_ros.errors import CameraError
 from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.joint_names import match_motion
+from humansim_ros.motion.keyframes import SPACE_JOINTS, Track, take_back
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world import (
     VELOCITY_STEP,
@@ -38,6 +39,7 @@ from humansim_ros.scene.config import (
     line_of_key,
     load_config,
 )
+from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.room import furnished_room
 
 DEMO_SCENE = "config/scenes/demo.yaml"
@@ -50,7 +52,8 @@ class HumanState:
     ``joint_names``: J names. ``joints``: (J, 4, 4) poses of the joints, each with its bone's axes (y along
     the bone).
     ``linear``, ``angular``: (J, 3) velocities in ``map``, m/s and rad/s, or None where the motion gives none.
-    ``vertices``: (V, 3) float32 in mesh order.
+    ``vertices``: (V, 3) float32 in mesh order. ``size``: how many times as large as the body is by itself
+    (keyframes).
     """
 
     joint_names: tuple[str, ...]
@@ -58,6 +61,7 @@ class HumanState:
     linear: Array | None
     angular: Array | None
     vertices: NDArray[np.float32]
+    size: float = 1.0
 
     @property
     def positions(self) -> Array:
@@ -67,7 +71,10 @@ class HumanState:
 
 @dataclass(frozen=True)
 class Actor:
-    """One human of a scene: its body, what drives it, and the label it is drawn with."""
+    """One human of a scene: its body, what drives it, and the label it is drawn with.
+
+    ``keyframes``: move, turn and size the space in which the motion plays, on the clock of the scene.
+    """
 
     name: str
     instance: int
@@ -75,12 +82,13 @@ class Actor:
     motion: WorldMotion
     retargeter: Retargeter
     offset: float = 0.0
+    keyframes: Track | None = None
 
     @classmethod
     def build(cls, name: str, instance: int, human: Human, config: MotionConfig, scene: Path) -> Actor:
         """A human with the motion of a scene file. Raises HumansimError naming what is wrong with it."""
         path = find_file(config.file, "motions", ".bvh", scene, f"humans.{name}.motion.file")
-        motion = read_bvh(path)
+        motion = read_bvh(path, config.positions)
         table = config.joint_names
         if table is not None and (scene.resolve().parent / table).is_file():
             table = str(scene.resolve().parent / table)
@@ -107,17 +115,26 @@ class Actor:
         changed = Actor.build(self.name, self.instance, self.human, config, scene)
         return replace(self, motion=changed.motion, retargeter=changed.retargeter, offset=changed.offset)
 
+    @property
+    def motion_names(self) -> tuple[str, ...]:
+        """Names of :meth:`joint_poses`: the motion's joints, and SPACE_JOINTS where there are keyframes."""
+        return self.motion.names if self.keyframes is None else (*self.motion.names, *SPACE_JOINTS)
+
     def joint_poses(self, seconds: float) -> JointPoses:
         """The motion's joints at a time since the start of the scene: what the motion player publishes."""
-        return self.motion.sample_moving(seconds + self.offset)
+        poses = self.motion.sample_moving(seconds + self.offset)
+        return poses if self.keyframes is None else self.keyframes.carry(poses, seconds)
 
     def state(self, poses: JointPoses) -> HumanState:
         """The body at one instant, from joint poses with N = 1: what the skinner publishes."""
         skeleton = self.human.skeleton
         if poses.linear is None:
-            (joints,), linear, angular = self._joints(poses), None, None
+            (joints,), (size,) = self._joints(poses)
+            linear = angular = None
         else:
-            before, joints, after = self._joints(poses.moved([-VELOCITY_STEP, 0.0, VELOCITY_STEP]))
+            (before, joints, after), (_, size, _) = self._joints(
+                poses.moved([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
+            )
             linear, angular = central_difference(
                 before[:, :3, 3],
                 after[:, :3, 3],
@@ -125,8 +142,10 @@ class Actor:
                 matrix_to_quaternion(after[:, :3, :3]),
                 2 * VELOCITY_STEP,
             )
-        vertices = self.human.pose(joints[: len(skeleton)])
-        return HumanState(skeleton.joint_names, joints, linear, angular, vertices)
+        bones = joints[: len(skeleton)]
+        if size != 1:
+            bones = bones @ np.diag([size, size, size, 1.0])
+        return HumanState(skeleton.joint_names, joints, linear, angular, self.human.pose(bones), float(size))
 
     def at(self, seconds: float) -> HumanState:
         """The body at a time since the start of the scene."""
@@ -136,9 +155,11 @@ class Actor:
         """What a renderer needs to draw this human with its vertices (V, 3) as they stand in a frame."""
         return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance)
 
-    def _joints(self, poses: JointPoses) -> Array:
-        """(N, J, 4, 4) frames of the ground-truth joints."""
-        return self.human.skeleton.joint_transforms(self.retargeter.pose(poses))
+    def _joints(self, poses: JointPoses) -> tuple[Array, Array]:
+        """Frames (N, J, 4, 4) of the ground-truth joints, and how large the body is (N,)."""
+        own, space = take_back(poses)
+        joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own))
+        return (joints, np.ones(len(joints))) if space is None else (space.carry(joints), space.size)
 
 
 @dataclass(frozen=True)
@@ -149,6 +170,7 @@ class Scene:
     config: SceneConfig
     actors: dict[str, Actor]
     cameras: dict[str, Camera]
+    objects: dict[str, SceneObject] = field(default_factory=dict)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
@@ -159,9 +181,14 @@ class Scene:
     @classmethod
     def build(cls, config: SceneConfig, path: Path) -> Scene:
         """The scene of a checked configuration; files it names are looked for from the folder of ``path``."""
+        tracks = load_tracks(config, path)
         actors = {
-            name: _actor(name, number, human, path)
+            name: _actor(name, number, human, path, tracks.get(("humans", name)))
             for number, (name, human) in enumerate(config.humans.items(), 1)
+        }
+        objects = {
+            name: SceneObject.build(name, thing, path, tracks.get(("objects", name)))
+            for name, thing in config.objects.items()
         }
         cameras = {}
         for name, camera in config.cameras.items():
@@ -170,7 +197,7 @@ class Scene:
             except CameraError as error:
                 key = f"cameras.{name}" + (f".{error.key}" if error.key else "")
                 raise CameraError(error.message, path=path, line=line_of_key(path, key), key=key) from None
-        return cls(path, config, actors, cameras)
+        return cls(path, config, actors, cameras, objects)
 
     @property
     def period(self) -> float:
@@ -185,12 +212,18 @@ class Scene:
     def static_meshes(self) -> list[Mesh]:
         """The world that stands still."""
         room = self.config.room
-        return [] if room is None else furnished_room(room.size, room.seed)
+        meshes = [] if room is None else furnished_room(room.size, room.seed)
+        return meshes + [thing.standing() for thing in self.objects.values() if not thing.moves]
+
+    @cached_property
+    def moving_objects(self) -> dict[str, SceneObject]:
+        """The things that keyframes move."""
+        return {name: thing for name, thing in self.objects.items() if thing.moves}
 
 
-def _actor(name: str, instance: int, config: HumanConfig, scene: Path) -> Actor:
+def _actor(name: str, instance: int, config: HumanConfig, scene: Path, keyframes: Track | None) -> Actor:
     human = Human.load(find_file(config.body, "humans", ".npz", scene, f"humans.{name}.body"))
-    return Actor.build(name, instance, human, config.motion, scene)
+    return replace(Actor.build(name, instance, human, config.motion, scene), keyframes=keyframes)
 
 
 def _camera(config: CameraConfig) -> Camera:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.render import CHANNELS, GLRenderer, Renderer, View
+from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import HumanState, Scene
 from humansim_ros.truth.joints import JointView, joint_surfaces, view_joints
 
@@ -19,6 +20,7 @@ class Frame:
     """One instant of a scene. ``stamp``: nanoseconds. ``humans``: by name. ``views``: by camera name.
 
     ``joints``: by camera name and human name; empty unless instance and part are among the channels.
+    ``objects``: where the objects that move are, by name.
     """
 
     index: int
@@ -26,6 +28,7 @@ class Frame:
     humans: dict[str, HumanState]
     views: dict[str, View]
     joints: dict[str, dict[str, JointView]]
+    objects: dict[str, ObjectPose] = field(default_factory=dict)
 
 
 class Simulation:
@@ -58,6 +61,9 @@ class Simulation:
         elapsed = self.scene.frame_time(index)
         humans = {name: actor.at(elapsed * 1e-9) for name, actor in self.scene.actors.items()}
         bodies = [actor.body(humans[name].vertices) for name, actor in self.scene.actors.items()]
+        things = self.scene.moving_objects
+        objects = {name: thing.at(elapsed * 1e-9) for name, thing in things.items()}
+        bodies += [thing.body(objects[name]) for name, thing in things.items()]
         views = {
             name: self.renderer.render(bodies, camera, self.channels)
             for name, camera in self.scene.cameras.items()
@@ -65,7 +71,7 @@ class Simulation:
         joints: dict[str, dict[str, JointView]] = {}
         if {"instance", "part"} <= set(self.channels):
             joints = {name: self._joints(name, humans, view) for name, view in views.items()}
-        return Frame(index, self.start + elapsed, humans, views, joints)
+        return Frame(index, self.start + elapsed, humans, views, joints, objects)
 
     def close(self) -> None:
         """Free the renderer."""

@@ -34,7 +34,7 @@ _AXES = {"X": 0, "Y": 1, "Z": 2}
 #: The line that ends the hierarchy.
 _MOTION = re.compile(rb"(?:^|\})[ \t]*MOTION\b[^\n]*\n?", re.IGNORECASE | re.MULTILINE)
 #: Bytes of rows that are read at a time.
-_BLOCK = 1 << 19
+_BLOCK = 1 << 17
 #: The characters of plain numbers and of white space, by their codes.
 _PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f"))
 #: OFFSETs shorter than this part of the skeleton's size say nothing of what positions mean.

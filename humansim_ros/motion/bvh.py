@@ -36,7 +36,7 @@ _MOTION = re.compile(rb"(?:^|\})[ \t]*MOTION\b[^\n]*\n?", re.IGNORECASE | re.MUL
 #: Bytes of rows that are read at a time.
 _BLOCK = 1 << 17
 #: The characters of plain numbers and of white space, by their codes.
-_PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f"))
+_PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f\r"))
 #: OFFSETs shorter than this part of the skeleton's size say nothing of what positions mean.
 _NO_OFFSET = 0.005
 #: Positions are added to an OFFSET if they reach less than this part of it.
@@ -236,7 +236,7 @@ class _Parser:
             raise self.error("this is UTF-16 text: save it as UTF-8", None)
         if b"\0" in data:
             raise self.error("this is a binary file, not a BVH motion text file", None)
-        if b"\r" in data:
+        if data.count(b"\r") != data.count(b"\r\n"):  # old Macintosh line ends
             data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
         self.data = data
         found = _MOTION.search(data)

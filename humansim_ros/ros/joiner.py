@@ -1,4 +1,6 @@
-"""Puts the humans of a scene together again: what their skinners sent with one stamp is one instant."""
+"""Puts a scene together again: what skinners and player sent of its humans and objects with one stamp is one
+instant.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.render import Body
@@ -20,6 +23,7 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.pace import Pace
 from humansim_ros.ros.qos import NEWEST
 from humansim_ros.rotations import Array
+from humansim_ros.scene.objects import ObjectPose
 
 #: Frames that may wait for a human's message before they are given up.
 _MOST_WAITING = 8
@@ -31,10 +35,14 @@ _STILL_AFTER = 1.5
 _NEW_TIME = 1_000_000_000
 
 
+#: What comes of one stamp, in this order: vertices by human, serialised joints by human, poses by object.
+_Parts = tuple[dict[str, NDArray[np.float32]], dict[str, bytes], dict[str, ObjectPose]]
+
+
 @dataclass(frozen=True)
 class Instant:
-    """All humans of a scene at one stamp (nanoseconds). ``joints_of``: a human's joint positions (J, 3),
-    ``map``.
+    """All humans and moving objects of a scene at one stamp (nanoseconds). ``joints_of``: a human's joint
+    positions (J, 3), ``map``.
     """
 
     stamp: int
@@ -43,8 +51,8 @@ class Instant:
 
 
 class FrameJoiner:
-    """Subscribes to every human's vertices and joints and hands over whole instants, the newest where it is
-    late.
+    """Subscribes to every human's vertices and joints and every moving object's marker and hands over whole
+    instants, the newest where it is late.
 
     Until a skinner speaks, it hands over the scene as it is at its start, so that a camera alone shows
     something.
@@ -56,11 +64,13 @@ class FrameJoiner:
         self._show = show
         self._period = self._scene.period * 1e9
         self._pace = Pace(self._period)
-        # stamp -> (vertices by human, serialised joints by human), for frames that are not whole yet
-        self._waiting: dict[int, tuple[dict[str, NDArray[np.float32]], dict[str, bytes]]] = {}
+        actors, objects = list(self._scene.actors), list(self._scene.moving_objects)
+        self._expected = (actors, actors, objects)
+        # by stamp, the frames that are not whole yet
+        self._waiting: dict[int, _Parts] = {}
         self._last = 0
         self._whole = node.create_guard_condition(self._hand_over)
-        for human in self._scene.actors:
+        for human in actors:
             topic = f"humans/{human}"
             node.create_subscription(
                 PointCloud2, f"{topic}/vertices", partial(self._take_vertices, human), NEWEST
@@ -68,6 +78,10 @@ class FrameJoiner:
             # as bytes: they are read only if somebody wants to know where a camera sees the joints
             node.create_subscription(
                 MultiDOFJointState, f"{topic}/joints", partial(self._take_joints, human), NEWEST, raw=True
+            )
+        for name in objects:
+            node.create_subscription(
+                Marker, f"objects/{name}/marker", partial(self._take_object, name), NEWEST
             )
         self._started = node.now()
         self._told = False
@@ -84,13 +98,21 @@ class FrameJoiner:
     def _take_joints(self, human: str, data: bytes) -> None:
         self._take(messages.serialised_stamp(data), 1, human, data)
 
-    def _take(self, stamp: int, kind: int, human: str, part: Any) -> None:
-        """Put one human's vertices (kind 0) or joints (kind 1) with the others of their stamp."""
+    def _take_object(self, name: str, message: Marker) -> None:
+        try:
+            pose = messages.read_object(message)
+        except HumansimError as error:
+            self._skipped(f"{name}: {error}")
+        else:
+            self._take(messages.to_nanoseconds(message.header.stamp), 2, name, pose)
+
+    def _take(self, stamp: int, kind: int, name: str, part: Any) -> None:
+        """Put a human's vertices (kind 0) or joints (1) or an object (2) with the others of their stamp."""
         if stamp < self._last - _NEW_TIME:
             self._waiting, self._last = {}, 0
         if stamp <= self._last or not self._pace.keeps(stamp):
             return
-        self._waiting.setdefault(stamp, ({}, {}))[kind][human] = part
+        self._waiting.setdefault(stamp, ({}, {}, {}))[kind][name] = part
         if self._is_whole(stamp):
             # not at once: what else has arrived is taken first, so that who is late sees it
             self._whole.trigger()
@@ -98,14 +120,23 @@ class FrameJoiner:
             self._give_up()
 
     def _is_whole(self, stamp: int) -> bool:
-        return all(len(parts) == len(self._scene.actors) for parts in self._waiting[stamp])
+        return all(
+            len(parts) == len(names)
+            for parts, names in zip(self._waiting[stamp], self._expected, strict=True)
+        )
 
     def _give_up(self) -> None:
-        vertices, joints = self._waiting.pop(min(self._waiting))
-        missing = [human for human in self._scene.actors if human not in vertices or human not in joints]
+        frame = self._waiting.pop(min(self._waiting))
+        missing = {
+            name: None
+            for parts, names in zip(frame, self._expected, strict=True)
+            for name in names
+            if name not in parts
+        }
         self._node.count("drops")
+        source = "its skinner" if {*missing} & {*self._scene.actors} else "the motion player"
         self._node.get_logger().warn(
-            f"frames wait for {', '.join(missing)}: is its skinner running?", throttle_duration_sec=5.0
+            f"frames wait for {', '.join(missing)}: is {source} running?", throttle_duration_sec=5.0
         )
 
     def _hand_over(self) -> None:
@@ -116,34 +147,41 @@ class FrameJoiner:
         newest = max(self._waiting)
         stamp = next((s for s in whole if newest - s <= _PATIENCE * self._period), whole[-1])
         self._pace.lost(sum(older < stamp for older in self._waiting))
-        vertices, serialised = self._waiting[stamp]
+        vertices, serialised, objects = self._waiting[stamp]
         self._waiting = {later: parts for later, parts in self._waiting.items() if later > stamp}
         if self._last:
             # those that the pace leaves out are drops too
             self._node.count("drops", max(0, round((stamp - self._last) / self._period) - 1))
         self._last = stamp
         start = time.monotonic()
-        self._try_to_show(stamp, vertices, lambda human: _positions(serialised[human]))
+        self._try_to_show(stamp, vertices, objects, lambda human: _positions(serialised[human]))
         self._pace.worked(start, time.monotonic())
         if any(self._is_whole(later) for later in self._waiting):
             self._whole.trigger()
 
     def _show_still(self) -> None:
         now = self._node.now()
-        if self._last and self._scene.actors:
+        awaited = any(self._expected)
+        if self._last and awaited:
             self._still.cancel()
-        elif now - self._started > _STILL_AFTER * 1e9 or not self._scene.actors:
-            if not self._told and self._scene.actors:
+        elif now - self._started > _STILL_AFTER * 1e9 or not awaited:
+            if not self._told and awaited:
                 self._told = True
-                self._node.get_logger().info("no skinner is publishing: showing the scene as at its start")
+                self._node.get_logger().info("nothing is published: showing the scene as at its start")
             states = {name: actor.at(0.0) for name, actor in self._scene.actors.items()}
             vertices = {name: state.vertices for name, state in states.items()}
-            self._try_to_show(now, vertices, lambda human: states[human].positions)
+            objects = {name: thing.at(0.0) for name, thing in self._scene.moving_objects.items()}
+            self._try_to_show(now, vertices, objects, lambda human: states[human].positions)
 
     def _try_to_show(
-        self, stamp: int, vertices: dict[str, NDArray[np.float32]], joints_of: Callable[[str], Array]
+        self,
+        stamp: int,
+        vertices: dict[str, NDArray[np.float32]],
+        objects: dict[str, ObjectPose],
+        joints_of: Callable[[str], Array],
     ) -> None:
         bodies = [actor.body(vertices[name]) for name, actor in self._scene.actors.items()]
+        bodies += [thing.body(objects[name]) for name, thing in self._scene.moving_objects.items()]
         try:
             self._show(Instant(stamp, bodies, joints_of))
         except HumansimError as error:

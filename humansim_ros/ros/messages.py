@@ -9,11 +9,12 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Quaternion, Transform, TransformStamped, Twist, Vector3
+from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Twist, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2, PointField
 from shape_msgs.msg import Mesh as MeshMessage
@@ -27,6 +28,7 @@ from humansim_ros.errors import RosError
 from humansim_ros.motion.world import JointPoses
 from humansim_ros.rotations import Array, matrix_to_quaternion
 from humansim_ros.scene import HumanState
+from humansim_ros.scene.objects import ObjectPose, SceneObject
 from humansim_ros.truth.joints import OCCLUDED, OUTSIDE, VISIBLE, JointView
 
 WORLD_FRAME = "map"
@@ -44,6 +46,7 @@ JOINT_POINT = np.dtype(
     }
 )
 _VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+_MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
 _FIELD_TYPES = {
     np.dtype("<f4"): PointField.FLOAT32,
     np.dtype("u1"): PointField.UINT8,
@@ -197,7 +200,7 @@ class MarkerMaker:
     def __call__(self, name: str, instance: int, state: HumanState, stamp: int) -> MarkerArray:
         joints = state.positions
         ends = joints.copy()[: len(self._skeleton)]
-        ends += state.joints[: len(self._skeleton), :3, 1] * self._skeleton.lengths[:, None]
+        ends += state.joints[: len(self._skeleton), :3, 1] * state.size * self._skeleton.lengths[:, None]
         bones = np.stack([joints[: len(self._skeleton)], ends], axis=1).reshape(-1, 3)
         skin = state.vertices[self._triangles].reshape(-1, 3)
         kinds = (
@@ -226,6 +229,32 @@ def _coarse_triangles(mesh: Mesh, cell: float) -> NDArray[np.intp]:
     kept = merged[whole]
     _, once = np.unique(np.sort(kept, axis=1), axis=0, return_index=True)
     return kept[np.sort(once)]
+
+
+def object_message(thing: SceneObject, pose: ObjectPose, stamp: int) -> Marker:
+    """``objects/<name>/marker``: an object that moves, with its pose and size, as RViz shows it."""
+    shape = _MARKER_TYPES.get(thing.shape, Marker.MESH_RESOURCE)
+    marker = Marker(header=header(stamp, WORLD_FRAME), ns=f"objects/{thing.name}", type=shape)
+    marker.action = Marker.ADD
+    x, y, z = pose.position.tolist()
+    qx, qy, qz, qw = pose.rotation.tolist()
+    marker.pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    marker.scale = Vector3(**dict(zip("xyz", pose.size.tolist(), strict=True)))
+    red, green, blue = (c / 255 for c in thing.color)
+    marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    if shape == Marker.MESH_RESOURCE:
+        marker.mesh_resource = Path(thing.shape).as_uri()
+    return marker
+
+
+def read_object(message: Marker) -> ObjectPose:
+    """Where the object of a ``marker`` message is. RosError where that is not finite or has no size."""
+    p, q, s = message.pose.position, message.pose.orientation, message.scale
+    pose = ObjectPose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]), np.array([s.x, s.y, s.z]))
+    finite = all(np.isfinite(part).all() for part in (pose.position, pose.rotation, pose.size))
+    if not finite or abs(np.linalg.norm(pose.rotation) - 1) > 1e-3 or not (pose.size > 0).all():
+        raise RosError("an object's pose is not finite, its quaternion has not length 1, or its size is 0")
+    return pose
 
 
 # --- cameras

@@ -51,6 +51,7 @@ class SceneObject:
 
     name: str
     shape: str
+    color: tuple[int, int, int]
     mesh: Mesh
     stands: ObjectPose
     keyframes: Track | None = None
@@ -64,14 +65,14 @@ class SceneObject:
             key = f"objects.{name}.mesh"
             known = f"the built-in meshes are {', '.join(SHAPES)}"
             path = _existing(config.mesh, scene, key, known)
-            shape = str(path)
+            shape = str(path.resolve())
             mesh = read_mesh(path)
             if len(mesh.vertices) > 2_000_000:
                 raise MeshError("more than 2 million vertices", path=path)
         colors = np.tile(np.array(config.color, np.uint8), (len(mesh.vertices), 1))
         turn = Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_quat()
         stands = ObjectPose(np.array(config.position), turn, np.array(config.size))
-        return cls(name, shape, replace(mesh, colors=colors), stands, keyframes)
+        return cls(name, shape, config.color, replace(mesh, colors=colors), stands, keyframes)
 
     @property
     def moves(self) -> bool:

@@ -36,7 +36,7 @@ _NEW_TIME = 1_000_000_000
 
 
 #: What comes of one stamp, in this order: vertices by human, serialised joints by human, poses by object.
-_Parts = tuple[dict[str, NDArray[np.float32]], dict[str, bytes], dict[str, ObjectPose]]
+_Parts = tuple[dict[str, Any], dict[str, Any], dict[str, Any]]
 
 
 @dataclass(frozen=True)

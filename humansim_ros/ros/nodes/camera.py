@@ -1,8 +1,8 @@
 """Node ``camera``: renders what one camera of a scene sees.
 
 Subscribes to ``humans/<id>/vertices`` and ``humans/<id>/joints`` of every human and ``objects/<name>/marker``
-of every object that moves, and joins them by exact stamp. Publishes the images, labels and joints of that instant with that stamp; nothing is rendered for a
-topic that nobody subscribes to.
+of every object that moves, and joins them by exact stamp. Publishes the images, labels and joints of that
+instant with that stamp; nothing is rendered for a topic that nobody subscribes to.
 """
 
 from __future__ import annotations

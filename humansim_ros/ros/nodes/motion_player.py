@@ -1,7 +1,8 @@
 """Node ``motion_player``: plays the motions of a scene's humans, all from one clock.
 
-Publishes ``humans/<id>/motion``. Frame k leaves at start + round(k * period) on the wall clock and carries
-that stamp; a player that is late skips to the newest frame and reports the drop.
+Publishes ``humans/<id>/motion``, and ``objects/<name>/marker`` of every object that moves. Frame k leaves at
+start + round(k * period) on the wall clock and carries that stamp; a player that is late skips to the newest
+frame and reports the drop.
 """
 
 from __future__ import annotations
@@ -10,8 +11,9 @@ import sys
 from typing import Any
 
 from sensor_msgs.msg import MultiDOFJointState
+from visualization_msgs.msg import Marker
 
-from humansim_ros.ros.messages import motion_message
+from humansim_ros.ros.messages import motion_message, object_message
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import run_node
@@ -29,6 +31,10 @@ class MotionPlayer(SceneNode):
         self._motions = {
             name: self.create_publisher(MultiDOFJointState, f"humans/{name}/motion", DATA)
             for name in self.scene.actors
+        }
+        self._markers = {
+            name: self.create_publisher(Marker, f"objects/{name}/marker", DATA)
+            for name in self.scene.moving_objects
         }
         self._start: int | None = None
         self._next = 0
@@ -52,6 +58,8 @@ class MotionPlayer(SceneNode):
         stamp = self._start + elapsed
         for name, actor in self.scene.actors.items():
             self._motions[name].publish(motion_message(actor.joint_poses(elapsed * 1e-9), stamp))
+        for name, thing in self.scene.moving_objects.items():
+            self._markers[name].publish(object_message(thing, thing.at(elapsed * 1e-9), stamp))
         self.count("frames")
         self.report_lateness(stamp)
 

@@ -54,7 +54,7 @@ class Skinner(SceneNode):
         stamp = to_nanoseconds(message.header.stamp)
         try:
             poses = read_joints(message)
-            if poses.names != self._actor.motion.names:
+            if poses.names != self._actor.motion_names:
                 raise SceneError(
                     f"the joints of this motion are not those of {self._actor.motion.motion.path}"
                 )

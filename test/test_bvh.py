@@ -262,6 +262,8 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("OFFSET that is no number", GOOD.replace("OFFSET 0 10 0", "OFFSET 0 ten 0"), 8, "0 ten 0"),
     ("OFFSET that is NaN", GOOD.replace("OFFSET 0 10 0", "OFFSET 0 nan 0"), 8, "finite"),
     ("unknown channel", GOOD.replace("3 Zrotation", "3 Wrotation"), 9, "Wrotation"),
+    ("channel count in a superscript", GOOD.replace("CHANNELS 3", "CHANNELS ³"), 9, "CHANNELS needs"),
+    ("a number as only Python has it", GOOD.replace("20 30", "2_0 30"), 19, "'2_0'"),
     ("same channel twice", GOOD.replace("3 Zrotation", "3 Xrotation"), 9, "CHANNELS needs"),
     ("wrong channel count", GOOD.replace("CHANNELS 3", "CHANNELS 4"), 9, "says 4 but names 3"),
     ("frame time of zero", GOOD.replace("0.04", "0"), 18, "above zero"),

@@ -364,7 +364,7 @@ class _Parser:
     def _offset(self, rest: str, number: int) -> list[float]:
         words = _GLUED_MINUS.sub(" -", rest).split()
         try:
-            values = [float(word) for word in words]
+            values = [_float(word) for word in words]
         except ValueError:
             raise self.error(f"OFFSET needs three numbers, not {rest.strip()[:40]!r}", number) from None
         if len(values) != 3 or not np.isfinite(values).all():
@@ -374,7 +374,12 @@ class _Parser:
     def _channels(self, rest: str, number: int) -> tuple[str, ...]:
         words = rest.split()
         names = tuple(_CANONICAL.get(word.lower(), "") for word in words[1:])
-        if not words or not words[0].isdigit() or "" in names or len(set(names)) != len(names):
+        if (
+            not words
+            or not (words[0].isascii() and words[0].isdigit())
+            or "" in names
+            or len(set(names)) != len(names)
+        ):
             raise self.error(
                 f"CHANNELS needs a count and names such as Zrotation, not {rest.strip()[:60]!r}", number
             )
@@ -432,7 +437,7 @@ class _Parser:
             )
         number, text = found
         try:
-            value = float(text)
+            value = _float(text)
         except ValueError:
             value = float("nan")
         if not np.isfinite(value):
@@ -481,10 +486,17 @@ class _Parser:
 
     def _number(self, word: str, line: int) -> float:
         try:
-            return float(word)
+            return _float(word)
         except ValueError:
             comma = "; decimals need a point, not a comma" if "," in word else ""
             raise self.error(f"{word[:40]!r} is not a number{comma}", line) from None
+
+
+def _float(word: str) -> float:
+    """A number as files write it; ValueError for what only Python takes for one ("1_000")."""
+    if "_" in word or not word.isascii():
+        raise ValueError
+    return float(word)
 
 
 def _fast_rows(block: bytes, n_channels: int) -> Array | None:

@@ -1,0 +1,280 @@
+"""Damage motion files in every way and see that readers say so: only our errors, no hang, bounded memory.
+
+    python tools/fuzz_motion.py [--inputs 100000] [--seed 1] [--reader bvh] [FILE ...]
+
+Each input is a file of the corpus (ours, and the FILEs given) with some mutations: bytes flipped, cut out,
+repeated or inserted, tokens dropped, doubled, swapped or replaced by extremes, lines moved, hierarchies made
+deep. A reader may return, or raise HumansimError; anything else, more than a second per 100 kB, or memory
+beyond the limit is a finding: it is written to the folder ``fuzz`` and the exit code is 1.
+"""
+
+from __future__ import annotations
+
+import argparse
+import random
+import resource
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from humansim_ros.errors import HumansimError
+from humansim_ros.motion import read_bvh
+from humansim_ros.motion.keyframes import read_keyframes
+
+ROOT = Path(__file__).parent.parent
+_MEMORY = 4 << 30
+#: Seconds that a file of any size may take, and seconds per byte beyond.
+_SECONDS, _SECONDS_PER_BYTE = 1.0, 1e-5
+_LONGEST = 60_000
+
+EXTREMES = [
+    *(b"0", b"-0", b"-1", b"1e309", b"-1e309", b"1e-400", b"nan", b"inf", b"999999999999999999999", b"1e9"),
+    *(
+        b"1000000000",
+        b"-2147483649",
+        b"0x10",
+        b"1_000",
+        b"1,5",
+        b"1.5.5",
+        b"--1",
+        b"1-2-3",
+        b"",
+        b"\0",
+        b"\xff\xfe",
+    ),
+    *(
+        "²".encode(),
+        "１".encode(),
+        b"{",
+        b"}",
+        b"<",
+        b">",
+        b'"',
+        b"&amp;",
+        b"&x;",
+        b"]]>",
+        b"<!--",
+        b"<![CDATA[",
+    ),
+    *(
+        b"HIERARCHY",
+        b"ROOT",
+        b"JOINT",
+        b"End Site",
+        b"OFFSET",
+        b"CHANNELS",
+        b"MOTION",
+        b"Frames:",
+        b"Frame Time:",
+    ),
+    *(b"Xposition", b"Zrotation", b"\r", b"\n", b"\t", b"\x0c", b"\x85", "\u2028".encode(), b"a" * 5000),
+]
+
+
+def reading_bvh(path: Path) -> None:
+    motion = read_bvh(path)
+    if motion.n_joints < 2000:
+        motion.world_positions(0)
+
+
+READERS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "bvh": (reading_bvh, "*.bvh"),
+    "keyframes": (read_keyframes, "*.xml"),
+}
+
+BVH = b"""HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation
+  JOINT Left Knee.01
+  {
+    OFFSET 0 -10.5 1e-3
+    CHANNELS 3 Zrotation Xrotation Yrotation
+    End Site
+    {
+      OFFSET 0 -5 0
+    }
+  }
+}
+MOTION
+Frames: 3
+Frame Time: 0.0333333
+4 5 6 10 20 30 40 50 60
+7 8 9 -10 -20 -30 -40 -50 -60
+7 8 9-10-20-30 -40 -50 -60
+"""
+XML = b"""<?xml version="1.0"?>
+<animation startframe="0" endframe="90" rate="30">
+  <object name="anna">
+    <frame number="0">
+      <position x="0" y="1" z="0"/><rotation x="0" y="0" z="90"/><size x="1" y="1" z="1"/>
+    </frame>
+    <frame number="90"><position x="2.5" y="-1" z="0"/><size x="2" y="2" z="2"/></frame>
+  </object>
+</animation>
+"""
+SEEDS = {"bvh": [BVH], "keyframes": [XML]}
+
+
+def mutated(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> bytes:
+    """A damaged copy of a file."""
+    out = bytearray(data)
+    for _ in range(random_.choice((1, 1, 1, 2, 3, 8))):
+        out = bytearray(random_.choice(MUTATIONS)(bytes(out), corpus, random_))[:_LONGEST]
+    return bytes(out)
+
+
+Mutation = Callable[[bytes, Sequence[bytes], random.Random], bytes]
+
+
+def _place(data: bytes, random_: random.Random) -> int:
+    """Heads of files are hit as often as their many rows."""
+    return random_.randrange(min(len(data), random_.choice((200, 2000, 10**9))) + 1)
+
+
+def flip(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    at = _place(data, random_)
+    return data[:at] + bytes([random_.randrange(256)]) + data[at + 1 :]
+
+
+def cut_end(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    return data[: _place(data, random_)]
+
+
+def cut_out(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    at = _place(data, random_)
+    return data[:at] + data[at + random_.choice((1, 5, 50, 500)) :]
+
+
+def repeat(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    at = _place(data, random_)
+    piece = data[at : at + random_.choice((1, 10, 100, 1000))]
+    return data[:at] + piece * random_.choice((2, 3, 50)) + data[at:]
+
+
+def insert_extreme(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    at = _place(data, random_)
+    return data[:at] + random_.choice((b" ", b"", b"\n")) + random_.choice(EXTREMES) + data[at:]
+
+
+def replace_token(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    head, tail = data[: (at := _place(data, random_))], data[at:]
+    words = tail.split(b" ", 2)
+    if len(words) < 3:
+        return data
+    return head + words[0] + b" " + random_.choice((*EXTREMES, words[1] * 2, b"")) + b" " + words[2]
+
+
+def move_line(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    lines = data.split(b"\n")
+    line = lines.pop(random_.randrange(min(len(lines), 40)))
+    lines.insert(random_.randrange(len(lines) + 1), line)
+    return b"\n".join(lines)
+
+
+def splice(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> bytes:
+    other = random_.choice(corpus)
+    return data[: _place(data, random_)] + other[_place(other, random_) :]
+
+
+def deepen(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    at, depth = _place(data, random_), random_.choice((10, 300, 2000))
+    opening, closing = random_.choice(
+        ((b"JOINT j\n{\nOFFSET 0 1 0\n", b"}\n"), (b"{", b"}"), (b"<object>", b"</object>"), (b"<a>", b""))
+    )
+    return data[:at] + opening * depth + closing * depth + data[at:]
+
+
+MUTATIONS: list[Mutation] = [
+    *(flip, cut_end, cut_out, repeat, insert_extreme, insert_extreme, replace_token, replace_token),
+    *(move_line, splice, deepen),
+]
+
+
+@dataclass
+class Outcome:
+    """What became of many inputs."""
+
+    inputs: int = 0
+    kinds: Counter[str] = field(default_factory=Counter)
+    findings: list[tuple[str, bytes]] = field(default_factory=list)
+    slowest: float = 0.0
+
+
+def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
+    """Give a reader so many damaged files; the same seed gives the same ones."""
+    reader, pattern = READERS[name]
+    outcome, random_ = Outcome(), random.Random(f"{name}{seed}")
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        path = Path(folder) / pattern.replace("*", "input")
+        for _ in range(inputs):
+            data = mutated(random_.choice(corpus), corpus, random_)
+            path.write_bytes(data)
+            start = time.process_time()
+            try:
+                reader(path)
+                kind = "read"
+            except HumansimError as error:
+                kind = type(error).__name__
+            except BaseException as error:
+                if isinstance(error, KeyboardInterrupt):
+                    raise
+                kind = f"finding: {type(error).__name__}"
+                outcome.findings.append((traceback.format_exc(limit=-4), data))
+            took = time.process_time() - start
+            outcome.slowest = max(outcome.slowest, took)
+            if took > _SECONDS + _SECONDS_PER_BYTE * len(data):
+                kind = "finding: slow"
+                outcome.findings.append((f"took {took:.1f} s for {len(data)} bytes", data))
+            outcome.inputs += 1
+            outcome.kinds[kind] += 1
+    return outcome
+
+
+def corpus_of(name: str, files: Sequence[Path] = ()) -> list[bytes]:
+    """Our own small files, the committed ones and those given, none longer than a few frames."""
+    suffix = READERS[name][1].removeprefix("*")
+    own = [*ROOT.glob(f"assets/motions/*{suffix}"), *ROOT.glob(f"config/scenes/*{suffix}")]
+    return [
+        *SEEDS[name],
+        *(path.read_bytes()[:20_000] for path in (*sorted(own), *files) if path.suffix == suffix),
+    ]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("files", nargs="*", type=Path)
+    parser.add_argument("--inputs", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--reader", choices=[*READERS], action="append")
+    options = parser.parse_args()
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
+    failed = False
+    for name in options.reader or READERS:
+        start = time.monotonic()
+        outcome = fuzz(name, corpus_of(name, options.files), options.inputs, options.seed)
+        rate = outcome.inputs / (time.monotonic() - start)
+        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        print(
+            f"{name}: {outcome.inputs} inputs, {rate:.0f}/s, slowest {outcome.slowest:.2f} s, {memory:.0f} MB"
+        )
+        for kind, count in outcome.kinds.most_common():
+            print(f"  {kind}: {count}")
+        for number, (what, data) in enumerate(outcome.findings[:20]):
+            Path("fuzz").mkdir(exist_ok=True)
+            Path(f"fuzz/{name}_{number}").write_bytes(data)
+            print(what)
+        failed |= bool(outcome.findings)
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

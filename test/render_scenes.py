@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.body import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
-from humansim_ros.render import Body, GLRenderer, Lighting
+from humansim_ros.render import Body, GLRenderer, Lighting, View
 from humansim_ros.scene import Scene
 
 #: Even light: a white surface is white whichever way it looks.
@@ -92,3 +93,62 @@ def block_means(image: NDArray[np.generic], factor: int) -> NDArray[np.float64]:
     height, width = image.shape[0] // factor, image.shape[1] // factor
     blocks = image.reshape(height, factor, width, factor, -1).astype(float).mean(axis=(1, 3))
     return blocks[..., 0] if image.ndim == 2 else blocks
+
+
+# what rays hit
+
+
+Surface = tuple[NDArray[np.floating], NDArray[np.integer]]
+
+
+def cast(camera: Camera, surfaces: Sequence[Surface]) -> tuple[NDArray[np.generic], ...]:
+    """What rays through the pixels' centres hit first, (H, W): depth, which surface (-1: none), triangle."""
+    offsets = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
+    vertices = np.concatenate([vertices for vertices, _ in surfaces]).astype(float)
+    triangles = np.concatenate([t + offset for (_, t), offset in zip(surfaces, offsets, strict=False)])
+    owner = np.repeat(np.arange(len(surfaces)), [len(t) for _, t in surfaces])
+    number = np.concatenate([np.arange(len(t)) for _, t in surfaces])
+    width, height = camera.size
+    columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+    pixels = np.stack([columns.ravel(), rows.ravel()], axis=1)
+    directions = camera.unproject(pixels, np.ones(len(pixels))) - camera.center
+    origins = np.broadcast_to(camera.center, directions.shape)
+    mesh = trimesh.Trimesh(vertices, triangles, process=False)
+    hit, ray = mesh.ray.intersects_id(origins, directions, multiple_hits=False)[:2]
+    # which triangle is embree's answer; how far it is, ours, in double precision
+    a, b, c = (vertices[triangles[hit, i]] for i in range(3))
+    normal = np.cross(b - a, c - a)
+    distance = np.einsum("ij,ij->i", normal, a - camera.center) / np.einsum(
+        "ij,ij->i", normal, directions[ray]
+    )
+    depth, first, face = np.full(len(pixels), np.inf), np.full(len(pixels), -1), np.full(len(pixels), -1)
+    depth[ray], first[ray], face[ray] = distance, owner[hit], number[hit]
+    return depth.reshape(height, width), first.reshape(height, width), face.reshape(height, width)
+
+
+def inner(labels: NDArray[np.integer]) -> NDArray[np.bool_]:
+    """Pixels of a body whose eight neighbours are of the same one."""
+    height, width = labels.shape
+    padded = np.pad(labels, 1)
+    around = [padded[y : y + height, x : x + width] == labels for y in range(3) for x in range(3)]
+    return np.all(around, axis=0) & (labels > 0)
+
+
+def assert_agrees(view: View, bodies: Sequence[Body], static: Sequence[Mesh], camera: Camera) -> None:
+    surfaces = [(body.vertices, body.mesh.triangles) for body in bodies]
+    surfaces += [(mesh.vertices, mesh.triangles) for mesh in static]
+    depth, first, face = cast(camera, surfaces)
+    instance, part = np.zeros(first.shape, int), np.zeros(first.shape, int)
+    for number, body in enumerate(bodies):
+        here = first == number
+        instance[here], part[here] = body.instance, body.parts[face[here]]
+    assert np.count_nonzero(instance) > 2000
+    assert np.count_nonzero(view.instance != instance) <= 4
+    assert np.count_nonzero(view.part != part) <= 8
+    inside = inner(instance)
+    assert np.mean(np.abs(view.depth[inside] - depth[inside]) < 1e-4) >= 0.999
+    background = (instance == 0) & (view.instance == 0) & np.isfinite(depth) & np.isfinite(view.depth)
+    if background.any():
+        assert np.mean(np.abs(view.depth[background] - depth[background]) < 1e-3) > 0.999
+    # up to where a ray grazes an edge
+    assert np.count_nonzero(np.isfinite(view.depth) != np.isfinite(depth)) <= 8

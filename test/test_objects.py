@@ -1,0 +1,210 @@
+"""Things in a scene: where they stand and move, what they hide, and what a scene file may say of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import ROOT
+from numpy.typing import NDArray
+from render_scenes import assert_agrees, renderer_or_skip
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.camera import Camera
+from humansim_ros.errors import MeshError, RenderError, SceneError
+from humansim_ros.render import Body
+from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene.objects import SHAPES
+from humansim_ros.truth.joints import OCCLUDED, VISIBLE
+
+#: A screen passes between a person that walks on the spot and the camera; a ball grows and turns as it flies.
+SCENE = """\
+rate: 10
+room: null
+humans:
+  anna: {motion: {file: walk_straight, anchor: center, loop: repeat}}
+objects:
+  screen: {size: [0.05, 0.9, 2], position: [1.5, 0, 1], keyframes: moves.xml}
+  ball: {mesh: sphere, size: [0.5, 0.8, 0.3], color: [250, 30, 30], keyframes: moves.xml}
+  post: {mesh: cylinder, size: [0.2, 0.2, 1.5], position: [-1, 0.6, 0.75], rotation_deg: [20, 0, 0]}
+cameras:
+  front: {size: [320, 240], position: [4, 0.2, 1.4], look_at: [0, 0, 0.9], fov_deg: 50}
+"""
+MOVES = """\
+<animation startframe="0" endframe="20" rate="10">
+  <object name="screen">
+    <frame number="0"><position x="0" y="-1.5" z="0"/></frame>
+    <frame number="20"><position x="0" y="1.5" z="0"/></frame>
+  </object>
+  <object name="ball">
+    <frame number="0"><position x="1" y="-0.6" z="1.2"/></frame>
+    <frame number="20"><position x="1" y="0.9" z="0.8"/><rotation x="90" y="30" z="200"/>
+      <size x="1.5" y="1" z="2"/></frame>
+  </object>
+</animation>
+"""
+
+
+@pytest.fixture(scope="module")
+def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulation]:
+    folder = tmp_path_factory.mktemp("objects")
+    (folder / "scene.yaml").write_text(SCENE)
+    (folder / "moves.xml").write_text(MOVES)
+    scene = Scene.load(folder / "scene.yaml")
+    simulation = Simulation(scene, renderer=renderer_or_skip(scene.static_meshes))
+    yield simulation
+    simulation.close()
+
+
+def expected_vertices(name: str, seconds: float) -> NDArray[np.float64]:
+    """Where the scene's objects are, said once more: sized along their own axes, turned, put in place."""
+    part = min(seconds / 2, 1.0)
+    if name == "screen":
+        return SHAPES["box"]().vertices * [0.05, 0.9, 2] + [1.5, -1.5 + 3 * part, 1]
+    if name == "post":
+        turn = Rotation.from_euler("x", 20, degrees=True)
+        return turn.apply(SHAPES["cylinder"]().vertices * [0.2, 0.2, 1.5]) + np.array([-1, 0.6, 0.75])
+    turn = Rotation.from_euler("xyz", part * np.array([90.0, 30, 200]), degrees=True)
+    size = np.array([0.5, 0.8, 0.3]) * (1 + part * np.array([0.5, 0, 1]))
+    place = np.array([1, -0.6 + 1.5 * part, 1.2 - 0.4 * part])
+    return turn.apply(SHAPES["sphere"]().vertices * size) + place
+
+
+def test_built_in_meshes_are_closed_and_a_metre_in_size() -> None:
+    volumes = {"box": 1.0, "sphere": np.pi / 6, "cylinder": np.pi / 4}
+    for name, make in SHAPES.items():
+        mesh = make()
+        solid = trimesh.Trimesh(mesh.vertices, mesh.triangles)
+        solid.merge_vertices()
+        assert solid.is_watertight
+        assert solid.volume == pytest.approx(volumes[name], rel=0.01)
+        np.testing.assert_allclose(solid.bounds, [[-0.5] * 3, [0.5] * 3], atol=1e-12)
+
+
+def expected_body(simulation: Simulation, name: str, seconds: float) -> Body:
+    mesh = simulation.scene.objects[name].mesh
+    vertices = expected_vertices(name, seconds).astype(np.float32)
+    return Body(mesh, vertices, np.zeros(len(mesh.triangles), np.uint8), 0)
+
+
+@pytest.mark.parametrize("index", [3, 6, 14])
+def test_cameras_see_people_and_things_where_rays_hit_them(simulation: Simulation, index: int) -> None:
+    frame = simulation.frame(index)
+    bodies = [simulation.scene.actors["anna"].body(frame.humans["anna"].vertices)]
+    bodies += [expected_body(simulation, name, index / 10) for name in ("screen", "ball", "post")]
+    assert_agrees(frame.views["front"], bodies, [], simulation.scene.cameras["front"])
+
+
+def test_a_thing_that_passes_hides_the_joints_behind_it(simulation: Simulation) -> None:
+    alone = simulation.frame(0).joints["front"]["anna"].visible
+    behind = simulation.frame(10).joints["front"]["anna"]
+    assert (alone == VISIBLE).sum() > 15
+    # the screen stands right before the person
+    low, high = expected_vertices("screen", 1.0).min(0), expected_vertices("screen", 1.0).max(0)
+    corners, _ = simulation.scene.cameras["front"].project(
+        np.array([[high[0], y, z] for y in (low[1], high[1]) for z in (low[2], high[2])])
+    )
+    inside = ((behind.pixels > corners.min(0)) & (behind.pixels < corners.max(0))).all(1)
+    assert inside.sum() > 15
+    assert (behind.visible[inside] == OCCLUDED).all()
+
+
+def test_a_frame_says_where_its_moving_things_are(simulation: Simulation) -> None:
+    frame = simulation.frame(13)
+    assert list(frame.objects) == ["screen", "ball"]
+    for name, pose in frame.objects.items():
+        vertices = simulation.scene.objects[name].mesh.vertices
+        np.testing.assert_allclose(pose.apply(vertices), expected_vertices(name, 1.3), atol=1e-12)
+
+
+def test_a_thing_is_seen_alike_whether_it_stands_or_is_held_by_keys(tmp_path: Path) -> None:
+    held = (
+        '<animation startframe="0" endframe="1"><object name="post"><frame number="0"/></object></animation>'
+    )
+    (tmp_path / "held.xml").write_text(held)
+    text = SCENE.replace(", keyframes: moves.xml", "")
+    depths = []
+    for line in (
+        text,
+        text.replace("rotation_deg: [20, 0, 0]", "rotation_deg: [20, 0, 0], keyframes: held.xml"),
+    ):
+        (tmp_path / "scene.yaml").write_text(line)
+        scene = Scene.load(tmp_path / "scene.yaml")
+        simulation = Simulation(scene, renderer=renderer_or_skip(scene.static_meshes))
+        view = simulation.frame(2).views["front"]
+        depths.append((view.depth, view.instance, view.part, view.rgb))
+        simulation.close()
+    (*truth, standing), (*again, moving) = depths
+    for a, b in zip(truth, again, strict=True):
+        assert np.array_equal(a, b)
+    # only the edges are smoothed in another way
+    assert (np.abs(standing.astype(int) - moving).max(-1) > 8).mean() < 0.01
+
+
+def test_a_mesh_file_is_coloured_sized_and_stood_up(tmp_path: Path) -> None:
+    # a wedge with y up
+    (tmp_path / "wedge.obj").write_text(
+        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+    )
+    things = "objects: {w: {mesh: wedge.obj, size: [2, 3, 1], rotation_deg: [90, 0, 0], color: [1, 2, 3]}}\n"
+    (tmp_path / "scene.yaml").write_text(things + SCENE[SCENE.index("cameras") :] + "room: null\n")
+    (mesh,) = Scene.load(tmp_path / "scene.yaml").static_meshes
+    np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [2, 0, 0], [0, 0, 3], [0, -1, 0]], atol=1e-12)
+    assert mesh.colors is not None
+    assert (mesh.colors == [1, 2, 3]).all()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("mesh: sphere", "mesh: cone", "objects.ball.mesh: no such file .*built-in meshes are box, sphere"),
+        ("keyframes: moves.xml}", "keyframes: gone.xml}", r"objects.*keyframes: no such file"),
+        ("[0.05, 0.9, 2]", "[0.05, 0, 2]", r":6: objects\.screen\.size\.1: .*greater than 0"),
+        ("[250, 30, 30]", "[256, 30, 30]", r"objects\.ball\.color\.0: .*255"),
+        ("color:", "colour:", r"unknown key; known here: mesh, color, size, position, rotation_deg"),
+        ("[1.5, 0, 1]", "[1.5, .nan, 1]", "finite"),
+        ("ball:", "a ball:", "pattern"),
+    ],
+)
+def test_what_a_scene_says_wrong_of_a_thing_is_named(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    assert old in SCENE
+    (tmp_path / "moves.xml").write_text(MOVES)
+    (tmp_path / "scene.yaml").write_text(SCENE.replace(old, new))
+    with pytest.raises(SceneError, match=message):
+        Scene.load(tmp_path / "scene.yaml")
+
+
+def test_a_mesh_file_that_is_wrong_is_named_with_its_line(tmp_path: Path) -> None:
+    (tmp_path / "bad.obj").write_text("v 0 0 0\nf 1 2 3\n")
+    (tmp_path / "moves.xml").write_text(MOVES)
+    (tmp_path / "scene.yaml").write_text(SCENE.replace("mesh: sphere", "mesh: bad.obj"))
+    with pytest.raises(MeshError, match=r"bad\.obj:2: "):
+        Scene.load(tmp_path / "scene.yaml")
+
+
+def test_two_things_cannot_share_a_surface() -> None:
+    renderer = renderer_or_skip()
+    mesh = SHAPES["box"]()
+    thing = Body(mesh, mesh.vertices.astype(np.float32), np.zeros(12, np.uint8), 0)
+    with pytest.raises(RenderError, match="cannot share a mesh"):
+        renderer.render([thing, thing], Camera.look_at((3, 0, 1), (0, 0, 0), (32, 24), 1.0))
+    renderer.close()
+
+
+def test_the_example_scene_loads_and_its_rider_stays_on_the_platform() -> None:
+    scene = Scene.load(ROOT / "config" / "scenes" / "moving_objects.yaml")
+    rider, platform = scene.actors["rider"], scene.objects["platform"]
+    for seconds in np.linspace(0, 12, 13):
+        top = platform.at(seconds)
+        inside = (
+            Rotation.from_quat(top.rotation).inv().apply(rider.at(seconds).vertices - top.position) / top.size
+        )
+        feet = inside[inside[:, 2] < inside[:, 2].min() + 0.05]
+        # on the upper end of the unit cylinder, and not over its edge
+        assert abs(inside[:, 2].min() - 0.5) < 0.05 / top.size[2]
+        assert np.linalg.norm(feet[:, :2], axis=1).max() < 0.5

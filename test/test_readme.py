@@ -79,6 +79,7 @@ def test_the_scene_of_the_documents_loads_and_every_key_is_described(tmp_path: P
     example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
     assert example
     assert len(Scene.load(write_scene(tmp_path, example.group(1))).cameras) == 2
-    for section in (config.HumanConfig, config.MotionConfig, config.CameraConfig, config.RoomConfig):
+    sections = (config.HumanConfig, config.MotionConfig, config.ObjectConfig, config.CameraConfig)
+    for section in (*sections, config.RoomConfig):
         for key in section.model_fields:
             assert f"`{key}`" in text or f".{key}`" in text, key

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from humansim_ros import __version__
+from humansim_ros import __version__, cli_motion
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.resources import resource_path
 
@@ -23,6 +23,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+
+app.add_typer(cli_motion.app, name="motion")
 
 
 @app.callback(invoke_without_command=True)

@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
-from humansim_ros.files import read_text
+from humansim_ros.files import atomic_path, read_text
 from humansim_ros.motion.bvh import Motion
 from humansim_ros.resources import resource_path
 
@@ -167,3 +167,22 @@ def find_match(
 def match_motion(motion: Motion, table: str | os.PathLike[str] | None = None) -> JointMatch:
     """The joints of a motion that drive the bones: by the given table, else by the best built-in."""
     return find_match(motion.joint_names, table, motion.path)
+
+
+def table_text(match: JointMatch, motion: Motion) -> str:
+    """The table found for a motion as YAML, to be edited and passed back as the joint table."""
+    role_of = {joint: role for role, joint in reversed(list(match.roles.items()))}
+    data = {
+        "name": match.table,
+        "joints": {role: [motion.joint_names[joint]] for role, joint in match.roles.items()},
+        "parallel": {bone: [role_of[s], role_of[e]] for bone, (s, e) in match.parallel.items()},
+        "difference": {bone: role_of[joint] for bone, joint in match.difference.items()},
+    }
+    head = f"# found by {match.by}, confidence {match.confidence:.0%}\n"
+    return head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+
+
+def write_table(match: JointMatch, motion: Motion, path: str | os.PathLike[str]) -> None:
+    """Write :func:`table_text` to a file."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(table_text(match, motion))

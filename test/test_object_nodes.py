@@ -149,3 +149,13 @@ def test_an_object_of_another_kind_shows_its_file(flow: Any, tmp_path: Path) -> 
         part.x = float("nan")
         with pytest.raises(RosError, match="not finite"):
             messages.read_object(broken)
+
+
+def test_the_bones_shown_are_as_large_as_the_person(flow: Any) -> None:
+    actor = flow.simulation.scene.actors["anna"]
+    state = actor.at(50.0)
+    lines = messages.MarkerMaker(actor.human)("anna", 1, state, 0).markers[0].points
+    knee = lines[2 * actor.human.skeleton.bone("l_hip") + 1]
+    place = state.positions[actor.human.skeleton.bone("l_knee")]
+    assert state.size == pytest.approx(5.9)
+    np.testing.assert_allclose([knee.x, knee.y, knee.z], place, atol=1e-6)

@@ -322,7 +322,9 @@ def test_a_broken_motion_or_body_of_a_scene_is_named_itself(write: Write, tmp_pa
         lambda inner: (
             st.lists(inner, max_size=3)
             | st.dictionaries(
-                st.sampled_from(["humans", "cameras", "room", "rate", "size", "K", "a", "motion"]),
+                st.sampled_from(
+                    ["humans", "cameras", "objects", "keyframes", "room", "rate", "size", "K", "a", "motion"]
+                ),
                 inner,
                 max_size=4,
             )

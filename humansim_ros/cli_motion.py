@@ -184,7 +184,10 @@ def table(
     _warn(read.warnings)
     match = match_motion(read.motion, joint_names)
     if output is not None:
-        write_table(match, read.motion, output)
+        try:
+            write_table(match, read.motion, output)
+        except OSError as reason:
+            raise HumansimError(f"cannot be written: {reason.strerror or reason}", path=output) from None
         print(f"wrote {output}; pass it back with --joint-names {output}")
         return
     print(table_text(match, read.motion), end="")

@@ -164,6 +164,32 @@ def test_what_is_written_is_read_back_exactly(
             assert np.array_equal(getattr(back.tracks[name], column), getattr(track, column))
 
 
+@pytest.mark.parametrize(
+    ("column", "values", "message"),
+    [
+        ("frames", [0, 0], "rise"),
+        ("frames", [0, 0.5], "whole"),
+        ("frames", [0, 10], "within"),
+        ("frames", [0], "shapes"),
+        ("positions", [[0, 0, 0], [0, np.nan, 0]], "finite"),
+        ("rotations", [[0, 0], [0, 0]], "shapes"),
+        ("sizes", [[1, 1, 1], [1, 1, 0]], "above 0"),
+    ],
+)
+def test_keys_that_cannot_be_are_refused(column: str, values: list[Any], message: str) -> None:
+    good = {"frames": np.array([0.0, 9]), **{c: np.ones((2, 3)) for c in ("positions", "rotations", "sizes")}}
+    Track(Clock(0, 9), **good)
+    with pytest.raises(MotionError, match=message):
+        Track(Clock(0, 9), **{**good, column: np.array(values, float)})
+
+
+def test_a_name_that_xml_cannot_hold_is_not_written(tmp_path: Path) -> None:
+    track = Track(Clock(0, 9), np.zeros(1), *np.ones((3, 1, 3)))
+    with pytest.raises(MotionError, match="cannot be a name"):
+        write_keyframes(tmp_path / "a.xml", Keyframes(track.clock, {"bell\a": track}))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_the_example_of_the_documentation_is_as_it_says(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "keyframes.md").read_text()
     example = text.split("```xml\n")[1].split("```")[0]

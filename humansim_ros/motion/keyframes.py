@@ -105,8 +105,8 @@ class Clock:
 
 @dataclass(frozen=True)
 class Track:
-    """The keys of one object: ``frames`` (K,) rising numbers; ``positions``, ``rotations``, ``sizes`` (K, 3)
-    as in :class:`Place`.
+    """The keys of one object: ``frames`` (K,) rising whole numbers; ``positions``, ``rotations``, ``sizes``
+    (K, 3) as in :class:`Place`. Raises MotionError where they are impossible.
     """
 
     clock: Clock
@@ -114,6 +114,19 @@ class Track:
     positions: Array
     rotations: Array
     sizes: Array
+
+    def __post_init__(self) -> None:
+        columns = (self.positions, self.rotations, self.sizes)
+        n = len(self.frames)
+        if n == 0 or any(column.shape != (n, 3) for column in columns):
+            raise MotionError(f"{n} keys cannot have arrays of shapes {[c.shape for c in columns]}")
+        if not all(np.isfinite(column).all() for column in (self.frames, *columns)):
+            raise MotionError("a key is not finite (NaN or infinity)")
+        whole = (self.frames == np.round(self.frames)).all() and (np.diff(self.frames) > 0).all()
+        if not whole or self.frames[0] < self.clock.start or self.frames[-1] > self.clock.end:
+            raise MotionError("keys need whole frame numbers that rise, within the clock's start to end")
+        if not (self.sizes > 0).all():
+            raise MotionError("a size must be above 0")
 
     def at(self, seconds: ArrayLike) -> Place:
         """Where it is at times (...), seconds of the scene: linear in position, angles and size between

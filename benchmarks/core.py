@@ -22,6 +22,7 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
 import moderngl
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import CHANNELS, Body, GLRenderer
@@ -30,6 +31,7 @@ from humansim_ros.render.outline import crossings
 from humansim_ros.render.posed import Posed, Topology
 from humansim_ros.render.shadow import contact_shadow
 from humansim_ros.scene import Scene
+from humansim_ros.scene.objects import SHAPES, ObjectPose
 
 _NEAR, _FAR = 0.05, 200.0
 
@@ -162,6 +164,25 @@ def ours(renderer: GLRenderer, channels: Sequence[str]) -> Callable[[Shot], obje
     return lambda shot: renderer.render([replace(shot.body)], shot.camera, channels)
 
 
+def beside(renderer: GLRenderer, shape: str, count: int) -> Callable[[Shot], object]:
+    """All channels of the body and of ``count`` things that turn beside it, 0.3 m large."""
+    meshes = [SHAPES[shape]() for _ in range(count)]
+    parts = np.zeros(len(meshes[0].triangles), np.uint8)
+    turn = iter(np.arange(0.0, 1e6, 0.1))
+
+    def draw(shot: Shot) -> object:
+        angle, middle = next(turn), shot.body.vertices.mean(0)
+        bodies = [replace(shot.body)]
+        for number, mesh in enumerate(meshes):
+            place = middle + np.array([0.4 * np.cos(2.4 * number), 0.4 * np.sin(2.4 * number), 0])
+            turned = Rotation.from_euler("z", angle).as_quat()
+            vertices = ObjectPose(place, turned, np.full(3, 0.3)).apply(mesh.vertices)
+            bodies.append(Body(mesh, vertices.astype(np.float32), parts, 0))
+        return renderer.render(bodies, shot.camera, CHANNELS)
+
+    return draw
+
+
 def interleave(
     contestants: dict[str, Callable[[Shot], object]], order: Sequence[Shot], rounds: int
 ) -> dict[str, list[float]]:
@@ -280,6 +301,8 @@ def main() -> None:
         ("humansim_ros: depth, instance, part", ("depth", "instance", "part")),
     ):
         contestants[name] = ours(renderer, channels)
+    contestants["humansim_ros: all channels, and a box that moves"] = beside(renderer, "box", 1)
+    contestants["humansim_ros: all channels, and 4 balls that move"] = beside(renderer, "sphere", 4)
     if not options.no_pyrender:
         for name, by_part in (
             ("pyrender: rgb, depth", False),

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.mesh import Mesh, read_mesh
-from humansim_ros.errors import HumansimWarning, MeshError, MotionError, SceneError
+from humansim_ros.errors import HumansimWarning, MotionError, SceneError
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
 from humansim_ros.render import Body
 from humansim_ros.rotations import Array, quaternion_to_matrix
@@ -67,8 +67,6 @@ class SceneObject:
             path = _existing(config.mesh, scene, key, known)
             shape = str(path.resolve())
             mesh = read_mesh(path)
-            if len(mesh.vertices) > 2_000_000:
-                raise MeshError("more than 2 million vertices", path=path)
         colors = np.tile(np.array(config.color, np.uint8), (len(mesh.vertices), 1))
         turn = Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_quat()
         stands = ObjectPose(np.array(config.position), turn, np.array(config.size))

@@ -318,12 +318,12 @@ def test_angles_do_not_depend_on_the_pose_the_skeleton_was_made_in() -> None:
         ),
     ],
 )
-def test_people_who_walk_stay_within_the_limits(stem: str) -> None:
+def test_ordinary_motions_stay_within_the_limits(stem: str) -> None:
     motion = read(stem)
     world = in_world(motion)
     turned, _ = Retargeter.fit(world, GENERAL).apply(at_frames(world, some_frames(motion, 300)))
     found = load_limits().report(turned)
-    assert sum(violation.share for violation in found) < 0.02, found
+    assert found == []
 
 
 def test_bones_that_a_skeleton_lacks_are_left_out() -> None:

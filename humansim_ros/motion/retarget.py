@@ -386,19 +386,32 @@ def _root_scale(poses: JointPoses, motion: WorldMotion, skeleton: Skeleton, by: 
     return float(by)
 
 
+def leg_length(poses: JointPoses, match: JointMatch) -> float:
+    """Length of both legs from hip to ankle (to the knee where no ankle is known), metres: median over all
+    poses.
+    """
+    return _legs(poses, match, None)[0]
+
+
 def _leg_scale(poses: JointPoses, match: JointMatch, skeleton: Skeleton) -> float:
-    """Leg length of the skeleton by that of the joints: median over all poses."""
+    """Leg length of the skeleton by that of the joints."""
+    theirs, ours = _legs(poses, match, skeleton)
+    if not theirs > 10 * _SHORTEST_LINK:
+        raise MotionError("the legs have no length: hips, knees and ankles are at one place")
+    return ours / theirs
+
+
+def _legs(poses: JointPoses, match: JointMatch, skeleton: Skeleton | None) -> tuple[float, float]:
+    """Length of the legs that the joints have, and of the same parts of a skeleton's."""
     ours, theirs = 0.0, np.zeros(len(poses.positions))
     for side, prefix in (("Left", "l"), ("Right", "r")):
         for start, end, bone in (("Hip", "Knee", "hip"), ("Knee", "Ankle", "knee")):
             if (s := match.roles.get(side + start)) is None or (e := match.roles.get(side + end)) is None:
                 continue
             theirs += np.linalg.norm(poses.positions[:, e] - poses.positions[:, s], axis=-1)
-            ours += float(skeleton.lengths[skeleton.bone(f"{prefix}_{bone}")])
-    length = float(np.median(theirs))
-    if not length > 10 * _SHORTEST_LINK:
-        raise MotionError("the legs have no length: hips, knees and ankles are at one place")
-    return ours / length
+            if skeleton is not None:
+                ours += float(skeleton.lengths[skeleton.bone(f"{prefix}_{bone}")])
+    return float(np.median(theirs)), ours
 
 
 def _stands(poses: JointPoses, match: JointMatch) -> bool:

@@ -28,6 +28,7 @@ from humansim_ros.errors import RosError
 from humansim_ros.motion.world import JointPoses
 from humansim_ros.rotations import Array, matrix_to_quaternion
 from humansim_ros.scene import HumanState
+from humansim_ros.scene.live import Source
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 from humansim_ros.truth.joints import OCCLUDED, OUTSIDE, VISIBLE, JointView
 
@@ -132,6 +133,9 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
     if len(positions) != len(names) or not names:
         raise RosError(f"{len(names)} joint names but {len(positions)} transforms")
     length = np.linalg.norm(rotations, axis=1)
+    if not length.any():  # a source that knows no rotations may leave them unset
+        rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(names), 1))
+        length = np.ones(len(names))
     if not (np.isfinite(positions).all() and np.isfinite(length).all() and (length > 0.5).all()):
         raise RosError("a joint's pose is not finite or its quaternion has no length")
     linear = angular = None
@@ -333,6 +337,22 @@ def read_joint_view(message: PointCloud2) -> NDArray[Any]:
 
 # --- legends
 # ----------------------------------------------------------------------------------------------------
+
+
+def motion_legend(source: Source) -> String:
+    """``humans/<id>/motion/legend``: how the joints of the motion are put onto the human's skeleton."""
+    return _legend(source.to_dict())
+
+
+def read_motion_legend(message: String) -> dict[str, Any]:
+    """What a ``motion/legend`` message says. RosError if it is not JSON."""
+    try:
+        data = json.loads(message.data)
+    except ValueError as reason:
+        raise RosError(f"a legend must be JSON: {reason}") from None
+    if not isinstance(data, dict):
+        raise RosError("a legend must be a JSON object")
+    return data
 
 
 def instance_legend(humans: Mapping[str, int]) -> String:

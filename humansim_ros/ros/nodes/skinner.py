@@ -1,6 +1,8 @@
 """Node ``skinner``: poses and skins one human from the motion it hears.
 
-Subscribes to ``humans/<id>/motion``. Publishes ``humans/<id>/joints``, ``vertices`` and ``markers`` with the
+Subscribes to ``humans/<id>/motion``, whoever sends it: the motion player, or live motion capture, whose joint
+names, scale and rest pose are found by its first message (docs/playing.md); and to what a player says of its
+motion, ``humans/<id>/motion/legend``. Publishes ``humans/<id>/joints``, ``vertices`` and ``markers`` with the
 same stamp, and latched ``humans/<id>/mesh``.
 """
 
@@ -10,6 +12,7 @@ import sys
 from typing import Any
 
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from humansim_ros.errors import HumansimError, SceneError
@@ -18,12 +21,14 @@ from humansim_ros.ros.messages import (
     joints_message,
     mesh_message,
     read_joints,
+    read_motion_legend,
     to_nanoseconds,
     vertices_message,
 )
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import DATA, NEWEST
+from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.scene.live import Follower
 
 
 class Skinner(SceneNode):
@@ -40,6 +45,11 @@ class Skinner(SceneNode):
             known = ", ".join(self.scene.actors) or "none"
             raise SceneError(f"no human {name!r}; the scene has {known}", path=self.scene.path, key="humans")
         self._actor = self.scene.actors[name]
+        table = self.text_parameter(
+            "joint_names", "", "Joint table of a live source (a built-in name or a YAML file); empty: found"
+        )
+        self._follower = Follower(self._actor, table or None)
+        self._told = ""
         self._joints = self.create_publisher(MultiDOFJointState, f"humans/{name}/joints", DATA)
         self._vertices = self.create_publisher(PointCloud2, f"humans/{name}/vertices", DATA)
         self._markers = self.create_publisher(MarkerArray, f"humans/{name}/markers", DATA)
@@ -48,21 +58,20 @@ class Skinner(SceneNode):
         self._make_markers = MarkerMaker(self._actor.human)
         self.publish_latched(mesh_message(self._actor.human.mesh), f"humans/{name}/mesh")
         self.create_subscription(MultiDOFJointState, f"humans/{name}/motion", self._on_motion, NEWEST)
+        self.create_subscription(String, f"humans/{name}/motion/legend", self._on_legend, LATCHED)
         self.get_logger().info(f"skinning {name} ({len(self._actor.human.mesh.vertices)} vertices)")
 
     def _on_motion(self, message: MultiDOFJointState) -> None:
         stamp = to_nanoseconds(message.header.stamp)
         try:
-            poses = read_joints(message)
-            if poses.names != self._actor.motion_names:
-                raise SceneError(
-                    f"the joints of this motion are not those of {self._actor.motion.motion.path}"
-                )
-            state = self._actor.state(poses)
+            state = self._follower.follow(read_joints(message))
         except HumansimError as error:
             self.count("drops")
             self.get_logger().error(f"frame skipped: {error}", throttle_duration_sec=1.0)
             return
+        if self._follower.found != self._told:
+            self._told = self._follower.found
+            self.get_logger().info(f"following {self._told or 'the motion that the player names'}")
         self._joints.publish(joints_message(state, stamp))
         if self._vertices.get_subscription_count():
             self._vertices.publish(vertices_message(state.vertices, stamp))
@@ -71,6 +80,12 @@ class Skinner(SceneNode):
             self._markers.publish(self._make_markers(self._actor.name, self._actor.instance, state, stamp))
         self.count("frames")
         self.report_lateness(stamp)
+
+    def _on_legend(self, message: String) -> None:
+        try:
+            self._follower.hear_legend(read_motion_legend(message))
+        except HumansimError as error:
+            self.get_logger().error(f"legend not used: {error}", throttle_duration_sec=1.0)
 
 
 def main() -> int:

@@ -361,6 +361,7 @@ PAIR = yaml.safe_load(TABLE.read_text())["joints"][1]["first"]
         (broken(first=[PAIR[0], PAIR[0]]), "not opposite turns"),
         (broken(second=PAIR), "not at right angles"),
         (broken(first=[{**PAIR[0], "from": "out"}, PAIR[1]]), "directions of vl5 are"),
+        (broken(along="out"), "directions of vl5 are back, down"),
         (broken(first=[{**PAIR[0], "degrees": 200}, PAIR[1]]), "joints.1.first.0.degrees"),
         (broken(first=[{**PAIR[0], "source": "hearsay"}, PAIR[1]]), "no source 'hearsay'"),
         (broken(first=[{**PAIR[0], "towards": "down"}, PAIR[1]]), "nothing turns from up towards down"),

@@ -114,10 +114,12 @@ class JointRow(_Row):
             raise ValueError(f"no bone {self.bone!r}; the bones are {', '.join(hanim_skeleton().names)}")
         allowed = {"up", "down", "front", "back"}
         allowed |= {"out", "in"} if any(self.sides.values()) else {"left", "right"}
+        used = {direction for row in self.rows for direction in (row.start, row.towards)}
+        used |= {self.along} if self.along else set()
+        used |= {self.zero.direction, *self.zero.angles.values()} if self.zero else set()
+        if not used <= allowed:
+            raise ValueError(f"directions of {self.bone} are {', '.join(sorted(allowed))}")
         for row in self.rows:
-            used = {row.start, row.towards}
-            if not used <= allowed:
-                raise ValueError(f"{row.angle}: directions of {self.bone} are {', '.join(sorted(allowed))}")
             if not row.axis(1).any():
                 raise ValueError(f"{row.angle}: nothing turns from {row.start} towards {row.towards}")
         if (self.swing is None) == (self.first is None) or (self.first is None) != (self.second is None):

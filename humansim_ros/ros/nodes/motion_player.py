@@ -54,8 +54,8 @@ class MotionPlayer(SceneNode):
         rate = self._steered("rate", 0.0, 0.0, 1000.0, "Frames per second; 0 for the scene's own rate")
         speed = self._steered("speed", 1.0, 0.0, 10.0, "Seconds of the scene per second")
         seek = self._steered("seek", 0.0, 0.0, _LONGEST, "Set to jump to this second of the scene")
-        self._playback.clock = Clock(speed, seek)
         self._declare_motions()
+        self._playback.clock = Clock(speed, seek)
         self._motions = {
             name: self.create_publisher(MultiDOFJointState, f"humans/{name}/motion", DATA)
             for name in self.scene.actors

@@ -1,0 +1,191 @@
+"""Live motion capture: a skinner follows joints of which it knows nothing but the messages."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT, needs_shared_data
+from ros_support import Client, write_scene
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.errors import HumansimError, MotionError
+from humansim_ros.motion import read_bvh
+from humansim_ros.motion.world import JointPoses
+from humansim_ros.ros import messages
+from humansim_ros.scene import Scene
+from humansim_ros.scene.config import MotionConfig
+from humansim_ros.scene.live import Follower, Source
+from humansim_ros.scene.scene import Actor
+
+LINKS = {
+    "l_elbow": ("LeftForeArm", "LeftHand"),
+    "r_knee": ("RightLeg", "RightFoot"),
+    "l_hip": ("LeftUpLeg", "LeftLeg"),
+}
+
+
+@pytest.fixture
+def actor(tmp_path: Path) -> Actor:
+    return Scene.load(write_scene(tmp_path)).actors["first"]
+
+
+def renamed(poses: JointPoses, names: dict[str, str]) -> JointPoses:
+    return replace(poses, names=tuple(names.get(name, name) for name in poses.names))
+
+
+#: The walk's joints as Mixamo calls them.
+MIXAMO = {
+    **{f"{side}{old}": f"{side}{new}" for side in ("Left", "Right") for old, new in (
+        ("Collar", "Shoulder"), ("Shoulder", "Arm"), ("Elbow", "ForeArm"), ("Wrist", "Hand"),
+        ("Hip", "UpLeg"), ("Knee", "Leg"), ("Ankle", "Foot"),
+    )}, "Chest": "Spine",
+}  # fmt: skip
+
+
+def test_the_scenes_own_motion_is_followed_as_it_is(actor: Actor) -> None:
+    poses = actor.joint_poses(0.7)
+    state = Follower(actor).follow(poses)
+    np.testing.assert_array_equal(state.joints, actor.state(poses).joints)
+
+
+def test_other_names_and_sizes_are_found_by_the_first_message(actor: Actor) -> None:
+    follower = Follower(actor)
+    for seconds in (0.3, 0.9):
+        poses = renamed(actor.joint_poses(seconds), MIXAMO)
+        poses = replace(poses, positions=1.3 * poses.positions)
+        state = follower.follow(poses)
+        bones = actor.human.skeleton
+        for bone, (start, end) in LINKS.items():
+            link = poses.positions[0, poses.names.index(end)] - poses.positions[0, poses.names.index(start)]
+            along = state.joints[bones.bone(bone), :3, 1]
+            assert along @ link / np.linalg.norm(link) > np.cos(np.radians(1))
+        assert state.vertices[:, 2].min() == pytest.approx(0.0, abs=0.06)
+    assert "mixamo" in follower.found
+    # the scene's own comes back: as if nothing had been
+    own = actor.joint_poses(0.5)
+    np.testing.assert_array_equal(follower.follow(own).joints, actor.state(own).joints)
+    assert follower.found == ""
+
+
+def test_joints_in_another_order_are_the_same_joints(actor: Actor) -> None:
+    poses = actor.joint_poses(0.4)
+    order = np.random.default_rng(3).permutation(len(poses.names))
+    assert poses.linear is not None and poses.angular is not None
+    shuffled = JointPoses(
+        tuple(poses.names[j] for j in order),
+        *(part[:, order] for part in (poses.positions, poses.rotations, poses.linear, poses.angular)),
+    )
+    np.testing.assert_allclose(Follower(actor).follow(shuffled).joints, actor.state(poses).joints, atol=1e-12)
+
+
+def test_missing_or_unknown_joints_are_refused_and_the_old_is_kept(actor: Actor) -> None:
+    follower = Follower(actor)
+    poses = actor.joint_poses(0.4)
+    short = JointPoses(poses.names[:-3], poses.positions[:, :-3], poses.rotations[:, :-3])
+    with pytest.raises(MotionError, match="joints are missing"):
+        follower.follow(short)
+    with pytest.raises(MotionError, match="joint table"):
+        follower.follow(renamed(poses, {name: f"x{n}" for n, name in enumerate(poses.names)}))
+    np.testing.assert_array_equal(follower.follow(poses).joints, actor.state(poses).joints)
+
+
+def test_a_legend_gives_the_truth_of_a_changed_motion(actor: Actor, tmp_path: Path) -> None:
+    """Another person's motion, of other names: with the legend exactly as if the scene had it."""
+    config = MotionConfig(file="walk_straight", retarget="thesis", root_scale="height", mirror=True)
+    other = actor.with_motion(config, tmp_path / "scene.yaml")
+    names = {name: MIXAMO.get(name, name) for name in other.motion.names}
+    legend = Source.of_actor(other).to_dict()
+    legend["joint_names"] = [names[name] for name in legend["joint_names"]]
+    follower = Follower(actor)
+    follower.hear_legend(json.loads(json.dumps(legend)))
+    poses = other.joint_poses(0.8)
+    state = follower.follow(renamed(poses, names))
+    np.testing.assert_allclose(state.joints, other.state(poses).joints, atol=1e-12)
+    # joints of these names but of somebody taller are no longer the legend's
+    taller = renamed(replace(poses, positions=1.2 * poses.positions), names)
+    follower.follow(taller)
+    assert follower.found
+
+
+@pytest.mark.parametrize("broken", [{}, {"joint_names": []}, {"roles": {"Hips": 99}}, {"scale": None}])
+def test_a_broken_legend_is_refused(actor: Actor, broken: dict[str, Any]) -> None:
+    legend = {**Source.of_actor(actor).to_dict(), **broken} if broken else {}
+    follower = Follower(actor)
+    with pytest.raises(MotionError, match=r"legend|constants"):
+        follower.hear_legend(legend)
+    poses = actor.joint_poses(0.1)
+    np.testing.assert_array_equal(follower.follow(poses).joints, actor.state(poses).joints)
+
+
+def test_unset_rotations_are_no_rotations(actor: Actor) -> None:
+    message = messages.motion_message(actor.joint_poses(0.2), 5)
+    for transform in message.transforms:
+        transform.rotation.w = transform.rotation.x = transform.rotation.y = transform.rotation.z = 0.0
+    message.joint_names = [MIXAMO.get(name, name) for name in message.joint_names]
+    follower = Follower(actor)
+    state = follower.follow(messages.read_joints(message))
+    assert "positions only" in follower.found
+    assert np.isfinite(state.vertices).all()
+    message.transforms[3].rotation.w = 1.0
+    with pytest.raises(HumansimError, match="quaternion"):
+        messages.read_joints(message)
+
+
+@needs_shared_data
+@pytest.mark.parametrize("stem", ["mixamo_freebvh", "bvhtoolbox_walk01"])
+def test_the_example_drives_a_skinner_in_another_process(
+    ros: None, shared_data: Path, tmp_path: Path, stem: str
+) -> None:
+    """The example's joints as it sends them, and the body's bones: parallel, upright, on the floor."""
+    from rclpy.parameter import Parameter
+    from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+
+    from humansim_ros.ros.nodes.skinner import Skinner
+
+    human = f"human_{stem[:6]}"
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(
+        f"humans: {{{human}: {{}}}}\ncameras: {{c: {{position: [3, 0, 1], look_at: [0, 0, 1]}}}}\n"
+    )
+    file = shared_data / "bvh" / f"{stem}.bvh"
+    skinner = Skinner(parameter_overrides=[Parameter("scene", value=str(scene))])
+    client = Client(f"watcher_{stem[:6]}")
+    client.executor.add_node(skinner)
+    motion_topic, joints_topic = (f"/humans/{human}/{kind}" for kind in ("motion", "joints"))
+    client.subscribe(MultiDOFJointState, [motion_topic, joints_topic], 500)
+    client.subscribe(PointCloud2, [f"/humans/{human}/vertices"], 500)
+    process = subprocess.Popen(
+        [sys.executable, str(ROOT / "examples" / "live_mocap.py"), str(file), human],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        done = client.spin_until(lambda: len(client.received) == 3 and len(client.common_stamps()) >= 5, 40)
+    finally:
+        process.terminate()
+        error = process.communicate(timeout=20)[1]
+    assert done, error
+    names = read_bvh(file).joint_names
+    ends = {bone: [next(n for n in names if n.endswith(e)) for e in link] for bone, link in LINKS.items()}
+    for stamp in client.common_stamps():
+        sent = messages.read_joints(client.received[motion_topic][stamp])
+        got = messages.read_joints(client.received[joints_topic][stamp])
+        for bone, (start, end) in ends.items():
+            link = sent.positions[0, sent.names.index(end)] - sent.positions[0, sent.names.index(start)]
+            turn = Rotation.from_quat(got.rotations[0, got.names.index(bone)])
+            cosine = turn.apply([0, 1, 0]) @ link / np.linalg.norm(link)
+            assert np.degrees(np.arccos(min(cosine, 1))) < 1.0
+        vertices = messages.read_vertices(client.received[f"/humans/{human}/vertices"][stamp])
+        assert vertices[:, 2].min() == pytest.approx(0.0, abs=0.12)
+        assert 1.5 < vertices[:, 2].max() < 2.0
+    skinner.destroy_node()
+    client.close()

@@ -16,7 +16,7 @@ from conftest import ROOT, needs_shared_data
 from ros_support import Client, write_scene
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.errors import HumansimError, MotionError
+from humansim_ros.errors import HumansimError, MotionError, RosError
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.world import JointPoses
 from humansim_ros.ros import messages
@@ -50,6 +50,17 @@ MIXAMO = {
 }  # fmt: skip
 
 
+def refused(follower: Follower, poses: JointPoses) -> int:
+    """How many times a pose is refused before it is followed."""
+    for times in range(50):
+        try:
+            follower.follow(poses)
+        except MotionError:
+            continue
+        return times
+    raise AssertionError("never followed")
+
+
 def test_the_scenes_own_motion_is_followed_as_it_is(actor: Actor) -> None:
     poses = actor.joint_poses(0.7)
     state = Follower(actor).follow(poses)
@@ -68,7 +79,7 @@ def test_other_names_and_sizes_are_found_by_the_first_message(actor: Actor) -> N
             along = state.joints[bones.bone(bone), :3, 1]
             assert along @ link / np.linalg.norm(link) > np.cos(np.radians(1))
         assert state.vertices[:, 2].min() == pytest.approx(0.0, abs=0.06)
-    assert "mixamo" in follower.found
+    assert "by table" in follower.found
     # the scene's own comes back: as if nothing had been
     own = actor.joint_poses(0.5)
     np.testing.assert_array_equal(follower.follow(own).joints, actor.state(own).joints)
@@ -89,11 +100,16 @@ def test_joints_in_another_order_are_the_same_joints(actor: Actor) -> None:
 def test_missing_or_unknown_joints_are_refused_and_the_old_is_kept(actor: Actor) -> None:
     follower = Follower(actor)
     poses = actor.joint_poses(0.4)
+    follower.follow(poses)
     short = JointPoses(poses.names[:-3], poses.positions[:, :-3], poses.rotations[:, :-3])
     with pytest.raises(MotionError, match="joints are missing"):
         follower.follow(short)
-    with pytest.raises(MotionError, match="joint table"):
-        follower.follow(renamed(poses, {name: f"x{n}" for n, name in enumerate(poses.names)}))
+    unknown = renamed(poses, {name: f"x{n}" for n, name in enumerate(poses.names)})
+    for _ in range(2):
+        with pytest.raises(MotionError, match=r"joint table.*parameter joint_names"):
+            follower.follow(unknown)
+    with pytest.raises(MotionError, match="twice: Head"):
+        follower.follow(renamed(poses, {"Neck": "Head"}))
     np.testing.assert_array_equal(follower.follow(poses).joints, actor.state(poses).joints)
 
 
@@ -111,8 +127,86 @@ def test_a_legend_gives_the_truth_of_a_changed_motion(actor: Actor, tmp_path: Pa
     np.testing.assert_allclose(state.joints, other.state(poses).joints, atol=1e-12)
     # joints of these names but of somebody taller are no longer the legend's
     taller = renamed(replace(poses, positions=1.2 * poses.positions), names)
-    follower.follow(taller)
-    assert follower.found
+    assert refused(follower, taller) == 4
+    assert "by table" in follower.found
+
+
+def test_a_legend_holds_from_its_stamp_on(actor: Actor) -> None:
+    """Frames that were on their way when the motion changed belong to the motion before."""
+    higher = replace(actor, retargeter=replace(actor.retargeter, lift=actor.retargeter.lift + 0.5))
+    follower = Follower(actor)
+    for source in (Source.of_actor(actor), Source.of_actor(higher, since=1000)):
+        follower.hear_legend(json.loads(json.dumps(source.to_dict())))
+    poses = actor.joint_poses(0.4)
+    for stamp, expected in ((999, actor), (1000, higher), (998, actor), (2000, higher)):
+        state = follower.follow(poses, stamp)
+        np.testing.assert_allclose(state.joints, expected.state(poses).joints, atol=1e-12)
+
+
+def test_a_bad_frame_changes_nothing(actor: Actor) -> None:
+    """Glitches of a tracker: one joint off, all joints at the origin; who comes after them is as before."""
+    follower = Follower(actor)
+    poses = renamed(actor.joint_poses(0.4), MIXAMO)
+    before = follower.follow(poses).joints
+    found = follower.found
+    glitch = poses.positions.copy()
+    glitch[0, poses.names.index("LeftLeg")] += 0.4
+    for wrong in (glitch, 0 * glitch, glitch * 1e5):
+        for _ in range(3):
+            with pytest.raises(MotionError, match="bad frame"):
+                follower.follow(replace(poses, positions=wrong))
+        np.testing.assert_array_equal(follower.follow(poses).joints, before)
+    assert follower.found == found
+
+
+def test_joints_of_known_names_whose_rotations_mean_something_else_are_a_source_of_their_own(
+    actor: Actor,
+) -> None:
+    """The scene's own joints, but turned from axes of the joints' own: as a suit may send the same file."""
+    own = Rotation.random(len(actor.motion.names), random_state=5)
+    follower = Follower(actor)
+    for seconds in (0.1, 0.6):
+        poses = actor.joint_poses(seconds)
+        turned = (Rotation.from_quat(poses.rotations[0]) * own).as_quat()[None]
+        state = follower.follow(replace(poses, rotations=turned))
+        assert "with rotations" in follower.found
+        bones = actor.human.skeleton
+        shin = (
+            poses.positions[0, poses.names.index("LeftAnkle")]
+            - poses.positions[0, poses.names.index("LeftKnee")]
+        )
+        along = state.joints[bones.bone("l_knee"), :3, 1]
+        assert along @ shin / np.linalg.norm(shin) > np.cos(np.radians(1))
+        feet = actor.state(poses).joints[bones.bone("l_ankle"), :3, 1]
+        assert state.joints[bones.bone("l_ankle"), :3, 1] @ feet > np.cos(np.radians(35))
+
+
+def test_a_suit_that_starts_in_its_rest_pose_is_followed_with_rotations_when_it_moves(actor: Actor) -> None:
+    """At rest all rotations are the identity, and say nothing: they count as soon as they differ."""
+    rest = actor.motion.motion.rest_positions() * 0.01
+    still = JointPoses(
+        actor.motion.names, rest[None][..., [2, 0, 1]], np.tile([0.0, 0, 0, 1], (1, len(rest), 1))
+    )
+    follower = Follower(actor)
+    follower.follow(renamed(still, MIXAMO))
+    assert "positions only" in follower.found
+    times = [refused(follower, renamed(actor.joint_poses(0.01 * n), MIXAMO)) for n in range(6)]
+    assert (times[0], sum(times[1:])) == (4, 0)
+    assert "with rotations" in follower.found
+
+
+def test_a_source_is_fitted_better_when_thirty_messages_are_known(actor: Actor) -> None:
+    """It starts in the air, lower than a jump can be told from a high sole: later the floor is known."""
+    follower = Follower(actor)
+    lift = np.zeros((1, 1, 3))
+    lift[..., 2] = 0.1
+    heights = []
+    for n in range(32):
+        poses = renamed(actor.joint_poses(n / 15), MIXAMO)
+        up = lift if n < 5 else 0 * lift
+        heights.append(follower.follow(replace(poses, positions=poses.positions + up)).vertices[:, 2].min())
+    assert min(heights[5:28]) < -0.05
+    assert heights[-1] == pytest.approx(0.0, abs=0.03)
 
 
 @pytest.mark.parametrize("broken", [{}, {"joint_names": []}, {"roles": {"Hips": 99}}, {"scale": None}])
@@ -137,6 +231,26 @@ def test_unset_rotations_are_no_rotations(actor: Actor) -> None:
     message.transforms[3].rotation.w = 1.0
     with pytest.raises(HumansimError, match="quaternion"):
         messages.read_joints(message)
+
+
+def test_messages_that_are_none_are_refused(actor: Actor) -> None:
+    poses = actor.joint_poses(0.2)
+
+    def message() -> Any:
+        return messages.motion_message(poses, 5)
+
+    wrong = [message() for _ in range(5)]
+    wrong[0].header.frame_id = "mocap"
+    wrong[1].transforms = wrong[1].transforms[:-1]
+    wrong[2].joint_names, wrong[2].transforms = [], []
+    wrong[3].transforms[0].translation.x = float("nan")
+    wrong[4].transforms[0].translation.x = 1e9
+    for broken in wrong:
+        with pytest.raises(RosError):
+            messages.read_joints(broken)
+    unknown = message()
+    unknown.twist[2].linear.x = float("nan")
+    assert messages.read_joints(unknown).linear is None
 
 
 @needs_shared_data

@@ -47,6 +47,8 @@ JOINT_POINT = np.dtype(
     }
 )
 _VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+#: Metres from the origin beyond which nobody is.
+_FARTHEST = 1e6
 _MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
 _FIELD_TYPES = {
     np.dtype("<f4"): PointField.FLOAT32,
@@ -123,8 +125,10 @@ def _joint_state(
 
 def read_joints(message: MultiDOFJointState) -> JointPoses:
     """Joint poses (N = 1) of a ``motion`` or ``joints`` message. RosError where its arrays do not fit or are
-    not finite.
+    not finite, or it is not in ``map``. Velocities that are not finite are not known.
     """
+    if message.header.frame_id != WORLD_FRAME:
+        raise RosError(f"joints must be in {WORLD_FRAME}, these are in {message.header.frame_id!r}")
     names = tuple(message.joint_names)
     positions = np.array([(t.translation.x, t.translation.y, t.translation.z) for t in message.transforms])
     rotations = np.array(
@@ -136,12 +140,15 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
     if not length.any():  # a source that knows no rotations may leave them unset
         rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(names), 1))
         length = np.ones(len(names))
-    if not (np.isfinite(positions).all() and np.isfinite(length).all() and (length > 0.5).all()):
+    near = (np.abs(positions) < _FARTHEST).all()  # False for NaN, too
+    if not (near and np.isfinite(length).all() and (length > 0.5).all()):
         raise RosError("a joint's pose is not finite or its quaternion has no length")
     linear = angular = None
     if len(message.twist) == len(names):
         linear = np.array([[(t.linear.x, t.linear.y, t.linear.z) for t in message.twist]])
         angular = np.array([[(t.angular.x, t.angular.y, t.angular.z) for t in message.twist]])
+        if not (np.isfinite(linear).all() and np.isfinite(angular).all()):
+            linear = angular = None
     return JointPoses(names, positions[None], (rotations / length[:, None])[None], linear, angular)
 
 

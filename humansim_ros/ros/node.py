@@ -6,8 +6,10 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
+from humansim_ros.errors import RosError
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.scene import Scene
 
@@ -27,14 +29,33 @@ class SceneNode(Node):
 
     def text_parameter(self, name: str, default: str, description: str) -> str:
         """Declare a string that is read once, at the start."""
-        descriptor = ParameterDescriptor(description=description, read_only=True)
-        return str(self.declare_parameter(name, default, descriptor).value)
+        return str(self.described_parameter(name, default, description, read_only=True))
 
     def number_parameter(self, name: str, default: float, low: float, high: float, description: str) -> float:
         """Declare a number within a range that is read once, at the start."""
-        descriptor = ParameterDescriptor(description=description, read_only=True)
-        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
-        return float(self.declare_parameter(name, default, descriptor).value)
+        return float(self.described_parameter(name, default, description, (low, high), read_only=True))
+
+    def described_parameter(
+        self,
+        name: str,
+        default: Any,
+        description: str,
+        limits: tuple[float, float] | None = None,
+        constraints: str = "",
+        read_only: bool = False,
+    ) -> Any:
+        """Declare a parameter and return its value. A type as ``default`` leaves it unset (None) unless it is
+        given. Raises RosError where what is given is of the wrong type or out of its range.
+        """
+        descriptor = ParameterDescriptor(description=description, read_only=read_only)
+        descriptor.additional_constraints = constraints
+        if limits is not None:
+            low, high = limits
+            descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
+        try:
+            return self.declare_parameter(name, default, descriptor).value
+        except (InvalidParameterTypeException, InvalidParameterValueException) as reason:
+            raise RosError(f"parameter {name}: {reason}") from None
 
     def publish_latched(self, message: Any, topic: str) -> None:
         """Send a message that late joiners get too."""

@@ -14,7 +14,7 @@ from humansim_ros.body import Human
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError
-from humansim_ros.motion.bvh import read_bvh
+from humansim_ros.motion.bvh import Motion, read_bvh
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.joint_names import match_motion
 from humansim_ros.motion.keyframes import SPACE_JOINTS, Track, take_back
@@ -85,10 +85,21 @@ class Actor:
     keyframes: Track | None = None
 
     @classmethod
-    def build(cls, name: str, instance: int, human: Human, config: MotionConfig, scene: Path) -> Actor:
-        """A human with the motion of a scene file. Raises HumansimError naming what is wrong with it."""
-        path = find_file(config.file, "motions", ".bvh", scene, f"humans.{name}.motion.file")
-        motion = read_bvh(path, config.positions)
+    def build(
+        cls,
+        name: str,
+        instance: int,
+        human: Human,
+        config: MotionConfig,
+        scene: Path,
+        motion: Motion | None = None,
+    ) -> Actor:
+        """A human with the motion of a scene file, which may have been read already (``motion``). Raises
+        HumansimError naming what is wrong with it.
+        """
+        if motion is None:
+            path = find_file(config.file, "motions", ".bvh", scene, f"humans.{name}.motion.file")
+            motion = read_bvh(path, config.positions)
         table = config.joint_names
         if table is not None and (scene.resolve().parent / table).is_file():
             table = str(scene.resolve().parent / table)
@@ -110,9 +121,11 @@ class Actor:
             world = replace(world, clean_up=FootContacts.detect(world, retargeter))
         return cls(name, instance, human, world, retargeter, config.offset)
 
-    def with_motion(self, config: MotionConfig, scene: Path) -> Actor:
-        """The same human doing something else; files are looked for as from the scene file."""
-        changed = Actor.build(self.name, self.instance, self.human, config, scene)
+    def with_motion(self, config: MotionConfig, scene: Path, motion: Motion | None = None) -> Actor:
+        """The same human doing something else; files are looked for as from the scene file, but for a
+        ``motion`` that has been read already.
+        """
+        changed = Actor.build(self.name, self.instance, self.human, config, scene, motion)
         return replace(self, motion=changed.motion, retargeter=changed.retargeter, offset=changed.offset)
 
     @property

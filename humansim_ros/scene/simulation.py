@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.render import CHANNELS, GLRenderer, Renderer, View
 from humansim_ros.scene.objects import ObjectPose
+from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.scene import HumanState, Scene
 from humansim_ros.truth.joints import JointView, joint_surfaces, view_joints
 
@@ -35,7 +36,8 @@ class Simulation:
     """Iterate over a scene's frames without end, or call :meth:`frame` for any of them.
 
     ``channels``: what the cameras render. ``start``: stamp of frame 0 in nanoseconds. The same scene gives
-    the same frames.
+    the same frames. ``playback``: what plays; ``simulation.playback.change("anna", speed=0.5)`` changes
+    it from the frame shown last on, as the parameters of the motion player do.
     """
 
     def __init__(
@@ -46,6 +48,7 @@ class Simulation:
         renderer: Renderer | None = None,
     ) -> None:
         self.scene = scene
+        self.playback = Playback(scene)
         self.channels = tuple(channels)
         self.start = start
         self.renderer: Renderer = renderer or GLRenderer(scene.static_meshes)
@@ -59,10 +62,10 @@ class Simulation:
     def frame(self, index: int) -> Frame:
         """Frame ``index``, at ``start + round(index * period)``."""
         elapsed = self.scene.frame_time(index)
-        humans = {name: actor.at(elapsed * 1e-9) for name, actor in self.scene.actors.items()}
-        bodies = [actor.body(humans[name].vertices) for name, actor in self.scene.actors.items()]
-        things = self.scene.moving_objects
-        objects = {name: thing.at(elapsed * 1e-9) for name, thing in things.items()}
+        moment = self.playback.show(elapsed)
+        actors, things, objects = self.playback.actors, self.scene.moving_objects, moment.objects
+        humans = {name: actor.state(moment.poses[name]) for name, actor in actors.items()}
+        bodies = [actor.body(humans[name].vertices) for name, actor in actors.items()]
         bodies += [thing.body(objects[name]) for name, thing in things.items()]
         views = {
             name: self.renderer.render(bodies, camera, self.channels)

@@ -11,11 +11,12 @@ Parameters can be set while it plays, services ``~/pause``, ``~/step`` and ``~/r
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from typing import Any, TypeVar
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import String
@@ -29,18 +30,57 @@ from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.live import Source
-from humansim_ros.scene.playback import Clock, Playback
+from humansim_ros.scene.playback import Change, Clock, Playback, Tick
 
-_LOOPS = "none, repeat or continue"
-#: Parameter of a human's motion: its key in the scene file, and what it is.
-_OF_MOTIONS = {
-    "motion": ("file", "a motion that comes with the package, or a BVH file"),
-    "loop": ("loop", f"what follows the last frame: {_LOOPS}"),
-    "start": ("start", "where in the file it starts, seconds of the file"),
-    "end": ("end", "where in the file it ends, seconds of the file; 0: at its end"),
-    "mirror": ("mirror", "left and right change sides"),
-}
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """A parameter of a human's motion: ``key`` of the scene file, type, what it is, limits."""
+
+    key: str
+    kind: Parameter.Type
+    description: str
+    limits: tuple[float, float] | None = None
+    constraints: str = ""
+
+    def of(self, motion: MotionConfig) -> Any:
+        value = getattr(motion, self.key)
+        return 0.0 if value is None else value
+
+    def given(self, value: Any) -> Any:
+        return None if self.key == "end" and value == 0 else value
+
+
 _LONGEST = 1e6
+_SETTINGS = {
+    "motion": _Setting(
+        "file",
+        Parameter.Type.STRING,
+        "which motion; setting it reads the file, also the same file again",
+        constraints="a motion that comes with the package, or a BVH file, from the folder of the scene file",
+    ),
+    "loop": _Setting(
+        "loop", Parameter.Type.STRING, "what follows the last frame", None, "none, repeat or continue"
+    ),
+    "start": _Setting(
+        "start", Parameter.Type.DOUBLE, "where in the file it starts, seconds of the file", (0.0, _LONGEST)
+    ),
+    "end": _Setting(
+        "end",
+        Parameter.Type.DOUBLE,
+        "where in the file it ends, seconds of the file; 0: at its end",
+        (0.0, _LONGEST),
+        "behind start",
+    ),
+    "mirror": _Setting("mirror", Parameter.Type.BOOL, "left and right change sides"),
+    "speed": _Setting(
+        "speed", Parameter.Type.DOUBLE, "seconds of the file per second of the scene", (0.0, 100.0)
+    ),
+}
+#: Settings that can be given for all humans at once; ``speed`` alone is that of the clock.
+_OF_ALL = [name for name in _SETTINGS if name != "speed"]
 
 
 class MotionPlayer(SceneNode):
@@ -48,14 +88,14 @@ class MotionPlayer(SceneNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("motion_player", **options)
+        declare = self.described_parameter
+        rate = declare("rate", self.scene.config.rate, "Frames per second", (0.01, 1000.0))
+        speed = declare("speed", 1.0, "Seconds of the scene per second", (0.0, 10.0))
+        seek = declare("seek", 0.0, "Setting it goes to this second of the scene", (0.0, _LONGEST))
         self._playback = Playback(self.scene)
-        self._last = 0
-        self._ticking: Any = None
-        rate = self._steered("rate", 0.0, 0.0, 1000.0, "Frames per second; 0 for the scene's own rate")
-        speed = self._steered("speed", 1.0, 0.0, 10.0, "Seconds of the scene per second")
-        seek = self._steered("seek", 0.0, 0.0, _LONGEST, "Set to jump to this second of the scene")
-        self._declare_motions()
-        self._playback.clock = Clock(speed, seek)
+        self._scene_clock = Clock(rate, speed, seek)
+        self._changes: list[Change] = []
+        self._declare_settings()
         self._motions = {
             name: self.create_publisher(MultiDOFJointState, f"humans/{name}/motion", DATA)
             for name in self.scene.actors
@@ -68,204 +108,191 @@ class MotionPlayer(SceneNode):
             name: self.create_publisher(String, f"humans/{name}/motion/legend", LATCHED)
             for name in self.scene.actors
         }
-        self._set_rate(rate)
-        for name in self.scene.actors:
+        for name in self._legends:
             self._publish_legend(name)
-        self.add_pre_set_parameters_callback(self._for_every_human)
-        self.add_on_set_parameters_callback(self._on_parameters)
+        self.add_pre_set_parameters_callback(self._complete)
+        self.add_on_set_parameters_callback(self._prepare)
+        self.add_post_set_parameters_callback(self._apply)
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/restart", self._on_restart)
-        self.get_logger().info(
-            f"playing {len(self._motions)} motions at {1e9 / self._period:g} Hz from {self.scene.path}"
-        )
+        self._ticking = self.create_timer(self._scene_clock.period * 1e-9, self._tick)
+        self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {self.scene.path}")
 
     # --- frames
 
-    def _set_rate(self, rate: float) -> None:
-        """Count frames anew from now, so many a second."""
-        self._period = 1e9 / (rate or self.scene.config.rate)
-        self._start: int | None = None
-        self._next = 0
-        if self._ticking is not None:
-            self.destroy_timer(self._ticking)
-        self._ticking = self.create_timer(self._period * 1e-9, self._tick)
-
     def _tick(self) -> None:
-        now = self.now()
-        if self._start is None:
-            self._start = max(now, round(self._last + self._period) if self._last else 0)
-        # the timer may come a moment early: a frame is due from a tenth of a period before its time
-        due = int((now - self._start) / self._period + 0.1)
-        if due < self._next or now < self._start - 0.1 * self._period:
-            return
-        self.count("drops", due - self._next)
-        self._send(due)
+        tick = self._scene_clock.due(self.now())
+        if tick is not None:
+            self._publish(tick)
 
-    def _send(self, frame: int) -> None:
-        """Frame ``frame`` since the rate was set."""
-        if self._start is None:
-            self._start = self.now()
-        self._next = frame + 1
-        self._publish(self._start + round(frame * self._period))
-
-    @property
-    def _shown(self) -> int:
-        """Stamp of what is shown: the last frame's."""
-        return self._last or self.now()
-
-    def _publish(self, stamp: int) -> None:
+    def _publish(self, tick: Tick) -> None:
         """One frame: everything that moves, at one stamp."""
-        self._last = stamp
-        for name, poses in self._playback.poses(stamp).items():
-            self._motions[name].publish(motion_message(poses, stamp))
-        seconds = self._playback.clock.at(stamp)
-        for name, thing in self.scene.moving_objects.items():
-            self._markers[name].publish(object_message(thing, thing.at(seconds), stamp))
+        moment = self._playback.show(tick.elapsed, tick.pace)
+        for name, poses in moment.poses.items():
+            self._motions[name].publish(motion_message(poses, tick.stamp))
+        for name, place in moment.objects.items():
+            thing = self.scene.moving_objects[name]
+            self._markers[name].publish(object_message(thing, place, tick.stamp))
+        self.count("drops", tick.dropped)
         self.count("frames")
-        self.report_lateness(stamp)
+        self.report_lateness(tick.stamp)
+
+    def _publish_at_once(self, tick: Tick) -> None:
+        """A frame out of turn; the timer goes on from here, as the clock does."""
+        self._publish(tick)
+        self._ticking.timer_period_ns = round(self._scene_clock.period)
+        self._ticking.reset()
 
     def _publish_legend(self, name: str) -> None:
-        self._legends[name].publish(motion_legend(Source.of_actor(self._playback.actors[name])))
+        since = 0 if self._scene_clock.last is None else self._scene_clock.last + 1
+        self._legends[name].publish(motion_legend(Source.of_actor(self._playback.actors[name], since)))
 
     # --- parameters
 
-    def _steered(self, name: str, default: float, low: float, high: float, description: str) -> float:
-        """Declare a number that can be set while the node runs."""
-        descriptor = ParameterDescriptor(description=description)
-        descriptor.floating_point_range = [FloatingPointRange(from_value=low, to_value=high, step=0.0)]
-        return float(self.declare_parameter(name, default, descriptor).value)
+    def _declare_settings(self) -> None:
+        """Parameters for all humans, and for each: what is given at the start wins over the scene file."""
+        settings = self._playback.settings
+        for_all = {}
+        for name in _OF_ALL if settings else ():
+            setting = _SETTINGS[name]
+            description = f"All humans: {setting.description} (unset while they differ)"
+            for_all[name] = self.described_parameter(
+                name, setting.kind, description, setting.limits, setting.constraints
+            )
+        for human, motion in settings.items():
+            changes = {}
+            for name, setting in _SETTINGS.items():
+                default = setting.of(motion) if for_all.get(name) is None else for_all[name]
+                value = self.described_parameter(
+                    f"{human}.{name}", default, setting.description, setting.limits, setting.constraints
+                )
+                if value != setting.of(motion):
+                    changes[setting.key] = setting.given(value)
+            if changes:
+                self._playback.change(human, **changes)
+        self._playback.rewind()
+        common = self._common({})
+        self.set_parameters([Parameter(name, value=value) for name, value in common.items()])
 
-    def _declare_motions(self) -> None:
-        """Parameters of each human's motion, and of all: these are the first human's until they are set."""
-        configs = self._playback.configs
-        for field_owner in ("", *configs) if configs else ():
-            names = [field_owner] if field_owner else list(configs)
-            whose = field_owner or "all humans (until it is set, the first one's)"
-            prefix = f"{field_owner}." if field_owner else ""
-            changes: dict[str, Any] = {}
-            for key, (field, description) in _OF_MOTIONS.items():
-                value = _parameter_value(configs[names[0]], field)
-                described = f"Of {whose}: {description}"
-                if isinstance(value, float):
-                    given: Any = self._steered(prefix + key, value, 0.0, _LONGEST, described)
-                else:
-                    descriptor = ParameterDescriptor(description=described)
-                    given = self.declare_parameter(prefix + key, value, descriptor).value
-                if given != value:
-                    changes[field] = _config_value(field, given)
-            if field_owner:
-                speed = configs[field_owner].speed
-                described = f"Of {whose}: seconds of the file per second of the scene"
-                given = self._steered(f"{prefix}speed", speed, 0.0, 100.0, described)
-                if given != speed:
-                    changes["speed"] = given
-            for name in names if changes else ():
-                config, actor = self._playback.changed(name, changes, 0)
-                self._playback.change(name, (config, replace(actor, offset=config.offset)))
+    def _common(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """What all humans have in common, by parameter; ``values`` of parameters count before what they
+        have.
+        """
+        common = {}
+        for name in _OF_ALL:
+            held = [
+                values.get(f"{human}.{name}", _SETTINGS[name].of(motion))
+                for human, motion in self._playback.settings.items()
+            ]
+            if held and all(value == held[0] for value in held):
+                common[name] = held[0]
+        return common
 
-    def _for_every_human(self, parameters: Sequence[Parameter]) -> list[Parameter]:
-        """What is set of all humans is set of each; with another file, the part that plays is all of it."""
-        given = {parameter.name for parameter in parameters}
-        out = list(parameters)
+    def _complete(self, parameters: Sequence[Parameter]) -> list[Parameter]:
+        """What else changes with parameters: each human's with that of all, and the part with the file."""
+        out: dict[str, Parameter] = {}
         for parameter in parameters:
-            if parameter.name in _OF_MOTIONS:
-                out += [
-                    Parameter(f"{name}.{parameter.name}", parameter.type_, parameter.value)
-                    for name in self._playback.actors
-                    if f"{name}.{parameter.name}" not in given
-                ]
-        named = {parameter.name for parameter in out}
-        for parameter in list(out):
-            owner, _, key = parameter.name.rpartition(".")
-            if key == "motion" and self.has_parameter(parameter.name):
-                prefix = f"{owner}." if owner else ""
-                out += [
-                    Parameter(prefix + part, Parameter.Type.DOUBLE, 0.0)
-                    for part in ("start", "end")
-                    if prefix + part not in named
-                ]
-        return out
+            out[parameter.name] = self._as_declared(parameter)
+        for name in [name for name in out if name in _OF_ALL]:
+            for human in self._playback.actors:
+                same = Parameter(f"{human}.{name}", out[name].type_, out[name].value)
+                out.setdefault(same.name, same)
+        for human, motion in self._playback.settings.items():
+            file = out.get(f"{human}.motion")
+            if file is not None and file.value != motion.file:
+                known = self.scene.config.humans[human].motion
+                known = known if file.value == known.file else MotionConfig()
+                for part in ("start", "end"):
+                    value = Parameter(f"{human}.{part}", value=_SETTINGS[part].of(known))
+                    out.setdefault(value.name, value)
+        for name, value in self._common({name: parameter.value for name, parameter in out.items()}).items():
+            if f"{name}" not in out and any(key.endswith(f".{name}") for key in out):
+                out[name] = Parameter(name, _SETTINGS[name].kind, value)
+        return list(out.values())
 
-    def _on_parameters(self, parameters: Sequence[Parameter]) -> SetParametersResult:
+    def _as_declared(self, parameter: Parameter) -> Parameter:
+        """``2`` for ``2.0``, as people type it."""
+        kind = _SETTINGS[name].kind if (name := parameter.name.rpartition(".")[2]) in _SETTINGS else None
+        if parameter.name in ("rate", "seek"):
+            kind = Parameter.Type.DOUBLE
+        if parameter.type_ == Parameter.Type.INTEGER and kind == Parameter.Type.DOUBLE:
+            return Parameter(parameter.name, kind, float(parameter.value))
+        return parameter
+
+    def _prepare(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         """Everything is prepared before anything is changed: what is refused leaves all as it was."""
-        stamp = self._shown
-        changes: dict[str, dict[str, Any]] = {}
+        self._changes = []
+        wanted: dict[str, dict[str, Any]] = {}
         for parameter in parameters:
-            owner, _, key = parameter.name.rpartition(".")
-            if owner in self._playback.actors and (key in _OF_MOTIONS or key == "speed"):
-                field = _OF_MOTIONS[key][0] if key in _OF_MOTIONS else key
-                changes.setdefault(owner, {})[field] = _config_value(field, parameter.value)
+            human, _, name = parameter.name.rpartition(".")
+            if human not in self._playback.actors or name not in _SETTINGS:
+                continue
+            setting = _SETTINGS[name]
+            value = setting.given(parameter.value)
+            if name == "motion" or value != getattr(self._playback.settings[human], setting.key):
+                wanted.setdefault(human, {})[setting.key] = value
         try:
-            ready = {
-                name: self._playback.changed(name, fields, stamp)
-                for name, fields in changes.items()
-                if self._differs(name, fields)
-            }
+            self._changes = self._meanwhile(
+                lambda: [self._playback.prepare(human, values) for human, values in wanted.items()]
+            )
         except HumansimError as error:
             self.get_logger().error(f"the motion stays as it is: {error}")
             return SetParametersResult(successful=False, reason=str(error))
-        for name, changed in ready.items():
-            self._playback.change(name, changed)
-            self._publish_legend(name)
-        for parameter in parameters:
-            if parameter.name == "rate":
-                self._set_rate(float(parameter.value))
-            elif parameter.name == "speed":
-                self._playback.clock.set_speed(float(parameter.value), stamp)
-            elif parameter.name == "seek":
-                self._jump(float(parameter.value))
         return SetParametersResult(successful=True)
 
-    def _differs(self, name: str, fields: dict[str, Any]) -> bool:
-        """Whether any of these is not as it is. The same file is read again: it may have changed."""
-        config = self._playback.configs[name]
-        return "file" in fields or any(getattr(config, field) != value for field, value in fields.items())
+    def _meanwhile(self, work: Callable[[], T]) -> T:
+        """Do something slow while frames go on."""
+        with ThreadPoolExecutor(1) as pool:
+            doing = pool.submit(work)
+            while not wait([doing], timeout=min(0.01, self._scene_clock.period * 0.5e-9)).done:
+                self._tick()
+        return doing.result()
+
+    def _apply(self, parameters: Sequence[Parameter]) -> None:
+        """Parameters that have been accepted take effect."""
+        for change in self._changes:
+            self._playback.make(change)
+            self._publish_legend(change.name)
+        self._changes = []
+        values = {parameter.name: parameter.value for parameter in parameters}
+        if "speed" in values:
+            self._scene_clock.set_speed(values["speed"])
+        if "rate" in values:
+            self._publish_at_once(self._scene_clock.set_rate(values["rate"], self.now()))
+        if "seek" in values:
+            self._go_to(values["seek"])
+
+    def _go_to(self, seconds: float) -> None:
+        self._playback.rewind()
+        self._publish_at_once(self._scene_clock.seek(seconds, self.now()))
 
     # --- services
 
-    def _jump(self, seconds: float) -> None:
-        """Go to a second of the scene; what stands shows it at once."""
-        stamp = self._shown
-        self._playback.seek(seconds, stamp)
-        if self._playback.clock.paused:
-            self._show_now()
-
-    def _show_now(self) -> None:
-        """A frame between the regular ones would break their rhythm: the next regular one is sent early."""
-        self._send(self._next)
-
     def _on_pause(self, request: Any, response: Any) -> Any:
-        self._playback.clock.pause(bool(request.data), self._shown)
+        self._scene_clock.pause(bool(request.data))
         response.success = True
-        response.message = "paused" if request.data else "playing"
+        response.message = f"{'paused' if request.data else 'playing'} {self._place()}"
         return response
 
     def _on_step(self, _: Any, response: Any) -> Any:
-        clock = self._playback.clock
-        response.success = clock.paused
-        if clock.paused:
-            step = self._period * 1e-9 * (clock.speed or 1.0)
-            clock.seek(clock.at(self._shown) + step, self._shown)
-            self._show_now()
-            response.message = f"at {clock.at(self._shown):.3f} s of the scene"
+        response.success = self._scene_clock.paused
+        if self._scene_clock.paused:
+            self._publish_at_once(self._scene_clock.step(self.now()))
+            response.message = self._place()
         else:
             response.message = "only a paused player steps: call ~/pause first"
         return response
 
     def _on_restart(self, _: Any, response: Any) -> Any:
-        self._jump(0.0)
-        response.success, response.message = True, "from the start"
+        self._go_to(0.0)
+        response.success, response.message = True, self._place()
         return response
 
-
-def _parameter_value(config: MotionConfig, field: str) -> Any:
-    value = getattr(config, field)
-    return 0.0 if value is None else value
-
-
-def _config_value(field: str, value: Any) -> Any:
-    return None if field == "end" and value == 0 else value
+    def _place(self) -> str:
+        """What the last frame shows, and its stamp."""
+        seconds, nanoseconds = divmod(self._scene_clock.last or 0, 1_000_000_000)
+        return f"at {self._scene_clock.elapsed * 1e-9:.6f} s of the scene, stamp {seconds}.{nanoseconds:09d}"
 
 
 def main() -> int:

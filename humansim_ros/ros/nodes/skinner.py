@@ -16,6 +16,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.motion.joint_names import built_in_tables, load_table
 from humansim_ros.ros.messages import (
     MarkerMaker,
     joints_message,
@@ -48,7 +49,7 @@ class Skinner(SceneNode):
         table = self.text_parameter(
             "joint_names", "", "Joint table of a live source (a built-in name or a YAML file); empty: found"
         )
-        self._follower = Follower(self._actor, table or None)
+        self._follower = Follower(self._actor, self._table(table))
         self._told = ""
         self._joints = self.create_publisher(MultiDOFJointState, f"humans/{name}/joints", DATA)
         self._vertices = self.create_publisher(PointCloud2, f"humans/{name}/vertices", DATA)
@@ -57,14 +58,26 @@ class Skinner(SceneNode):
         self._next_marker = 0
         self._make_markers = MarkerMaker(self._actor.human)
         self.publish_latched(mesh_message(self._actor.human.mesh), f"humans/{name}/mesh")
-        self.create_subscription(MultiDOFJointState, f"humans/{name}/motion", self._on_motion, NEWEST)
+        # first, so that a legend is heard before the motion it is about
         self.create_subscription(String, f"humans/{name}/motion/legend", self._on_legend, LATCHED)
+        motion = f"humans/{name}/motion"
+        self._heard = self.create_subscription(MultiDOFJointState, motion, self._on_motion, NEWEST)
         self.get_logger().info(f"skinning {name} ({len(self._actor.human.mesh.vertices)} vertices)")
+
+    def _table(self, name: str) -> str | None:
+        """A joint table that is there, beside the scene file or as it is named; None if none is."""
+        if not name:
+            return None
+        beside = self.scene.path.resolve().parent / name
+        path = str(beside) if beside.is_file() else name
+        if not any(table.name == path for table in built_in_tables()):
+            load_table(path)
+        return path
 
     def _on_motion(self, message: MultiDOFJointState) -> None:
         stamp = to_nanoseconds(message.header.stamp)
         try:
-            state = self._follower.follow(read_joints(message))
+            state = self._follower.follow(read_joints(message), stamp)
         except HumansimError as error:
             self.count("drops")
             self.get_logger().error(f"frame skipped: {error}", throttle_duration_sec=1.0)
@@ -72,6 +85,8 @@ class Skinner(SceneNode):
         if self._follower.found != self._told:
             self._told = self._follower.found
             self.get_logger().info(f"following {self._told or 'the motion that the player names'}")
+            if (senders := self.count_publishers(self._heard.topic_name)) > 1:
+                self.get_logger().warn(f"{senders} nodes send {self._heard.topic_name}: stop all but one")
         self._joints.publish(joints_message(state, stamp))
         if self._vertices.get_subscription_count():
             self._vertices.publish(vertices_message(state.vertices, stamp))

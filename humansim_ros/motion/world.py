@@ -4,7 +4,6 @@ time.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.bvh import Motion
-from humansim_ros.motion.joint_names import JointMatch
+from humansim_ros.motion.joint_names import JointMatch, other_side
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
     Array,
@@ -526,15 +525,6 @@ class WorldMotion:
         return carry_r, fixed - carry_r @ fixed
 
 
-#: Ways of saying left and right in joint names, each with the pattern that it stands in.
-_SIDES = (
-    (r"left", "right"),
-    (r"(?<![a-z])l(?=[_. -])", "r"),
-    (r"(?<=[_. :-])l(?![a-z])", "r"),
-    (r"(?<![A-Za-z])l(?=[A-Z])", "r"),
-)
-
-
 def opposite_joints(names: Sequence[str], roles: Mapping[str, int]) -> NDArray[np.intp]:
     """Index (J,) of each joint's counterpart on the other side, by role and by name; its own where it has
     none.
@@ -543,12 +533,9 @@ def opposite_joints(names: Sequence[str], roles: Mapping[str, int]) -> NDArray[n
     index = {name: number for number, name in enumerate(names)}
     lower = {name.lower(): number for name, number in index.items()}
     for number, name in enumerate(names):
-        for left, right in _SIDES:
-            flags = 0 if "[A-Z]" in left else re.IGNORECASE
-            other = re.sub(left, right, name, flags=flags)
-            if other != name and other.lower() in lower:
-                pairs[number], pairs[lower[other.lower()]] = lower[other.lower()], number
-                break
+        other = other_side(name)
+        if other is not None and other.lower() in lower:
+            pairs[number], pairs[lower[other.lower()]] = lower[other.lower()], number
     for role, joint in roles.items():
         if role.startswith("Left") and (twin := roles.get(f"Right{role[4:]}")) is not None:
             pairs[joint], pairs[twin] = twin, joint

@@ -295,8 +295,7 @@ class WorldMotion:
     seconds of the file (``end`` None: to its end). ``speed``: seconds of the file per second. ``blend``:
     seconds of the file over which the end of a round fades into the start of the next; a round is that much
     shorter. ``mirror``: left and right change sides, about the vertical plane through the placement along
-    its heading. ``phase``: seconds of the file that it is ahead by at time 0, so that a motion can go on from
-    where it is at another speed. Raises MotionError if these contradict each other.
+    its heading. Raises MotionError if these contradict each other.
     """
 
     motion: Motion
@@ -310,7 +309,6 @@ class WorldMotion:
     blend: float = 0.0
     mirror: bool = False
     clean_up: CleanUp | None = None
-    phase: float = 0.0
 
     def __post_init__(self) -> None:
         duration = self.motion.duration
@@ -430,21 +428,25 @@ class WorldMotion:
         turned = (turn * Rotation.from_quat(rotations.reshape(-1, 4))).as_quat().reshape(rotations.shape)
         return (placed - offset) @ axes / unit, turned
 
-    def played(self, times: ArrayLike) -> Array:
-        """Seconds of the file (N,) that have played at N times, over all rounds."""
-        return np.atleast_1d(np.asarray(times, dtype=float)) * self.speed + self.phase
+    def played(self, times: ArrayLike, ahead: float = 0.0) -> Array:
+        """Seconds of the file (N,) that have played at N times, over all rounds; ``ahead`` of them before."""
+        return np.atleast_1d(np.asarray(times, dtype=float)) * self.speed + ahead
 
-    def sample(self, times: ArrayLike) -> JointPoses:
-        """Joints at N times in seconds from the motion's start: slerp between frames, then kinematics."""
-        t = self.played(times)
+    def sample(self, times: ArrayLike, ahead: float = 0.0) -> JointPoses:
+        """Joints at N times in seconds from the motion's start: slerp between frames, then kinematics.
+
+        ``ahead``: seconds of the file that it is ahead by, so that it can go on at another speed from where
+        it is.
+        """
+        t = self.played(times, ahead)
         return self._sample(t, self._rounds(t))
 
-    def sample_moving(self, times: ArrayLike) -> JointPoses:
+    def sample_moving(self, times: ArrayLike, ahead: float = 0.0) -> JointPoses:
         """:meth:`sample` with velocities: central differences over two milliseconds.
 
         Where the motion jumps back to its start or stands still after its end, they reach no farther.
         """
-        t = self.played(times)
+        t = self.played(times, ahead)
         rounds = self._rounds(t)
         step = VELOCITY_STEP * max(self.speed, 1e-6)
         early, late = t - step, t + step

@@ -62,7 +62,7 @@ class Source:
     @classmethod
     def of_actor(cls, actor: Actor, since: int = 0) -> Source:
         """The motion that a human of a scene plays."""
-        motion = replace(actor.motion, speed=1.0, phase=0.0)
+        motion = replace(actor.motion, speed=1.0)
         times = motion.frame_times
         return cls.of_poses(motion.sample(times[:: len(times) // 100 + 1]), actor.retargeter, since)
 

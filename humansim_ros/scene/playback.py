@@ -192,6 +192,7 @@ class Playback:
         else:
             read_again = different & {"file", "positions"}
             actor = before.with_motion(new, self.scene.path, None if read_again else before.motion.motion)
+        actor.motion.sample(0.0)  # what is worked out for all frames at once is worked out now
         return Change(name, new, actor, bool(different & _BEGINNING), bool(different & _OF_THE_ROUND))
 
     def make(self, change: Change) -> None:
@@ -200,17 +201,16 @@ class Playback:
         seconds = self.elapsed * 1e-9
         at = 0.0
         if not change.begins:
-            at = float(old.motion.played(seconds + old.offset)[0])
+            at = float(old.motion.played(seconds + old.offset, old.ahead)[0])
             at = _in_round(old.motion, at) if change.in_round else at
-        phase = at - actor.motion.speed * (seconds + actor.offset)
-        self.actors[change.name] = replace(actor, motion=replace(actor.motion, phase=phase))
+        ahead = at - actor.motion.speed * (seconds + actor.offset)
+        self.actors[change.name] = replace(actor, ahead=ahead)
         self.settings[change.name] = change.settings
 
     def rewind(self) -> None:
         """From now on every time shows what it would if all had done from the start what they do now."""
         for name, actor in self.actors.items():
-            if actor.motion.phase:
-                self.actors[name] = replace(actor, motion=replace(actor.motion, phase=0.0))
+            self.actors[name] = replace(actor, ahead=0.0)
 
 
 def _with(old: MotionConfig, changes: Mapping[str, Any], of_scene: MotionConfig) -> MotionConfig:

@@ -73,7 +73,9 @@ class HumanState:
 class Actor:
     """One human of a scene: its body, what drives it, and the label it is drawn with.
 
-    ``keyframes``: move, turn and size the space in which the motion plays, on the clock of the scene.
+    ``offset``: seconds of the scene that the motion is ahead by, ``ahead``: seconds of its file, after it has
+    been changed while it played. ``keyframes``: move, turn and size the space in which the motion plays, on
+    the clock of the scene.
     """
 
     name: str
@@ -82,6 +84,7 @@ class Actor:
     motion: WorldMotion
     retargeter: Retargeter
     offset: float = 0.0
+    ahead: float = 0.0
     keyframes: Track | None = None
 
     @classmethod
@@ -126,7 +129,7 @@ class Actor:
         ``motion`` that has been read already.
         """
         changed = Actor.build(self.name, self.instance, self.human, config, scene, motion)
-        return replace(self, motion=changed.motion, retargeter=changed.retargeter, offset=changed.offset)
+        return replace(changed, keyframes=self.keyframes)
 
     @property
     def motion_names(self) -> tuple[str, ...]:
@@ -135,7 +138,7 @@ class Actor:
 
     def joint_poses(self, seconds: float) -> JointPoses:
         """The motion's joints at a time since the start of the scene: what the motion player publishes."""
-        poses = self.motion.sample_moving(seconds + self.offset)
+        poses = self.motion.sample_moving(seconds + self.offset, self.ahead)
         return poses if self.keyframes is None else self.keyframes.carry(poses, seconds)
 
     def state(self, poses: JointPoses) -> HumanState:

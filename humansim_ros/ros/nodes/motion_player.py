@@ -13,7 +13,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
@@ -94,7 +94,7 @@ class MotionPlayer(SceneNode):
         seek = declare("seek", 0.0, "Setting it goes to this second of the scene", (0.0, _LONGEST))
         self._playback = Playback(self.scene)
         self._scene_clock = Clock(rate, speed, seek)
-        self._changes: list[Change] = []
+        self._changes: list[tuple[Change, Source]] = []
         self._declare_settings()
         self._motions = {
             name: self.create_publisher(MultiDOFJointState, f"humans/{name}/motion", DATA)
@@ -108,8 +108,8 @@ class MotionPlayer(SceneNode):
             name: self.create_publisher(String, f"humans/{name}/motion/legend", LATCHED)
             for name in self.scene.actors
         }
-        for name in self._legends:
-            self._publish_legend(name)
+        for name, actor in self._playback.actors.items():
+            self._legends[name].publish(motion_legend(Source.of_actor(actor)))
         self.add_pre_set_parameters_callback(self._complete)
         self.add_on_set_parameters_callback(self._prepare)
         self.add_post_set_parameters_callback(self._apply)
@@ -143,10 +143,6 @@ class MotionPlayer(SceneNode):
         self._publish(tick)
         self._ticking.timer_period_ns = round(self._scene_clock.period)
         self._ticking.reset()
-
-    def _publish_legend(self, name: str) -> None:
-        since = 0 if self._scene_clock.last is None else self._scene_clock.last + 1
-        self._legends[name].publish(motion_legend(Source.of_actor(self._playback.actors[name], since)))
 
     # --- parameters
 
@@ -233,13 +229,16 @@ class MotionPlayer(SceneNode):
             if name == "motion" or value != getattr(self._playback.settings[human], setting.key):
                 wanted.setdefault(human, {})[setting.key] = value
         try:
-            self._changes = self._meanwhile(
-                lambda: [self._playback.prepare(human, values) for human, values in wanted.items()]
-            )
+            self._changes = self._meanwhile(lambda: [self._ready(*one) for one in wanted.items()])
         except HumansimError as error:
             self.get_logger().error(f"the motion stays as it is: {error}")
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _ready(self, human: str, settings: Mapping[str, Any]) -> tuple[Change, Source]:
+        """A change, and what its legend says."""
+        change = self._playback.prepare(human, settings)
+        return change, Source.of_actor(change.actor)
 
     def _meanwhile(self, work: Callable[[], T]) -> T:
         """Do something slow while frames go on."""
@@ -251,9 +250,10 @@ class MotionPlayer(SceneNode):
 
     def _apply(self, parameters: Sequence[Parameter]) -> None:
         """Parameters that have been accepted take effect."""
-        for change in self._changes:
+        since = 0 if self._scene_clock.last is None else self._scene_clock.last + 1
+        for change, source in self._changes:
+            self._legends[change.name].publish(motion_legend(replace(source, since=since)))
             self._playback.make(change)
-            self._publish_legend(change.name)
         self._changes = []
         values = {parameter.name: parameter.value for parameter in parameters}
         if "speed" in values:

@@ -107,6 +107,14 @@ def test_a_clock_that_is_set_back_is_followed_and_the_scene_goes_on() -> None:
     assert due(clock, 3.1).elapsed == SECOND // 5
 
 
+def test_a_slow_clock_sends_frames_when_they_are_due() -> None:
+    clock = Clock(rate=0.1)
+    due(clock, 100.0)
+    assert clock.due(109 * SECOND) is None
+    assert due(clock, 109.999).stamp == 110 * SECOND
+    assert clock.due(round(110.1 * SECOND)) is None
+
+
 # What plays, without ROS
 
 

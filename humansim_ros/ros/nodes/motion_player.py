@@ -259,11 +259,14 @@ class MotionPlayer(SceneNode):
         if "speed" in values:
             self._scene_clock.set_speed(values["speed"])
         if "rate" in values:
-            self._publish_at_once(self._scene_clock.set_rate(values["rate"], self.now()))
+            tick = self._scene_clock.set_rate(values["rate"], self.now())
+            if "seek" not in values:
+                self._publish_at_once(tick)
         if "seek" in values:
             self._go_to(values["seek"])
 
     def _go_to(self, seconds: float) -> None:
+        """Show a second of the scene as if all had done from its start what they do now."""
         self._playback.rewind()
         self._publish_at_once(self._scene_clock.seek(seconds, self.now()))
 

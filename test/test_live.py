@@ -233,6 +233,20 @@ def test_unset_rotations_are_no_rotations(actor: Actor) -> None:
         messages.read_joints(message)
 
 
+def test_a_noisy_tracker_loses_no_frame(actor: Actor) -> None:
+    """Two millimetres and one degree, in every joint and frame."""
+    random = np.random.default_rng(7)
+    follower = Follower(actor)
+    for n in range(60):
+        poses = renamed(actor.joint_poses(n / 30), MIXAMO)
+        shape = poses.positions.shape
+        turns = Rotation.from_rotvec(random.normal(0, np.radians(1), shape[1:]))
+        rotations = (turns * Rotation.from_quat(poses.rotations[0])).as_quat()[None]
+        positions = poses.positions + random.normal(0, 0.002, shape)
+        follower.follow(replace(poses, positions=positions, rotations=rotations))
+    assert "with rotations" in follower.found
+
+
 def test_messages_that_are_none_are_refused(actor: Actor) -> None:
     poses = actor.joint_poses(0.2)
 

@@ -24,6 +24,8 @@ _LIMBS = tuple(f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow
 _SAME_LENGTH = 0.01
 #: A limb that is off by more than this share of its length, seen from its joint, is turned otherwise.
 _SAME_AXES = 0.1
+#: What the limbs of a new source may be off by, as a share of their length, until it has been looked at.
+_NOISE = 0.03
 #: Messages after which a new source has been looked at long enough.
 _LOOKED_AT = 30
 #: Frames in a row that may be broken before they count as another source, at first and at most.
@@ -224,7 +226,11 @@ class Follower:
         return source
 
     def _fitted(self, poses: JointPoses, match: JointMatch) -> Source:
-        return Source.of_poses(poses, Retargeter.observe(poses, match, self._actor.human.skeleton))
+        source = Source.of_poses(poses, Retargeter.observe(poses, match, self._actor.human.skeleton))
+        if len(poses.positions) >= _LOOKED_AT:
+            return source
+        # how noisy its joints are is not known yet
+        return replace(source, slack=source.slack + _NOISE * np.linalg.norm(source.links, axis=-1))
 
 
 def _links(poses: JointPoses, match: JointMatch) -> Array:

@@ -397,3 +397,43 @@ def test_a_camera_follows_a_clock_that_is_set_back(ros: None, tmp_path: Path) ->
     node.close()
     node.destroy_node()
     client.close()
+
+
+def test_a_slower_player_is_not_taken_for_lost_frames(
+    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its rate can change while it plays: here from the scene's 20 to 5 frames a second."""
+    from sensor_msgs.msg import Image, MultiDOFJointState, PointCloud2
+
+    node = CameraNode(**parameters(scene=str(write_scene(tmp_path))), namespace="slow")
+    dropped: list[int] = []
+    monkeypatch.setattr(node, "count", lambda what, number=1: dropped.append(number * (what == "drops")))
+    client = Client("slow_sender")
+    client.executor.add_node(node)
+    client.subscribe(Image, ["/slow/left/part/image"])
+    senders = {
+        (name, kind): client.node.create_publisher(kind, f"/slow/humans/{name}/{topic}", 5)
+        for name in HUMANS
+        for kind, topic in ((MultiDOFJointState, "joints"), (PointCloud2, "vertices"))
+    }
+    assert client.spin_until(
+        lambda: (
+            all(sender.get_subscription_count() for sender in senders.values())
+            and client.node.count_publishers("/slow/left/part/image") == 1
+        )
+    )
+    states = {name: actor.at(0.0) for name, actor in node.scene.actors.items()}
+    after = []
+    for frame in range(16):
+        stamp = 9_000_000_000 + (50_000_000 * frame if frame < 6 else 250_000_000 + 200_000_000 * (frame - 5))
+        for (name, kind), sender in senders.items():
+            make = messages.joints_message if kind is MultiDOFJointState else messages.vertices_message
+            state = states[name] if kind is MultiDOFJointState else states[name].vertices
+            sender.publish(make(state, stamp))
+        assert client.spin_until(lambda s=stamp: s in client.received["/slow/left/part/image"], 15)
+        after.append(sum(dropped))
+    assert after[5] == 0
+    assert after[-1] == after[-6]
+    node.close()
+    node.destroy_node()
+    client.close()

@@ -5,6 +5,7 @@ instant.
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -27,6 +28,8 @@ from humansim_ros.scene.objects import ObjectPose
 
 #: Frames that may wait for a human's message before they are given up.
 _MOST_WAITING = 8
+#: Frames that the time between frames is known by.
+_GAPS = 5
 #: Periods that a frame may be behind the newest before it is skipped.
 _PATIENCE = 1.5
 #: Seconds without any vertices after which the still scene is shown.
@@ -68,7 +71,9 @@ class FrameJoiner:
         self._expected = (actors, actors, objects)
         # by stamp, the frames that are not whole yet
         self._waiting: dict[int, _Parts] = {}
-        self._last = 0
+        self._last = self._newest = 0
+        # nanoseconds between the newest frames: the player's rate may not be the scene's
+        self._gaps: deque[float] = deque([self._period] * _GAPS, maxlen=_GAPS)
         self._whole = node.create_guard_condition(self._hand_over)
         for human in actors:
             topic = f"humans/{human}"
@@ -109,7 +114,12 @@ class FrameJoiner:
     def _take(self, stamp: int, kind: int, name: str, part: Any) -> None:
         """Put a human's vertices (kind 0) or joints (1) or an object (2) with the others of their stamp."""
         if stamp < self._last - _NEW_TIME:
-            self._waiting, self._last = {}, 0
+            self._waiting, self._last, self._newest = {}, 0, 0
+        if stamp > self._newest:
+            if self._newest:
+                self._gaps.append(stamp - self._newest)
+                self._period = sorted(self._gaps)[1]  # frames out of turn and lost ones are few
+            self._newest = stamp
         if stamp <= self._last or not self._pace.keeps(stamp):
             return
         self._waiting.setdefault(stamp, ({}, {}, {}))[kind][name] = part

@@ -13,7 +13,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, TypeVar
 
 from rcl_interfaces.msg import SetParametersResult
@@ -25,62 +25,14 @@ from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.ros.messages import motion_legend, motion_message, object_message
+from humansim_ros.ros.motion_parameters import LONGEST, MotionParameters
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.live import Source
 from humansim_ros.scene.playback import Change, Clock, Playback, Tick
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True)
-class _Setting:
-    """A parameter of a human's motion: ``key`` of the scene file, type, what it is, limits."""
-
-    key: str
-    kind: Parameter.Type
-    description: str
-    limits: tuple[float, float] | None = None
-    constraints: str = ""
-
-    def of(self, motion: MotionConfig) -> Any:
-        value = getattr(motion, self.key)
-        return 0.0 if value is None else value
-
-    def given(self, value: Any) -> Any:
-        return None if self.key == "end" and value == 0 else value
-
-
-_LONGEST = 1e6
-_SETTINGS = {
-    "motion": _Setting(
-        "file",
-        Parameter.Type.STRING,
-        "which motion; setting it reads the file, also the same file again",
-        constraints="a motion that comes with the package, or a BVH file, from the folder of the scene file",
-    ),
-    "loop": _Setting(
-        "loop", Parameter.Type.STRING, "what follows the last frame", None, "none, repeat or continue"
-    ),
-    "start": _Setting(
-        "start", Parameter.Type.DOUBLE, "where in the file it starts, seconds of the file", (0.0, _LONGEST)
-    ),
-    "end": _Setting(
-        "end",
-        Parameter.Type.DOUBLE,
-        "where in the file it ends, seconds of the file; 0: at its end",
-        (0.0, _LONGEST),
-        "behind start",
-    ),
-    "mirror": _Setting("mirror", Parameter.Type.BOOL, "left and right change sides"),
-    "speed": _Setting(
-        "speed", Parameter.Type.DOUBLE, "seconds of the file per second of the scene", (0.0, 100.0)
-    ),
-}
-#: Settings that can be given for all humans at once; ``speed`` alone is that of the clock.
-_OF_ALL = [name for name in _SETTINGS if name != "speed"]
 
 
 class MotionPlayer(SceneNode):
@@ -89,13 +41,16 @@ class MotionPlayer(SceneNode):
     def __init__(self, **options: Any) -> None:
         super().__init__("motion_player", **options)
         declare = self.described_parameter
-        rate = declare("rate", self.scene.config.rate, "Frames per second", (0.01, 1000.0))
+        rate = declare(
+            "rate", self.scene.config.rate, "Frames per second", (min(0.01, self.scene.config.rate), 1000.0)
+        )
         speed = declare("speed", 1.0, "Seconds of the scene per second", (0.0, 10.0))
-        seek = declare("seek", 0.0, "Setting it goes to this second of the scene", (0.0, _LONGEST))
+        seek = declare("seek", 0.0, "Setting it goes to this second of the scene", (0.0, LONGEST))
         self._playback = Playback(self.scene)
         self._scene_clock = Clock(rate, speed, seek)
+        self._playback.elapsed = self._scene_clock.elapsed
         self._changes: list[tuple[Change, Source]] = []
-        self._declare_settings()
+        self._parameters_of_motions = MotionParameters(self, self._playback)
         self._motions = {
             name: self.create_publisher(MultiDOFJointState, f"humans/{name}/motion", DATA)
             for name in self.scene.actors
@@ -110,7 +65,7 @@ class MotionPlayer(SceneNode):
         }
         for name, actor in self._playback.actors.items():
             self._legends[name].publish(motion_legend(Source.of_actor(actor)))
-        self.add_pre_set_parameters_callback(self._complete)
+        self.add_pre_set_parameters_callback(self._parameters_of_motions.complete)
         self.add_on_set_parameters_callback(self._prepare)
         self.add_post_set_parameters_callback(self._apply)
         self.create_service(SetBool, "~/pause", self._on_pause)
@@ -146,88 +101,10 @@ class MotionPlayer(SceneNode):
 
     # --- parameters
 
-    def _declare_settings(self) -> None:
-        """Parameters for all humans, and for each: what is given at the start wins over the scene file."""
-        settings = self._playback.settings
-        for_all = {}
-        for name in _OF_ALL if settings else ():
-            setting = _SETTINGS[name]
-            description = f"All humans: {setting.description} (unset while they differ)"
-            for_all[name] = self.described_parameter(
-                name, setting.kind, description, setting.limits, setting.constraints
-            )
-        for human, motion in settings.items():
-            changes = {}
-            for name, setting in _SETTINGS.items():
-                default = setting.of(motion) if for_all.get(name) is None else for_all[name]
-                value = self.described_parameter(
-                    f"{human}.{name}", default, setting.description, setting.limits, setting.constraints
-                )
-                if value != setting.of(motion):
-                    changes[setting.key] = setting.given(value)
-            if changes:
-                self._playback.change(human, **changes)
-        self._playback.rewind()
-        common = self._common({})
-        self.set_parameters([Parameter(name, value=value) for name, value in common.items()])
-
-    def _common(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """What all humans have in common, by parameter; ``values`` of parameters count before what they
-        have.
-        """
-        common = {}
-        for name in _OF_ALL:
-            held = [
-                values.get(f"{human}.{name}", _SETTINGS[name].of(motion))
-                for human, motion in self._playback.settings.items()
-            ]
-            if held and all(value == held[0] for value in held):
-                common[name] = held[0]
-        return common
-
-    def _complete(self, parameters: Sequence[Parameter]) -> list[Parameter]:
-        """What else changes with parameters: each human's with that of all, and the part with the file."""
-        out: dict[str, Parameter] = {}
-        for parameter in parameters:
-            out[parameter.name] = self._as_declared(parameter)
-        for name in [name for name in out if name in _OF_ALL]:
-            for human in self._playback.actors:
-                same = Parameter(f"{human}.{name}", out[name].type_, out[name].value)
-                out.setdefault(same.name, same)
-        for human, motion in self._playback.settings.items():
-            file = out.get(f"{human}.motion")
-            if file is not None and file.value != motion.file:
-                known = self.scene.config.humans[human].motion
-                known = known if file.value == known.file else MotionConfig()
-                for part in ("start", "end"):
-                    value = Parameter(f"{human}.{part}", value=_SETTINGS[part].of(known))
-                    out.setdefault(value.name, value)
-        for name, value in self._common({name: parameter.value for name, parameter in out.items()}).items():
-            if f"{name}" not in out and any(key.endswith(f".{name}") for key in out):
-                out[name] = Parameter(name, _SETTINGS[name].kind, value)
-        return list(out.values())
-
-    def _as_declared(self, parameter: Parameter) -> Parameter:
-        """``2`` for ``2.0``, as people type it."""
-        kind = _SETTINGS[name].kind if (name := parameter.name.rpartition(".")[2]) in _SETTINGS else None
-        if parameter.name in ("rate", "seek"):
-            kind = Parameter.Type.DOUBLE
-        if parameter.type_ == Parameter.Type.INTEGER and kind == Parameter.Type.DOUBLE:
-            return Parameter(parameter.name, kind, float(parameter.value))
-        return parameter
-
     def _prepare(self, parameters: Sequence[Parameter]) -> SetParametersResult:
         """Everything is prepared before anything is changed: what is refused leaves all as it was."""
         self._changes = []
-        wanted: dict[str, dict[str, Any]] = {}
-        for parameter in parameters:
-            human, _, name = parameter.name.rpartition(".")
-            if human not in self._playback.actors or name not in _SETTINGS:
-                continue
-            setting = _SETTINGS[name]
-            value = setting.given(parameter.value)
-            if name == "motion" or value != getattr(self._playback.settings[human], setting.key):
-                wanted.setdefault(human, {})[setting.key] = value
+        wanted = self._parameters_of_motions.wanted(parameters)
         try:
             self._changes = self._meanwhile(lambda: [self._ready(*one) for one in wanted.items()])
         except HumansimError as error:

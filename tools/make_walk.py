@@ -517,7 +517,14 @@ def fit(body: Body, path: Path2D, speed: float) -> Plan:
 # --- the file -----------------------------------------------------------------------------------------------
 
 
-def write_bvh(path: Path, body: Body, rotations: dict[str, Array], position: Array) -> None:
+def write_bvh(
+    path: Path,
+    body: Body,
+    rotations: dict[str, Array],
+    position: Array,
+    rate: float = FRAME_RATE,
+    digits: int = 5,
+) -> None:
     """Write centimetres and degrees, channels in the classic order of Biovision."""
     children = {name: [child for child in ORDER if body.parents[child] == name] for name in ORDER}
     lines = ["HIERARCHY"]
@@ -544,9 +551,9 @@ def write_bvh(path: Path, body: Body, rotations: dict[str, Array], position: Arr
 
     joint("Hips", 0)
     frames = np.concatenate(columns, axis=1)
-    lines += ["MOTION", f"Frames: {len(frames)}", f"Frame Time: {1 / FRAME_RATE:.10f}"]
+    lines += ["MOTION", f"Frames: {len(frames)}", f"Frame Time: {1 / rate:.10f}"]
     # Adding zero after rounding turns -0 into 0
-    lines += [" ".join(f"{value:.5f}" for value in row) for row in np.round(frames, 5) + 0.0]
+    lines += [" ".join(f"{value:.{digits}f}" for value in row) for row in np.round(frames, digits) + 0.0]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(lines) + "\n")
 

@@ -21,7 +21,7 @@ from humansim_ros.motion.world import JointPoses, WorldMotion
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix
 
 #: A toe or heel stands if it is lower than this (metres) and slower than this (m/s) over the floor.
-_LOW, _SLOW = 0.07, 0.55
+_LOW, _SLOW = 0.05, 0.35
 #: No foot is faster than this, m/s.
 _FASTEST = 20.0
 #: Stances and gaps between them that are shorter than this (seconds) are noise.

@@ -1,0 +1,165 @@
+"""The built-in motions: the scripts' own, on the floor, and what each is said to be."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from conftest import ROOT
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.motion import Motion, read_bvh
+
+FOLDER = ROOT / "assets" / "motions"
+LISTED = yaml.safe_load((FOLDER / "motions.yaml").read_text())
+MADE = ("run", "sit_stand", "wave", "turn_in_place", "pick_up", "t_to_a_pose")
+
+
+@cache
+def motion(name: str) -> Motion:
+    return read_bvh(FOLDER / f"{name}.bvh")
+
+
+def places(name: str, *joints: str) -> np.ndarray:
+    """Metres (F, len(joints), 3), y up, z ahead."""
+    one = motion(name)
+    return one.world_positions()[:, [one.joint(joint) for joint in joints]] * 0.01
+
+
+def soles(name: str, side: str) -> np.ndarray:
+    """Heel, ball and tip (F, 3, 3) of a foot, metres, carried by the ankle as at rest."""
+    one = motion(name)
+    ankle, end = one.joint(f"{side}Ankle"), one.joint(f"{side}Ankle_end")
+    height = 100 * places("t_to_a_pose", f"{side}Ankle")[0, 0, 1]  # standing flat
+    link = one.offsets[end]
+    points = np.array(
+        [[0, -height, -5.0], [0.6 * link[0], -height, 0.6 * link[2]], [link[0], -height, link[2]]]
+    )
+    frames = one.world_transforms()[:, ankle]
+    return 0.01 * (np.einsum("fij,kj->fki", frames[:, :3, :3], points) + frames[:, None, :3, 3])
+
+
+def test_the_list_names_every_file() -> None:
+    assert set(LISTED) == {path.stem for path in FOLDER.glob("*.bvh")}
+    assert all((FOLDER / f"{name}.bvh").stat().st_size < 150_000 for name in LISTED)
+
+
+def test_the_files_are_what_the_script_makes(tmp_path: Path) -> None:
+    script = ROOT / "tools" / "make_motions.py"
+    subprocess.run([sys.executable, str(script), "--folder", str(tmp_path)], check=True, timeout=120)
+    for name in MADE:
+        again = read_bvh(tmp_path / f"{name}.bvh")
+        assert again.joint_names == motion(name).joint_names
+        # other versions of SciPy may round the last digit otherwise
+        np.testing.assert_allclose(again.world_positions(), motion(name).world_positions(), atol=0.01)
+
+
+@pytest.mark.parametrize("name", MADE)
+def test_nothing_goes_through_the_floor_and_someone_stands_on_it(name: str) -> None:
+    lowest = np.stack([soles(name, side)[..., 1].min(1) for side in ("Left", "Right")])
+    assert lowest.min() > -0.01
+    assert np.percentile(lowest.min(0), 30) < 0.005
+
+
+@pytest.mark.parametrize("name", ["sit_stand", "wave", "pick_up", "t_to_a_pose"])
+def test_planted_feet_do_not_move_at_all(name: str) -> None:
+    ankles = places(name, "LeftAnkle", "RightAnkle")
+    assert np.ptp(ankles, axis=0).max() < 1e-4
+
+
+@pytest.mark.parametrize("name", ["sit_stand", "wave", "pick_up", "t_to_a_pose", "turn_in_place"])
+def test_what_is_repeated_ends_as_it_starts(name: str) -> None:
+    first, last = motion(name).world_positions([0, -1]) * 0.01
+    assert np.abs(first - last).max() < 0.004
+
+
+@pytest.mark.parametrize("name", [*MADE, "walk"])
+def test_no_joint_is_jerked(name: str) -> None:
+    """Speeds as people have them, and no jump from frame to frame."""
+    one = motion(name)
+    speed = np.linalg.norm(np.diff(one.world_positions(), axis=0), axis=-1) * 0.01 / one.frame_time
+    assert speed.max() < {"run": 8.5, "walk": 6.5, "wave": 3.6}.get(name, 3.0)
+    assert np.abs(np.diff(speed, axis=0)).max() / one.frame_time < (260 if name == "run" else 110)
+
+
+def test_running_has_stances_that_stay_and_flights() -> None:
+    hips = places("run", "Hips")[:, 0]
+    assert np.ptp(hips[:, 2]) / motion("run").duration == pytest.approx(3.0, abs=0.01)
+    height = np.stack([soles("run", side)[..., 1].min(1) for side in ("Left", "Right")])
+    flying = (height > 0.006).all(0)
+    assert 0.12 < flying.mean() < 0.45
+    for side in ("Left", "Right"):
+        tip, low = soles("run", side)[:, 2], soles("run", side)[:, 2, 1] < 0.006
+        steps = np.linalg.norm(np.diff(tip[:, [0, 2]], axis=0), axis=-1)[low[1:] & low[:-1]]
+        assert steps.max() < 0.008  # 0.5 m/s, of a foot that otherwise moves at 6
+    knee = places("run", "LeftHip", "LeftKnee", "LeftAnkle")
+    thigh, shin = knee[:, 0] - knee[:, 1], knee[:, 2] - knee[:, 1]
+    bend = 180 - np.degrees(
+        np.arccos((thigh * shin).sum(-1) / np.linalg.norm(thigh, axis=-1) / np.linalg.norm(shin, axis=-1))
+    )
+    assert 90 < bend.max() < 120
+    assert bend.min() < 20
+
+
+def test_sitting_is_on_a_seat_of_45_cm_with_the_trunk_upright() -> None:
+    hip, knee, neck = places("sit_stand", "LeftHip", "LeftKnee", "Neck").transpose(1, 0, 2)
+    middle = slice(85, 115)
+    np.testing.assert_allclose(hip[middle, 1], 0.54, atol=0.02)
+    np.testing.assert_allclose(hip[middle, 1], knee[middle, 1], atol=0.08)  # thighs level
+    lean = np.degrees(np.arctan2((neck - hip)[:, 2], (neck - hip)[:, 1]))
+    assert np.abs(lean[middle]).max() < 15
+    assert 30 < lean.max() < 60  # on the way down and up
+
+
+def test_waving_is_four_times_with_the_hand_above_the_shoulder_and_the_palm_ahead() -> None:
+    wrist, shoulder, elbow = places("wave", "RightWrist", "RightShoulder", "RightElbow").transpose(1, 0, 2)
+    up = (wrist - elbow)[:, 1] > 0.18
+    assert 1.8 < up.sum() / 30 < 3.2
+    assert wrist[up, 1].min() > shoulder[up, 1].max() + 0.03
+    aside = (wrist - elbow)[up, 0]
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(aside))))
+    assert 6 <= len(turns) <= 10
+    one = motion("wave")
+    palm = one.world_transforms(60)[one.joint("RightWrist"), :3, :3] @ [0, -1, 0]
+    assert palm[2] > 0.7
+
+
+def test_the_turn_is_a_whole_one_on_planted_feet() -> None:
+    one = motion("turn_in_place")
+    ahead = one.world_transforms()[:, one.joint("Hips"), :3, 2]
+    yaw = np.degrees(np.unwrap(np.arctan2(ahead[:, 0], ahead[:, 2])))
+    assert yaw[-1] - yaw[0] == pytest.approx(360, abs=0.5)
+    assert np.diff(yaw).min() > -1
+    standing = 0
+    for side in ("Left", "Right"):
+        sole = soles("turn_in_place", side)
+        down = sole[..., 1].max(1) < 0.0005
+        both = down[1:] & down[:-1]
+        assert np.linalg.norm(np.diff(sole, axis=0), axis=-1)[both].max() < 0.004
+        standing = standing + down
+    assert (standing >= 1).all()  # never in the air
+
+
+def test_the_hand_reaches_what_lies_on_the_floor_and_lifts_it() -> None:
+    wrist = places("pick_up", "RightWrist")[:, 0]
+    low = wrist[66]  # 2.2 s
+    np.testing.assert_allclose(low, [-0.16, 0.23, 0.43], atol=0.02)
+    assert np.argmin(wrist[:, 1]) == pytest.approx(66, abs=8)
+    assert wrist[120, 1] > 1.0  # at the chest
+    knees = places("pick_up", "LeftHip", "LeftKnee")[66]
+    assert knees[0, 1] < knees[1, 1] + 0.25  # knees bent
+
+
+def test_t_and_a_pose_are_exact() -> None:
+    one = motion("t_to_a_pose")
+    for frame, degrees in ((0, 0), (60, 45), (120, 0)):
+        for side, sign in (("Left", 1), ("Right", -1)):
+            turn = one.world_transforms(frame)[one.joint(f"{side}Shoulder"), :3, :3]
+            rest = one.world_transforms(0)[one.joint(f"{side}Shoulder"), :3, :3]
+            about = Rotation.from_matrix(turn @ rest.T).as_rotvec(degrees=True)
+            np.testing.assert_allclose(about, [0, 0, -sign * degrees], atol=0.01)

@@ -1,0 +1,57 @@
+"""Figures of the built-in motions on the default human, as a Markdown table (docs/motions.md)."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from humansim_ros.body import Human
+from humansim_ros.motion.bvh import read_bvh
+from humansim_ros.motion.contacts import find_stances, slides
+from humansim_ros.motion.info import world_of
+from humansim_ros.motion.limits import load_limits
+from humansim_ros.motion.penetration import capsules, report_penetration
+from humansim_ros.motion.retarget import Retargeter, sole_heights
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main() -> int:
+    human = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    skeleton, limits = human.skeleton, load_limits().for_skeleton(human.skeleton)
+    body = capsules(human)
+    heads = (
+        "motion",
+        "slide mm, mean / worst",
+        "lowest sole mm",
+        "limits passed",
+        "overlap mm",
+        "fastest m/s",
+    )
+    print("| " + " | ".join(heads) + " |")
+    print("|---|---|---|---|---|---|")
+    for path in sorted((ROOT / "assets" / "motions").glob("*.bvh")):
+        world = world_of(read_bvh(path))
+        retargeter = Retargeter.fit(world, skeleton)
+        times = world.frame_times
+        poses = world.sample(times)
+        posed = retargeter.pose(poses)
+        way = slides(skeleton, posed, find_stances(skeleton, posed, times)) * 1e3
+        passed = [
+            f"{v.bone} {v.angle} {v.worst:.0f} of {v.limit:.0f}"
+            for v in limits.report(retargeter.apply(poses)[0])
+        ]
+        depth = max(0.0, report_penetration(posed, body).depth_mm)
+        speed = np.linalg.norm(np.diff(posed[..., :3, 3], axis=0), axis=-1).max() / (times[1] - times[0])
+        print(
+            f"| {path.stem} | {way.mean():.0f} / {way.max():.0f} "
+            f"| {1e3 * sole_heights(skeleton, posed).min():.0f} "
+            f"| {', '.join(passed) or 'none'} | {depth:.0f} | {speed:.1f} |"
+        )
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -47,7 +47,7 @@ JOINT_POINT = np.dtype(
     }
 )
 _VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
-#: Metres from the origin beyond which nobody is.
+#: Metres from the origin beyond which nobody is; m/s and rad/s that nobody has.
 _FARTHEST = 1e6
 _MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
 _FIELD_TYPES = {
@@ -147,7 +147,7 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
     if len(message.twist) == len(names):
         linear = np.array([[(t.linear.x, t.linear.y, t.linear.z) for t in message.twist]])
         angular = np.array([[(t.angular.x, t.angular.y, t.angular.z) for t in message.twist]])
-        if not (np.isfinite(linear).all() and np.isfinite(angular).all()):
+        if not ((np.abs(linear) < _FARTHEST).all() and (np.abs(angular) < _FARTHEST).all()):
             linear = angular = None
     return JointPoses(names, positions[None], (rotations / length[:, None])[None], linear, angular)
 

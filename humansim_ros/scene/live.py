@@ -54,9 +54,10 @@ class Source:
         """A source of which some poses (N >= 1) are known."""
         seen = _links(poses, retargeter.match)
         links = seen.mean(0)
-        if retargeter.positions_only:  # they are in no joint's axes
-            links *= (np.linalg.norm(seen, axis=-1).mean(0) / np.linalg.norm(links, axis=-1))[:, None]
-            slack = np.ptp(np.linalg.norm(seen, axis=-1), axis=0)
+        if retargeter.positions_only:  # they are in no joint's axes: their lengths count only
+            lengths = np.linalg.norm(seen, axis=-1)
+            links = lengths.mean(0)[:, None] * [0.0, 1.0, 0.0]
+            slack = np.ptp(lengths, axis=0)
         else:
             slack = np.linalg.norm(seen - links, axis=-1).max(0)
         return cls(poses.names, retargeter, links, slack, since)

@@ -209,7 +209,18 @@ def test_a_source_is_fitted_better_when_thirty_messages_are_known(actor: Actor) 
     assert heights[-1] == pytest.approx(0.0, abs=0.03)
 
 
-@pytest.mark.parametrize("broken", [{}, {"joint_names": []}, {"roles": {"Hips": 99}}, {"scale": None}])
+@pytest.mark.parametrize(
+    "broken",
+    [
+        {},
+        {"joint_names": []},
+        {"roles": {"Hips": 99}},
+        {"scale": None},
+        {"since": float("inf")},
+        {"links": [[0, 1, 2]]},
+        {"slack": "none"},
+    ],
+)
 def test_a_broken_legend_is_refused(actor: Actor, broken: dict[str, Any]) -> None:
     legend = {**Source.of_actor(actor).to_dict(), **broken} if broken else {}
     follower = Follower(actor)

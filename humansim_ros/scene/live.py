@@ -86,7 +86,7 @@ class Source:
             names = tuple(str(name) for name in data["joint_names"])
             links, slack = np.array(data["links"], dtype=float), np.array(data["slack"], dtype=float)
             since = int(data["since"])
-        except (KeyError, TypeError, ValueError) as reason:
+        except (KeyError, TypeError, ValueError, OverflowError) as reason:
             raise MotionError(f"this is no legend of a motion: {reason!r}") from None
         retargeter = Retargeter.from_dict(data, actor.human.skeleton)
         match = retargeter.match

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,7 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT, needs_shared_data
+import yaml
+from conftest import ROOT, SHARED_DATA, needs_shared_data
 from ros_support import Client, write_scene
 from scipy.spatial.transform import Rotation
 
@@ -111,6 +113,28 @@ def test_missing_or_unknown_joints_are_refused_and_the_old_is_kept(actor: Actor)
     with pytest.raises(MotionError, match="twice: Head"):
         follower.follow(renamed(poses, {"Neck": "Head"}))
     np.testing.assert_array_equal(follower.follow(poses).joints, actor.state(poses).joints)
+
+
+def test_a_table_beside_the_scene_file_tells_names_that_nobody_knows(ros: None, tmp_path: Path) -> None:
+    from rclpy.parameter import Parameter
+
+    from humansim_ros.ros.nodes.skinner import Skinner
+
+    table = yaml.safe_load((ROOT / "config" / "joint_names" / "biovision.yaml").read_text())
+    joints = {role: [f"q{name}" for name in names] for role, names in table["joints"].items()}
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump({**table, "name": "mine", "joints": joints}))
+    scene = Parameter("scene", value=str(write_scene(tmp_path)))
+
+    def skinner(names: str) -> Any:
+        return Skinner(parameter_overrides=[scene, Parameter("joint_names", value=names)], namespace="table")
+
+    node = skinner("mine.yaml")
+    poses = node._actor.joint_poses(0.4)
+    node._follower.follow(renamed(poses, {name: f"q{name}" for name in poses.names}))
+    assert "by table mine" in node._follower.found
+    node.destroy_node()
+    with pytest.raises(MotionError, match=r"yours\.yaml"):
+        skinner("yours.yaml")
 
 
 def test_a_legend_gives_the_truth_of_a_changed_motion(actor: Actor, tmp_path: Path) -> None:
@@ -278,11 +302,8 @@ def test_messages_that_are_none_are_refused(actor: Actor) -> None:
     assert messages.read_joints(unknown).linear is None
 
 
-@needs_shared_data
-@pytest.mark.parametrize("stem", ["mixamo_freebvh", "bvhtoolbox_walk01"])
-def test_the_example_drives_a_skinner_in_another_process(
-    ros: None, shared_data: Path, tmp_path: Path, stem: str
-) -> None:
+@pytest.mark.parametrize("stem", ["walk", pytest.param("mixamo_freebvh", marks=needs_shared_data)])
+def test_the_example_drives_a_skinner_in_another_process(ros: None, tmp_path: Path, stem: str) -> None:
     """The example's joints as it sends them, and the body's bones: parallel, upright, on the floor."""
     from rclpy.parameter import Parameter
     from sensor_msgs.msg import MultiDOFJointState, PointCloud2
@@ -294,7 +315,12 @@ def test_the_example_drives_a_skinner_in_another_process(
     scene.write_text(
         f"humans: {{{human}: {{}}}}\ncameras: {{c: {{position: [3, 0, 1], look_at: [0, 0, 1]}}}}\n"
     )
-    file = shared_data / "bvh" / f"{stem}.bvh"
+    file = SHARED_DATA / "bvh" / f"{stem}.bvh"
+    if stem == "walk":
+        # as another program would call its joints
+        text = (ROOT / "assets" / "motions" / "walk.bvh").read_text()
+        file = tmp_path / "suit.bvh"
+        file.write_text(re.sub(r"(?<=JOINT )\w+", lambda name: f"suit:{MIXAMO.get(name[0], name[0])}", text))
     skinner = Skinner(parameter_overrides=[Parameter("scene", value=str(scene))])
     client = Client(f"watcher_{stem[:6]}")
     client.executor.add_node(skinner)

@@ -143,7 +143,10 @@ BROKEN_MOTIONS = {
     "truncated_row": (bvh(ROW + ROW[: len(ROW) // 2]), ["truncated"]),
     "too_many_values": (bvh(ROW + ROW.strip() + " 7\n"), [f"needs {CHANNELS}"]),
     "nan": (bvh(ROW + ROW.replace("1.0", "nan", 1)), ["finite"]),
-    "strange_names": (bvh(ROW + ROW).replace("Left", "Sinister").replace("Right", "Dexter"), ["joint table"]),
+    "no_person": (
+        "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Zrotation\n}\nMOTION\nFrames: 1\nFrame Time: 1\n0\n",
+        ["joint table", "shape of a person"],
+    ),
 }
 
 

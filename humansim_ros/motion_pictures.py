@@ -117,7 +117,7 @@ class Painter:
     def sticks(self, time: float) -> Image:
         """The joints and their links."""
         points = self.figure.positions(time)
-        camera = self._camera(points)
+        camera = self._camera(points, self.figure.height)
         image = self._floor(camera, points)
         pixels, depth = camera.project(points)
         fixed = np.rint(np.clip(pixels, -1e4, 1e4) * 16).astype(int)
@@ -141,7 +141,7 @@ class Painter:
         human, world, retargeter = self._skin
         poses = world.sample(time)
         posed = retargeter.pose(poses)[0]
-        camera = self._camera(posed[:, :3, 3])
+        camera = self._camera(posed[:, :3, 3], 1.1 * float(human.skeleton.tails[:, 1].max()))
         body = Body(human.mesh, human.pose(posed), human.triangle_parts, 1)
         view = self._renderer.render([body], camera, ("rgb", "instance"))
         assert view.rgb is not None
@@ -151,10 +151,9 @@ class Painter:
         mask = cv2.dilate((view.instance > 0).astype(np.uint8), np.ones((3, 3), np.uint8))[..., None] > 0
         return np.where(mask, view.rgb, floor)
 
-    def _camera(self, points: Array) -> Camera:
-        """Looks at where the figure is on the floor, from its own height."""
+    def _camera(self, points: Array, height: float) -> Camera:
+        """Looks at where a figure of some height is on the floor."""
         center = (points.min(0) + points.max(0)) / 2
-        height = self.figure.height
         away = height / (2 * np.tan(_FOV / 2)) * 1.25
         target = np.array([center[0], center[1], self.figure.floor + 0.48 * height])
         eye = target + away * np.array([np.cos(self._seen), np.sin(self._seen), 0.16])

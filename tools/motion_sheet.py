@@ -1,0 +1,52 @@
+"""A contact sheet of the people in a folder of BVH files: each in the middle of its motion, on the floor.
+
+python tools/motion_sheet.py FOLDER -o sheet.jpg
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from humansim_ros.body import Human
+from humansim_ros.errors import HumansimError
+from humansim_ros.motion.info import read_quietly, world_of
+from humansim_ros.motion_pictures import painter_of
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--output", "-o", type=Path, default=Path("sheet.jpg"))
+    parser.add_argument("--columns", type=int, default=6)
+    options = parser.parse_args()
+    human = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    tiles = []
+    for path in sorted(options.folder.glob("*.bvh")):
+        motion = read_quietly(path).motion
+        try:
+            world = world_of(motion)
+        except HumansimError as error:
+            print(f"left out: {path.name}: {error.message[:80]}")
+            continue
+        painter = painter_of(motion, world, human, (200, 260))
+        tile = np.ascontiguousarray(painter.skinned(world.round_length / 2))
+        painter.close()
+        cv2.putText(
+            tile, path.stem[:26], (6, 252), cv2.FONT_HERSHEY_SIMPLEX, 0.38, (60, 64, 72), 1, cv2.LINE_AA
+        )
+        tiles.append(tile)
+    tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % options.columns)
+    rows = [np.concatenate(tiles[i : i + options.columns], 1) for i in range(0, len(tiles), options.columns)]
+    cv2.imwrite(str(options.output), np.concatenate(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

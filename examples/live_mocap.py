@@ -4,8 +4,8 @@
 
 Publishes sensor_msgs/MultiDOFJointState on ``humans/<HUMAN>/motion``: joint names of the suit's own,
 positions in ``map`` (metres, z up, floor at 0) and, where the suit knows them, rotations. The skinner finds
-out by itself which joint is which, how tall the person is and how the rotations are meant. Stop the motion
-player first, or start the skinner and cameras alone: two sources of one motion would take turns.
+out by itself which joint is which, how tall the person is and how the rotations are meant. Let the motion
+player leave that human alone first (ros2 param set /motion_player HUMAN.play false).
 """
 
 from __future__ import annotations

@@ -396,6 +396,16 @@ def test_what_is_set_for_all_is_set_for_each_and_the_parameters_say_what_holds(p
     assert player.get("loop") == ["repeat"]
 
 
+def test_one_human_is_left_to_another_source(player: Steered) -> None:
+    assert player.set(second__play=False) == ""
+    player.frames(1)
+    last = max(player.heard("second"))
+    player.frames(4)
+    assert max(player.heard("second")) == last
+    assert player.set(second__play=True) == ""
+    player.frames(2, "second")
+
+
 def test_part_loop_and_mirror_change_what_is_sent(player: Steered) -> None:
     assert player.set(start=0.5, end=1.0, loop="none", speed=5.0) == ""
     end = read_bvh(WALK).world_positions(60)  # second 1, where it stands

@@ -51,6 +51,11 @@ class MotionPlayer(SceneNode):
         self._playback.elapsed = self._scene_clock.elapsed
         self._changes: list[tuple[Change, Source]] = []
         self._parameters_of_motions = MotionParameters(self, self._playback)
+        for name in self.scene.actors:
+            what = (
+                "whether the motion is sent; false leaves the human to another source, such as live capture"
+            )
+            declare(f"{name}.play", True, what)
         self._motions = {
             name: self.create_publisher(MultiDOFJointState, f"humans/{name}/motion", DATA)
             for name in self.scene.actors
@@ -85,7 +90,8 @@ class MotionPlayer(SceneNode):
         """One frame: everything that moves, at one stamp."""
         moment = self._playback.show(tick.elapsed, tick.pace)
         for name, poses in moment.poses.items():
-            self._motions[name].publish(motion_message(poses, tick.stamp))
+            if self.get_parameter(f"{name}.play").value:
+                self._motions[name].publish(motion_message(poses, tick.stamp))
         for name, place in moment.objects.items():
             thing = self.scene.moving_objects[name]
             self._markers[name].publish(object_message(thing, place, tick.stamp))

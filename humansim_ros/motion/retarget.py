@@ -86,7 +86,7 @@ class Retargeter:
             rest = ground._shared_rest(_rest_links(poses, motion.match))
             if not motion.frame.rest_stands:
                 # the rest pose is some frame of the motion: what is twisted in it, hinges tell better
-                rest = ground._hinges_aligned(rest, poses)
+                rest = ground._feet_aligned(ground._hinges_aligned(rest, poses), poses)
             ground = replace(ground, rest=rest)
         lowest = sole_heights(skeleton, ground.pose(poses)).min(-1)
         return replace(ground, lift=-floor_height(lowest))
@@ -301,6 +301,20 @@ class Retargeter:
                 angle = np.arctan2(*actual[[0, 2]]) - np.arctan2(*expected[[0, 2]])
                 c, s = np.cos(angle), np.sin(angle)
                 rest[index] = rest[index] @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+        return rest
+
+    def _feet_aligned(self, rest: Array, poses: JointPoses) -> Array:
+        """``rest`` with feet that point along the links from ankle to toes, wherever these have them."""
+        rest = np.array(rest)
+        turns = quaternion_to_matrix(poses.rotations)
+        for side, bone in (("Left", "l_ankle"), ("Right", "r_ankle")):
+            ankle, toe = (self.match.roles.get(f"{side}{part}") for part in ("Ankle", "Toe"))
+            if ankle is None or toe is None or self.match.difference.get(bone) != ankle:
+                continue
+            link = poses.positions[:, toe] - poses.positions[:, ankle]
+            seen = _apply(np.swapaxes(turns[:, ankle], -1, -2), link).mean(0)
+            index = self.skeleton.bone(bone)
+            rest[index] = rest[index] @ _swing_to(rest[index].T[None, None], seen[None, None])[0, 0]
         return rest
 
     def _hips(self, poses: JointPoses) -> Array:

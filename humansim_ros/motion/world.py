@@ -35,6 +35,8 @@ _PLAUSIBLE_STATURE = (1.2, 2.1)
 _TYPICAL_STATURE = 1.7
 #: A pose stands if the straight way from ankles to head is at least this part of the way along the links.
 _STRAIGHT = 0.7
+#: Poses that are nearly as straight as the straightest: this part of it at least.
+_NEARLY = 0.97
 #: Half the span of the differences that velocities are, seconds.
 VELOCITY_STEP = 1e-3
 
@@ -142,7 +144,7 @@ def understand(
     """
     roles = match.roles
     rest = motion.rest_positions()
-    transforms = motion.world_transforms(np.unique(np.linspace(0, motion.n_frames - 1, 60).astype(int)))
+    transforms = motion.world_transforms(np.unique(np.linspace(0, motion.n_frames - 1, 120).astype(int)))
     frames = transforms[..., :3, 3]
     head = roles.get("Head", roles.get("Neck", roles["Hips"]))
     ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
@@ -163,8 +165,11 @@ def understand(
             rest_axes = _body_axes(rest, roles, rest_up, motion)
             axes = _body_axes(frames[0], roles, upward, motion, facing)
     else:
-        # the OFFSETs are no standing person (all bones along one axis, say): the straightest frame is
-        straightest = int(np.argmax(np.linalg.norm(frames[:, head] - frames[:, ankles].mean(1), axis=-1)))
+        # the OFFSETs are no standing person (all bones along one axis, say): the straightest frame is, or of
+        # those that are nearly as straight, the one with its feet flattest on the floor
+        straight = np.linalg.norm(frames[:, head] - frames[:, ankles].mean(1), axis=-1)
+        tiptoe = (frames[:, ankles] @ upward).sum(1) - 2 * (frames @ upward).min(1)
+        straightest = int(np.argmin(np.where(straight > _NEARLY * straight.max(), tiptoe, np.inf)))
         axes = _body_axes(frames[straightest], roles, upward, motion, facing)
         rest_axes = np.swapaxes(transforms[straightest, :, :3, :3], -1, -2) @ axes
     if unit is None:

@@ -11,18 +11,25 @@ from pathlib import Path
 from humansim_ros.errors import HumansimError
 
 
-def read_bytes(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> bytes:
-    """Content of a file; ``error`` names the path and the reason if it is missing, a folder, unreadable or
-    empty.
-    """
+@contextmanager
+def explained(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Iterator[None]:
+    """Turns what opening and reading a file raises into ``error``, which names the path and the reason."""
     try:
-        data = Path(path).read_bytes()
+        yield
     except FileNotFoundError:
         raise error(f"no such {what} file; check the path", path=path) from None
     except IsADirectoryError:
         raise error(f"this is a folder, not a {what} file", path=path) from None
     except OSError as reason:
         raise error(f"cannot read the {what} file: {reason.strerror or reason}", path=path) from None
+
+
+def read_bytes(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> bytes:
+    """Content of a file; ``error`` names the path and the reason if it is missing, a folder, unreadable or
+    empty.
+    """
+    with explained(path, error, what):
+        data = Path(path).read_bytes()
     if not data.strip():
         raise error(f"the {what} file is empty", path=path)
     return data

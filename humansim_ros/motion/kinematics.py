@@ -1,0 +1,169 @@
+"""Motions as files have them, channel values of joints per frame, and their forward kinematics.
+
+Conventions (agree with Blender's importer): a joint's rotation is ``R_channel1 R_channel2 R_channel3`` in the
+order of its channels, on column vectors; the translation is outermost wherever its channels stand.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import MotionError
+from humansim_ros.hierarchy import levels
+from humansim_ros.rotations import Array, quaternion_to_matrix, transform
+
+CHANNEL_NAMES = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
+#: A frame number, a slice of them, or an array or list of them.
+Frames = int | slice | Sequence[int] | NDArray[np.integer]
+_ALL = slice(None)
+AXES = {"X": 0, "Y": 1, "Z": 2}
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A skeleton of joints and what its channels say in each frame, exactly as in the file.
+
+    ``joint_names``: J names, parents before children; end sites are joints without channels named
+    ``<parent>_end``.
+    ``parents``: (J,) index of each parent, -1 for a root. ``offsets``: (J, 3) in file units.
+    ``channels``: per joint the names of its channels. ``values``: (F, C) channel values (file units and
+    degrees).
+    ``frame_time``: seconds. ``positions``: whether position channels replace the OFFSET or are added to it.
+    """
+
+    joint_names: tuple[str, ...]
+    parents: NDArray[np.intp]
+    offsets: Array
+    channels: tuple[tuple[str, ...], ...]
+    values: Array
+    frame_time: float
+    path: str = field(default="", compare=False)
+    positions: Literal["replace", "add"] = "replace"
+
+    @property
+    def n_frames(self) -> int:
+        return len(self.values)
+
+    @property
+    def n_joints(self) -> int:
+        return len(self.joint_names)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first frame to the last."""
+        return (self.n_frames - 1) * self.frame_time
+
+    def joint(self, name: str) -> int:
+        """Index of a joint; MotionError if there is none of that name."""
+        try:
+            return self.joint_names.index(name)
+        except ValueError:
+            raise MotionError(
+                f"no joint {name!r}; the joints are {', '.join(self.joint_names)}", path=self.path
+            ) from None
+
+    @cached_property
+    def _levels(self) -> tuple[NDArray[np.intp], ...]:
+        return levels(self.parents)
+
+    @cached_property
+    def _columns(self) -> tuple[int, ...]:
+        """First column of each joint's channels in ``values``."""
+        counts = [len(names) for names in self.channels]
+        return tuple(int(n) for n in np.concatenate(([0], np.cumsum(counts)))[:-1])
+
+    def columns(self, joint: int) -> range:
+        """Columns of a joint's channels in ``values``."""
+        return range(self._columns[joint], self._columns[joint] + len(self.channels[joint]))
+
+    @cached_property
+    def position_columns(self) -> tuple[tuple[int, int, int], ...]:
+        """All position channels: (joint, axis, column in ``values``)."""
+        return tuple(
+            (joint, AXES[name[0]], column)
+            for joint, (names, start) in enumerate(zip(self.channels, self._columns, strict=True))
+            for column, name in enumerate(names, start)
+            if name.endswith("position")
+        )
+
+    def local_translations(self, frames: Frames = _ALL) -> Array:
+        """Translation of each joint in its parent (..., J, 3), file units; position channels replace the
+        OFFSET, or are added to it, as :attr:`positions` says.
+        """
+        values = self.values[frames]
+        out = np.broadcast_to(self.offsets, (*values.shape[:-1], *self.offsets.shape)).copy()
+        for joint, axis, column in self.position_columns:
+            base = self.offsets[joint, axis] if self.positions == "add" else 0.0
+            out[..., joint, axis] = base + values[..., column]
+        return out
+
+    def local_rotations(self, frames: Frames = _ALL) -> Array:
+        """Rotation of each joint in its parent (..., J, 4), quaternions xyzw."""
+        values = self.values[frames]
+        out = np.zeros((*values.shape[:-1], self.n_joints, 4))
+        out[..., 3] = 1.0
+        by_order: dict[tuple[int, ...], list[tuple[int, list[int]]]] = {}
+        for joint, (names, start) in enumerate(zip(self.channels, self._columns, strict=True)):
+            turns = [(AXES[n[0]], c) for c, n in enumerate(names, start) if n.endswith("rotation")]
+            if turns:
+                by_order.setdefault(tuple(a for a, _ in turns), []).append((joint, [c for _, c in turns]))
+        for axes, group in by_order.items():
+            columns = np.array([c for _, c in group])
+            half = np.radians(values[..., columns]) / 2
+            out[..., [joint for joint, _ in group], :] = _compose(np.sin(half), np.cos(half), axes)
+        return out
+
+    def world_transforms(self, frames: Frames = _ALL) -> Array:
+        """Joint frames in file space (..., J, 4, 4) for a frame number, a slice or frame numbers."""
+        rotations = quaternion_to_matrix(self.local_rotations(frames))
+        return self.compose_world(self.local_translations(frames), rotations)
+
+    def compose_world(self, translations: Array, rotations: Array) -> Array:
+        """Joint frames (..., J, 4, 4) from local translations (..., J, 3) and rotation matrices (..., J, 3,
+        3).
+        """
+        world_r, world_t = self._world(translations, rotations)
+        return transform(world_r, world_t)
+
+    def _world(self, translations: Array, rotations: Array) -> tuple[Array, Array]:
+        world_r = np.array(np.broadcast_to(rotations, (*translations.shape[:-1], 3, 3)))
+        world_t = np.array(translations)
+        for level in self._levels[1:]:
+            parents = self.parents[level]
+            parent_r = world_r[..., parents, :, :]
+            world_t[..., level, :] = (parent_r @ world_t[..., level, :, None])[..., 0] + world_t[
+                ..., parents, :
+            ]
+            world_r[..., level, :, :] = parent_r @ world_r[..., level, :, :]
+        return world_r, world_t
+
+    def world_positions(self, frames: Frames = _ALL) -> Array:
+        """Joint positions (..., J, 3) in file units and axes; (J, 3) for one frame number."""
+        rotations = quaternion_to_matrix(self.local_rotations(frames))
+        return self._world(self.local_translations(frames), rotations)[1]
+
+    def rest_positions(self) -> Array:
+        """Joint positions (J, 3), every rotation zero and every joint at its OFFSET, file units and axes."""
+        return self._world(self.offsets, np.broadcast_to(np.eye(3), (self.n_joints, 3, 3)))[1]
+
+
+def _compose(sine: Array, cosine: Array, axes: Sequence[int]) -> Array:
+    """Quaternion product of turns about coordinate axes; half-angle sines and cosines (..., N, len(axes))."""
+    total = np.zeros((*sine.shape[:-1], 4))
+    total[..., 3] = 1.0
+    for k, axis in enumerate(axes):
+        s, c = sine[..., k], cosine[..., k]
+        j, l = (axis + 1) % 3, (axis + 2) % 3  # noqa: E741
+        turned = np.empty_like(total)
+        turned[..., axis] = total[..., axis] * c + total[..., 3] * s
+        turned[..., j] = total[..., j] * c + total[..., l] * s
+        turned[..., l] = total[..., l] * c - total[..., j] * s
+        turned[..., 3] = total[..., 3] * c - total[..., axis] * s
+        total = turned
+    return total

@@ -33,6 +33,8 @@ _SHORTEST_LINK = 1e-4
 _NO_TURN = 1e-6
 #: Height above the floor up to which the lowest joint of a person that stands may be, metres.
 _LOWEST_JOINT = 0.15
+#: Percentage of the poses, those with the lowest ankles, that show how feet stand.
+_STANDING_SHARE = 20
 #: A hinge is known where its bends agree this well (length of the mean of unit axes).
 _HINGE_AGREES = 0.8
 
@@ -304,16 +306,24 @@ class Retargeter:
         return rest
 
     def _feet_aligned(self, rest: Array, poses: JointPoses) -> Array:
-        """``rest`` with feet that point along the links from ankle to toes, wherever these have them."""
+        """``rest`` with feet that lie flat, and point where the links from ankle to toes do, in the poses in
+        which the ankles are lowest: then they stand.
+        """
         rest = np.array(rest)
         turns = quaternion_to_matrix(poses.rotations)
         for side, bone in (("Left", "l_ankle"), ("Right", "r_ankle")):
             ankle, toe = (self.match.roles.get(f"{side}{part}") for part in ("Ankle", "Toe"))
             if ankle is None or toe is None or self.match.difference.get(bone) != ankle:
                 continue
-            link = poses.positions[:, toe] - poses.positions[:, ankle]
-            seen = _apply(np.swapaxes(turns[:, ankle], -1, -2), link).mean(0)
             index = self.skeleton.bone(bone)
+            height = poses.positions[:, ankle, 2]
+            stands = height <= np.percentile(height, _STANDING_SHARE)
+            way = (poses.positions[:, toe] - poses.positions[:, ankle])[stands]
+            way[:, 2] = 0.0
+            way /= np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12)
+            own = WORLD_FROM_BODY @ self.skeleton.rest[index, :3, 1]
+            flat = np.linalg.norm(own[:2]) * way + np.array([0.0, 0.0, own[2]])
+            seen = _apply(np.swapaxes(turns[stands, ankle], -1, -2), flat).mean(0)
             rest[index] = rest[index] @ _swing_to(rest[index].T[None, None], seen[None, None])[0, 0]
         return rest
 

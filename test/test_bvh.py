@@ -313,6 +313,7 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("brace without a joint", GOOD.replace("ROOT Hips\n{", "{"), 2, "without a joint"),
     ("joint without a brace", GOOD.replace("Hips\n{", "Hips"), 3, "cannot understand"),
     ("joint without a name", GOOD.replace("JOINT Chest", "JOINT"), 6, "without a name"),
+    ("endless name", GOOD.replace("Chest", "C" * 1001), 6, "more than 1000 characters"),
     ("JOINT outside a ROOT", GOOD.replace("ROOT", "JOINT"), 2, "does not belong"),
     ("joint without an OFFSET", GOOD.replace("    OFFSET 0 10 0\n", ""), 13, "'Chest' has no OFFSET"),
     ("text in UTF-16", GOOD.encode("utf-16"), None, "save it as UTF-8"),

@@ -17,7 +17,7 @@ import numpy as np
 
 from humansim_ros.errors import MotionError
 from humansim_ros.files import atomic_path, explained
-from humansim_ros.motion.bvh_parser import Parser, warn
+from humansim_ros.motion.bvh_parser import LONGEST_NAME, Parser, warn
 from humansim_ros.motion.kinematics import CHANNEL_NAMES, Motion
 
 __all__ = ["CHANNEL_NAMES", "Motion", "Positions", "read_bvh", "write_bvh"]
@@ -123,7 +123,11 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
 def _check_writable(path: str | os.PathLike[str], motion: Motion) -> None:
     seen: set[str] = set()
     for name in motion.joint_names:
-        if not name or name != name.strip() or re.search("[{}\r\n\0\ud800-\udfff]", name):
+        if (
+            name != name.strip()
+            or not 0 < len(name) <= LONGEST_NAME
+            or re.search("[{}\r\n\0\ud800-\udfff]", name)
+        ):
             raise MotionError(f"a BVH file cannot have a joint named {name!r}", path=path)
         if name in seen:
             raise MotionError(f"two joints are named {name!r}", path=path)

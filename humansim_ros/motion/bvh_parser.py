@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 import warnings
@@ -20,6 +21,8 @@ _CANONICAL = {name.lower(): name for name in CHANNEL_NAMES}
 _BLOCK = 1 << 16
 #: Characters that no line of a hierarchy and no number has.
 _TOO_LONG = 1 << 20
+#: Characters that a joint's name may have: every end site repeats the name of its joint.
+LONGEST_NAME = 1000
 #: The characters of plain numbers and of white space, by their codes.
 _PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f"))
 #: A minus sign that starts a new number although no space stands before it ("1.5-2.5"), but not in "1e-5".
@@ -146,6 +149,8 @@ class Parser:
     def _add_joint(self, keyword: str, name: str, parent: int) -> int:
         if not name:
             raise self.error(f"{keyword} without a name")
+        if len(name) > LONGEST_NAME:
+            raise self.error(f"a name of more than {LONGEST_NAME} characters: {name[:40]!r}")
         if (keyword == "ROOT") != (parent < 0):
             raise self.error(f"{keyword} {name!r} does not belong here")
         if parent >= 0 and self.is_end[parent]:
@@ -310,8 +315,8 @@ class Parser:
                 except ValueError:
                     message = f"{word[:40]!r} is not a number{_about_commas(word)}"
                     raise self.error(message, number) from None
-            if not np.isfinite(values[ends[-1] if ends else 0 :]).all():
-                raise self.error("a value is not finite (NaN or infinity)", number)
+                if not math.isfinite(values[-1]):
+                    raise self.error("a value is not finite (NaN or infinity)", number)
             ends.append(len(values))
         return np.array(values), np.array(ends[:-1], dtype=np.intp)
 
@@ -389,6 +394,9 @@ def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
     starts = ~blank
     starts[1:] &= blank[:-1]
     places = np.flatnonzero(starts)
+    line_ends = np.flatnonzero(characters == ord("\n"))
+    if len(places) == 0:
+        return np.empty(0), np.zeros_like(line_ends)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -397,4 +405,4 @@ def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
         return None
     if len(values) != len(places) or not np.isfinite(values).all():
         return None
-    return values, np.searchsorted(places, np.flatnonzero(characters == 10))
+    return values, np.searchsorted(places, line_ends)

@@ -111,12 +111,13 @@ def late(flow: Any) -> dict[str, Any]:
 def test_every_message_of_a_frame_has_the_same_stamp(flow: Any) -> None:
     received = flow.client.received
     played = set(received["/humans/first/motion"])
-    first = min(flow.client.common_stamps())
     for topic, by_stamp in received.items():
         if "markers" not in topic:
             # a topic's stamps are the player's, none is made up on the way (but for a camera that is up
-            # before the first frame has come through, and shows the still scene)
-            assert {s for s in by_stamp if s >= first} <= played, topic
+            # before the first frame has come through, and shows the still scene until then)
+            arrived = list(by_stamp)  # in the order of arrival
+            begun = next(number for number, stamp in enumerate(arrived) if stamp in played)
+            assert set(arrived[begun:]) <= played, topic
     assert len(flow.client.common_stamps()) >= 12
 
 
@@ -209,11 +210,17 @@ def test_visible_joints_are_on_their_own_body(flow: Any) -> None:
 
 def test_published_velocities_are_how_the_joints_move(flow: Any) -> None:
     """Against the positions of the frames before and after: right to the acceleration within a period."""
-    stamps = sorted(flow.client.received["/humans/second/joints"])
+    heard = flow.client.received["/humans/second/joints"]
+
+    def neighbours() -> list[tuple[int, int, int]]:
+        """Frames with those just before and after them."""
+        return [(s - 50_000_000, s, s + 50_000_000) for s in sorted(heard)
+                if s - 50_000_000 in heard and s + 50_000_000 in heard]  # fmt: skip
+
+    # on a busy machine it may take a while until no frame of three is left out
+    assert flow.client.spin_until(lambda: len(neighbours()) >= 5, 60)
     errors, speeds = [], []
-    for before, now, after in zip(stamps, stamps[1:], stamps[2:], strict=False):
-        if after - before != 100_000_000:
-            continue
+    for before, now, after in neighbours():
         position = {
             s: messages.read_joints(flow.client.received["/humans/second/joints"][s])
             for s in (before, now, after)

@@ -92,7 +92,7 @@ class FootContacts:
         plain = replace(world, clean_up=None, speed=1.0)
         length = plain.round_length
         count = max(2, round(length / max(world.motion.frame_time, 1 / 120)) + 1)
-        phases = np.linspace(0.0, length, count)
+        phases = np.asarray(np.linspace(0.0, length, count), dtype=float)
         step = phases[1]
         margin = 0
         if plain.loop != "none" and step > 0:
@@ -198,7 +198,9 @@ def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array,
     aside = np.sqrt(np.maximum(thigh**2 - along**2, 0.0))
     new_knee = hip + along[:, None] * after + aside[:, None] * bent
     new_ankle = hip + distance[:, None] * after
-    old_normal, new_normal = np.cross(before, bend), np.cross(after, bent)
+    old_normal, new_normal = (
+        np.asarray(np.cross(line, side), dtype=float) for line, side in ((before, bend), (after, bent))
+    )
     return (
         _frame(new_knee - hip, new_normal) @ np.swapaxes(_frame(knee - hip, old_normal), -1, -2),
         _frame(new_ankle - new_knee, new_normal) @ np.swapaxes(_frame(ankle - knee, old_normal), -1, -2),
@@ -260,7 +262,7 @@ def _in_batches(
 
 def _drops(skeleton: Skeleton, hips: Array, goals: Array, stands: NDArray[np.bool_], step: float) -> Array:
     """How far the body must come down (N,) so that standing legs reach their goals (N, 2, 3); smooth."""
-    needed = np.zeros(len(hips))
+    needed: Array = np.zeros(len(hips))
     for foot, (_, side) in enumerate(_SIDES):
         longest = _STRAIGHTEST * float(
             skeleton.lengths[[skeleton.bone(f"{side}_hip"), skeleton.bone(f"{side}_knee")]].sum()

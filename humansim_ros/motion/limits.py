@@ -61,7 +61,8 @@ class Limit(_Row):
 
     def axis(self, side: int) -> Array:
         """The axis (3,) of its turn, on the left (1) or right (-1) side."""
-        return np.cross(_direction(self.start, side), _direction(self.towards, side))
+        across = np.cross(_direction(self.start, side), _direction(self.towards, side))
+        return np.asarray(across, dtype=float)
 
     def bone(self, side: int, margin: float = 0.0) -> Array:
         """Where it turns ``from`` (3,), and a margin (degrees) beyond."""
@@ -258,7 +259,7 @@ class JointLimits:
         """
         turns = self._turns(rotations) if turns is None else turns
         for joint, partner in self._joints:
-            offset = np.zeros(len(turns))
+            offset: Array = np.zeros(len(turns))
             if partner is not None:
                 offset = partner.measure(turns, offset).values[:, 2]
             yield joint, joint.measure(turns, offset)
@@ -462,7 +463,7 @@ class _Cone(_Joint):
 
     def compose(self, values: Array, offset: Array) -> Array:
         swing = _shortest(self.middle, self._direction(values[:, 1], values[:, 0]))
-        axis = np.cross(*self.around)
+        axis = np.asarray(np.cross(*self.around), dtype=float)
         return np.asarray(swing @ _about(axis, np.radians(values[:, 2] - offset)))
 
     def clamp(self, measured: _Measured) -> Array:

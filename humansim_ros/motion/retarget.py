@@ -290,11 +290,12 @@ class Retargeter:
             u, v = (
                 _links(poses.positions, *np.array([self.match.parallel[b]]).T)[:, 0] for b in (upper, lower)
             )
+            bend = np.asarray(np.cross(u, v), dtype=float)
             for bone in (upper, lower):
                 index = self.skeleton.bone(bone)
                 driver = turns[:, self.match.parallel[bone][0]]
-                seen = _apply(np.swapaxes(driver, -1, -2), np.cross(u, v)).sum(0)
-                bends = np.linalg.norm(np.cross(u, v), axis=-1).sum()
+                seen = _apply(np.swapaxes(driver, -1, -2), bend).sum(0)
+                bends = np.linalg.norm(bend, axis=-1).sum()
                 if np.linalg.norm(seen) < max(_HINGE_AGREES * bends, 0.1 * len(u) * np.abs(u).mean() ** 2):
                     continue
                 own = WORLD_FROM_BODY @ self.skeleton.rest[index, :3, :3]

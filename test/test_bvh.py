@@ -327,6 +327,7 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("wrong channel count", GOOD.replace("CHANNELS 3", "CHANNELS 4"), 9, "says 4 but names 3"),
     ("frame time of zero", GOOD.replace("0.04", "0"), 18, "above zero"),
     ("negative frame time", GOOD.replace("0.04", "-0.04"), 18, "above zero"),
+    ("endless frame time", GOOD.replace("0.04", "1e300"), 18, "below a million"),
     ("frame time that is no number", GOOD.replace("0.04", "fast"), 18, "'fast'"),
     ("frame time that is NaN", GOOD.replace("0.04", "nan"), 18, "number"),
     ("Frames that is no number", GOOD.replace("Frames: 2", "Frames: two"), 17, "'two'"),
@@ -366,6 +367,7 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("two points in a number", GOOD.replace("10 20 30", "10 20.5.5"), 19, "'20.5.5'"),
     ("NaN", GOOD.replace("20 30 40", "20 nan 40"), 19, "not finite"),
     ("infinity", GOOD.replace("20 30 40", "20 -inf 40"), 19, "not finite"),
+    ("a number like no measure", GOOD.replace("20 30 40", "20 1e200 40"), 19, "beyond 1e+15"),
     ("overflow", GOOD.replace("20 30 40", "20 1e999 40"), 19, "not finite"),
 ]
 

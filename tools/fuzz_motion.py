@@ -1,11 +1,12 @@
 """Damage motion files in every way and see that readers say so: only our errors, no hang, bounded memory.
 
-    python tools/fuzz_motion.py [--inputs 100000] [--seed 1] [--reader bvh] [FILE ...]
+    python tools/fuzz_motion.py [--inputs 100000] [--seed 1] [--processes 2] [--reader bvh] [FILE ...]
 
 Each input is a file of the corpus (ours, and the FILEs given) with some mutations: bytes flipped, cut out,
-repeated or inserted, tokens dropped, doubled, swapped or replaced by extremes, lines moved, hierarchies made
-deep. A reader may return, or raise HumansimError; anything else, more than a second per 100 kB, or memory
-beyond the limit is a finding: it is written to the folder ``fuzz`` and the exit code is 1.
+repeated or inserted, digits and white space changed, tokens dropped, doubled or replaced by extremes, lines
+moved and doubled, hierarchies made deep. A reader may return, or raise HumansimError; anything else, more
+than a second per 100 kB, memory beyond the limit, or a warning that is not ours is a finding: it is written
+to the folder ``fuzz`` and the exit code is 1.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from __future__ import annotations
 import argparse
 import random
 import resource
+import signal
 import sys
 import tempfile
 import time
@@ -20,10 +22,12 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import FrameType
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.keyframes import read_keyframes
 
@@ -31,6 +35,8 @@ ROOT = Path(__file__).parent.parent
 _MEMORY = 4 << 30
 #: Seconds that a file of any size may take, and seconds per byte beyond.
 _SECONDS, _SECONDS_PER_BYTE = 1.0, 1e-5
+#: What is not back after so many seconds hangs.
+_HANG = 30
 _LONGEST = 60_000
 
 EXTREMES = [
@@ -153,6 +159,26 @@ def cut_out(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
     return data[:at] + data[at + random_.choice((1, 5, 50, 500)) :]
 
 
+def change_digit(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    digits = [at for at in range(_place(data, random_), len(data))[:200] if data[at : at + 1].isdigit()]
+    if not digits:
+        return data
+    at = random_.choice(digits)
+    return data[:at] + random_.choice((b"0", b"9", b"5", b".", b"-", b"-1", b"e1", b" ")) + data[at + 1 :]
+
+
+def change_space(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    head, tail = data[: (at := _place(data, random_))], data[at:]
+    old, new = random_.sample((b" ", b"\n", b"\t", b"\r", b"\r\n", b"  ", b"\f", b"\n\n", b""), 2)
+    return head + (tail.replace(old, new, random_.choice((1, 1, 5, 10**6))) if old else tail)
+
+
+def double_line(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
+    lines = data.split(b"\n")
+    at = random_.randrange(len(lines))
+    return b"\n".join([*lines[:at], *[lines[at]] * random_.choice((0, 2, 30)), *lines[at + 1 :]])
+
+
 def repeat(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
     at = _place(data, random_)
     piece = data[at : at + random_.choice((1, 10, 100, 1000))]
@@ -194,7 +220,7 @@ def deepen(data: bytes, _: Sequence[bytes], random_: random.Random) -> bytes:
 
 MUTATIONS: list[Mutation] = [
     *(flip, cut_end, cut_out, repeat, insert_extreme, insert_extreme, replace_token, replace_token),
-    *(move_line, splice, deepen),
+    *(change_digit, change_digit, change_space, change_space, double_line, move_line, splice, deepen),
 ]
 
 
@@ -206,19 +232,38 @@ class Outcome:
     kinds: Counter[str] = field(default_factory=Counter)
     findings: list[tuple[str, bytes]] = field(default_factory=list)
     slowest: float = 0.0
+    megabytes: float = 0.0
+
+    def add(self, other: Outcome) -> None:
+        self.inputs += other.inputs
+        self.kinds += other.kinds
+        self.findings += other.findings
+        self.slowest = max(self.slowest, other.slowest)
+        self.megabytes = max(self.megabytes, other.megabytes)
+
+
+class Hang(Exception):
+    """A reader has not come back."""
+
+
+def _hangs(_: int, __: FrameType | None) -> None:
+    raise Hang
 
 
 def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
     """Give a reader so many damaged files; the same seed gives the same ones."""
     reader, pattern = READERS[name]
     outcome, random_ = Outcome(), random.Random(f"{name}{seed}")
+    before = signal.signal(signal.SIGALRM, _hangs)
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", HumansimWarning)
         path = Path(folder) / pattern.replace("*", "input")
         for _ in range(inputs):
             data = mutated(random_.choice(corpus), corpus, random_)
             path.write_bytes(data)
             start = time.process_time()
+            signal.alarm(_HANG)
             try:
                 reader(path)
                 kind = "read"
@@ -229,6 +274,7 @@ def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
                     raise
                 kind = f"finding: {type(error).__name__}"
                 outcome.findings.append((traceback.format_exc(limit=-4), data))
+            signal.alarm(0)
             took = time.process_time() - start
             outcome.slowest = max(outcome.slowest, took)
             if took > _SECONDS + _SECONDS_PER_BYTE * len(data):
@@ -236,7 +282,13 @@ def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
                 outcome.findings.append((f"took {took:.1f} s for {len(data)} bytes", data))
             outcome.inputs += 1
             outcome.kinds[kind] += 1
+    signal.signal(signal.SIGALRM, before)
+    outcome.megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return outcome
+
+
+def _limit_memory() -> None:
+    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
 
 
 def corpus_of(name: str, files: Sequence[Path] = ()) -> list[bytes]:
@@ -261,17 +313,21 @@ def main() -> int:
     parser.add_argument("files", nargs="*", type=Path)
     parser.add_argument("--inputs", type=int, default=100_000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--processes", type=int, default=1)
     parser.add_argument("--reader", choices=[*READERS], action="append")
     options = parser.parse_args()
-    resource.setrlimit(resource.RLIMIT_AS, (_MEMORY, _MEMORY))
-    failed = False
+    failed, n = False, options.processes
     for name in options.reader or READERS:
         start = time.monotonic()
-        outcome = fuzz(name, corpus_of(name, options.files), options.inputs, options.seed)
-        rate = outcome.inputs / (time.monotonic() - start)
-        memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+        outcome, corpus = Outcome(), corpus_of(name, options.files)
+        with ProcessPoolExecutor(n, initializer=_limit_memory) as pool:
+            shares = [len(range(k, options.inputs, n)) for k in range(n)]
+            seeds = [options.seed * n + k for k in range(n)]
+            for part in pool.map(fuzz, [name] * n, [corpus] * n, shares, seeds):
+                outcome.add(part)
         print(
-            f"{name}: {outcome.inputs} inputs, {rate:.0f}/s, slowest {outcome.slowest:.2f} s, {memory:.0f} MB"
+            f"{name}: {outcome.inputs} inputs, {outcome.inputs / (time.monotonic() - start):.0f}/s, "
+            f"slowest {outcome.slowest:.2f} s, {outcome.megabytes:.0f} MB"
         )
         for kind, count in outcome.kinds.most_common():
             print(f"  {kind}: {count}")

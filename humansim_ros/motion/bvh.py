@@ -17,7 +17,7 @@ import numpy as np
 
 from humansim_ros.errors import MotionError
 from humansim_ros.files import atomic_path, explained
-from humansim_ros.motion.bvh_parser import LONGEST_NAME, Parser, warn
+from humansim_ros.motion.bvh_parser import FRAME_TIMES, LARGEST, LONGEST_NAME, Parser, warn
 from humansim_ros.motion.kinematics import CHANNEL_NAMES, Motion
 
 __all__ = ["CHANNEL_NAMES", "Motion", "Positions", "read_bvh", "write_bvh"]
@@ -88,8 +88,8 @@ def _joints_with_added_positions(motion: Motion) -> list[int]:
         if len(by_axis) < 3 or not offset.any():
             continue
         values = some_frames[:, [by_axis[axis] for axis in range(3)]]
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            weight = offset / (values.var(axis=0) + still**2)
+        with np.errstate(invalid="ignore", divide="ignore"):  # a skeleton of one point tells nothing
+            weight = offset / (values.var(axis=0) + still * still)
             clear = float(weight @ offset)
             share = float(np.median(values, axis=0) @ weight) / clear
         if clear > _CLEAR**2 and np.isfinite(share):
@@ -132,9 +132,10 @@ def _check_writable(path: str | os.PathLike[str], motion: Motion) -> None:
         if name in seen:
             raise MotionError(f"two joints are named {name!r}", path=path)
         seen.add(name)
-    if not (np.isfinite(motion.offsets).all() and np.isfinite(motion.values).all()):
-        raise MotionError("the motion has values that are not finite", path=path)
-    if not 0 < motion.frame_time < np.inf:
+    for numbers in (motion.offsets, motion.values):
+        if not (np.abs(numbers) <= LARGEST).all():
+            raise MotionError(f"the motion has values that are not finite, or beyond {LARGEST:g}", path=path)
+    if not FRAME_TIMES[0] <= motion.frame_time <= FRAME_TIMES[1]:
         raise MotionError(f"the frame time must be above zero, not {motion.frame_time:g}", path=path)
 
 

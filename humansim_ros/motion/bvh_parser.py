@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 import re
 import warnings
@@ -23,6 +22,10 @@ _BLOCK = 1 << 16
 _TOO_LONG = 1 << 20
 #: Characters that a joint's name may have: every end site repeats the name of its joint.
 LONGEST_NAME = 1000
+#: Numbers beyond are no measures of anything, and their squares not finite.
+LARGEST = 1e15
+#: Seconds that a frame may take.
+FRAME_TIMES = 1e-9, 1e6
 #: The characters of plain numbers and of white space, by their codes.
 _PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f"))
 #: A minus sign that starts a new number although no space stands before it ("1.5-2.5"), but not in "1e-5".
@@ -194,7 +197,7 @@ class Parser:
             values = [_float(word) for word in _GLUED_MINUS.sub(" -", rest).split()]
         except ValueError:
             values = []
-        if len(values) != 3 or not np.isfinite(values).all():
+        if len(values) != 3 or not all(abs(value) <= LARGEST for value in values):
             hint = _about_commas(rest)
             raise self.error(f"OFFSET needs three finite numbers, not {rest.strip()[:40]!r}{hint}")
         return values
@@ -222,8 +225,11 @@ class Parser:
                 header["".join(key.lower().split())] = (self.line, value.strip())
         n_frames = self._header_number(header, "Frames")
         frame_time = self._header_number(header, "Frame Time")
-        if frame_time <= 0:
-            raise self.error(f"Frame Time must be above zero, not {frame_time:g}", header["frametime"][0])
+        if not FRAME_TIMES[0] <= frame_time <= FRAME_TIMES[1]:
+            raise self.error(
+                f"Frame Time must be above zero and below a million seconds, not {frame_time:g}",
+                header["frametime"][0],
+            )
         rows = self._rows(n_frames)
         if len(rows) == 0:
             if n_frames == 0:
@@ -315,8 +321,8 @@ class Parser:
                 except ValueError:
                     message = f"{word[:40]!r} is not a number{_about_commas(word)}"
                     raise self.error(message, number) from None
-                if not math.isfinite(values[-1]):
-                    raise self.error("a value is not finite (NaN or infinity)", number)
+                if not abs(values[-1]) <= LARGEST:
+                    raise self.error(f"{word[:40]!r} is not finite, or beyond {LARGEST:g}", number)
             ends.append(len(values))
         return np.array(values), np.array(ends[:-1], dtype=np.intp)
 
@@ -403,6 +409,6 @@ def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
             values = np.fromstring(text, sep=" ")
     except (DeprecationWarning, ValueError):
         return None
-    if len(values) != len(places) or not np.isfinite(values).all():
+    if len(values) != len(places) or not (values.min() >= -LARGEST and values.max() <= LARGEST):
         return None
     return values, np.searchsorted(places, line_ends)

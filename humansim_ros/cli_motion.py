@@ -133,7 +133,6 @@ def retarget(
     from humansim_ros.body import hanim_skeleton
     from humansim_ros.motion.contacts import FootContacts
     from humansim_ros.motion.info import read_quietly, world_of
-    from humansim_ros.motion.limits import load_limits
     from humansim_ros.motion.retarget import Retargeter
     from humansim_ros.motion.world import Placement
     from humansim_ros.rotations import matrix_to_quaternion
@@ -145,15 +144,10 @@ def retarget(
     placement = Placement(position, math.radians(yaw_deg))
     world = world_of(motion, joint_names, unit, up, facing, placement=placement, mirror=mirror)
     skeleton = hanim_skeleton() if body is None else _human(body).skeleton
-    retargeter = Retargeter.fit(world, skeleton, mode.value, _root_scale(root_scale))
+    retargeter = Retargeter.fit(world, skeleton, mode.value, _root_scale(root_scale), clamp)
     if pin_feet:
         world = replace(world, clean_up=FootContacts.detect(world, retargeter))
-    poses = world.sample(number * motion.frame_time)
-    if clamp:
-        rotations, root = retargeter.apply(poses)
-        posed = skeleton.pose(load_limits().for_skeleton(skeleton).clamp(rotations), root)[0]
-    else:
-        posed = retargeter.pose(poses)[0]
+    posed = retargeter.pose(world.sample(number * motion.frame_time))[0]
     heads = posed[:, :3, 3]
     tails = heads + posed[:, :3, 1] * skeleton.lengths[:, None]
     turns = matrix_to_quaternion(posed[:, :3, :3])

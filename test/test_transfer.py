@@ -29,6 +29,7 @@ from test_retarget import (
 from humansim_ros.errors import MotionError
 from humansim_ros.motion import Motion
 from humansim_ros.motion.joint_names import match_motion
+from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.retarget import Mode, Retargeter
 from humansim_ros.motion.world import JointPoses, Placement, WorldMotion, opposite_joints, understand
 from humansim_ros.rotations import WORLD_FROM_BODY, Array
@@ -379,6 +380,18 @@ def test_joints_at_one_place_are_refused() -> None:
     poses = world.sample(0.0)
     with pytest.raises(MotionError, match="legs have no length"):
         Retargeter.observe(replace(poses, positions=poses.positions * 0), world.match, SKELETON)
+
+
+def test_clamped_bones_stay_within_their_limits() -> None:
+    """A knee bent the wrong way and a head turned backwards."""
+    limits = load_limits().for_skeleton(SKELETON)
+    for joint, turn in (("LeftKnee", [-1.2, 0, 0]), ("Head", [0, 2.4, 0])):
+        world = bent(joint, Rotation.from_rotvec(turn))
+        free, clamped = (Retargeter.fit(world, SKELETON, clamp=clamp) for clamp in (False, True))
+        poses = world.sample(0.0)
+        assert limits.report(free.apply(poses)[0])
+        assert not limits.report(clamped.apply(poses)[0])
+        np.testing.assert_allclose(clamped.pose(poses), SKELETON.pose(*clamped.apply(poses)), atol=1e-12)
 
 
 @pytest.mark.parametrize("mode", ["full", "thesis"])

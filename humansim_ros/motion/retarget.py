@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.joint_names import JointMatch
+from humansim_ros.motion.limits import JointLimits, load_limits
 from humansim_ros.motion.world import JointPoses, WorldMotion, floor_height
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
@@ -51,6 +52,7 @@ class Retargeter:
     The middle of the hips goes where the motion's is, scaled by ``scale`` about ``origin`` (x, y) on the
     floor and lifted by ``lift`` metres. ``rest`` (B, 3, 3): for "full", each bone's axes as its joint's turn
     carries them: bone = turn of the joint x rest. ``positions_only``: the joints' rotations mean nothing.
+    ``clamp``: bones are kept within the limits of their joints (docs/limits.md).
     """
 
     skeleton: Skeleton
@@ -61,6 +63,7 @@ class Retargeter:
     mode: Mode = "thesis"
     rest: Array | None = None
     positions_only: bool = False
+    clamp: bool = False
 
     @classmethod
     def fit(
@@ -69,6 +72,7 @@ class Retargeter:
         skeleton: Skeleton,
         mode: Mode = "full",
         root_scale: RootScale | float | None = None,
+        clamp: bool = False,
     ) -> Retargeter:
         """Find the shared rest pose and the scale; lift so that the lowest toe or ankle stands on the floor.
 
@@ -84,6 +88,7 @@ class Retargeter:
         position = motion.placement.position
         scale = _root_scale(poses, motion, skeleton, root_scale)
         ground = cls(skeleton, motion.match, scale, (float(position[0]), float(position[1])), mode=mode)
+        ground = replace(ground, clamp=clamp)
         if mode == "full":
             rest = ground._shared_rest(_rest_links(poses, motion.match))
             if not motion.frame.rest_stands:
@@ -131,6 +136,7 @@ class Retargeter:
             "lift": self.lift,
             "rest": None if self.rest is None else self.rest.tolist(),
             "positions_only": self.positions_only,
+            "clamp": self.clamp,
         }
 
     @classmethod
@@ -156,7 +162,17 @@ class Retargeter:
         if mode not in ("full", "thesis") or not np.isfinite(numbers).all() or not sizes:
             raise MotionError("these are no constants of a retargeter for this skeleton")
         scale, x, y, lift = numbers
-        return cls(skeleton, match, scale, (x, y), lift, mode, rest, bool(data.get("positions_only")))
+        return cls(
+            skeleton,
+            match,
+            scale,
+            (x, y),
+            lift,
+            mode,
+            rest,
+            bool(data.get("positions_only")),
+            bool(data.get("clamp")),
+        )
 
     def apply(self, poses: JointPoses) -> tuple[Array, Array]:
         """Bone rotations (N, B, 4) xyzw in bone space, and world-from-body transforms (N, 4, 4).
@@ -168,10 +184,14 @@ class Retargeter:
         parents = self.skeleton.parents
         carried = np.where((parents < 0)[:, None, None], WORLD_FROM_BODY, turns[:, parents]) @ local
         rotations = matrix_to_quaternion(np.swapaxes(carried, -1, -2) @ turns)
+        if self.clamp:
+            rotations = self._limits.clamp(rotations)
         return rotations, transform(WORLD_FROM_BODY, shift)
 
     def pose(self, poses: JointPoses) -> Array:
         """Posed bone frames (N, B, 4, 4) in ``map``."""
+        if self.clamp:
+            return self.skeleton.pose(*self.apply(poses))
         turns, heads, shift = self._solve(poses)
         return transform(turns, heads + shift[:, None])
 
@@ -334,6 +354,10 @@ class Retargeter:
         source = (poses.positions[:, roles["LeftHip"]] + poses.positions[:, roles["RightHip"]]) / 2
         origin = np.array([*self.origin, 0.0])
         return np.asarray(origin + self.scale * (source - origin) + np.array([0.0, 0.0, self.lift]))
+
+    @cached_property
+    def _limits(self) -> JointLimits:
+        return load_limits().for_skeleton(self.skeleton)
 
     @cached_property
     def _joint_drivers(self) -> dict[str, tuple[int, int]]:

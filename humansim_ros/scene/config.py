@@ -76,6 +76,7 @@ class MotionConfig(_Section):
         description="what the root's way is scaled by: legs (if absent; height with retarget: thesis), "
         "height, or a number",
     )
+    clamp: bool = Field(default=False, description="bones are kept within the limits of their joints")
     pin_feet: bool = Field(default=False, description="feet that stand are kept from sliding")
 
 

@@ -119,7 +119,7 @@ class Actor:
             config.blend,
             config.mirror,
         )
-        retargeter = Retargeter.fit(world, human.skeleton, config.retarget, config.root_scale)
+        retargeter = Retargeter.fit(world, human.skeleton, config.retarget, config.root_scale, config.clamp)
         if config.pin_feet:
             world = replace(world, clean_up=FootContacts.detect(world, retargeter))
         return cls(name, instance, human, world, retargeter, config.offset)

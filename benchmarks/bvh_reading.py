@@ -1,10 +1,10 @@
 """How fast BVH files are read, beside bvhio and Blender's importer on the same file, in one run.
 
-    python benchmarks/bvh_reading.py FILE.bvh [...] [--blender PYTHON]
+    python benchmarks/bvh_reading.py [FILE.bvh ...] [--blender PYTHON]
 
-``--blender``: a Python that can ``import bpy``. Each time is the median of several runs (one of the slow
-ones). "with FK" goes on to the world positions of all joints in all frames; Blender's importer makes
-keyframes of an armature, bvhio keyframes of joints.
+Without a FILE: our walk, ten times over. ``--blender``: a Python that can ``import bpy``. Each time is the
+median of several runs (one of the slow ones). "with FK" goes on to the world positions of all joints in all
+frames; Blender's importer makes keyframes of an armature, bvhio keyframes of joints.
 """
 
 from __future__ import annotations
@@ -13,13 +13,19 @@ import argparse
 import statistics
 import subprocess
 import sys
+import tempfile
 import time
 import tracemalloc
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
-from humansim_ros.motion import read_bvh
+import numpy as np
+
+from humansim_ros.motion import read_bvh, write_bvh
+
+ROOT = Path(__file__).parent.parent
 
 BLENDER = """
 import sys, time, bpy
@@ -62,11 +68,23 @@ def blender_seconds(python: str, path: Path) -> float:
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("files", nargs="+", type=Path)
+    parser.add_argument("files", nargs="*", type=Path)
     parser.add_argument("--blender", help="a Python with bpy")
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    for path in options.files:
+    if options.files:
+        compare(options.files, options.blender)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            walk = read_bvh(ROOT / "assets" / "motions" / "walk.bvh")
+            path = Path(folder) / "walk_10_times.bvh"
+            write_bvh(path, replace(walk, values=np.tile(walk.values, (10, 1))))
+            compare([path], options.blender)
+    return 0
+
+
+def compare(files: Sequence[Path], blender: str | None) -> None:
+    for path in files:
         motion = read_bvh(path)
         frames = motion.n_frames
         ours = seconds(lambda path=path: read_bvh(path), 7)  # type: ignore[misc]
@@ -83,12 +101,13 @@ def main() -> int:
             rows += [("bvhio", theirs, ours), ("bvhio, with FK", theirs_fk, ours_fk)]
         except Exception as error:  # it cannot read every file
             print(f"  bvhio: {type(error).__name__}: {error}"[:100])
-        if options.blender:
-            rows.append(("Blender's importer", blender_seconds(options.blender, path), ours))
+        if blender:
+            rows.append(("Blender's importer", blender_seconds(blender, path), ours))
+        else:
+            print("  Blender: left out (--blender PYTHON)")
         for name, time_taken, against in rows:
             print(f"  {name:28}{time_taken:9.4f}{frames / time_taken:12.0f}{time_taken / against:8.1f}")
         print(f"  memory at its peak: {memory:.1f} times the values")
-    return 0
 
 
 if __name__ == "__main__":

@@ -271,7 +271,10 @@ class Parser:
         for text in self._blocks():
             if n_channels == 0 and text.strip():
                 raise self.error("a value, but no joint has channels", self.line + 1)
-            found = _fast_values(text) or self._slow_values(text)
+            found = _fast_values(text)
+            if found is None:
+                text = _GLUED_MINUS.sub(" -", text)
+                found = _fast_values(text) or self._slow_values(text)
             blocks.append(found[0])
             layout.add(*found, self.line + 1)
             self.line += len(found[1])
@@ -311,11 +314,11 @@ class Parser:
             yield rest
 
     def _slow_values(self, text: str) -> tuple[Array, NDArray[np.intp]]:
-        """As :func:`_fast_values`: numbers glued together are parted, and errors know their line."""
+        """As :func:`_fast_values`, for text of any white space; errors know their line."""
         values: list[float] = []
         ends: list[int] = []
         for number, line in enumerate(text.split("\n"), self.line + 1):
-            for word in _GLUED_MINUS.sub(" -", line).split():
+            for word in line.split():
                 try:
                     values.append(_float(word))
                 except ValueError:

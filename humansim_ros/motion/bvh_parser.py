@@ -396,7 +396,7 @@ def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
     anything else.
     """
     characters = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
-    # only what a plain number is written with: nothing is left that could be parted or read by half
+    # only what a plain number is written with: nothing is left that only Python takes for a number
     if not _PLAIN[characters].all():
         return None
     blank = characters <= 32
@@ -406,12 +406,11 @@ def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
     line_ends = np.flatnonzero(characters == ord("\n"))
     if len(places) == 0:
         return np.empty(0), np.zeros_like(line_ends)
+    words = text.split()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            values = np.fromstring(text, sep=" ")
-    except (DeprecationWarning, ValueError):
+        values = np.fromiter(map(float, words), float, len(words))
+    except ValueError:
         return None
-    if len(values) != len(places) or not (values.min() >= -LARGEST and values.max() <= LARGEST):
+    if not (values.min() >= -LARGEST and values.max() <= LARGEST):
         return None
     return values, np.searchsorted(places, line_ends)

@@ -232,7 +232,7 @@ def test_no_text_is_taken_for_another_number(
             motion = read(tmp_path_factory.getbasetemp(), one_joint("Xrotation", "\n".join(words)))
         except MotionError:
             return
-    parted = [part for word in words for part in re.findall(r"-?[^-]*(?:[eE]-[^-]*)?", word) if part]
+    parted = [part for word in words for part in re.findall(r"-?[^-eE]*(?:[eE]-?[^-]*)?", word) if part]
     assert motion.values.ravel().tolist() == [float(part) for part in parted]
 
 
@@ -262,6 +262,13 @@ def test_more_rows_than_announced_are_all_read_with_a_warning(tmp_path: Path) ->
     with pytest.warns(HumansimWarning, match=r"motion.bvh: says 1 frames but has 2"):
         motion = read(tmp_path, GOOD.replace("Frames: 2", "Frames: 1"))
     assert motion.n_frames == 2
+
+
+@pytest.mark.parametrize("count", ["0", "4", "9" * 5000])
+def test_channels_are_those_named_whatever_their_count_says(tmp_path: Path, count: str) -> None:
+    with pytest.warns(HumansimWarning, match=rf"motion.bvh:9: CHANNELS says {count[:20]} but names 3"):
+        motion = read(tmp_path, GOOD.replace("CHANNELS 3", f"CHANNELS {count}"))
+    assert motion.values.tolist() == VALUES
 
 
 def test_a_promise_of_a_billion_frames_allocates_nothing(tmp_path: Path) -> None:
@@ -303,7 +310,7 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("truncated after a joint's name", GOOD[: GOOD.index("{")], 2, "truncated"),
     ("truncated in the hierarchy", GOOD[: GOOD.index("    End Site")], 9, "truncated"),
     ("truncated in an OFFSET", GOOD[: GOOD.index(" 2 3")], 4, "OFFSET"),
-    ("truncated in CHANNELS", GOOD[: GOOD.index(" Yrotation")], 5, "CHANNELS says 6 but names 5"),
+    ("truncated in CHANNELS", GOOD[: GOOD.index("otation")], 5, "CHANNELS needs"),
     ("truncated after MOTION", GOOD[: GOOD.index("Frames")], 16, "truncated"),
     ("truncated after Frames", GOOD[: GOOD.index("Frame Time")], 17, "truncated"),
     ("truncated before the rows", GOOD[: GOOD.index(ROW)], 18, "truncated"),
@@ -324,7 +331,6 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("channel count in a superscript", GOOD.replace("CHANNELS 3", "CHANNELS ³"), 9, "CHANNELS needs"),
     ("a number as only Python has it", GOOD.replace("20 30", "2_0 30"), 19, "'2_0'"),
     ("same channel twice", GOOD.replace("3 Zrotation", "3 Xrotation"), 9, "CHANNELS needs"),
-    ("wrong channel count", GOOD.replace("CHANNELS 3", "CHANNELS 4"), 9, "says 4 but names 3"),
     ("frame time of zero", GOOD.replace("0.04", "0"), 18, "above zero"),
     ("negative frame time", GOOD.replace("0.04", "-0.04"), 18, "above zero"),
     ("endless frame time", GOOD.replace("0.04", "1e300"), 18, "below a million"),
@@ -351,12 +357,6 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
         GOOD.replace("0 5 0", "0 5 0\nJOINT a\n{\nOFFSET 0 0 0\n}"),
         13,
         "inside an End",
-    ),
-    (
-        "a count of thousands of digits",
-        GOOD.replace("CHANNELS 3", "CHANNELS " + "9" * 5000),
-        9,
-        "CHANNELS says",
     ),
     (
         "a value without channels",

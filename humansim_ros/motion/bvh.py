@@ -42,9 +42,9 @@ def read_bvh(path: str | os.PathLike[str], positions: Positions = "auto") -> Mot
     added to it; "auto" finds the files of those that add: their positions stay near 0 beside large OFFSETs.
 
     Raises MotionError, with file and line, on anything that cannot be understood. Warns (HumansimWarning)
-    where something is odd but its meaning clear: a wrong ``Frames:`` count (the rows decide), frames broken
-    over lines (if ``Frames:`` fits), no MOTION or no frames (a static pose), joints of one name (they are
-    numbered), names that are not UTF-8, added positions.
+    where something is odd but its meaning clear: a wrong ``Frames:`` count (the rows decide), a wrong
+    ``CHANNELS`` count (the names decide), frames broken over lines (if ``Frames:`` fits), no MOTION or no
+    frames (a static pose), joints of one name (they are numbered), names that are not UTF-8, added positions.
 
     Needs about twice the memory of the values, whatever the file's length or header says.
     """

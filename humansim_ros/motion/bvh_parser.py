@@ -209,7 +209,9 @@ class Parser:
             raise self.error(f"CHANNELS needs a count and names such as Zrotation, not {rest.strip()[:60]!r}")
         # compared as text: Python does not make numbers of thousands of digits
         if (count.lstrip("0") or "0") != str(len(names)):
-            raise self.error(f"CHANNELS says {count[:20]} but names {len(names)}")
+            warn(
+                f"{self.path}:{self.line}: CHANNELS says {count[:20]} but names {len(names)}; the names count"
+            )
         return names
 
     def _motion(self, has_motion: bool) -> tuple[Array, float]:

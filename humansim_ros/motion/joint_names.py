@@ -237,7 +237,7 @@ def match_table(
     roles = {role: joint for role, names in table.joints.items() if (joint := find(names)) is not None}
     if parents is not None:
         roles = _without_strangers(roles, parents)
-    for role in {role for link in table.parallel.values() for role in link} - set(table.joints):
+    for role in sorted({role for link in table.parallel.values() for role in link} - set(table.joints)):
         base = roles.get(role.removesuffix("_end"))
         if base is not None and (joint := find([f"{joint_names[base]}_end"])) is not None:
             roles[role] = joint

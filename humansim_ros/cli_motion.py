@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+import io
+import itertools
 import json
 import math
+import os
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import yaml
 
 from humansim_ros.errors import HumansimError, MotionError
 from humansim_ros.resources import resource_path
+
+if TYPE_CHECKING:
+    from humansim_ros.motion import Motion
+    from humansim_ros.motion.export import PosedBones
 
 app = typer.Typer(
     help="Look at motions, match their joints, put them onto the skeleton.", no_args_is_help=True
@@ -66,42 +73,39 @@ def info(
     positions: Channels = Positions.auto,
 ) -> None:
     """What a motion file is: joints, units, axes, how well it fits, what is odd."""
-    from humansim_ros.motion.info import describe_motion, read_quietly, world_of
+    from humansim_ros.motion.info import describe_motion, read_quietly
 
+    _check_unit(unit)
     read = read_quietly(_path(file), positions.value)
-    # what is said wrongly is an error; what cannot be found is only not known
-    if joint_names or up or facing or unit is not None:
-        world_of(read.motion, joint_names, unit, up, facing)
-    found = describe_motion(read, lambda motion: world_of(motion, joint_names, unit, up, facing))
-    if as_json:
-        _print_json(found.to_dict())
-    else:
-        for line in _info_lines(found.to_dict()):
-            print(line)
+    facts = describe_motion(read, joint_names, unit, up, facing).to_dict()
+    _print(_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
 
 @app.command()
 def joints(file: File, frame: Frame = 0, as_json: Json = False, positions: Channels = Positions.auto) -> None:
     """Where the joints are in a frame: joint -> x, y, z in the file's units and axes."""
-    from humansim_ros.motion.info import read_quietly
-
-    read = read_quietly(_path(file), positions.value)
-    _warn(read.warnings)
-    motion = read.motion
+    motion = _read(file, positions)
     points = motion.world_positions(_frame_number(frame, motion))
     if as_json:
-        _print_json(dict(zip(motion.joint_names, points.tolist(), strict=True)))
+        _print(_json(dict(zip(motion.joint_names, points.tolist(), strict=True))))
         return
     width = max(map(len, motion.joint_names))
-    for name, point in zip(motion.joint_names, points, strict=True):
-        print(f"{name:{width}}", *(f"{value:12.5f}" for value in point))
+    lines = (
+        f"{name:{width}} " + " ".join(f"{value:12.5f}" for value in point)
+        for name, point in zip(motion.joint_names, points, strict=True)
+    )
+    _print("\n".join(lines))
 
 
 @app.command()
 def retarget(
     file: File,
-    frame: Frame = 0,
+    frame: Annotated[int | None, typer.Option(help="Which frame, from 0 (the default).")] = None,
     as_json: Json = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="Write all frames here instead: .bvh, .npz or .json."),
+    ] = None,
     mode: Annotated[Mode, typer.Option(help="Whole rotations, or the thesis' swing only.")] = Mode.full,
     joint_names: Table = None,
     unit: Unit = None,
@@ -132,33 +136,43 @@ def retarget(
 
     from humansim_ros.body import hanim_skeleton
     from humansim_ros.motion.contacts import FootContacts
-    from humansim_ros.motion.info import read_quietly, world_of
+    from humansim_ros.motion.export import PosedBones, check_suffix, write_bones
+    from humansim_ros.motion.info import world_of
+    from humansim_ros.motion.limits import load_limits
     from humansim_ros.motion.retarget import Retargeter
     from humansim_ros.motion.world import Placement
-    from humansim_ros.rotations import matrix_to_quaternion
 
-    read = read_quietly(_path(file), positions.value)
-    _warn(read.warnings)
-    motion = read.motion
-    number = _frame_number(frame, motion)
+    _check_unit(unit)
+    if not np.isfinite([*position, yaw_deg]).all():
+        raise HumansimError("--position and --yaw-deg are numbers, not nan or infinity")
+    if output is not None:
+        if frame is not None or as_json:
+            raise HumansimError("--output writes all frames: leave --frame and --json out")
+        check_suffix(output)
+        _check_folder(output)
+    motion = _read(file, positions)
+    number = _frame_number(frame or 0, motion)
     placement = Placement(position, math.radians(yaw_deg))
     world = world_of(motion, joint_names, unit, up, facing, placement=placement, mirror=mirror)
     skeleton = hanim_skeleton() if body is None else _human(body).skeleton
-    retargeter = Retargeter.fit(world, skeleton, mode.value, _root_scale(root_scale), clamp)
+    retargeter = Retargeter.fit(world, skeleton, mode.value, _root_scale(root_scale))
     if pin_feet:
         world = replace(world, clean_up=FootContacts.detect(world, retargeter))
-    posed = retargeter.pose(world.sample(number * motion.frame_time))[0]
-    heads = posed[:, :3, 3]
-    tails = heads + posed[:, :3, 1] * skeleton.lengths[:, None]
-    turns = matrix_to_quaternion(posed[:, :3, :3])
-    if as_json:
-        rows = zip(skeleton.names, heads.tolist(), tails.tolist(), turns.tolist(), strict=True)
-        _print_json({name: {"head": h, "tail": t, "rotation_xyzw": q} for name, h, t, q in rows})
-        return
-    width = max(map(len, skeleton.names))
-    print(f"{'':{width}} {'head (m)':>26} {'tail (m)':>26} {'rotation xyzw':>35}")
-    for name, row in zip(skeleton.names, np.hstack([heads, tails, turns]), strict=True):
-        print(f"{name:{width}}", *(f"{value:8.4f}" for value in row))
+    poses = world.sample(world.frame_times if output is not None else number * motion.frame_time)
+    if clamp:
+        rotations, root = retargeter.apply(poses)
+        posed = skeleton.pose(load_limits().for_skeleton(skeleton).clamp(rotations), root)
+    else:
+        posed = retargeter.pose(poses)
+    bones = PosedBones(skeleton, posed, motion.frame_time)
+    if output is not None:
+        with _written(output):
+            write_bones(output, bones)
+        _print(f"wrote {output}: {len(posed)} frames of {len(skeleton)} bones")
+    elif as_json:
+        _print(_json(bones.to_dicts()[0]))
+    else:
+        _print("\n".join(_bone_lines(skeleton.names, bones)))
 
 
 @app.command()
@@ -169,22 +183,19 @@ def table(
         typer.Option("--output", "-o", help="Write the table (YAML) here, to edit and pass back."),
     ] = None,
     joint_names: Table = None,
+    positions: Channels = Positions.auto,
 ) -> None:
     """Which joint of a file drives which bone, and how sure that is."""
-    from humansim_ros.motion.info import read_quietly
     from humansim_ros.motion.joint_names import match_motion, table_text, write_table
 
-    read = read_quietly(_path(file))
-    _warn(read.warnings)
-    match = match_motion(read.motion, joint_names)
-    if output is not None:
-        try:
-            write_table(match, read.motion, output)
-        except OSError as reason:
-            raise HumansimError(f"cannot be written: {reason.strerror or reason}", path=output) from None
-        print(f"wrote {output}; pass it back with --joint-names {output}")
+    motion = _read(file, positions)
+    match = match_motion(motion, joint_names)
+    if output is None:
+        _print(table_text(match, motion).rstrip())
         return
-    print(table_text(match, read.motion), end="")
+    with _written(output):
+        write_table(match, motion, output)
+    _print(f"wrote {output}; pass it back with --joint-names {output}")
 
 
 @app.command("list")
@@ -192,11 +203,14 @@ def list_(as_json: Json = False) -> None:
     """The motions that come with the package."""
     motions = built_in_motions()
     if as_json:
-        _print_json(motions)
+        _print(_json(motions))
         return
     width = max(map(len, motions))
-    for name, facts in motions.items():
-        print(f"{name:{width}}  {facts['seconds']:5.1f} s  {facts['loop']:8}  {facts['description']}")
+    lines = (
+        f"{name:{width}}  {facts['seconds']:5.1f} s  {facts['loop']:8}  {facts['description']}"
+        for name, facts in motions.items()
+    )
+    _print("\n".join(lines))
 
 
 @app.command()
@@ -208,7 +222,10 @@ def render(
     view: Annotated[Seen, typer.Option(help="Where it is seen from.")] = Seen.quarter,
     body: Annotated[str, typer.Option(help="Who does it.")] = "adult_man",
     no_skin: Annotated[bool, typer.Option("--no-skin", help="The stick figure alone.")] = False,
-    rate: Annotated[float, typer.Option(help="Frames per second of a video.", min=1.0, max=120.0)] = 30.0,
+    rate: Annotated[
+        float | None,
+        typer.Option(help="Frames per second of a video; the motion's, up to 60.", min=1.0, max=120.0),
+    ] = None,
     seconds: Annotated[float, typer.Option(help="Longest video.", min=0.1, max=600.0)] = 60.0,
     joint_names: Table = None,
     unit: Unit = None,
@@ -217,36 +234,37 @@ def render(
     positions: Channels = Positions.auto,
 ) -> None:
     """Any motion as pictures: stick figures (left blue, right red), and a person who does it."""
-    from humansim_ros.motion.info import read_quietly, world_of
-    from humansim_ros.motion_pictures import painter_of, write_motion_picture
+    from humansim_ros.motion.info import world_of
+    from humansim_ros.motion_pictures import Artist, Skinned, Sticks, check_suffix, write_motion_picture
 
+    _check_unit(unit)
     if min(size) < 40 or max(size) > 2000:
         raise HumansimError(f"--size needs 40 to 2000 pixels each way, not {size[0]} {size[1]}")
-    if output.suffix.lower() not in (".png", ".mp4", ".gif"):
-        raise HumansimError(
-            "a motion is drawn as .png, .mp4 or .gif: give the file one of these names", path=output
-        )
-    if not output.resolve().parent.is_dir():
-        raise HumansimError("there is no such folder to write to", path=output)
-    read = read_quietly(_path(file), positions.value)
-    _warn(read.warnings)
+    check_suffix(output)
+    _check_folder(output)
+    motion = _read(file, positions)
+    artists: list[Artist] = []
     try:
-        world = world_of(read.motion, joint_names, unit, up, facing)
-    except MotionError as error:
-        if joint_names or up or facing or unit is not None:
-            raise
-        print(f"warning: drawn as it is in the file, as no person: {error.message}", file=sys.stderr)
-        world = None
-    human = None if no_skin or world is None else _human(body)
-    painter = painter_of(read.motion, world, human, size, view.value)
-    try:
-        title = f"{Path(read.motion.path).stem}: {read.motion.n_frames} frames, {read.motion.duration:.2f} s"
-        write_motion_picture(output, painter, title, phases, rate, seconds, _progress)
-    except OSError as reason:
-        raise HumansimError(f"cannot be written: {reason.strerror or reason}", path=output) from None
+        try:
+            world = world_of(motion, joint_names, unit, up, facing)
+        except MotionError as error:
+            if joint_names or facing or unit is not None:
+                raise
+            _warn(f"drawn as it is in the file, as no person: {error.message}")
+            artists.append(Sticks.of_file(motion, size, view.value, up))
+        else:
+            artists.append(Sticks.of_world(world, size, view.value))
+            if not no_skin:
+                artists.append(Skinned(_human(body), world, size, view.value))
+        if output.suffix.lower() != ".png" and motion.duration > seconds:
+            _warn(f"only the first {seconds:g} s of {motion.duration:g} s are drawn (--seconds)")
+        title = f"{Path(motion.path).stem}: {motion.n_frames} frames, {motion.duration:.2f} s"
+        with _written(output):
+            write_motion_picture(output, artists, title, phases, rate, seconds, _progress)
     finally:
-        painter.close()
-    print(f"wrote {output}")
+        for artist in artists:
+            artist.close()
+    _print(f"wrote {output}")
 
 
 def built_in_motions() -> dict[str, dict[str, Any]]:
@@ -259,6 +277,12 @@ def _path(file: str) -> Path:
     """A built-in motion by name, or a path."""
     built_in = resource_path("assets/motions") / f"{file}.bvh"
     return built_in if built_in.is_file() else Path(file).expanduser()
+
+
+def _read(file: str, positions: Positions) -> Motion:
+    from humansim_ros.motion import read_bvh
+
+    return read_bvh(_path(file), positions.value)
 
 
 def _human(body: str) -> Any:
@@ -277,7 +301,7 @@ def _root_scale(text: str | None) -> Any:
         raise MotionError(f"--root-scale is legs, height or a number, not {text!r}") from None
 
 
-def _frame_number(frame: int, motion: Any) -> int:
+def _frame_number(frame: int, motion: Motion) -> int:
     if not 0 <= frame < motion.n_frames:
         raise MotionError(
             f"no frame {frame}: the motion has frames 0 to {motion.n_frames - 1}", path=motion.path
@@ -285,13 +309,50 @@ def _frame_number(frame: int, motion: Any) -> int:
     return frame
 
 
-def _warn(texts: Iterable[str]) -> None:
-    for text in texts:
-        print(f"warning: {text}", file=sys.stderr)
+def _check_unit(unit: float | None) -> None:
+    if unit is not None and not 0 < unit < math.inf:
+        raise HumansimError(f"--unit is metres per file unit, above 0, not {unit:g}")
 
 
-def _print_json(data: Any) -> None:
-    print(json.dumps(data, allow_nan=False, ensure_ascii=False))
+def _check_folder(output: Path) -> None:
+    """Said before the work, not after it."""
+    if output.is_dir():
+        raise HumansimError("this is a folder: name a file in it", path=output)
+    if not output.resolve().parent.is_dir():
+        raise HumansimError("there is no such folder to write to", path=output)
+
+
+@contextmanager
+def _written(output: Path) -> Iterator[None]:
+    """Turns what writing a file raises into an error for people."""
+    try:
+        yield
+    except OSError as reason:
+        raise HumansimError(f"cannot be written: {reason.strerror or reason}", path=output) from None
+
+
+def _warn(text: str) -> None:
+    print(f"warning: {text}", file=sys.stderr)
+
+
+def _json(data: Any) -> str:
+    try:
+        return json.dumps(data, allow_nan=False)
+    except ValueError:
+        raise MotionError("the motion has numbers that are too large to work with") from None
+
+
+def _print(text: str) -> None:
+    """To standard output, whatever its encoding; a reader that has seen enough (`| head`) is no error."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
+    try:
+        print(text, flush=True)
+    except OSError as reason:
+        # what is still in the buffer must not be tried again when Python ends
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        if not isinstance(reason, BrokenPipeError):
+            raise HumansimError(f"cannot write to standard output: {reason.strerror}") from None
 
 
 @contextmanager
@@ -305,41 +366,71 @@ def _progress(frames: Iterable[Any], count: int) -> Iterator[Iterable[Any]]:
         yield progress.track(frames, total=count, description="drawing")
 
 
+def _bone_lines(names: Sequence[str], bones: PosedBones) -> Iterator[str]:
+    width = max(map(len, names))
+    yield f"{'':{width}} {'head (m)':>26} {'tail (m)':>26} {'rotation xyzw':>35}"
+    for name, *parts in zip(names, bones.heads[0], bones.tails[0], bones.rotations[0], strict=True):
+        yield f"{name:{width}} " + " ".join(f"{value:8.4f}" for part in parts for value in part)
+
+
 def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
     """The facts in words."""
     yield f"{facts['path']}"
     yield (
         f"  {facts['joints']} joints and {facts['end_sites']} end sites, {facts['channels']} channels, "
-        f"root {', '.join(facts['roots'])}"
+        f"root {_some(facts['roots'])}"
     )
     yield f"  {facts['frames']} frames, {facts['seconds']:.2f} s, {facts['rate']:.4g} frames per second"
+    layouts = [f"{count} x {_short(names)}" for names, count in facts["channel_layouts"].items()]
+    yield f"  channels: {_some(layouts, '; ')}"
     moved = facts["position_joints"]
     what = "are added to the OFFSET" if facts["positions"] == "add" else "replace the OFFSET"
-    shown = ", ".join(moved[:4]) + (f" and {len(moved) - 4} more" if len(moved) > 4 else "")
-    yield f"  position channels of {shown} {what}" if moved else "  no position channels"
-    if facts["unknown"] is not None:
-        yield f"  not known: {facts['unknown']}"
-    else:
-        yield (
-            f"  joints: {facts['table']}, found by {facts['found_by']}, confidence {facts['confidence']:.0%}"
-            + (f"; nothing drives {', '.join(facts['missing_bones'])}" if facts["missing_bones"] else "")
-        )
-        yield (
-            f"  {facts['up']} is up, faces {facts['facing']} at rest ({facts['rest']}); "
-            f"unit {facts['unit_name']} ({facts['unit']:.6g} m)"
-        )
-        yield (
-            f"  a person of {facts['stature']:.2f} m, scaled by {facts['root_scale']:.3f} onto the skeleton; "
-            f"{facts['speed']:.2f} m/s on average"
-        )
-        yield f"  feet slide {facts['slide']:.0f} mm per stance, {facts['stances']} stances"
-        if facts["limits"]:
-            yield f"  {len(facts['limits'])} joint limits are passed (--json lists them)"
-        depth = facts["penetration"]
-        if depth["share"] > 0:
-            yield (
-                f"  {' and '.join(depth['pair'])} go {depth['depth_mm']:.0f} mm into each other "
-                f"(frame {depth['frame']})"
-            )
+    yield f"  position channels of {_some(moved)} {what}" if moved else "  no position channels"
+    low, high = ("(" + ", ".join(f"{value:.4g}" for value in point) + ")" for point in facts["bounds"])
+    yield f"  joints are between {low} and {high}, x y z"
+    yield from _person_lines(facts) if facts["unknown"] is None else [f"  not known: {facts['unknown']}"]
     for text in facts["warnings"]:
         yield f"  warning: {text}"
+
+
+def _person_lines(facts: dict[str, Any]) -> Iterator[str]:
+    missing = facts["missing_bones"]
+    yield (
+        f"  joints: {facts['table']}, found by {facts['found_by']}, confidence {facts['confidence']:.0%}"
+        + (f"; nothing drives {', '.join(missing)}" if missing else "")
+    )
+    yield (
+        f"  {facts['up']} is up, the floor at {facts['floor']:.4g}; faces {facts['facing']} at rest "
+        f"({facts['rest']}); unit {facts['unit_name']} ({facts['unit']:.6g} m)"
+    )
+    yield f"  a person of {facts['stature']:.2f} m, scaled by {facts['root_scale']:.3f} onto the skeleton"
+    heading = facts["heading_deg"]
+    if heading is not None:
+        heading = f"{abs(heading):.0f} degrees to the {'left' if heading > 0 else 'right'}"
+    yield (
+        f"  {facts['speed']:.2f} m/s on average, {math.hypot(*facts['travel']):.2f} m from start to end, "
+        f"facing {heading or 'all ways'}"
+    )
+    part = facts["checked_frames"]
+    where = f" (first {part} frames)" if part < facts["frames"] else ""
+    yield f"  feet slide {facts['slide']:.0f} mm per stance, {facts['stances']} stances{where}"
+    if facts["limits"]:
+        yield f"  {len(facts['limits'])} joint limits are passed{where} (--json lists them)"
+    depth = facts["penetration"]
+    if depth["share"] > 0:
+        yield (
+            f"  {' and '.join(depth['pair'])} go {depth['depth_mm']:.0f} mm into each other "
+            f"(frame {depth['frame']})"
+        )
+
+
+def _some(texts: Sequence[str], between: str = ", ") -> str:
+    return between.join(texts[:4]) + (f" and {len(texts) - 4} more" if len(texts) > 4 else "")
+
+
+def _short(channels: str) -> str:
+    """ "Xposition Yposition Zposition Zrotation Xrotation Yrotation" -> "XYZ position, ZXY rotation"."""
+    if channels == "none":
+        return "no channels"
+    groups = itertools.groupby(channels.split(), key=lambda name: name[1:])
+    return ", ".join(f"{''.join(name[0] for name in group)} {kind}" for kind, group in groups)

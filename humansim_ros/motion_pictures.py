@@ -7,266 +7,394 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Literal, Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.spatial.transform import Rotation
 
 from humansim_ros.body import Human
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimError
 from humansim_ros.files import atomic_path
 from humansim_ros.motion.bvh import Motion
+from humansim_ros.motion.info import headings, mean_heading
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world import WorldMotion
+from humansim_ros.motion.world import WorldMotion, axis_vector, floor_height
 from humansim_ros.pictures import Image, write_mp4, write_png
-from humansim_ros.render import Body, GLRenderer
+from humansim_ros.render import Body, GLRenderer, Lighting
 from humansim_ros.rotations import Array
 
 Seen = Literal["side", "front", "three-quarter"]
+#: Shows how far a video is: (frames, how many) -> the frames, while it is drawn.
+Watched = Callable[[Iterable[Image], int], AbstractContextManager[Iterable[Image]]]
+SUFFIXES = (".png", ".mp4", ".gif")
 #: Where the camera stands around the person, degrees from ahead to the left.
 _AROUND = {"front": 0.0, "three-quarter": 40.0, "side": 90.0}
-_PAPER, _INK, _GRID = (238, 240, 243), (60, 64, 72), (205, 209, 215)
+_PAPER, _INK, _GRID, _SHADE = (238, 240, 243), (60, 64, 72), (205, 209, 215), (196, 200, 206)
 _LEFT, _RIGHT, _MIDDLE = (38, 116, 200), (206, 62, 92), (60, 64, 72)
 _FOV = np.radians(30.0)
-#: Metres between the lines of the floor.
-_CELL = 0.5
+#: Metres between the lines of the floor, for a person; by the height of a figure otherwise.
+_CELL, _TALL = 0.5, 1.9
+#: How many instants of a motion the camera's way is made of, and over how many seconds it is smoothed.
+_INSTANTS, _SMOOTH = 1000, 0.4
+#: What fits into a picture at most, by the height of the figure; the camera follows what goes beyond.
+_WIDEST = 1.6
+#: Instants that are looked at for what fits, and how much of a picture is to be used.
+_FITTED, _INSIDE = 100, 0.94
+#: A GIF counts in hundredths of a second, and browsers show no more frames than this per second.
+_GIF_RATE = 20.0
 
 
 @dataclass(frozen=True)
 class Figure:
-    """A motion as lines: joint positions at any time (seconds) in a space with z up, and how tall it is."""
+    """Something that moves, z up: ``points`` gives (N, P, 3) at N instants (seconds). ``height``: of it
+    standing, ``floor``: the height it stands on, ``heading``: where it faces (radians, from +x to +y).
+    """
 
-    names: Sequence[str]
-    parents: NDArray[np.intp]
-    sides: NDArray[np.intp]
-    positions: Callable[[float], Array]
+    points: Callable[[Array], Array]
     seconds: float
+    frame_time: float
     height: float
-    floor: float
-
-    @classmethod
-    def of_world(cls, world: WorldMotion) -> Figure:
-        """A person in the world."""
-        sides = _sides(world.names, {joint: role for role, joint in world.match.roles.items()})
-        return cls(
-            world.names,
-            world.motion.parents,
-            sides,
-            lambda time: world.sample(time).positions[0],
-            float(world.duration),
-            1.1 * world.frame.stature,
-            0.0,
-        )
-
-    @classmethod
-    def of_file(cls, motion: Motion) -> Figure:
-        """Something that is no person, y up: as most files have it."""
-        turn = np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])
-        points = motion.world_positions() @ turn.T
-        size = float(np.ptp(points, axis=1).max()) or 1.0
-
-        def at(time: float) -> Array:
-            return np.asarray(points[min(round(time / motion.frame_time), len(points) - 1)] / size)
-
-        floor = float(points[..., 2].min()) / size
-        return cls(
-            motion.joint_names,
-            motion.parents,
-            _sides(motion.joint_names, {}),
-            at,
-            motion.duration,
-            1.1,
-            floor,
-        )
+    floor: float = 0.0
+    heading: float = 0.0
 
 
-def _sides(names: Sequence[str], roles: dict[int, str]) -> NDArray[np.intp]:
-    """1 left, -1 right, 0 neither (J,), by role or by name."""
+class Artist(Protocol):
+    """Draws a figure as it is at an instant, seconds."""
 
-    def side(number: int, name: str) -> int:
-        said = roles.get(number, name).lower()
-        if "left" in said or said.startswith("l_") or said.endswith((".l", "_l")):
-            return 1
-        return -1 if "right" in said or said.startswith("r_") or said.endswith((".r", "_r")) else 0
+    @property
+    def figure(self) -> Figure: ...
 
-    return np.array([side(number, name) for number, name in enumerate(names)])
+    def draw(self, time: float) -> Image: ...
+
+    def close(self) -> None: ...
 
 
-class Painter:
-    """Draws a motion at any time, as a stick figure or skinned, from a camera that goes along."""
+class _Shot:
+    """A camera that goes along with a figure, the same distance from it all the time, so that all of it is
+    seen.
+    """
+
+    def __init__(self, figure: Figure, size: tuple[int, int], seen: Seen) -> None:
+        self._figure, self._size = figure, size
+        self._around = figure.heading + np.radians(_AROUND[seen])
+        count = int(np.clip(figure.seconds / figure.frame_time + 1, 1, _INSTANTS))
+        self._times = np.linspace(0.0, figure.seconds, count)
+        points = figure.points(self._times)
+        step = max(figure.seconds / max(count - 1, 1), 1e-9)
+        low, high = points.min(1), points.max(1)
+        self._middle = _smoothed((low[:, :2] + high[:, :2]) / 2, _SMOOTH / step)
+        tall = figure.height
+        # jumps and raised arms are seen with the camera at rest; stairs are climbed by it
+        top = high[:, 2] - figure.floor
+        reach = float(np.clip(np.percentile(top, 99.5), 1.05 * tall, 1.3 * tall))
+        self._lift = _smoothed(np.maximum(top - reach, 0.0)[:, None], _SMOOTH / step)[:, 0]
+        self._span = 1.2 * reach
+        widest = _WIDEST * self._span
+        some = np.unique(np.linspace(0, count - 1, _FITTED).astype(int))
+        for _ in range(3):
+            outside = max(self._outside(points[i], self._times[i]) for i in some)
+            self._span = min(self._span * max(1.0, outside), widest)
+
+    def _outside(self, points: Array, time: float) -> float:
+        """How far out the outermost of some points (P, 3) is in the picture; within 1 it is seen."""
+        pixels, depth = self.camera(time).project(points)
+        half = (np.array(self._size) - 1) / 2
+        out = np.where(depth[:, None] > 0, np.abs(pixels / half - 1), 1.0)
+        return float(out.max()) / _INSIDE
+
+    def camera(self, time: float) -> Camera:
+        x, y = (np.interp(time, self._times, way) for way in self._middle.T)
+        lift = float(np.interp(time, self._times, self._lift))
+        target = np.array([x, y, self._figure.floor + lift + 0.41 * self._span])
+        away = self._span / (2 * np.tan(_FOV / 2))
+        eye = target + away * np.array([np.cos(self._around), np.sin(self._around), 0.16])
+        # the field of view is that of the height
+        width, height = self._size
+        fov = 2 * np.arctan(np.tan(_FOV / 2) * width / height)
+        return Camera.look_at(tuple(eye), tuple(target), self._size, float(fov))
+
+    def floor(self, camera: Camera, time: float) -> Image:
+        """A floor of lines that stand still in the world."""
+        image = np.full((self._size[1], self._size[0], 3), _PAPER, np.uint8)
+        cell = _CELL * self._figure.height / _TALL
+        reach = cell * np.ceil(2.0 * self._span / self._figure.height)
+        middle = np.array([np.interp(time, self._times, way) for way in self._middle.T])
+        middle = np.round(middle / cell) * cell
+        for step in np.arange(-reach, reach + cell / 2, cell):
+            for axis in (0, 1):
+                ends = np.full((2, 3), self._figure.floor)
+                ends[:, axis] = middle[axis] + step
+                ends[:, 1 - axis] = middle[1 - axis] + np.array([-reach, reach])
+                _line(image, camera, ends, _GRID, 1)
+        return image
+
+
+def _smoothed(way: Array, sigma: float) -> Array:
+    """A way (N, D) smoothed along N; at the ends it goes on as it went."""
+    sigma = min(sigma, len(way))
+    pad = min(len(way) - 1, int(np.ceil(3 * sigma)))
+    if pad < 1:
+        return way
+    padded = np.pad(way, ((pad, pad), (0, 0)), mode="reflect", reflect_type="odd")
+    return np.asarray(gaussian_filter1d(padded, sigma, axis=0)[pad:-pad])
+
+
+def _line(image: Image, camera: Camera, ends: Array, color: tuple[int, int, int], width: int) -> None:
+    """A line between two points (2, 3), unless some of it is behind the camera."""
+    pixels, depth = camera.project(ends)
+    if (depth > 0).all():
+        start, end = _fixed(pixels)
+        cv2.line(image, start, end, color, width, cv2.LINE_AA, 4)
+
+
+def _fixed(pixels: Array) -> list[list[int]]:
+    """Pixels in sixteenths, OpenCV's finest."""
+    fixed: list[list[int]] = np.rint(np.clip(pixels, -1e4, 1e4) * 16).astype(int).tolist()
+    return fixed
+
+
+class Sticks:
+    """Draws a motion's joints and their links: left blue, right red."""
 
     def __init__(
         self,
         figure: Figure,
+        parents: NDArray[np.intp],
+        sides: NDArray[np.intp],
         size: tuple[int, int],
         seen: Seen,
-        skin: tuple[Human, WorldMotion, Retargeter] | None = None,
     ) -> None:
         self.figure = figure
-        self.size = size
-        self._seen = np.radians(_AROUND[seen])
-        self._skin = skin
-        self._renderer = None if skin is None else GLRenderer([])
+        self._parents, self._sides = parents, sides
+        self._shot = _Shot(figure, size, seen)
+
+    @classmethod
+    def of_world(cls, world: WorldMotion, size: tuple[int, int], seen: Seen = "three-quarter") -> Sticks:
+        """A person in the world."""
+        figure = Figure(
+            lambda times: world.sample(times).positions,
+            world.duration,
+            world.motion.frame_time,
+            1.05 * world.frame.stature,
+            heading=_heading(world),
+        )
+        roles = {joint: role for role, joint in world.match.roles.items()}
+        sides = _sides(world.names, world.motion.parents, roles)
+        return cls(figure, world.motion.parents, sides, size, seen)
+
+    @classmethod
+    def of_file(
+        cls, motion: Motion, size: tuple[int, int], seen: Seen = "three-quarter", up: str | None = None
+    ) -> Sticks:
+        """Something that is no person, in the file's own axes turned so that ``up`` is up; MotionError if it
+        has no size. Up is y, as in most files, unless it is much longer along z.
+        """
+        points = motion.world_positions()
+        extent = np.ptp(points, axis=1).mean(0)
+        upward = axis_vector(up or ("z" if extent[2] > 2 * extent[1] else "y"))
+        turn = np.stack([np.roll(np.abs(upward), 1), np.roll(upward, 2), upward])
+        points = points @ turn.T
+        size_ = float(np.ptp(points, axis=1).max())
+        if not 0 < size_ < np.inf:
+            raise HumansimError(
+                "there is nothing to draw: all joints are at one place, or at none", path=motion.path
+            )
+        points = points / size_
+        figure = Figure(
+            lambda times: points[np.rint(times / motion.frame_time).astype(int).clip(0, len(points) - 1)],
+            motion.duration,
+            motion.frame_time,
+            1.05,
+            floor_height(points[..., 2].min(1)),
+        )
+        sides = _sides(motion.joint_names, motion.parents, {})
+        return cls(figure, motion.parents, sides, size, seen)
+
+    def draw(self, time: float) -> Image:
+        points = self.figure.points(np.array([time]))[0]
+        camera = self._shot.camera(time)
+        image = self._shot.floor(camera, time)
+        linked = [(joint, int(parent)) for joint, parent in enumerate(self._parents) if parent >= 0]
+        shadow = points * (1, 1, 0) + (0, 0, self.figure.floor)
+        for joint, parent in linked:
+            _line(image, camera, shadow[[parent, joint]], _SHADE, 2)
+        pixels, depth = camera.project(points)
+        colors = {1: _LEFT, -1: _RIGHT, 0: _MIDDLE}
+        for joint, parent in sorted(linked, key=lambda link: -depth[link[0]]):
+            _line(image, camera, points[[parent, joint]], colors[int(self._sides[joint])], 2)
+        for joint in np.argsort(-depth):
+            if depth[joint] > 0:
+                color = colors[int(self._sides[joint])]
+                cv2.circle(image, _fixed(pixels)[joint], 2 * 16 + 8, color, -1, cv2.LINE_AA, 4)
+        return image
 
     def close(self) -> None:
-        if self._renderer is not None:
-            self._renderer.close()
+        pass
 
-    def sticks(self, time: float) -> Image:
-        """The joints and their links."""
-        points = self.figure.positions(time)
-        camera = self._camera(points, self.figure.height)
-        image = self._floor(camera, points)
-        pixels, depth = camera.project(points)
-        fixed = np.rint(np.clip(pixels, -1e4, 1e4) * 16).astype(int)
-        order = np.argsort(-depth)
-        colors = {1: _LEFT, -1: _RIGHT, 0: _MIDDLE}
-        for joint in order:
-            parent = int(self.figure.parents[joint])
-            if parent >= 0 and depth[joint] > 0 and depth[parent] > 0:
-                color = colors[int(self.figure.sides[joint])]
-                cv2.line(image, fixed[parent].tolist(), fixed[joint].tolist(), color, 2, cv2.LINE_AA, 4)
-        for joint in order:
-            if depth[joint] > 0:
-                color = colors[int(self.figure.sides[joint])]
-                cv2.circle(image, fixed[joint].tolist(), 2 * 16 + 8, color, -1, cv2.LINE_AA, 4)
-        return image
 
-    def skinned(self, time: float) -> Image:
-        """The body that the motion drives."""
-        assert self._skin is not None
-        assert self._renderer is not None
-        human, world, retargeter = self._skin
-        poses = world.sample(time)
-        posed = retargeter.pose(poses)[0]
-        camera = self._camera(posed[:, :3, 3], 1.1 * float(human.skeleton.tails[:, 1].max()))
-        body = Body(human.mesh, human.pose(posed), human.triangle_parts, 1)
-        view = self._renderer.render([body], camera, ("rgb", "instance"))
+class Skinned:
+    """Draws the body that a motion drives."""
+
+    def __init__(
+        self, human: Human, world: WorldMotion, size: tuple[int, int], seen: Seen = "three-quarter"
+    ) -> None:
+        self._human, self._world = human, world
+        self._retargeter = Retargeter.fit(world, human.skeleton)
+        skeleton = human.skeleton
+
+        def points(times: Array) -> Array:
+            posed = self._retargeter.pose(world.sample(times))
+            tails = posed[..., :3, 3] + posed[..., :3, 1] * skeleton.lengths[:, None]
+            return np.concatenate([posed[..., :3, 3], tails], axis=1)
+
+        self.figure = Figure(
+            points,
+            world.duration,
+            world.motion.frame_time,
+            1.05 * float(skeleton.tails[:, 1].max()),
+            heading=_heading(world),
+        )
+        self._shot = _Shot(self.figure, size, seen)
+        # the light comes from ahead wherever that is
+        ahead = Rotation.from_euler("z", self.figure.heading).apply(Lighting.sun)
+        self._renderer = GLRenderer([], Lighting(sun=tuple(ahead), background=_PAPER))
+
+    def draw(self, time: float) -> Image:
+        human = self._human
+        camera = self._shot.camera(time)
+        vertices = human.pose(self._retargeter.pose(self._world.sample(time))[0])
+        view = self._renderer.render(
+            [Body(human.mesh, vertices, human.triangle_parts, 1)], camera, ("rgb", "instance")
+        )
         assert view.rgb is not None
         assert view.instance is not None
-        floor = self._floor(camera, posed[:, :3, 3])
-        # the edge pixels of the body are blended with the background they were drawn on: take a margin of it
-        mask = cv2.dilate((view.instance > 0).astype(np.uint8), np.ones((3, 3), np.uint8))[..., None] > 0
-        return np.where(mask, view.rgb, floor)
+        # shadow, and the body's own edge, darken the paper: let them darken the floor
+        floor = self._shot.floor(camera, time)
+        shaded = np.clip(np.rint(floor * (view.rgb / np.array(_PAPER))), 0, 255).astype(np.uint8)
+        return np.where(view.instance[..., None] > 0, view.rgb, shaded)
 
-    def _camera(self, points: Array, height: float) -> Camera:
-        """Looks at where a figure of some height is on the floor."""
-        center = (points.min(0) + points.max(0)) / 2
-        away = height / (2 * np.tan(_FOV / 2)) * 1.25
-        target = np.array([center[0], center[1], self.figure.floor + 0.48 * height])
-        eye = target + away * np.array([np.cos(self._seen), np.sin(self._seen), 0.16])
-        width, tall = self.size
-        # the field of view is that of the height
-        fov = 2 * np.arctan(np.tan(_FOV / 2) * width / tall)
-        return Camera.look_at(tuple(eye), tuple(target), self.size, float(fov))
-
-    def _floor(self, camera: Camera, points: Array) -> Image:
-        """A floor of lines half a metre apart that stand still in the world."""
-        image = np.full((self.size[1], self.size[0], 3), _PAPER, np.uint8)
-        cell = _CELL * self.figure.height / 1.87
-        middle = np.round(points[:, :2].mean(0) / cell) * cell
-        reach = 4 * cell
-        for step in np.arange(-reach, reach + cell / 2, cell):
-            for axis in (0, 1):
-                ends = np.full((2, 3), self.figure.floor)
-                ends[:, axis] = middle[axis] + step
-                ends[:, 1 - axis] = middle[1 - axis] + np.array([-reach, reach])
-                pixels, depth = camera.project(ends)
-                if (depth > 0).all():
-                    fixed = np.rint(np.clip(pixels, -1e4, 1e4) * 16).astype(int).tolist()
-                    cv2.line(image, fixed[0], fixed[1], _GRID, 1, cv2.LINE_AA, 4)
-        return image
+    def close(self) -> None:
+        self._renderer.close()
 
 
-def painter_of(
-    motion: Motion,
-    world: WorldMotion | None,
-    human: Human | None,
-    size: tuple[int, int],
-    seen: Seen = "three-quarter",
-) -> Painter:
-    """Draws a person (``world``) as sticks and, with a ``human``, skinned; or what is no person as sticks."""
-    if world is None:
-        return Painter(Figure.of_file(motion), size, seen)
-    skin = None if human is None else (human, world, Retargeter.fit(world, human.skeleton))
-    return Painter(Figure.of_world(world), size, seen, skin)
+def _heading(world: WorldMotion) -> float:
+    """Where a person faces on average; if that is all ways, where it faces first."""
+    poses = world.sample(np.linspace(0.0, world.duration, 200))
+    heading = mean_heading(world.match, poses)
+    if heading is not None:
+        return heading
+    x, y = headings(world.match, poses)[0]
+    return float(np.arctan2(y, x))
 
 
-def strip(painter: Painter, phases: int, title: str) -> Image:
-    """Phases of a motion side by side: stick figures above, skinned below."""
-    times = np.linspace(0.0, painter.figure.seconds, phases) if painter.figure.seconds > 0 else np.zeros(1)
-    rows = [[_labelled(painter.sticks(time), f"{time:.2f} s") for time in times]]
-    if painter._skin is not None:
-        rows.append([painter.skinned(time) for time in times])
+def _sides(names: Sequence[str], parents: NDArray[np.intp], roles: dict[int, str]) -> NDArray[np.intp]:
+    """1 left, -1 right, 0 neither (J,), by role or by name; what says nothing is as its parent."""
+    sides = np.zeros(len(names), np.intp)
+    for joint, name in enumerate(names):
+        said = roles.get(joint, name).lower()
+        if "left" in said or said.startswith("l_") or said.endswith((".l", "_l")):
+            sides[joint] = 1
+        elif "right" in said or said.startswith("r_") or said.endswith((".r", "_r")):
+            sides[joint] = -1
+        elif parents[joint] >= 0 and joint not in roles:
+            sides[joint] = sides[parents[joint]]
+    return sides
+
+
+def strip(artists: Sequence[Artist], phases: int, title: str) -> Image:
+    """Frames of a motion side by side, first and last among them, a row for each artist."""
+    figure = artists[0].figure
+    last = round(figure.seconds / figure.frame_time)
+    frames = np.unique(np.rint(np.linspace(0, last, min(phases, last + 1))).astype(int)).tolist()
+    rows = [[artist.draw(frame * figure.frame_time) for frame in frames] for artist in artists]
+    for image, frame in zip(rows[0], frames, strict=True):
+        _label(image, figure, frame)
     sheet = np.concatenate([np.concatenate(row, axis=1) for row in rows])
     head = np.full((34, sheet.shape[1], 3), 255, np.uint8)
-    cv2.putText(head, title, (10, 23), cv2.FONT_HERSHEY_SIMPLEX, 0.55, _INK, 1, cv2.LINE_AA)
+    (wide, _), _ = cv2.getTextSize(title, cv2.FONT_HERSHEY_SIMPLEX, 1.0, 1)
+    scale = min(0.55, (sheet.shape[1] - 20) / max(wide, 1))
+    cv2.putText(head, title, (10, 23), cv2.FONT_HERSHEY_SIMPLEX, scale, _INK, 1, cv2.LINE_AA)
     return np.concatenate([head, sheet])
 
 
-def video_frames(painter: Painter, rate: float, longest: float) -> Iterator[Image]:
-    """Sticks and skin side by side, at a rate."""
-    seconds = min(painter.figure.seconds, longest)
-    for number in range(max(1, int(seconds * rate))):
+def video_frames(artists: Sequence[Artist], rate: float, longest: float) -> Iterator[Image]:
+    """The artists' pictures side by side, at a rate, as fast as the motion is."""
+    figure = artists[0].figure
+    for number in range(frame_count(figure, rate, longest)):
         time = number / rate
-        parts = [_labelled(painter.sticks(time), f"{time:.2f} s")]
-        if painter._skin is not None:
-            parts.append(painter.skinned(time))
-        yield np.concatenate(parts, axis=1)
+        images = [artist.draw(time) for artist in artists]
+        _label(images[0], figure, round(time / figure.frame_time))
+        yield np.concatenate(images, axis=1)
 
 
-def _labelled(image: Image, text: str) -> Image:
-    cv2.putText(image, text, (8, image.shape[0] - 10), cv2.FONT_HERSHEY_SIMPLEX, 0.42, _INK, 1, cv2.LINE_AA)
-    return image
+def frame_count(figure: Figure, rate: float, longest: float) -> int:
+    """How many frames a video has."""
+    return max(1, int(min(figure.seconds, longest) * rate + 1e-6))
+
+
+def _label(image: Image, figure: Figure, frame: int) -> None:
+    text = f"{frame * figure.frame_time:.2f} s, frame {frame}"
+    cv2.putText(image, text, (8, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.38, _INK, 1, cv2.LINE_AA)
 
 
 def write_motion_picture(
     path: str | os.PathLike[str],
-    painter: Painter,
+    artists: Sequence[Artist],
     title: str,
     phases: int = 8,
-    rate: float = 30.0,
+    rate: float | None = None,
     longest: float = 60.0,
-    watched: Callable[[Iterable[Image], int], AbstractContextManager[Iterable[Image]]] | None = None,
+    watched: Watched | None = None,
 ) -> None:
-    """A strip (.png) or a video (.mp4, .gif), whole or not at all. ``watched``: shows how far a video is."""
+    """A strip (.png) or a video (.mp4, .gif), whole or not at all. ``rate``: frames per second of a video;
+    the motion's own if None, up to 60. ``watched``: shows how far a video is.
+    """
+    check_suffix(path)
     suffix = Path(path).suffix.lower()
     if suffix == ".png":
-        write_png(path, strip(painter, phases, title))
+        write_png(path, strip(artists, phases, title))
         return
-    if suffix not in (".mp4", ".gif"):
+    figure = artists[0].figure
+    rate = float(np.clip(1 / figure.frame_time, 1.0, 60.0)) if rate is None else rate
+    rate = rate if suffix == ".mp4" else min(rate, _GIF_RATE)
+    write = write_mp4 if suffix == ".mp4" else _write_gif
+    frames = video_frames(artists, rate, longest)
+    if watched is None:
+        write(path, frames, rate)
+        return
+    with watched(frames, frame_count(figure, rate, longest)) as counted:
+        write(path, counted, rate)
+
+
+def check_suffix(path: str | os.PathLike[str]) -> None:
+    """HumansimError for a file of a kind that no motion is drawn as."""
+    if Path(path).suffix.lower() not in SUFFIXES:
         raise HumansimError(
             "a motion is drawn as .png, .mp4 or .gif: give the file one of these names", path=path
         )
-    rate = rate if suffix == ".mp4" else min(rate, 15.0)
-    frames: Iterable[Image] = video_frames(painter, rate, longest)
-    count = max(1, int(min(painter.figure.seconds, longest) * rate))
-    if watched is None:
-        _write_video(path, frames, rate)
-    else:
-        with watched(frames, count) as counted:
-            _write_video(path, counted, rate)
 
 
-def _write_video(path: str | os.PathLike[str], frames: Iterable[Image], rate: float) -> None:
-    if Path(path).suffix.lower() == ".mp4":
-        write_mp4(path, frames, rate)
-        return
+def _write_gif(path: str | os.PathLike[str], frames: Iterable[Image], rate: float) -> None:
+    """Write RGB frames of one size as a GIF with colours of its own for each frame, whole or not at all."""
     import imageio_ffmpeg
 
     iterator = iter(frames)
     first = next(iterator)
+    palette = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none"
     with atomic_path(Path(path)) as temporary:
         writer = imageio_ffmpeg.write_frames(
             str(temporary),
             (first.shape[1], first.shape[0]),
             fps=rate,
             codec="gif",
-            pix_fmt_out="rgb8",
+            pix_fmt_out="pal8",
             macro_block_size=1,
             quality=None,
+            output_params=["-filter_complex", palette],
             ffmpeg_log_level="error",
         )
         writer.send(None)

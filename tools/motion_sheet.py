@@ -15,7 +15,7 @@ import numpy as np
 from humansim_ros.body import Human
 from humansim_ros.errors import HumansimError
 from humansim_ros.motion.info import read_quietly, world_of
-from humansim_ros.motion_pictures import painter_of
+from humansim_ros.motion_pictures import Skinned
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -35,16 +35,19 @@ def main() -> int:
         except HumansimError as error:
             print(f"left out: {path.name}: {error.message[:80]}")
             continue
-        painter = painter_of(motion, world, human, (200, 260))
-        tile = np.ascontiguousarray(painter.skinned(world.round_length / 2))
-        painter.close()
+        person = Skinned(human, world, (200, 260))
+        tile = np.ascontiguousarray(person.draw(motion.n_frames // 2 * motion.frame_time))
+        person.close()
         cv2.putText(
-            tile, path.stem[:26], (6, 252), cv2.FONT_HERSHEY_SIMPLEX, 0.38, (60, 64, 72), 1, cv2.LINE_AA
+            tile, path.stem[:26], (6, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.38, (60, 64, 72), 1, cv2.LINE_AA
         )
         tiles.append(tile)
+    if not tiles:
+        print(f"no person in {options.folder}")
+        return 1
     tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % options.columns)
     rows = [np.concatenate(tiles[i : i + options.columns], 1) for i in range(0, len(tiles), options.columns)]
-    cv2.imwrite(str(options.output), np.concatenate(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
+    cv2.imwrite(str(options.output), np.concatenate(rows)[..., ::-1])
     return 0
 
 

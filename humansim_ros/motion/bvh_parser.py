@@ -16,8 +16,9 @@ from humansim_ros.motion.kinematics import AXES, CHANNEL_NAMES, Motion
 from humansim_ros.rotations import Array
 
 _CANONICAL = {name.lower(): name for name in CHANNEL_NAMES}
-#: Characters of rows that are read at a time.
-_BLOCK = 1 << 16
+#: Characters of rows that are read at a time, at least and at most: large blocks are faster, and need memory
+#: beside the values.
+_BLOCKS = 1 << 12, 1 << 16
 #: Characters that no line of a hierarchy and no number has.
 _TOO_LONG = 1 << 20
 #: Characters that a joint's name may have: every end site repeats the name of its joint.
@@ -303,8 +304,9 @@ class Parser:
 
     def _blocks(self) -> Iterator[str]:
         """The rest of the file, cut behind white space."""
-        rest = ""
-        while text := self.file.read(_BLOCK):
+        rest, n_read = "", 0
+        while text := self.file.read(min(max(_BLOCKS[0], n_read // 16), _BLOCKS[1])):
+            n_read += len(text)
             text = rest + text
             cut = max(text.rfind(" "), text.rfind("\n"), text.rfind("\t")) + 1
             if len(text) - cut > _TOO_LONG:

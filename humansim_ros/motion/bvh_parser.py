@@ -29,6 +29,7 @@ LARGEST = 1e15
 FRAME_TIMES = 1e-9, 1e6
 #: The characters of plain numbers and of white space, by their codes.
 _PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f"))
+_BRACE = re.compile(r"([{}])")
 #: A minus sign that starts a new number although no space stands before it ("1.5-2.5"), but not in "1e-5".
 _GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
 
@@ -97,9 +98,9 @@ class Parser:
     def _statements(self) -> Iterator[str]:
         """Statements of the hierarchy: lines, with braces as statements of their own."""
         while text := self._next_line():
-            for part in re.split(r"([{}])", text):
-                if part.strip():
-                    yield part.strip()
+            for part in _BRACE.split(text):
+                if statement := part.strip():
+                    yield statement
 
     def _hierarchy(self) -> bool:
         """Fill the joints; returns whether a MOTION section follows."""
@@ -118,7 +119,7 @@ class Parser:
                 if stack or pending is not None:
                     raise self.error("MOTION before the hierarchy is closed: a '}' is missing above")
                 return True
-            if keyword in ("ROOT", "JOINT") or re.match(r"END\s+SITE\b", statement, re.IGNORECASE):
+            if keyword in ("ROOT", "JOINT") or (keyword == "END" and rest.upper().startswith("SITE")):
                 if pending is not None:
                     raise self.error(f"'{{' expected after {self._called(pending)}")
                 pending = self._add_joint(keyword, rest.strip(), stack[-1] if stack else -1)

@@ -77,26 +77,23 @@ def _joints_with_added_positions(motion: Motion) -> list[int]:
     The share of the OFFSET is a least-squares fit in which each axis weighs the more, the less the joint
     moves along it: the height of a person who walks about says more than the place on the floor.
     """
-    still = _STILL * float(np.ptp(motion.rest_positions(), axis=0).max())
-    some_frames = motion.values[:: max(1, motion.n_frames // 1000)]
-    columns: dict[int, dict[int, int]] = {}
+    by_joint: dict[int, dict[int, int]] = {}
     for joint, axis, column in motion.position_columns:
-        columns.setdefault(joint, {})[axis] = column
-    added, judged = [], 0
-    for joint, by_axis in columns.items():
-        offset = motion.offsets[joint]
-        if len(by_axis) < 3 or not offset.any():
-            continue
-        values = some_frames[:, [by_axis[axis] for axis in range(3)]]
-        with np.errstate(invalid="ignore", divide="ignore"):  # a skeleton of one point tells nothing
-            weight = offset / (values.var(axis=0) + still * still)
-            clear = float(weight @ offset)
-            share = float(np.median(values, axis=0) @ weight) / clear
-        if clear > _CLEAR**2 and np.isfinite(share):
-            judged += 1
-            if abs(share) < _NEAR_ZERO:
-                added.append(joint)
-    return added if 2 * len(added) > judged else []
+        by_joint.setdefault(joint, {})[axis] = column
+    joints = np.array([joint for joint, columns in by_joint.items() if len(columns) == 3], dtype=int)
+    if not motion.offsets[joints].any():
+        return []
+    columns = [[by_joint[joint][axis] for axis in range(3)] for joint in joints.tolist()]
+    values = motion.values[:: max(1, motion.n_frames // 1000)][:, columns]
+    offsets = motion.offsets[joints]
+    still = _STILL * float(np.ptp(motion.rest_positions(), axis=0).max())
+    with np.errstate(invalid="ignore", divide="ignore"):  # a skeleton of one point tells nothing
+        weights = offsets / (values.var(axis=0) + still * still)
+        clear = (weights * offsets).sum(axis=-1)
+        share = (np.median(values, axis=0) * weights).sum(axis=-1) / clear
+        telling = clear > _CLEAR**2
+        added = telling & (np.abs(share) < _NEAR_ZERO)
+    return joints[added].tolist() if 2 * added.sum() > telling.sum() else []
 
 
 def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:

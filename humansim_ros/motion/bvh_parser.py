@@ -354,12 +354,14 @@ class _Layout:
 
     def add(self, values: Array, ends: NDArray[np.intp], line: int) -> None:
         """More text: its values, how many of them stand before each of its line ends, its first line."""
-        counts = np.diff(ends, prepend=0)
-        if len(counts):
-            counts[0] += self._on_line
-            self._on_line = 0
-            self._add_lines(counts, line)
-        self._on_line += len(values) - (int(ends[-1]) if len(ends) else 0)
+        if len(ends) == 0:
+            self._on_line += len(values)
+            return
+        counts = ends.copy()
+        counts[1:] -= ends[:-1]
+        counts[0] += self._on_line
+        self._on_line = len(values) - int(ends[-1])
+        self._add_lines(counts, line)
 
     def end(self, line: int) -> None:
         """The file has no more; the number of its last line."""

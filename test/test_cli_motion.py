@@ -160,7 +160,14 @@ def test_a_table_is_written_edited_and_passed_back(command: Command, tmp_path: P
     assert same == command.json("retarget", "walk")
     table = yaml.safe_load(written.read_text())
     assert table["joints"]["LeftElbow"]
-    assert command("table", "walk")[1].splitlines()[-1].strip()
+    code, out, _ = command("table", "walk")
+    assert out == written.read_text()
+    assert "confidence 100%" in out
+    tree = [line[2:] for line in out.splitlines() if line.startswith("# ")][1:]
+    motion = read_bvh(ROOT / "assets" / "motions" / "walk.bvh")
+    assert [line.split(":")[0].strip() for line in tree] == list(motion.joint_names)
+    arm = next(line for line in tree if line.strip() == "LeftElbow: LeftElbow")
+    assert len(arm) - len(arm.strip()) == 8  # Hips, Chest, LeftCollar, LeftShoulder
 
 
 def test_the_list_is_of_files_that_are_there(command: Command) -> None:

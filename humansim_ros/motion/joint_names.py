@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -66,6 +66,8 @@ _DRIVERS = {
 }
 #: What drives a bone whose own joint a file lacks.
 _INSTEAD = {"Spine": ("Chest", "Hips"), "Chest": ("Spine", "Hips"), "Head": ("Neck", "Chest", "Spine")}
+#: Deeper joints are not indented more.
+_DEEPEST = 40
 #: What programs put before the names of a character's joints.
 _PREFIX = re.compile(r"^(.*:|mixamorig\d*|character\d*_|robot_|bip\d+[ _]?)", re.IGNORECASE)
 #: Ways of saying left in joint names, and right in the same place.
@@ -368,7 +370,9 @@ def match_motion(motion: Motion, table: str | os.PathLike[str] | None = None) ->
 
 
 def table_text(match: JointMatch, motion: Motion) -> str:
-    """The table found for a motion as YAML, to be edited and passed back as the joint table."""
+    """The table found for a motion as YAML, to be edited and passed back as the joint table; as comments,
+    how it was found and the motion's joints with their roles.
+    """
     role_of = {joint: role for role, joint in reversed(list(match.roles.items()))}
     data = {
         "name": match.table,
@@ -376,11 +380,23 @@ def table_text(match: JointMatch, motion: Motion) -> str:
         "parallel": {bone: [role_of[s], role_of[e]] for bone, (s, e) in match.parallel.items()},
         "difference": {bone: role_of[joint] for bone, joint in match.difference.items()},
     }
-    head = f"# found by {match.by}, confidence {match.confidence:.0%}\n"
-    return head + yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    head = [f"found by {match.by}, confidence {match.confidence:.0%}; the joints and their roles:"]
+    head += _tree(motion, match)
+    body = yaml.safe_dump(data, sort_keys=False, allow_unicode=True)
+    return "".join(f"# {line}\n" for line in head) + body
+
+
+def _tree(motion: Motion, match: JointMatch) -> Iterator[str]:
+    """A line for each joint, indented by its depth, with all its roles."""
+    depth: list[int] = []
+    for joint, (name, parent) in enumerate(zip(motion.joint_names, motion.parents.tolist(), strict=True)):
+        depth.append(depth[parent] + 1 if parent >= 0 else 0)
+        roles = ", ".join(role for role, number in match.roles.items() if number == joint)
+        shown = "".join(c if c.isprintable() else "?" for c in name)
+        yield "  " * min(depth[joint], _DEEPEST) + shown + (f": {roles}" if roles else "")
 
 
 def write_table(match: JointMatch, motion: Motion, path: str | os.PathLike[str]) -> None:
     """Write :func:`table_text` to a file."""
     with atomic_path(path) as temporary:
-        temporary.write_text(table_text(match, motion))
+        temporary.write_text(table_text(match, motion), encoding="utf-8")

@@ -36,8 +36,6 @@ _AROUND = {"front": 0.0, "three-quarter": 40.0, "side": 90.0}
 _PAPER, _INK, _GRID, _SHADE = (238, 240, 243), (60, 64, 72), (205, 209, 215), (196, 200, 206)
 _LEFT, _RIGHT, _MIDDLE = (38, 116, 200), (206, 62, 92), (60, 64, 72)
 _FOV = np.radians(30.0)
-#: Metres between the lines of the floor, for a person; by the height of a figure otherwise.
-_CELL, _TALL = 0.5, 1.9
 #: How many instants of a motion the camera's way is made of, and over how many seconds it is smoothed.
 _INSTANTS, _SMOOTH = 1000, 0.4
 #: What fits into a picture at most, by the height of the figure; the camera follows what goes beyond.
@@ -50,8 +48,10 @@ _GIF_RATE = 20.0
 
 @dataclass(frozen=True)
 class Figure:
-    """Something that moves, z up: ``points`` gives (N, P, 3) at N instants (seconds). ``height``: of it
-    standing, ``floor``: the height it stands on, ``heading``: where it faces (radians, from +x to +y).
+    """Something that moves, z up: ``points`` gives (N, P, 3) at N instants (seconds).
+
+    ``height``: of it standing; ``floor``: the height it stands on; ``heading``: where it faces (radians, from
+    +x to +y); ``cell``: from line to line on the floor.
     """
 
     points: Callable[[Array], Array]
@@ -60,6 +60,7 @@ class Figure:
     height: float
     floor: float = 0.0
     heading: float = 0.0
+    cell: float = 0.5
 
 
 class Artist(Protocol):
@@ -120,8 +121,8 @@ class _Shot:
     def floor(self, camera: Camera, time: float) -> Image:
         """A floor of lines that stand still in the world."""
         image = np.full((self._size[1], self._size[0], 3), _PAPER, np.uint8)
-        cell = _CELL * self._figure.height / _TALL
-        reach = cell * np.ceil(2.0 * self._span / self._figure.height)
+        cell = self._figure.cell
+        reach = cell * np.ceil(1.05 * self._span / cell)
         middle = np.array([np.interp(time, self._times, way) for way in self._middle.T])
         middle = np.round(middle / cell) * cell
         for step in np.arange(-reach, reach + cell / 2, cell):
@@ -210,6 +211,7 @@ class Sticks:
             motion.frame_time,
             1.05,
             floor_height(points[..., 2].min(1)),
+            cell=0.25,
         )
         sides = _sides(motion.joint_names, motion.parents, {})
         return cls(figure, motion.parents, sides, size, seen)

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 from humansim_ros.errors import SceneError
 from humansim_ros.files import read_text
 from humansim_ros.resources import resource_path
+from humansim_ros.yaml_files import line_of, parse_yaml
 
 Vector3 = tuple[float, float, float]
 Row4 = tuple[float, float, float, float]
@@ -193,18 +194,7 @@ class SceneConfig(_Section):
 def load_config(path: str | os.PathLike[str]) -> SceneConfig:
     """Read and check a scene file. Raises SceneError with file, line and key."""
     text = read_text(path, SceneError, "scene")
-    try:
-        tree = yaml.compose(text, Loader=yaml.SafeLoader)
-        _refuse_repeated_keys(tree, path)
-        data = yaml.safe_load(text)
-    except yaml.YAMLError as reason:
-        mark = getattr(reason, "problem_mark", None)
-        line = None if mark is None else mark.line + 1
-        raise SceneError(
-            f"not valid YAML: {getattr(reason, 'problem', None) or reason}", path=path, line=line
-        ) from None
-    except (ValueError, RecursionError) as reason:  # an impossible date, brackets without end
-        raise SceneError(f"not valid YAML: {reason}", path=path) from None
+    data, tree = parse_yaml(text, SceneError, path)
     if not isinstance(data, dict):
         raise SceneError("a scene is a mapping with 'humans' and 'cameras'", path=path)
     try:
@@ -216,28 +206,8 @@ def load_config(path: str | os.PathLike[str]) -> SceneConfig:
         if first["type"] == "extra_forbidden":
             message = "unknown key" + _known_keys(keys)
         raise SceneError(
-            message, path=path, line=_line_of(tree, keys), key=".".join(map(str, keys)) or None
+            message, path=path, line=line_of(tree, keys), key=".".join(map(str, keys)) or None
         ) from None
-
-
-def _refuse_repeated_keys(root: yaml.Node | None, path: str | os.PathLike[str]) -> None:
-    """YAML readers take the last of two equal keys: a camera would be lost without a word."""
-    pending, seen = [root], set[int]()
-    while pending:
-        node = pending.pop()
-        if id(node) in seen or not isinstance(node, yaml.CollectionNode):
-            continue
-        seen.add(id(node))
-        if isinstance(node, yaml.SequenceNode):
-            pending += node.value
-            continue
-        keys: set[str] = set()
-        for key, value in node.value:
-            if isinstance(key.value, str) and key.value in keys and key.value != "<<":
-                line = key.start_mark.line + 1
-                raise SceneError("this key is here a second time", path=path, line=line, key=key.value)
-            keys.add(str(key.value))
-            pending.append(value)
 
 
 def _known_keys(keys: list[Any]) -> str:
@@ -262,25 +232,7 @@ def line_of_key(path: str | os.PathLike[str], key: str) -> int | None:
         tree = yaml.compose(Path(path).read_text(), Loader=yaml.SafeLoader)
     except (OSError, ValueError, yaml.YAMLError):
         return None
-    return _line_of(tree, list(key.split(".")))
-
-
-def _line_of(node: Any, keys: list[Any]) -> int | None:
-    """Line of the deepest part of a key path that is in the file."""
-    line = None
-    for key in keys:
-        children = node.value if isinstance(node, (yaml.MappingNode, yaml.SequenceNode)) else []
-        if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(children):
-            node = children[key]
-            line = node.start_mark.line + 1
-            continue
-        found = (
-            [(k, v) for k, v in children if k.value == str(key)] if isinstance(node, yaml.MappingNode) else []
-        )
-        if not found:
-            break
-        line, node = found[0][0].start_mark.line + 1, found[0][1]
-    return line
+    return line_of(tree, key.split("."))
 
 
 def find_file(name: str, folder: str, suffix: str, scene: Path, key: str) -> Path:

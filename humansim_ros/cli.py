@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from humansim_ros import __version__, cli_motion
+from humansim_ros import __version__, cli_human, cli_motion
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.resources import resource_path
 
@@ -24,6 +24,7 @@ app = typer.Typer(
     add_completion=False,
 )
 
+app.add_typer(cli_human.app, name="human")
 app.add_typer(cli_motion.app, name="motion")
 
 
@@ -108,8 +109,9 @@ def _scene_with(
     """
     from humansim_ros.errors import SceneError
     from humansim_ros.scene.config import load_config
+    from humansim_ros.scene.variety import with_variety
 
-    config = load_config(path).model_dump(mode="json", exclude_none=True)
+    config = with_variety(load_config(path), path).model_dump(mode="json", exclude_none=True)
     config.setdefault("room", None)
     if not config["humans"]:
         raise SceneError("the scene has no human to give a motion or mesh to", path=path, key="humans")
@@ -118,6 +120,7 @@ def _scene_with(
     human = next(iter(config["humans"].values()))
     if mesh:
         human["body"] = _absolute(mesh)
+        human.pop("outfit", None)
     if motion:
         human["motion"] = {"file": _absolute(motion), "anchor": "center"}
     if joint_names:

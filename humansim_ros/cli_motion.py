@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import itertools
-import json
 import math
-import os
-import sys
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import yaml
 
+from humansim_ros.cli_output import check_folder, progress_bar, say, to_json, warn, written
 from humansim_ros.errors import HumansimError, MotionError
 from humansim_ros.resources import resource_path
 
@@ -78,7 +74,7 @@ def info(
     _check_unit(unit)
     read = read_quietly(_path(file), positions.value)
     facts = describe_motion(read, joint_names, unit, up, facing).to_dict()
-    _print(_json(facts) if as_json else "\n".join(_info_lines(facts)))
+    say(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
 
 @app.command()
@@ -87,14 +83,14 @@ def joints(file: File, frame: Frame = 0, as_json: Json = False, positions: Chann
     motion = _read(file, positions)
     points = motion.world_positions(_frame_number(frame, motion))
     if as_json:
-        _print(_json(dict(zip(motion.joint_names, points.tolist(), strict=True))))
+        say(to_json(dict(zip(motion.joint_names, points.tolist(), strict=True))))
         return
     width = max(map(len, motion.joint_names))
     lines = (
         f"{name:{width}} " + " ".join(f"{value:12.5f}" for value in point)
         for name, point in zip(motion.joint_names, points, strict=True)
     )
-    _print("\n".join(lines))
+    say("\n".join(lines))
 
 
 @app.command()
@@ -149,7 +145,7 @@ def retarget(
         if frame is not None or as_json:
             raise HumansimError("--output writes all frames: leave --frame and --json out")
         check_suffix(output)
-        _check_folder(output)
+        check_folder(output)
     motion = _read(file, positions)
     number = _frame_number(frame or 0, motion)
     placement = Placement(position, math.radians(yaw_deg))
@@ -166,13 +162,13 @@ def retarget(
         posed = retargeter.pose(poses)
     bones = PosedBones(skeleton, posed, motion.frame_time)
     if output is not None:
-        with _written(output):
+        with written(output):
             write_bones(output, bones)
-        _print(f"wrote {output}: {len(posed)} frames of {len(skeleton)} bones")
+        say(f"wrote {output}: {len(posed)} frames of {len(skeleton)} bones")
     elif as_json:
-        _print(_json(bones.to_dicts()[0]))
+        say(to_json(bones.to_dicts()[0]))
     else:
-        _print("\n".join(_bone_lines(skeleton.names, bones)))
+        say("\n".join(_bone_lines(skeleton.names, bones)))
 
 
 @app.command()
@@ -191,11 +187,11 @@ def table(
     motion = _read(file, positions)
     match = match_motion(motion, joint_names)
     if output is None:
-        _print(table_text(match, motion).rstrip())
+        say(table_text(match, motion).rstrip())
         return
-    with _written(output):
+    with written(output):
         write_table(match, motion, output)
-    _print(f"wrote {output}; pass it back with --joint-names {output}")
+    say(f"wrote {output}; pass it back with --joint-names {output}")
 
 
 @app.command("list")
@@ -203,14 +199,14 @@ def list_(as_json: Json = False) -> None:
     """The motions that come with the package."""
     motions = built_in_motions()
     if as_json:
-        _print(_json(motions))
+        say(to_json(motions))
         return
     width = max(map(len, motions))
     lines = (
         f"{name:{width}}  {facts['seconds']:5.1f} s  {facts['loop']:8}  {facts['description']}"
         for name, facts in motions.items()
     )
-    _print("\n".join(lines))
+    say("\n".join(lines))
 
 
 @app.command()
@@ -241,7 +237,7 @@ def render(
     if min(size) < 40 or max(size) > 2000:
         raise HumansimError(f"--size needs 40 to 2000 pixels each way, not {size[0]} {size[1]}")
     check_suffix(output)
-    _check_folder(output)
+    check_folder(output)
     motion = _read(file, positions)
     artists: list[Artist] = []
     try:
@@ -250,21 +246,21 @@ def render(
         except MotionError as error:
             if joint_names or facing or unit is not None:
                 raise
-            _warn(f"drawn as it is in the file, as no person: {error.message}")
+            warn(f"drawn as it is in the file, as no person: {error.message}")
             artists.append(Sticks.of_file(motion, size, view.value, up))
         else:
             artists.append(Sticks.of_world(world, size, view.value))
             if not no_skin:
                 artists.append(Skinned(_human(body), world, size, view.value))
         if output.suffix.lower() != ".png" and motion.duration > seconds:
-            _warn(f"only the first {seconds:g} s of {motion.duration:g} s are drawn (--seconds)")
+            warn(f"only the first {seconds:g} s of {motion.duration:g} s are drawn (--seconds)")
         title = f"{Path(motion.path).stem}: {motion.n_frames} frames, {motion.duration:.2f} s"
-        with _written(output):
-            write_motion_picture(output, artists, title, phases, rate, seconds, _progress)
+        with written(output):
+            write_motion_picture(output, artists, title, phases, rate, seconds, progress_bar)
     finally:
         for artist in artists:
             artist.close()
-    _print(f"wrote {output}")
+    say(f"wrote {output}")
 
 
 def built_in_motions() -> dict[str, dict[str, Any]]:
@@ -280,16 +276,16 @@ def _path(file: str) -> Path:
 
 
 def _read(file: str, positions: Positions) -> Motion:
-    from humansim_ros.motion import read_bvh
+    from humansim_ros.motion import read_motion
 
-    return read_bvh(_path(file), positions.value)
+    return read_motion(_path(file), positions.value)
 
 
 def _human(body: str) -> Any:
     from humansim_ros.body import Human
-    from humansim_ros.scene.config import find_file
+    from humansim_ros.scene.config import find_human
 
-    return Human.load(find_file(body, "humans", ".npz", Path.cwd() / "scene.yaml", "body"))
+    return Human.load(find_human(body, Path.cwd() / "scene.yaml", "body"))
 
 
 def _root_scale(text: str | None) -> Any:
@@ -312,58 +308,6 @@ def _frame_number(frame: int, motion: Motion) -> int:
 def _check_unit(unit: float | None) -> None:
     if unit is not None and not 0 < unit < math.inf:
         raise HumansimError(f"--unit is metres per file unit, above 0, not {unit:g}")
-
-
-def _check_folder(output: Path) -> None:
-    """Said before the work, not after it."""
-    if output.is_dir():
-        raise HumansimError("this is a folder: name a file in it", path=output)
-    if not output.resolve().parent.is_dir():
-        raise HumansimError("there is no such folder to write to", path=output)
-
-
-@contextmanager
-def _written(output: Path) -> Iterator[None]:
-    """Turns what writing a file raises into an error for people."""
-    try:
-        yield
-    except OSError as reason:
-        raise HumansimError(f"cannot be written: {reason.strerror or reason}", path=output) from None
-
-
-def _warn(text: str) -> None:
-    print(f"warning: {text}", file=sys.stderr)
-
-
-def _json(data: Any) -> str:
-    try:
-        return json.dumps(data, allow_nan=False)
-    except ValueError:
-        raise MotionError("the motion has numbers that are too large to work with") from None
-
-
-def _print(text: str) -> None:
-    """To standard output, whatever its encoding; a reader that has seen enough (`| head`) is no error."""
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")
-    try:
-        print(text, flush=True)
-    except OSError as reason:
-        # what is still in the buffer must not be tried again when Python ends
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        if not isinstance(reason, BrokenPipeError):
-            raise HumansimError(f"cannot write to standard output: {reason.strerror}") from None
-
-
-@contextmanager
-def _progress(frames: Iterable[Any], count: int) -> Iterator[Iterable[Any]]:
-    """A bar on a terminal, nothing elsewhere."""
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    with Progress(console=console, disable=not console.is_terminal) as progress:
-        yield progress.track(frames, total=count, description="drawing")
 
 
 def _bone_lines(names: Sequence[str], bones: PosedBones) -> Iterator[str]:

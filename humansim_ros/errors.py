@@ -7,6 +7,7 @@ without a traceback and exits with code 2.
 from __future__ import annotations
 
 import os
+import warnings
 
 
 class HumansimError(Exception):
@@ -66,6 +67,11 @@ class RenderError(HumansimError):
 
 class RosError(HumansimError):
     """ROS 2 is not installed or cannot be reached."""
+
+
+def warn_of(path: str | os.PathLike[str], message: str) -> None:
+    """Warn of something odd in a file that can be used all the same."""
+    warnings.warn(f"{os.fspath(path)}: {message}", HumansimWarning, stacklevel=3)
 
 
 class HumansimWarning(UserWarning):

@@ -46,6 +46,15 @@ def read_text(path: str | os.PathLike[str], error: type[HumansimError], what: st
         return data.decode("latin-1")
 
 
+def inside(folder: Path, name: str) -> Path | None:
+    """A file that another one names, in the folder of that one or below; None for any other place."""
+    try:
+        target = (folder.resolve() / name).resolve()
+        return target if target.is_relative_to(folder.resolve()) and name[:1] not in "/\\" else None
+    except (ValueError, OSError, RuntimeError):  # a zero byte, a name too long, links in a circle
+        return None
+
+
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary path beside ``path`` that takes its name when the block ends well, and vanishes when it

@@ -1,4 +1,4 @@
-"""A short run of tools/fuzz_motion.py: damaged files give a motion or our error, quickly."""
+"""A short run of tools/fuzz.py: damaged files give a result or our error, quickly."""
 
 from __future__ import annotations
 
@@ -8,22 +8,21 @@ from pathlib import Path
 
 import pytest
 
-_SPEC = importlib.util.spec_from_file_location(
-    "fuzz_motion", Path(__file__).parent.parent / "tools" / "fuzz_motion.py"
-)
+_SPEC = importlib.util.spec_from_file_location("fuzz", Path(__file__).parent.parent / "tools" / "fuzz.py")
 assert _SPEC is not None and _SPEC.loader is not None
-fuzz_motion = importlib.util.module_from_spec(_SPEC)
-sys.modules["fuzz_motion"] = fuzz_motion
-_SPEC.loader.exec_module(fuzz_motion)
+fuzz = importlib.util.module_from_spec(_SPEC)
+sys.modules["fuzz"] = fuzz
+_SPEC.loader.exec_module(fuzz)
 
 
-@pytest.mark.parametrize("name", list(fuzz_motion.READERS))
+@pytest.mark.parametrize("name", list(fuzz.READERS))
 def test_damaged_files_give_a_result_or_our_error(name: str) -> None:
-    outcome = fuzz_motion.fuzz(name, fuzz_motion.corpus_of(name), inputs=1500, seed=7)
+    inputs = {"bvh": 1500, "keyframes": 1500}.get(name, 300)
+    outcome = fuzz.fuzz(name, fuzz.corpus_of(name), inputs, seed=7)
     assert outcome.findings == []
     # the damage is neither always harmless nor always fatal
-    assert 20 < outcome.kinds["read"] < 1480
-    assert outcome.kinds["MotionError"] > 20
+    assert 0.01 * inputs < outcome.kinds["read"] < 0.99 * inputs
+    assert outcome.kinds["MotionError"] + outcome.kinds["MeshError"] > 0.01 * inputs
 
 
 def test_the_fuzzer_finds_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -31,7 +30,7 @@ def test_the_fuzzer_finds_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None
         data = path.read_bytes()
         return 1 / data.index(b"HIERARCHY") if b"nan" in data else float(data.count(b"\n") > 2)
 
-    monkeypatch.setitem(fuzz_motion.READERS, "bvh", (careless, "*.bvh"))
-    outcome = fuzz_motion.fuzz("bvh", fuzz_motion.corpus_of("bvh"), inputs=400, seed=1)
+    monkeypatch.setitem(fuzz.READERS, "bvh", (careless, "*.bvh"))
+    outcome = fuzz.fuzz("bvh", fuzz.corpus_of("bvh"), inputs=400, seed=1)
     assert outcome.kinds["finding: ZeroDivisionError"] == len(outcome.findings) > 0
     assert all(b"nan" in data for _, data in outcome.findings)

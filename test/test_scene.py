@@ -168,7 +168,7 @@ WRONG: list[tuple[str, str, int | None, str | None, str]] = [
         GOOD.replace("rate:", "fps:"),
         1,
         "fps",
-        "unknown key; known here: rate, room, humans, objects, cameras",
+        "unknown key; known here: rate, room, humans, variety, objects, cameras",
     ),
     (
         "unknown key of a motion",

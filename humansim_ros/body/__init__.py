@@ -2,7 +2,8 @@
 
 from humansim_ros.body.fitting import fit_to_skeleton
 from humansim_ros.body.human import Human
-from humansim_ros.body.mesh import Mesh, read_mesh
+from humansim_ros.body.mesh import Mesh
+from humansim_ros.body.obj import read_mesh
 from humansim_ros.body.rigging import rig
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.body.skinning import skin

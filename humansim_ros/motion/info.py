@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
-from humansim_ros.motion.bvh import Motion, Positions, read_bvh
+from humansim_ros.motion.bvh import Motion, Positions
 from humansim_ros.motion.contacts import find_stances, slides
+from humansim_ros.motion.files import read_motion
 from humansim_ros.motion.joint_names import JointMatch, match_motion
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import capsules, report_penetration
@@ -107,10 +108,10 @@ class Read:
 
 
 def read_quietly(path: Path, positions: Positions = "auto") -> Read:
-    """Read a BVH file and keep its warnings."""
+    """Read a motion file and keep its warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        motion = read_bvh(path, positions)
+        motion = read_motion(path, positions)
     texts = [str(w.message) for w in caught if issubclass(w.category, HumansimWarning)]
     return Read(motion, tuple(texts))
 

@@ -6,7 +6,7 @@ import functools
 import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -176,7 +176,8 @@ class JointMatch:
 
     ``parallel``: bone -> (start joint, end joint). ``difference``: bone -> joint. ``roles``: role -> joint.
     ``missing``: bones that no joint drives; they stay as at rest. ``by``: how it was found; ``confidence``:
-    how sure that is, 0 to 1.
+    how sure that is, 0 to 1. ``own``: bone -> joint, of a skeleton's further bones (fingers, say) that joints
+    of the same names drive.
     """
 
     table: str
@@ -186,6 +187,14 @@ class JointMatch:
     missing: tuple[str, ...]
     by: Literal["names", "shape", "given"] = "names"
     confidence: float = 1.0
+    own: Mapping[str, int] = field(default_factory=dict)
+
+    def with_own(self, bone_names: Sequence[str], joint_names: Sequence[str]) -> JointMatch:
+        """With the joints that drive those further bones that have their names."""
+        general = set(hanim_skeleton().names)
+        joints = {name: number for number, name in enumerate(joint_names)}
+        own = {name: joints[name] for name in bone_names if name in joints and name not in general}
+        return replace(self, own=own)
 
     @property
     def complete(self) -> bool:

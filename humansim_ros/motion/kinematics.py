@@ -35,6 +35,7 @@ class Motion:
     ``channels``: per joint the names of its channels. ``values``: (F, C) channel values (file units and
     degrees).
     ``frame_time``: seconds. ``positions``: whether position channels replace the OFFSET or are added to it.
+    ``unit``: metres per file unit, where the file's format says so.
     """
 
     joint_names: tuple[str, ...]
@@ -45,6 +46,7 @@ class Motion:
     frame_time: float
     path: str = field(default="", compare=False)
     positions: Literal["replace", "add"] = "replace"
+    unit: float | None = None
 
     @property
     def n_frames(self) -> int:

@@ -130,6 +130,7 @@ class Retargeter:
             "difference": {bone: int(joint) for bone, joint in match.difference.items()},
             "roles": {role: int(joint) for role, joint in match.roles.items()},
             "missing": list(match.missing),
+            "own": {bone: int(joint) for bone, joint in match.own.items()},
             "mode": self.mode,
             "scale": self.scale,
             "origin": list(self.origin),
@@ -151,6 +152,7 @@ class Retargeter:
                 missing=tuple(data["missing"]),
                 by=data["by"],
                 confidence=float(data["confidence"]),
+                own={str(b): int(j) for b, j in data.get("own", {}).items()},
             )
             rest = None if data["rest"] is None else np.array(data["rest"], dtype=float)
             x, y = data["origin"]
@@ -263,7 +265,9 @@ class Retargeter:
         of ``parallel`` (P, 3) there.
         """
         n_joints = 1 + max(j for link in self.match.parallel.values() for j in link)
-        n_joints = max(n_joints, 1 + max(self.match.difference.values(), default=0))
+        joints_used = (*self.match.difference.values(), *self.match.own.values())
+        n_joints = max(n_joints, 1 + max(joints_used, default=0))
+        further = [self.skeleton.bone(bone) for bone in self.match.own]
         still = np.broadcast_to(np.eye(3), (1, n_joints, 3, 3))
         directions = dict(zip(self.match.parallel, links, strict=True))
         turns = np.empty((1, len(self.skeleton), 3, 3))
@@ -275,7 +279,9 @@ class Retargeter:
                 link = directions[self.skeleton.names[bone]]
                 turns[:, [bone]] = mine @ _swing_to(np.swapaxes(mine, -1, -2), link[None, None])
             rest = WORLD_FROM_BODY @ self.skeleton.rest[joints.bones, :3, :3]
-            turns[:, joints.bones] = still[:, joints.starts] @ rest
+            # further bones lie as their parents carry them: fingers go on from hands that are held elsewhere
+            stays = np.isin(joints.bones, further)
+            turns[:, joints.bones[~stays]] = still[:, joints.starts[~stays]] @ rest[~stays]
         return turns[0]
 
     def _rest_of_pose(self, poses: JointPoses) -> Array:
@@ -361,8 +367,10 @@ class Retargeter:
 
     @cached_property
     def _joint_drivers(self) -> dict[str, tuple[int, int]]:
-        difference = self.match.difference.items()
-        return {bone: (joint, joint) for bone, joint in difference if bone not in self.match.parallel}
+        # the thesis knows no further bones: they stay as their parents carry them
+        own = self.match.own if self.mode == "full" else {}
+        drivers = {**own, **self.match.difference}.items()
+        return {bone: (joint, joint) for bone, joint in drivers if bone not in self.match.parallel}
 
     @cached_property
     def _driven(self) -> tuple[_Driven, _Driven]:

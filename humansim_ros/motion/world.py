@@ -33,6 +33,8 @@ UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0
 _ANKLE_SHARE = 0.06
 _PLAUSIBLE_STATURE = (1.2, 2.1)
 _TYPICAL_STATURE = 1.7
+#: What a format's own unit is believed between, metres.
+_CHILD, _GIANT = 0.4, 2.6
 #: A pose stands if the straight way from ankles to head is at least this part of the way along the links.
 _STRAIGHT = 0.7
 #: Poses that are nearly as straight as the straightest: this part of it at least.
@@ -172,8 +174,11 @@ def understand(
         straightest = int(np.argmin(np.where(straight > _NEARLY * straight.max(), tiptoe, np.inf)))
         axes = _body_axes(frames[straightest], roles, upward, motion, facing)
         rest_axes = np.swapaxes(transforms[straightest, :, :3, :3], -1, -2) @ axes
-    if unit is None:
-        unit_name, unit = _guess_unit(height * (1 + _ANKLE_SHARE))
+    stature = height * (1 + _ANKLE_SHARE)
+    if unit is None and motion.unit is not None and _CHILD <= stature * motion.unit <= _GIANT:
+        unit_name, unit = "as the format has it", motion.unit
+    elif unit is None:
+        unit_name, unit = _guess_unit(stature)
     else:
         unit_name = "given"
     return FileFrame(

@@ -18,6 +18,7 @@ import yaml
 
 from humansim_ros.errors import SceneError
 from humansim_ros.files import read_text
+from humansim_ros.names import variety_names
 
 
 @dataclass(frozen=True)
@@ -47,13 +48,22 @@ def scene_processes(scene_path: str | os.PathLike[str]) -> list[NodeProcess]:
         NodeProcess("motion_player", "motion_player", scene),
         *(
             NodeProcess("skinner", f"skinner_{name}", {**scene, "human": name})
-            for name in _names(content, "humans", path)
+            for name in (*_names(content, "humans", path), *_drawn(content, path))
         ),
         *(
             NodeProcess("camera", f"camera_{name}", {**scene, "camera": name})
             for name in _names(content, "cameras", path)
         ),
     ]
+
+
+def _drawn(content: Mapping[str, Any], path: Path) -> list[str]:
+    """The names of the people that the scene's variety section draws."""
+    section = content.get("variety") or {}
+    try:
+        return variety_names(str(section.get("name", "person")), min(int(section.get("count", 0)), 1000))
+    except (AttributeError, TypeError, ValueError):
+        raise SceneError("must say a count of people", path=path, key="variety") from None
 
 
 def _read_yaml(path: Path) -> Mapping[str, Any]:

@@ -99,7 +99,12 @@ class HumanConfig(_Section):
     """One person."""
 
     body: str = Field(
-        default="adult_man", description="a body that comes with the package, or an .npz or .obj file"
+        default="adult_man",
+        description="a body that comes with the package, or a file: .npz, .yaml, .obj, .gltf, .glb",
+    )
+    outfit: str | None = Field(default=None, description="what it wears; the body's first outfit if absent")
+    skinning: Literal["linear", "dual_quaternion"] | None = Field(
+        default=None, description="how skin follows bones; as the body says if absent"
     )
     motion: MotionConfig = MotionConfig()
     keyframes: KeyframesConfig | None = Field(
@@ -173,12 +178,34 @@ class RoomConfig(_Section):
         return self
 
 
+class VarietyConfig(_Section):
+    """People drawn at random from a seed."""
+
+    count: int = Field(ge=0, le=1000, description="how many people")
+    seed: int = Field(default=1, ge=0, description="another seed, other people")
+    name: Name = Field(default="person", description="they are called person_1, person_2 …")
+    bodies: tuple[str, ...] | None = Field(
+        default=None, min_length=1, description="bodies to draw from; the built-in ones if absent"
+    )
+    motions: tuple[str, ...] | None = Field(
+        default=None, min_length=1, description="motions to draw from; built-in ones if absent"
+    )
+    area: tuple[Bounded, Bounded, Bounded, Bounded] | None = Field(
+        default=None, description="where they go: x, y of two corners; the middle of the room if absent"
+    )
+    spacing: float = Field(default=0.9, ge=0, le=100, description="metres between any two at least")
+    speed: tuple[Annotated[float, Field(gt=0, le=10)], Annotated[float, Field(gt=0, le=10)]] = Field(
+        default=(0.9, 1.1), description="slowest and fastest, times the motion's own"
+    )
+
+
 class SceneConfig(_Section):
     """A scene file."""
 
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
     room: RoomConfig | None = Field(default=RoomConfig(), description="null for an empty world")
     humans: dict[Name, HumanConfig] = Field(default_factory=dict)
+    variety: VarietyConfig | None = Field(default=None, description="more humans, drawn at random")
     objects: dict[Name, ObjectConfig] = Field(default_factory=dict)
     cameras: dict[Name, CameraConfig]
 
@@ -216,6 +243,7 @@ def _known_keys(keys: list[Any]) -> str:
         "objects": ObjectConfig,
         "cameras": CameraConfig,
         "room": RoomConfig,
+        "variety": VarietyConfig,
     }
     model: type[BaseModel] = SceneConfig
     if len(keys) > 1:
@@ -235,6 +263,16 @@ def line_of_key(path: str | os.PathLike[str], key: str) -> int | None:
     return line_of(tree, key.split("."))
 
 
+def built_in_names(folder: str, suffix: str) -> list[str]:
+    """What there is in ``assets/<folder>``."""
+    return sorted(path.stem for path in resource_path(f"assets/{folder}").glob(f"*{suffix}"))
+
+
+def find_human(name: str, scene: Path, key: str) -> Path:
+    """A built-in human, or a file with one; SceneError if there is none."""
+    return find_file(name, "humans", ".npz", scene, key)
+
+
 def find_file(name: str, folder: str, suffix: str, scene: Path, key: str) -> Path:
     """A file named in a scene: a built-in of ``assets/<folder>``, or a path from the scene's folder.
 
@@ -245,7 +283,7 @@ def find_file(name: str, folder: str, suffix: str, scene: Path, key: str) -> Pat
         return built_in / f"{name}{suffix}"
     path = scene.resolve().parent / Path(name).expanduser()
     if not path.exists():
-        known = ", ".join(sorted(p.stem for p in built_in.glob(f"*{suffix}")))
+        known = ", ".join(built_in_names(folder, suffix))
         where = f"no such file {str(path)!r}" if Path(name).suffix else f"no {name!r}"
         raise SceneError(f"{where}; the built-in {folder} are {known}", path=scene, key=key)
     return path

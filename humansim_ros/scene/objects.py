@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.mesh import Mesh, read_mesh
+from humansim_ros.body.mesh import Mesh
+from humansim_ros.body.obj import read_mesh
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
 from humansim_ros.render import Body
@@ -70,7 +71,7 @@ class SceneObject:
         colors = np.tile(np.array(config.color, np.uint8), (len(mesh.vertices), 1))
         turn = Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_quat()
         stands = ObjectPose(np.array(config.position), turn, np.array(config.size))
-        return cls(name, shape, config.color, replace(mesh, colors=colors), stands, keyframes)
+        return cls(name, shape, config.color, replace(mesh, colors=colors, texture=None), stands, keyframes)
 
     @property
     def moves(self) -> bool:

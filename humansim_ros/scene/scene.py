@@ -14,10 +14,11 @@ from humansim_ros.body import Human
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError
-from humansim_ros.motion.bvh import Motion, read_bvh
 from humansim_ros.motion.contacts import FootContacts
+from humansim_ros.motion.files import read_motion, split_name
 from humansim_ros.motion.joint_names import match_motion
 from humansim_ros.motion.keyframes import SPACE_JOINTS, Track, take_back
+from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world import (
     VELOCITY_STEP,
@@ -36,11 +37,13 @@ from humansim_ros.scene.config import (
     MotionConfig,
     SceneConfig,
     find_file,
+    find_human,
     line_of_key,
     load_config,
 )
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.room import furnished_room
+from humansim_ros.scene.variety import with_variety
 
 DEMO_SCENE = "config/scenes/demo.yaml"
 
@@ -101,12 +104,13 @@ class Actor:
         HumansimError naming what is wrong with it.
         """
         if motion is None:
-            path = find_file(config.file, "motions", ".bvh", scene, f"humans.{name}.motion.file")
-            motion = read_bvh(path, config.positions)
+            file, animation = split_name(config.file)
+            path = find_file(file, "motions", ".bvh", scene, f"humans.{name}.motion.file")
+            motion = read_motion(path if animation is None else f"{path}#{animation}", config.positions)
         table = config.joint_names
         if table is not None and (scene.resolve().parent / table).is_file():
             table = str(scene.resolve().parent / table)
-        match = match_motion(motion, table)
+        match = match_motion(motion, table).with_own(human.skeleton.names, motion.joint_names)
         world = WorldMotion(
             motion,
             match,
@@ -192,7 +196,7 @@ class Scene:
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
         """Load a scene file (the demo scene if none is given). Raises HumansimError naming file and key."""
         path = resource_path(DEMO_SCENE) if path is None else Path(path)
-        return cls.build(load_config(path), path)
+        return cls.build(with_variety(load_config(path), path), path)
 
     @classmethod
     def build(cls, config: SceneConfig, path: Path) -> Scene:
@@ -238,7 +242,8 @@ class Scene:
 
 
 def _actor(name: str, instance: int, config: HumanConfig, scene: Path, keyframes: Track | None) -> Actor:
-    human = Human.load(find_file(config.body, "humans", ".npz", scene, f"humans.{name}.body"))
+    body = find_human(config.body, scene, f"humans.{name}.body")
+    human = Human.load(body, config.outfit, config.skinning)
     return replace(Actor.build(name, instance, human, config.motion, scene), keyframes=keyframes)
 
 

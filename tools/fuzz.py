@@ -1,37 +1,52 @@
-"""Damage motion files in every way and see that readers say so: only our errors, no hang, bounded memory.
+"""Damage input files in every way and see that readers say so: only our errors, no hang, bounded memory.
 
-    python tools/fuzz_motion.py [--inputs 100000] [--seed 1] [--processes 2] [--reader bvh] [FILE ...]
+    python tools/fuzz.py [--inputs 100000] [--seed 1] [--processes 2] [--reader bvh] [FILE ...]
 
 Each input is a file of the corpus (ours, and the FILEs given) with some mutations: bytes flipped, cut out,
 repeated or inserted, digits and white space changed, tokens dropped, doubled or replaced by extremes, lines
-moved and doubled, hierarchies made deep. A reader may return, or raise HumansimError; anything else, more
-than a second per 100 kB, memory beyond the limit, or a warning that is not ours is a finding: it is written
-to the folder ``fuzz`` and the exit code is 1.
+moved and doubled, hierarchies made deep; archives (.npz) and .glb files are unpacked, damaged inside and
+packed again, so that the damage gets past the check sums. A reader may return, or raise HumansimError;
+anything else, more than a second per 100 kB, memory beyond the limit, or a warning that is not ours is a
+finding: it is written to the folder ``fuzz`` and the exit code is 1.
 """
 
 from __future__ import annotations
 
 import argparse
+import io
+import json
 import random
 import resource
 import signal
+import struct
 import sys
 import tempfile
 import time
 import traceback
 import warnings
+import zipfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
-from humansim_ros.errors import HumansimError, HumansimWarning
-from humansim_ros.motion import read_bvh
-from humansim_ros.motion.keyframes import read_keyframes
+import numpy as np
 
 ROOT = Path(__file__).parent.parent
+sys.path[:0] = [str(ROOT), str(ROOT / "test")]
+
+import figures  # noqa: E402
+
+from humansim_ros.body import read_mesh  # noqa: E402
+from humansim_ros.body.human import read_human  # noqa: E402
+from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
+from humansim_ros.motion import read_bvh, read_motion  # noqa: E402
+from humansim_ros.motion.keyframes import read_keyframes  # noqa: E402
+from humansim_ros.people import make_human  # noqa: E402
+from humansim_ros.people.description import read_description  # noqa: E402
+
 _MEMORY = 4 << 30
 #: Seconds that a file of any size may take, and seconds per byte beyond.
 _SECONDS, _SECONDS_PER_BYTE = 1.0, 1e-5
@@ -89,9 +104,21 @@ def reading_bvh(path: Path) -> None:
         motion.world_positions(0)
 
 
+def reading_figure(path: Path) -> None:
+    """A figure with its own skin, and its animation."""
+    make_human(path)
+    read_motion(path).world_positions(0)
+
+
 READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "bvh": (reading_bvh, "*.bvh"),
     "keyframes": (read_keyframes, "*.xml"),
+    "obj": (read_mesh, "*.obj"),
+    "gltf": (reading_figure, "*.gltf"),
+    "glb": (reading_figure, "*.glb"),
+    "human": (read_human, "*.npz"),
+    "smpl": (make_human, "*.npz"),
+    "description": (read_description, "*.yaml"),
 }
 
 BVH = b"""HIERARCHY
@@ -126,15 +153,205 @@ XML = b"""<?xml version="1.0"?>
   </object>
 </animation>
 """
-SEEDS = {"bvh": [BVH], "keyframes": [XML]}
+OBJ = b"""# two triangles and a quad
+mtllib none.mtl
+v 0 0 0
+v 1.5 0 0
+v 1 1 1e-2
+v -1 1 0 0.5 0.5 0.5
+vt 0 0
+vt 1 0.5
+vt 0.25 1
+vn 0 0 1
+usemtl skin
+f 1 2 3
+f 1//1 3//1 4//1
+f 1/1/1 2/2/1 3/3/1
+f -4 -3 -2 -1
+"""
+DESCRIPTIONS = [
+    b"""mesh: someone.obj
+rigging: heat
+stature: 1.8
+outfits:
+  red: {shirt: [200, 30, 30]}
+  photo: {texture: photo.png}
+""",
+    *(path.read_bytes() for path in sorted((ROOT / "config" / "humans").glob("*.yaml"))),
+]
+
+
+def packed(arrays: Mapping[str, np.ndarray]) -> bytes:
+    """A .npz file."""
+    out = io.BytesIO()
+    np.savez(out, **arrays)  # type: ignore[arg-type]
+    return out.getvalue()
+
+
+def small_human() -> bytes:
+    """A human of few vertices."""
+    vertices, triangles, weights = figures.boxes()
+    bones = np.argsort(-weights, axis=1)[:, :4]
+    tails = figures.PLACES + np.array([0.0, 0.1, 0.0])
+    return packed(
+        {
+            "vertices": vertices,
+            "faces": np.column_stack([triangles, np.full(len(triangles), -1)]),
+            "bone_names": np.array(figures.NAMES),
+            "bone_parents": figures.PARENTS,
+            "bone_heads": figures.PLACES,
+            "bone_tails": tails,
+            "bone_rolls": np.zeros(len(tails)),
+            "weight_bones": bones,
+            "weight_values": np.take_along_axis(weights, bones, 1),
+            "outfits": np.array(["plain"]),
+            "texture_plain": np.full((len(vertices), 3), 120, np.uint8),
+        }
+    )
+
+
+SEEDS = {
+    "bvh": [BVH],
+    "keyframes": [XML],
+    "obj": [OBJ],
+    "gltf": [figures.gltf_text(*figures.gltf())],
+    "glb": [figures.glb(*figures.gltf())],
+    "human": [small_human()],
+    "smpl": [packed(figures.smpl(figures.SMPL_NAMES, figures.SMPL_PARENTS))],
+    "description": DESCRIPTIONS,
+}
 
 
 def mutated(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> bytes:
     """A damaged copy of a file."""
+    if data[:4] == b"glTF" and random_.random() < 0.9:
+        return inside_glb(data, random_)
+    if data[:2] == b"PK" and random_.random() < 0.9:
+        return inside_npz(data, random_)
+    if data[:1] == b"{" and random_.random() < 0.5:
+        return changed_json(data, random_)
     out = bytearray(data)
     for _ in range(random_.choice((1, 1, 1, 2, 3, 8))):
         out = bytearray(random_.choice(MUTATIONS)(bytes(out), corpus, random_))[:_LONGEST]
     return bytes(out)
+
+
+def inside_glb(data: bytes, random_: random.Random) -> bytes:
+    """A .glb file whose document, or whose numbers, are damaged and which is whole otherwise."""
+    length = struct.unpack_from("<I", data, 12)[0]
+    text, binary = data[20 : 20 + length], bytearray(data[28 + length :])
+    if random_.random() < 0.3:
+        for _ in range(random_.choice((1, 4, 50))):
+            at = random_.randrange(len(binary) - 4)
+            binary[at : at + 4] = random_.choice(
+                (b"\0\0\xc0\x7f", b"\xff\xff\xff\xff", b"\xff\xff\x7f\x7f", b"\0\0\0\0", random_.randbytes(4))
+            )
+        document = json.loads(text)
+    else:
+        document = json.loads(changed_json(text, random_))
+    return figures.glb(document, bytes(binary))
+
+
+_VALUES = (
+    0,
+    -1,
+    1,
+    2,
+    3,
+    7,
+    10**9,
+    2**31,
+    2**63,
+    1e300,
+    0.5,
+    -0.0,
+    "",
+    "a",
+    "../x",
+    "MAT4",
+    None,
+    True,
+    [],
+    {},
+    [0],
+    [1e308],
+)
+
+
+def changed_json(text: bytes, random_: random.Random) -> bytes:
+    """A JSON text with some values put in place of others, gone, or doubled."""
+    document = json.loads(text)
+    for _ in range(random_.choice((1, 1, 2, 5))):
+        place = document
+        for _ in range(random_.randrange(1, 8)):
+            keys = list(place) if isinstance(place, dict) else list(range(len(place)))
+            if not keys:
+                break
+            key = random_.choice(keys)
+            if isinstance(place[key], (dict, list)) and random_.random() < 0.85:
+                place = place[key]
+                continue
+            what = random_.random()
+            if what < 0.15:
+                del place[key]
+            elif what < 0.25 and isinstance(place, list):
+                place *= random_.choice((2, 100))
+            elif what < 0.5 and isinstance(place[key], (int, float)) and not isinstance(place[key], bool):
+                place[key] += random_.choice((-1, 1, 4, 1000))
+            else:
+                place[key] = random_.choice(_VALUES)
+            break
+    return json.dumps(document).encode()
+
+
+def inside_npz(data: bytes, random_: random.Random) -> bytes:
+    """An archive with other arrays in it: cut, turned, of other types, with numbers that are none."""
+    with np.load(io.BytesIO(data)) as file:
+        arrays = {name: file[name] for name in file.files}
+    for _ in range(random_.choice((1, 1, 2, 4))):
+        name = random_.choice(list(arrays))
+        array = arrays[name]
+        what = random_.randrange(9)
+        if what == 0:
+            del arrays[name]
+        elif what == 1:
+            arrays[name] = array[: random_.choice((0, 1, 2, max(len(array) - 1, 0)))] if array.ndim else array
+        elif what == 2:
+            arrays[name] = array.T
+        elif what == 3:
+            kinds = ("f4", "i1", "u8", "U3", "?") if array.dtype.kind in "fiu" else ("U1", "S3")
+            with np.errstate(all="ignore"):
+                arrays[name] = array.astype(random_.choice(kinds)) if array.dtype != object else array
+        elif what == 4:
+            arrays[name] = np.array([{"a": 1}], dtype=object)
+        elif what == 5:
+            arrays[name] = array[None]
+        elif array.size and array.dtype.kind in "fiu":
+            changed = array.copy().reshape(-1)
+            rows = [random_.randrange(changed.size) for _ in range(random_.choice((1, 5, 200)))]
+            value = random_.choice((0, 1, -1, 10**9, 2**31 - 1, 1e38, float("nan"), float("inf")))
+            with np.errstate(all="ignore"):
+                changed[rows] = np.array(value).astype(array.dtype)
+            arrays[name] = changed.reshape(array.shape)
+        if not arrays:
+            break
+    out = packed(arrays)
+    if random_.random() < 0.15:  # the sizes that arrays promise
+        at = out.find(b"'shape': (") + 10
+        out = out[:at] + random_.choice((b"9", b"-", b"0")) + out[at + 1 :]
+        out = _with_check_sums(out)
+    return out
+
+
+def _with_check_sums(data: bytes) -> bytes:
+    """An archive whose members are as they are now, whatever its check sums said."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
+        for entry in old.infolist():
+            start = entry.header_offset + 30 + len(entry.filename)
+            start += struct.unpack_from("<H", data, entry.header_offset + 28)[0]
+            new.writestr(entry.filename, data[start : start + entry.compress_size])
+    return out.getvalue()
 
 
 Mutation = Callable[[bytes, Sequence[bytes], random.Random], bytes]

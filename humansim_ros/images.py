@@ -1,0 +1,61 @@
+"""Image files (PNG, JPEG) that others made, decoded without trusting what they promise."""
+
+from __future__ import annotations
+
+import struct
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import MeshError
+
+#: Pixels of the largest image that is decoded: 8192 x 8192.
+MOST_PIXELS = 1 << 26
+
+
+def decode_image(encoded: NDArray[np.uint8] | bytes) -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 sRGB of a PNG or JPEG file. MeshError where it is none, or larger than MOST_PIXELS."""
+    data = bytes(encoded)
+    size = _size(data)
+    if size is None:
+        raise MeshError("the texture is no PNG or JPEG image")
+    if not 0 < size[0] * size[1] <= MOST_PIXELS:
+        raise MeshError(f"a texture of {size[0]} x {size[1]} pixels is too large; at most 8192 x 8192")
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    except cv2.error:
+        image = None
+    if image is None:
+        raise MeshError("the texture cannot be decoded: the image is damaged")
+    return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
+
+
+def encode_image(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Bytes (N,) of a PNG file of an image (H, W, 3) sRGB."""
+    done, encoded = cv2.imencode(".png", image[..., ::-1])
+    if not done:
+        raise MeshError("the texture cannot be encoded")
+    return np.asarray(encoded, dtype=np.uint8).ravel()
+
+
+def _size(data: bytes) -> tuple[int, int] | None:
+    """Width and height that a PNG or JPEG file states."""
+    if data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
+        width, height = struct.unpack_from(">II", data, 16)
+        return int(width), int(height)
+    if data[:2] != b"\xff\xd8":
+        return None
+    place = 2
+    while place + 9 <= len(data):
+        if data[place] != 0xFF:
+            return None
+        marker = data[place + 1]
+        if marker == 0xFF:  # padding
+            place += 1
+            continue
+        if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
+            height, width = struct.unpack_from(">HH", data, place + 5)
+            return int(width), int(height)
+        place += 2 + struct.unpack_from(">H", data, place + 2)[0]
+    return None

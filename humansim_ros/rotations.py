@@ -103,3 +103,10 @@ def invert_rigid(matrix: Array) -> Array:
     """Inverses of rigid transforms (..., 4, 4)."""
     rotation = np.swapaxes(matrix[..., :3, :3], -1, -2)
     return transform(rotation, -np.einsum("...ij,...j->...i", rotation, matrix[..., :3, 3]))
+
+
+def angle_between(a: Array, b: Array) -> Array:
+    """Angle (...,) between vectors (..., 3), radians; a quarter turn where one has no length."""
+    dot = np.einsum("...i,...i->...", a, b)
+    scale = np.sqrt(np.einsum("...i,...i->...", a, a) * np.einsum("...i,...i->...", b, b))
+    return np.arccos(np.clip(dot / np.maximum(scale, 1e-30), -1.0, 1.0))

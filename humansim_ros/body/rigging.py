@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from humansim_ros.body.heat import heat_weights
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.body.skeleton import Skeleton, side_of
 from humansim_ros.errors import MeshError
-from humansim_ros.rotations import Array
+from humansim_ros.rotations import Array, angle_between
 
-RigRule = Literal["thesis", "thesis-printed"]
+RigRule = Literal["heat", "thesis", "thesis-printed"]
 
 
 def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "thesis") -> csr_matrix:
@@ -27,8 +28,11 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "thesis") -> csr_matrix:
     and its figures agree with the text.
 
     ``rule``: ``thesis`` follows the text: weight ``min(1, 60 / angle)``; ``thesis-printed`` the pseudo-code
-    to the letter. Raises MeshError if the skeleton has no bone for a side of the mesh.
+    to the letter; ``heat`` is another way altogether (:func:`humansim_ros.body.heat.heat_weights`). Raises
+    MeshError if the skeleton has no bone for a side of the mesh.
     """
+    if rule == "heat":
+        return heat_weights(mesh, skeleton)
     vertices = mesh.vertices
     angles = _angle_seen(vertices, skeleton)
     sides = np.array([side_of(name) for name in skeleton.names])
@@ -39,7 +43,7 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "thesis") -> csr_matrix:
         raise MeshError("the skeleton has no bone on one side of the mesh")
 
     head, tail = skeleton.heads[best], skeleton.tails[best]
-    angle = np.degrees(_angle(vertices - head, tail - head))
+    angle = np.degrees(angle_between(vertices - head, tail - head))
     weight = np.minimum(1.0, angle / 60.0 if rule == "thesis-printed" else 60.0 / np.maximum(angle, 1e-9))
     parent = skeleton.parents[best]
     weight = np.where(parent < 0, 1.0, weight)
@@ -69,10 +73,4 @@ def _angle_seen(vertices: Array, skeleton: Skeleton) -> Array:
     """(V, B) angle head-vertex-tail at the vertex, radians."""
     to_head = skeleton.heads[None] - vertices[:, None]
     to_tail = skeleton.tails[None] - vertices[:, None]
-    return _angle(to_head, to_tail)
-
-
-def _angle(a: Array, b: Array) -> Array:
-    dot = np.einsum("...i,...i->...", a, b)
-    scale = np.sqrt(np.einsum("...i,...i->...", a, a) * np.einsum("...i,...i->...", b, b))
-    return np.arccos(np.clip(dot / np.maximum(scale, 1e-30), -1.0, 1.0))
+    return angle_between(to_head, to_tail)

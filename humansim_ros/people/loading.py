@@ -160,7 +160,7 @@ def _rigged(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton, csr_matrix]
     general = hanim_skeleton()
     fitted = fit_to_skeleton(mesh, general)
     skeleton = fit_limbs(general, fitted) if options.skeleton == "fitted" else general
-    weights = rig(fitted, skeleton)
+    weights = rig(fitted, skeleton, options.rigging)
     stature = options.stature
     if stature is not None:
         fitted, skeleton = _resized(fitted, skeleton, stature)

@@ -227,11 +227,13 @@ def paint_hair(c: Canvas, outfit: Outfit) -> Array:
     return np.array(outfit.hair) * (1 + 0.38 * strands)[:, None]
 
 
-def weave(p: Array, along: Array, fabric: Fabric, first: Color, second: Color, seed: int) -> Array:
-    """Cloth (N, 3) at points (N, 3) of the body; `along` (N,) runs down the trunk and out along the arms."""
+def weave(
+    p: Array, along: Array, around: Array, fabric: Fabric, first: Color, second: Color, seed: int
+) -> Array:
+    """Cloth (N, 3) at points (N, 3) of the body; `along` (N,) runs down the trunk and the limbs, `around`
+    (N,) round them, metres.
+    """
     base, other = np.array(first, float), np.array(second, float)
-    angle = np.arctan2(p[:, 0], p[:, 2] + 0.02)
-    around = np.where(np.abs(p[:, 0]) > 0.22, p[:, 2], 0.14 * angle)
     shade = 0.05 * noise(p, 0.003, seed) + 0.03 * noise(p, 0.010, seed + 1)
     colour = np.tile(base, (len(p), 1))
     if fabric == "knit":
@@ -284,7 +286,8 @@ def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
     p, t = c.body, c.tailor
     beyond = np.maximum(np.abs(p[:, 0]) - t.shoulder_x, 0.0)
     along = np.where(beyond > 0, t.shoulder_y + beyond, p[:, 1])
-    colour = weave(p, along, outfit.shirt_fabric, outfit.shirt, outfit.shirt_second, 12)
+    around = np.where(np.abs(p[:, 0]) > 0.22, p[:, 2], 0.14 * np.arctan2(p[:, 0], p[:, 2] + 0.02))
+    colour = weave(p, along, around, outfit.shirt_fabric, outfit.shirt, outfit.shirt_second, 12)
     colour *= (1 + 0.05 * noise(p * [1, 0.5, 1], 0.06, 14))[:, None]  # folds
     collar = -t.above_neckline(p)
     colour *= 1 - 0.16 * ramp(collar, 0.020, 0.018)[:, None]
@@ -299,7 +302,8 @@ def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
 
 def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
     p, t = c.body, c.tailor
-    colour = weave(p, p[:, 1], outfit.trousers_fabric, outfit.trousers, outfit.trousers_second, 15)
+    leg = 0.075 * np.arctan2(np.abs(p[:, 0]) - t.leg_x(p), p[:, 2] - t.leg_z(p))
+    colour = weave(p, p[:, 1], leg, outfit.trousers_fabric, outfit.trousers, outfit.trousers_second, 15)
     from_leg, front = np.abs(p[:, 0]) - t.leg_x(p), p[:, 2] - t.leg_z(p)
     worn_out = np.exp(-((from_leg / 0.05) ** 2)) * ramp(front, 0.0, 0.05)
     worn_out *= np.exp(-(((p[:, 1] - 0.62) / 0.17) ** 2))

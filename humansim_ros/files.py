@@ -50,6 +50,7 @@ def inside(folder: Path, name: str) -> Path | None:
     """A file that another one names, in the folder of that one or below; None for any other place."""
     try:
         target = (folder.resolve() / name).resolve()
+        target.exists()  # tells a name that is too long
         return target if target.is_relative_to(folder.resolve()) and name[:1] not in "/\\" else None
     except (ValueError, OSError, RuntimeError):  # a zero byte, a name too long, links in a circle
         return None

@@ -1,6 +1,8 @@
-"""Linear blend skinning against a loop over vertices and bones."""
+"""Skinning: linear blending against a loop over vertices and bones, and what both ways must do."""
 
 from __future__ import annotations
+
+import re
 
 import numpy as np
 import pytest
@@ -10,11 +12,15 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body import hanim_skeleton, skin
-from humansim_ros.body.skinning import LinearBlend, normalise_weights
+from humansim_ros.body.skinning import SKINNERS, DualQuaternion, LinearBlend, make_skinner, normalise_weights
 from humansim_ros.errors import MeshError
 from humansim_ros.rotations import Array
 
 SKELETON = hanim_skeleton()
+
+both_ways = pytest.mark.parametrize("method", SKINNERS)
+seeds = given(seed=st.integers(0, 10_000))
+quickly = settings(deadline=None, max_examples=30)
 
 
 def random_body(seed: int, vertices: int = 40) -> tuple[Array, csr_matrix]:
@@ -32,6 +38,11 @@ def random_transforms(seed: int, bones: int = 22) -> Array:
     out[:, :3, :3] = Rotation.random(bones, seed).as_matrix()
     out[:, :3, 3] = np.random.default_rng(seed).normal(size=(bones, 3))
     return out
+
+
+def random_directions(seed: int, count: int) -> Array:
+    directions = np.random.default_rng(seed + 77).normal(size=(count, 3))
+    return np.asarray(directions / np.linalg.norm(directions, axis=1, keepdims=True))
 
 
 def one_by_one(vertices: Array, weights: csr_matrix, transforms: Array) -> Array:
@@ -57,31 +68,115 @@ def test_skinned_vertices_are_those_of_the_loop(seed: int) -> None:
     )
 
 
-def test_skinning_many_frames_at_once_is_skinning_each() -> None:
+@both_ways
+def test_many_frames_at_once_are_as_each_alone(method: str) -> None:
     vertices, weights = random_body(4)
-    transforms = np.stack([random_transforms(s) for s in range(6)]).reshape(2, 3, 22, 4, 4)
-    skinned = skin(vertices, weights, transforms)
-    assert skinned.shape == (2, 3, 40, 3)
-    for index in np.ndindex(2, 3):
-        np.testing.assert_allclose(
-            skinned[index], one_by_one(vertices, weights, transforms[index]), atol=1e-12
-        )
+    transforms = np.stack([random_transforms(s) for s in range(20)]).reshape(4, 5, 22, 4, 4)
+    skinner, normals = make_skinner(method, vertices, weights, np.float64), random_directions(4, 40)
+    skinned, turned = skinner(transforms), skinner.directions(transforms, normals)
+    assert skinned.shape == turned.shape == (4, 5, 40, 3)
+    for index in np.ndindex(4, 5):
+        np.testing.assert_allclose(skinned[index], skinner(transforms[index]), atol=1e-14)
+        np.testing.assert_allclose(turned[index], skinner.directions(transforms[index], normals), atol=1e-14)
 
 
-def test_rest_gives_rest() -> None:
+@both_ways
+def test_no_frames_give_no_vertices(method: str) -> None:
+    vertices, weights = random_body(4)
+    skinner = make_skinner(method, vertices, weights)
+    for shape in ((0,), (3, 0)):
+        assert skinner(np.zeros((*shape, 22, 4, 4))).shape == (*shape, 40, 3)
+        assert skinner.directions(np.zeros((*shape, 22, 4, 4)), vertices).shape == (*shape, 40, 3)
+
+
+@both_ways
+def test_rest_gives_rest(method: str) -> None:
     vertices, weights = random_body(1)
     still = np.tile([0.0, 0, 0, 1], (22, 1))
-    skinned = skin(vertices, weights, SKELETON.pose(still) @ SKELETON.rest_inverse)
+    skinned = skin(vertices, weights, SKELETON.pose(still) @ SKELETON.rest_inverse, method)
     np.testing.assert_allclose(skinned, vertices, atol=1e-12)
 
 
-@settings(deadline=None, max_examples=30)
-@given(seed=st.integers(0, 10_000))
-def test_moving_all_bones_moves_the_skin_alike(seed: int) -> None:
+@both_ways
+@quickly
+@seeds
+def test_moving_all_bones_moves_the_skin_alike(method: str, seed: int) -> None:
     vertices, weights = random_body(seed, 10)
     transforms, move = random_transforms(seed), random_transforms(seed + 1, 1)[0]
-    expected = skin(vertices, weights, transforms) @ move[:3, :3].T + move[:3, 3]
-    np.testing.assert_allclose(skin(vertices, weights, move @ transforms), expected, atol=1e-11)
+    expected = skin(vertices, weights, transforms, method) @ move[:3, :3].T + move[:3, 3]
+    np.testing.assert_allclose(skin(vertices, weights, move @ transforms, method), expected, atol=1e-11)
+
+
+@both_ways
+@quickly
+@seeds
+def test_sizing_the_body_sizes_the_skin(method: str, seed: int) -> None:
+    vertices, weights = random_body(seed, 10)
+    transforms = random_transforms(seed)
+    size = np.diag([*np.full(3, np.random.default_rng(seed).uniform(0.05, 20)), 1])
+    expected = skin(vertices, weights, transforms, method) * size[0, 0]
+    np.testing.assert_allclose(skin(vertices, weights, size @ transforms, method), expected, atol=1e-11)
+
+
+@both_ways
+@quickly
+@seeds
+def test_the_mirrored_body_in_the_mirrored_pose_is_the_mirror_image(method: str, seed: int) -> None:
+    vertices, weights = random_body(seed, 10)
+    transforms, mirror = random_transforms(seed), np.diag([-1.0, 1, 1, 1])
+    names = SKELETON.names
+    sides = [names.index(re.sub("(?<![a-z])[lr](?=_)", lambda m: "rl"["lr".index(m[0])], n)) for n in names]
+    mirrored = skin(vertices * (-1, 1, 1), weights[:, sides], (mirror @ transforms @ mirror)[sides], method)
+    np.testing.assert_allclose(mirrored, skin(vertices, weights, transforms, method) * (-1, 1, 1), atol=1e-11)
+
+
+@both_ways
+@quickly
+@seeds
+def test_what_follows_one_bone_moves_with_it(method: str, seed: int) -> None:
+    vertices, transforms = random_body(seed, 22)[0], random_transforms(seed)
+    skinned = skin(vertices, csr_matrix(np.diag(np.linspace(0.1, 3, 22))), transforms, method)
+    expected = [t[:3, :3] @ v + t[:3, 3] for t, v in zip(transforms, vertices, strict=True)]
+    np.testing.assert_allclose(skinned, expected, atol=1e-12)
+
+
+@both_ways
+@quickly
+@seeds
+def test_directions_turn_as_the_space_around_their_vertex(method: str, seed: int) -> None:
+    vertices, weights = random_body(seed, 10)
+    normals, transforms = random_directions(seed, 10), random_transforms(seed)
+    transforms[:, :3] *= 1.7
+    skinner = make_skinner(method, vertices, weights, np.float64)
+    beside = skin(vertices + normals, weights, transforms, method) - skinner(transforms)
+    beside /= np.linalg.norm(beside, axis=1, keepdims=True)
+    np.testing.assert_allclose(skinner.directions(transforms, normals), beside, atol=1e-9)
+
+
+@quickly
+@given(seed=st.integers(0, 10_000), degrees=st.floats(-179.0, 179.0))
+def test_dual_quaternions_keep_the_distance_to_the_joint(seed: int, degrees: float) -> None:
+    rng = np.random.default_rng(seed)
+    vertices, share, joint = rng.normal(size=(50, 3)), rng.uniform(0, 1, 50), rng.normal(size=3)
+    bent = np.tile(np.eye(4), (2, 1, 1))
+    bent[1, :3, :3] = Rotation.from_rotvec(np.radians(degrees) * random_directions(seed, 1)[0]).as_matrix()
+    bent[:, :3, 3] = joint - bent[:, :3, :3] @ joint
+    weights = csr_matrix(np.stack([share, 1 - share], axis=1))
+    distance = np.linalg.norm(vertices - joint, axis=1)
+    kept = np.linalg.norm(skin(vertices, weights, bent, "dual_quaternion") - joint, axis=1)
+    np.testing.assert_allclose(kept, distance, atol=1e-11)
+    linear = np.linalg.norm(skin(vertices, weights, bent) - joint, axis=1)
+    assert (linear <= distance + 1e-11).all()
+
+
+def test_a_bone_a_whole_turn_further_is_where_it_was() -> None:
+    """A rotation has two quaternions: which of them is met must not matter."""
+    vertices, weights = np.array([[0.3, 1.0, 0.2]]), csr_matrix([[0.4, 0.6]])
+    for angle in (80.0, 100.0):  # of both bones, the quaternions' signs change at 180
+        bent = np.tile(np.eye(4), (2, 1, 1))
+        bent[:, :3, :3] = Rotation.from_euler("z", [[angle], [angle + 85]], degrees=True).as_matrix()
+        middle = Rotation.from_euler("z", angle + 85 * 0.6, degrees=True).apply(vertices)
+        np.testing.assert_allclose(skin(vertices, weights, bent, "dual_quaternion"), middle, atol=0.01)
 
 
 def test_normalised_weights_sum_to_one_and_keep_their_ratios() -> None:
@@ -91,12 +186,13 @@ def test_normalised_weights_sum_to_one_and_keep_their_ratios() -> None:
     np.testing.assert_allclose(normal * dense.sum(1, keepdims=True), dense, atol=1e-14)
 
 
-def test_single_precision_is_right_to_a_thousandth_of_a_millimetre() -> None:
+@both_ways
+def test_single_precision_is_right_to_a_thousandth_of_a_millimetre(method: str) -> None:
     vertices, weights = random_body(3, 500)
     transforms = random_transforms(3)
-    single = LinearBlend(vertices, weights)(transforms)
+    single = make_skinner(method, vertices, weights)(transforms)
     assert single.dtype == np.float32
-    np.testing.assert_allclose(single, skin(vertices, weights, transforms), atol=1e-6)
+    np.testing.assert_allclose(single, skin(vertices, weights, transforms, method), atol=2e-6)
 
 
 def test_weights_given_in_pieces_add_up() -> None:
@@ -108,17 +204,81 @@ def test_weights_given_in_pieces_add_up() -> None:
     np.testing.assert_allclose(skin(np.zeros((1, 3)), pieces, transforms), [[0.75, 0, 0]])
 
 
+@both_ways
 @pytest.mark.parametrize(
     ("weights", "message"),
     [
         ([[1.0, 0.0], [0.0, 0.0]], "vertex 1 follows no bone"),
-        ([[1.0, 0.0], [2.0, -1.0]], "negative"),
-        ([[1.0, 0.0], [np.nan, 1.0]], "not finite"),
-        ([[1.0, 0.0], [np.inf, 1.0]], "not finite"),
+        ([[1.0, 0.0], [2.0, -1.0]], "vertex 1 is negative"),
+        ([[1.0, 0.0], [np.nan, 1.0]], "vertex 1 is negative or not finite"),
+        ([[1.0, np.inf], [0.0, 1.0]], "vertex 0 is negative or not finite"),
         ([[1.0, 0.0]], "do not fit 2 vertices and 2 bones"),
         ([[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]], "do not fit 2 vertices and 2 bones"),
     ],
 )
-def test_impossible_weights_are_refused(weights: list[list[float]], message: str) -> None:
+def test_impossible_weights_are_refused(method: str, weights: list[list[float]], message: str) -> None:
     with pytest.raises(MeshError, match=message):
-        skin(np.zeros((2, 3)), csr_matrix(weights), np.tile(np.eye(4), (2, 1, 1)))
+        skin(np.zeros((2, 3)), csr_matrix(weights), np.tile(np.eye(4), (2, 1, 1)), method)
+
+
+def test_huge_and_tiny_weights_are_weights() -> None:
+    for weight in (1e308, 1e-300):
+        half = normalise_weights(csr_matrix(np.full((1, 2), weight))).toarray()
+        np.testing.assert_allclose(half, [[0.5, 0.5]])
+
+
+def with_last(matrix: Array) -> Array:
+    return np.stack([np.eye(4), matrix])
+
+
+@both_ways
+@pytest.mark.parametrize(
+    ("transforms", "message"),
+    [
+        (np.eye(4), "do not fit 2 bones"),
+        (np.tile(np.eye(4), (3, 1, 1)), "do not fit 2 bones"),
+        (np.tile(np.eye(3), (2, 1, 1)), "do not fit 2 bones"),
+        (with_last(np.full((4, 4), np.nan)), "bone 1 is not finite"),
+        (with_last(np.ones((4, 4))), "last row"),
+    ],
+)
+def test_impossible_transforms_are_refused(method: str, transforms: Array, message: str) -> None:
+    skinner = make_skinner(method, np.zeros((2, 3)), csr_matrix(np.eye(2)))
+    for call in (skinner, lambda given: skinner.directions(given, np.ones((2, 3)))):
+        with pytest.raises(MeshError, match=message):
+            call(transforms)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "message"),
+    [
+        (np.diag([1.0, 1.1, 1, 1]), "bone 1 stretches"),
+        (np.diag([2.0, 2, 2, 1]), "bone 1 .*of another size"),
+        (np.diag([0.0, 0, 0, 1]), "bone 1 stretches"),
+        (np.diag([-1.0, 1, 1, 1]), "bone 1 mirrors.*use linear skinning"),
+        (np.eye(4) + np.eye(4, k=1) * [[0.2], [0], [0], [0]], "bone 1 .*shears"),
+    ],
+)
+def test_dual_quaternions_refuse_what_is_no_motion(matrix: Array, message: str) -> None:
+    skinner = DualQuaternion(np.zeros((2, 3)), csr_matrix(np.eye(2)))
+    with pytest.raises(MeshError, match=message):
+        skinner(with_last(matrix))
+
+
+def test_a_bone_that_nothing_follows_may_be_of_any_size() -> None:
+    vertices, weights = np.ones((2, 3)), csr_matrix([[1.0, 0.0], [1.0, 0.0]])
+    skinned = skin(vertices, weights, with_last(np.diag([0.0, 2, 2, 1])), "dual_quaternion")
+    np.testing.assert_allclose(skinned, vertices)
+
+
+def test_shapes_that_do_not_fit_are_refused() -> None:
+    with pytest.raises(MeshError, match=r"\(V, 3\)"):
+        LinearBlend(np.zeros((2, 2)), csr_matrix(np.eye(2)))
+    with pytest.raises(MeshError, match="fit 3 vertices"):
+        DualQuaternion(np.zeros((3, 3)), csr_matrix(np.eye(2)))
+    with pytest.raises(MeshError, match="directions"):
+        LinearBlend(np.zeros((2, 3)), csr_matrix(np.eye(2))).directions(
+            with_last(np.eye(4)), np.zeros((1, 3))
+        )
+    with pytest.raises(MeshError, match="'spherical' is no way of skinning; there are linear"):
+        make_skinner("spherical", np.zeros((2, 3)), csr_matrix(np.eye(2)))

@@ -12,8 +12,14 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.body import Skeleton, hanim_skeleton, skin
 from humansim_ros.rotations import Array
 
-with np.load(Path(__file__).parent / "data" / "blender_skinning.npz") as _archive:
+DATA = Path(__file__).parent / "data"
+
+with np.load(DATA / "blender_skinning.npz") as _archive:
     BLENDER = {key: _archive[key] for key in _archive}
+with np.load(DATA / "blender_bodies.npz") as _archive:
+    BODIES = {key: _archive[key] for key in _archive}
+#: What Blender computes without and with "Preserve Volume".
+BLENDERS_RESULT = {"linear": "skinned", "dual_quaternion": "preserved"}
 
 #: Metres, and radians for directions.
 TOLERANCE = 1e-6
@@ -68,6 +74,24 @@ def test_skinned_vertices_agree_with_blender(bones: str) -> None:
     transforms = ours.pose(BLENDER[f"{bones}/rotations"].astype(float)) @ np.linalg.inv(ours.rest)
     skinned = skin(BLENDER["vertices"].astype(float), csr_matrix(BLENDER["weights"]), transforms)
     assert np.linalg.norm(skinned - BLENDER[f"{bones}/skinned"], axis=-1).max() < TOLERANCE
+
+
+@pytest.mark.parametrize("method", BLENDERS_RESULT)
+@pytest.mark.parametrize("body", ["man", "artist", "straight", "rolled"])
+def test_both_ways_of_skinning_agree_with_blender(body: str, method: str) -> None:
+    data = BODIES if f"{body}/rest" in BODIES else BLENDER
+    vertices = data.get(f"{body}/sample_vertices", BLENDER["vertices"]).astype(float)
+    weights = csr_matrix(data.get(f"{body}/sample_weights", BLENDER["weights"]))
+    transforms = data[f"{body}/posed"] @ np.linalg.inv(data[f"{body}/rest"].astype(float))
+    skinned = skin(vertices, weights, transforms, method)
+    off = np.linalg.norm(skinned - data[f"{body}/{BLENDERS_RESULT[method]}"], axis=-1)
+    assert off.max() < TOLERANCE
+
+
+def test_the_two_ways_differ_in_blender() -> None:
+    for body in ("man", "artist"):
+        apart = np.linalg.norm(BODIES[f"{body}/skinned"] - BODIES[f"{body}/preserved"], axis=-1)
+        assert apart.max() > 0.01
 
 
 def test_some_weights_do_not_sum_to_one() -> None:

@@ -1,8 +1,10 @@
 #!/usr/bin/env python3
-"""Rest and pose matrices and skinned vertices of the table 4.1 skeleton in Blender, for the tests of `body`.
+"""Bone matrices, skinned vertices, normals and tangents in Blender, for the tests of `body`.
 
     python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
     blender/bin/python tools/blender_skinning.py -o test/data/blender_skinning.npz
+    python tools/skinning_inputs.py inputs.npz
+    blender/bin/python tools/blender_skinning.py --bodies inputs.npz -o test/data/blender_bodies.npz
 
 Builds the 22 bones twice, with roll 0 and with other rolls, turns all bones at random, deforms a cloud of
 vertices around the bones with an armature modifier, and writes (`B` bones, `V` vertices, `P` poses)
@@ -14,6 +16,15 @@ vertices around the bones with an armature modifier, and writes (`B` bones, `V` 
     <set>/rotations (P, B, 4)         quaternions xyzw in bone space
     <set>/posed (P, B, 4, 4)          pose_bone.matrix
     <set>/skinned (P, V, 3)           vertices of the evaluated mesh
+    <set>/preserved (P, V, 3)         the same with use_deform_preserve_volume
+
+With `--bodies`: takes bodies, their poses and a surface with texture coordinates from a file, and writes
+
+    <body>/rest, posed, skinned, preserved   as above; the last two of the vertices <body>/sample (S,)
+    <body>/sample, sample_vertices, sample_weights
+    surface/vertices, triangles, uv          as they came
+    surface/normals (N, 3, 3)                of the corners of triangles
+    surface/tangents (N, 3, 4)               of the corners, and their bitangent_sign
 
 Metres, column vectors, float32 as Blender computes. Among the vertices are some that follow a single bone and
 some whose weights do not sum to one.
@@ -139,7 +150,8 @@ def build_skin(armature: bpy.types.Object, vertices: np.ndarray, weights: np.nda
     return skin
 
 
-def deformed(skin: bpy.types.Object) -> np.ndarray:
+def deformed(skin: bpy.types.Object, preserve_volume: bool = False) -> np.ndarray:
+    skin.modifiers["armature"].use_deform_preserve_volume = preserve_volume
     mesh = skin.evaluated_get(bpy.context.evaluated_depsgraph_get()).data
     flat = np.empty(3 * len(mesh.vertices), dtype=np.float32)
     mesh.vertices.foreach_get("co", flat)
@@ -155,26 +167,83 @@ def evaluate(
     # Blender sorts bones as a tree; weights have one column per row of the table.
     order = [names.index(bone.name) for bone in armature.data.bones]
     skin = build_skin(armature, vertices, weights[:, order])
-    posed, skinned = [], []
+    posed, skinned, preserved = [], [], []
     for pose in rotations:
         for name, (x, y, z, w) in zip(names, pose.tolist(), strict=True):
             armature.pose.bones[name].rotation_quaternion = (w, x, y, z)
         bpy.context.view_layer.update()
         posed.append([armature.pose.bones[name].matrix.copy() for name in names])
         skinned.append(deformed(skin))
+        preserved.append(deformed(skin, preserve_volume=True))
     return {
         "rolls": rolls,
         "rest": np.array([armature.data.bones[name].matrix_local for name in names], dtype=np.float32),
         "rotations": rotations,
         "posed": np.array(posed, dtype=np.float32),
         "skinned": np.array(skinned),
+        "preserved": np.array(preserved),
     }
+
+
+def evaluate_body(body: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Results of one body of the input file, of a sample of its vertices."""
+    names = body["names"].tolist()
+    parents = [names[parent] if parent >= 0 else None for parent in body["parents"]]
+    bones = list(zip(names, body["heads"].tolist(), body["tails"].tolist(), parents, strict=True))
+    out = evaluate(bones, body["rolls"], body["rotations"], body["vertices"], body["weights"])
+    sample = body["sample"]
+    return {
+        "sample": sample,
+        "sample_vertices": body["vertices"][sample],
+        "sample_weights": body["weights"][sample],
+        "rest": out["rest"],
+        "posed": out["posed"],
+        "skinned": out["skinned"][:, sample],
+        "preserved": out["preserved"][:, sample],
+    }
+
+
+def evaluate_surface(vertices: np.ndarray, triangles: np.ndarray, uv: np.ndarray) -> dict[str, np.ndarray]:
+    """Normals and tangents of the corners of a smooth mesh; uv (N, 3, 2)."""
+    mesh = bpy.data.meshes.new("surface")
+    mesh.from_pydata(vertices.tolist(), [], triangles.tolist())
+    mesh.uv_layers.new(name="uv").uv.foreach_set("vector", uv.astype(np.float32).ravel())
+    mesh.shade_smooth()
+    mesh.calc_tangents(uvmap="uv")
+    corners = len(mesh.loops)
+    normals, tangents, signs = np.empty(3 * corners), np.empty(3 * corners), np.empty(corners)
+    mesh.corner_normals.foreach_get("vector", normals)
+    mesh.loops.foreach_get("tangent", tangents)
+    mesh.loops.foreach_get("bitangent_sign", signs)
+    tangents = np.concatenate([tangents.reshape(-1, 3), signs[:, None]], axis=1)
+    return {
+        "vertices": vertices,
+        "triangles": triangles,
+        "uv": uv,
+        "normals": normals.reshape(-1, 3, 3).astype(np.float32),
+        "tangents": tangents.reshape(-1, 3, 4).astype(np.float32),
+    }
+
+
+def bodies(path: Path) -> dict[str, np.ndarray]:
+    with np.load(path) as archive:
+        given = dict(archive)
+    arrays = {}
+    for name in sorted({key.split("/")[0] for key in given} - {"surface"}):
+        body = {key.split("/")[1]: array for key, array in given.items() if key.startswith(f"{name}/")}
+        arrays |= {f"{name}/{key}": array for key, array in evaluate_body(body).items()}
+    surface = [given[f"surface/{key}"] for key in ("vertices", "triangles", "uv")]
+    return arrays | {f"surface/{key}": array for key, array in evaluate_surface(*surface).items()}
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("-o", "--output", type=Path, default=Path("test/data/blender_skinning.npz"))
+    parser.add_argument("--bodies", type=Path, metavar="INPUTS", help="bodies of a file, see above")
     arguments = parser.parse_args()
+    if arguments.bodies:
+        np.savez_compressed(arguments.output, **bodies(arguments.bodies))
+        return 0
     random = np.random.default_rng(SEED)
     bones = table()
     names = [bone[0] for bone in bones]

@@ -4,8 +4,8 @@
 
 Every built-in person, in every outfit, walks in the furnished room and is seen at four instants from eight
 sides, 340 pixels tall in 640x480 images. MediaPipe Pose (0.10.21, its model is in its wheel) looks at each
-image by itself. Printed are in how many views it found somebody, and how far its shoulders, elbows, wrists, hips, knees and ankles are from ours,
-in pixels. It wants NumPy 1, so that it runs in an environment of its own:
+image by itself. Printed are in how many views it found somebody, and how far its shoulders, elbows, wrists,
+hips, knees and ankles are from ours, in pixels. It wants NumPy 1 and runs in an environment of its own:
 
     python3.12 -m venv detector && detector/bin/pip install mediapipe==0.10.21
     python benchmarks/pose_detector.py --python detector/bin/python

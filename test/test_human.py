@@ -160,8 +160,11 @@ def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
             "weight_bones": arrays["weight_bones"][:, :0],
             "weight_values": arrays["weight_values"][:, :0],
         },
-        "a texture that is none": {"texture": np.arange(100, dtype=np.uint8)},
-        "an empty texture": {"texture": np.zeros(0, np.uint8)},
+        "a texture that is none": {"texture_red": np.arange(100, dtype=np.uint8)},
+        "an empty texture": {"texture_red": np.zeros(0, np.uint8)},
+        "an outfit without a look": {"outfits": np.array(["red", "none"])},
+        "an outfit of floats": {"texture_red": np.zeros((len(nan), 3))},
+        "skinning of no known way": {"skinning": np.array("magic")},
         "names of no axis": {"bone_names": np.array(5)},
     }
 
@@ -183,6 +186,9 @@ def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
         "no weights",
         "a texture that is none",
         "an empty texture",
+        "an outfit without a look",
+        "an outfit of floats",
+        "skinning of no known way",
         "names of no axis",
     ],
 )

@@ -14,7 +14,7 @@ from humansim_ros.gltf import Animation, Gltf, GltfSkeleton
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.rotations import Array
 
-#: Rotation channels of the motion, and the frames per second that keys without a rhythm are sampled at.
+#: Rotation channels of the motion; frames per second that it has at least, and where keys have no rhythm.
 _ORDER, _RATE = "ZXY", 60.0
 #: Most frames of an animation, and how many are worked out at once.
 _MOST_FRAMES, _BLOCK = 100_000, 256
@@ -27,7 +27,7 @@ def read_gltf_motion(path: str | os.PathLike[str], animation: str | None = None)
     """An animation of a .gltf or .glb file, the first one or that of a name, in metres as in the file.
 
     The rest pose is that in which the skin was bound, so that a figure of the same file moves as its makers
-    saw it. Keys are kept where they lie evenly, else resampled. Raises MotionError.
+    saw it. Keys are kept where they lie evenly, with frames between them, else resampled. Raises MotionError.
     """
     try:
         gltf = Gltf.read(path)
@@ -125,6 +125,7 @@ def _frame_times(gltf: Gltf, tracks: dict[tuple[int, str], tuple[Array, Array, s
     off = (keys - start) / step
     if step < 1e-3 or np.abs(off - np.rint(off)).max() > 0.02:
         step = 1 / _RATE
+    step /= np.ceil(step * _RATE - 0.01)  # few keys: what lies between them is worked out here
     count = int(np.rint((end - start) / step)) + 1
     if count > _MOST_FRAMES:
         raise MotionError(f"{count} frames are too many", path=gltf.path, key="animations")

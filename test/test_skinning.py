@@ -179,8 +179,10 @@ def test_a_bone_a_whole_turn_further_is_where_it_was() -> None:
         np.testing.assert_allclose(skin(vertices, weights, bent, "dual_quaternion"), middle, atol=0.01)
 
 
-def test_normalised_weights_sum_to_one_and_keep_their_ratios() -> None:
-    _, weights = random_body(2)
+@quickly
+@seeds
+def test_normalised_weights_sum_to_one_and_keep_their_ratios(seed: int) -> None:
+    _, weights = random_body(seed, 10)
     dense, normal = weights.toarray(), normalise_weights(weights).toarray()
     np.testing.assert_allclose(normal.sum(1), 1, atol=1e-14)
     np.testing.assert_allclose(normal * dense.sum(1, keepdims=True), dense, atol=1e-14)

@@ -40,7 +40,7 @@ BENDS = {
 
 
 def bent(human: Human, bone: str, axis: str, degrees: float) -> Array:
-    """Rest-to-posed transforms (B, 4, 4) with one bone turned about an axis of the body at rest or "along"."""
+    """Rest-to-posed transforms (B, 4, 4) with a bone turned about an axis of the body, or "along" itself."""
     skeleton = human.skeleton
     index = skeleton.bone(bone)
     own = Rotation.from_matrix(skeleton.rest[index, :3, :3])
@@ -177,6 +177,9 @@ def main() -> int:
     print("Change of volume, linear / dual quaternion:\n")
     rows = []
     for name, human in humans.items():
+        if not {bend[0] for bend in BENDS.values()} <= set(human.skeleton.names):
+            rows.append([name, *("no such bone" for _ in BENDS)])
+            continue
         changes = ([volume_change(human, *bend, method) for method in SKINNERS] for bend in BENDS.values())
         rows.append([name, *(" / ".join(f"{100 * c:+.1f} %" for c in pair) for pair in changes)])
     table(("human", *BENDS), rows)
@@ -186,8 +189,9 @@ def main() -> int:
         "skinning",
         "flipped, mean / worst frame",
         "stretch 99.9 % / largest",
-        "of an edge of mm",
-        "carried normals off, mean / 99 % / largest",
+        "edges over 4",
+        "longest of these, mm",
+        "carried normals off, median / mean / 95 %",
     )
     rows = []
     for name, human in humans.items():
@@ -195,17 +199,18 @@ def main() -> int:
             transforms = motion_transforms(human, ROOT / "assets" / "motions" / f"{motion}.bvh")
             for method in SKINNERS:
                 found = deformation(human, transforms, method)
-                worst = int(found.stretch.max(axis=0).argmax())
-                off = found.normals_off
+                largest, off = found.stretch.max(axis=0), found.normals_off
+                over = largest > 4
                 rows.append(
                     [
                         name,
                         motion,
                         method.replace("_", " "),
                         f"{100 * found.flipped.mean():.2f} / {100 * found.flipped.max():.2f} %",
-                        f"{np.percentile(found.stretch, 99.9):.2f} / {found.stretch.max():.2f}",
-                        f"{1e3 * found.lengths[worst]:.1f}",
-                        f"{off.mean():.1f} / {np.percentile(off, 99):.0f} / {off.max():.0f}°",
+                        f"{np.percentile(found.stretch, 99.9):.2f} / {largest.max():.2f}",
+                        f"{over.sum()} of {len(over)}",
+                        f"{1e3 * found.lengths[over].max():.1f}" if over.any() else "-",
+                        f"{np.median(off):.1f} / {off.mean():.1f} / {np.percentile(off, 95):.0f}°",
                     ]
                 )
     table(heads, rows)

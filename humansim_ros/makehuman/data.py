@@ -13,7 +13,7 @@ import os
 import zipfile
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +92,11 @@ class Source:
     def _masks(self) -> dict[str, Mask]:
         return {}
 
+    @functools.cached_property
+    def base(self) -> Base:
+        """The base mesh as it is without targets, in decimetres."""
+        return _parsed(self)
+
     def has_target(self, name: str) -> bool:
         return self.has(f"targets/{name}.target.gz")
 
@@ -146,6 +151,16 @@ class Base:
 
 def read_base(source: Source, targets: Mapping[str, float]) -> Base:
     """The base mesh with the targets added, by name and strength."""
+    base = source.base
+    vertices = base.vertices.copy()
+    for name, strength in targets.items():
+        rows, steps = source.target(name)
+        np.add.at(vertices, rows, strength * steps)
+    return replace(base, vertices=vertices * METRES)
+
+
+def _parsed(source: Source) -> Base:
+    """The base mesh as the file has it, in decimetres."""
     vertices, uv, corners, groups = [], [], [], []
     group = ""
     for line in source.read("3dobjs/base.obj").decode().splitlines():
@@ -159,14 +174,11 @@ def read_base(source: Source, targets: Mapping[str, float]) -> Base:
         elif key == "f":
             corners.append([[int(i) - 1 for i in corner.split("/")] for corner in fields])
             groups.append(group)
-    shape = np.array(vertices)
-    for name, strength in targets.items():
-        rows, steps = source.target(name)
-        np.add.at(shape, rows, strength * steps)
     ranges = source.json("mesh_metadata/basemesh_vertex_groups.json")
     vertex_groups = {
         name: np.concatenate([np.arange(first, last + 1) for first, last in spans])
         for name, spans in ranges.items()
     }
     faces = np.array(corners)
-    return Base(shape * METRES, np.array(uv), faces[:, :, 0], faces[:, :, 1], np.array(groups), vertex_groups)
+    uv_array, group_array = np.array(uv), np.array(groups)
+    return Base(np.array(vertices), uv_array, faces[:, :, 0], faces[:, :, 1], group_array, vertex_groups)

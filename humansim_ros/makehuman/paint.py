@@ -238,7 +238,7 @@ def weave(
     colour = np.tile(base, (len(p), 1))
     if fabric == "knit":
         rib = np.sin(2 * np.pi * around / 0.009) * (0.6 + 0.4 * np.sin(2 * np.pi * along / 0.007))
-        shade = shade + 0.13 * rib + 0.06 * noise(p, 0.016, seed + 2)
+        shade = shade + 0.17 * rib + 0.10 * noise(p, 0.012, seed + 2)
     elif fabric == "twill":
         shade = shade + 0.04 * noise(p * [1, 0.5, 1], 0.003, seed + 3) + 0.05 * noise(p, 0.05, seed + 4)
     elif fabric == "denim":

@@ -12,6 +12,7 @@ import cv2
 import figures
 import numpy as np
 import pytest
+from conftest import ROOT
 from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
@@ -90,10 +91,17 @@ def test_a_figure_moves_as_its_own_animation_has_it(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("figure", "worst"),
-    [("RiggedFigure.gltf", 2e-5), ("CesiumMan.glb", 5e-3)],  # joints of CesiumMan leave their places
+    ("figure", "first", "worst"),
+    [
+        # between its two keys Blender mixes the numbers of quaternions, where glTF asks for the shortest arc
+        ("RiggedFigure.gltf", 5e-6, 1e-3),
+        # its joints leave their places, which our bones cannot
+        ("CesiumMan.glb", 4e-3, 4e-3),
+    ],
 )
-def test_shared_figures_move_as_blender_moves_them(shared_data: Path, figure: str, worst: float) -> None:
+def test_shared_figures_move_as_blender_moves_them(
+    shared_data: Path, figure: str, first: float, worst: float
+) -> None:
     """Vertices of the files' own animations; tools/blender_gltf.py made the numbers."""
     path = shared_data / "mesh" / figure
     human = Human.load(path)
@@ -105,7 +113,8 @@ def test_shared_figures_move_as_blender_moves_them(shared_data: Path, figure: st
             ours = actor.at(float(seconds)).vertices[:: int(judge["step"])].astype(float)
             theirs, ours = theirs - theirs.mean(0), ours - ours.mean(0)
             turn, _ = Rotation.align_vectors(ours, theirs)  # where the figure stands and faces
-            assert np.linalg.norm(turn.apply(theirs) - ours, axis=1).max() < worst
+            off = np.linalg.norm(turn.apply(theirs) - ours, axis=1).max()
+            assert off < (worst if seconds else first)
 
 
 def test_a_skin_bound_in_other_units_has_the_size_of_the_scene(tmp_path: Path) -> None:

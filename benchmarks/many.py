@@ -1,0 +1,94 @@
+"""How the cost of a frame grows with the number of people; and how fast people load.
+
+    python benchmarks/many.py [--frames 30]
+
+1, 2, 5 and 10 people, drawn from a seed (bodies, outfits, motions, places), are simulated in one process for
+one 640x480 camera: motion, skinning, and everything that is rendered (rgb, depth, instance, part). Times are
+CPU seconds of this process, medians over frames, so that other work on the machine shows little. The last
+column is the cost of one more person, from the first line.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT))
+
+from humansim_ros.body import Human  # noqa: E402
+from humansim_ros.cli_human import built_in_humans  # noqa: E402
+from humansim_ros.resources import resource_path  # noqa: E402
+from humansim_ros.scene import Scene, Simulation  # noqa: E402
+
+SCENE = """
+rate: 30
+room: {{size: [12, 12, 2.8]}}
+variety: {{count: {count}, seed: 1, area: [-2.5, -2.5, 2.5, 2.5], spacing: 1.0}}
+cameras:
+  eye: {{size: [640, 480], position: [5.5, 5.0, 2.4], look_at: [0, 0, 0.8], fov_deg: 60}}
+"""
+COUNTS = (1, 2, 5, 10)
+
+
+def median_ms(work: Callable[[int], object], frames: int) -> float:
+    """CPU milliseconds of a frame's work."""
+    work(0)
+    times = []
+    for frame in range(1, frames + 1):
+        start = time.process_time()
+        work(frame)
+        times.append(time.process_time() - start)
+    return 1000 * float(np.median(times))
+
+
+def measure(count: int, frames: int) -> list[float]:
+    """CPU milliseconds of skinning so many people, drawing them, that with all labels, and whole frames."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "scene.yaml"
+        path.write_text(SCENE.format(count=count))
+        scene = Scene.load(path)
+    simulation = Simulation(scene)
+    camera = scene.cameras["eye"]
+    states = {name: actor.at(1.0) for name, actor in scene.actors.items()}
+
+    def draw(*channels: str) -> object:
+        bodies = [actor.body(states[name].vertices) for name, actor in scene.actors.items()]
+        return simulation.renderer.render(bodies, camera, channels)
+
+    parts = [
+        median_ms(lambda frame: [actor.at(frame / 30) for actor in scene.actors.values()], frames),
+        median_ms(lambda _: draw("rgb"), frames),
+        median_ms(lambda _: draw(*simulation.channels), frames),
+        median_ms(simulation.frame, frames),
+    ]
+    simulation.close()
+    return parts
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("--frames", type=int, default=30)
+    frames = parser.parse_args().frames
+    print(f"{'people':>6} {'skinning':>9} {'rgb':>7} {'all':>7} {'frame':>7}   CPU ms; one more person")
+    first: float | None = None
+    for count in COUNTS:
+        parts = measure(count, frames)
+        more = "" if first is None else f"{(parts[-1] - first) / (count - 1):6.1f}"
+        first = parts[-1] if first is None else first
+        print(f"{count:6} {parts[0]:9.1f} {parts[1]:7.1f} {parts[2]:7.1f} {parts[3]:7.1f}   {more}")
+    print()
+    for name in built_in_humans():
+        path = resource_path(f"assets/humans/{name}.npz")
+        ms = median_ms(lambda _, path=path: Human.load(path), 15)
+        print(f"{name:16} loads in {ms:5.1f} ms of CPU")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""Bodies through motions, to be looked at: a row for each body, columns at rest, walking, sitting, waving.
+
+    python tools/body_sheet.py OUT.jpg [BODY ...]
+
+A BODY is a built-in human or any file that one is loaded from; all built-in ones if none is named.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT))
+
+from humansim_ros.body import Human  # noqa: E402
+from humansim_ros.cli_human import built_in_humans  # noqa: E402
+from humansim_ros.human_pictures import HumanArtist  # noqa: E402
+from humansim_ros.motion import read_motion  # noqa: E402
+from humansim_ros.motion.info import world_of  # noqa: E402
+from humansim_ros.motion_pictures import Skinned  # noqa: E402
+from humansim_ros.pictures import Image  # noqa: E402
+from humansim_ros.scene.config import find_human  # noqa: E402
+
+SIZE = (230, 300)
+SHOTS = (("walk", 0.25), ("walk", 0.75), ("run", 0.3), ("sit_stand", 2.0), ("pick_up", 1.2), ("wave", 1.4))
+
+
+def row(body: str) -> Image:
+    """One body in all its poses."""
+    human = Human.load(find_human(body, Path.cwd() / "scene.yaml", "body"))
+    artist = HumanArtist(human, SIZE)
+    pictures = [artist.draw(human, 30)]
+    artist.close()
+    for motion, time in SHOTS:
+        world = world_of(read_motion(ROOT / "assets" / "motions" / f"{motion}.bvh"))
+        skinned = Skinned(human, world, SIZE)
+        pictures.append(skinned.draw(time))
+        skinned.close()
+    cv2.putText(
+        pictures[0], human.name, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.42, (60, 64, 72), 1, cv2.LINE_AA
+    )
+    return np.concatenate(pictures, axis=1)
+
+
+def main() -> None:
+    out, *bodies = sys.argv[1:]
+    sheet = np.concatenate([row(body) for body in bodies or built_in_humans()])
+    cv2.imwrite(out, sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 88])
+
+
+if __name__ == "__main__":
+    main()

@@ -71,3 +71,13 @@ def test_an_edge_pulled_apart_is_the_one_found() -> None:
     a, b = vertices[found.edges[worst]]
     assert np.linalg.norm(a - b) / found.lengths[worst] == pytest.approx(found.stretch[0, worst], rel=1e-3)
     assert found.stretch[0, worst] > 4
+
+
+@pytest.mark.parametrize("method", ["linear", "dual_quaternion"])
+@pytest.mark.parametrize("name", ["adult_man", "adult_woman", "child", "slim_old_woman", "tall_heavy_man"])
+def test_nobody_who_sits_down_tears_or_folds(name: str, method: str) -> None:
+    human = Human.load(ROOT / "assets" / "humans" / f"{name}.npz")
+    motion = ROOT / "assets" / "motions" / "sit_stand.bvh"
+    found = figures.deformation(human, figures.motion_transforms(human, motion, 3.0), method)
+    assert found.stretch.max() < 4
+    assert np.max(found.flipped) < 0.01

@@ -104,7 +104,7 @@ def downsample(texels: Texels, colour: Array) -> NDArray[np.uint8]:
     empty = np.ones((size, size), np.uint8)
     empty[texels.row, texels.column] = 0
     _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    nearest = np.zeros((labels.max() + 1, 3))
+    nearest = np.zeros((int(labels.max()) + 1, 3))
     nearest[labels[texels.row, texels.column]] = colour
     half = nearest[labels].reshape(TEXTURE_SIZE, 2, TEXTURE_SIZE, 2, 3).mean(axis=(1, 3))
     return np.clip(np.rint(half), 0, 255).astype(np.uint8)

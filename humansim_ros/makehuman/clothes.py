@@ -13,6 +13,8 @@ from scipy.sparse.linalg import factorized
 from scipy.spatial import ConvexHull
 
 from humansim_ros.makehuman.data import Array, Index
+from humansim_ros.makehuman.hang import hang
+from humansim_ros.makehuman.outline import Outline, around, averaging, drawn_taut, neighbours, pushed_out
 from humansim_ros.makehuman.skeleton import Bones, limit_weights
 from humansim_ros.makehuman.surface import (
     NONE,
@@ -144,16 +146,19 @@ class Tailor:
                 [eye[2] + 0.05, eye[1] + 0.062],  # forehead
             ]
         )
-        if self.hair_style == "long":
-            knots[:3, 1] -= [0.085, 0.060, 0.012]  # down to the collar, behind the ears
-            knots[1, 0] += 0.012
-        return p[:, 1] - np.interp(p[:, 2], *knots.T)
+        if self.hair_style == "short":
+            return p[:, 1] - np.interp(p[:, 2], *knots.T)
+        knots[5:, 1] -= 0.010  # a fringe
+        cap = p[:, 1] - np.interp(p[:, 2], *knots.T)
+        # over the ears, down to the chin
+        edge = ear[2] + 0.030 - 0.10 * (ear[1] - p[:, 1]).clip(0)
+        outside = np.hypot(p[:, 0], p[:, 2] - ear[2] - 0.010) - 0.042  # not in the mouth
+        return np.maximum(cap, np.minimum.reduce([edge - p[:, 2], p[:, 1] - self.hair_end, outside]))
 
-    def mane(self, p: Array) -> Array:
-        """How far (N,) long hair stands off behind the ears: most at the nape, nothing at the face."""
-        behind = ramp(p[:, 2], self.ear[2] + 0.010, self.ear[2] - 0.035)
-        height = ramp(p[:, 1], self.ear[1] + 0.10, self.ear[1] - 0.04)
-        return 0.020 * behind * height * ramp(self.hair(p), 0.0, 0.03)
+    @property
+    def hair_end(self) -> float:
+        """How far down long hair falls."""
+        return float(self.ear[1] - 0.095)
 
 
 def bridge_hollows(mesh: Mesh, tailor: Tailor) -> Array:
@@ -184,7 +189,8 @@ def drape(mesh: Mesh, tailor: Tailor, own: Tailor) -> Array:
     """
     _, neck, sleeve, hem = (border(mesh.canonical) for border in tailor.borders)
     amount = np.where(mesh.part == 0, ramp(np.minimum.reduce([-neck, -sleeve, hem]), 0.0, 0.03), 0.0)
-    x = mesh.vertices + bridge_hollows(mesh, own)
+    bridged = bridge_hollows(mesh, own)
+    x = mesh.vertices + bridged + hang(mesh, own, mesh.naked + bridged)
     edges = np.concatenate([mesh.faces[:, [k, (k + 1) % 4]] for k in range(4)])
     graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x),) * 2).tocsr()
     graph = ((graph + graph.T) > 0).astype(float)
@@ -357,6 +363,30 @@ def put_on_shoe(
     return vertices + amount[:, None] * (wrapped - vertices)
 
 
+def let_fall(
+    mesh: Mesh, tailor: Tailor, own: Tailor, worn: Array, covered: Array, is_ear: Array, lumps: Array
+) -> Array:
+    """`worn` (V, 3) with long hair, which falls straight from where the head is widest, over the ears.
+
+    `covered` (V,) is how far inside the hairline a vertex is, `is_ear` (V,) above 0 at the ears.
+    """
+    p, q = mesh.canonical, mesh.naked
+    size = (own.skull_top - own.eye[1]) / (tailor.skull_top - tailor.eye[1])
+    loose = np.where(p[:, 1] < tailor.ear[1] + 0.08, ramp(covered, 0.0, 0.004), 0.0)
+    head = (mesh.part == 0) & (p[:, 1] > tailor.ear[1] - 0.02) & (is_ear < 0.01)
+    faces = mesh.surface
+    axis = float(own.ear[2] - 0.015 * size)
+    falling = Outline.of(q, faces[head[faces].all(axis=1)], axis).falling()
+    taut = drawn_taut(q, averaging(neighbours(faces, len(q))), loose, falling, 200)
+    inwards = 1 - 0.10 * ramp(p[:, 1], tailor.hair_end + 0.05, tailor.hair_end)
+    thickness = size * (0.004 + 0.008 * lumps * ramp(covered, 0.0, 0.015))
+    reach = around(q, axis)[1]
+    reach += ramp(covered, 0.0, 0.012) * (inwards * falling.at(taut) + thickness - reach)
+    hair = pushed_out(taut, reach, axis)
+    amount = ramp(p[:, 1], tailor.ear[1] + 0.075, tailor.ear[1] + 0.04) * ramp(covered, 0.0, 0.004)
+    return worn + amount[:, None] * (hair - q + mesh.vertices - worn)
+
+
 def dress(mesh: Mesh, tailor: Tailor, own: Tailor, is_ear: Array, balls: tuple[Array, Array]) -> Array:
     """Vertices (V, 3) of the A pose with cloth, shoes and hair. `tailor` knows the adult man, `own` this
     body; `balls` are the joints of the big toes.
@@ -386,11 +416,13 @@ def dress(mesh: Mesh, tailor: Tailor, own: Tailor, is_ear: Array, balls: tuple[A
     trouser_thickness += tube * np.maximum(0.75 * (TROUSER_LEG * size - radius), 0.0)
     top = ramp(p[:, 1], tailor.eye[1], tailor.skull_top)
     lumps = 1 + 0.25 * noise(p, 0.035, 1)
-    hair = ramp(tailor.hair(p), -0.004, 0.02) * (1 - is_ear) * (0.005 + 0.011 * top) * lumps
-    if tailor.hair_style == "long":
-        hair += tailor.mane(p) * (1 - is_ear) * lumps
+    covered = tailor.hair(p)
+    hair = ramp(covered, -0.004, 0.02) * (1 - is_ear) * (0.005 + 0.011 * top) * lumps
     thickness = np.select([shirt, trousers, body], [shirt_thickness, trouser_thickness, hair], 0.0)
     worn = vertices + thickness[:, None] * normals
+    if tailor.hair_style == "long":
+        falls = np.where(body & (mesh.garment == NONE), covered, 0.0)
+        worn = let_fall(mesh, tailor, own, worn, falls, is_ear, lumps)
     in_shoe = np.where(mesh.garment == SHOES, ramp(hem, 0.0, -0.015), 0.0)
     for side, ball in zip((1, -1), balls, strict=True):
         foot = np.flatnonzero(body & (p[:, 0] * side > 0) & (hem < 0.015))

@@ -29,6 +29,7 @@ from humansim_ros.makehuman.surface import (
 
 AO_DIRECTIONS = 96
 AO_REACH = 0.25
+_PERIOD = 0.036  # metres, of checks; other patterns go into it
 _CELL = 0.008  # metres, of the height maps that occlusion is found with
 
 Byte = Annotated[int, Field(ge=0, le=255)]
@@ -212,18 +213,22 @@ def paint_head_and_hands(c: Canvas, outfit: Outfit) -> Array:
     hairline = c.tailor.hair(p) + 0.004 * noise(p, 0.006, 22) + 0.003 * noise(p, 0.002, 23)
     rows = np.flatnonzero(hairline > -0.004)
     some = c.at(rows)
-    amount = ramp(hairline[rows], -0.004, 0.005) * (1 - some.mask("ears"))
+    amount = ramp(hairline[rows], -0.004, 0.005)
+    if c.tailor.hair_style == "short":
+        amount *= 1 - some.mask("ears")
     colour[rows] = blend(colour[rows], paint_hair(some, outfit), amount)
     return colour
 
 
 def paint_hair(c: Canvas, outfit: Outfit) -> Array:
-    crown = np.array([0, c.tailor.skull_top - 0.09, c.tailor.ear[2] - 0.03])
-    ray = c.body - crown
+    # long hair covers the ears, which only what is worn knows
+    p, t = (c.body, c.tailor) if c.tailor.hair_style == "short" else (c.worn, c.own)
+    crown = np.array([0, t.skull_top - 0.09, t.ear[2] - 0.03])
+    ray = p - crown
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     around = ray * [1, 0, 1] / np.maximum(np.linalg.norm(ray[:, [0, 2]], axis=1, keepdims=True), 1e-3)
     along = around + [[0, 0.06, 0]] * ray[:, [1, 1, 1]]
-    strands = 0.6 * noise(along, 0.035, 9) + 0.4 * noise(along, 0.016, 10) + 0.25 * noise(c.body, 0.02, 11)
+    strands = 0.6 * noise(along, 0.035, 9) + 0.4 * noise(along, 0.016, 10) + 0.25 * noise(p, 0.02, 11)
     return np.array(outfit.hair) * (1 + 0.38 * strands)[:, None]
 
 
@@ -249,9 +254,9 @@ def weave(
         colour = blend(colour, other, _wave(along, 0.032, 0.40))
         colour = blend(colour, 0.5 * base, 0.8 * _wave(along + 0.012, 0.032, 0.10))
     elif fabric == "checks":
-        lines = 0.5 * _wave(along, 0.036, 0.45) + 0.5 * _wave(around, 0.036, 0.45)
+        lines = 0.5 * _wave(along, _PERIOD, 0.45) + 0.5 * _wave(around, _PERIOD, 0.45)
         colour = blend(colour, other, lines)
-        thin = np.maximum(_wave(along + 0.009, 0.036, 0.08), _wave(around + 0.009, 0.036, 0.08))
+        thin = np.maximum(_wave(along + 0.009, _PERIOD, 0.08), _wave(around + 0.009, _PERIOD, 0.08))
         colour = blend(colour, 0.35 * base, 0.8 * thin)
     elif fabric == "dots":
         colour = blend(colour, other, _spots(p, 0.026, 0.0075, seed + 7))
@@ -263,6 +268,11 @@ def weave(
         leaves = noise(p, 0.017, seed + 11)
         colour = blend(colour, base * [0.55, 0.75, 0.5], 0.8 * ramp(leaves, 0.45, 0.52) * (petals < 0.25))
     return colour * (1 + shade)[:, None]
+
+
+def _girth(radii: Array) -> float:
+    """What is round a limb of these radii (N,), metres: a whole number of periods."""
+    return max(round(2 * np.pi * float(np.median(radii)) / _PERIOD), 1) * _PERIOD
 
 
 def _wave(x: Array, period: float, share: float) -> Array:
@@ -284,10 +294,19 @@ def _spots(p: Array, spacing: float, radius: float, seed: int) -> Array:
 
 def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
     p, t = c.body, c.tailor
-    beyond = np.maximum(np.abs(p[:, 0]) - t.shoulder_x, 0.0)
-    along = np.where(beyond > 0, t.shoulder_y + beyond, p[:, 1])
-    around = np.where(np.abs(p[:, 0]) > 0.22, p[:, 2], 0.14 * np.arctan2(p[:, 0], p[:, 2] + 0.02))
-    colour = weave(p, along, around, outfit.shirt_fabric, outfit.shirt, outfit.shirt_second, 12)
+    # cloth is the same on everybody, so its pattern is laid out on who wears it
+    q, own = c.worn, c.own
+    on_trunk = np.abs(p[:, 0]) < 0.22
+    beyond = np.maximum(np.abs(q[:, 0]) - own.shoulder_x, 0.0)
+    along = np.where(np.abs(p[:, 0]) > t.shoulder_x, own.shoulder_y + beyond, q[:, 1])
+    forward = q[:, 2] - float(np.median(q[on_trunk, 2]))
+    girth = _girth(np.hypot(q[:, 0], forward)[on_trunk])
+    around = girth * np.arctan2(q[:, 0], forward) / (2 * np.pi)
+    # over the shoulders it is cut flat, front and back
+    cut = np.where(forward > 0, q[:, 0], np.sign(q[:, 0]) * girth / 2 - q[:, 0])
+    flat = ramp(p[:, 1], t.shoulder_y - 0.12, t.shoulder_y - 0.02)
+    around = np.where(on_trunk, around + flat * (cut - around), q[:, 2])
+    colour = weave(q, along, around, outfit.shirt_fabric, outfit.shirt, outfit.shirt_second, 12)
     colour *= (1 + 0.05 * noise(p * [1, 0.5, 1], 0.06, 14))[:, None]  # folds
     collar = -t.above_neckline(p)
     colour *= 1 - 0.16 * ramp(collar, 0.020, 0.018)[:, None]
@@ -302,8 +321,11 @@ def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
 
 def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
     p, t = c.body, c.tailor
-    leg = 0.075 * np.arctan2(np.abs(p[:, 0]) - t.leg_x(p), p[:, 2] - t.leg_z(p))
-    colour = weave(p, p[:, 1], leg, outfit.trousers_fabric, outfit.trousers, outfit.trousers_second, 15)
+    q, own = c.worn, c.own
+    outward, ahead = np.abs(q[:, 0]) - own.leg_x(q), q[:, 2] - own.leg_z(q)
+    girth = _girth(np.hypot(outward, ahead)[q[:, 1] < own.knee_y])
+    leg = girth * np.arctan2(outward, ahead) / (2 * np.pi)
+    colour = weave(q, q[:, 1], leg, outfit.trousers_fabric, outfit.trousers, outfit.trousers_second, 15)
     from_leg, front = np.abs(p[:, 0]) - t.leg_x(p), p[:, 2] - t.leg_z(p)
     worn_out = np.exp(-((from_leg / 0.05) ** 2)) * ramp(front, 0.0, 0.05)
     worn_out *= np.exp(-(((p[:, 1] - 0.62) / 0.17) ** 2))

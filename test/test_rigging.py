@@ -93,7 +93,7 @@ def test_weights_sum_to_one_over_at_most_two_bones(rule: RigRule) -> None:
 
 def test_sides_are_never_mixed() -> None:
     vertices = person_like(2, 3000)
-    weights = rig(cloud(vertices), SKELETON).toarray()
+    weights = rig(cloud(vertices), SKELETON, "thesis").toarray()
     for side, other in ((vertices[:, 0] > 0, "r"), (vertices[:, 0] < 0, "l")):
         bones = [b for b, n in enumerate(SKELETON.names) if n.startswith(f"{other}_") or f"_{other}_" in n]
         np.testing.assert_array_equal(weights[side][:, bones], 0)
@@ -116,7 +116,7 @@ def test_a_skeleton_without_a_side_is_refused() -> None:
         ("l_hip",), np.array([-1]), SKELETON.heads[left], SKELETON.tails[left], SKELETON.rolls[left]
     )
     with pytest.raises(MeshError, match="no bone on one side"):
-        rig(cloud(-np.eye(3)), one_leg)
+        rig(cloud(-np.eye(3)), one_leg, "thesis")
 
 
 def test_a_part_is_the_bone_that_its_corners_follow_most() -> None:

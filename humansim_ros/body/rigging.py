@@ -17,7 +17,7 @@ from humansim_ros.rotations import Array, angle_between
 RigRule = Literal["heat", "thesis", "thesis-printed"]
 
 
-def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "thesis") -> csr_matrix:
+def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
     """Skinning weights (V, B) of a mesh that stands in the skeleton's rest pose; rows sum to one.
 
     A vertex goes to the bone that it sees under the largest angle head-vertex-tail; bones on the other side

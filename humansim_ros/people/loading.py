@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from humansim_ros.body.fitting import fit_limbs, fit_to_skeleton
+from humansim_ros.body.fitting import fit_skeleton
 from humansim_ros.body.human import MOST_BONES, Human, Skinning, human_of_arrays, read_human
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.body.obj import material_files, read_mesh
@@ -157,14 +157,15 @@ def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
 
 def _rigged(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton, csr_matrix]:
     """A bare mesh fitted and rigged."""
-    general = hanim_skeleton()
-    fitted = fit_to_skeleton(mesh, general)
-    skeleton = fit_limbs(general, fitted) if options.skeleton == "fitted" else general
-    weights = rig(fitted, skeleton, options.rigging)
-    stature = options.stature
-    if stature is not None:
-        fitted, skeleton = _resized(fitted, skeleton, stature)
-    return fitted, skeleton, weights
+    fitted, skeleton = fit_skeleton(
+        mesh,
+        options.skeleton,
+        up=options.up,
+        facing=options.facing,
+        unit=options.unit,
+        stature=options.stature,
+    )
+    return fitted, skeleton, rig(fitted, skeleton, options.rigging)
 
 
 def _resized(mesh: Mesh, skeleton: Skeleton, stature: float) -> tuple[Mesh, Skeleton]:

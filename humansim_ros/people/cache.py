@@ -12,6 +12,7 @@ from pathlib import Path
 import humansim_ros
 from humansim_ros.body.human import Human, read_human, write_human
 from humansim_ros.errors import MeshError
+from humansim_ros.resources import resource_path
 
 #: Humans that are kept; of more the longest unused go.
 MOST_HUMANS = 100
@@ -83,4 +84,5 @@ def _code() -> bytes:
     for pattern in ("*.py", "body/*.py", "gltf/*.py", "makehuman/*.py", "motion/*.py", "people/*.py"):
         for file in sorted(root.glob(pattern)):
             digest.update(file.read_bytes())
+    digest.update(resource_path("config/body_joints.json").read_bytes())
     return digest.digest()

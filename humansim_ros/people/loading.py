@@ -210,10 +210,13 @@ def _dressed(human: Human, clothes: Clothes) -> NDArray[np.uint8]:
         else:
             palette[bone] = palette[parent]
     colors = palette[dominant_bones(human.weights)]
-    head = human.mesh.vertices - skeleton.heads[skeleton.bone("vt3")]
-    length = skeleton.lengths[skeleton.bone("vt3")]
-    # hair grows on the top and the back of the head
-    hair = (head[:, 1] > 0.42 * length) & (head[:, 1] - 0.6 * head[:, 2] > 0.72 * length)
+    # the head is about an eighth of the height; hair grows on the top and the back of it
+    vertices = human.mesh.vertices
+    tall = float(np.ptp(vertices[:, 1]))
+    up = 1 + (vertices[:, 1] - vertices[:, 1].max()) / (0.13 * tall)  # 0 at the chin, 1 on top
+    middle = vertices[up > 0.5, 2]
+    ahead = (vertices[:, 2] - (middle.min() + middle.max()) / 2) / (0.13 * tall)
+    hair = (up > 0.40) & (up - 0.75 * ahead > 0.54)
     colors[hair & (colors == np.array(clothes.skin, np.uint8)).all(1)] = clothes.hair
     return colors
 

@@ -189,7 +189,7 @@ WRONG: list[tuple[str, str, int | None, str | None, str]] = [
         GOOD.replace("body:", "mesh:"),
         5,
         "humans.anna.mesh",
-        "known here: body, motion",
+        "known here: body, outfit, skinning, motion",
     ),
     (
         "unknown key of the room",

@@ -25,6 +25,14 @@ def shared_data() -> Path:
     return SHARED_DATA
 
 
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Humans that tests make are not kept among the user's."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HUMANSIM_CACHE", str(tmp_path_factory.mktemp("humans")))
+        yield
+
+
 @pytest.fixture(scope="session")
 def assets() -> Path:
     """The bodies and motions that come with the package."""

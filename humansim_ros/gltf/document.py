@@ -290,6 +290,11 @@ class Gltf:
         return out
 
     @cached_property
+    def at_rest(self) -> Array:
+        """Transforms (N, 4, 4) of the nodes in the scene as the file has them."""
+        return self.world()
+
+    @cached_property
     def order(self) -> NDArray[np.intp]:
         """(N,) the nodes, parents before children, otherwise as in the file."""
         order: list[int] = []

@@ -52,7 +52,7 @@ class GltfSkeleton:
                 above = int(gltf.parents[above])
             parents[joint] = place[above] if above >= 0 else -1
         frames = np.stack([bind[int(n)] for n in nodes])
-        space = _similarity(np.mean(gltf.world()[nodes] @ np.linalg.inv(frames), axis=0), gltf)
+        space = _similarity(np.mean(gltf.at_rest[nodes] @ np.linalg.inv(frames), axis=0), gltf)
         names = _names(gltf, nodes)
         # the common space has the scene's size
         sized = np.diag([*3 * [np.cbrt(np.linalg.det(space[:3, :3]))], 1.0])

@@ -61,7 +61,7 @@ def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> list[_Pie
         return []
     joints: Array | None = None
     if skeleton is None:
-        to_common = gltf.world()[number]
+        to_common = gltf.at_rest[number]
         carrier = None
     elif node.skin is not None:
         to_common, carrier = skeleton.from_skin[node.skin], None
@@ -73,7 +73,7 @@ def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> list[_Pie
             warn_of(gltf.path, f"{node.name or f'node {number}'!r} hangs on no joint and is left out")
             return []
         # a thing without skin, a hat or a watch, goes along with its joint
-        world = gltf.world()
+        world = gltf.at_rest
         to_joint = np.linalg.inv(world[skeleton.nodes[carrier]]) @ world[number]
         to_common = skeleton.bind[carrier] @ to_joint
     mesh = gltf.mesh(node.mesh)

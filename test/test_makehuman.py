@@ -12,13 +12,18 @@ import cv2
 import numpy as np
 import pytest
 from conftest import ROOT
+from render_scenes import renderer_or_skip
 
 from humansim_ros.body import Human
+from humansim_ros.camera import Camera
 from humansim_ros.cli_human import built_in_humans
 from humansim_ros.errors import MeshError
 from humansim_ros.makehuman import MakeHumanConfig, Outfit, Source, build, find_data
 from humansim_ros.makehuman.data import read_base
 from humansim_ros.makehuman.shape import target_strengths, with_stature
+from humansim_ros.people.description import ParametricHuman, read_description
+from humansim_ros.render import Body
+from humansim_ros.rotations import WORLD_FROM_BODY, transform
 
 PEOPLE = built_in_humans()
 needs_makehuman = pytest.mark.skipif(
@@ -95,6 +100,84 @@ def test_each_loads_quickly_enough_to_start_many(name: str) -> None:
     assert decoded == 1
 
 
+@pytest.mark.parametrize("name", PEOPLE)
+def test_features_show_on_the_clothes_of_each_from_across_a_room(name: str) -> None:
+    """340 pixels tall, from ahead and from behind."""
+    human = person(name)
+    renderer = renderer_or_skip()
+    vertices = human.pose(transform(WORLD_FROM_BODY, np.zeros(3)) @ human.skeleton.rest)
+    low, high = vertices.min(0), vertices.max(0)
+    middle, away = (low + high) / 2, 2.02 * float(high[2] - low[2])
+    try:
+        for outfit in human.outfits:
+            worn = human.wearing(outfit)
+            body = Body(worn.mesh, vertices, worn.triangle_parts, 1)
+            for side in (1, -1):
+                eye = middle + np.array([side * away, 0.1, 0.2])
+                camera = Camera.look_at(tuple(eye), tuple(middle), (640, 480), np.radians(50.0))
+                view = renderer.render([body], camera, ("rgb", "instance"))
+                assert view.rgb is not None
+                assert view.instance is not None
+                rows = np.flatnonzero(view.instance.any(1))
+                assert len(rows) == pytest.approx(340, abs=15)
+                inside = cv2.erode((view.instance > 0).astype(np.uint8), np.ones((9, 9), np.uint8))
+                inside[: rows[0] + 60] = 0  # the head
+                gray = cv2.cvtColor(view.rgb, cv2.COLOR_RGB2GRAY)
+                assert len(cv2.FastFeatureDetector_create(10).detect(gray, 255 * inside)) > 90
+    finally:
+        renderer.close()
+
+
+def skin_or_hair(human: Human, name: str, height: float) -> str:
+    """What is at the outermost left of the head, some way up from the neck (0) to the crown (1)."""
+    skeleton, mesh = human.skeleton, human.mesh
+    assert mesh.uv is not None
+    assert mesh.uv_triangles is not None
+    assert mesh.texture is not None
+    neck, crown = skeleton.heads[skeleton.bone("vt3")], skeleton.tails[skeleton.bone("vt3")]
+    middles = mesh.vertices[mesh.triangles].mean(axis=1)
+    near = np.flatnonzero(np.abs(middles[:, 1] - neck[1] - height * (crown - neck)[1]) < 0.008)
+    outermost = near[middles[near, 0].argsort()[-5:]]
+    u, v = mesh.uv[mesh.uv_triangles[outermost]].mean(axis=1).T
+    size = np.array(mesh.texture.shape[1::-1])
+    color = np.median(mesh.texture[((1 - v) * size[1]).astype(int), (u * size[0]).astype(int)], axis=0)
+    description = read_description(ROOT / "config" / "humans" / f"{name}.yaml")
+    assert isinstance(description, ParametricHuman)
+    colors = description.outfits[human.outfit].model_dump()
+    return min(("skin", "hair"), key=lambda part: float(np.linalg.norm(color - colors[part])))
+
+
+def test_long_hair_covers_the_ears() -> None:
+    assert skin_or_hair(person("adult_man"), "adult_man", 0.5) == "skin"
+    assert skin_or_hair(person("adult_woman"), "adult_woman", 0.5) == "hair"
+
+
+@pytest.mark.parametrize("name", ["adult_man", "adult_woman", "child", "tall_heavy_man"])
+def test_stripes_are_as_wide_on_everybody(name: str) -> None:
+    mesh = person(name).wearing("stripes").mesh
+    assert mesh.uv is not None
+    assert mesh.uv_triangles is not None
+    assert mesh.texture is not None
+    corners = mesh.vertices[mesh.triangles]
+    middle, forward = (
+        corners.mean(axis=1),
+        np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]),
+    )
+    tall = mesh.vertices[:, 1].max()
+    # the belly: ahead of the middle, between belt and chest
+    belly = (np.abs(middle[:, 0]) < 0.04 * tall) & (forward[:, 2] > 0) & (middle[:, 2] > 0)
+    belly &= (middle[:, 1] > 0.61 * tall) & (middle[:, 1] < 0.72 * tall)
+    shares = np.random.default_rng(0).dirichlet((1, 1, 1), 40)
+    height = (shares @ corners[belly][..., 1].T).ravel()
+    u, v = np.moveaxis(np.einsum("sk,tkj->stj", shares, mesh.uv[mesh.uv_triangles[belly]]), -1, 0)
+    size = np.array(mesh.texture.shape[1::-1])
+    colors = mesh.texture[((1 - v) * size[1]).astype(int), (u * size[0]).astype(int)].astype(float)
+    gray = colors.reshape(-1, 3).mean(axis=1)
+    periods = np.linspace(0.020, 0.050, 301)
+    power = np.abs(np.exp(2j * np.pi * height[None] / periods[:, None]) @ (gray - gray.mean()))
+    assert periods[power.argmax()] == pytest.approx(0.032, abs=0.001)
+
+
 # those of the sliders
 
 
@@ -152,7 +235,7 @@ def test_nobody_is_a_giant_at_two(source: Source) -> None:
 @needs_makehuman
 @pytest.mark.slow
 def test_a_person_of_sliders_is_whole_and_the_same_every_time(source: Source) -> None:
-    config = MakeHumanConfig(gender=0.2, age=60, weight=0.9, muscle=0.2, hair="long", sleeves="long")
+    config = MakeHumanConfig(gender=0.0, age=60, weight=0.9, muscle=0.2, hair="long", sleeves="long")
     arrays = build(source, config, {"a": Outfit(shirt_fabric="dots")})
     again = build(source, config, {"a": Outfit(shirt_fabric="dots")})
     assert all(np.array_equal(arrays[name], again[name]) for name in arrays)
@@ -161,6 +244,29 @@ def test_a_person_of_sliders_is_whole_and_the_same_every_time(source: Source) ->
     human = human_of_arrays(arrays, "someone")
     assert human.mesh.closed
     np.testing.assert_allclose(human.pose(human.skeleton.rest), human.mesh.vertices, atol=1e-6)
+
+
+@needs_makehuman
+@pytest.mark.slow
+def test_a_shirt_hangs_over_a_large_bust_instead_of_clinging(source: Source) -> None:
+    config = MakeHumanConfig(gender=0.0, age=85, weight=0.9, cup_size=1.0, firmness=0.0)
+    naked = read_base(source, target_strengths(source, config))
+    skin = naked.vertices[naked.vertex_groups["body"]]
+    clothes = build(source, config, {"a": Outfit()})["vertices"]
+
+    def deepest(points: Any) -> float:
+        """How far the middle of the chest lies behind what is beside it, metres."""
+        tall = np.ptp(points[:, 1])
+        height = (points[:, 1] - points[:, 1].min()) / tall
+        gaps = []
+        for level in np.arange(0.66, 0.76, 0.01):
+            near = points[np.abs(height - level) < 0.012]
+            beside = near[np.abs(near[:, 0]) < 0.11, 2].max()
+            gaps.append(beside - near[np.abs(near[:, 0]) < 0.012, 2].max())
+        return float(max(gaps))
+
+    assert deepest(skin) > 0.06
+    assert deepest(clothes) < 0.03
 
 
 @needs_makehuman

@@ -28,7 +28,7 @@ from humansim_ros.makehuman.skeleton import (
 )
 from humansim_ros.makehuman.surface import NONE, Mesh, compact, refine, sample
 
-JPEG_QUALITY = 95
+JPEG_QUALITY = 92
 #: How far bones part that both move a vertex, of the height: thighs of somebody who sits down, at the crotch.
 _PARTING = 0.10
 #: Whom clothes are cut for and painted on; everybody else has the same vertices elsewhere.

@@ -158,7 +158,7 @@ class Tailor:
     @property
     def hair_end(self) -> float:
         """How far down long hair falls."""
-        return float(self.ear[1] - 0.095)
+        return float(self.ear[1] - 0.065)
 
 
 def bridge_hollows(mesh: Mesh, tailor: Tailor) -> Array:

@@ -229,7 +229,10 @@ def paint_hair(c: Canvas, outfit: Outfit) -> Array:
     around = ray * [1, 0, 1] / np.maximum(np.linalg.norm(ray[:, [0, 2]], axis=1, keepdims=True), 1e-3)
     along = around + [[0, 0.06, 0]] * ray[:, [1, 1, 1]]
     strands = 0.6 * noise(along, 0.035, 9) + 0.4 * noise(along, 0.016, 10) + 0.25 * noise(p, 0.02, 11)
-    return np.array(outfit.hair) * (1 + 0.38 * strands)[:, None]
+    shade = 1 + 0.38 * strands
+    if c.tailor.hair_style == "long":  # it lies in its own shadow below
+        shade *= 1 - 0.40 * ramp(c.body[:, 1], c.tailor.ear[1] + 0.05, c.tailor.hair_end)
+    return np.array(outfit.hair) * shade[:, None]
 
 
 def weave(
@@ -243,13 +246,19 @@ def weave(
     colour = np.tile(base, (len(p), 1))
     if fabric == "knit":
         rib = np.sin(2 * np.pi * around / 0.009) * (0.6 + 0.4 * np.sin(2 * np.pi * along / 0.007))
-        shade = shade + 0.17 * rib + 0.10 * noise(p, 0.012, seed + 2)
+        shade = shade + 0.13 * rib + 0.10 * noise(p, 0.012, seed + 2)
+        # flecks of other yarn, large enough to be seen from across a room
+        colour = blend(colour, 0.5 * base + 110, 0.75 * _spots(p, 0.030, 0.0065, seed + 12))
+        colour = blend(colour, 0.45 * base, 0.75 * _spots(p, 0.026, 0.0060, seed + 16))
     elif fabric == "twill":
         shade = shade + 0.04 * noise(p * [1, 0.5, 1], 0.003, seed + 3) + 0.05 * noise(p, 0.05, seed + 4)
+        shade = shade + 0.14 * ramp(np.abs(noise(p * [1, 0.6, 1], 0.022, seed + 5)), 0.10, 0.02)  # creases
     elif fabric == "denim":
         slant = np.sin(2 * np.pi * (p[:, 0] + p[:, 1] + p[:, 2]) / 0.0075)
         streaks = noise(p * [1, 0.12, 1], 0.004, seed + 5)
         shade = shade + 0.07 * slant + 0.12 * streaks + 0.06 * noise(p, 0.03, seed + 6)
+        worn = ramp(noise(p * [1, 0.7, 1], 0.017, seed + 7), 0.30, 0.55)  # washed out
+        colour = blend(colour, 0.75 * base + 62, 0.55 * worn)
     elif fabric == "stripes":
         colour = blend(colour, other, _wave(along, 0.032, 0.40))
         colour = blend(colour, 0.5 * base, 0.8 * _wave(along + 0.012, 0.032, 0.10))

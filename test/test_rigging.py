@@ -1,17 +1,31 @@
-"""The thesis rigging rule against the rule written out slowly, and against an artist's weights."""
+"""The thesis' rigging rule against the rule written out slowly; heat against it and the artists' weights."""
 
 from __future__ import annotations
 
 import math
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import ROOT
 from scipy.sparse import csr_matrix
+from scipy.spatial import cKDTree
 
-from humansim_ros.body import Human, Mesh, Skeleton, fit_to_skeleton, hanim_skeleton, read_mesh, rig, skin
+from humansim_ros.body import (
+    Human,
+    Mesh,
+    Skeleton,
+    fit_skeleton,
+    fit_to_skeleton,
+    hanim_skeleton,
+    heat,
+    read_mesh,
+    rig,
+    skin,
+)
 from humansim_ros.body.rigging import RigRule, dominant_bones, triangle_parts
+from humansim_ros.body.skeleton import side_of
 from humansim_ros.errors import MeshError
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.joint_names import find_match
@@ -143,3 +157,198 @@ def test_a_walking_man_is_within_millimetres_of_the_artists() -> None:
 
 def test_the_printed_rule_is_farther_off() -> None:
     assert walking_error("thesis-printed").mean() > 2 * walking_error("thesis").mean()
+
+
+# --- heat
+
+
+PEOPLE = tuple(sorted(path.stem for path in (ROOT / "assets" / "humans").glob("*.npz")))
+
+
+@cache
+def person(name: str) -> Human:
+    return Human.load(ROOT / "assets" / "humans" / f"{name}.npz")
+
+
+@cache
+def heated(name: str) -> csr_matrix:
+    return rig(person(name).mesh, person(name).skeleton)
+
+
+def bones(skeleton: Skeleton, *joints: str) -> list[int]:
+    return [b for b, name in enumerate(skeleton.names) if name.endswith(joints) and "_to_" not in name]
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_heat_gives_at_most_four_bones_that_sum_to_one(name: str) -> None:
+    weights = heated(name)
+    np.testing.assert_allclose(np.asarray(weights.sum(1)).ravel(), 1, atol=1e-12)
+    assert weights.min() >= 0
+    assert np.diff(weights.indptr).max() <= 4
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_heat_does_not_leak(name: str) -> None:
+    """From an arm to the trunk below it, between the legs, from limbs to the head."""
+    human, weights = person(name), heated(name).toarray()
+    artist, skeleton = human.weights.toarray(), human.skeleton
+    arms = bones(skeleton, "_shoulder", "_elbow", "_wrist")
+    trunk = artist[:, bones(skeleton, "Root", "sacroiliac", "vl5")].sum(1) > 0.99
+    assert weights[trunk][:, arms].mean() * len(arms) < 0.01
+    for own, other in (("l", "r"), ("r", "l")):
+        leg, others = (bones(skeleton, f"{s}_hip", f"{s}_knee", f"{s}_ankle") for s in (own, other))
+        on_leg = artist[:, leg].sum(1) > 0.99
+        assert weights[on_leg][:, others].sum(1).max() < 0.35
+        assert weights[on_leg][:, others].sum(1).mean() < 0.001
+        # no weight well across the middle
+        side = 1 if own == "l" else -1
+        far = human.mesh.vertices[:, 0] * side < -0.06
+        right = [b for b, n in enumerate(skeleton.names) if n.startswith(f"{own}_")]
+        np.testing.assert_array_equal(weights[far][:, right], 0)
+    head = artist[:, skeleton.bone("vt3")] > 0.99
+    limbs = bones(skeleton, "_shoulder", "_elbow", "_wrist", "_hip", "_knee", "_ankle")
+    np.testing.assert_array_equal(weights[head][:, limbs], 0)
+
+
+@pytest.mark.parametrize("name", PEOPLE)
+def test_heat_is_nearer_to_the_artists_than_the_thesis(name: str) -> None:
+    human = person(name)
+    off = [
+        float(np.abs(rig(human.mesh, human.skeleton, rule) - human.weights).sum())
+        / len(human.mesh.vertices)
+        / 2
+        for rule in ("heat", "thesis")
+    ]
+    assert off[0] < 0.12
+    assert off[0] < 0.75 * off[1]
+
+
+def test_heat_walks_nearer_to_the_artists_than_the_thesis() -> None:
+    heat, thesis = walking_error("heat"), walking_error("thesis")
+    assert heat.mean() < 0.65 * thesis.mean()
+    assert heat.max() < 0.6 * thesis.max()
+
+
+def test_heat_is_smooth() -> None:
+    """Where weights jump along an edge, skin tears."""
+    human = person("adult_woman")
+    edges = human.mesh.triangles[:, :2]
+    jump = [
+        np.abs((w[edges[:, 0]] - w[edges[:, 1]]).toarray()).sum(1)
+        for w in (heated(human.name), thesis_of(human))
+    ]
+    assert np.quantile(jump[0], 0.999) < 0.8
+    assert np.quantile(jump[0], 0.999) < 0.6 * np.quantile(jump[1], 0.999)
+
+
+def thesis_of(human: Human) -> csr_matrix:
+    return rig(human.mesh, human.skeleton, "thesis")
+
+
+def test_heat_mirrors_with_the_body() -> None:
+    human = person("child")
+    skeleton, vertices = human.skeleton, human.mesh.vertices
+    away, mirrored = cKDTree(vertices).query(vertices * [-1, 1, 1])
+    other = [
+        skeleton.bone(n.replace("l_", "#").replace("r_", "l_").replace("#", "r_")) if side_of(n) else b
+        for b, n in enumerate(skeleton.names)
+    ]
+    weights = heated("child").toarray()
+    unlike = np.abs(weights - weights[mirrored][:, other]).sum(1)[away < 1e-4]
+    assert unlike.mean() < 0.005
+
+
+def changed(human: Human, kind: str) -> Mesh:
+    """The same surface as careless programs write it."""
+    mesh = human.mesh
+    triangles, count = mesh.triangles, len(mesh.vertices)
+    rest = np.full((len(triangles), 1), -1, np.int32)
+    plain = np.hstack([triangles, rest]).astype(np.int32)
+    if kind == "torn into triangles":
+        alone = np.hstack([np.arange(triangles.size).reshape(-1, 3), rest]).astype(np.int32)
+        return Mesh(mesh.vertices[triangles].reshape(-1, 3), alone)
+    if kind == "turned inside out":
+        return Mesh(mesh.vertices, np.hstack([triangles[:, ::-1], rest]).astype(np.int32))
+    if kind == "open":
+        return Mesh(mesh.vertices, plain[np.random.default_rng(0).random(len(plain)) > 0.05])
+    if kind == "with faces of no area":
+        flat = np.array([[0, 0, 5, -1], [7, 7, 7, -1], [1, 2, 1, -1]], dtype=np.int32)
+        return Mesh(mesh.vertices, np.vstack([plain, flat]))
+    if kind == "non-manifold":
+        return Mesh(mesh.vertices, np.vstack([plain, plain[:500], plain[200:300, [1, 0, 2, 3]]]))
+    # a button on the chest, a vertex that no face uses
+    assert kind == "with pieces"
+    button = np.array([[0.02, 1.25, 0.2], [0.03, 1.25, 0.2], [0.02, 1.26, 0.2], [0.0, 1.0, 3.0]])
+    return Mesh(
+        np.vstack([mesh.vertices, button]),
+        np.vstack([plain, [[count, count + 1, count + 2, -1]]]).astype(np.int32),
+    )
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        "torn into triangles",
+        "turned inside out",
+        "open",
+        "with faces of no area",
+        "non-manifold",
+        "with pieces",
+    ],
+)
+@pytest.mark.filterwarnings("error")
+def test_heat_takes_meshes_as_they_come(kind: str) -> None:
+    human = person("adult_man")
+    mesh = changed(human, kind)
+    weights = rig(mesh, human.skeleton, "heat")
+    np.testing.assert_allclose(np.asarray(weights.sum(1)).ravel(), 1, atol=1e-12)
+    expected = heated("adult_man")
+    own = weights[: len(human.mesh.vertices)]
+    if kind == "torn into triangles":
+        expected, own = expected[human.mesh.triangles.ravel()], weights
+    off = np.asarray(np.abs(own - expected).sum(1)).ravel() / 2
+    assert np.quantile(off, 0.95) < (0.15 if kind == "open" else 0.05)
+    if kind == "with pieces":
+        button = weights[len(human.mesh.vertices) :].toarray()
+        np.testing.assert_allclose(button[:3] - button[0], 0, atol=1e-12)
+        assert button[0, human.skeleton.bone("vl5")] > 0.8
+
+
+def test_heat_flows_over_a_coarser_surface_where_there_are_very_many_vertices(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    human = person("slim_old_woman")
+    monkeypatch.setattr(heat, "_MOST_POINTS", 5000)
+    coarse = rig(human.mesh, human.skeleton)
+    off = np.asarray(np.abs(coarse - heated(human.name)).sum(1)).ravel() / 2
+    assert 0 < off.mean() < 0.03
+    assert np.diff(coarse.indptr).max() <= 4
+    np.testing.assert_allclose(np.asarray(coarse.sum(1)).ravel(), 1, atol=1e-6)
+
+
+def test_arms_do_not_move_a_belly_beside_them(shared_data: Path) -> None:
+    """In an A pose the forearm is before the flank: skin sees it, but through air."""
+    mesh, skeleton = fit_skeleton(read_mesh(shared_data / "mesh" / "mh2007_female_A_dm.obj"))
+    weights = rig(mesh, skeleton).toarray()
+    height, aside = mesh.vertices[:, 1], np.abs(mesh.vertices[:, 0])
+    belly = (height > 0.95) & (height < 1.2) & (aside < 0.16)
+    assert belly.sum() > 300
+    assert weights[belly][:, bones(skeleton, "_shoulder", "_elbow", "_wrist")].max() < 0.05
+
+
+@pytest.mark.parametrize("extent", [[0.0, 1, 1], [1.0, 0, 1], [1.0, 1, 0], [0.0, 0, 0], [1e7, 1, 1]])
+def test_heat_on_what_is_no_body_is_refused_or_done(extent: list[float]) -> None:
+    vertices = np.random.default_rng(0).uniform(-1, 1, (90, 3)) * extent
+    mesh = Mesh(vertices, np.column_stack([np.arange(90).reshape(30, 3), np.full(30, -1)]).astype(np.int32))
+    try:
+        weights = rig(mesh, SKELETON)
+    except MeshError:
+        assert extent[1] == 0 or max(extent) > 1e3
+    else:
+        np.testing.assert_allclose(np.asarray(weights.sum(1)).ravel(), 1, atol=1e-12)
+
+
+def test_skeletons_of_no_human_are_refused() -> None:
+    stick = Skeleton(("stick",), np.array([-1]), np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
+    with pytest.raises(MeshError, match="no bone 'l_hip'"):
+        rig(cloud(person_like(3)), stick)

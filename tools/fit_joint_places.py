@@ -189,8 +189,9 @@ def surface(people: list[Person], faces: NDArray[np.int32]) -> dict[str, list[fl
     for bone in ("sacroiliac", "vl5", "vt3"):
         fit(f"{bone} y", joint(bone, 1), groin, neck)
     fit("HumanoidRoot y", joint("HumanoidRoot", 1), joint("sacroiliac", 1))
-    for bone in ("HumanoidRoot", "sacroiliac", "vl5", "vt3"):
+    for bone in ("sacroiliac", "vl5", "vt3"):
         fit(f"{bone} z", joint(bone, 2), front(bone), back(bone))
+    fit("HumanoidRoot z", joint("HumanoidRoot", 2), front("sacroiliac"), back("sacroiliac"))
     fit("hip y", joint("l_hip", 1), groin, neck)
     fit("hip x", joint("l_hip", 0), lambda m, j: m.leg(0, m.groin - 0.03)[0])
     fit("hip z", joint("l_hip", 2), front("l_hip"), back("l_hip"))

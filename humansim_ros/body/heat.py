@@ -13,7 +13,9 @@ from scipy.spatial import cKDTree
 
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.body.skeleton import Skeleton, side_of
+from humansim_ros.body.volume import Volume, solid
 from humansim_ros.body.weights import limit_bones
+from humansim_ros.errors import MeshError
 from humansim_ros.rotations import Array, angle_between
 
 #: How fast skin takes the warmth of its bone, by how fast warmth spreads: the larger, the harder the joints.
@@ -22,19 +24,27 @@ CONDUCTION = 3.0
 #: from here: trunks and bellies are wide.
 _FAR = 0.04
 #: Thighs begin this far beyond the planes that cut them off at the hips, and over so much around there.
-_GROIN, _SOFT = 0.03, 0.03
+_GROIN, _SOFT = 0.025, 0.03
 #: The upper arm begins this far before the end of the collar bone.
-_SHOULDER = 0.03
+_SHOULDER = 0.04
 #: The lowest trunk bone ends this far below the next one's joint, the others at it; so much around there.
-_PELVIS, _SHARP = 0.02, 0.01
+_PELVIS, _SHARP = 0.01, 0.01
 #: Vertices closer than this are one, so that seams do not stop the warmth.
 _WELD = 1e-5
+#: Of more points than this the warmth flows over a coarser surface, of points so far apart.
+_MOST_POINTS, _COARSE = 100_000, 0.005
 #: The other side's bones fade out over this much.
 _MIDDLE = 0.03
 #: Weights below this are none.
 _LEAST = 0.005
 #: A bone over the skin (by the cosine of its direction to the normal) instead of under it counts less.
-_OVER, _OUTSIDE = 0.3, 0.4
+_OVER, _OUTSIDE = 0.3, 0.7
+#: A bone warms no skin that is so many times farther from it than from another, and this farther.
+_BEHIND, _NEAR = 1.5, 0.05
+#: Nor does it through more air than this (arms beside the belly): looks on the way, bones tried.
+_AIR, _LOOKS, _TRIES = 0.025, 20, 4
+#: Cubes that the body is tall, to tell its inside.
+_CUBES = 160
 #: A piece of fewer vertices than this share of the mesh (an eye, a button) moves as what it sits on.
 _SMALL = 0.1
 _TRUNK = ("HumanoidRoot", "sacroiliac", "vl5")
@@ -50,8 +60,14 @@ def heat_weights(mesh: Mesh, skeleton: Skeleton) -> sparse.csr_matrix:
     non-manifold and many-piece meshes will do.
     """
     height = float(np.ptp(mesh.vertices[:, 1]))
-    points, triangles, number = _welded(mesh, height)
-    source, distance = _sources(points, _normals(points, triangles), skeleton, height)
+    if not height > 0:
+        raise MeshError("the mesh has no height: there is nothing to rig")
+    points, triangles, number = _welded(mesh, _WELD * height)
+    coarse = len(points) > _MOST_POINTS
+    if coarse:
+        points, triangles, number = _welded(mesh, _COARSE * height)
+    volume = solid(mesh, height / _CUBES)
+    source, distance = _sources(points, _normals(points, triangles), skeleton, volume, height)
     share = np.eye(len(skeleton))[source]
     stiffness, area = _laplacian(points, triangles)
     taken = CONDUCTION * area / np.clip(distance, 1e-3 * height, _FAR * height) ** 2
@@ -63,13 +79,24 @@ def heat_weights(mesh: Mesh, skeleton: Skeleton) -> sparse.csr_matrix:
     lost = weights.sum(axis=1) <= 0
     weights[lost] = share[lost]
     weights /= weights.sum(axis=1, keepdims=True)
-    return limit_bones(sparse.csr_matrix(weights[number]))
+    found = sparse.csr_matrix(weights)
+    if coarse:
+        return limit_bones(_between(mesh, points, triangles, number, _COARSE * height) @ found)
+    return limit_bones(found)[number]
 
 
-def _welded(mesh: Mesh, height: float) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-    """Distinct points (P, 3), triangles (N, 3) of them with an area, and the point of each vertex (V,)."""
-    cells = np.round(mesh.vertices / (_WELD * height)).astype(np.int64)
-    _, first, number = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+def _welded(mesh: Mesh, size: float) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
+    """Points (P, 3) that are ``size`` apart, triangles (N, 3) of them, and the point of each vertex (V,).
+
+    Vertices left and right of the middle stay apart.
+    """
+    cells = np.round(mesh.vertices / size).astype(np.int64)
+    cells -= cells.min(axis=0)
+    extent = cells.max(axis=0) + 1
+    if float(extent[0]) * float(extent[1]) * float(extent[2]) * 2 > 9e18:
+        raise MeshError("the mesh is far wider or deeper than a person of its height")
+    cell = ((cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]) * 2 + (mesh.vertices[:, 0] < 0)
+    _, first, number = np.unique(cell, return_index=True, return_inverse=True)
     number = number.reshape(-1)
     points = mesh.vertices[first]
     triangles = number[mesh.triangles]
@@ -98,7 +125,7 @@ def _normals(points: Array, triangles: NDArray[np.intp]) -> Array:
 
 
 def _sources(
-    points: Array, normals: Array, skeleton: Skeleton, height: float
+    points: Array, normals: Array, skeleton: Skeleton, volume: Volume, height: float
 ) -> tuple[NDArray[np.intp], Array]:
     """The bone that warms each point (P,), and how far it is (P,)."""
     seen = np.full((len(points), len(skeleton)), -1.0)
@@ -133,8 +160,41 @@ def _sources(
         up = beyond(upper, np.array([0.0, 1.0, 0.0])) + less
         seen[:, lower] *= np.clip(1 - up / _SHARP, 0.0, 1.0)
         seen[:, upper] *= np.clip(1 + up / _SHARP, 0.0, 1.0)
-    source = seen.argmax(axis=1)
+    # a bone far behind another one does not warm, however well it is seen
+    seen[far > _BEHIND * far.min(axis=1, keepdims=True) + _NEAR * height] -= 2 * np.pi
+    source = _first_visible(points, seen, skeleton, volume, _AIR * height)
     return source, far[np.arange(len(points)), source]
+
+
+def _first_visible(
+    points: Array, seen: Array, skeleton: Skeleton, volume: Volume, most_air: float
+) -> NDArray[np.intp]:
+    """The bone (P,) of the highest score (P, B) whose way to the point leads through the body, not air."""
+    source = seen.argmax(axis=1)
+    limbs = np.array([side_of(name) != 0 and "_to_" not in name for name in skeleton.names])
+    rows = np.flatnonzero(limbs[source])
+    scores = seen[rows]
+    for _ in range(_TRIES):
+        if not len(rows):
+            break
+        bone = scores.argmax(axis=1)
+        hidden = _air_between(points[rows], bone, skeleton, volume) > most_air
+        source[rows[~hidden]] = bone[~hidden]
+        scores = scores[hidden]
+        scores[np.arange(len(scores)), bone[hidden]] = -10.0
+        rows = rows[hidden]
+    return source
+
+
+def _air_between(points: Array, bones: NDArray[np.intp], skeleton: Skeleton, volume: Volume) -> Array:
+    """How much (P,) of the straight way from each point to the nearest place on its bone is outside."""
+    head, step = skeleton.heads[bones], (skeleton.tails - skeleton.heads)[bones]
+    place = np.einsum("ij,ij->i", points - head, step) / skeleton.lengths[bones] ** 2
+    way = head + np.clip(place, 0.0, 1.0)[:, None] * step - points
+    air = np.zeros(len(points))
+    for share in (np.arange(_LOOKS) + 0.5) / _LOOKS:
+        air += ~volume.filled[tuple(volume.cube_of(points + share * way).T)]
+    return np.asarray(air / _LOOKS * np.linalg.norm(way, axis=1))
 
 
 def _laplacian(points: Array, triangles: NDArray[np.intp]) -> tuple[sparse.csr_matrix, Array]:
@@ -160,6 +220,23 @@ def _laplacian(points: Array, triangles: NDArray[np.intp]) -> tuple[sparse.csr_m
     return laplacian.tocsr(), np.maximum(areas, 1e-9)
 
 
+def _between(
+    mesh: Mesh, points: Array, triangles: NDArray[np.intp], number: NDArray[np.intp], size: float
+) -> sparse.csr_matrix:
+    """Shares (V, P), rows sum to one, of a vertex in its point ``number`` (V,) and that one's neighbours."""
+    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    own = np.arange(len(points))
+    rows = np.concatenate([own, edges[:, 0], edges[:, 1]])
+    columns = np.concatenate([own, edges[:, 1], edges[:, 0]])
+    near = sparse.csr_matrix((np.ones(len(rows), np.float32), (rows, columns)), shape=(len(points),) * 2)[
+        number
+    ]
+    vertex = np.repeat(np.arange(len(number)), np.diff(near.indptr))
+    away = np.linalg.norm(mesh.vertices[vertex] - points[near.indices], axis=1)
+    near.data = np.maximum(1 - away / (2 * size), 1e-3) ** 2
+    return sparse.csr_matrix(sparse.diags(1 / np.asarray(near.sum(axis=1)).ravel()) @ near)
+
+
 def _pieces(count: int, triangles: NDArray[np.intp]) -> tuple[int, NDArray[np.intp]]:
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
     graph = sparse.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
@@ -174,15 +251,12 @@ def _small_pieces(weights: Array, points: Array, triangles: NDArray[np.intp]) ->
     small = size < _SMALL * size.max()
     if not small.any() or small.all():
         return weights
-    body = np.flatnonzero(~small[piece])
-    tree = cKDTree(points[body])
+    body, rows = np.flatnonzero(~small[piece]), np.flatnonzero(small[piece])
+    _, near = cKDTree(points[body]).query(points[rows])
+    total = np.zeros((number, weights.shape[1]))
+    np.add.at(total, piece[rows], weights[body[near]])
     out = weights.copy()
-    order = np.argsort(piece, kind="stable")
-    starts = np.concatenate([[0], np.cumsum(size)])
-    for one in np.flatnonzero(small):
-        rows = order[starts[one] : starts[one + 1]]
-        _, near = tree.query(points[rows])
-        out[rows] = weights[body[near]].mean(axis=0)
+    out[rows] = total[piece[rows]] / size[piece[rows], None]
     return out
 
 

@@ -152,7 +152,9 @@ def joint_places(measures: Measures) -> dict[str, Array]:
 
     for bone in ("sacroiliac", "vl5", "vt3"):
         joints[bone] = inside(bone, combined(f"{bone} y", m.groin, m.neck))
-    joints["HumanoidRoot"] = inside("HumanoidRoot", combined("HumanoidRoot y", joints["sacroiliac"][1]))
+    pelvis = float(joints["sacroiliac"][1])
+    root = combined("HumanoidRoot y", pelvis), combined("HumanoidRoot z", *m.depth(pelvis))
+    joints["HumanoidRoot"] = np.array([0.0, *root])
     joints["vt3_end"] = np.array([0.0, 1.0, m.crown[2]])
     for side, letter in enumerate("lr"):
         out = np.array([1.0 - 2 * side, 1.0, 1.0])

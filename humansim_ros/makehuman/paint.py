@@ -252,13 +252,13 @@ def weave(
         colour = blend(colour, 0.45 * base, 0.75 * _spots(p, 0.026, 0.0060, seed + 16))
     elif fabric == "twill":
         shade = shade + 0.04 * noise(p * [1, 0.5, 1], 0.003, seed + 3) + 0.05 * noise(p, 0.05, seed + 4)
-        shade = shade + 0.14 * ramp(np.abs(noise(p * [1, 0.6, 1], 0.022, seed + 5)), 0.10, 0.02)  # creases
+        shade = shade + 0.06 * ramp(np.abs(noise(p * [1, 0.6, 1], 0.022, seed + 5)), 0.10, 0.02)  # creases
     elif fabric == "denim":
         slant = np.sin(2 * np.pi * (p[:, 0] + p[:, 1] + p[:, 2]) / 0.0075)
         streaks = noise(p * [1, 0.12, 1], 0.004, seed + 5)
         shade = shade + 0.07 * slant + 0.12 * streaks + 0.06 * noise(p, 0.03, seed + 6)
         worn = ramp(noise(p * [1, 0.7, 1], 0.017, seed + 7), 0.30, 0.55)  # washed out
-        colour = blend(colour, 0.75 * base + 62, 0.55 * worn)
+        colour = blend(colour, 0.75 * base + 62, 0.25 * worn)
     elif fabric == "stripes":
         colour = blend(colour, other, _wave(along, 0.032, 0.40))
         colour = blend(colour, 0.5 * base, 0.8 * _wave(along + 0.012, 0.032, 0.10))

@@ -180,6 +180,9 @@ def main() -> int:
         if not {bend[0] for bend in BENDS.values()} <= set(human.skeleton.names):
             rows.append([name, *("no such bone" for _ in BENDS)])
             continue
+        if not human.mesh.closed:
+            rows.append([name, *("an open surface" for _ in BENDS)])
+            continue
         changes = ([volume_change(human, *bend, method) for method in SKINNERS] for bend in BENDS.values())
         rows.append([name, *(" / ".join(f"{100 * c:+.1f} %" for c in pair) for pair in changes)])
     table(("human", *BENDS), rows)

@@ -17,12 +17,21 @@ from conftest import ROOT, SHARED_DATA, needs_shared_data
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from humansim_ros.body import Human, Mesh, Skeleton, fit_skeleton, fit_to_skeleton, hanim_skeleton, read_mesh
+from humansim_ros.body import (
+    Human,
+    Mesh,
+    Skeleton,
+    fit_skeleton,
+    fit_to_skeleton,
+    hanim_skeleton,
+    read_mesh,
+    rig,
+)
 from humansim_ros.body import fitting as fitting_module
 from humansim_ros.body.known import known_joints
 from humansim_ros.body.orientation import body_from_file
 from humansim_ros.body.volume import solid, surface_points
-from humansim_ros.errors import MeshError
+from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.rotations import Array
 
 MESHES = SHARED_DATA / "mesh"
@@ -353,6 +362,41 @@ def test_what_is_no_person_in_a_t_or_a_pose_is_refused(kind: str, said: str) -> 
         warnings.simplefilter("error", RuntimeWarning)
         with pytest.raises(MeshError, match=said):
             fit_skeleton(mesh)
+
+
+@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.filterwarnings("error::RuntimeWarning", "ignore::humansim_ros.errors.HumansimWarning")
+def test_damaged_meshes_are_fitted_and_rigged_or_refused(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    man = fitted("adult_man")[0]
+    vertices, faces = man.vertices * rng.uniform(0.5, 1.5, 3), man.faces
+    if seed % 2:
+        vertices = vertices + rng.normal(0, 10 ** rng.uniform(-4, -1), vertices.shape)
+    if seed % 3:
+        faces = faces[rng.random(len(faces)) < rng.uniform(0.1, 1)]
+    if seed % 4 == 0:
+        spikes = rng.integers(0, len(vertices), 20)
+        vertices[spikes] = rng.uniform(-1, 1, (20, 3)) * 10 ** rng.uniform(-1, 2)
+    try:
+        mesh, skeleton = fit_skeleton(Mesh(vertices, faces))
+        weights = rig(mesh, skeleton)
+    except MeshError:
+        return
+    assert np.isfinite(skeleton.heads).all()
+    np.testing.assert_allclose(np.asarray(weights.sum(1)).ravel(), 1, atol=1e-9)
+
+
+def test_where_a_skirt_hides_the_legs_usual_ratios_are_taken_and_said() -> None:
+    man, skeleton = fitted("adult_man")
+    around = np.linspace(0, 2 * np.pi, 41)
+    circle = np.column_stack([np.sin(around), 0 * around, 0.8 * np.cos(around)])
+    skirt = np.vstack([0.19 * circle + [0, 1.0, -0.03], 0.33 * circle + [0, 0.35, -0.03]])
+    first = len(man.vertices) + np.arange(40)
+    faces = np.column_stack([first, first + 41, first + 42, first + 1]).astype(np.int32)
+    dressed = Mesh(np.vstack([man.vertices, skirt]), np.vstack([man.faces, faces]))
+    with pytest.warns(HumansimWarning, match="no groin is seen"):
+        _, own = fit_skeleton(dressed)
+    assert np.linalg.norm(own.heads - skeleton.heads, axis=1).max() < 0.08
 
 
 def test_a_mesh_of_too_many_vertices_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

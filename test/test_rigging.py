@@ -326,6 +326,13 @@ def test_heat_flows_over_a_coarser_surface_where_there_are_very_many_vertices(
     np.testing.assert_allclose(np.asarray(coarse.sum(1)).ravel(), 1, atol=1e-6)
 
 
+def test_heat_solves_alike_with_and_without_factors(monkeypatch: pytest.MonkeyPatch) -> None:
+    human = person("child")
+    monkeypatch.setattr(heat, "_MANY", -1)
+    off = np.abs(rig(human.mesh, human.skeleton) - heated("child"))
+    assert off.max() < 1e-3
+
+
 def test_arms_do_not_move_a_belly_beside_them(shared_data: Path) -> None:
     """In an A pose the forearm is before the flank: skin sees it, but through air."""
     mesh, skeleton = fit_skeleton(read_mesh(shared_data / "mesh" / "mh2007_female_A_dm.obj"))

@@ -33,6 +33,8 @@ _PELVIS, _SHARP = 0.01, 0.01
 _WELD = 1e-5
 #: Of more points than this the warmth flows over a coarser surface, of points so far apart.
 _MOST_POINTS, _COARSE = 100_000, 0.005
+#: A mesh of more points is tangled by this many faces longer than this; how many steps it gets.
+_FINE, _MANY, _LONG, _STEPS = 5000, 100, 0.15, 400
 #: The other side's bones fade out over this much.
 _MIDDLE = 0.03
 #: Weights below this are none.
@@ -71,8 +73,11 @@ def heat_weights(mesh: Mesh, skeleton: Skeleton) -> sparse.csr_matrix:
     share = np.eye(len(skeleton))[source]
     stiffness, area = _laplacian(points, triangles)
     taken = CONDUCTION * area / np.clip(distance, 1e-3 * height, _FAR * height) ** 2
-    solver = splu((stiffness + sparse.diags(taken)).tocsc())
-    weights = np.asarray(solver.solve(taken[:, None] * share))
+    matrix = sparse.csc_matrix(stiffness + sparse.diags(taken))
+    if _tangled(points, triangles, height):
+        weights = _by_descent(matrix, taken[:, None] * share)
+    else:
+        weights = np.asarray(splu(matrix).solve(taken[:, None] * share))
     weights = _small_pieces(np.clip(weights, 0.0, None), points, triangles)
     weights *= _own_side(points, skeleton, height)
     weights[weights < _LEAST * weights.sum(axis=1, keepdims=True)] = 0.0
@@ -218,6 +223,35 @@ def _laplacian(points: Array, triangles: NDArray[np.intp]) -> tuple[sparse.csr_m
     flow = sparse.csr_matrix(entries, shape=(n, n))
     laplacian = sparse.diags(np.asarray(flow.sum(axis=1)).ravel()) - flow
     return laplacian.tocsr(), np.maximum(areas, 1e-9)
+
+
+def _tangled(points: Array, triangles: NDArray[np.intp], height: float) -> bool:
+    """Whether many long faces join far parts of a fine mesh: its matrix would have no sparse factors."""
+    corners = points[triangles]
+    longest = np.abs(corners - np.roll(corners, 1, axis=1)).max(axis=(1, 2))
+    return len(points) > _FINE and int((longest > _LONG * height).sum()) > _MANY
+
+
+def _by_descent(matrix: sparse.csc_matrix, right: Array) -> Array:
+    """Solutions (P, B) by conjugate gradients, for all columns together."""
+    scale = 1 / matrix.diagonal()[:, None]
+    solution = np.zeros_like(right)
+    rest = right.copy()
+    step = scale * rest
+    size = np.einsum("ij,ij->j", rest, step)
+    least = 1e-10 * np.maximum(size, 1e-300)
+    for _ in range(_STEPS):
+        pushed = matrix @ step
+        length = size / np.maximum(np.einsum("ij,ij->j", step, pushed), 1e-300)
+        solution += length * step
+        rest -= length * pushed
+        towards = scale * rest
+        following = np.einsum("ij,ij->j", rest, towards)
+        if (following <= least).all():
+            break
+        step = towards + following / np.maximum(size, 1e-300) * step
+        size = following
+    return solution
 
 
 def _between(

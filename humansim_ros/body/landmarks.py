@@ -253,7 +253,7 @@ def _toes(vertices: Array, sign: float) -> Array:
     foot = vertices[(vertices[:, 1] < 0.05) & (vertices[:, 0] * sign > 0)]
     if not len(foot):
         raise MeshError(_NO_LIMB)
-    ahead = foot[foot[:, 2] > foot[:, 2].max() - 0.15 * np.ptp(foot[:, 2])]
+    ahead = foot[foot[:, 2] >= foot[:, 2].max() - 0.15 * np.ptp(foot[:, 2])]
     return np.array([ahead[:, 0].mean(), ahead[:, 1].mean(), foot[:, 2].max()])
 
 

@@ -214,7 +214,12 @@ BAD: list[tuple[str, dict[str, object], str]] = [
     ("size infinite", {"size": (np.inf, 480)}, "size"),
     ("size of three", {"size": (640, 480, 3)}, "size"),
     ("size missing", {"size": None}, "size"),
-    ("distorted", {"distortion": (0.1, 0, 0, 0, 0)}, "distortion"),
+    ("tilted", {"distortion": (0.1,) * 14}, "distortion"),
+    ("fisheye of five", {"distortion": (0.1,) * 5, "model": "equidistant"}, "distortion"),
+    ("no such lens", {"model": "telecentric"}, "model"),
+    ("distortion of words", {"distortion": ("a", "b")}, "distortion"),
+    ("rectification", {"rectification": np.ones((3, 3))}, "rectification"),
+    ("rectified", {"rectified": np.zeros((3, 4))}, "rectified"),
     ("distortion NaN", {"distortion": (np.nan,)}, "distortion"),
 ]
 

@@ -1,11 +1,15 @@
 """The camera: the one place where world points become pixels.
 
+A world point goes through the extrinsics to the optical frame, is divided by its depth, falls through the
+lens (lens.py) and is put on the pixels by K.
+
 Frames and pixels are those of OpenCV and ROS (REP-103): x_cam = R x_world + t in the optical frame (z
 forward, x right, y down); a pixel is (x, y) = (column, row) and the centre of the top-left pixel is (0, 0).
 """
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,23 +17,28 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import rq
 
-from humansim_ros.errors import CameraError
+from humansim_ros.camera.lens import Lens
+from humansim_ros.errors import CameraError, HumansimWarning
 from humansim_ros.rotations import Array, transform
 
 #: How far a given rotation may be from orthonormal before it is refused rather than mended.
 _ROTATION_SLACK = 1e-3
+#: What rounding to the digits of a file makes; beyond it a mended rotation is worth a warning.
+_ROTATION_ROUNDING = 1e-5
 #: Largest image side that is rendered.
 MAX_SIZE = 8192
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A calibrated pinhole camera.
+    """A calibrated camera.
 
-    ``size``: (width, height) pixels. ``K``: (3, 3) intrinsics. ``R`` (3, 3), ``t`` (3,): extrinsics, world to
-    optical frame, metres. ``distortion``: coefficients; only zeros are supported so far (idealise the images
-    and the calibration first). Raises CameraError, with the name of the wrong part as key, where these cannot
-    be a camera.
+    ``size``: (width, height) pixels. ``K``: (3, 3) intrinsics, upper triangular; skew works after the lens.
+    ``R`` (3, 3), ``t`` (3,): extrinsics, world to optical frame, metres. ``distortion``: coefficients of
+    ``model``, one of :data:`humansim_ros.camera.lens.MODELS`; without one it is found by their number.
+    ``rectification`` (3, 3) and ``rectified`` (3, 4): R and P of CameraInfo where a file or a stereo rig says
+    them. Raises CameraError, with the name of the wrong part as key, where these cannot be a camera. A
+    rotation that is off by less than 1e-3 is mended with a HumansimWarning.
     """
 
     size: tuple[int, int]
@@ -37,10 +46,13 @@ class Camera:
     R: Array
     t: Array
     distortion: tuple[float, ...] = ()
+    model: str | None = None
+    rectification: Array | None = None
+    rectified: Array | None = None
 
     def __post_init__(self) -> None:
         width, height = _checked_size(self.size)
-        k, r = _matrix(self.K, (3, 3), "K"), _matrix(self.R, (3, 3), "R")
+        k, r = _matrix(self.K, (3, 3), "K"), _rotation(self.R, "R")
         t = _matrix(self.t, (3,), "t")
         if abs(k[2, 2]) <= 1e-12 * np.abs(k).max():
             raise CameraError("K is singular: its last element is zero", key="K")
@@ -50,19 +62,20 @@ class Camera:
             raise CameraError("K is singular or has a focal length that is not positive", key="K")
         if not np.allclose([k[1, 0], k[2, 0], k[2, 1]], 0, atol=1e-9 * k[0, 0]):
             raise CameraError("K must be upper triangular: [[fx, s, cx], [0, fy, cy], [0, 0, 1]]", key="K")
-        if np.abs(r @ r.T - np.eye(3)).max() > _ROTATION_SLACK or np.linalg.det(r) < 0:
-            raise CameraError("R is not a rotation matrix (orthonormal, determinant +1)", key="R")
-        if np.any(np.asarray(self.distortion, dtype=float)):
-            raise CameraError(
-                "lens distortion is not rendered yet: give an undistorted calibration", key="distortion"
-            )
-        u, _, vt = np.linalg.svd(r)
+        lens = Lens.of(self.distortion, self.model)
         object.__setattr__(self, "size", (width, height))
         object.__setattr__(self, "K", k)
-        # orthonormal to rounding, so that the published extrinsics are a rigid transform
-        object.__setattr__(self, "R", u @ vt if np.abs(r @ r.T - np.eye(3)).max() > 1e-12 else r)
+        object.__setattr__(self, "R", r)
         object.__setattr__(self, "t", t)
-        object.__setattr__(self, "distortion", tuple(float(d) for d in self.distortion))
+        object.__setattr__(self, "distortion", lens.coefficients)
+        object.__setattr__(self, "model", lens.model)
+        if self.rectification is not None:
+            object.__setattr__(self, "rectification", _rotation(self.rectification, "rectification"))
+        if self.rectified is not None:
+            rectified = _matrix(self.rectified, (3, 4), "rectified")
+            if min(rectified[0, 0], rectified[1, 1]) <= 0 or rectified[2, 2] <= 0:
+                raise CameraError("the rectified P has a focal length that is not positive", key="rectified")
+            object.__setattr__(self, "rectified", rectified)
 
     @classmethod
     def look_at(
@@ -73,7 +86,7 @@ class Camera:
         fov: float = np.radians(60.0),
         up: ArrayLike = (0.0, 0.0, 1.0),
     ) -> Camera:
-        """A camera at ``position`` that sees ``target`` (world, metres) in the middle of its image.
+        """An ideal camera at ``position`` that sees ``target`` (world, metres) in the middle of its image.
 
         ``fov``: horizontal field of view in radians. Square pixels; the principal point is the image's
         middle, ((width - 1) / 2, (height - 1) / 2).
@@ -112,8 +125,36 @@ class Camera:
         return cls(size, k / k[2, 2], r, np.linalg.solve(k, p[:, 3]))
 
     @cached_property
+    def lens(self) -> Lens:
+        """What distorts the image."""
+        return Lens.of(self.distortion, self.model)
+
+    @property
+    def distorted(self) -> bool:
+        """Whether straight lines are not straight in its images."""
+        return not self.lens.ideal
+
+    @property
+    def rectification_matrix(self) -> Array:
+        """(3, 3) R of CameraInfo: optical frame to that of image_rect."""
+        return np.eye(3) if self.rectification is None else self.rectification
+
+    @cached_property
+    def rectified_projection(self) -> Array:
+        """(3, 4) P of CameraInfo: the frame of image_rect to its pixels.
+
+        Where nothing else is said, that of the idealised camera (thesis 9.8): without skew, and the principal
+        point in the image's middle; a camera that has no distortion and no skew is ideal enough as it is.
+        """
+        if self.rectified is not None:
+            return self.rectified
+        as_it_is = not self.distorted and self.K[0, 1] == 0
+        k = self.K if as_it_is else ideal_matrix(self.K, self.size)
+        return np.column_stack([k, np.zeros(3)])
+
+    @cached_property
     def P(self) -> Array:
-        """(3, 4) projection matrix K [R | t] (thesis 9.3)."""
+        """(3, 4) projection matrix K [R | t] (thesis 9.3), of the image without the lens' distortion."""
         return self.K @ np.column_stack([self.R, self.t])
 
     @property
@@ -136,9 +177,10 @@ class Camera:
         return np.asarray(points, dtype=float) @ self.R.T + self.t
 
     def project(self, points: ArrayLike) -> tuple[Array, Array]:
-        """Pixels (N, 2) and depth (N,) along z of world points (N, 3).
+        """Pixels (N, 2) of image_raw and depth (N,) along z of world points (N, 3).
 
-        A point that is not in front of the camera (depth <= 0) has NaN pixels.
+        A point that is not in front of the camera (depth <= 0), or beyond what the lens can see, has NaN
+        pixels.
         """
         return self.project_optical(self.to_optical(points))
 
@@ -146,19 +188,35 @@ class Camera:
         """Pixels (N, 2) and depth (N,) of points (N, 3) in the optical frame."""
         p = np.asarray(points, dtype=float)
         depth = p[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            image = p @ self.K[:2].T / depth[..., None]
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            if self.distorted:
+                plane = self.lens.distort(p[..., :2] / depth[..., None])
+                image = plane @ self.K[:2, :2].T + self.K[:2, 2]
+            else:
+                image = p @ self.K[:2].T / depth[..., None]
         return np.where(depth[..., None] > 0, image, np.nan), depth
+
+    def rays(self, pixels: ArrayLike) -> Array:
+        """Directions (..., 3) with z = 1 in the optical frame that pixels (..., 2) see; NaN for pixels that
+        the lens leaves dark.
+        """
+        uv = np.asarray(pixels, dtype=float)
+        homogeneous = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1)
+        directions = homogeneous @ np.linalg.inv(self.K).T
+        if not self.distorted:
+            return directions
+        return np.concatenate([self.lens.undistort(directions[..., :2]), homogeneous[..., 2:]], axis=-1)
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> Array:
         """World points (N, 3) of pixels (N, 2) at depths (N,) along z: the inverse of :meth:`project`."""
-        uv = np.asarray(pixels, dtype=float)
-        rays = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1) @ np.linalg.inv(self.K).T
+        rays = self.rays(pixels)
         return (rays * np.asarray(depth, dtype=float)[..., None] - self.t) @ self.R
 
     def opengl_clip(self, near: float, far: float) -> Array:
         """(4, 4) optical frame to OpenGL clip coordinates: the one place that knows both pixel conventions.
 
+        It knows no lens: of a distorted camera it takes points that have been through the lens, at their
+        depth.
         OpenGL's window has pixel centres at half-integers, so the principal point is moved by +0.5. The
         image's first row is the window's lowest, so that a read-back comes top row first. Depth is the
         standard perspective row, -1 at ``near``.
@@ -173,6 +231,35 @@ class Camera:
                 [0, 0, 1, 0],
             ]
         )
+
+
+def ideal_matrix(K: Array, size: tuple[int, int], square: bool = False, center: bool = True) -> Array:
+    """(3, 3) intrinsics of the ideal camera (thesis 9.8): without skew.
+
+    ``square``: pixels are square, both focal lengths become their geometric mean. ``center``: the principal
+    point is moved to the image's middle.
+    """
+    fx, fy = float(K[0, 0]), float(K[1, 1])
+    if square:
+        fx = fy = float(np.sqrt(fx * fy))
+    cx, cy = ((n - 1) / 2 for n in size) if center else K[:2, 2]
+    return np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]], dtype=float)
+
+
+def _rotation(value: ArrayLike, key: str) -> Array:
+    """A rotation matrix, mended where rounding or a careless file left it a little off."""
+    r = _matrix(value, (3, 3), key)
+    off = float(np.abs(r @ r.T - np.eye(3)).max())
+    if off > _ROTATION_SLACK or np.linalg.det(r) < 0:
+        raise CameraError(f"{key} is not a rotation matrix (orthonormal, determinant +1)", key=key)
+    if off > _ROTATION_ROUNDING:
+        message = f"{key} is a rotation matrix only to {off:.1g}: the nearest rotation is used"
+        warnings.warn(message, HumansimWarning, stacklevel=4)
+    if off <= 1e-12:
+        return r
+    # orthonormal to rounding, so that the published extrinsics are a rigid transform
+    u, _, vt = np.linalg.svd(r)
+    return np.asarray(u @ vt, dtype=float)
 
 
 def _checked_size(size: tuple[int, int]) -> tuple[int, int]:

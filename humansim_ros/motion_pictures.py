@@ -83,7 +83,7 @@ class _Shot:
         self._figure, self._size = figure, size
         self._around = figure.heading + np.radians(_AROUND[seen])
         count = int(np.clip(figure.seconds / figure.frame_time + 1, 1, _INSTANTS))
-        self._times = np.linspace(0.0, figure.seconds, count)
+        self._times: Array = np.linspace(0.0, figure.seconds, count, dtype=float)
         points = figure.points(self._times)
         step = max(figure.seconds / max(count - 1, 1), 1e-9)
         low, high = points.min(1), points.max(1)

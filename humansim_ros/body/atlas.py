@@ -41,7 +41,7 @@ def textured(
     height, width = atlas.shape[:2]
     x, y, w, h = np.array(places, dtype=float)[np.searchsorted(used, face_material)].T[:, :, None]
     has = (uv_faces >= 0).all(axis=1) | ((faces[:, 3] < 0) & (uv_faces[:, :3] >= 0).all(axis=1))
-    own = np.full((len(faces), 4, 2), 0.5)
+    own: Array = np.full((len(faces), 4, 2), 0.5)
     own[has] = uv[np.maximum(uv_faces[has], 0)]
     own -= np.floor(own[:, :3].mean(axis=1, keepdims=True))  # by whole tiles into 0..1
     own = np.clip(own, 0.0, 1.0)

@@ -48,7 +48,7 @@ def hang(mesh: Mesh, trunk: Trunk, vertices: Array) -> Array:
     cloth = drawn_taut(vertices, mean, loose, outline, _ROUNDS)
 
     below, above = around(vertices[rows], axis)[1], around(cloth[rows], axis)[1]
-    hollow = np.zeros(len(vertices))
+    hollow: Array = np.zeros(len(vertices))
     hollow[rows] = np.maximum(above - outline.at(cloth[rows]), outline.at(vertices[rows]) - below)
     # a hollow is more than one vertex
     hollow = _most(graph, -_most(graph, -hollow))

@@ -98,7 +98,7 @@ def _piece(
         return None  # points and lines have no surface
     points = gltf.accessor(primitive.attributes["POSITION"], ["VEC3"], "positions").astype(float)
     if primitive.indices is None:
-        corners = np.arange(len(points))
+        corners: NDArray[np.int64] = np.arange(len(points), dtype=np.int64)
     else:
         corners = gltf.accessor(primitive.indices, ["SCALAR"], "indices").astype(np.int64)
     if corners.max() >= len(points) or corners.min() < 0:
@@ -161,6 +161,7 @@ def _same_length(gltf: Gltf, values: NDArray[np.generic], points: NDArray[np.gen
 
 def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
     """Triangles (N, 3) of a list, strip or fan of corners, without those that have a corner twice."""
+    out: NDArray[np.int64]
     if mode == 4:
         out = corners[: len(corners) // 3 * 3].reshape(-1, 3)
     elif mode == 5:

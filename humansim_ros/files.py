@@ -24,20 +24,26 @@ def explained(path: str | os.PathLike[str], error: type[HumansimError], what: st
         raise error(f"cannot read the {what} file: {reason.strerror or reason}", path=path) from None
 
 
-def read_bytes(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> bytes:
-    """Content of a file; ``error`` names the path and the reason if it is missing, a folder, unreadable or
-    empty.
+def read_bytes(
+    path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int | None = None
+) -> bytes:
+    """Content of a file; ``error`` names the path and the reason if it is missing, a folder, unreadable,
+    empty, or longer than ``most`` bytes.
     """
-    with explained(path, error, what):
-        data = Path(path).read_bytes()
+    with explained(path, error, what), Path(path).open("rb") as file:
+        data = file.read() if most is None else file.read(most + 1)
+    if most is not None and len(data) > most:
+        raise error(f"this is too large for a {what} file: more than {most >> 20} MB", path=path)
     if not data.strip():
         raise error(f"the {what} file is empty", path=path)
     return data
 
 
-def read_text(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> str:
+def read_text(
+    path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int | None = None
+) -> str:
     """Text of a file (UTF-8, with or without BOM; bytes that are not UTF-8 are read as Latin-1)."""
-    data = read_bytes(path, error, what)
+    data = read_bytes(path, error, what, most)
     if b"\0" in data:
         raise error(f"this is a binary file, not a {what} text file", path=path)
     try:

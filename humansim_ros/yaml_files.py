@@ -12,15 +12,19 @@ from humansim_ros.errors import HumansimError
 
 
 def parse_yaml(
-    text: str, error: type[HumansimError], path: str | os.PathLike[str]
+    text: str,
+    error: type[HumansimError],
+    path: str | os.PathLike[str],
+    kind: type[yaml.SafeLoader] = yaml.SafeLoader,
 ) -> tuple[Any, yaml.Node | None]:
     """The data of a YAML text, and its nodes for :func:`line_of`; ``error`` with path and line if it is none,
-    or has a key twice.
+    or has a key twice. ``kind``: a loader that knows further tags.
     """
     try:
-        tree = yaml.compose(text, Loader=yaml.SafeLoader)
+        loader = kind(text)
+        tree = loader.get_single_node()
         _refuse_repeated_keys(tree, error, path)
-        return yaml.safe_load(text), tree
+        return None if tree is None else loader.construct_document(tree), tree
     except yaml.YAMLError as reason:
         mark = getattr(reason, "problem_mark", None)
         line = None if mark is None else mark.line + 1

@@ -1,0 +1,136 @@
+"""The sensor of a camera in a scene file: every effect is off unless asked for (docs/sensors.md)."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+
+Encoding = Literal["rgb8", "bgr8", "mono8", "bayer_rggb8"]
+Factor = Annotated[float, Field(gt=0, le=100)]
+Pixels = Annotated[float, Field(ge=-100, le=100)]
+Coefficient = Annotated[float, Field(ge=-10, le=10)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+
+class Noise(_Section):
+    """Shot noise, dark noise and read noise (EMVA 1288)."""
+
+    full_well: float = Field(
+        default=10_000.0, ge=10, le=1e7, description="electrons that saturate a pixel: white at exposure 1"
+    )
+    read_noise: float = Field(
+        default=2.5, ge=0, le=1e5, description="standard deviation without light, electrons"
+    )
+    dark_current: float = Field(
+        default=0.0, ge=0, le=1e7, description="electrons per second of exposure_time without light"
+    )
+
+
+class Vignetting(_Section):
+    """Light lost towards the corners. What is given is multiplied."""
+
+    cos4: bool = Field(
+        default=False, description="natural falloff: the fourth power of the cosine of the angle to the axis"
+    )
+    corner: float = Field(
+        default=0.0,
+        ge=0,
+        le=1,
+        description="share lost at the farthest corner; grows with the distance squared",
+    )
+    polynomial: tuple[Coefficient, Coefficient, Coefficient] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="a, b, c of 1 + a r^2 + b r^4 + c r^6; r is 1 at the farthest corner",
+    )
+
+    @field_validator("polynomial")
+    @classmethod
+    def _light(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
+        squared = np.linspace(0, 1, 257)
+        if np.polyval([*value[::-1], 1.0], squared).min() < 0:
+            raise ValueError("the falloff is negative somewhere between the middle and the corner")
+        return value
+
+
+class ChromaticAberration(_Section):
+    """Red and blue magnified otherwise than green, about the principal point."""
+
+    red: Pixels = Field(default=0.0, description="pixels outwards at the farthest corner")
+    blue: Pixels = Field(default=0.0, description="pixels outwards at the farthest corner")
+
+
+class SensorConfig(_Section):
+    """What the sensor does to the ideal picture."""
+
+    encoding: Encoding = Field(default="rgb8", description="what image_raw holds")
+    exposure_time: float = Field(
+        default=0.0, ge=0, le=10, description="seconds that light is gathered: motion blur"
+    )
+    rolling_shutter: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.01,
+        description="seconds from row to row, the top row first; 0 is a global shutter",
+    )
+    samples: int = Field(
+        default=8,
+        ge=1,
+        le=256,
+        description="pictures rendered for a frame with motion blur or rolling shutter",
+    )
+    exposure: Factor = Field(default=1.0, description="light gathered, 1: as rendered")
+    gain_db: float = Field(
+        default=0.0, ge=0, le=72, description="amplification after the pixel; 20 dB are ten times"
+    )
+    white_balance: tuple[Factor, Factor, Factor] = Field(
+        default=(1.0, 1.0, 1.0), description="amplification of red, green, blue after the pixel"
+    )
+    black_level: float = Field(
+        default=0.0, ge=0, le=128, description="what no light gives, of 255, before the response curve"
+    )
+    noise: Noise | None = None
+    vignetting: Vignetting | None = None
+    chromatic_aberration: ChromaticAberration | None = None
+    response: Literal["srgb", "linear"] | float = Field(
+        default="srgb",
+        description="curve from light to numbers: srgb, linear, or g: light to the power of 1 / g",
+    )
+    jpeg: int | None = Field(
+        default=None, ge=1, le=100, description="compressed with this quality, and decoded again"
+    )
+    seed: int = Field(default=0, ge=0, description="another seed, other noise")
+
+    @field_validator("response", mode="plain")
+    @classmethod
+    def _curve(cls, value: Any) -> str | float:
+        if value == "srgb" or value == "linear":
+            return str(value)
+        if isinstance(value, (int, float)) and not isinstance(value, bool) and 0.1 <= value <= 10:
+            return float(value)
+        raise ValueError("the response is srgb, linear, or a number from 0.1 to 10")
+
+    @field_validator("samples")
+    @classmethod
+    def _enough(cls, value: int, info: ValidationInfo) -> int:
+        if value < 2 and info.data.get("rolling_shutter"):
+            raise ValueError("a rolling shutter needs at least 2 samples")
+        return value
+
+    @field_validator("white_balance")
+    @classmethod
+    def _colours(cls, value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:
+        if info.data.get("encoding") == "mono8" and len(set(value)) > 1:
+            raise ValueError("a mono8 camera has no colours to balance")
+        return value
+
+    @field_validator("jpeg")
+    @classmethod
+    def _compressible(cls, value: int | None, info: ValidationInfo) -> int | None:
+        if value is not None and info.data.get("encoding") == "bayer_rggb8":
+            raise ValueError("a bayer picture is not compressed: JPEG would blend the colours of its pixels")
+        return value

@@ -1,0 +1,206 @@
+"""The sensor: from ideal pictures to what a driver would publish.
+
+In the order of the light: it comes through the lens (chromatic aberration, vignetting) while the shutter is
+open (motion blur, rolling shutter), passes the colour filters and frees electrons (exposure, shot noise, dark
+current) until the pixel is full. These are read (read noise), amplified (gain, white balance), converted to
+numbers through the response curve, and compressed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cache, cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.errors import CameraError
+from humansim_ros.rotations import Array
+from humansim_ros.sensor.config import SensorConfig
+from humansim_ros.sensor.noise import generator, noisy
+from humansim_ros.sensor.optics import Light, aberrate, transmission
+from humansim_ros.sensor.response import LEVELS, luminance, mosaic, response_table, srgb_to_light
+from humansim_ros.sensor.shutter import row_weights, sample_times
+
+Picture = NDArray[np.uint8]
+
+#: Samples that are worked on at a time: they stay in the processor's cache.
+_BLOCK = 1 << 16
+#: What changes no light.
+_NOT_LIGHT = {"encoding", "jpeg", "seed", "samples"}
+
+
+class Sensor:
+    """The sensor of one camera. ``name``: the camera's; cameras of different names have different noise.
+
+    ``active``: whether it does anything at all. The random numbers of a picture depend on the seed, the name
+    and the stamp only.
+    """
+
+    def __init__(self, config: SensorConfig, camera: Camera, name: str = "") -> None:
+        self.config = config
+        self.camera = camera
+        self.name = name
+        plain = SensorConfig()
+        changed = {key for key in SensorConfig.model_fields if getattr(config, key) != getattr(plain, key)}
+        self._changes_light = bool(changed - _NOT_LIGHT) or config.encoding == "mono8"
+        self.active = self._changes_light or bool(changed & {"encoding", "jpeg"})
+
+    def times(self) -> Array:
+        """Times (T,) at which the scene must be rendered, seconds from the frame's stamp, which is the middle
+        of the exposure of the middle row. One 0.0 where there is neither motion blur nor rolling shutter.
+        """
+        return sample_times(*self._shutter)
+
+    def weights(self) -> Array:
+        """Share (H, T) of each of these pictures in each row."""
+        return row_weights(*self._shutter)
+
+    def expose(self, pictures: Sequence[Picture], stamp: int) -> Picture:
+        """What the sensor makes of pictures (H, W, 3) sRGB rendered at :meth:`times`: (H, W, 3), or (H, W)
+        for mono8 and bayer_rggb8, encoded as ``config.encoding`` says. ``stamp``: nanoseconds.
+
+        Without any effect the picture itself is returned. Raises CameraError where the pictures do not fit.
+        """
+        self._check(pictures)
+        if not self.active:
+            return pictures[0]
+        if self._changes_light:
+            image = self._develop(self._light(pictures), generator(self.config.seed, self.name, stamp))
+        else:
+            image = self._filtered(pictures[0])
+        if self.config.jpeg is None:
+            return _swapped(image) if self.config.encoding == "bgr8" else image
+        if self._channels == 1:
+            return _compressed(image, self.config.jpeg)
+        image = _compressed(_swapped(image), self.config.jpeg)
+        return image if self.config.encoding == "bgr8" else _swapped(image)
+
+    def _check(self, pictures: Sequence[Picture]) -> None:
+        width, height = self.camera.size
+        expected = len(self.times())
+        if len(pictures) != expected:
+            raise CameraError(f"the sensor needs {expected} pictures for a frame, not {len(pictures)}")
+        for picture in pictures:
+            if picture.shape != (height, width, 3) or picture.dtype != np.uint8:
+                raise CameraError(
+                    f"the sensor needs pictures of {width}x{height} pixels, rgb8, "
+                    f"not an array of shape {picture.shape}, {picture.dtype}"
+                )
+
+    def _light(self, pictures: Sequence[Picture]) -> Light:
+        """Light (H, W, 3) behind the lens while the shutter was open, 1: white."""
+        if len(pictures) == 1:
+            light = np.asarray(cv2.LUT(pictures[0], _srgb_table()), dtype=np.float32)
+        else:
+            light = self._accumulated(pictures)
+        aberration = self.config.chromatic_aberration
+        return light if aberration is None else aberrate(light, self.camera, aberration)
+
+    def _accumulated(self, pictures: Sequence[Picture]) -> Light:
+        light = np.zeros(pictures[0].shape, np.float32)
+        for rows in _blocks(light):
+            for picture, share in zip(pictures, self._weights[rows].T, strict=True):
+                if share.any():
+                    seen = _flat(np.asarray(cv2.LUT(picture[rows], _srgb_table()), dtype=np.float32))
+                    seen *= share[:, None]
+                    _flat(light)[rows] += seen
+        return light
+
+    def _develop(self, light: Light, random: np.random.Generator) -> Picture:
+        """Numbers (H, W, 3) or (H, W) of light (H, W, 3) that reaches the colour filters."""
+        config, noise = self.config, self.config.noise
+        samples = self._filtered(light)
+        well = 1.0 if noise is None else noise.full_well
+        dark = 0.0 if noise is None else noise.dark_current * config.exposure_time
+        offset = np.float32(LEVELS * config.black_level / 255 + 0.5)
+        out = np.empty(samples.shape, np.uint8)
+        flat, numbers = _flat(samples), _flat(out)
+        for rows in _blocks(flat):
+            charge = flat[rows] * np.float32(well * config.exposure)
+            if self._transmission is not None:
+                charge *= self._transmission[rows]
+            charge += np.float32(dark)
+            if noise is not None:
+                charge = noisy(charge, noise.read_noise, random)
+            np.minimum(charge, np.float32(well), out=charge)
+            charge *= self._amplification[rows]
+            charge += offset
+            np.clip(charge, 0, LEVELS, out=charge)
+            numbers[rows] = np.take(self._response, charge.astype(np.uint16))
+        return out
+
+    def _filtered(self, picture: NDArray[Any]) -> NDArray[Any]:
+        """What of light (H, W, 3), or of a picture that only lacks the mosaic, passes the colour filters."""
+        if self.config.encoding == "mono8":
+            return luminance(picture)
+        return mosaic(picture) if self.config.encoding == "bayer_rggb8" else picture
+
+    @property
+    def _shutter(self) -> tuple[int, float, float, int]:
+        config = self.config
+        return self.camera.size[1], config.exposure_time, config.rolling_shutter, config.samples
+
+    @cached_property
+    def _weights(self) -> Light:
+        return self.weights().astype(np.float32)
+
+    @cached_property
+    def _response(self) -> Picture:
+        return response_table(self.config.response)
+
+    @cached_property
+    def _transmission(self) -> Light | None:
+        """Share of the light that reaches each sample (H, N), None where all of it does."""
+        if self.config.vignetting is None:
+            return None
+        share = transmission(self.camera, self.config.vignetting)
+        return np.repeat(share, 3, axis=1) if self._channels == 3 else share
+
+    @cached_property
+    def _amplification(self) -> Light:
+        """Levels (H, N) of the converter per electron, or per white where there is no noise."""
+        config = self.config
+        width, height = self.camera.size
+        well = 1.0 if config.noise is None else config.noise.full_well
+        gains = np.array(config.white_balance) * 10 ** (config.gain_db / 20) * LEVELS / well
+        by_pixel = np.broadcast_to(gains.astype(np.float32), (height, width, 3))
+        if self._channels == 3:
+            return np.broadcast_to(_flat(by_pixel[:1]), (height, 3 * width))
+        return np.asarray(mosaic(by_pixel), dtype=np.float32)
+
+    @property
+    def _channels(self) -> int:
+        return 3 if self.config.encoding in ("rgb8", "bgr8") else 1
+
+
+@cache
+def _srgb_table() -> Light:
+    return srgb_to_light(np.arange(256) / 255).astype(np.float32)
+
+
+def _blocks(image: NDArray[Any]) -> Iterator[slice]:
+    """The rows of an image, some at a time."""
+    step = max(1, _BLOCK * len(image) // image.size)
+    return (slice(top, top + step) for top in range(0, len(image), step))
+
+
+def _flat(image: NDArray[Any]) -> NDArray[Any]:
+    """The samples (H, N) of an image (H, W) or (H, W, 3): long rows are fast."""
+    return image.reshape(len(image), -1)
+
+
+def _swapped(image: Picture) -> Picture:
+    """Red and blue (H, W, 3) in each other's place."""
+    return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), dtype=np.uint8)
+
+
+def _compressed(image: Picture, quality: int) -> Picture:
+    """An image (H, W) or (H, W, 3) BGR after JPEG, as OpenCV writes and reads it."""
+    done, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
+    if not done:
+        raise CameraError(f"a picture of shape {image.shape} cannot be compressed", key="jpeg")
+    return np.asarray(cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED), dtype=np.uint8)

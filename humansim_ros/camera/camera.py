@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -127,7 +127,8 @@ class Camera:
     @cached_property
     def lens(self) -> Lens:
         """What distorts the image."""
-        return Lens.of(self.distortion, self.model)
+        assert self.model is not None
+        return _lens(self.model, self.distortion)
 
     @property
     def distorted(self) -> bool:
@@ -231,6 +232,12 @@ class Camera:
                 [0, 0, 1, 0],
             ]
         )
+
+
+@lru_cache(maxsize=256)
+def _lens(model: str, coefficients: tuple[float, ...]) -> Lens:
+    """One lens for all cameras that have it: what was worked out of it is kept."""
+    return Lens(model, coefficients)
 
 
 def ideal_matrix(K: Array, size: tuple[int, int], square: bool = False, center: bool = True) -> Array:

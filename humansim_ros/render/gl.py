@@ -23,17 +23,22 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
 from humansim_ros.render.outline import blend, crossings
 from humansim_ros.render.posed import Floats, Posed, Topology
+from humansim_ros.render.refine import NEAR, LensView, Refined
 from humansim_ros.render.renderer import CHANNELS, Body, View, check_request
 from humansim_ros.render.shadow import CELLS
 from humansim_ros.rotations import Array
 
 _SHADERS = Path(__file__).parent / "shaders"
-_NEAR, _FAR = 0.05, 200.0
+_FAR = 200.0
+#: OpenGL's name for cutting off what the lens does not see.
+_CLIP_DISTANCE = 0x3000
 #: The static scene is drawn this many times finer and averaged: it is drawn once, so quality costs nothing.
 _STATIC_SUPERSAMPLING = 4
 _MAX_STATIC_SIDE = 8192
 #: Cameras whose static scene is kept; a camera that moves leaves many behind.
 _MAX_LAYERS = 32
+#: Pieces along a side of a shadow that a lens may bend.
+_SHADOW_GRID = 32
 #: What a target is made of: the shaders' location, components read back, their type.
 _ATTACHMENTS = {"depth": (0, 1, "f4"), "label": (1, 1, "u4"), "rgb": (2, 3, "f1")}
 
@@ -69,8 +74,10 @@ class GLRenderer:
         self._lit = self._program("lit.vert", "lit.frag")
         self._truth = self._program("truth.vert", "truth.frag")
         self._shadow = self._program("shadow.vert", "shadow.frag")
-        corners = self._ctx.buffer(np.array([0, 0, 1, 0, 0, 1, 1, 1], dtype="f4").tobytes())
-        self._shadow_quad = self._ctx.vertex_array(self._shadow, [(corners, "2f", "corner")])
+        self._shadow_quad, self._shadow_grid = (
+            self._ctx.vertex_array(self._shadow, [(self._ctx.buffer(_unit_square(cells)), "2f", "corner")])
+            for cells in (1, _SHADOW_GRID)
+        )
         self._shadow_texture = self._ctx.texture((CELLS, CELLS), 1, alignment=1)
         light = self._lighting
         _set(self._lit, "sun", tuple(np.array(light.sun) / np.linalg.norm(light.sun)))
@@ -110,7 +117,7 @@ class GLRenderer:
             if shadowed:
                 self._draw_shadows(shadowed, camera)
             target.use(lit)
-            seen = self._draw_bodies(surfaces, camera, rectangle.near, lit)
+            seen = self._draw_bodies(surfaces, camera, rectangle, lit)
             if "depth" in view:
                 depth = target.read("depth", lit)
                 np.copyto(view["depth"][rectangle.slices], depth, where=depth > 0)
@@ -123,7 +130,9 @@ class GLRenderer:
                     view[name][rectangle.slices] = seen.table(name)[labels]
         return View(**{name: view[name] for name in channels})
 
-    def _draw_bodies(self, surfaces: Sequence[_Surface], camera: Camera, near: bool, lit: bool) -> _Seen:
+    def _draw_bodies(
+        self, surfaces: Sequence[_Surface], camera: Camera, rectangle: _Rectangle, lit: bool
+    ) -> _Seen:
         """Draw what can be seen, every triangle with a number of its own, counted on from body to body."""
         program = self._lit if lit else self._truth
         self._use_camera(program, camera)
@@ -133,28 +142,48 @@ class GLRenderer:
         for surface in surfaces:
             facing = surface.posed.facing(eye)
             # from outside a closed surface its back faces never show; a camera that is near may be inside
-            culled = surface.topology.mesh.closed and not near
+            culled = surface.topology.mesh.closed and not rectangle.near
             _set(program, "first_label", seen.count)
-            surface.draw(lit, facing if culled else None)
-            seen.add(surface.body, facing if culled else slice(None))
+            limit = surface.longest_straight(camera, rectangle) if camera.distorted else np.inf
+            refined = surface.refined(camera, limit) if np.isfinite(limit) else None
+            if refined is None:
+                surface.draw(lit, facing if culled else None)
+                seen.add(surface.body, facing if culled else slice(None))
+            else:
+                surface.draw_refined(program, refined)
+                seen.add(surface.body, refined.parents)
             if lit:
-                seen.outlines.append(surface.posed.contour(facing))
+                seen.outlines.append(_straight(surface.posed.contour(facing), camera, limit))
         return seen
 
     def _draw_shadows(self, surfaces: Sequence[_Surface], camera: Camera) -> None:
         self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
         self._ctx.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
-        _set(self._shadow, "clip", _clip(camera))
+        self._use_camera(self._shadow, camera)
+        square = self._shadow_grid if camera.distorted else self._shadow_quad
         for surface in surfaces:
             shadow = surface.posed.shadow
             self._shadow_texture.write(shadow.darkness.tobytes())
             self._shadow_texture.use(0)
             _set(self._shadow, "place", (*shadow.corner, shadow.side, shadow.side))
-            self._shadow_quad.render(moderngl.TRIANGLE_STRIP)
+            square.render(moderngl.TRIANGLES)
 
     def _use_camera(self, program: moderngl.Program, camera: Camera) -> None:
-        _set(program, "clip", _clip(camera))
         _set(program, "optical_z", (*camera.R[2], camera.t[2]))
+        clip = camera.opengl_clip(NEAR, _FAR)
+        if not camera.distorted:
+            _set(program, "lens", 0)
+            _set(program, "clip", _floats(clip @ camera.optical_from_world))
+            self._ctx.disable_direct(_CLIP_DISTANCE)
+            return
+        lens = camera.lens
+        _set(program, "lens", 2 if lens.model == "equidistant" else 1)
+        _set(program, "clip", _floats(clip))
+        _set(program, "optical", _floats(camera.optical_from_world))
+        _set(program, "k", np.array((*lens.coefficients, *[0.0] * 8)[:8], dtype="f4").tobytes())
+        _set(program, "reach", lens.valid_radius)
+        _set(program, "nearest", NEAR)
+        self._ctx.enable_direct(_CLIP_DISTANCE)
 
     def _surface(self, body: Body) -> _Surface:
         """The body on the device, standing as it should. Two bodies may share a mesh, but not a surface."""
@@ -178,9 +207,8 @@ class GLRenderer:
         return self._targets[size]
 
     def _layer(self, camera: Camera) -> _StaticLayer:
-        key = b"".join(
-            (np.array(camera.size).tobytes(), camera.K.tobytes(), camera.R.tobytes(), camera.t.tobytes())
-        )
+        numbers = (np.array(camera.size), camera.K, camera.R, camera.t, np.array(camera.distortion))
+        key = b"".join((*(n.tobytes() for n in numbers), str(camera.model).encode()))
         if key not in self._layers:
             if len(self._layers) >= _MAX_LAYERS:
                 self._layers.pop(next(iter(self._layers))).target.release()
@@ -201,8 +229,13 @@ class GLRenderer:
             ctx.enable_only(moderngl.DEPTH_TEST)
             self._use_camera(program, camera)
             for surface in surfaces:
-                surface.draw(lit)
+                if camera.distorted:
+                    surface.draw_refined(program, LensView(camera).refine(*surface.detailed))
+                else:
+                    surface.draw(lit)
         rgb = cv2.resize(fine.read("rgb", lit=True), camera.size, interpolation=cv2.INTER_AREA)
+        if camera.distorted and LensView(camera).partly_dark:
+            rgb = np.where(_lit_pixels(camera)[..., None], rgb, 0)
         target.take(np.ascontiguousarray(rgb, dtype=np.uint8))
         for surface in surfaces:
             surface.release()
@@ -211,7 +244,10 @@ class GLRenderer:
 
     def _program(self, vertex: str, fragment: str) -> moderngl.Program:
         return self._ctx.program(
-            vertex_shader=(_SHADERS / vertex).read_text(), fragment_shader=(_SHADERS / fragment).read_text()
+            vertex_shader="#version 330\n"
+            + (_SHADERS / "lens.glsl").read_text()
+            + (_SHADERS / vertex).read_text().removeprefix("#version 330\n"),
+            fragment_shader=(_SHADERS / fragment).read_text(),
         )
 
 
@@ -259,18 +295,21 @@ class _Rectangle:
 def _touched(clouds: Sequence[Floats], camera: Camera) -> _Rectangle:
     """The pixels that surfaces spanned by points (3, N) can touch: the whole image if one comes too near."""
     width, height = camera.size
-    p = camera.P.astype(np.float32)
+    view = LensView(camera) if camera.distorted else None
+    p = (camera.P if view is None else camera.optical_from_world[:3]).astype(np.float32)
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for points in clouds:
         x, y, depth = p[:, :3] @ points + p[:, 3:]
         nearest = depth.min()
-        if nearest < 2 * _NEAR:
+        if nearest < 2 * NEAR:
             if depth.max() < 0:
                 continue
             return _Rectangle(0, 0, width, height, near=True)
         x /= depth
         y /= depth
         low, high = np.minimum(low, (x.min(), y.min())), np.maximum(high, (x.max(), y.max()))
+    if view is not None:
+        low, high = view.image_of(low, high)
     if not np.isfinite(low).all():
         return _Rectangle(0, 0, 0, 0)
     x0, y0 = np.clip(np.floor(low) - 2, 0, camera.size).astype(int)
@@ -278,9 +317,33 @@ def _touched(clouds: Sequence[Floats], camera: Camera) -> _Rectangle:
     return _Rectangle(int(x0), int(y0), int(x1), int(y1))
 
 
-def _clip(camera: Camera) -> bytes:
-    matrix: Array = camera.opengl_clip(_NEAR, _FAR) @ camera.optical_from_world
-    return matrix.T.astype("f4").tobytes()
+def _straight(edges: tuple[Floats, Floats], camera: Camera, limit: float) -> tuple[Floats, Floats]:
+    """Starts and ends (N, 3) of edges, those that are longer than a limit cut as a lens bends them."""
+    starts, ends = edges
+    way = ends - starts
+    long = np.einsum("ij,ij->i", way, way) > limit * limit
+    if not long.any():
+        return edges
+    first, second = LensView(camera).divide_edges(starts[long], ends[long])
+    return np.concatenate([starts[~long], first]), np.concatenate([ends[~long], second])
+
+
+def _floats(matrix: Array) -> bytes:
+    """A matrix as shaders take it, column by column."""
+    return bytes(matrix.T.astype("f4").tobytes())
+
+
+def _unit_square(cells: int) -> bytes:
+    """Corners of the triangles of a square of so many cells a side."""
+    low = np.stack(np.meshgrid(np.arange(cells), np.arange(cells)), axis=-1).reshape(-1, 1, 2)
+    corners = low + np.array([(0, 0), (1, 0), (0, 1), (0, 1), (1, 0), (1, 1)])
+    return bytes((corners / cells).astype("f4").tobytes())
+
+
+def _lit_pixels(camera: Camera) -> NDArray[np.bool_]:
+    """(H, W) which pixels the lens does not leave dark."""
+    grid = np.stack(np.meshgrid(*(np.arange(n) for n in camera.size)), axis=-1)
+    return np.isfinite(camera.rays(grid)[..., 0])
 
 
 def _set(program: moderngl.Program, name: str, value: Any) -> None:
@@ -304,7 +367,7 @@ class _Seen:
             "part": [np.zeros(1, np.uint8)],
         }
 
-    def add(self, body: Body, drawn: NDArray[np.bool_] | slice) -> None:
+    def add(self, body: Body, drawn: NDArray[np.bool_] | NDArray[np.intp] | slice) -> None:
         parts = body.parts[drawn]
         self.count += len(parts)
         self._labels["part"].append(parts)
@@ -416,6 +479,7 @@ class _Surface:
         lit: moderngl.Program,
         truth: moderngl.Program,
     ) -> None:
+        self._ctx = ctx
         self.topology = topology
         mesh = topology.mesh
         triangles = mesh.triangles
@@ -430,6 +494,7 @@ class _Surface:
             corners, uv = inverse.reshape(triangles.shape), mesh.uv[unique[:, 1]]
         colors = np.full((len(mesh.vertices), 3), 255, np.uint8) if mesh.colors is None else mesh.colors
         looks = np.concatenate([uv, colors[self._source] / 255.0], axis=1).astype("f4")
+        self._looks_there: Floats = looks
         self._corners = np.ascontiguousarray(corners, dtype=np.int32)
         self._texture = _texture(ctx, mesh.texture)
         self._positions, self._normals = (ctx.buffer(reserve=len(looks) * 12, dynamic=True) for _ in range(2))
@@ -468,6 +533,42 @@ class _Surface:
         self._index.write(corners)
         self._texture.use(0)
         (self._lit if lit else self._truth).render(moderngl.TRIANGLES, vertices=corners.size)
+
+    @property
+    def detailed(self) -> tuple[Array, NDArray[np.intp]]:
+        """Attributes (V, 11) of the vertices as they stand, position, normal, uv, colour; corners (N, 3)."""
+        both = np.concatenate([self.posed.vertices, self.posed.normals], axis=1).take(self._source, axis=0)
+        return np.concatenate([both, self._looks_there], axis=1).astype(float), self._corners.astype(np.intp)
+
+    def longest_straight(self, camera: Camera, rectangle: _Rectangle) -> float:
+        """Edges up to this length, in metres, a lens does not bend visibly."""
+        away = self.posed.points - camera.center.astype(np.float32)[:, None]
+        distance = float(np.sqrt(np.einsum("ij,ij->j", away, away).min()))
+        low, high = np.array([rectangle.x0, rectangle.y0]), np.array([rectangle.x1, rectangle.y1])
+        return LensView(camera).longest_straight(distance, low, high)
+
+    def refined(self, camera: Camera, limit: float) -> Refined | None:
+        """What is to be drawn where a lens bends edges, which are longer than a limit, visibly; or None."""
+        starts, ends = self.topology.edges_longer(limit).T
+        view, vertices = LensView(camera), self.posed.vertices
+        if not view.bent(*(camera.to_optical(vertices[which]) for which in (starts, ends))).any():
+            return None
+        return view.refine(*self.detailed)
+
+    def draw_refined(self, program: moderngl.Program, refined: Refined) -> None:
+        """Draw triangles cut to pieces."""
+        if not len(refined.triangles):
+            return
+        vertices = self._ctx.buffer(refined.attributes.astype("f4").tobytes())
+        index = self._ctx.buffer(refined.triangles.astype(np.int32).tobytes())
+        names = [("position", "3f"), ("normal", "3f"), ("uv", "2f"), ("color", "3f")]
+        layout = " ".join(size if name in program else f"{4 * int(size[0])}x" for name, size in names)
+        used = [name for name, _ in names if name in program]
+        drawn = self._ctx.vertex_array(program, [(vertices, layout, *used)], index_buffer=index)
+        self._texture.use(0)
+        drawn.render(moderngl.TRIANGLES)
+        for thing in (drawn, vertices, index):
+            thing.release()
 
     def release(self) -> None:
         for thing in (

@@ -36,9 +36,12 @@ class Crossings:
 
 
 def crossings(camera: Camera, starts: NDArray[np.floating], ends: NDArray[np.floating]) -> Crossings:
-    """Where edges from ``starts`` to ``ends``, (N, 3) world, cross columns and rows of pixel centres."""
+    """Where edges from ``starts`` to ``ends``, (N, 3) world, cross columns and rows of pixel centres.
+
+    They are straight in the image: what a lens bends is to be cut into pieces before.
+    """
     (p, near), (q, far) = camera.project(starts), camera.project(ends)
-    good = (near > 0) & (far > 0)
+    good = np.isfinite(p[:, 0]) & np.isfinite(q[:, 0])
     # along an edge in the image 1 / z is what changes evenly
     p, q = np.column_stack([p[good], 1 / near[good]]), np.column_stack([q[good], 1 / far[good]])
     width, height = camera.size

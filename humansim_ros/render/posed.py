@@ -11,6 +11,9 @@ from numpy.typing import NDArray
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.render.shadow import ContactShadow, contact_shadow
 
+#: How much longer than at rest skin may get.
+_STRETCH = 2.0
+
 Floats = NDArray[np.float32]
 Indices = NDArray[np.intp]
 
@@ -36,6 +39,18 @@ class Topology:
         self.edges = np.concatenate([edges[:-1][same], edges[alone]])
         self.sides = (np.concatenate([first, owner[alone]]), np.concatenate([second, owner[alone]]))
         self.border = np.arange(len(self.edges)) >= len(first)
+
+    @cached_property
+    def _by_length(self) -> tuple[Floats, NDArray[np.intp]]:
+        starts, ends = self.mesh.vertices[self.edges].transpose(1, 0, 2)
+        length = np.linalg.norm(ends - starts, axis=1)
+        order = np.argsort(length)
+        return np.asarray(length[order], dtype=np.float32), self.edges[order]
+
+    def edges_longer(self, length: float) -> NDArray[np.intp]:
+        """(E, 2) the edges that are longer than that, or may be when the body moves."""
+        lengths, edges = self._by_length
+        return edges[int(np.searchsorted(lengths, length / _STRETCH)) :]
 
     @cached_property
     def around(self) -> Any:

@@ -4,13 +4,12 @@ in vec3 position;
 in vec3 normal;
 in vec2 uv;
 in vec3 color;
-uniform mat4 clip;
 uniform vec4 optical_z;  // third row of the world-to-optical transform
 out vec4 v_normal;       // and the depth, to have one vector less to interpolate
 out vec2 v_uv;
 out vec3 v_color;
 void main() {
-    gl_Position = clip * vec4(position, 1.0);
+    gl_Position = projected(position);
     v_normal = vec4(normal, dot(optical_z, vec4(position, 1.0)));
     v_uv = uv;
     v_color = color;

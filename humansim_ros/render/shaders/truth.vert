@@ -1,10 +1,9 @@
 #version 330
 // A surface in the world, for depth and labels.
 in vec3 position;
-uniform mat4 clip;
 uniform vec4 optical_z;  // third row of the world-to-optical transform
 out float v_z;
 void main() {
-    gl_Position = clip * vec4(position, 1.0);
+    gl_Position = projected(position);
     v_z = dot(optical_z, vec4(position, 1.0));
 }

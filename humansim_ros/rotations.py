@@ -35,6 +35,30 @@ def quaternion_to_matrix(quaternion: NDArray[Any]) -> Array:
     return out
 
 
+def rotation_vector_to_matrix(vector: NDArray[Any]) -> Array:
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3): axis times angle in radians (Rodrigues)."""
+    x, y, z = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
+    angle = np.sqrt(x * x + y * y + z * z)
+    cross = np.zeros((*angle.shape, 3, 3))
+    cross[..., 2, 1], cross[..., 0, 2], cross[..., 1, 0] = x, y, z
+    cross -= np.swapaxes(cross, -1, -2)
+    # sin(a) / a and (1 - cos(a)) / a^2; NumPy's sinc(x) is sin(pi x) / (pi x), 1 at 0
+    first = np.sinc(angle / np.pi)[..., None, None]
+    second = 0.5 * np.sinc(angle / (2 * np.pi))[..., None, None] ** 2
+    return np.asarray(np.eye(3) + first * cross + second * cross @ cross, dtype=float)
+
+
+def moved(poses: NDArray[Any], linear: NDArray[Any], angular: NDArray[Any], seconds: float) -> Array:
+    """Poses (..., 4, 4) some time later, or before, at constant velocity.
+
+    ``linear``, ``angular``: (..., 3) of each pose in the frame that the poses are in, m/s and rad/s.
+    """
+    out = np.array(poses, dtype=float)
+    out[..., :3, :3] = rotation_vector_to_matrix(np.asarray(angular) * seconds) @ out[..., :3, :3]
+    out[..., :3, 3] += np.asarray(linear, dtype=float) * seconds
+    return out
+
+
 def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
     """Unit quaternions (..., 4) xyzw with w >= 0 of rotation matrices (..., 3, 3) (Shepperd's method)."""
     m = np.asarray(matrix, dtype=float)

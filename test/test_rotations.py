@@ -15,7 +15,9 @@ from humansim_ros.rotations import (
     from_y_axis,
     invert_rigid,
     matrix_to_quaternion,
+    moved,
     quaternion_to_matrix,
+    rotation_vector_to_matrix,
     slerp,
     transform,
 )
@@ -54,6 +56,34 @@ def test_quaternion_of_a_matrix_is_scipys(q: Array) -> None:
     assert angle(ours, q) < 1e-12
     assert ours[3] >= 0
     assert np.linalg.norm(ours) == pytest.approx(1, abs=1e-14)
+
+
+@modest
+@given(arrays(float, 3, elements=st.floats(-10, 10)))
+@example(np.zeros(3))
+@example(np.array([0, 1e-9, 0]))
+@example(np.array([np.pi, 0, 0]))
+def test_matrix_of_a_rotation_vector_is_scipys(vector: Array) -> None:
+    expected = Rotation.from_rotvec(vector).as_matrix()
+    np.testing.assert_allclose(rotation_vector_to_matrix(vector), expected, atol=1e-13)
+
+
+def test_poses_move_at_constant_velocity_in_the_world() -> None:
+    """Many small turns one after the other, by SciPy, are one turn for the whole time."""
+    rng = np.random.default_rng(3)
+    poses = transform(Rotation.random(6, 4).as_matrix(), rng.normal(size=(6, 3))).reshape(2, 3, 4, 4)
+    linear, angular = rng.normal(size=(2, 2, 3, 3)) * 3
+    later = moved(poses, linear, angular, -0.2)
+    for index in np.ndindex(2, 3):
+        turned, step = (
+            Rotation.from_matrix(poses[index][:3, :3]),
+            Rotation.from_rotvec(angular[index] * -0.002),
+        )
+        for _ in range(100):
+            turned = step * turned
+        np.testing.assert_allclose(later[index][:3, :3], turned.as_matrix(), atol=1e-12)
+        np.testing.assert_allclose(later[index][:3, 3], poses[index][:3, 3] - 0.2 * linear[index], atol=1e-12)
+        np.testing.assert_array_equal(later[index][3], [0, 0, 0, 1])
 
 
 def test_conversions_keep_leading_axes() -> None:

@@ -23,7 +23,7 @@ MODELS = {
 #: Rays farther from the axis than this are not seen: their depth along z is next to nothing.
 _WIDEST = np.radians(89.5)
 #: Angles and directions at which a lens is looked at to find where it begins to fold.
-_ANGLES, _DIRECTIONS = 4000, 24
+_ANGLES, _DIRECTIONS = 1000, 24
 #: Newton steps to undo a distortion, and how near it must come (normalised image plane).
 _STEPS, _NEAR_ENOUGH = 30, 1e-10
 
@@ -98,7 +98,8 @@ class Lens:
                 break
             with np.errstate(all="ignore"):
                 error = self._distort(n) - flat[todo]
-                done = np.abs(error).max(axis=1) < _NEAR_ENOUGH
+                size = np.maximum(np.abs(flat[todo]).max(axis=1), 1.0)
+                done = np.abs(error).max(axis=1) < _NEAR_ENOUGH * size
                 inside = np.einsum("ij,ij->i", n, n) <= self.valid_radius**2 * (1 + 1e-12)
                 result[todo[done & inside]] = n[done & inside]
                 keep = ~done & np.isfinite(error).all(axis=1)
@@ -116,8 +117,8 @@ class Lens:
         if self.ideal:
             return float(np.tan(_WIDEST))
         low, high = 0.0, _WIDEST
-        for _ in range(3):
-            angles = np.linspace(low, high, _ANGLES + 1)[1:]
+        for count in (_ANGLES, 100, 100, 100):
+            angles = np.linspace(low, high, count + 1)[1:]
             good = self._unfolded(angles)
             first = int(np.argmin(good)) if not good.all() else -1
             if first < 0:
@@ -194,7 +195,7 @@ class Lens:
     @cached_property
     def _radii(self) -> tuple[Array, Array]:
         """Radii, and how far from the middle they fall (without the tangential part), rising."""
-        r = np.tan(np.linspace(0, np.arctan(self.valid_radius), _ANGLES))
+        r = np.tan(np.linspace(0, np.arctan(self.valid_radius), 4 * _ANGLES))
         if self.model == "equidistant":
             return r, np.maximum.accumulate(self._angle(r)[0])
         return r, np.maximum.accumulate(r * self._radial(r * r)[0])

@@ -1,0 +1,131 @@
+"""Picture of each effect of a sensor (docs/images/sensors.jpg), and how far constant velocity is off.
+
+python tools/sensor_figures.py picture OUTPUT
+python tools/sensor_figures.py velocity [MILLISECONDS ...]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from humansim_ros.camera import Camera
+from humansim_ros.pictures import Image
+from humansim_ros.render import GLRenderer
+from humansim_ros.resources import resource_path
+from humansim_ros.rotations import moved
+from humansim_ros.scene import Scene
+from humansim_ros.scene.config import SceneConfig, built_in_names, load_config
+from humansim_ros.scene.scene import DEMO_SCENE, Actor
+from humansim_ros.sensor import Sensor, SensorConfig
+
+_SIZE = (400, 300)
+_CAMERA = Camera.look_at((2.6, -2.3, 1.5), (0.3, 0.1, 0.85), _SIZE, float(np.radians(58)))
+#: The instant of the run that is shown, seconds.
+_SHOWN = 0.53
+#: What is shown enlarged of the person: x, y, width.
+_FIGURE = (92, 52, 100)
+#: Each tile: what it says, the sensor, and what of the picture is shown enlarged (x, y, width), or all of it.
+_TILES: list[tuple[str, dict[str, Any], tuple[int, int, int] | None]] = [
+    ("as rendered", {}, None),
+    ("exposure 0.35", {"exposure": 0.35}, None),
+    ("response linear", {"response": "linear"}, None),
+    ("white balance 1.3, 1, 0.75", {"white_balance": (1.3, 1.0, 0.75)}, None),
+    ("noise: exposure 0.02, 34 dB", {"noise": {}, "exposure": 0.02, "gain_db": 34}, None),
+    ("noise, enlarged", {"noise": {}, "exposure": 0.02, "gain_db": 34}, _FIGURE),
+    ("vignetting: cos4, corner 0.5", {"vignetting": {"cos4": True, "corner": 0.5}}, None),
+    ("motion blur: 40 ms", {"exposure_time": 0.04, "samples": 24}, None),
+    ("rolling shutter: 0.3 ms a row", {"rolling_shutter": 3e-4, "samples": 60}, None),
+    ("chromatic aberration 3, -3 pixels", {"chromatic_aberration": {"red": 3, "blue": -3}}, (10, 30, 100)),
+    ("jpeg 15", {"jpeg": 15}, _FIGURE),
+    ("bayer_rggb8", {"encoding": "bayer_rggb8"}, (20, 50, 48)),
+]
+
+
+def scene_of(motion: str, room: bool = True) -> Scene:
+    """The demo's room with somebody in it."""
+    path = resource_path(DEMO_SCENE)
+    human = {"motion": {"file": motion, "anchor": "center", "yaw_deg": 20}}
+    config = load_config(path).model_dump() | {"humans": {"one": human}} | ({} if room else {"room": None})
+    return Scene.build(SceneConfig.model_validate(config), path)
+
+
+def draw(scene: Scene, renderer: GLRenderer, config: SensorConfig) -> Image:
+    """The picture of a sensor, sub-frames from the motion itself."""
+    actor, sensor = scene.actors["one"], Sensor(config, _CAMERA)
+    pictures = []
+    for time in sensor.times():
+        view = renderer.render([actor.body(actor.at(_SHOWN + time).vertices)], _CAMERA, ("rgb",))
+        assert view.rgb is not None
+        pictures.append(view.rgb)
+    picture = sensor.expose(pictures, 1)
+    return picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)
+
+
+def tile(picture: Image, text: str, part: tuple[int, int, int] | None) -> Image:
+    if part is not None:
+        x, y, width = part
+        picture = picture[y : y + width * _SIZE[1] // _SIZE[0], x : x + width]
+        picture = cv2.resize(picture, _SIZE, interpolation=cv2.INTER_NEAREST)
+    out = cv2.copyMakeBorder(picture, 26, 4, 4, 4, cv2.BORDER_CONSTANT, value=(28, 28, 28))
+    cv2.putText(out, text, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (235, 235, 235), 1, cv2.LINE_AA)
+    return out
+
+
+def picture(output: Path) -> None:
+    scene = scene_of("run")
+    renderer = GLRenderer(scene.static_meshes)
+    tiles = [tile(draw(scene, renderer, SensorConfig(**c)), text, part) for text, c, part in _TILES]
+    rows = [np.concatenate(tiles[i : i + 3], axis=1) for i in range(0, len(tiles), 3)]
+    cv2.imwrite(str(output), np.concatenate(rows)[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 75])
+
+
+def velocity_errors(actor: Actor, seconds: float) -> tuple[np.ndarray, np.ndarray]:
+    """Metres (N, V) that vertices are off at +- ``seconds`` when joints keep their velocity, and that they
+    move meanwhile, at sixty instants of a motion.
+    """
+    errors, ways = [], []
+    for time in np.linspace(0.1, min(actor.motion.round_length, 6.0) - 0.1, 60):
+        now = actor.at(time)
+        assert now.linear is not None and now.angular is not None
+        for step in (-seconds, seconds):
+            joints = moved(now.joints, now.linear, now.angular, step)
+            true = actor.at(time + step).vertices
+            vertices = actor.human.pose(joints[: len(actor.human.skeleton)])
+            errors.append(np.linalg.norm(vertices - true, axis=1))
+            ways.append(np.linalg.norm(now.vertices - true, axis=1))
+    return np.array(errors), np.array(ways)
+
+
+def velocity(milliseconds: list[float]) -> None:
+    print(
+        "| motion | ms | way, mean / 99 % / largest, mm | error, mean / 99 % / largest, mm |\n"
+        "|---|---|---|---|"
+    )
+    for motion in built_in_names("motions", ".bvh"):
+        actor = scene_of(motion, room=False).actors["one"]
+        for step in milliseconds:
+            cells = [
+                f"{values.mean():.2f} / {np.percentile(values, 99):.1f} / {values.max():.1f}"
+                for values in (1e3 * part for part in reversed(velocity_errors(actor, step * 1e-3)))
+            ]
+            print(f"| {motion} | {step:g} | {' | '.join(cells)} |")
+
+
+def main() -> int:
+    if sys.argv[1:2] == ["picture"] and len(sys.argv) == 3:
+        picture(Path(sys.argv[2]))
+    elif sys.argv[1:2] == ["velocity"]:
+        velocity([float(value) for value in sys.argv[2:]] or [4.0, 8.0])
+    else:
+        print(__doc__)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -35,7 +35,10 @@ _SMALLEST = 0.02
 
 @dataclass(frozen=True)
 class Ideal:
-    """A real camera and the ideal one in its place. Images of both have the same size (width, height)."""
+    """A real camera and the ideal one in its place. Images of both have the same size (width, height).
+
+    The ideal one may look another way from there (stereo rectification).
+    """
 
     real: Camera
     camera: Camera
@@ -55,11 +58,18 @@ class Ideal:
 
     def points_to_real(self, pixels: ArrayLike) -> Array:
         """Where (N, 2) pixels of the ideal image are in the real one, (N, 2); NaN beyond the lens."""
-        return _pixels(self.real.K, self.real.lens.distort(self.camera.rays(pixels)[..., :2]))
+        return _seen_along(self.real, self.camera.rays(pixels) @ self._real_from_ideal_frame.T)
 
     def points_to_ideal(self, pixels: ArrayLike) -> Array:
         """Where (N, 2) pixels of the real image are in the ideal one, (N, 2); NaN beyond the lens."""
-        return _pixels(self.camera.K, self.real.rays(pixels)[..., :2])
+        return _seen_along(self.camera, self.real.rays(pixels) @ self._real_from_ideal_frame)
+
+    @cached_property
+    def _real_from_ideal_frame(self) -> Array:
+        """(3, 3) optical frame of the ideal camera to that of the real one."""
+        if self.real.R is self.camera.R:
+            return np.eye(3)
+        return np.asarray(self.real.R @ self.camera.R.T, dtype=float)
 
     def to_ideal(self, image: NDArray[Any], interpolation: int = cv2.INTER_LINEAR) -> NDArray[Any]:
         """The ideal camera's image of a real one (H, W) or (H, W, C), black where the real one shows nothing.
@@ -87,6 +97,29 @@ def idealize(camera: Camera, square: bool = False, center: bool = True, fit: Fit
     if fit != "focal":
         k[[0, 1], [0, 1]] *= _fitting_scale(camera, k, fit)
     return Ideal(camera, replace(camera, K=k, distortion=(), model=None, rectification=None, rectified=None))
+
+
+def rectify(camera: Camera) -> Ideal:
+    """A camera and what its ``image_rect`` is the image of: R and P of its CameraInfo.
+
+    The baseline in the P of a stereo camera is no part of its image and left out.
+    """
+    if (
+        camera.rectified is None
+        and camera.rectification is None
+        and not camera.distorted
+        and not camera.K[0, 1]
+    ):
+        return Ideal(camera, camera)
+    turn = camera.rectification_matrix
+    k = camera.rectified_projection[:, :3]
+    r, t = (camera.R, camera.t) if camera.rectification is None else (turn @ camera.R, turn @ camera.t)
+    return Ideal(camera, Camera(camera.size, k, r, t))
+
+
+def _seen_along(camera: Camera, rays: Array) -> Array:
+    """Pixels (N, 2) that rays (N, 3) of the optical frame fall on."""
+    return camera.project_optical(rays)[0]
 
 
 def _fitting_scale(camera: Camera, k: Array, fit: Fit) -> float:

@@ -157,8 +157,11 @@ def test_dark_current_adds_electrons_with_time_and_their_shot_noise() -> None:
     assert out.var() == pytest.approx(1000 / 100 + 1 / 12, rel=0.02)
 
 
-def test_full_pixels_have_no_noise() -> None:
+def test_full_pixels_have_no_noise_and_are_as_bright_as_their_gain() -> None:
     assert (shown(flat(255), exposure=2.0, noise={}) == 255).all()
+    for noise in (None, {}):
+        out = shown(flat(255), exposure=2.0, noise=noise, white_balance=(0.5, 1, 1), response="linear")
+        assert (out == [128, 255, 255]).all()
 
 
 def test_noise_depends_on_seed_camera_and_stamp_only() -> None:
@@ -175,12 +178,12 @@ def test_noise_depends_on_seed_camera_and_stamp_only() -> None:
         assert abs(together) < 4 / np.sqrt(one.size)
 
 
-def test_noise_is_not_correlated_between_neighbours() -> None:
-    out = shown(flat(128), noise={"read_noise": 30.0}).astype(float)
-    noise = out - out.mean()
-    for shifted in (noise[1:], noise[:, 1:], noise[..., 1:]):
-        same = noise[tuple(slice(n) for n in shifted.shape)]
-        assert abs((same * shifted).mean() / noise.var()) < 4 / np.sqrt(noise.size)
+def test_noise_never_repeats_in_a_picture() -> None:
+    """Its autocorrelation, over all distances, has one peak."""
+    out = shown(flat(128), noise={"read_noise": 30.0}).ravel().astype(float)
+    spectrum = np.abs(np.fft.rfft(out - out.mean())) ** 2
+    together = np.fft.irfft(spectrum)[1:] / spectrum.sum() * out.size / 2
+    assert np.abs(together).max() < 6 / np.sqrt(out.size)
 
 
 # --- lens
@@ -210,6 +213,12 @@ def test_natural_vignetting_is_the_fourth_power_of_the_cosine(model: Any, distor
     angle = np.arctan(np.linalg.norm(rays, axis=1))
     column, row = pixels.astype(int).T
     np.testing.assert_allclose(out[row, column, 0], 255 * np.cos(angle) ** 4, atol=0.51)
+
+
+def test_no_light_falls_where_the_lens_sees_nothing() -> None:
+    camera = Camera(SIZE, K, np.eye(3), np.zeros(3), (-0.9,))
+    out = shown(flat(255), camera=camera, vignetting={"cos4": True})
+    assert (out[0, 0] == 0).all() and (out[130, 150] == 255).all()
 
 
 def test_vignetting_takes_the_stated_share_from_the_farthest_corner() -> None:
@@ -335,6 +344,7 @@ def test_mono_is_the_luminance_of_light() -> None:
     out = shown(flat(255, 0, 0), encoding="mono8", response="linear")
     assert out.shape == SIZE[::-1]
     assert (out == round(255 * 0.2126)).all()
+    assert (shown(flat(0, 0, 255), encoding="mono8", response="linear") == round(255 * 0.0722)).all()
     np.testing.assert_array_equal(
         shown(EVERY_LEVEL[..., :1].repeat(3, 2), encoding="mono8"), EVERY_LEVEL[..., 0]
     )

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import Any
 
 import cv2
 import numpy as np
 import pytest
+import yaml
+from conftest import ROOT
 from numpy.typing import NDArray
 from pydantic import ValidationError
 from scipy.integrate import quad
@@ -17,7 +20,7 @@ from humansim_ros.errors import CameraError
 from humansim_ros.rotations import moved
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import SceneConfig
-from humansim_ros.sensor import Sensor, SensorConfig
+from humansim_ros.sensor import ChromaticAberration, Noise, Sensor, SensorConfig, Vignetting
 
 Picture = NDArray[np.uint8]
 
@@ -415,6 +418,22 @@ def test_wrong_values_are_named_by_their_key(key: str, config: dict[str, Any]) -
     with pytest.raises(ValidationError) as caught:
         SensorConfig.model_validate(config)
     assert ".".join(map(str, caught.value.errors()[0]["loc"])).startswith(key)
+
+
+def test_every_key_and_its_default_are_documented() -> None:
+    text = (ROOT / "docs" / "sensors.md").read_text()
+    example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
+    assert example is not None
+    assert Sensor(SensorConfig(**yaml.safe_load(example[1])["cameras"]["camera_1"]["sensor"]), CAMERA).active
+    keys = text.split("\n## ")[1]
+    for key, field in SensorConfig.model_fields.items():
+        part = {"noise": Noise, "vignetting": Vignetting, "chromatic_aberration": ChromaticAberration}.get(
+            key
+        )
+        for name in [key] if part is None else [f"{key}.{name}" for name in part.model_fields]:
+            assert f"| `{name}`" in keys or f"`.{name.split('.')[-1]}`" in keys, name
+        if isinstance(field.default, (int, float)):
+            assert re.search(rf"\| `{key}` \| {field.default:g} \|", keys), key
 
 
 def test_pictures_that_do_not_fit_are_refused() -> None:

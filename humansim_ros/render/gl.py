@@ -35,7 +35,9 @@ _CLIP_DISTANCE = 0x3000
 #: The static scene is drawn this many times finer and averaged: it is drawn once, so quality costs nothing.
 _STATIC_SUPERSAMPLING = 4
 _MAX_STATIC_SIDE = 8192
-#: Cameras whose static scene is kept; a camera that moves leaves many behind.
+#: The same for a camera that is elsewhere in the next frame.
+_PASSING_SUPERSAMPLING = 2
+#: Cameras whose static scene is kept.
 _MAX_LAYERS = 32
 #: Pieces along a side of a shadow that a lens may bend.
 _SHADOW_GRID = 32
@@ -71,6 +73,7 @@ class GLRenderer:
         self._surfaces: dict[tuple[int, int], _Surface] = {}
         self._targets: dict[tuple[int, int], _Target] = {}
         self._layers: dict[bytes, _StaticLayer] = {}
+        self._passing: _StaticLayer | None = None
         self._lit = self._program("lit.vert", "lit.frag")
         self._truth = self._program("truth.vert", "truth.frag")
         self._shadow = self._program("shadow.vert", "shadow.frag")
@@ -93,17 +96,25 @@ class GLRenderer:
         """Free the OpenGL context and what is in it."""
         self._ctx.release()
 
-    def render(self, bodies: Sequence[Body], camera: Camera, channels: Collection[str] = CHANNELS) -> View:
+    def render(
+        self,
+        bodies: Sequence[Body],
+        camera: Camera,
+        channels: Collection[str] = CHANNELS,
+        passing: bool = False,
+    ) -> View:
         """See :class:`humansim_ros.render.Renderer`.
 
         What was worked out of a body for one camera serves the next, as long as it is the same Body object.
         """
         check_request(bodies, channels)
         with self._ctx:  # others in this thread may have made their own context the current one
-            return self._render(bodies, camera, frozenset(channels))
+            return self._render(bodies, camera, frozenset(channels), passing)
 
-    def _render(self, bodies: Sequence[Body], camera: Camera, channels: frozenset[str]) -> View:
-        layer = self._layer(camera)
+    def _render(
+        self, bodies: Sequence[Body], camera: Camera, channels: frozenset[str], passing: bool
+    ) -> View:
+        layer = self._layer(camera, passing)
         lit = "rgb" in channels
         surfaces = [self._surface(body) for body in bodies]
         clouds = [surface.posed.points for surface in surfaces]
@@ -206,20 +217,27 @@ class GLRenderer:
             self._targets[size] = _Target(self._ctx, size)
         return self._targets[size]
 
-    def _layer(self, camera: Camera) -> _StaticLayer:
+    def _layer(self, camera: Camera, passing: bool) -> _StaticLayer:
+        if passing:
+            if self._passing is not None:
+                self._passing.target.release()
+            self._passing = self._draw_static(camera, _PASSING_SUPERSAMPLING)
+            return self._passing
         numbers = (np.array(camera.size), camera.K, camera.R, camera.t, np.array(camera.distortion))
         key = b"".join((*(n.tobytes() for n in numbers), str(camera.model).encode()))
         if key not in self._layers:
             if len(self._layers) >= _MAX_LAYERS:
                 self._layers.pop(next(iter(self._layers))).target.release()
-            self._layers[key] = self._draw_static(camera)
+            self._layers[key] = self._draw_static(camera, _STATIC_SUPERSAMPLING)
         return self._layers[key]
 
-    def _draw_static(self, camera: Camera) -> _StaticLayer:
+    def _draw_static(self, camera: Camera, supersampling: int) -> _StaticLayer:
         width, height = camera.size
-        factor = max(1, min(_STATIC_SUPERSAMPLING, _MAX_STATIC_SIDE // max(width, height)))
+        factor = max(1, min(supersampling, _MAX_STATIC_SIDE // max(width, height)))
         ctx = self._ctx
         surfaces = [self._standing(mesh) for mesh in self._static]
+        lens = LensView(camera)
+        refined = [lens.refine(*s.detailed) for s in surfaces] if camera.distorted else [None] * len(surfaces)
         # the same window, only finer: clip coordinates do not know how many pixels there are
         fine, target = _Target(ctx, (width * factor, height * factor)), _Target(ctx, camera.size)
         for into, lit in ((fine, True), (target, False)):
@@ -228,13 +246,13 @@ class GLRenderer:
             into.use(lit)
             ctx.enable_only(moderngl.DEPTH_TEST)
             self._use_camera(program, camera)
-            for surface in surfaces:
-                if camera.distorted:
-                    surface.draw_refined(program, LensView(camera).refine(*surface.detailed))
-                else:
+            for surface, pieces in zip(surfaces, refined, strict=True):
+                if pieces is None:
                     surface.draw(lit)
+                else:
+                    surface.draw_refined(program, pieces)
         rgb = cv2.resize(fine.read("rgb", lit=True), camera.size, interpolation=cv2.INTER_AREA)
-        if camera.distorted and LensView(camera).partly_dark:
+        if camera.distorted and lens.partly_dark:
             rgb = np.where(_lit_pixels(camera)[..., None], rgb, 0)
         target.take(np.ascontiguousarray(rgb, dtype=np.uint8))
         for surface in surfaces:

@@ -38,8 +38,9 @@ class Body:
 class View:
     """What one camera sees: (H, W, ...) arrays on one pixel grid; None for a channel that was not asked for.
 
-    ``rgb``: (H, W, 3) uint8 sRGB, anti-aliased. ``depth``: (H, W) float32 metres along z of the optical
-    frame, +inf where nothing is. ``instance``: (H, W) uint16, ``part``: (H, W) uint8; 0 where no body is.
+    ``rgb``: (H, W, 3) uint8 sRGB, anti-aliased, or what the camera's sensor makes of it. ``depth``: (H, W)
+    float32 metres along z of the optical frame, +inf where nothing is. ``instance``: (H, W) uint16, ``part``:
+    (H, W) uint8; 0 where no body is.
     Labels and depth are those of the pixel's centre, never blended.
     """
 
@@ -52,8 +53,17 @@ class View:
 class Renderer(Protocol):
     """Draws bodies in a static scene as a camera sees them."""
 
-    def render(self, bodies: Sequence[Body], camera: Camera, channels: Collection[str] = CHANNELS) -> View:
-        """The asked channels of one view. RenderError if a channel is unknown or vertices are not finite."""
+    def render(
+        self,
+        bodies: Sequence[Body],
+        camera: Camera,
+        channels: Collection[str] = CHANNELS,
+        passing: bool = False,
+    ) -> View:
+        """The asked channels of one view. ``passing``: the camera moves on, nothing is kept for it.
+
+        Raises RenderError if a channel is unknown or vertices are not finite.
+        """
         ...
 
     def close(self) -> None:

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 from humansim_ros.errors import SceneError
 from humansim_ros.files import read_text
 from humansim_ros.resources import resource_path
+from humansim_ros.sensor.config import SensorConfig
 from humansim_ros.yaml_files import line_of, parse_yaml
 
 Vector3 = tuple[float, float, float]
@@ -129,38 +130,126 @@ class ObjectConfig(_Section):
     keyframes: KeyframesConfig | None = Field(default=None, description="moves, turns and sizes it")
 
 
-class CameraConfig(_Section):
-    """One camera: a pose (position, look_at, fov_deg) or a calibration (K, R, t)."""
+class TrajectoryConfig(_Section):
+    """What moves a camera."""
 
-    size: tuple[int, int] = Field(default=(640, 480), description="width, height in pixels")
+    file: str = Field(description="a trajectory in the form of the TUM RGB-D benchmark")
+    end: Literal["clamp", "loop", "ping_pong"] = Field(
+        default="clamp", description="after the last pose: it stays, begins anew, or goes back"
+    )
+    offset: float = Field(default=0.0, description="seconds of the scene that it is ahead by")
+    speed: float = Field(default=1.0, ge=0, le=100, description="seconds of the file per second")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _file_alone(cls, value: Any) -> Any:
+        return {"file": value} if isinstance(value, str) else value
+
+
+class RegionConfig(_Section):
+    """A part of the sensor, in its pixels."""
+
+    x: int = Field(default=0, ge=0)
+    y: int = Field(default=0, ge=0)
+    width: int = Field(gt=0)
+    height: int = Field(gt=0)
+
+
+class CameraConfig(_Section):
+    """One camera: what it sees by (fov_deg, K, P or calibration), and where it is (position and look_at, R
+    and t, trajectory, P or calibration).
+    """
+
+    size: tuple[int, int] | None = Field(
+        default=None, description="width, height in pixels; as the calibration says, else 640, 480"
+    )
+    calibration: str | None = Field(
+        default=None, description="a calibration file, or file:// or package:// URL"
+    )
+    camera: str | None = Field(default=None, description="which camera of that file; its only one if absent")
+    unit: float | None = Field(
+        default=None, gt=0, description="metres per unit of that file; as its form has it if absent"
+    )
+    up_axis: Axis | None = Field(
+        default=None, description="the axis of that file that points up; as its form has it if absent"
+    )
     position: Vector3 | None = None
     look_at: Vector3 | None = None
-    fov_deg: float | None = Field(default=None, gt=0, lt=180, description="horizontal field of view")
+    up: Vector3 = Field(default=(0.0, 0.0, 1.0), description="what is up in the image; goes with look_at")
+    fov_deg: float | None = Field(
+        default=None, gt=0, lt=180, description="horizontal field of view (without the lens' distortion)"
+    )
     K: tuple[Vector3, Vector3, Vector3] | None = None
     R: tuple[Vector3, Vector3, Vector3] | None = None
     t: Vector3 | None = None
     P: tuple[Row4, Row4, Row4] | None = None
-    distortion: tuple[float, ...] = ()
+    distortion: tuple[float, ...] = Field(default=(), description="coefficients, in ROS's order")
+    distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] | None = Field(
+        default=None, description="found by the number of coefficients if absent"
+    )
+    trajectory: TrajectoryConfig | None = Field(default=None, description="a file that moves it")
+    binning: tuple[int, int] = Field(
+        default=(1, 1), description="pixels of the sensor per pixel along x and y"
+    )
+    roi: RegionConfig | None = Field(default=None, description="the part of the sensor that is sent")
+    sensor: SensorConfig = Field(default=SensorConfig(), description="what the sensor does to the picture")
 
     @model_validator(mode="after")
     def _one_way(self) -> CameraConfig:
-        ways = {
-            "position, look_at": (self.position, self.look_at),
-            "K, R, t": (self.K, self.R, self.t),
-            "P": (self.P,),
-        }
-        given = [way for way, parts in ways.items() if any(p is not None for p in parts)]
-        whole = [way for way, parts in ways.items() if all(p is not None for p in parts)]
-        if len(given) != 1 or given != whole:
+        whole = self.calibration is not None or self.P is not None
+        seeing = {"fov_deg": self.fov_deg, "K": self.K, "P": self.P, "calibration": self.calibration}
+        given = [key for key, value in seeing.items() if value is not None]
+        if len(given) > 1:
             raise ValueError(
-                "give a camera as position and look_at (and fov_deg), or as K, R and t, or as P: "
-                "one of them, whole"
+                f"what a camera sees by is given as {' and as '.join(given)}: give it in one of them"
             )
-        if self.fov_deg is not None and given != ["position, look_at"]:
-            raise ValueError("fov_deg goes with position and look_at only")
-        if any(self.distortion) and given != ["K, R, t"]:
-            raise ValueError("distortion goes with K, R and t only")
+        for pair in (("position", "look_at"), ("R", "t")):
+            if (getattr(self, pair[0]) is None) != (getattr(self, pair[1]) is None):
+                raise ValueError(f"{pair[0]} and {pair[1]} go together: give the whole of it")
+        standing = {"position, look_at": self.position, "R, t": self.R, "trajectory": self.trajectory}
+        places = [key for key, value in standing.items() if value is not None]
+        sources = [*places, "P"] if self.P is not None else places
+        if len(sources) > 1:
+            raise ValueError(
+                f"where a camera is comes from {' and from '.join(sources)}: give it in one of them"
+            )
+        if not places and not whole:
+            raise ValueError(
+                "where is this camera? give position and look_at, or R and t, or a trajectory, or P, "
+                "or a calibration file: one of them"
+            )
+        if whole and (self.distortion or self.distortion_model):
+            raise ValueError("distortion goes with K or fov_deg only")
+        if self.calibration is None and (self.camera or self.unit or self.up_axis):
+            raise ValueError("camera, unit and up_axis go with a calibration file")
         return self
+
+
+class RigConfig(_Section):
+    """All cameras of a calibration file."""
+
+    file: str = Field(description="a calibration file, or file:// or package:// URL")
+    cameras: tuple[str, ...] | None = Field(
+        default=None, min_length=1, description="which of that file; all if absent"
+    )
+    size: tuple[int, int] | None = Field(
+        default=None, description="width, height in pixels where the file does not say"
+    )
+    unit: float | None = Field(
+        default=None, gt=0, description="metres per unit of that file; as its form has it if absent"
+    )
+    up_axis: Axis | None = Field(
+        default=None, description="the axis of that file that points up; as its form has it if absent"
+    )
+    binning: tuple[int, int] = Field(
+        default=(1, 1), description="pixels of the sensor per pixel along x and y"
+    )
+    sensor: SensorConfig = Field(default=SensorConfig(), description="what their sensors do to the pictures")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _file_alone(cls, value: Any) -> Any:
+        return {"file": value} if isinstance(value, str) else value
 
 
 class RoomConfig(_Section):
@@ -207,12 +296,15 @@ class SceneConfig(_Section):
     humans: dict[Name, HumanConfig] = Field(default_factory=dict)
     variety: VarietyConfig | None = Field(default=None, description="more humans, drawn at random")
     objects: dict[Name, ObjectConfig] = Field(default_factory=dict)
-    cameras: dict[Name, CameraConfig]
+    rig: RigConfig | None = Field(default=None, description="cameras of a calibration file")
+    cameras: dict[Name, CameraConfig] = Field(default_factory=dict)
 
     @model_validator(mode="after")
     def _something_to_see(self) -> SceneConfig:
-        if not self.cameras:
-            raise ValueError("a scene needs at least one camera")
+        if not self.cameras and self.rig is None:
+            raise ValueError(
+                "a scene needs at least one camera: in 'cameras', or in a calibration file as 'rig'"
+            )
         if len(self.humans) > 65535:
             raise ValueError("at most 65535 humans")
         return self
@@ -244,12 +336,19 @@ def _known_keys(keys: list[Any]) -> str:
         "cameras": CameraConfig,
         "room": RoomConfig,
         "variety": VarietyConfig,
+        "rig": RigConfig,
     }
     model: type[BaseModel] = SceneConfig
     if len(keys) > 1:
         model = models.get(str(keys[0]), SceneConfig)
     if len(keys) > 3:
-        inner: dict[str, type[BaseModel]] = {"motion": MotionConfig, "keyframes": KeyframesConfig}
+        inner: dict[str, type[BaseModel]] = {
+            "motion": MotionConfig,
+            "keyframes": KeyframesConfig,
+            "trajectory": TrajectoryConfig,
+            "roi": RegionConfig,
+            "sensor": SensorConfig,
+        }
         model = inner.get(str(keys[2]), model)
     return f"; known here: {', '.join(model.model_fields)}"
 

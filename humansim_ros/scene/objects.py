@@ -19,7 +19,7 @@ from humansim_ros.body.obj import read_mesh
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
 from humansim_ros.render import Body
-from humansim_ros.rotations import Array, quaternion_to_matrix
+from humansim_ros.rotations import Array, quaternion_to_matrix, slerp
 from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig
 
 #: Segments around a sphere or a cylinder.
@@ -36,6 +36,17 @@ class ObjectPose:
     position: Array
     rotation: Array
     size: Array
+
+    def toward(self, other: ObjectPose, share: float) -> ObjectPose:
+        """A share of the way from here (0) to another pose (1), or beyond."""
+        both = ((self.position, other.position), (self.rotation, other.rotation), (self.size, other.size))
+        if share == 0 or all(np.array_equal(a, b) for a, b in both):
+            return self
+        return ObjectPose(
+            (1 - share) * self.position + share * other.position,
+            slerp(self.rotation, other.rotation, np.asarray(share)),
+            np.maximum((1 - share) * self.size + share * other.size, 1e-9),
+        )
 
     def apply(self, points: Array) -> Array:
         """Where points (..., 3) of the mesh are in ``map``."""

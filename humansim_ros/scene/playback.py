@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.world import JointPoses, WorldMotion
 from humansim_ros.scene.config import MotionConfig
+from humansim_ros.scene.filming import CameraPose
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Actor, Scene
 
@@ -127,10 +128,13 @@ class Clock:
 
 @dataclass(frozen=True)
 class Moment:
-    """What moves at one time of the scene: the joints of each human's motion (N = 1), each object's place."""
+    """What moves at one time of the scene: the joints of each human's motion (N = 1), and the places of
+    objects and of cameras with a trajectory.
+    """
 
     poses: dict[str, JointPoses]
     objects: dict[str, ObjectPose]
+    cameras: dict[str, CameraPose]
 
 
 @dataclass(frozen=True)
@@ -169,7 +173,9 @@ class Playback:
         self.elapsed = elapsed
         seconds = elapsed * 1e-9
         poses = {name: _paced(actor.joint_poses(seconds), pace) for name, actor in self.actors.items()}
-        return Moment(poses, {name: thing.at(seconds) for name, thing in self.scene.moving_objects.items()})
+        objects = {name: thing.at(seconds) for name, thing in self.scene.moving_objects.items()}
+        cameras = {name: camera.pose(seconds) for name, camera in self.scene.moving_cameras.items()}
+        return Moment(poses, objects, cameras)
 
     def change(self, name: str, **settings: Any) -> None:
         """Let a human do something else after what was shown last: keys of a scene file's ``motion``.

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from humansim_ros.body import Human
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
-from humansim_ros.errors import CameraError
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.files import read_motion, split_name
 from humansim_ros.motion.joint_names import match_motion
@@ -30,17 +29,16 @@ from humansim_ros.motion.world import (
 )
 from humansim_ros.render import Body
 from humansim_ros.resources import resource_path
-from humansim_ros.rotations import Array, matrix_to_quaternion
+from humansim_ros.rotations import Array, matrix_to_quaternion, moved
 from humansim_ros.scene.config import (
-    CameraConfig,
     HumanConfig,
     MotionConfig,
     SceneConfig,
     find_file,
     find_human,
-    line_of_key,
     load_config,
 )
+from humansim_ros.scene.filming import SceneCamera, build_cameras
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.room import furnished_room
 from humansim_ros.scene.variety import with_variety
@@ -171,6 +169,17 @@ class Actor:
         """The body at a time since the start of the scene."""
         return self.state(self.joint_poses(seconds))
 
+    def moved(self, joints: Array, linear: Array, angular: Array, seconds: float) -> NDArray[np.float32]:
+        """Vertices (V, 3) some time after an instant, or before, every joint at constant velocity.
+
+        ``joints`` (J, 4, 4), ``linear``, ``angular`` (J, 3): as in :class:`HumanState`.
+        """
+        skeleton = self.human.skeleton
+        count = len(skeleton)
+        bones = moved(joints[:count], linear[:count], angular[:count], seconds)
+        size = _size(joints[:count, :3, 3], skeleton.heads, skeleton.parents)
+        return self.human.pose(bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones)
+
     def body(self, vertices: NDArray[np.float32]) -> Body:
         """What a renderer needs to draw this human with its vertices (V, 3) as they stand in a frame."""
         return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance)
@@ -189,7 +198,7 @@ class Scene:
     path: Path
     config: SceneConfig
     actors: dict[str, Actor]
-    cameras: dict[str, Camera]
+    scene_cameras: dict[str, SceneCamera]
     objects: dict[str, SceneObject] = field(default_factory=dict)
 
     @classmethod
@@ -210,14 +219,17 @@ class Scene:
             name: SceneObject.build(name, thing, path, tracks.get(("objects", name)))
             for name, thing in config.objects.items()
         }
-        cameras = {}
-        for name, camera in config.cameras.items():
-            try:
-                cameras[name] = _camera(camera)
-            except CameraError as error:
-                key = f"cameras.{name}" + (f".{error.key}" if error.key else "")
-                raise CameraError(error.message, path=path, line=line_of_key(path, key), key=key) from None
-        return cls(path, config, actors, cameras, objects)
+        return cls(path, config, actors, build_cameras(config, path), objects)
+
+    @cached_property
+    def cameras(self) -> dict[str, Camera]:
+        """The cameras of image_raw, as they stand at the start."""
+        return {name: camera.camera for name, camera in self.scene_cameras.items()}
+
+    @cached_property
+    def moving_cameras(self) -> dict[str, SceneCamera]:
+        """The cameras that trajectories move."""
+        return {name: camera for name, camera in self.scene_cameras.items() if camera.moves}
 
     @property
     def period(self) -> float:
@@ -247,11 +259,9 @@ def _actor(name: str, instance: int, config: HumanConfig, scene: Path, keyframes
     return replace(Actor.build(name, instance, human, config.motion, scene), keyframes=keyframes)
 
 
-def _camera(config: CameraConfig) -> Camera:
-    if config.position is not None and config.look_at is not None:
-        fov = np.radians(60.0 if config.fov_deg is None else config.fov_deg)
-        return Camera.look_at(config.position, config.look_at, config.size, float(fov))
-    if config.P is not None:
-        return Camera.from_projection_matrix(config.P, config.size)
-    assert config.K is not None and config.R is not None and config.t is not None
-    return Camera(config.size, np.array(config.K), np.array(config.R), np.array(config.t), config.distortion)
+def _size(heads: Array, at_rest: Array, parents: NDArray[np.intp]) -> float:
+    """How many times as large a body is as at rest, by how far its bones begin from each other."""
+    child = np.flatnonzero(parents >= 0)
+    now, rest = (np.linalg.norm(p[child] - p[parents[child]], axis=1).sum() for p in (heads, at_rest))
+    size = float(now / rest) if rest > 0 else 1.0
+    return 1.0 if abs(size - 1) < 1e-6 else size

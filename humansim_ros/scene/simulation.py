@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.camera import Camera
 from humansim_ros.render import CHANNELS, GLRenderer, Renderer, View
+from humansim_ros.scene.filming import photograph
+from humansim_ros.scene.instant import Instant, JointMotion
 from humansim_ros.scene.objects import ObjectPose
-from humansim_ros.scene.playback import Playback
+from humansim_ros.scene.playback import Moment, Playback
 from humansim_ros.scene.scene import HumanState, Scene
 from humansim_ros.truth.joints import JointView, joint_surfaces, view_joints
 
@@ -21,7 +24,8 @@ class Frame:
     """One instant of a scene. ``stamp``: nanoseconds. ``humans``: by name. ``views``: by camera name.
 
     ``joints``: by camera name and human name; empty unless instance and part are among the channels.
-    ``objects``: where the objects that move are, by name.
+    ``objects``: where the objects that move are, by name. ``cameras``: the cameras of ``views``, where they
+    stand.
     """
 
     index: int
@@ -30,6 +34,7 @@ class Frame:
     views: dict[str, View]
     joints: dict[str, dict[str, JointView]]
     objects: dict[str, ObjectPose] = field(default_factory=dict)
+    cameras: dict[str, Camera] = field(default_factory=dict)
 
 
 class Simulation:
@@ -63,18 +68,32 @@ class Simulation:
         """Frame ``index``, at ``start + round(index * period)``."""
         elapsed = self.scene.frame_time(index)
         moment = self.playback.show(elapsed)
-        actors, things, objects = self.playback.actors, self.scene.moving_objects, moment.objects
-        humans = {name: actor.state(moment.poses[name]) for name, actor in actors.items()}
-        bodies = [actor.body(humans[name].vertices) for name, actor in actors.items()]
-        bodies += [thing.body(objects[name]) for name, thing in things.items()]
+        humans = {name: actor.state(moment.poses[name]) for name, actor in self.playback.actors.items()}
+        instant = self._instant(elapsed, humans, moment)
+        cameras = {
+            name: camera.at(moment.cameras[name]) if camera.moves else camera.camera
+            for name, camera in self.scene.scene_cameras.items()
+        }
         views = {
-            name: self.renderer.render(bodies, camera, self.channels)
-            for name, camera in self.scene.cameras.items()
+            name: photograph(self.renderer, camera, instant.shot(camera), self.channels, instant.stamp)
+            for name, camera in self.scene.scene_cameras.items()
         }
         joints: dict[str, dict[str, JointView]] = {}
         if {"instance", "part"} <= set(self.channels):
-            joints = {name: self._joints(name, humans, view) for name, view in views.items()}
-        return Frame(index, self.start + elapsed, humans, views, joints, objects)
+            joints = {name: self._joints(cameras[name], humans, view) for name, view in views.items()}
+        return Frame(index, instant.stamp, humans, views, joints, moment.objects, cameras)
+
+    def _instant(self, elapsed: int, humans: dict[str, HumanState], moment: Moment) -> Instant:
+        def joints_of(name: str) -> JointMotion:
+            return JointMotion(humans[name].joints, humans[name].linear, humans[name].angular)
+
+        vertices = {name: state.vertices for name, state in humans.items()}
+        stamp, actors = self.start + elapsed, self.playback.actors
+        now = Instant(stamp, self.scene, actors, vertices, joints_of, moment.objects, moment.cameras)
+        ago = elapsed - round(1e9 * self.scene.period)
+        objects = {name: thing.at(ago * 1e-9) for name, thing in self.scene.moving_objects.items()}
+        cameras = {name: camera.pose(ago * 1e-9) for name, camera in self.scene.moving_cameras.items()}
+        return now.after(replace(now, stamp=self.start + ago, objects=objects, cameras=cameras))
 
     def close(self) -> None:
         """Free the renderer."""
@@ -84,10 +103,10 @@ class Simulation:
     def _surfaces(self) -> dict[str, NDArray[np.bool_]]:
         return {name: joint_surfaces(actor.human) for name, actor in self.scene.actors.items()}
 
-    def _joints(self, camera: str, humans: dict[str, HumanState], view: View) -> dict[str, JointView]:
+    def _joints(self, camera: Camera, humans: dict[str, HumanState], view: View) -> dict[str, JointView]:
         return {
             name: view_joints(
-                self.scene.cameras[camera],
+                camera,
                 state.positions,
                 view,
                 self.scene.actors[name].instance,

@@ -1,0 +1,259 @@
+"""How the cameras of a scene take pictures: where they are, what their sensors make of what is drawn."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.camera.idealize import Ideal, rectify
+from humansim_ros.camera.region import Region
+from humansim_ros.camera.trajectory import Trajectory
+from humansim_ros.errors import CameraError, SceneError
+from humansim_ros.render import Body, Renderer, View
+from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
+from humansim_ros.scene.config import CameraConfig, RigConfig, SceneConfig, line_of_key
+from humansim_ros.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where an optical frame is: ``R`` (3, 3) and ``t`` (3,), world to optical, metres."""
+
+    R: Array
+    t: Array
+
+    @classmethod
+    def of(cls, camera: Camera) -> CameraPose:
+        return cls(camera.R, camera.t)
+
+    def toward(self, other: CameraPose, share: float) -> CameraPose:
+        """A share of the way from here (0) to another pose (1), or beyond: straight, at an even turn."""
+        if share == 0 or (np.array_equal(self.R, other.R) and np.array_equal(self.t, other.t)):
+            return self
+        start, end = matrix_to_quaternion(self.R.T), matrix_to_quaternion(other.R.T)
+        turned = quaternion_to_matrix(slerp(start, end, np.asarray(share)))
+        centre = (1 - share) * (-self.R.T @ self.t) + share * (-other.R.T @ other.t)
+        return CameraPose(turned.T, -turned.T @ centre)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneCamera:
+    """A camera of a scene. ``whole``: all of its sensor, as it stands at the start. ``path``: what moves it,
+    ``speed`` times as fast as it says and ``offset`` seconds ahead.
+    """
+
+    name: str
+    whole: Camera
+    region: Region
+    sensor: Sensor
+    path: Trajectory | None = None
+    offset: float = 0.0
+    speed: float = 1.0
+
+    @classmethod
+    def build(cls, name: str, config: CameraConfig, scene: Path) -> SceneCamera:
+        """A camera of a scene file. Raises CameraError or SceneError naming what is wrong with it."""
+        path = None
+        if config.trajectory is not None:
+            file = scene.resolve().parent / Path(config.trajectory.file).expanduser()
+            if not file.is_file():
+                raise SceneError(
+                    f"no such file {str(file)!r}", path=scene, key=f"cameras.{name}.trajectory.file"
+                )
+            path = Trajectory.read(file, config.trajectory.end)
+        whole = _camera(config, scene)
+        offset, speed = 0.0, 1.0
+        if path is not None and config.trajectory is not None:
+            offset, speed = config.trajectory.offset, config.trajectory.speed
+            r, t = path.pose(speed * offset)
+            whole = replace(whole, R=r, t=t)
+        roi = config.roi
+        region = Region(None if roi is None else (roi.x, roi.y, roi.width, roi.height), config.binning)
+        return cls(name, whole, region, Sensor(config.sensor, region.of(whole), name), path, offset, speed)
+
+    @cached_property
+    def camera(self) -> Camera:
+        """The camera of image_raw, as it stands at the start."""
+        return self.region.of(self.whole)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the scene says so. Any camera can also be moved from outside."""
+        return self.path is not None
+
+    def pose(self, seconds: float) -> CameraPose:
+        """Where it is at a time since the start of the scene."""
+        if self.path is None:
+            return CameraPose.of(self.camera)
+        return CameraPose(*self.path.pose(self.speed * (seconds + self.offset)))
+
+    def at(self, pose: CameraPose) -> Camera:
+        """The camera of image_raw at a pose."""
+        return replace(self.camera, R=pose.R, t=pose.t)
+
+    @cached_property
+    def rectified(self) -> Ideal | None:
+        """What image_rect shows, None where image_raw is ideal already."""
+        ideal = rectify(self.camera)
+        return None if ideal.camera is ideal.real else ideal
+
+    @property
+    def encoding(self) -> str:
+        """Encoding of image_raw."""
+        return self.sensor.config.encoding
+
+    def rectify(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """image_rect of image_raw, in colour where that is a Bayer mosaic."""
+        if self.encoding == "bayer_rggb8":
+            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BayerBG2RGB), dtype=np.uint8)
+        return image if self.rectified is None else self.rectified.to_ideal(image)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """All there is to be seen around one instant. ``bodies_at``: as they stand so many seconds after it;
+    ``pose_at``: where the camera is then. ``moving``: whether the camera may be elsewhere in the next frame.
+    """
+
+    bodies_at: Callable[[float], Sequence[Body]]
+    pose_at: Callable[[float], CameraPose]
+    moving: bool = False
+
+
+def photograph(
+    renderer: Renderer, camera: SceneCamera, shot: Shot, channels: Collection[str], stamp: int
+) -> View:
+    """What a camera sees of a shot: the truth of its instant, the middle of the exposure, and the picture
+    that the sensor makes. ``stamp``: nanoseconds; the sensor's noise depends on it.
+    """
+    times = camera.sensor.times() if "rgb" in channels else np.zeros(1)
+    at_once = len(times) == 1
+    here, bodies = camera.at(shot.pose_at(0.0)), shot.bodies_at(0.0)
+    drawn = [channel for channel in channels if at_once or channel != "rgb"]
+    view = renderer.render(bodies, here, drawn, passing=shot.moving) if drawn else View()
+    if "rgb" not in channels or not camera.sensor.active:
+        return view
+    if at_once:
+        assert view.rgb is not None
+        pictures = [view.rgb]
+    else:
+        pictures = []
+        for time in times.tolist():
+            there = camera.at(shot.pose_at(time))
+            seen = renderer.render(shot.bodies_at(time), there, ("rgb",), passing=shot.moving)
+            assert seen.rgb is not None
+            pictures.append(seen.rgb)
+    return replace(view, rgb=camera.sensor.expose(pictures, stamp))
+
+
+def _camera(config: CameraConfig, scene: Path) -> Camera:
+    """What a scene file says of a camera; at the origin where its place comes from elsewhere."""
+    if config.calibration is not None:
+        camera = _calibrated(config, scene)
+    elif config.P is not None:
+        camera = Camera.from_projection_matrix(config.P, config.size or _SIZE)
+    else:
+        size = config.size or _SIZE
+        k = _intrinsics(config.fov_deg, size) if config.K is None else np.array(config.K)
+        camera = Camera(size, k, np.eye(3), np.zeros(3), config.distortion, config.distortion_model)
+    if config.R is not None and config.t is not None:
+        return replace(camera, R=np.array(config.R), t=np.array(config.t))
+    if config.position is not None and config.look_at is not None:
+        there = Camera.look_at(config.position, config.look_at, camera.size, up=config.up)
+        return replace(camera, R=there.R, t=there.t)
+    return camera
+
+
+def _calibrated(config: CameraConfig, scene: Path) -> Camera:
+    """A camera of a calibration file."""
+    assert config.calibration is not None
+    file = config.calibration
+    cameras = _read(file, scene, config)
+    if config.camera is None and len(cameras) > 1:
+        raise CameraError(
+            f"{file} has {len(cameras)} cameras ({', '.join(cameras)}): say which", key="camera"
+        )
+    if config.camera is not None and config.camera not in cameras:
+        known = ", ".join(cameras)
+        raise CameraError(f"no camera {config.camera!r} in {file}; there are {known}", key="camera")
+    return next(iter(cameras.values())) if config.camera is None else cameras[config.camera]
+
+
+def _read(file: str, scene: Path, config: CameraConfig | RigConfig) -> dict[str, Camera]:
+    from humansim_ros.camera.calibration import read_calibration
+
+    path = file if "://" in file else str(scene.resolve().parent / Path(file).expanduser())
+    cameras = read_calibration(path, size=config.size, unit=config.unit, up=config.up_axis)
+    for name, camera in cameras.items():
+        if config.size is not None and config.size != camera.size:
+            width, height = camera.size
+            raise CameraError(f"camera {name} of {file} has images of {width}x{height} pixels", key="size")
+    return cameras
+
+
+def build_cameras(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
+    """The cameras of a scene file, those of its rig first. Raises CameraError or SceneError with file and
+    key.
+    """
+    cameras = {}
+    if config.rig is not None:
+        try:
+            cameras = _rig(config.rig, scene)
+        except CameraError as error:
+            raise _placed(error, scene, "rig") from None
+    for name, camera in config.cameras.items():
+        if name in cameras:
+            raise SceneError("the rig has a camera of this name already", path=scene, key=f"cameras.{name}")
+        try:
+            cameras[name] = SceneCamera.build(name, camera, scene)
+        except CameraError as error:
+            raise _placed(error, scene, f"cameras.{name}") from None
+    return cameras
+
+
+def _rig(config: RigConfig, scene: Path) -> dict[str, SceneCamera]:
+    found = _read(config.file, scene, config)
+    missing = set(config.cameras or ()) - set(found)
+    if missing:
+        known = ", ".join(found)
+        raise CameraError(
+            f"no camera {sorted(missing)[0]!r} in {config.file}; there are {known}", key="cameras"
+        )
+    region = Region(None, config.binning)
+    cameras = {}
+    for original in config.cameras or found:
+        name, whole = _topic_name(original), found[original]
+        cameras[name] = SceneCamera(name, whole, region, Sensor(config.sensor, region.of(whole), name))
+    return cameras
+
+
+def _topic_name(name: str) -> str:
+    """A camera's name in a file as ROS topics may have it."""
+    plain = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_")
+    return plain if plain[:1].isalpha() else f"camera_{plain}"
+
+
+def _placed(error: CameraError, scene: Path, section: str) -> CameraError:
+    """An error of a camera with its place in the scene file, but that of another file."""
+    if error.path is not None:
+        return error
+    key = section + (f".{_SCENE_KEYS.get(error.key, error.key)}" if error.key else "")
+    return CameraError(error.message, path=scene, line=line_of_key(scene, key), key=key)
+
+
+#: What parts of a camera are called in scene files.
+_SCENE_KEYS = {"model": "distortion_model", "fov": "fov_deg"}
+_SIZE = (640, 480)
+
+
+def _intrinsics(fov_deg: float | None, size: tuple[int, int]) -> Array:
+    fov = float(np.radians(60.0 if fov_deg is None else fov_deg))
+    return Camera.look_at((0, 0, 0), (1, 0, 0), size, fov).K

@@ -121,6 +121,13 @@ class SensorConfig(_Section):
             raise ValueError("a rolling shutter needs at least 2 samples")
         return value
 
+    @field_validator("noise")
+    @classmethod
+    def _timed(cls, value: Noise | None, info: ValidationInfo) -> Noise | None:
+        if value is not None and value.dark_current and info.data.get("exposure_time") == 0:
+            raise ValueError("dark_current is per second: it needs an exposure_time")
+        return value
+
     @field_validator("white_balance")
     @classmethod
     def _colours(cls, value: tuple[float, float, float], info: ValidationInfo) -> tuple[float, float, float]:

@@ -11,8 +11,8 @@ from humansim_ros.sensor.config import ChromaticAberration, Vignetting
 
 Light = NDArray[np.float32]
 
-#: Rows whose angles are worked out at a time.
-_ROWS = 64
+#: From pixel to pixel whose rays are looked for: a lens' distortion is slow to undo.
+_STEP = 4
 
 
 def corner_distance(camera: Camera) -> float:
@@ -22,29 +22,33 @@ def corner_distance(camera: Camera) -> float:
 
 
 def transmission(camera: Camera, vignetting: Vignetting) -> Light:
-    """Share (H, W) of the light that reaches each pixel; 0 where the lens sees nothing."""
+    """Share (H, W) of the light that reaches each pixel."""
     width, height = camera.size
-    x = np.arange(width) - camera.K[0, 2]
+    x, y = np.arange(width) - camera.K[0, 2], np.arange(height)[:, None] - camera.K[1, 2]
+    squared = ((x**2 + y**2) / corner_distance(camera) ** 2).astype(np.float32)
     a, b, c = vignetting.polynomial
-    out = np.empty((height, width), np.float32)
-    for top in range(0, height, _ROWS):
-        rows = np.arange(top, min(top + _ROWS, height))
-        squared = (x**2 + (rows[:, None] - camera.K[1, 2]) ** 2) / corner_distance(camera) ** 2
-        share = 1 + squared * (a + squared * (b + squared * c))
-        share *= 1 - vignetting.corner * squared
-        if vignetting.cos4:
-            share *= _cosines(camera, rows) ** 4
-        out[rows] = np.maximum(share, 0)
-    return out
+    share = 1 + squared * (a + squared * (b + squared * c))
+    share *= 1 - vignetting.corner * squared
+    if vignetting.cos4:
+        share *= _natural(camera)
+    return np.asarray(np.maximum(share, 0), dtype=np.float32)
 
 
-def _cosines(camera: Camera, rows: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Cosines (N, W) of the angles at which light falls into the pixels of some rows (N,)."""
-    row, column = np.meshgrid(rows, np.arange(camera.size[0]), indexing="ij")
-    pixels = np.stack([column.ravel(), row.ravel()], axis=-1)
+def _natural(camera: Camera) -> Light:
+    """Fourth power (H, W) of the cosine of the angle of each pixel's ray, 0 where the lens sees nothing.
+
+    Linear between every fourth pixel: that is off by less than 16 / f^2.
+    """
+    width, height = camera.size
+    columns, rows = (np.arange(0, n - 1 + _STEP, _STEP) for n in (width, height))
+    pixels = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
     rays = camera.to_optical(camera.unproject(pixels, np.ones(len(pixels))))
-    cosines = 1 / np.linalg.norm(rays, axis=-1)
-    return np.asarray(np.nan_to_num(cosines, nan=0.0), dtype=float).reshape(row.shape)
+    share = np.nan_to_num(np.linalg.norm(rays, axis=-1) ** -4.0, nan=0.0).reshape(len(rows), len(columns))
+    across, down = (
+        np.maximum(0, 1 - np.abs(np.arange(n)[:, None] - nodes) / _STEP)
+        for n, nodes in ((width, columns), (height, rows))
+    )
+    return np.asarray(down @ share @ across.T, dtype=np.float32)
 
 
 def aberrate(light: Light, camera: Camera, aberration: ChromaticAberration) -> Light:

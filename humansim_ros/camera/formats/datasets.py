@@ -1,0 +1,242 @@
+"""JSON files of public data sets: Human3.6M, Shelf and Campus (as VoxelPose has them), CMU Panoptic."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.formats.base import Form, Key, RawCamera, Source, nested
+from humansim_ros.camera.formats.models import check_count
+from humansim_ros.errors import CameraError
+
+# -- Human3.6M: x = R X + t in millimetres, z up; each of 4 cameras at 11 places, one per subject
+
+#: The cameras of the data set, by their serial numbers.
+_H36M_SIZES = {
+    "54138969": (1000, 1002),
+    "55011271": (1000, 1000),
+    "58860488": (1000, 1000),
+    "60457274": (1000, 1002),
+}
+_PLACE = re.compile(r"([0-9]{2})_([0-9]{2})")
+_SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
+
+
+def _is_h36m(source: Source) -> bool:
+    return all(isinstance(source.get(key), dict) for key in ("intrinsics", "extrinsics"))
+
+
+def _read_h36m(source: Source) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    subjects = source.mapping("extrinsics")
+    for subject in subjects:
+        for name in source.mapping("extrinsics", subject):
+            if name not in source.mapping("intrinsics"):
+                raise source.error("has no intrinsics", "extrinsics", subject, name)
+            camera = _h36m_camera(source, ("intrinsics", name), ("extrinsics", subject, name))
+            source.add(cameras, name if len(subjects) == 1 else f"{subject}_{name}", camera)
+    return cameras
+
+
+def _h36m_camera(source: Source, inner: tuple[Key, ...], outer: tuple[Key, ...]) -> RawCamera:
+    keys = {
+        "K": (*inner, "calibration_matrix"),
+        "distortion": (*inner, "distortion"),
+        "R": (*outer, "R"),
+        "t": (*outer, "t"),
+    }
+    distortion = source.some_numbers(*keys["distortion"])
+    check_count(source, "plumb_bob", distortion, keys["distortion"])
+    return RawCamera(
+        source.numbers((3, 3), *keys["K"]),
+        source.numbers((3, 3), *keys["R"]),
+        source.numbers((3,), *keys["t"]),
+        size=_H36M_SIZES.get(str(inner[-1])),
+        distortion=tuple(distortion),
+        model="plumb_bob",
+        places={part: source.place(*path) for part, path in keys.items()},
+    )
+
+
+def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    intrinsics: dict[str, Any] = {}
+    extrinsics: dict[str, Any] = {}
+    for name, camera in cameras.items():
+        matched = _SUBJECT.fullmatch(name)
+        subject, serial = (matched[1], matched[2]) if matched else ("S1", name)
+        inner = {
+            "calibration_matrix": nested(camera.K),
+            "distortion": nested(np.array(camera.distortion[:5])),
+        }
+        if intrinsics.setdefault(serial, inner) != inner:
+            raise CameraError("a camera has the same K and lens for every subject in this form", key=name)
+        outer = extrinsics.setdefault(subject, {})
+        if serial in outer:
+            raise CameraError(f"there are two cameras {serial} of subject {subject}", key=name)
+        outer[serial] = {"R": nested(camera.R), "t": nested(camera.t[:, None])}
+    return _json({"intrinsics": intrinsics, "extrinsics": extrinsics})
+
+
+# -- Shelf and Campus: x = R (X - T): T is the camera's centre, in millimetres, z up
+
+
+def _is_shelf(source: Source) -> bool:
+    cameras = source.document
+    if not isinstance(cameras, dict) or not cameras:
+        return False
+    return all(isinstance(c, dict) and {"R", "T"} < set(c) and {"fx", "k"} & set(c) for c in cameras.values())
+
+
+def _read_shelf(source: Source) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    for name in source.document:
+        fx, fy, cx, cy = (float(source.numbers((), name, key)) for key in ("fx", "fy", "cx", "cy"))
+        radial, tangential = np.zeros(3), np.zeros(2)
+        if source.get(name, "k") is not None:
+            radial = source.numbers((3,), name, "k")
+        if source.get(name, "p") is not None:
+            tangential = source.numbers((2,), name, "p")
+        camera = RawCamera(
+            np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+            source.numbers((3, 3), name, "R"),
+            center=source.numbers((3,), name, "T"),
+            distortion=(*radial[:2], *tangential, radial[2]),
+            model="plumb_bob",
+            places={
+                "": source.place(name),
+                "R": source.place(name, "R"),
+                "t": source.place(name, "T"),
+                "distortion": source.place(name, "k"),
+            },
+        )
+        source.add(cameras, name, camera, name)
+    return cameras
+
+
+def _write_shelf(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    data = {}
+    for name, camera in cameras.items():
+        k1, k2, p1, p2, k3 = camera.distortion[:5]
+        data[name] = {
+            "R": nested(camera.R),
+            "T": nested(camera.center[:, None]),
+            "fx": camera.K[0, 0],
+            "fy": camera.K[1, 1],
+            "cx": camera.K[0, 2],
+            "cy": camera.K[1, 2],
+            "k": nested(np.array([[k1], [k2], [k3]])),
+            "p": nested(np.array([[p1], [p2]])),
+        }
+    return _json(data)
+
+
+# -- CMU Panoptic: x = R X + t in centimetres, y down
+
+
+def _is_panoptic(source: Source) -> bool:
+    cameras = source.get("cameras")
+    return isinstance(cameras, list) and any(isinstance(c, dict) and "K" in c for c in cameras)
+
+
+def _read_panoptic(source: Source) -> dict[str, RawCamera]:
+    cameras: dict[str, RawCamera] = {}
+    for index in range(len(source.need("cameras"))):
+        at: tuple[Key, ...] = ("cameras", index)
+        distortion = np.zeros(0)
+        if source.get(*at, "distCoef") is not None:
+            distortion = source.some_numbers(*at, "distCoef")
+        check_count(source, "plumb_bob", distortion, (*at, "distCoef"))
+        size = None
+        if source.get(*at, "resolution") is not None:
+            source.numbers((2,), *at, "resolution")
+            size = source.size((*at, "resolution", 0), (*at, "resolution", 1))
+        camera = RawCamera(
+            source.numbers((3, 3), *at, "K"),
+            source.numbers((3, 3), *at, "R"),
+            source.numbers((3,), *at, "t"),
+            size=size,
+            distortion=tuple(distortion),
+            model="plumb_bob",
+            places={
+                "": source.place(*at),
+                **{part: source.place(*at, part) for part in ("K", "R", "t")},
+                "distortion": source.place(*at, "distCoef"),
+                "size": source.place(*at, "resolution"),
+            },
+        )
+        source.add(cameras, str(source.need(*at, "name")), camera, *at)
+    return cameras
+
+
+def _write_panoptic(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    written = [
+        {
+            "name": name,
+            "type": "hd" if camera.size == (1920, 1080) else "vga",
+            "resolution": list(camera.size),
+            **_panel_and_node(name, index),
+            "K": nested(camera.K),
+            "distCoef": nested(np.array(camera.distortion[:5])),
+            "R": nested(camera.R),
+            "t": nested(camera.t[:, None]),
+        }
+        for index, (name, camera) in enumerate(cameras.items())
+    ]
+    return _json({"cameras": written})
+
+
+def _panel_and_node(name: str, index: int) -> dict[str, int]:
+    """The studio's places, which its names are made of."""
+    matched = _PLACE.fullmatch(name)
+    panel, node = (int(matched[1]), int(matched[2])) if matched else (0, index)
+    return {"panel": panel, "node": node}
+
+
+def _json(data: Any) -> dict[str, str]:
+    return {"": json.dumps(data, indent=1) + "\n"}
+
+
+H36M = Form(
+    "human36m",
+    "Human3.6M JSON",
+    ".json",
+    "json",
+    _is_h36m,
+    _read_h36m,
+    _write_h36m,
+    unit=0.001,
+    holds_size=False,
+    lenses={"plumb_bob": 5},
+    sizes=((1000, 1000),),
+)
+SHELF = Form(
+    "shelf",
+    "Shelf/Campus JSON",
+    ".json",
+    "json",
+    _is_shelf,
+    _read_shelf,
+    _write_shelf,
+    unit=0.001,
+    holds_size=False,
+    holds_skew=False,
+    lenses={"plumb_bob": 5},
+    sizes=((1032, 776), (360, 288)),
+)
+PANOPTIC = Form(
+    "panoptic",
+    "CMU Panoptic JSON",
+    ".json",
+    "json",
+    _is_panoptic,
+    _read_panoptic,
+    _write_panoptic,
+    unit=0.01,
+    up="-y",
+    lenses={"plumb_bob": 5},
+)

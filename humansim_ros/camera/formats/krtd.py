@@ -1,0 +1,69 @@
+"""KRTD of Kitware's tools: K (3x3), R (3x3), t (3) and the lens' coefficients, in this order, as text.
+
+The coefficients are OpenCV's, as many as are not zero; a single 0 is no distortion.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.formats.base import Form, Place, RawCamera, Source, row
+from humansim_ros.errors import CameraError
+
+
+def _is_krtd(source: Source) -> bool:
+    lines = [text.split() for _, text in source.lines()[:7]]
+    return len(lines) >= 3 and all(len(words) == 3 for words in lines)
+
+
+def _read(source: Source) -> dict[str, RawCamera]:
+    lines = source.lines()
+    values = [(line, value) for line, text in lines for value in source.row(text.split(), line)]
+    if len(lines) < 7 or len(values) < 21 or any(len(text.split()) != 3 for _, text in lines[:7]):
+        message = "needs K (3 x 3), R (3 x 3) and t (3), then the distortion coefficients or a 0"
+        raise CameraError(message, path=source.path, line=lines[-1][0])
+    numbers = np.array([value for _, value in values])
+    distortion = numbers[21:]
+    if len(distortion) > 14:
+        message = f"has {len(distortion)} distortion coefficients: is there more than one camera in it?"
+        raise CameraError(message, path=source.path, line=values[21][0])
+    places = {"K": Place("K", lines[0][0]), "R": Place("R", lines[3][0]), "t": Place("t", lines[6][0])}
+    if len(distortion):
+        places["distortion"] = Place("distortion", values[21][0])
+    camera = RawCamera(
+        numbers[:9].reshape(3, 3),
+        numbers[9:18].reshape(3, 3),
+        numbers[18:21],
+        distortion=tuple(distortion),
+        places=places,
+    )
+    return {Path(source.path).stem: camera}
+
+
+def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    (camera,) = cameras.values()
+    distortion = np.trim_zeros(np.array(camera.distortion), "b")
+    blocks = [
+        *("\n".join(row(values) for values in matrix) for matrix in (camera.K, camera.R)),
+        row(camera.t),
+        row(distortion) if len(distortion) else "0",
+    ]
+    return {"": "\n\n".join(blocks) + "\n"}
+
+
+KRTD = Form(
+    "krtd",
+    "KRTD",
+    ".krtd",
+    "text",
+    _is_krtd,
+    _read,
+    _write,
+    several=False,
+    holds_size=False,
+    lenses={"plumb_bob": 5, "rational_polynomial": 8},
+)

@@ -1,0 +1,67 @@
+"""Middlebury's multi-view par.txt: a count, then per line an image, K (9), R (9) and t (3), row by row.
+
+P = K [R | t]. https://vision.middlebury.edu/mview/data/
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.formats.base import (
+    Form,
+    Place,
+    RawCamera,
+    Source,
+    picture_names,
+    row,
+    without_suffix,
+)
+from humansim_ros.camera.sizes import size_of_image
+from humansim_ros.errors import CameraError
+
+
+def _is_par(source: Source) -> bool:
+    lines = source.lines()
+    return len(lines) > 1 and lines[0][1].isdecimal() and len(lines[1][1].split()) > 12
+
+
+def _read(source: Source) -> dict[str, RawCamera]:
+    (first, count), *lines = source.lines()
+    cameras: dict[str, RawCamera] = {}
+    folder = Path(source.path).parent
+    for line, text in lines:
+        image, *words = text.split()
+        if len(words) != 21:
+            message = f"needs an image's name, K (9), R (9) and t (3): 21 numbers, not {len(words)}"
+            raise CameraError(message, path=source.path, line=line)
+        values = np.array(source.row(words, line))
+        camera = RawCamera(
+            values[:9].reshape(3, 3),
+            values[9:18].reshape(3, 3),
+            values[18:],
+            size=size_of_image(folder, image),
+            places={"": Place(None, line)},
+        )
+        source.add(cameras, without_suffix(image), camera, line=line)
+    if not 0 < len(cameras) == int(count[:9]):
+        message = f"says {count[:9]} cameras, but has {len(cameras)}: is the file whole?"
+        raise CameraError(message, path=source.path, line=first)
+    return cameras
+
+
+def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    images = picture_names(cameras)
+    lines = [str(len(cameras))]
+    for name, camera in cameras.items():
+        numbers = (*camera.K.ravel(), *camera.R.ravel(), *camera.t)
+        lines.append(f"{images[name]} {row(numbers)}")
+    return {"": "\n".join(lines) + "\n"}
+
+
+MIDDLEBURY = Form(
+    "middlebury", "Middlebury par.txt", "_par.txt", "text", _is_par, _read, _write, holds_size=False
+)

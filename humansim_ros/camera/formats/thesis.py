@@ -1,0 +1,33 @@
+"""The .cam files of the thesis (8.3); thesis_cam.py has the maths."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.formats.base import Form, RawCamera, Source
+from humansim_ros.camera.thesis_cam import cam_of, camera_of, format_cam, parse_cam
+
+_LINE = re.compile(r"(C|f|R|k|size|format)\s*=.*")
+
+
+def _is_cam(source: Source) -> bool:
+    lines = source.lines()
+    return bool(lines) and _LINE.fullmatch(lines[0][1]) is not None
+
+
+def _read(source: Source) -> dict[str, RawCamera]:
+    camera = camera_of(parse_cam(source.text, source.path))
+    return {Path(source.path).stem: RawCamera(camera.K, camera.R, camera.t, size=camera.size)}
+
+
+def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    (camera,) = cameras.values()
+    return {"": format_cam(cam_of(camera))}
+
+
+CAM = Form(
+    "cam", ".cam of the thesis", ".cam", "text", _is_cam, _read, _write, several=False, holds_skew=False
+)

@@ -187,6 +187,12 @@ class CameraConfig(_Section):
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] | None = Field(
         default=None, description="found by the number of coefficients if absent"
     )
+    rectification: tuple[Vector3, Vector3, Vector3] | None = Field(
+        default=None, description="R of CameraInfo: turns the optical frame to that of image_rect"
+    )
+    rectified: tuple[Row4, Row4, Row4] | None = Field(
+        default=None, description="P of CameraInfo, with the baseline of a stereo camera"
+    )
     trajectory: TrajectoryConfig | None = Field(default=None, description="a file that moves it")
     binning: tuple[int, int] = Field(
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
@@ -220,6 +226,8 @@ class CameraConfig(_Section):
             )
         if whole and (self.distortion or self.distortion_model):
             raise ValueError("distortion goes with K or fov_deg only")
+        if whole and (self.rectification or self.rectified):
+            raise ValueError("rectification and rectified go with K or fov_deg only")
         if self.calibration is None and (self.camera or self.unit or self.up_axis):
             raise ValueError("camera, unit and up_axis go with a calibration file")
         return self

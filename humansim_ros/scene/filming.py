@@ -163,7 +163,9 @@ def _camera(config: CameraConfig, scene: Path) -> Camera:
     else:
         size = config.size or _SIZE
         k = _intrinsics(config.fov_deg, size) if config.K is None else np.array(config.K)
-        camera = Camera(size, k, np.eye(3), np.zeros(3), config.distortion, config.distortion_model)
+        stereo = (np.array(m) if m is not None else None for m in (config.rectification, config.rectified))
+        lens = (config.distortion, config.distortion_model)
+        camera = Camera(size, k, np.eye(3), np.zeros(3), *lens, *stereo)
     if config.R is not None and config.t is not None:
         return replace(camera, R=np.array(config.R), t=np.array(config.t))
     if config.position is not None and config.look_at is not None:

@@ -13,12 +13,14 @@ import yaml
 from conftest import ROOT
 from numpy.typing import NDArray
 from pydantic import ValidationError
+from render_scenes import renderer_or_skip
 from scipy.integrate import quad
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError
+from humansim_ros.render import View
 from humansim_ros.rotations import moved
-from humansim_ros.scene import Scene
+from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.config import SceneConfig
 from humansim_ros.sensor import ChromaticAberration, Noise, Sensor, SensorConfig, Vignetting
 
@@ -319,6 +321,71 @@ def test_bodies_moved_at_constant_velocity_are_where_the_motion_takes_them(
         ways.append(np.linalg.norm(now.vertices - later.vertices, axis=1))
     assert np.mean(errors) < 0.0004
     assert np.mean(errors) < 0.1 * np.mean(ways)
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, View]:
+    """A bright board that moves across three cameras of one place, 2 m/s to the right, at one stamp."""
+    folder = tmp_path_factory.mktemp("board")
+    (folder / "moves.xml").write_text(
+        """<animation startframe="0" endframe="20" rate="10"><object name="board">
+        <frame number="0"><position x="0" y="-2" z="1"/></frame>
+        <frame number="20"><position x="0" y="2" z="1"/></frame></object></animation>"""
+    )
+    sensors: dict[str, Any] = {
+        "ideal": {},
+        "blurred": {"exposure_time": 0.1, "samples": 40},
+        "rolling": {"rolling_shutter": 0.0005, "samples": 60},
+    }
+    camera = {"size": SIZE, "position": (4, 0, 1), "look_at": (0, 0, 1), "fov_deg": 50}
+    config = {
+        "rate": 10,
+        "room": None,
+        "objects": {
+            "board": {"size": (0.02, 0.53, 1.6), "color": (250, 250, 250), "keyframes": "moves.xml"},
+        },
+        "cameras": {
+            name: {**camera, "sensor": {"response": "linear", **sensor}} for name, sensor in sensors.items()
+        },
+    }
+    scene = Scene.build(SceneConfig.model_validate(config), folder / "scene.yaml")
+    simulation = Simulation(scene, renderer=renderer_or_skip(scene.static_meshes))
+    views = simulation.frame(10).views
+    simulation.close()
+    return views
+
+
+def lit(view: View) -> NDArray[np.float64]:
+    """How much of each pixel's light (H, W) is the board's."""
+    assert view.rgb is not None
+    light = view.rgb[..., 0].astype(float)
+    light = light - light[:, :1]
+    return light / light[120].max()
+
+
+#: Pixels per second of the board in its pictures: they look along -x, so that it goes to the right.
+SPEED = 2 * (SIZE[0] / 2 / np.tan(np.radians(25))) / 3.99
+
+
+def test_a_filmed_board_is_smeared_to_both_sides_of_its_depth(filmed: dict[str, View]) -> None:
+    ideal, blurred = filmed["ideal"], filmed["blurred"]
+    assert ideal.depth is not None and blurred.depth is not None
+    np.testing.assert_array_equal(blurred.depth, ideal.depth)
+    row, depth = lit(blurred)[120], np.isfinite(ideal.depth[120])
+    assert middle(row) == pytest.approx(middle(depth), abs=0.3)
+    # light rises for as long as the board's edge takes across it: the rest of what it covers is full
+    assert row.sum() == pytest.approx(depth.sum(), abs=1)
+    assert (row > 0.01).sum() - depth.sum() == pytest.approx(SPEED * 0.1, abs=2)
+
+
+def test_a_filmed_board_leans_under_a_rolling_shutter(filmed: dict[str, View]) -> None:
+    ideal, rolling = filmed["ideal"], filmed["rolling"]
+    assert ideal.depth is not None and rolling.depth is not None
+    np.testing.assert_array_equal(rolling.depth, ideal.depth)
+    straight = middle(np.isfinite(ideal.depth[120]))
+    rows = np.arange(70, 170)
+    at = np.array([middle(row) for row in lit(rolling)[rows]])
+    np.testing.assert_allclose(at, straight + SPEED * 0.0005 * (rows - (SIZE[1] - 1) / 2), atol=0.3)
 
 
 # --- encodings

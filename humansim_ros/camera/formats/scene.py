@@ -14,6 +14,8 @@ from humansim_ros.errors import CameraError, warn_of
 from humansim_ros.rotations import Array
 
 _SIZE, _FOV = (640, 480), 60.0
+#: Keys that are called as the parts of a camera are.
+_PARTS = ("K", "R", "t", "size", "distortion", "rectification", "rectified")
 #: What puts a camera somewhere else than it says itself, and what is not of the camera as it is calibrated.
 _ELSEWHERE, _LEFT_OUT = ("calibration", "trajectory"), ("binning", "roi", "sensor")
 
@@ -50,6 +52,10 @@ def _camera(source: Source, name: str) -> RawCamera:
     named = source.get(*at, "distortion_model")
     model_at, lens_at = (*at, "distortion_model"), (*at, "distortion")
     k, r, t = _matrices(source, at, size)
+    rectification, rectified = (
+        None if source.get(*at, key) is None else source.numbers(shape, *at, key)
+        for key, shape in (("rectification", (3, 3)), ("rectified", (3, 4)))
+    )
     return RawCamera(
         k,
         r,
@@ -58,9 +64,11 @@ def _camera(source: Source, name: str) -> RawCamera:
         distortion=tuple(distortion),
         # without a name, Camera tells it by the number, as it does for scenes
         model=None if named is None else lens_of(source, named, distortion, model_at, lens_at),
+        rectification=rectification,
+        rectified=rectified,
         places={
             "": source.place(*at),
-            **{part: source.place(*at, part) for part in ("K", "R", "t", "size", "distortion")},
+            **{part: source.place(*at, part) for part in _PARTS},
             "model": source.place(*model_at),
         },
     )
@@ -95,14 +103,33 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
     lines = ["cameras:"]
     for name, camera in cameras.items():
         lines += [f"  {json.dumps(name)}:", f"    size: [{camera.size[0]}, {camera.size[1]}]"]
-        for key, matrix in (("K", camera.K), ("R", camera.R)):
-            rows = ", ".join(f"[{row(values, ', ')}]" for values in matrix)
-            lines.append(f"    {key}: [{rows}]")
+        lines += _matrix_lines({"K": camera.K, "R": camera.R})
         lines.append(f"    t: [{row(camera.t, ', ')}]")
         if camera.distorted:
             lines.append(f"    distortion: [{row(camera.distortion, ', ')}]")
             lines.append(f"    distortion_model: {camera.model}")
+        lines += _matrix_lines({"rectification": camera.rectification, "rectified": camera.rectified})
     return {"": "\n".join(lines) + "\n"}
 
 
-SCENE = Form("scene", "cameras of a scene file", ".yaml", "yaml", _is_scene, _read, _write, lenses=COUNTS)
+def _matrix_lines(matrices: Mapping[str, Array | None]) -> list[str]:
+    """A line for each matrix that is there."""
+    lines = []
+    for key, matrix in matrices.items():
+        if matrix is not None:
+            rows = ", ".join(f"[{row(values, ', ')}]" for values in matrix)
+            lines.append(f"    {key}: [{rows}]")
+    return lines
+
+
+SCENE = Form(
+    "scene",
+    "cameras of a scene file",
+    ".yaml",
+    "yaml",
+    _is_scene,
+    _read,
+    _write,
+    holds_rectified=True,
+    lenses=COUNTS,
+)

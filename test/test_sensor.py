@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import weakref
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -504,8 +506,33 @@ def test_every_key_and_its_default_are_documented() -> None:
             assert re.search(rf"\| `{key}` \| {field.default:g} \|", keys), key
 
 
+def test_a_picture_is_not_stretched_by_more_than_half() -> None:
+    config = SensorConfig(chromatic_aberration={"blue": -100})
+    with pytest.raises(CameraError, match="100x80") as caught:
+        Sensor(config, Camera((100, 80), K, np.eye(3), np.zeros(3)))
+    assert caught.value.key == "sensor.chromatic_aberration"
+
+
+def test_pictures_are_taken_one_by_one() -> None:
+    """So that many samples of a large picture need no more memory than few."""
+    sensor = Sensor(SensorConfig(exposure_time=0.01, samples=9), CAMERA)
+    alive: set[int] = set()
+
+    def rendered() -> Iterator[Picture]:
+        for number in range(9):
+            picture = flat(number)
+            alive.add(number)
+            weakref.finalize(picture, alive.discard, number)
+            yield picture
+            del picture
+            assert len(alive) <= 1
+
+    assert sensor.expose(rendered(), 1).shape == (240, 320, 3)
+
+
 def test_pictures_that_do_not_fit_are_refused() -> None:
     sensor = Sensor(SensorConfig(exposure_time=0.01, samples=2), CAMERA)
-    for pictures in ([flat(1)], [flat(1), flat(1, size=(20, 20))], [flat(1), flat(1).astype(float)]):
+    one = flat(1)
+    for pictures in ([], [one], [one] * 3, [one, flat(1, size=(20, 20))], [one, one.astype(float)]):
         with pytest.raises(CameraError, match="the sensor needs"):
             sensor.expose(pictures, 1)

@@ -8,7 +8,7 @@ numbers through the response curve, and compressed.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from functools import cache, cached_property
 from typing import Any
 
@@ -21,7 +21,7 @@ from humansim_ros.errors import CameraError
 from humansim_ros.rotations import Array
 from humansim_ros.sensor.config import SensorConfig
 from humansim_ros.sensor.noise import generator, noisy
-from humansim_ros.sensor.optics import Light, aberrate, transmission
+from humansim_ros.sensor.optics import Light, aberrate, corner_distance, transmission
 from humansim_ros.sensor.response import LEVELS, luminance, mosaic, response_table, srgb_to_light
 from humansim_ros.sensor.shutter import row_weights, sample_times
 
@@ -37,7 +37,7 @@ class Sensor:
     """The sensor of one camera. ``name``: the camera's; cameras of different names have different noise.
 
     ``active``: whether it does anything at all. The random numbers of a picture depend on the seed, the name
-    and the stamp only.
+    and the stamp only. Raises CameraError where the camera cannot have this sensor.
     """
 
     def __init__(self, config: SensorConfig, camera: Camera, name: str = "") -> None:
@@ -48,6 +48,12 @@ class Sensor:
         changed = {key for key in SensorConfig.model_fields if getattr(config, key) != getattr(plain, key)}
         self._changes_light = bool(changed - _NOT_LIGHT) or config.encoding == "mono8"
         self.active = self._changes_light or bool(changed & {"encoding", "jpeg"})
+        aberration = config.chromatic_aberration
+        if aberration and max(abs(aberration.red), abs(aberration.blue)) > corner_distance(camera) / 2:
+            raise CameraError(
+                f"a picture of {camera.size[0]}x{camera.size[1]} pixels is not stretched by more than half",
+                key="sensor.chromatic_aberration",
+            )
 
     def times(self) -> Array:
         """Times (T,) at which the scene must be rendered, seconds from the frame's stamp, which is the middle
@@ -59,19 +65,19 @@ class Sensor:
         """Share (H, T) of each of these pictures in each row."""
         return row_weights(*self._shutter)
 
-    def expose(self, pictures: Sequence[Picture], stamp: int) -> Picture:
+    def expose(self, pictures: Iterable[Picture], stamp: int) -> Picture:
         """What the sensor makes of pictures (H, W, 3) sRGB rendered at :meth:`times`: (H, W, 3), or (H, W)
         for mono8 and bayer_rggb8, encoded as ``config.encoding`` says. ``stamp``: nanoseconds.
 
-        Without any effect the picture itself is returned. Raises CameraError where the pictures do not fit.
+        They are taken one by one, and no more than two are held. Without any effect the picture itself is
+        returned. Raises CameraError where the pictures do not fit.
         """
-        self._check(pictures)
-        if not self.active:
-            return pictures[0]
+        pictures = self._checked(pictures)
         if self._changes_light:
             image = self._develop(self._light(pictures), generator(self.config.seed, self.name, stamp))
         else:
-            image = self._filtered(pictures[0])
+            (picture,) = pictures
+            image = self._filtered(picture)
         if self.config.jpeg is None:
             return _swapped(image) if self.config.encoding == "bgr8" else image
         if self._channels == 1:
@@ -79,34 +85,38 @@ class Sensor:
         image = _compressed(_swapped(image), self.config.jpeg)
         return image if self.config.encoding == "bgr8" else _swapped(image)
 
-    def _check(self, pictures: Sequence[Picture]) -> None:
+    def _checked(self, pictures: Iterable[Picture]) -> Iterator[Picture]:
         width, height = self.camera.size
-        expected = len(self.times())
-        if len(pictures) != expected:
-            raise CameraError(f"the sensor needs {expected} pictures for a frame, not {len(pictures)}")
-        for picture in pictures:
+        expected, count = len(self.times()), 0
+        for count, picture in enumerate(pictures, 1):
             if picture.shape != (height, width, 3) or picture.dtype != np.uint8:
                 raise CameraError(
                     f"the sensor needs pictures of {width}x{height} pixels, rgb8, "
                     f"not an array of shape {picture.shape}, {picture.dtype}"
                 )
+            if count <= expected:
+                yield picture
+        if count != expected:
+            raise CameraError(f"the sensor needs {expected} pictures for a frame, not {count}")
 
-    def _light(self, pictures: Sequence[Picture]) -> Light:
+    def _light(self, pictures: Iterator[Picture]) -> Light:
         """Light (H, W, 3) behind the lens while the shutter was open, 1: white."""
-        if len(pictures) == 1:
-            light = np.asarray(cv2.LUT(pictures[0], _srgb_table()), dtype=np.float32)
+        if self._weights.shape[1] == 1:
+            (picture,) = pictures
+            light = np.asarray(cv2.LUT(picture, _srgb_table()), dtype=np.float32)
         else:
             light = self._accumulated(pictures)
         aberration = self.config.chromatic_aberration
         return light if aberration is None else aberrate(light, self.camera, aberration)
 
-    def _accumulated(self, pictures: Sequence[Picture]) -> Light:
-        light = np.zeros(pictures[0].shape, np.float32)
-        for rows in _blocks(light):
-            for picture, share in zip(pictures, self._weights[rows].T, strict=True):
-                if share.any():
+    def _accumulated(self, pictures: Iterator[Picture]) -> Light:
+        width, height = self.camera.size
+        light = np.zeros((height, width, 3), np.float32)
+        for picture, share in zip(pictures, self._weights.T, strict=True):
+            for rows in _blocks(light):
+                if share[rows].any():
                     seen = _flat(np.asarray(cv2.LUT(picture[rows], _srgb_table()), dtype=np.float32))
-                    seen *= share[:, None]
+                    seen *= share[rows, None]
                     _flat(light)[rows] += seen
         return light
 

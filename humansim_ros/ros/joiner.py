@@ -7,23 +7,23 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import PoseStamped
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.render import Body
 from humansim_ros.ros import messages
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.pace import Pace
 from humansim_ros.ros.qos import NEWEST
-from humansim_ros.rotations import Array
+from humansim_ros.scene.filming import CameraPose
+from humansim_ros.scene.instant import Instant, JointMotion
 from humansim_ros.scene.objects import ObjectPose
 
 #: Frames that may wait for a human's message before they are given up.
@@ -38,40 +38,31 @@ _STILL_AFTER = 1.5
 _NEW_TIME = 1_000_000_000
 
 
-#: What comes of one stamp, in this order: vertices by human, serialised joints by human, poses by object.
-_Parts = tuple[dict[str, Any], dict[str, Any], dict[str, Any]]
-
-
-@dataclass(frozen=True)
-class Instant:
-    """All humans and moving objects of a scene at one stamp (nanoseconds). ``joints_of``: a human's joint
-    positions (J, 3), ``map``.
-    """
-
-    stamp: int
-    bodies: Sequence[Body]
-    joints_of: Callable[[str], Array]
+#: What comes of one stamp, in this order: vertices by human, serialised joints by human, poses by object and
+#: by camera.
+_Parts = tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]]
 
 
 class FrameJoiner:
-    """Subscribes to every human's vertices and joints and every moving object's marker and hands over whole
-    instants, the newest where it is late.
+    """Subscribes to every human's vertices and joints, every moving object's marker and the pose of some
+    ``cameras``, and hands over whole instants, the newest where it is late.
 
     Until a skinner speaks, it hands over the scene as it is at its start, so that a camera alone shows
     something.
     """
 
-    def __init__(self, node: SceneNode, show: Callable[[Instant], None]) -> None:
+    def __init__(self, node: SceneNode, show: Callable[[Instant], None], cameras: Sequence[str] = ()) -> None:
         self._node = node
         self._scene = node.scene
         self._show = show
         self._period = self._scene.period * 1e9
         self._pace = Pace(self._period)
         actors, objects = list(self._scene.actors), list(self._scene.moving_objects)
-        self._expected = (actors, actors, objects)
+        self._expected = (actors, actors, objects, list(cameras))
         # by stamp, the frames that are not whole yet
         self._waiting: dict[int, _Parts] = {}
         self._last = self._newest = 0
+        self._before: Instant | None = None
         # nanoseconds between the newest frames: the player's rate may not be the scene's
         self._gaps: deque[float] = deque([self._period] * _GAPS, maxlen=_GAPS)
         self._whole = node.create_guard_condition(self._hand_over)
@@ -88,6 +79,8 @@ class FrameJoiner:
             node.create_subscription(
                 Marker, f"objects/{name}/marker", partial(self._take_object, name), NEWEST
             )
+        for name in cameras:
+            node.create_subscription(PoseStamped, f"{name}/pose", partial(self._take_pose, name), NEWEST)
         self._started = node.now()
         self._told = False
         self._still = node.create_timer(self._scene.period, self._show_still)
@@ -111,10 +104,20 @@ class FrameJoiner:
         else:
             self._take(messages.to_nanoseconds(message.header.stamp), 2, name, pose)
 
+    def _take_pose(self, name: str, message: PoseStamped) -> None:
+        try:
+            pose = messages.read_pose(message)
+        except HumansimError as error:
+            self._skipped(f"{name}: {error}")
+        else:
+            self._take(messages.to_nanoseconds(message.header.stamp), 3, name, pose)
+
     def _take(self, stamp: int, kind: int, name: str, part: Any) -> None:
-        """Put a human's vertices (kind 0) or joints (1) or an object (2) with the others of their stamp."""
+        """Put a human's vertices (kind 0) or joints (1), an object (2) or a camera (3) with the others of
+        their stamp.
+        """
         if stamp < self._last - _NEW_TIME:
-            self._waiting, self._last, self._newest = {}, 0, 0
+            self._waiting, self._last, self._newest, self._before = {}, 0, 0, None
         if stamp > self._newest:
             if self._newest:
                 self._gaps.append(stamp - self._newest)
@@ -122,7 +125,7 @@ class FrameJoiner:
             self._newest = stamp
         if stamp <= self._last or not self._pace.keeps(stamp):
             return
-        self._waiting.setdefault(stamp, ({}, {}, {}))[kind][name] = part
+        self._waiting.setdefault(stamp, ({}, {}, {}, {}))[kind][name] = part
         if self._is_whole(stamp):
             # not at once: what else has arrived is taken first, so that who is late sees it
             self._whole.trigger()
@@ -157,14 +160,14 @@ class FrameJoiner:
         newest = max(self._waiting)
         stamp = next((s for s in whole if newest - s <= _PATIENCE * self._period), whole[-1])
         self._pace.lost(sum(older < stamp for older in self._waiting))
-        vertices, serialised, objects = self._waiting[stamp]
+        vertices, serialised, objects, cameras = self._waiting[stamp]
         self._waiting = {later: parts for later, parts in self._waiting.items() if later > stamp}
         if self._last:
             # those that the pace leaves out are drops too
             self._node.count("drops", max(0, round((stamp - self._last) / self._period) - 1))
         self._last = stamp
         start = time.monotonic()
-        self._try_to_show(stamp, vertices, objects, lambda human: _positions(serialised[human]))
+        self._try_to_show(stamp, vertices, objects, cameras, lambda human: _joints(serialised[human]))
         self._pace.worked(start, time.monotonic())
         if any(self._is_whole(later) for later in self._waiting):
             self._whole.trigger()
@@ -181,19 +184,26 @@ class FrameJoiner:
             states = {name: actor.at(0.0) for name, actor in self._scene.actors.items()}
             vertices = {name: state.vertices for name, state in states.items()}
             objects = {name: thing.at(0.0) for name, thing in self._scene.moving_objects.items()}
-            self._try_to_show(now, vertices, objects, lambda human: states[human].positions)
+            cameras = {name: CameraPose.of(self._scene.cameras[name]) for name in self._expected[3]}
+
+            def joints_of(human: str) -> JointMotion:
+                return JointMotion(states[human].joints, None, None)
+
+            self._try_to_show(now, vertices, objects, cameras, joints_of)
 
     def _try_to_show(
         self,
         stamp: int,
         vertices: dict[str, NDArray[np.float32]],
         objects: dict[str, ObjectPose],
-        joints_of: Callable[[str], Array],
+        cameras: dict[str, CameraPose],
+        joints_of: Callable[[str], JointMotion],
     ) -> None:
-        bodies = [actor.body(vertices[name]) for name, actor in self._scene.actors.items()]
-        bodies += [thing.body(objects[name]) for name, thing in self._scene.moving_objects.items()]
+        actors = self._scene.actors
+        instant = Instant(stamp, self._scene, actors, vertices, joints_of, objects, cameras)
+        instant = self._before = instant.after(self._before)
         try:
-            self._show(Instant(stamp, bodies, joints_of))
+            self._show(instant)
         except HumansimError as error:
             self._skipped(str(error))
 
@@ -202,6 +212,6 @@ class FrameJoiner:
         self._node.get_logger().error(f"frame skipped: {reason}", throttle_duration_sec=1.0)
 
 
-def _positions(data: bytes) -> Array:
-    """(J, 3) joint positions of a serialised ``joints`` message."""
-    return messages.read_joints(deserialize_message(data, MultiDOFJointState)).positions[0]
+def _joints(data: bytes) -> JointMotion:
+    """The joints of a serialised ``joints`` message."""
+    return messages.joint_motion(messages.read_joints(deserialize_message(data, MultiDOFJointState)))

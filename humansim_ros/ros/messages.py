@@ -14,7 +14,16 @@ from typing import Any
 
 import numpy as np
 from builtin_interfaces.msg import Time
-from geometry_msgs.msg import Point, Pose, Quaternion, Transform, TransformStamped, Twist, Vector3
+from geometry_msgs.msg import (
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    Transform,
+    TransformStamped,
+    Twist,
+    Vector3,
+)
 from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2, PointField
 from shape_msgs.msg import Mesh as MeshMessage
@@ -24,18 +33,21 @@ from visualization_msgs.msg import Marker, MarkerArray
 
 from humansim_ros.body import Human, Mesh, Skeleton
 from humansim_ros.camera import Camera
+from humansim_ros.camera.region import Region
 from humansim_ros.errors import RosError
 from humansim_ros.motion.world import JointPoses
-from humansim_ros.rotations import Array, matrix_to_quaternion
+from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.scene import HumanState
+from humansim_ros.scene.filming import CameraPose
+from humansim_ros.scene.instant import JointMotion
 from humansim_ros.scene.live import Source
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 from humansim_ros.truth.joints import OCCLUDED, OUTSIDE, VISIBLE, JointView
 
 WORLD_FRAME = "map"
 
-#: Image encodings of the channels (docs/ground_truth.md).
-ENCODINGS = {"rgb": "rgb8", "depth": "32FC1", "instance": "mono16", "part": "mono8"}
+#: Image encodings of the channels but rgb, which the sensor decides (docs/ground_truth.md).
+ENCODINGS = {"depth": "32FC1", "instance": "mono16", "part": "mono8"}
 
 #: One point of ``<camera>/joints``; padded so that points start at multiples of four bytes.
 JOINT_POINT = np.dtype(
@@ -46,6 +58,7 @@ JOINT_POINT = np.dtype(
         "itemsize": 28,
     }
 )
+_ALL_OF_IT = Region()
 _VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 #: Metres from the origin beyond which nobody is; m/s and rad/s that nobody has.
 _FARTHEST = 1e6
@@ -150,6 +163,16 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
         if not ((np.abs(linear) < _FARTHEST).all() and (np.abs(angular) < _FARTHEST).all()):
             linear = angular = None
     return JointPoses(names, positions[None], (rotations / length[:, None])[None], linear, angular)
+
+
+def joint_motion(poses: JointPoses) -> JointMotion:
+    """The joints of a ``joints`` message that has been read."""
+    joints = np.broadcast_to(np.eye(4), (len(poses.names), 4, 4)).copy()
+    joints[:, :3, :3] = quaternion_to_matrix(poses.rotations[0])
+    joints[:, :3, 3] = poses.positions[0]
+    if poses.linear is None or poses.angular is None:
+        return JointMotion(joints, None, None)
+    return JointMotion(joints, poses.linear[0], poses.angular[0])
 
 
 # --- surfaces
@@ -290,15 +313,61 @@ def _fill(message: Any, data: NDArray[Any]) -> None:
     message._data = np.ascontiguousarray(data).reshape(-1).view(np.uint8)
 
 
-def camera_info_message(camera: Camera, stamp: int, frame: str) -> CameraInfo:
-    """``<camera>/camera_info``: an undistorted, unrectified pinhole camera: D = 0, R = I, P = [K | 0]."""
+def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region = _ALL_OF_IT) -> CameraInfo:
+    """``<camera>/camera_info`` of a whole sensor's camera, of which images show a region.
+
+    As drivers have it, size, K, D, R and P are those of the whole sensor. OpenCV and image_geometry read no
+    skew from K, which has it all the same; P has none.
+    """
     message = CameraInfo(header=header(stamp, frame), width=camera.size[0], height=camera.size[1])
-    message.distortion_model = "plumb_bob"
-    message.d = [0.0] * 5
+    message.distortion_model = camera.model
+    message.d = list(camera.distortion)
     message.k = camera.K.ravel()
-    message.r = np.eye(3).ravel()
-    message.p = np.column_stack([camera.K, np.zeros(3)]).ravel()
+    message.r = camera.rectification_matrix.ravel()
+    message.p = camera.rectified_projection.ravel()
+    if not region.whole:
+        message.binning_x, message.binning_y = region.binning
+    if region.roi is not None:
+        message.roi.x_offset, message.roi.y_offset, message.roi.width, message.roi.height = region.roi
     return message
+
+
+def read_camera_info(message: CameraInfo) -> Camera:
+    """The camera of a CameraInfo, at the origin. CameraError where it cannot be one."""
+    k, r = np.reshape(message.k, (3, 3)), np.reshape(message.r, (3, 3))
+    return Camera(
+        (message.width, message.height),
+        k,
+        np.eye(3),
+        np.zeros(3),
+        tuple(message.d),
+        {"": None, "fisheye": "equidistant"}.get(message.distortion_model, message.distortion_model),
+        r if r.any() else None,
+        np.reshape(message.p, (3, 4)) if np.any(message.p) else None,
+    )
+
+
+def pose_message(pose: CameraPose, stamp: int) -> PoseStamped:
+    """``<camera>/pose``: where the optical frame of a camera that moves is in ``map``."""
+    message = PoseStamped(header=header(stamp, WORLD_FRAME))
+    x, y, z = (-pose.R.T @ pose.t).tolist()
+    message.pose.position = Point(x=x, y=y, z=z)
+    x, y, z, w = matrix_to_quaternion(pose.R.T).tolist()
+    message.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+    return message
+
+
+def read_pose(message: PoseStamped) -> CameraPose:
+    """The pose of a ``pose`` message. RosError where it is not in ``map``, not finite or no rotation."""
+    if message.header.frame_id != WORLD_FRAME:
+        raise RosError(f"a camera's pose must be in {WORLD_FRAME}, this is in {message.header.frame_id!r}")
+    p, q = message.pose.position, message.pose.orientation
+    position, rotation = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
+    near = (np.abs(position) < _FARTHEST).all()  # False for NaN, too
+    if not near or not abs(np.linalg.norm(rotation) - 1) < 1e-3:
+        raise RosError("a camera's pose is not finite, or its quaternion has not length 1")
+    r = quaternion_to_matrix(rotation / np.linalg.norm(rotation)).T
+    return CameraPose(r, -r @ position)
 
 
 def extrinsics_message(name: str, camera: Camera, stamp: int) -> TransformStamped:

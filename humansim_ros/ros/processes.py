@@ -52,7 +52,7 @@ def scene_processes(scene_path: str | os.PathLike[str]) -> list[NodeProcess]:
         ),
         *(
             NodeProcess("camera", f"camera_{name}", {**scene, "camera": name})
-            for name in _names(content, "cameras", path)
+            for name in (*_rig_names(content, path), *_names(content, "cameras", path))
         ),
     ]
 
@@ -64,6 +64,16 @@ def _drawn(content: Mapping[str, Any], path: Path) -> list[str]:
         return variety_names(str(section.get("name", "person")), min(int(section.get("count", 0)), 1000))
     except (AttributeError, TypeError, ValueError):
         raise SceneError("must say a count of people", path=path, key="variety") from None
+
+
+def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
+    """The names of the cameras in the scene's calibration file."""
+    if not content.get("rig"):
+        return []
+    from humansim_ros.scene.config import load_config  # only now, since it needs much more
+    from humansim_ros.scene.filming import build_rig
+
+    return list(build_rig(load_config(path), path))
 
 
 def _read_yaml(path: Path) -> Mapping[str, Any]:

@@ -1,8 +1,10 @@
 """Node ``camera``: renders what one camera of a scene sees.
 
-Subscribes to ``humans/<id>/vertices`` and ``humans/<id>/joints`` of every human and ``objects/<name>/marker``
-of every object that moves, and joins them by exact stamp. Publishes the images, labels and joints of that
-instant with that stamp; nothing is rendered for a topic that nobody subscribes to.
+Subscribes to ``humans/<id>/vertices`` and ``humans/<id>/joints`` of every human, ``objects/<name>/marker`` of
+every object that moves, and its own ``pose`` if a trajectory moves it, and joins them by exact stamp.
+Publishes the images, labels and joints of that instant with that stamp; nothing is rendered for a topic that
+nobody subscribes to. As a driver it has ``camera_info``, ``set_camera_info`` and ``camera_info_url``
+(docs/lenses.md).
 """
 
 from __future__ import annotations
@@ -10,15 +12,21 @@ from __future__ import annotations
 import sys
 from typing import Any
 
+from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
+from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError
-from humansim_ros.render import GLRenderer
+from humansim_ros.render import GLRenderer, View
 from humansim_ros.ros import messages
-from humansim_ros.ros.joiner import FrameJoiner, Instant
+from humansim_ros.ros.calibration import PublishedCalibration, calibration_of
+from humansim_ros.ros.joiner import FrameJoiner
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.ros.whereabouts import Whereabouts
+from humansim_ros.scene.filming import SceneCamera, photograph
+from humansim_ros.scene.instant import Instant
 from humansim_ros.truth.joints import joint_surfaces, view_joints
 
 #: Topic of each channel below the camera's name.
@@ -35,15 +43,8 @@ class CameraNode(SceneNode):
 
     def __init__(self, **options: Any) -> None:
         super().__init__("camera", **options)
-        name = self.text_parameter("camera", "", "Which camera of the scene; empty for the first")
-        name = name or next(iter(self.scene.cameras))
-        if name not in self.scene.cameras:
-            known = ", ".join(self.scene.cameras)
-            raise SceneError(
-                f"no camera {name!r}; the scene has {known}", path=self.scene.path, key="cameras"
-            )
-        self._name = name
-        self._camera = self.scene.cameras[name]
+        self._camera = self._chosen()
+        name = self._camera.name
         self._frame = messages.optical_frame(name)
         self._renderer = GLRenderer(self.scene.static_meshes)
         self._surfaces = {human: joint_surfaces(actor.human) for human, actor in self.scene.actors.items()}
@@ -51,65 +52,91 @@ class CameraNode(SceneNode):
             channel: self.create_publisher(Image, f"{name}/{topic}", DATA)
             for channel, topic in _IMAGE_TOPICS.items()
         }
+        self._rect = None
+        if self._camera.rectified is not None:
+            self._rect = self.create_publisher(Image, f"{name}/image_rect", DATA)
         self._info = self.create_publisher(CameraInfo, f"{name}/camera_info", DATA)
         self._joints = self.create_publisher(PointCloud2, f"{name}/joints", DATA)
-        self._publish_constants()
-        self._joiner = FrameJoiner(self, self.show)
-        self.get_logger().info(
-            f"{name}: {self._camera.size[0]}x{self._camera.size[1]} on {self._renderer.device}"
+        self._calibration = PublishedCalibration(self, name, self._camera.whole, self._camera.region)
+        if url := self.text_parameter(
+            "published_info_url",
+            "",
+            "Calibration file that camera_info says, whatever the lens; empty: the truth",
+        ):
+            self._calibration.say(calibration_of(url))
+        self._where = Whereabouts(self, self._camera)
+        self._publish_legends()
+        self._joiner = FrameJoiner(self, self.show, [name] if self._camera.moves else [])
+        width, height = self._camera.camera.size
+        self.get_logger().info(f"{name}: {width}x{height} on {self._renderer.device}")
+
+    def _chosen(self) -> SceneCamera:
+        name = self.text_parameter("camera", "", "Which camera of the scene; empty for the first")
+        url = self.text_parameter(
+            "camera_info_url", "", "Calibration file of the lens to render with; empty: as the scene says"
         )
+        name = name or next(iter(self.scene.cameras))
+        if name not in self.scene.cameras:
+            known = ", ".join(self.scene.cameras)
+            raise SceneError(
+                f"no camera {name!r}; the scene has {known}", path=self.scene.path, key="cameras"
+            )
+        camera = self.scene.scene_cameras[name]
+        return camera.with_calibration(calibration_of(url)) if url else camera
 
     def close(self) -> None:
         self._renderer.close()
 
-    def _publish_constants(self) -> None:
-        extrinsics = messages.extrinsics_message(self._name, self._camera, self.now())
-        self.publish_latched(extrinsics, f"{self._name}/extrinsics")
-        self.publish_latched(messages.projection_message(self._camera), f"{self._name}/projection")
-        actors = self.scene.actors.values()
+    def _publish_legends(self) -> None:
+        name, actors = self._camera.name, self.scene.actors.values()
         instances = {actor.name: actor.instance for actor in actors}
-        self.publish_latched(messages.instance_legend(instances), f"{self._name}/instance/legend")
+        self.publish_latched(messages.instance_legend(instances), f"{name}/instance/legend")
         for actor in actors:
-            self.publish_latched(messages.part_legend(actor.human.skeleton), f"{self._name}/part/legend")
+            self.publish_latched(messages.part_legend(actor.human.skeleton), f"{name}/part/legend")
             break
         joints = {actor.name: (actor.instance, actor.human.skeleton.joint_names) for actor in actors}
-        self.publish_latched(messages.joints_legend(joints), f"{self._name}/joints/legend")
-        try:
-            from tf2_msgs.msg import TFMessage
-        except ImportError:
-            return
-        self.publish_latched(TFMessage(transforms=[extrinsics]), "/tf_static")
+        self.publish_latched(messages.joints_legend(joints), f"{name}/joints/legend")
 
     def show(self, instant: Instant) -> None:
         """Render what somebody wants of this instant, and send it."""
         stamp = instant.stamp
+        shot = self._where.shot(instant)
         channels = {c for c, publisher in self._images.items() if publisher.get_subscription_count()}
         wanted = set(channels)
         wants_joints = self._joints.get_subscription_count() > 0
+        wants_rect = self._rect is not None and self._rect.get_subscription_count() > 0
         if wants_joints:
             wanted |= {"instance", "part"}
+        if wants_rect:
+            wanted |= {"rgb"}
         if self._info.get_subscription_count():
-            self._info.publish(messages.camera_info_message(self._camera, stamp, self._frame))
+            self._info.publish(self._calibration.message(stamp))
         if not wanted:
             return
-        actors = self.scene.actors
-        joints = {name: instant.joints_of(name) for name in actors} if wants_joints else {}
-        view = self._renderer.render(instant.bodies, self._camera, wanted)
+        view = photograph(self._renderer, self._camera, shot, wanted, stamp)
         for channel in channels:
-            image = getattr(view, channel)
-            encoding = messages.ENCODINGS[channel]
-            self._images[channel].publish(messages.image_message(image, encoding, stamp, self._frame))
+            self._send(self._images[channel], getattr(view, channel), self._encoding(channel), stamp)
+        if self._rect is not None and wants_rect and view.rgb is not None:
+            encoding = self._camera.encoding.replace("bayer_rggb8", "rgb8")
+            self._send(self._rect, self._camera.rectify(view.rgb), encoding, stamp)
         if wants_joints:
-            seen = [
-                (
-                    actors[name].instance,
-                    view_joints(self._camera, positions, view, actors[name].instance, self._surfaces[name]),
-                )
-                for name, positions in joints.items()
-            ]
-            self._joints.publish(messages.joint_view_message(seen, stamp, self._frame))
+            self._send_joints(instant, view, self._camera.at(shot.pose_at(0.0)))
         self.count("frames")
         self.report_lateness(stamp)
+
+    def _encoding(self, channel: str) -> str:
+        return self._camera.encoding if channel == "rgb" else messages.ENCODINGS[channel]
+
+    def _send(self, publisher: Any, image: NDArray[Any], encoding: str, stamp: int) -> None:
+        publisher.publish(messages.image_message(image, encoding, stamp, self._frame))
+
+    def _send_joints(self, instant: Instant, view: View, camera: Camera) -> None:
+        seen = []
+        for name, actor in self.scene.actors.items():
+            positions = instant.joints_of(name).positions
+            joints = view_joints(camera, positions, view, actor.instance, self._surfaces[name])
+            seen.append((actor.instance, joints))
+        self._joints.publish(messages.joint_view_message(seen, instant.stamp, self._frame))
 
 
 def main() -> int:

@@ -1,8 +1,9 @@
 """Node ``motion_player``: plays the motions of a scene's humans, all from one clock.
 
-Publishes ``humans/<id>/motion``, latched ``humans/<id>/motion/legend``, and ``objects/<name>/marker`` of
-every object that moves. Frame k leaves at start + round(k * period) on the wall clock and carries that stamp;
-a player that is late skips to the newest frame and reports the drop.
+Publishes ``humans/<id>/motion``, latched ``humans/<id>/motion/legend``, ``objects/<name>/marker`` of every
+object that moves, and ``<camera>/pose`` of every camera with a trajectory. Frame k leaves at
+start + round(k * period) on the wall clock and carries that stamp; a player that is late skips to the newest
+frame and reports the drop.
 
 Parameters can be set while it plays, services ``~/pause``, ``~/step`` and ``~/restart`` steer it
 (docs/playing.md). What cannot be played is refused with the reason, and the old motion goes on.
@@ -16,6 +17,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Any, TypeVar
 
+from geometry_msgs.msg import PoseStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import MultiDOFJointState
@@ -24,7 +26,7 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.ros.messages import motion_legend, motion_message, object_message
+from humansim_ros.ros.messages import motion_legend, motion_message, object_message, pose_message
 from humansim_ros.ros.motion_parameters import LONGEST, MotionParameters
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED
@@ -64,6 +66,10 @@ class MotionPlayer(SceneNode):
             name: self.create_publisher(Marker, f"objects/{name}/marker", DATA)
             for name in self.scene.moving_objects
         }
+        self._poses = {
+            name: self.create_publisher(PoseStamped, f"{name}/pose", DATA)
+            for name in self.scene.moving_cameras
+        }
         self._legends = {
             name: self.create_publisher(String, f"humans/{name}/motion/legend", LATCHED)
             for name in self.scene.actors
@@ -95,6 +101,8 @@ class MotionPlayer(SceneNode):
         for name, place in moment.objects.items():
             thing = self.scene.moving_objects[name]
             self._markers[name].publish(object_message(thing, place, tick.stamp))
+        for name, pose in moment.cameras.items():
+            self._poses[name].publish(pose_message(pose, tick.stamp))
         self.count("drops", tick.dropped)
         self.count("frames")
         self.report_lateness(tick.stamp)

@@ -1,0 +1,93 @@
+"""Where a camera is: at its place in the scene, on a trajectory, or where ``<camera>/pose`` puts it."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from geometry_msgs.msg import PoseStamped, TransformStamped
+from std_msgs.msg import Float64MultiArray
+
+from humansim_ros.errors import HumansimError
+from humansim_ros.ros import messages
+from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
+from humansim_ros.scene.filming import CameraPose, SceneCamera, Shot
+from humansim_ros.scene.instant import Instant
+
+try:
+    from tf2_msgs.msg import TFMessage
+except ImportError:  # not on PyPI
+    TFMessage = None
+
+#: Poses that are remembered: frames are a little older than the newest pose.
+_REMEMBERED = 200
+
+
+class Whereabouts:
+    """Publishes ``<camera>/extrinsics`` and ``projection``, latched, and tf: once while the camera stands
+    still, with every frame's stamp from when it moves.
+
+    ``<camera>/pose`` (``map``, the optical frame) moves any camera: between two poses it is interpolated,
+    after the last it stays.
+    """
+
+    def __init__(self, node: SceneNode, camera: SceneCamera) -> None:
+        self._node = node
+        self._camera = camera
+        self._poses: deque[tuple[int, CameraPose]] = deque(maxlen=_REMEMBERED)
+        self._start = self._last = CameraPose.of(camera.camera)
+        self._extrinsics = node.create_publisher(TransformStamped, f"{camera.name}/extrinsics", LATCHED)
+        self._projection = node.create_publisher(Float64MultiArray, f"{camera.name}/projection", LATCHED)
+        self._tf = None
+        if TFMessage is not None:
+            self._tf = node.create_publisher(TFMessage, "/tf", DATA)
+        if not camera.moves:
+            node.create_subscription(PoseStamped, f"{camera.name}/pose", self._on_pose, NEWEST)
+            if TFMessage is not None:
+                self._still = node.create_publisher(TFMessage, "/tf_static", LATCHED)
+                self._still.publish(TFMessage(transforms=[self._transform(self._last, node.now())]))
+        self._say(self._last, node.now())
+
+    def shot(self, instant: Instant) -> Shot:
+        """What there is to be seen of an instant from where the camera is then. Says where that is."""
+        shot = instant.shot(self._camera)
+        if self._poses:
+            moving = self._place(instant.stamp) is not self._last  # where it stays, it stays the same object
+            shot = Shot(shot.bodies_at, lambda s: self._place(instant.stamp + round(1e9 * s)), moving)
+        pose = shot.pose_at(0.0)
+        if shot.moving:
+            transform = self._say(pose, instant.stamp)
+            if self._tf is not None:
+                self._tf.publish(TFMessage(transforms=[transform]))
+        self._last = pose
+        return shot
+
+    def _place(self, stamp: int) -> CameraPose:
+        """Where ``pose`` puts the camera at a stamp."""
+        before, earlier = self._start, 0
+        for later, pose in self._poses:
+            if later > stamp:
+                span = later - earlier
+                return before.toward(pose, (stamp - earlier) / span) if earlier else before
+            earlier, before = later, pose
+        return before
+
+    def _on_pose(self, message: PoseStamped) -> None:
+        try:
+            pose = messages.read_pose(message)
+        except HumansimError as error:
+            self._node.get_logger().error(f"pose not used: {error}", throttle_duration_sec=1.0)
+            return
+        stamp = messages.to_nanoseconds(message.header.stamp) or self._node.now()
+        if self._poses and stamp <= self._poses[-1][0]:
+            self._poses.clear()  # the clock was set anew
+        self._poses.append((stamp, pose))
+
+    def _say(self, pose: CameraPose, stamp: int) -> TransformStamped:
+        transform = self._transform(pose, stamp)
+        self._extrinsics.publish(transform)
+        self._projection.publish(messages.projection_message(self._camera.at(pose)))
+        return transform
+
+    def _transform(self, pose: CameraPose, stamp: int) -> TransformStamped:
+        return messages.extrinsics_message(self._camera.name, self._camera.at(pose), stamp)

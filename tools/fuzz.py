@@ -28,7 +28,8 @@ import zipfile
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import islice
 from pathlib import Path
 from types import FrameType
 
@@ -41,6 +42,10 @@ import figures  # noqa: E402
 
 from humansim_ros.body import read_mesh  # noqa: E402
 from humansim_ros.body.human import read_human  # noqa: E402
+from humansim_ros.camera import Camera, read_calibration, write_calibration  # noqa: E402
+from humansim_ros.camera.formats import FORMS  # noqa: E402
+from humansim_ros.cli_camera import describe_camera  # noqa: E402
+from humansim_ros.cli_output import to_json  # noqa: E402
 from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
 from humansim_ros.motion import read_bvh, read_motion  # noqa: E402
 from humansim_ros.motion.keyframes import read_keyframes  # noqa: E402
@@ -110,6 +115,18 @@ def reading_figure(path: Path) -> None:
     read_motion(path).world_positions(0)
 
 
+def reading_calibration(path: Path) -> None:
+    """A calibration, and what is said of its cameras."""
+    for name, camera in islice(read_calibration(path).items(), 20):
+        to_json(describe_camera(name, camera))
+
+
+def reading_colmap(path: Path) -> None:
+    """COLMAP's poses, with lenses that are not damaged."""
+    path.with_name("cameras.txt").write_bytes(CALIBRATIONS["cameras.txt"])
+    reading_calibration(path)
+
+
 READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "bvh": (reading_bvh, "*.bvh"),
     "keyframes": (read_keyframes, "*.xml"),
@@ -119,6 +136,8 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "human": (read_human, "*.npz"),
     "smpl": (make_human, "*.npz"),
     "description": (read_description, "*.yaml"),
+    "calibration": (reading_calibration, "*.calib"),
+    "colmap": (reading_colmap, "images.txt"),
 }
 
 BVH = b"""HIERARCHY
@@ -210,6 +229,24 @@ def small_human() -> bytes:
     )
 
 
+def calibrations() -> dict[str, bytes]:
+    """Two cameras in all forms, or one where a form has no place for more, by file name."""
+    first = Camera.look_at((3, 1, 2), (0, 0, 1))
+    lens = (-0.31, 0.12, 1e-3, -2e-4)
+    files: dict[str, bytes] = {}
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
+        warnings.simplefilter("ignore", HumansimWarning)
+        for form in FORMS:
+            second = replace(first, t=first.t + 0.5, distortion=lens if form.lenses else ())
+            two = {"left": first, "right": second}
+            target = Path(folder) / form.name
+            for path in write_calibration(target, two if form.several else {"right": second}, form.name):
+                files[path.name if path.parent == target else form.name] = path.read_bytes()
+    return files
+
+
+CALIBRATIONS = calibrations()
+
 SEEDS = {
     "bvh": [BVH],
     "keyframes": [XML],
@@ -219,6 +256,10 @@ SEEDS = {
     "human": [small_human()],
     "smpl": [packed(figures.smpl(figures.SMPL_NAMES, figures.SMPL_PARENTS))],
     "description": DESCRIPTIONS,
+    "calibration": [
+        data for name, data in CALIBRATIONS.items() if name not in ("images.txt", "points3D.txt")
+    ],
+    "colmap": [CALIBRATIONS["images.txt"]],
 }
 
 
@@ -520,7 +561,7 @@ def corpus_of(name: str, files: Sequence[Path] = ()) -> list[bytes]:
 
 def _some_frames(data: bytes) -> bytes:
     """A file without most of its rows."""
-    if len(data) < 20_000:
+    if len(data) < 20_000 or data[:1] == b"{":
         return data
     return data[: max(20_000, data.find(b"Frame Time") + 8000)].rsplit(b"\n", 1)[0]
 

@@ -21,6 +21,8 @@ from humansim_ros.yaml_files import line_of
 
 Key = str | int
 
+#: Larger numbers are of no camera, and their squares and cubes overflow.
+LARGEST = 1e15
 #: Rigs are smaller; a file with more is not what it seems.
 MOST_CAMERAS = 10_000
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -196,6 +198,8 @@ def to_number(value: Any) -> float:
         number = np.inf
     if not np.isfinite(number):
         raise ValueError("a number is not finite (NaN or infinity)")
+    if abs(number) > LARGEST:
+        raise ValueError(f"{number:g} is too large to be of a camera")
     return number
 
 

@@ -7,8 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import Form, RawCamera, Source
+from humansim_ros.camera.formats.base import LARGEST, Form, RawCamera, Source
 from humansim_ros.camera.thesis_cam import cam_of, camera_of, format_cam, parse_cam
+from humansim_ros.errors import CameraError
 
 _LINE = re.compile(r"(C|f|R|k|size|format)\s*=.*")
 
@@ -19,7 +20,10 @@ def _is_cam(source: Source) -> bool:
 
 
 def _read(source: Source) -> dict[str, RawCamera]:
-    camera = camera_of(parse_cam(source.text, source.path))
+    cam = parse_cam(source.text, source.path)
+    if max(map(abs, (*cam.center, cam.focal, *cam.euler_deg, *cam.aspect))) > LARGEST:
+        raise CameraError(f"a number is above {LARGEST:g}: of no camera", path=source.path)
+    camera = camera_of(cam)
     return {Path(source.path).stem: RawCamera(camera.K, camera.R, camera.t, size=camera.size)}
 
 

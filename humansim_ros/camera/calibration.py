@@ -123,9 +123,9 @@ def _folder(folder: Path, size: Size | None, unit: float | None, up: str | None)
         raise CameraError(f"no calibration in this folder ({', '.join(_SUFFIXES)})", path=folder)
     read = {file: load_calibration(file, size=size, unit=unit, up=up) for file in files}
     cameras = joined({str(file): calibration.cameras for file, calibration in read.items()})
-    forms = {calibration.form for calibration in read.values()}
     first = read[files[0]]
-    return Calibration(cameras, first.form if len(forms) == 1 else None, first.unit, first.up)
+    alike = all(calibration.form is first.form for calibration in read.values())
+    return Calibration(cameras, first.form if alike else None, first.unit, first.up)
 
 
 def joined(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Camera]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
@@ -338,27 +338,18 @@ def load_config(path: str | os.PathLike[str]) -> SceneConfig:
 
 
 def _known_keys(keys: list[Any]) -> str:
-    models: dict[str, type[BaseModel]] = {
-        "humans": HumanConfig,
-        "objects": ObjectConfig,
-        "cameras": CameraConfig,
-        "room": RoomConfig,
-        "variety": VarietyConfig,
-        "rig": RigConfig,
-    }
     model: type[BaseModel] = SceneConfig
-    if len(keys) > 1:
-        model = models.get(str(keys[0]), SceneConfig)
-    if len(keys) > 3:
-        inner: dict[str, type[BaseModel]] = {
-            "motion": MotionConfig,
-            "keyframes": KeyframesConfig,
-            "trajectory": TrajectoryConfig,
-            "roi": RegionConfig,
-            "sensor": SensorConfig,
-        }
-        model = inner.get(str(keys[2]), model)
+    for key in keys[:-1]:
+        if key in model.model_fields:  # a name of a human or camera is none
+            model = _section(model.model_fields[key].annotation) or model
     return f"; known here: {', '.join(model.model_fields)}"
+
+
+def _section(annotation: Any) -> type[BaseModel] | None:
+    """The section that a key's type is, has as an alternative, or maps names to."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return annotation
+    return next((found for inner in get_args(annotation) if (found := _section(inner))), None)
 
 
 def line_of_key(path: str | os.PathLike[str], key: str) -> int | None:

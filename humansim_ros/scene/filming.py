@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -79,6 +79,12 @@ class SceneCamera:
         region = Region(None if roi is None else (roi.x, roi.y, roi.width, roi.height), config.binning)
         return cls(name, whole, region, Sensor(config.sensor, region.of(whole), name), path, offset, speed)
 
+    def with_calibration(self, calibrated: Camera) -> SceneCamera:
+        """The same camera at the same place with the lens, K and size of another."""
+        whole = replace(calibrated, R=self.whole.R, t=self.whole.t)
+        sensor = Sensor(self.sensor.config, self.region.of(whole), self.name)
+        return replace(self, whole=whole, sensor=sensor)
+
     @cached_property
     def camera(self) -> Camera:
         """The camera of image_raw, as it stands at the start."""
@@ -143,15 +149,16 @@ def photograph(
         return view
     if at_once:
         assert view.rgb is not None
-        pictures = [view.rgb]
-    else:
-        pictures = []
+        return replace(view, rgb=camera.sensor.expose([view.rgb], stamp))
+
+    def pictures() -> Iterator[NDArray[np.uint8]]:
         for time in times.tolist():
             there = camera.at(shot.pose_at(time))
             seen = renderer.render(shot.bodies_at(time), there, ("rgb",), passing=shot.moving)
             assert seen.rgb is not None
-            pictures.append(seen.rgb)
-    return replace(view, rgb=camera.sensor.expose(pictures, stamp))
+            yield seen.rgb
+
+    return replace(view, rgb=camera.sensor.expose(pictures(), stamp))
 
 
 def _camera(config: CameraConfig, scene: Path) -> Camera:
@@ -205,12 +212,7 @@ def build_cameras(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
     """The cameras of a scene file, those of its rig first. Raises CameraError or SceneError with file and
     key.
     """
-    cameras = {}
-    if config.rig is not None:
-        try:
-            cameras = _rig(config.rig, scene)
-        except CameraError as error:
-            raise _placed(error, scene, "rig") from None
+    cameras = build_rig(config, scene)
     for name, camera in config.cameras.items():
         if name in cameras:
             raise SceneError("the rig has a camera of this name already", path=scene, key=f"cameras.{name}")
@@ -221,19 +223,23 @@ def build_cameras(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
     return cameras
 
 
-def _rig(config: RigConfig, scene: Path) -> dict[str, SceneCamera]:
-    found = _read(config.file, scene, config)
-    missing = set(config.cameras or ()) - set(found)
-    if missing:
-        known = ", ".join(found)
-        raise CameraError(
-            f"no camera {sorted(missing)[0]!r} in {config.file}; there are {known}", key="cameras"
-        )
-    region = Region(None, config.binning)
-    cameras = {}
-    for original in config.cameras or found:
-        name, whole = _topic_name(original), found[original]
-        cameras[name] = SceneCamera(name, whole, region, Sensor(config.sensor, region.of(whole), name))
+def build_rig(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
+    """The cameras that a scene file takes from a calibration file as its rig. Raises CameraError."""
+    if config.rig is None:
+        return {}
+    rig, cameras = config.rig, {}
+    try:
+        found = _read(rig.file, scene, rig)
+        missing = set(rig.cameras or ()) - set(found)
+        if missing:
+            known = ", ".join(found)
+            raise CameraError(f"no camera {min(missing)!r} in {rig.file}; there are {known}", key="cameras")
+        region = Region(None, rig.binning)
+        for original in rig.cameras or found:
+            name, whole = _topic_name(original), found[original]
+            cameras[name] = SceneCamera(name, whole, region, Sensor(rig.sensor, region.of(whole), name))
+    except CameraError as error:
+        raise _placed(error, scene, "rig") from None
     return cameras
 
 

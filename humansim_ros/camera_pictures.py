@@ -36,6 +36,8 @@ _AHEAD = 4.0
 _FARTHEST = 1e5
 #: Pixels per point of a coverage, and the heights of a standing person at which it is looked for.
 _STEP, _HEIGHTS = 2, 7
+#: Pixels from one camera to another that share a name.
+_TOGETHER = 14
 #: Most steps of a legend.
 _LEVELS = 10
 
@@ -199,13 +201,13 @@ def _draw_cameras_above(image: Image, plan: _Plan, rig: _Rig, colors: Sequence[C
     for (name, camera), border, color in zip(rig.cameras.items(), rig.borders, colors, strict=True):
         center, pixels = plan.pixels(camera.center), plan.pixels(border)
         _draw_view(image, center, pixels, color)
-        near = [names for other, _, names in shown if np.linalg.norm(other - center) < 6]
+        near = [names for other, _, names in shown if np.linalg.norm(other - center) < _TOGETHER]
         if near:
             near[0].append(name)
         else:
             shown.append((center, center - pixels.mean(0), [name]))
     for center, away, names in shown:
-        # cameras above each other have one place
+        # cameras above or close to each other have one name
         text = names[0] + (f" +{len(names) - 1}" if len(names) > 1 else "")
         _write_beside(image, text, center, away)
 
@@ -216,6 +218,18 @@ def _draw_view(image: Image, center: Array, border: Array, color: Color) -> None
         _line(image, np.array([center, corner]), color, 1)
     _line(image, np.vstack([border, border[:1]]), color, 1)
     cv2.circle(image, _fixed(center), 4 * 16, color, -1, cv2.LINE_AA, 4)
+
+
+def _write_apart(image: Image, names: Sequence[str], seen: tuple[Array, Array]) -> None:
+    """Names above pixels (N, 2) at depths (N,), but for those that would hide one that is nearer."""
+    written: list[Array] = []
+    for number in np.argsort(seen[1]):
+        (wide, tall), _ = cv2.getTextSize(names[number], _TEXT, 0.4, 1)
+        place = seen[0][number] - np.array([0, 9])
+        reach = np.array([wide, tall + 2])
+        if all((np.abs(place - other) > reach).any() for other in written):
+            written.append(place)
+            _write(image, names[number], place, 0.4, _INK, middle=True, boxed=True)
 
 
 def _write_beside(image: Image, text: str, center: Array, away: Array) -> None:
@@ -272,7 +286,7 @@ def _in_space(rig: _Rig) -> tuple[Image, float]:
         cv2.circle(image, _fixed(foot), 2 * 16, _SHADE, -1, cv2.LINE_AA, 4)
         _fill(image, border, color)
         _draw_view(image, pixel, border, color)
-        _write(image, names[number], pixel + np.array([0, -9]), 0.4, _INK, middle=True, boxed=True)
+    _write_apart(image, names, eye.project(centers))
     return image, cell
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, Any
 import typer
 import yaml
 
-from humansim_ros import __version__, cli_camera, cli_human, cli_motion
+from humansim_ros import __version__, cli_camera_rig, cli_human, cli_motion
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.resources import resource_path
 
@@ -24,7 +24,7 @@ app = typer.Typer(
     add_completion=False,
 )
 
-app.add_typer(cli_camera.app, name="camera")
+app.add_typer(cli_camera_rig.app, name="camera")  # with those of cli_camera
 app.add_typer(cli_human.app, name="human")
 app.add_typer(cli_motion.app, name="motion")
 

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from conftest import ROOT, needs_shared_data
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
@@ -14,9 +20,12 @@ from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
+from humansim_ros.camera.calibration import read_calibration, write_calibration
 from humansim_ros.camera.idealize import Fit, Ideal, idealize
-from humansim_ros.errors import CameraError
+from humansim_ros.errors import CameraError, RenderError
+from humansim_ros.render import GLRenderer
 from humansim_ros.rotations import Array
+from humansim_ros.scene.room import furnished_room
 
 SIZE = (320, 240)
 LENSES = {
@@ -236,3 +245,90 @@ def test_any_projection_matrix_comes_apart_as_with_opencv_and_scipy(
     assert np.linalg.det(found.R) == pytest.approx(1)
     ahead = found.center + found.R.T @ [0, 0, 1]
     assert found.project(ahead[None])[1] == pytest.approx(1)
+
+
+# -- the renderer's own images, and the command
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Iterator[GLRenderer]:
+    try:
+        renderer = GLRenderer(furnished_room())
+    except RenderError as reason:
+        pytest.skip(str(reason))
+    yield renderer
+    renderer.close()
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_a_rendered_image_made_ideal_is_what_the_ideal_camera_sees(renderer: GLRenderer, model: str) -> None:
+    place = Camera.look_at((3, 0, 1.8), (0, 0.5, 1))
+    camera = Camera(SIZE, K_SKEWED, place.R, place.t, LENSES[model], model)
+    ideal = idealize(camera, square=True)
+    real, wanted = (renderer.render([], c, ("rgb",)).rgb for c in (camera, ideal.camera))
+    assert real is not None
+    assert wanted is not None
+    made, known = ideal.to_ideal(real), inside(ideal.real_from_ideal)
+    error, uncorrected = (np.abs(image.astype(float) - wanted)[known].mean() for image in (made, real))
+    assert error < 0.2 * uncorrected
+
+
+def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "humansim_ros.cli", "camera", "idealize", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
+
+
+def test_the_command_corrects_images_and_names_those_it_cannot(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "cam.yaml", {"cam": CAMERA}, "camera_info")
+    grid = np.stack(np.meshgrid(*map(np.arange, SIZE)), axis=-1).astype(float)
+    colored = np.dstack([np.rint(picture(grid + shift)) for shift in (0, 5, 9)]).astype(np.uint8)
+    depth = np.rint(100 * picture(grid)).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / "colored.png"), colored)
+    cv2.imwrite(str(tmp_path / "photo.jpg"), colored)
+    cv2.imwrite(str(tmp_path / "depth.png"), depth)
+    cv2.imwrite(str(tmp_path / "small.png"), colored[::2, ::2])
+    (tmp_path / "broken.png").write_bytes((tmp_path / "colored.png").read_bytes()[:200])
+    (tmp_path / "text.png").write_text("no image")
+    names = ["small.png", "broken.png", "text.png", "none.png", "colored.png", "photo.jpg", "depth.png"]
+    done = humansim(
+        tmp_path / "cam.yaml", *(tmp_path / name for name in names), "--nearest", "-o", tmp_path / "out"
+    )
+    assert done.returncode == 2
+    said = [line for line in done.stderr.splitlines() if "WARN" not in line]  # OpenCV's own
+    assert [line.split(": ")[:2] for line in said] == [["error", str(tmp_path / n)] for n in names[:4]]
+    assert "160x120 pixels, the camera 320x240" in done.stderr
+    ideal = idealize(read_calibration(tmp_path / "cam.yaml")["cam"])
+    for name, image in (("colored.png", colored), ("depth.png", depth)):
+        corrected = cv2.imread(str(tmp_path / "out" / name), cv2.IMREAD_UNCHANGED)
+        np.testing.assert_array_equal(corrected, ideal.to_ideal(image, cv2.INTER_NEAREST))
+    assert cv2.imread(str(tmp_path / "out" / "photo.jpg")).shape == colored.shape
+    written = read_calibration(tmp_path / "out" / "cam.yaml")["cam"]
+    np.testing.assert_allclose(written.K, ideal.camera.K)
+    assert not written.distorted
+    assert not any((tmp_path / "out" / name).exists() for name in names[:4])
+
+
+def test_the_command_overwrites_no_input(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "cam.yaml", {"cam": CAMERA}, "camera_info")
+    before = (tmp_path / "cam.yaml").read_text()
+    done = humansim(tmp_path / "cam.yaml", "-o", tmp_path)
+    assert done.returncode == 2
+    assert "another folder" in done.stderr
+    assert (tmp_path / "cam.yaml").read_text() == before
+
+
+@needs_shared_data
+@pytest.mark.parametrize(
+    "name", ["usb_cam_camera_info.yaml", "human36m_camera-parameters.json", "shelf_voxelpose.json"]
+)
+@pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
+def test_real_cameras_are_made_ideal(shared_data: Path, name: str) -> None:
+    for camera in list(read_calibration(shared_data / "calib" / name).values())[:5]:
+        ideal = idealize(camera)
+        rng = np.random.default_rng(1)
+        real = rng.uniform(0, np.subtract(camera.size, 1), (200, 2))
+        points = camera.unproject(real, rng.uniform(1, 9, 200))
+        np.testing.assert_allclose(ideal.camera.project(points)[0], ideal.points_to_ideal(real), atol=1e-4)
+        *centre, scale = cv2.decomposeProjectionMatrix(ideal.camera.P)[2].ravel()
+        np.testing.assert_allclose(np.divide(centre, scale), camera.center, atol=1e-6)

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration, write_calibration
-from humansim_ros.camera.idealize import Fit, Ideal, idealize
+from humansim_ros.camera.idealize import Fit, Ideal, idealize, rectify
 from humansim_ros.errors import CameraError, RenderError
 from humansim_ros.render import GLRenderer
 from humansim_ros.rotations import Array
@@ -90,8 +90,8 @@ def test_the_map_to_the_ideal_image_is_opencvs(model: str) -> None:
     camera = Camera(SIZE, K_SKEWED, np.eye(3), np.zeros(3), LENSES[model], model)
     ideal = idealize(camera, square=True)
     plain = K_SKEWED * [[1, 0, 1], [1, 1, 1], [1, 1, 1]]
-    rectify = cv2.fisheye if model == "equidistant" else cv2
-    theirs = rectify.initUndistortRectifyMap(
+    judge = cv2.fisheye if model == "equidistant" else cv2
+    theirs = judge.initUndistortRectifyMap(
         plain, np.array(camera.distortion), np.eye(3), ideal.camera.K, SIZE, cv2.CV_32FC1
     )
     x, y = theirs[0].astype(float), theirs[1].astype(float)
@@ -117,6 +117,25 @@ def test_the_map_to_the_real_image_is_opencvs(model: str) -> None:
         theirs = undistort(grid, k, coefficients, R=None, P=ideal.camera.K, criteria=stop)
     ours = ideal.ideal_from_real.reshape(-1, 2)
     np.testing.assert_allclose(ours, theirs.reshape(-1, 2), atol=1e-4)
+
+
+@pytest.mark.parametrize("model", LENSES)
+def test_image_rect_is_that_of_r_and_p_as_opencv_maps_it(model: str) -> None:
+    k = K_SKEWED * [[1, 0, 1], [1, 1, 1], [1, 1, 1]]
+    turn = Rotation.from_euler("xyz", [2, -3, 1.5], degrees=True).as_matrix()
+    p = np.array([[240.0, 0, 170, -31], [0, 240, 110, 0], [0, 0, 1, 0]])
+    pose = Rotation.random(None, 3).as_matrix()
+    camera = Camera(SIZE, k, pose, np.array([0.1, 2, 3]), LENSES[model], model, turn, p)
+    judge = cv2.fisheye if model == "equidistant" else cv2
+    theirs = judge.initUndistortRectifyMap(
+        k, np.array(camera.distortion), turn, p[:, :3].copy(), SIZE, cv2.CV_32FC1
+    )
+    ours = rectify(camera)
+    np.testing.assert_allclose(ours.real_from_ideal, np.stack(theirs, axis=-1), atol=1e-4)
+    np.testing.assert_allclose(ours.camera.R, turn @ pose)
+    np.testing.assert_allclose(ours.camera.center, camera.center)
+    there = ours.points_to_real([[30.0, 200], [280, 20]])
+    np.testing.assert_allclose(ours.points_to_ideal(there), [[30, 200], [280, 20]], atol=1e-6)
 
 
 K_SKEWED = np.array([[250.0, 2.5, 151.0], [0, 262.0, 127.5], [0, 0, 1]])

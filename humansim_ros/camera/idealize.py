@@ -104,15 +104,9 @@ def rectify(camera: Camera) -> Ideal:
 
     The baseline in the P of a stereo camera is no part of its image and left out.
     """
-    if (
-        camera.rectified is None
-        and camera.rectification is None
-        and not camera.distorted
-        and not camera.K[0, 1]
-    ):
+    turn, k = camera.rectification_matrix, camera.rectified_projection[:, :3]
+    if not camera.distorted and np.array_equal(turn, np.eye(3)) and np.array_equal(k, camera.K):
         return Ideal(camera, camera)
-    turn = camera.rectification_matrix
-    k = camera.rectified_projection[:, :3]
     r, t = (camera.R, camera.t) if camera.rectification is None else (turn @ camera.R, turn @ camera.t)
     return Ideal(camera, Camera(camera.size, k, r, t))
 

@@ -26,6 +26,7 @@ from humansim_ros.render.posed import Floats, Posed, Topology
 from humansim_ros.render.refine import NEAR, LensView, Refined
 from humansim_ros.render.renderer import CHANNELS, Body, View, check_request
 from humansim_ros.render.shadow import CELLS
+from humansim_ros.render.still import Expanded, Pieces, StillScene, texture
 from humansim_ros.rotations import Array
 
 _SHADERS = Path(__file__).parent / "shaders"
@@ -68,7 +69,7 @@ class GLRenderer:
         self._ctx.front_face = (
             "cw"  # the image's rows run down where OpenGL's run up: everything is mirrored once
         )
-        self._static = tuple(static)
+        self._still = StillScene(self._ctx, tuple(static))
         self._topologies: dict[int, Topology] = {}
         self._surfaces: dict[tuple[int, int], _Surface] = {}
         self._targets: dict[tuple[int, int], _Target] = {}
@@ -207,11 +208,6 @@ class GLRenderer:
             self._surfaces[key] = _Surface(self._ctx, topology, body, self._lit, self._truth)
         return self._surfaces[key]
 
-    def _standing(self, mesh: Mesh) -> _Surface:
-        """A mesh of the static scene on the device."""
-        body = Body(mesh, mesh.vertices.astype(np.float32), np.zeros(len(mesh.triangles), np.uint8), 1)
-        return _Surface(self._ctx, Topology(mesh), body, self._lit, self._truth)
-
     def _target(self, size: tuple[int, int]) -> _Target:
         if size not in self._targets:
             self._targets[size] = _Target(self._ctx, size)
@@ -234,30 +230,21 @@ class GLRenderer:
     def _draw_static(self, camera: Camera, supersampling: int) -> _StaticLayer:
         width, height = camera.size
         factor = max(1, min(supersampling, _MAX_STATIC_SIDE // max(width, height)))
-        ctx = self._ctx
-        surfaces = [self._standing(mesh) for mesh in self._static]
-        lens = LensView(camera)
-        refined = [lens.refine(*s.detailed) for s in surfaces] if camera.distorted else [None] * len(surfaces)
         # the same window, only finer: clip coordinates do not know how many pixels there are
-        fine, target = _Target(ctx, (width * factor, height * factor)), _Target(ctx, camera.size)
-        for into, lit in ((fine, True), (target, False)):
-            program = self._lit if lit else self._truth
-            into.clear(self._lighting.background)
-            into.use(lit)
-            ctx.enable_only(moderngl.DEPTH_TEST)
-            self._use_camera(program, camera)
-            for surface, pieces in zip(surfaces, refined, strict=True):
-                if pieces is None:
-                    surface.draw(lit)
-                else:
-                    surface.draw_refined(program, pieces)
+        fine = self._target((width * factor, height * factor))
+        target = _Target(self._ctx, camera.size)
+        with self._still.seen_by(camera) as still:
+            for into, lit in ((fine, True), (target, False)):
+                program = self._lit if lit else self._truth
+                into.clear(self._lighting.background)
+                into.use(lit)
+                self._ctx.enable_only(moderngl.DEPTH_TEST)
+                self._use_camera(program, camera)
+                still.draw(program)
         rgb = cv2.resize(fine.read("rgb", lit=True), camera.size, interpolation=cv2.INTER_AREA)
-        if camera.distorted and lens.partly_dark:
+        if camera.distorted and LensView(camera).partly_dark:
             rgb = np.where(_lit_pixels(camera)[..., None], rgb, 0)
         target.take(np.ascontiguousarray(rgb, dtype=np.uint8))
-        for surface in surfaces:
-            surface.release()
-        fine.release()
         return _StaticLayer(target)
 
     def _program(self, vertex: str, fragment: str) -> moderngl.Program:
@@ -461,8 +448,8 @@ class _Target:
     def release(self) -> None:
         for framebuffer in (*self._framebuffers.values(), self._colour):
             framebuffer.release()
-        for texture in self._textures:
-            texture.release()
+        for attachment in self._textures:
+            attachment.release()
         self._buffer.release()
 
 
@@ -500,21 +487,10 @@ class _Surface:
         self._ctx = ctx
         self.topology = topology
         mesh = topology.mesh
-        triangles = mesh.triangles
-        if mesh.uv is None or mesh.uv_triangles is None:
-            self._source: NDArray[Any] = np.arange(len(mesh.vertices))
-            corners: NDArray[Any] = triangles
-            uv: Array = np.zeros((len(mesh.vertices), 2))
-        else:
-            pairs = np.stack([triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
-            unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
-            self._source = unique[:, 0]
-            corners, uv = inverse.reshape(triangles.shape), mesh.uv[unique[:, 1]]
-        colors = np.full((len(mesh.vertices), 3), 255, np.uint8) if mesh.colors is None else mesh.colors
-        looks = np.concatenate([uv, colors[self._source] / 255.0], axis=1).astype("f4")
-        self._looks_there: Floats = looks
-        self._corners = np.ascontiguousarray(corners, dtype=np.int32)
-        self._texture = _texture(ctx, mesh.texture)
+        self._expanded = Expanded(mesh)
+        self._source, self._corners = self._expanded.source, self._expanded.corners
+        looks = self._expanded.looks
+        self._texture = texture(ctx, mesh.texture)
         self._positions, self._normals = (ctx.buffer(reserve=len(looks) * 12, dynamic=True) for _ in range(2))
         self._looks = ctx.buffer(looks.tobytes())
         self._index = ctx.buffer(self._corners.tobytes(), dynamic=True)
@@ -552,12 +528,6 @@ class _Surface:
         self._texture.use(0)
         (self._lit if lit else self._truth).render(moderngl.TRIANGLES, vertices=corners.size)
 
-    @property
-    def detailed(self) -> tuple[Array, NDArray[np.intp]]:
-        """Attributes (V, 11) of the vertices as they stand, position, normal, uv, colour; corners (N, 3)."""
-        both = np.concatenate([self.posed.vertices, self.posed.normals], axis=1).take(self._source, axis=0)
-        return np.concatenate([both, self._looks_there], axis=1).astype(float), self._corners.astype(np.intp)
-
     def longest_straight(self, camera: Camera, rectangle: _Rectangle) -> float:
         """Edges up to this length, in metres, a lens does not bend visibly."""
         away = self.posed.points - camera.center.astype(np.float32)[:, None]
@@ -571,46 +541,13 @@ class _Surface:
         view, vertices = LensView(camera), self.posed.vertices
         if not view.bent(*(camera.to_optical(vertices[which]) for which in (starts, ends))).any():
             return None
-        return view.refine(*self.detailed)
+        return view.refine(self._expanded.attributes(self.posed).astype(float), self._corners.astype(np.intp))
 
     def draw_refined(self, program: moderngl.Program, refined: Refined) -> None:
         """Draw triangles cut to pieces."""
-        if not len(refined.triangles):
-            return
-        vertices = self._ctx.buffer(refined.attributes.astype("f4").tobytes())
-        index = self._ctx.buffer(refined.triangles.astype(np.int32).tobytes())
-        names = [("position", "3f"), ("normal", "3f"), ("uv", "2f"), ("color", "3f")]
-        layout = " ".join(size if name in program else f"{4 * int(size[0])}x" for name, size in names)
-        used = [name for name, _ in names if name in program]
-        drawn = self._ctx.vertex_array(program, [(vertices, layout, *used)], index_buffer=index)
-        self._texture.use(0)
-        drawn.render(moderngl.TRIANGLES)
-        for thing in (drawn, vertices, index):
-            thing.release()
-
-    def release(self) -> None:
-        for thing in (
-            self._lit,
-            self._truth,
-            self._positions,
-            self._normals,
-            self._looks,
-            self._index,
-            self._texture,
-        ):
-            thing.release()
+        with Pieces(self._ctx, refined.attributes, refined.triangles) as pieces:
+            pieces.draw(program, [self._texture], [len(refined.triangles)])
 
     def _upload(self, buffer: moderngl.Buffer, values: Floats) -> None:
         buffer.orphan()
         buffer.write(values.take(self._source, axis=0))
-
-
-def _texture(ctx: moderngl.Context, image: NDArray[np.uint8] | None) -> moderngl.Texture:
-    if image is None:
-        return ctx.texture((1, 1), 3, b"\xff\xff\xff", alignment=1)
-    # the texture coordinate v points up, the image's first row is on top
-    height, width = image.shape[:2]
-    texture = ctx.texture((width, height), 3, np.ascontiguousarray(image[::-1]).tobytes(), alignment=1)
-    texture.build_mipmaps()
-    texture.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
-    return texture

@@ -13,6 +13,7 @@ finding: it is written to the folder ``fuzz`` and the exit code is 1.
 from __future__ import annotations
 
 import argparse
+import copy
 import io
 import json
 import random
@@ -340,7 +341,7 @@ def changed_json(text: bytes, random_: random.Random) -> bytes:
             elif what < 0.5 and isinstance(place[key], (int, float)) and not isinstance(place[key], bool):
                 place[key] += random_.choice((-1, 1, 4, 1000))
             else:
-                place[key] = random_.choice(_VALUES)
+                place[key] = copy.deepcopy(random_.choice(_VALUES))
             break
     return json.dumps(document).encode()
 

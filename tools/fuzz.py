@@ -33,6 +33,7 @@ from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from types import FrameType
+from typing import get_args
 
 import numpy as np
 
@@ -45,6 +46,7 @@ from humansim_ros.body import read_mesh  # noqa: E402
 from humansim_ros.body.human import read_human  # noqa: E402
 from humansim_ros.camera import Camera, read_calibration, write_calibration  # noqa: E402
 from humansim_ros.camera.formats import FORMS  # noqa: E402
+from humansim_ros.camera.trajectory import End, Trajectory  # noqa: E402
 from humansim_ros.cli_camera import describe_camera  # noqa: E402
 from humansim_ros.cli_output import to_json  # noqa: E402
 from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
@@ -128,6 +130,14 @@ def reading_colmap(path: Path) -> None:
     reading_calibration(path)
 
 
+def reading_trajectory(path: Path) -> None:
+    """A camera's way, and where it is at times within and beyond it."""
+    for end in get_args(End):
+        trajectory = Trajectory.read(path, end)
+        for seconds in (-1.0, 0.4 * trajectory.duration, 1.7 * trajectory.duration):
+            assert all(np.isfinite(part).all() for part in trajectory.pose(seconds))
+
+
 READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "bvh": (reading_bvh, "*.bvh"),
     "keyframes": (read_keyframes, "*.xml"),
@@ -139,6 +149,7 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "description": (read_description, "*.yaml"),
     "calibration": (reading_calibration, "*.calib"),
     "colmap": (reading_colmap, "images.txt"),
+    "trajectory": (reading_trajectory, "*.tum"),
 }
 
 BVH = b"""HIERARCHY
@@ -247,6 +258,11 @@ def calibrations() -> dict[str, bytes]:
 
 
 CALIBRATIONS = calibrations()
+TRAJECTORY = b"""# timestamp tx ty tz qx qy qz qw
+0.0 3 1 1.8 0 0 0 1
+0.5 3.1 -1.5 1.8 0.1 -0.2 0.3 0.927
+1.25 2.5e0 2 1.75 -0.5 0.5 -0.5 0.5
+"""
 
 SEEDS = {
     "bvh": [BVH],
@@ -261,6 +277,7 @@ SEEDS = {
         data for name, data in CALIBRATIONS.items() if name not in ("images.txt", "points3D.txt")
     ],
     "colmap": [CALIBRATIONS["images.txt"]],
+    "trajectory": [TRAJECTORY],
 }
 
 

@@ -18,6 +18,8 @@ from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_ma
 #: What follows the last pose: it stays, the first comes again, or the way goes back.
 End = Literal["clamp", "loop", "ping_pong"]
 
+#: Some hours of poses at a thousand a second.
+_MOST_BYTES = 1 << 28
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
 #: Metres; what is farther is a mistake.
 _FARTHEST = 1e6
@@ -70,9 +72,10 @@ class Trajectory:
         Each line is ``timestamp tx ty tz qx qy qz qw``: seconds, metres, the optical frame in ``map``; ``#``
         begins a comment. Raises CameraError with path and line.
         """
+        text = read_text(path, CameraError, "trajectory", _MOST_BYTES)
         rows: list[list[float]] = []
         careless = False
-        for number, line in enumerate(read_text(path, CameraError, "trajectory").splitlines(), 1):
+        for number, line in enumerate(text.splitlines(), 1):
             words = line.split("#")[0].replace(",", " ").split()
             if not words:
                 continue

@@ -7,7 +7,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -167,7 +167,8 @@ class FrameJoiner:
             self._node.count("drops", max(0, round((stamp - self._last) / self._period) - 1))
         self._last = stamp
         start = time.monotonic()
-        self._try_to_show(stamp, vertices, objects, cameras, lambda human: _joints(serialised[human]))
+        joints_of = cache(lambda human: _joints(serialised[human]))
+        self._try_to_show(stamp, vertices, objects, cameras, joints_of)
         self._pace.worked(start, time.monotonic())
         if any(self._is_whole(later) for later in self._waiting):
             self._whole.trigger()

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.camera import MAX_SIZE, Camera
 from humansim_ros.camera.formats import FORMS, Form, Place, RawCamera, Source
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MOST_BYTES as MOST_BYTES_COLMAP
@@ -40,7 +40,7 @@ _MOST_BYTES = 16 << 20
 _SUFFIXES = (".yaml", ".yml", ".json", ".xml", ".ini", ".txt", ".cam", ".krtd")
 #: Of several principal points, how far those of equal images are from their median.
 _SAME_IMAGE = 0.25
-_SMALLEST_GUESS, _LARGEST_GUESS = 16, 8192
+_SMALLEST_GUESS = 16
 _SKEW_SLACK = 1e-9
 
 
@@ -49,13 +49,14 @@ class Calibration:
     """What :func:`read_calibration` reads: ``cameras`` by name, and what the file was taken for.
 
     ``form``: its form, None for a folder of files. ``unit``: metres per unit; ``up``: its axis that points
-    up.
+    up. ``sizes``: (width, height) of those cameras whose image size is in the file.
     """
 
     cameras: dict[str, Camera]
     form: Form | None
     unit: float
     up: str
+    sizes: dict[str, Size]
 
 
 def read_calibration(
@@ -95,6 +96,9 @@ def load_calibration(
         raise CameraError(f"{up!r} is no axis: say x, y, z, -x, -y or -z", key="up")
     if image is not None and size is None:
         size = image_size(image)
+    if size is not None and not all(0 < side <= MAX_SIZE for side in size):
+        message = f"the image size must be 1 to {MAX_SIZE} pixels, not {size[0]}x{size[1]}"
+        raise CameraError(message, key="size")
     file = resolve_url(path) if isinstance(path, str) and "://" in path else Path(path)
     if file.is_dir() and (file / CAMERAS).is_file():
         file = file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
@@ -106,7 +110,8 @@ def load_calibration(
     unit, up = form.unit if unit is None else unit, form.up if up is None else up
     sizes = _sizes(source.path, raw, form, size)
     cameras = {name: _camera(source.path, name, raw[name], sizes[name], unit, UPRIGHT[up]) for name in raw}
-    return Calibration(cameras, form, unit, up)
+    said = {name: camera.size for name, camera in raw.items() if camera.size is not None}
+    return Calibration(cameras, form, unit, up, said)
 
 
 def _folder(folder: Path, size: Size | None, unit: float | None, up: str | None) -> Calibration:
@@ -125,7 +130,8 @@ def _folder(folder: Path, size: Size | None, unit: float | None, up: str | None)
     cameras = joined({str(file): calibration.cameras for file, calibration in read.items()})
     first = read[files[0]]
     alike = all(calibration.form is first.form for calibration in read.values())
-    return Calibration(cameras, first.form if alike else None, first.unit, first.up)
+    said = {name: size for calibration in read.values() for name, size in calibration.sizes.items()}
+    return Calibration(cameras, first.form if alike else None, first.unit, first.up, said)
 
 
 def joined(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Camera]:
@@ -166,7 +172,7 @@ def _sizes(path: str, raw: Mapping[str, RawCamera], form: Form, said: Size | Non
         near = all((np.abs(p - middle) < _SAME_IMAGE * np.abs(middle)).all() for p in points.values())
         for name, point in points.items():
             sizes[name] = likely_size(list(points.values()) if near else point, form.sizes)
-            if not all(_SMALLEST_GUESS <= side <= _LARGEST_GUESS for side in sizes[name] or ()):
+            if not all(_SMALLEST_GUESS <= side <= MAX_SIZE for side in sizes[name] or ()):
                 message = f"the file does not say the image size of {name}, and its K does not tell: give it"
                 raise CameraError(message, path=path, key="size")
         guesses = sorted({f"{w}x{h}" for w, h in (sizes[name] or (0, 0) for name in unknown)})
@@ -183,15 +189,13 @@ def _principal_point(raw: RawCamera) -> Array:
 
 def _camera(path: str, name: str, raw: RawCamera, size: Size, unit: float, upright: Array) -> Camera:
     """A camera in metres and ``map``; what is wrong with it is told by file and place."""
-    r, t = _orthonormal(raw.R), raw.t
-    if raw.center is not None:
-        t = -r @ raw.center
+    t = raw.t if raw.center is None else -_orthonormal(raw.R) @ raw.center
     rectified = None if raw.rectified is None else raw.rectified * [1, 1, 1, unit]
     rest = (raw.distortion, raw.model, raw.rectification, rectified)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            camera = Camera(size, raw.K, r @ upright.T, t * unit, *rest)
+            camera = Camera(size, raw.K, raw.R @ upright.T, t * unit, *rest)
         except CameraError as error:
             part = error.key or ""
             place = raw.places.get(part) or raw.places.get("") or Place()
@@ -214,11 +218,12 @@ def _mirrors(raw: RawCamera, part: str) -> bool:
 
 
 def _orthonormal(r: Array) -> Array:
-    """The nearest rotation, for a matrix that Camera will take for one; any other as it is."""
-    if np.abs(r @ r.T - np.eye(3)).max() > 1e-5:
+    """The rotation that Camera will make of a matrix; one that is none is left for it to refuse."""
+    off = np.abs(r @ r.T - np.eye(3)).max()
+    if not 1e-12 < off < 1e-3:
         return r
     u, _, vt = np.linalg.svd(r)
-    return np.asarray(u @ vt if np.linalg.det(r) > 0 else r, dtype=float)
+    return np.asarray(u @ vt, dtype=float)
 
 
 # -- URLs
@@ -297,14 +302,18 @@ def write_calibration(
     texts = _texts(target, own, chosen)
     for message in _losses(cameras, chosen):
         warn_of(target, message)
+    for file in texts:
+        if file.is_dir():
+            raise CameraError("cannot be written: this is a folder", path=file)
     try:
         if len(texts) > 1 or next(iter(texts)).parent == target:
             target.mkdir(exist_ok=True)
         with ExitStack() as stack:
             for file, text in texts.items():
                 stack.enter_context(atomic_path(file)).write_text(text, encoding="utf-8")
-    except OSError as reason:
-        raise CameraError(f"cannot be written: {reason.strerror or reason}", path=target) from None
+    except (OSError, UnicodeEncodeError) as reason:
+        why = reason.strerror if isinstance(reason, OSError) else "a name has half a character in it"
+        raise CameraError(f"cannot be written: {why or reason}", path=target) from None
     return list(texts)
 
 

@@ -108,7 +108,7 @@ def _lens(model: str, said: dict[str, float], values: list[float], place: Place)
     ours = "plumb_bob"
     if model.endswith("FISHEYE"):
         ours = "equidistant"
-    elif "k4" in said:
+    elif any(said.get(name) for name in ("k4", "k5", "k6")):
         ours = "rational_polynomial"
     return RawCamera(
         np.array([[fx, 0, said["cx"] - 0.5], [0, fy, said["cy"] - 0.5], [0, 0, 1]]),

@@ -16,8 +16,8 @@ from humansim_ros.errors import CameraError
 
 
 def _is_krtd(source: Source) -> bool:
-    lines = [text.split() for _, text in source.lines()[:7]]
-    return len(lines) >= 3 and all(len(words) == 3 for words in lines)
+    lines = [text.split() for _, text in source.lines()[:3]]
+    return len(lines) == 3 and all(len(words) == 3 for words in lines)
 
 
 def _read(source: Source) -> dict[str, RawCamera]:

@@ -24,6 +24,7 @@ _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_/-]*")
 _WORDS = {"yes", "no", "on", "off", "true", "false", "null", "y", "n"}
 #: Parts of a camera, and where they are in a file and in a message.
 _IN_FILE: dict[str, tuple[Key, ...]] = {
+    "size": ("image_width",),
     "K": ("camera_matrix", "data"),
     "distortion": ("distortion_coefficients", "data"),
     "model": ("distortion_model",),
@@ -54,6 +55,8 @@ def _read_camera_info(source: Source) -> dict[str, RawCamera]:
     if _is_message(source):
         return _read_message(source)
     size = source.size(("image_width",), ("image_height",))
+    if source.get("distortion_coefficients", "data") is None:  # a file that was cut off is no ideal camera
+        raise source.error("is missing; a camera without distortion has zeros", "distortion_coefficients")
     name = str(source.get("camera_name") or "").strip()
     return {name or Path(source.path).stem: _camera(source, size, _IN_FILE)}
 

@@ -1,0 +1,249 @@
+"""Cameras written in every form and read again; what a form cannot hold is said or refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.camera import Camera, read_calibration, write_calibration
+from humansim_ros.camera.formats import FORMS, Form
+from humansim_ros.errors import CameraError, HumansimWarning
+
+LENSES = {
+    "plumb_bob": (-0.31, 0.12, 1.5e-3, -2.25e-5, 0.07),
+    "rational_polynomial": (0.41, -0.22, 1e-3, -2e-4, 0.03, 0.71, -0.01, 0.02),
+    "equidistant": (-0.02, 0.01, 3e-3, -1e-5),
+}
+BY_NAME = {form.name: form for form in FORMS}
+K = np.array([[711.25, 0, 1 / 3 + 310], [0, 690.1, 245.7], [0, 0, 1]])
+#: Forms in which numbers are worked out, and so may change in their last digit.
+COMPUTED = ("p", "colmap", "cam", "kalibr")
+#: Forms that do not say it get the size when they are read.
+SIZE = (640, 480)
+
+
+def a_camera(seed: int, form: Form, model: str | None) -> Camera:
+    """A camera with all that a form can hold."""
+    rng = np.random.default_rng(seed)
+    k = K + np.diag([seed, seed, 0])
+    k[0, 1] = 0.7 if form.holds_skew else 0
+    if form.name == "cam":
+        k = np.array([[600.0 + seed, 0, 319.5], [0, 500, 239.5], [0, 0, 1]])
+    r, t = Rotation.random(None, rng).as_matrix(), rng.uniform(-5, 5, 3)
+    count = form.lenses.get(model, 0) if model else 0
+    camera = Camera(SIZE, k, r if form.holds_pose else np.eye(3), t if form.holds_pose else np.zeros(3))
+    if model:
+        camera = replace(camera, model=model, distortion=LENSES[model][:count])
+    if form.holds_rectified:
+        p = np.array([[650.0, 0, 320.2, -65.3], [0, 650, 240, 0], [0, 0, 1, 0]])
+        camera = replace(camera, rectification=Rotation.random(None, rng).as_matrix(), rectified=p)
+    return camera
+
+
+def all_lenses() -> list[tuple[str, str | None]]:
+    return [(form.name, model) for form in FORMS for model in (None, *form.lenses)]
+
+
+def test_every_form_that_holds_lenses_is_tried_with_all_of_them() -> None:
+    assert len(all_lenses()) > 35
+
+
+@pytest.mark.filterwarnings("ignore:.*does not hold the image size")
+@pytest.mark.parametrize(("name", "model"), all_lenses())
+def test_what_is_written_is_read_again(tmp_path: Path, name: str, model: str | None) -> None:
+    form = BY_NAME[name]
+    count = 3 if form.several else 1
+    names = [f"cam{i}" for i in range(count)]
+    cameras = {n: a_camera(i, form, model) for i, n in enumerate(names)}
+    target = tmp_path / f"cam0{form.suffix}"
+    files = write_calibration(target, cameras, name)
+    again = read_calibration(target, size=None if form.holds_size else SIZE)
+    assert list(again) == names
+    for camera, other in zip(cameras.values(), again.values(), strict=True):
+        assert other.size == camera.size
+        assert (other.model if other.distorted else None) == model
+        assert_allclose(other.distortion, camera.distortion, rtol=1e-15)
+        assert_allclose(other.K, camera.K, rtol=1e-12, atol=1e-12)
+        assert_allclose(other.R, camera.R, atol=1e-14 if name != "cam" else 1e-12)
+        assert_allclose(other.t, camera.t, rtol=1e-14, atol=1e-12)
+        if form.holds_rectified:
+            assert_allclose(other.rectified_projection, camera.rectified_projection, rtol=1e-15)
+            assert_allclose(other.rectification_matrix, camera.rectification_matrix, rtol=1e-15)
+    # and the file of the cameras that were read is the same one
+    texts = [file.read_text() for file in files]
+    write_calibration(target, again, name)
+    if form.unit == 1 and name not in COMPUTED:
+        assert [file.read_text() for file in files] == texts
+
+
+@pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
+def test_opencv_reads_what_is_written_for_it(tmp_path: Path, suffix: str) -> None:
+    form = next(form for form in FORMS if form.name.startswith("opencv") and form.suffix == suffix)
+    cameras = {name: a_camera(i, form, "plumb_bob") for i, name in enumerate(("left", "right"))}
+    for path, keys in (
+        (tmp_path / f"one{suffix}", ("camera_matrix", "distortion_coefficients", "T")),
+        (tmp_path / f"two{suffix}", ("K_left", "dist_left", "T_left")),
+    ):
+        one = "one" in path.name
+        write_calibration(path, {"left": cameras["left"]} if one else cameras, form.name)
+        storage = cv2.FileStorage(str(path), cv2.FILE_STORAGE_READ)
+        for key, value in zip(
+            keys, (cameras["left"].K, [LENSES["plumb_bob"]], cameras["left"].t[:, None]), strict=True
+        ):
+            assert np.array_equal(storage.getNode(key).mat(), value)
+        if one:
+            assert storage.getNode("image_width").real() == 640
+            assert storage.getNode("distortion_model").string() == "plumb_bob"
+        else:
+            rotation = cv2.Rodrigues(storage.getNode("R_right").mat())[0]
+            assert_allclose(rotation, cameras["right"].R, atol=1e-12)
+            assert storage.getNode("names").at(1).string() == "right"
+
+
+def test_camera_info_is_laid_out_as_ros_reads_it(tmp_path: Path) -> None:
+    camera = a_camera(1, BY_NAME["camera_info"], "rational_polynomial")
+    write_calibration(tmp_path / "left.yaml", {"left": camera})
+    data = yaml.safe_load((tmp_path / "left.yaml").read_text())
+    assert (data["image_width"], data["image_height"], data["camera_name"]) == (640, 480, "left")
+    assert data["distortion_model"] == "rational_polynomial"
+    assert data["distortion_coefficients"] == {
+        "rows": 1,
+        "cols": 8,
+        "data": list(LENSES["rational_polynomial"]),
+    }
+    assert data["camera_matrix"] == {"rows": 3, "cols": 3, "data": camera.K.ravel().tolist()}
+    assert data["projection_matrix"]["cols"] == 4
+
+
+def test_colmaps_folder_has_its_three_files_and_keeps_points(tmp_path: Path) -> None:
+    cameras = {"a": a_camera(1, BY_NAME["colmap"], None)}
+    (tmp_path / "model").mkdir()
+    (tmp_path / "model" / "points3D.txt").write_text("1 0 0 0\n")
+    write_calibration(tmp_path / "model", cameras, "colmap")
+    assert sorted(f.name for f in (tmp_path / "model").iterdir()) == [
+        "cameras.txt",
+        "images.txt",
+        "points3D.txt",
+    ]
+    assert (tmp_path / "model" / "points3D.txt").read_text() == "1 0 0 0\n"
+    line = (tmp_path / "model" / "cameras.txt").read_text().splitlines()[1].split()
+    assert line[:4] == ["1", "PINHOLE", "640", "480"]
+    assert float(line[6]) == cameras["a"].K[0, 2] + 0.5
+
+
+def test_cameras_on_a_stereo_head_keep_their_baseline_in_camera_info(tmp_path: Path) -> None:
+    p = np.array([[650.0, 0, 320, -65], [0, 650, 240, 0], [0, 0, 1, 0]])
+    right = Camera(SIZE, K, np.eye(3), np.zeros(3), rectified=p)
+    files = write_calibration(
+        tmp_path / "rig", {"left": replace(right, rectified=None), "right": right}, "camera_info"
+    )
+    assert [file.name for file in files] == ["left.yaml", "right.yaml"]
+    again = read_calibration(tmp_path / "rig")
+    assert again["right"].rectified_projection[0, 3] == -65
+    assert again["left"].rectified_projection[0, 3] == 0
+
+
+# -- what is lost
+
+
+@pytest.mark.parametrize(
+    ("form", "said"),
+    [
+        ("camera_info", "where cameras stand"),
+        ("ini", "where cameras stand"),
+        ("krtd", "the image size: say 640x480"),
+        ("shelf", "the image size: say 640x480"),
+        ("kalibr", "R and P of rectified"),
+    ],
+)
+def test_what_is_left_out_is_said(tmp_path: Path, form: str, said: str) -> None:
+    camera = a_camera(1, BY_NAME["scene"], None)
+    camera = replace(camera, K=K, rectified=np.column_stack([K, np.zeros(3)]))
+    with pytest.warns(HumansimWarning) as caught:
+        write_calibration(tmp_path / "out", {"a": camera}, form)
+    assert any(said in str(warning.message) for warning in caught)
+
+
+@pytest.mark.parametrize(
+    ("form", "model", "what"),
+    [
+        ("middlebury", "plumb_bob", "plumb_bob distortion"),
+        ("p", "equidistant", "equidistant distortion"),
+        ("cam", "plumb_bob", "distortion"),
+        ("shelf", "equidistant", "equidistant distortion"),
+        ("human36m", "rational_polynomial", "rational_polynomial distortion"),
+        ("kalibr", "rational_polynomial", "rational_polynomial distortion"),
+        ("kalibr", "plumb_bob", "more than 4 coefficients"),
+        ("ini", "equidistant", "equidistant distortion"),
+        ("shelf", None, "skew"),
+        ("colmap", None, "skew"),
+        ("kalibr", None, "skew"),
+        ("cam", None, "skew"),
+    ],
+)
+def test_what_would_change_the_image_is_refused(
+    tmp_path: Path, form: str, model: str | None, what: str
+) -> None:
+    camera = a_camera(1, BY_NAME["scene"], None)
+    if model:
+        k = camera.K * [[1, 0, 1], [1, 1, 1], [1, 1, 1]]
+        camera = replace(camera, K=k, model=model, distortion=LENSES[model])
+    with pytest.raises(CameraError, match=what) as caught:
+        write_calibration(tmp_path / "out", {"left": camera}, form)
+    assert "left" in str(caught.value)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_rational_lens_without_denominator_is_written_as_plumb_bob(tmp_path: Path) -> None:
+    camera = replace(a_camera(1, BY_NAME["panoptic"], None), distortion=(*LENSES["plumb_bob"], 0, 0, 0))
+    camera = replace(camera, model="rational_polynomial")
+    write_calibration(tmp_path / "c.json", {"a": camera}, "panoptic")
+    again = read_calibration(tmp_path / "c.json")["a"]
+    assert (again.model, again.distortion) == ("plumb_bob", LENSES["plumb_bob"])
+
+
+@pytest.mark.parametrize(
+    ("target", "form", "names", "reason"),
+    [
+        ("a.yaml", None, ("a", "b"), "say which form"),
+        ("a.json", None, ("a",), "say which form"),
+        ("a", None, ("a",), "say which form"),
+        ("a.yaml", "nonsense", ("a",), "no form 'nonsense'"),
+        ("a.yaml", "camera_info", ("a", "b"), "name a folder"),
+        ("a.yaml", "camera_info", (), "no camera"),
+        ("nowhere/a.yaml", "camera_info", ("a",), "No such file"),
+        ("rig", "ini", ("a/b", "a_b"), "two cameras would be written to a_b.ini"),
+        ("par.txt", "middlebury", ("a b",), "no room for blanks"),
+        ("a.ini", "ini", ("image",), "cannot hold a camera of this name"),
+        ("a.yml", "opencv", ("a", "b c"), "letters, digits"),
+        ("here.txt", "colmap", ("a",), "is a folder, and this is a file"),
+    ],
+)
+def test_what_cannot_be_written_is_said_and_nothing_is_lost(
+    tmp_path: Path, target: str, form: str | None, names: tuple[str, ...], reason: str
+) -> None:
+    (tmp_path / "here.txt").write_text("kept")
+    camera = replace(a_camera(1, BY_NAME["kalibr"], None), R=np.eye(3), t=np.zeros(3))
+    with pytest.raises(CameraError, match=reason):
+        write_calibration(tmp_path / target, dict.fromkeys(names, camera), form)
+    assert [f.name for f in tmp_path.iterdir()] == ["here.txt"]
+    assert (tmp_path / "here.txt").read_text() == "kept"
+
+
+def test_an_error_halfway_leaves_all_files_as_they_were(tmp_path: Path) -> None:
+    camera = Camera(SIZE, K, np.eye(3), np.zeros(3))
+    write_calibration(tmp_path / "rig", {"a": camera, "b": camera}, "camera_info")
+    before = {f.name: f.read_text() for f in (tmp_path / "rig").iterdir()}
+    (tmp_path / "rig" / "c.yaml").mkdir()  # in the way
+    other = replace(camera, K=camera.K + np.diag([1, 1, 0]))
+    with pytest.raises(CameraError, match="cannot be written"):
+        write_calibration(tmp_path / "rig", {"c": other, "a": other, "b": other}, "camera_info")
+    (tmp_path / "rig" / "c.yaml").rmdir()
+    assert {f.name: f.read_text() for f in (tmp_path / "rig").iterdir()} == before

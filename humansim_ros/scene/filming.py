@@ -63,12 +63,9 @@ class SceneCamera:
         """A camera of a scene file. Raises CameraError or SceneError naming what is wrong with it."""
         path = None
         if config.trajectory is not None:
-            file = scene.resolve().parent / Path(config.trajectory.file).expanduser()
-            if not file.is_file():
-                raise SceneError(
-                    f"no such file {str(file)!r}", path=scene, key=f"cameras.{name}.trajectory.file"
-                )
-            path = Trajectory.read(file, config.trajectory.end)
+            path = Trajectory.read(
+                _found(config.trajectory.file, scene, "trajectory.file"), config.trajectory.end
+            )
         whole = _camera(config, scene)
         offset, speed = 0.0, 1.0
         if path is not None and config.trajectory is not None:
@@ -185,7 +182,7 @@ def _calibrated(config: CameraConfig, scene: Path) -> Camera:
     """A camera of a calibration file."""
     assert config.calibration is not None
     file = config.calibration
-    cameras = _read(file, scene, config)
+    cameras = _read(file, "calibration", scene, config)
     if config.camera is None and len(cameras) > 1:
         raise CameraError(
             f"{file} has {len(cameras)} cameras ({', '.join(cameras)}): say which", key="camera"
@@ -196,16 +193,27 @@ def _calibrated(config: CameraConfig, scene: Path) -> Camera:
     return next(iter(cameras.values())) if config.camera is None else cameras[config.camera]
 
 
-def _read(file: str, scene: Path, config: CameraConfig | RigConfig) -> dict[str, Camera]:
-    from humansim_ros.camera.calibration import read_calibration
+def _read(file: str, key: str, scene: Path, config: CameraConfig | RigConfig) -> dict[str, Camera]:
+    from humansim_ros.camera.calibration import load_calibration
 
-    path = file if "://" in file else str(scene.resolve().parent / Path(file).expanduser())
-    cameras = read_calibration(path, size=config.size, unit=config.unit, up=config.up_axis)
-    for name, camera in cameras.items():
-        if config.size is not None and config.size != camera.size:
-            width, height = camera.size
+    read = load_calibration(_found(file, scene, key), size=config.size, unit=config.unit, up=config.up_axis)
+    for name, (width, height) in read.sizes.items():
+        if config.size not in (None, (width, height)):
             raise CameraError(f"camera {name} of {file} has images of {width}x{height} pixels", key="size")
-    return cameras
+    return read.cameras
+
+
+def _found(file: str, scene: Path, key: str) -> Path:
+    """A file or URL of a scene; CameraError with the key that says it where there is none."""
+    from humansim_ros.camera.calibration import resolve_url
+
+    try:
+        path = resolve_url(file) if "://" in file else scene.resolve().parent / Path(file).expanduser()
+    except CameraError as error:
+        raise CameraError(f"{file}: {error.message}", key=key) from None
+    if not path.exists():
+        raise CameraError(f"no such file {str(path)!r}", key=key)
+    return path
 
 
 def build_cameras(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
@@ -215,7 +223,9 @@ def build_cameras(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
     cameras = build_rig(config, scene)
     for name, camera in config.cameras.items():
         if name in cameras:
-            raise SceneError("the rig has a camera of this name already", path=scene, key=f"cameras.{name}")
+            key = f"cameras.{name}"
+            line = line_of_key(scene, key)
+            raise SceneError("the rig has a camera of this name already", path=scene, line=line, key=key)
         try:
             cameras[name] = SceneCamera.build(name, camera, scene)
         except CameraError as error:
@@ -229,7 +239,7 @@ def build_rig(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
         return {}
     rig, cameras = config.rig, {}
     try:
-        found = _read(rig.file, scene, rig)
+        found = _read(rig.file, "file", scene, rig)
         missing = set(rig.cameras or ()) - set(found)
         if missing:
             known = ", ".join(found)
@@ -237,6 +247,8 @@ def build_rig(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
         region = Region(None, rig.binning)
         for original in rig.cameras or found:
             name, whole = _topic_name(original), found[original]
+            if name in cameras:
+                raise CameraError(f"two of its cameras would be {name} in ROS: rename one", key="cameras")
             cameras[name] = SceneCamera(name, whole, region, Sensor(rig.sensor, region.of(whole), name))
     except CameraError as error:
         raise _placed(error, scene, "rig") from None

@@ -18,8 +18,8 @@ from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_ma
 #: What follows the last pose: it stays, the first comes again, or the way goes back.
 End = Literal["clamp", "loop", "ping_pong"]
 
-#: Some hours of poses at a thousand a second.
-_MOST_BYTES = 1 << 28
+#: More than a million poses.
+_MOST_BYTES = 1 << 26
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
 #: Metres; what is farther is a mistake.
 _FARTHEST = 1e6

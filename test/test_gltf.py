@@ -151,6 +151,16 @@ def test_an_animation_is_chosen_by_its_name(tmp_path: Path) -> None:
 # Bad input
 
 
+def test_a_motion_of_mirrored_joints_is_refused(tmp_path: Path) -> None:
+    document, binary = copy.deepcopy(figures.gltf())
+    elbow = next(node for node in document["nodes"] if node.get("name") == "LeftForeArm")
+    elbow["scale"] = [1, 1, -1]
+    path = written(tmp_path, document, binary)
+    with pytest.raises(MotionError, match="LeftForeArm is mirrored") as caught:
+        read_motion(path)
+    assert caught.value.path == str(path)
+
+
 def change(**parts: Any) -> Callable[[Document], None]:
     return lambda document: document.update(parts)
 

@@ -18,6 +18,8 @@ from humansim_ros.rotations import Array
 _ORDER, _RATE = "ZXY", 60.0
 #: Most frames of an animation, and how many are worked out at once.
 _MOST_FRAMES, _BLOCK = 100_000, 256
+#: Poses of joints that an animation may have, over all frames: some hundred megabytes.
+_MOST_POSES = 1_000_000
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 #: Share of the skeleton's size that a joint may leave its place by before it gets position channels.
 _MOVES = 1e-6
@@ -65,6 +67,8 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
     if not tracks:
         raise MotionError("the animation moves nothing", path=gltf.path)
     times, frame_time = _frame_times(gltf, tracks)
+    if len(times) * len(skeleton.names) > _MOST_POSES:
+        raise MotionError(f"{len(times)} frames of {len(skeleton.names)} joints are too many", path=gltf.path)
     turns, places = [], []
     into = np.linalg.inv(skeleton.space)
     unbind = np.linalg.inv(skeleton.bind)
@@ -75,7 +79,12 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
         u, size, vt = np.linalg.svd((frames @ unbind)[..., :3, :3])
         if np.abs(size - 1).max() > 0.01 and start == 0:
             warn_of(gltf.path, "joints change their size; that is left out")
-        turns.append(u @ vt)
+        turned = u @ vt
+        if (mirrored := np.linalg.det(turned) < 0).any():
+            joint = skeleton.names[int(np.argwhere(mirrored)[0, 1])]
+            message = f"joint {joint} is mirrored: a scale is negative"
+            raise MotionError(message, path=gltf.path, key="animations")
+        turns.append(turned)
         places.append(frames[..., :3, 3])
     return _channels(gltf, skeleton, np.concatenate(turns), np.concatenate(places), frame_time)
 

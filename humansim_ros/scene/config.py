@@ -160,6 +160,8 @@ class CameraConfig(_Section):
     and t, trajectory, P or calibration).
     """
 
+    model_config = ConfigDict(coerce_numbers_to_str=True)  # files call their cameras 0, 1, 2
+
     size: tuple[int, int] | None = Field(
         default=None, description="width, height in pixels; as the calibration says, else 640, 480"
     )
@@ -235,6 +237,8 @@ class CameraConfig(_Section):
 
 class RigConfig(_Section):
     """All cameras of a calibration file."""
+
+    model_config = ConfigDict(coerce_numbers_to_str=True)
 
     file: str = Field(description="a calibration file, or file:// or package:// URL")
     cameras: tuple[str, ...] | None = Field(

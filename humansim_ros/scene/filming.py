@@ -16,7 +16,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.idealize import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.errors import CameraError, SceneError
+from humansim_ros.errors import CameraError, SceneError, warn_of
 from humansim_ros.render import Body, Renderer, View
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.config import CameraConfig, RigConfig, SceneConfig, line_of_key
@@ -175,6 +175,9 @@ def _camera(config: CameraConfig, scene: Path) -> Camera:
     if config.position is not None and config.look_at is not None:
         there = Camera.look_at(config.position, config.look_at, camera.size, up=config.up)
         return replace(camera, R=there.R, t=there.t)
+    nowhere = np.array_equal(camera.R, np.eye(3)) and not camera.t.any()
+    if nowhere and config.calibration is not None and config.trajectory is None:
+        warn_of(scene, f"{config.calibration} says no place: its camera is at the origin and looks up")
     return camera
 
 

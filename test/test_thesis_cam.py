@@ -59,7 +59,12 @@ def test_euler_angles_compose_as_scipys(a: float, b: float, c: float) -> None:
 
 
 @settings(max_examples=300)
-@given(angles, angles | st.sampled_from([np.pi / 2, -np.pi / 2]), st.floats(-1e-7, 1e-7), angles)
+@given(
+    angles,
+    angles | st.sampled_from([np.pi / 2, -np.pi / 2]),
+    st.floats(-1e-7, 1e-7) | st.floats(-1e-12, 1e-12),
+    angles,
+)
 def test_rotations_come_back_from_their_angles_at_the_poles_and_beside_them_too(
     a: float, b: float, beside: float, c: float
 ) -> None:

@@ -62,14 +62,14 @@ def decompose_euler(rotation: ArrayLike) -> Array:
     """Euler angles (3,) about x, y, z, radians, of a rotation (3, 3) (9.9)-(9.16).
 
     cos(beta) is taken positive in (9.10), so that angles come back as they are written. Where it vanishes,
-    alpha is 0 (9.15). gamma is found with alpha turned back, which is (9.16) at the poles and (9.13)
-    elsewhere, and exact in between.
+    alpha is 0 (9.15). beta and gamma are found with alpha turned back, which is (9.16) at the poles and
+    (9.10), (9.13) elsewhere, and exact in between.
     """
-    (a, b, c), (d, e, f), (g, h, i) = np.asarray(rotation, dtype=float)
-    cosine = np.hypot(a, d)
-    alpha = np.arctan2(h, i) if cosine > 1e-12 else 0.0
-    gamma = np.arctan2(c * np.sin(alpha) - b * np.cos(alpha), e * np.cos(alpha) - f * np.sin(alpha))
-    return np.array([alpha, np.arctan2(-g, cosine), gamma])
+    (_, b, c), (_, e, f), (g, h, i) = np.asarray(rotation, dtype=float)
+    alpha = np.arctan2(h, i) if np.hypot(h, i) > 1e-15 else 0.0
+    sine, cosine = np.sin(alpha), np.cos(alpha)
+    beta = np.arctan2(-g, h * sine + i * cosine)
+    return np.array([alpha, beta, np.arctan2(c * sine - b * cosine, e * cosine - f * sine)])
 
 
 def focal_of_lens(lens: float) -> float:

@@ -75,15 +75,18 @@ def show(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         calibration = _load(file, size, image, unit, up)
-    odd = [str(w.message) for w in caught if issubclass(w.category, HumansimWarning)]
     cameras = chosen(calibration.cameras, camera, file)
+    described = [describe_camera(name, cam) for name, cam in cameras.items()]
+    of_cameras = tuple(f"{cam['name']}: {text}" for cam in described for text in cam["warnings"])
+    odd = [str(w.message) for w in caught if issubclass(w.category, HumansimWarning)]
+    odd = [text.removeprefix(f"{file}: ") for text in odd if not text.endswith(of_cameras or "\0")]
     facts = {
         "file": file,
         "form": calibration.form.name if calibration.form else None,
         "unit": calibration.unit,
         "up": calibration.up,
-        "cameras": [describe_camera(name, cam) for name, cam in cameras.items()],
-        "warnings": [text.removeprefix(f"{file}: ") for text in odd] + doubts_of_rig(cameras),
+        "cameras": described,
+        "warnings": [*odd, *doubts_of_rig(cameras)],
     }
     say(to_json(facts) if as_json else "\n".join(_lines(calibration, facts)))
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import warnings
 from pathlib import Path
 
 import cv2
@@ -68,7 +69,12 @@ def test_real_files_are_known_by_their_content(
 ) -> None:
     anonymous = tmp_path / "calibration"
     shutil.copy(shared_data / "calib" / name, anonymous)
-    calibration = load_calibration(anonymous)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        calibration = load_calibration(anonymous)
+    # one of them carries the K of another size
+    mislabelled = [str(w.message) for w in caught if "is of an image of about 1280x960" in str(w.message)]
+    assert bool(mislabelled) == (name == "raspicam_camerav2_1640x1232.yaml")
     assert calibration.form is not None and calibration.form.name == form
     assert len(calibration.cameras) == count
     assert next(iter(calibration.cameras)) == first
@@ -466,6 +472,24 @@ def test_the_size_is_the_users_or_the_images_or_assumed(tmp_path: Path) -> None:
     assert read_calibration(path)["a"].size == (650, 470)  # the image is there
     cv2.imwrite(str(tmp_path / "b.jpg"), np.zeros((471, 651), np.uint8))
     assert read_calibration(path, image=tmp_path / "b.jpg")["a"].size == (651, 471)
+
+
+def test_a_folder_is_a_rig(tmp_path: Path) -> None:
+    written(tmp_path, "a.yaml", MESSAGE)
+    written(tmp_path, "b.yaml", MESSAGE)
+    written(tmp_path, "c.cam", "C=1,2,3\nf=1\nR=0,0,0\nsize=640x480\n")
+    written(tmp_path, "notes.txt", "do not forget the tripod\n")
+    with pytest.warns(HumansimWarning) as caught:
+        assert list(read_calibration(tmp_path)) == ["a", "b", "c"]
+    said = [str(warning.message).removeprefix(f"{tmp_path}/") for warning in caught]
+    assert said == [
+        "notes.txt: no calibration that is known here: left out",
+        "a.yaml: there are several cameras left; this one is called a",
+        "b.yaml: there are several cameras left; this one is called b",
+    ]
+    written(tmp_path, "d.ini", "[image]\n")
+    with pytest.raises(CameraError, match=r"d.ini: "):
+        read_calibration(tmp_path)
 
 
 def test_urls_lead_to_files_as_ros_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

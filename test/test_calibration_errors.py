@@ -423,10 +423,6 @@ def test_files_that_are_not_there_are_named(tmp_path: Path) -> None:
     ):
         with pytest.raises(CameraError, match=said):
             read_calibration(path)
-    (tmp_path / "a.yaml").write_text(ROS)
-    (tmp_path / "b.yaml").write_text(ROS)
-    with pytest.raises(CameraError, match=r"b.yaml: left: there is a camera of this name in .*a.yaml too"):
-        read_calibration(tmp_path)
 
 
 def test_an_option_that_is_wrong_is_named(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import re
 import warnings
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
@@ -16,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.camera import MAX_SIZE, Camera
+from humansim_ros.camera.doubts import doubts_of_size
 from humansim_ros.camera.formats import FORMS, Form, Place, RawCamera, Source
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MOST_BYTES as MOST_BYTES_COLMAP
@@ -57,6 +59,10 @@ class Calibration:
     unit: float
     up: str
     sizes: dict[str, Size]
+
+
+class _UnknownForm(CameraError):
+    """Not wrong in itself, but no calibration."""
 
 
 def read_calibration(
@@ -124,26 +130,40 @@ def _folder(folder: Path, size: Size | None, unit: float | None, up: str | None)
     files = [
         f for f in files if not ("extri" in f.name and f.with_name(f.name.replace("extri", "intri")) in files)
     ]
-    if not files:
-        raise CameraError(f"no calibration in this folder ({', '.join(_SUFFIXES)})", path=folder)
-    read = {file: load_calibration(file, size=size, unit=unit, up=up) for file in files}
+    read: dict[Path, Calibration] = {}
+    for file in files:
+        try:
+            read[file] = load_calibration(file, size=size, unit=unit, up=up)
+        except _UnknownForm:
+            warn_of(file, "no calibration that is known here: left out")
+    if not read:
+        hint = "its cameras.bin can be read after colmap model_converter --output_type TXT"
+        binary = f"; {hint}" if (folder / "cameras.bin").is_file() else ""
+        raise CameraError(f"no calibration in this folder ({', '.join(_SUFFIXES)}){binary}", path=folder)
     cameras = joined({str(file): calibration.cameras for file, calibration in read.items()})
-    first = read[files[0]]
+    first = next(iter(read.values()))
     alike = all(calibration.form is first.form for calibration in read.values())
     said = {name: size for calibration in read.values() for name, size in calibration.sizes.items()}
     return Calibration(cameras, first.form if alike else None, first.unit, first.up, said)
 
 
 def joined(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Camera]:
-    """The cameras of several files, by file, as one rig. Raises CameraError where two have the same name."""
+    """The cameras of several files, by file, as one rig.
+
+    Cameras of the same name are called by their files, with a HumansimWarning. Raises CameraError where
+    these are the same too.
+    """
+    names = Counter(name for found in read.values() for name in found)
     cameras: dict[str, Camera] = {}
-    where: dict[str, str] = {}
     for path, found in read.items():
         for name, camera in found.items():
-            if name in cameras:
-                message = f"there is a camera of this name in {where[name]} too: rename one"
-                raise CameraError(message, path=path, key=name)
-            cameras[name], where[name] = camera, path
+            own = name
+            if names[name] > 1:
+                own = Path(path).stem + (f"_{name}" if len(found) > 1 else "")
+                warn_of(path, f"there are several cameras {name}; this one is called {own}")
+            if own in cameras:
+                raise CameraError(f"there are two cameras {own}: rename a file", path=path, key=name)
+            cameras[own] = camera
     return cameras
 
 
@@ -159,7 +179,7 @@ def _recognised(path: str, text: str) -> tuple[Source, Form]:
         keys = ", ".join(str(key)[:30] for key in list(source.document)[:6])
         found = f" It has {keys}." if keys else ""
     kind = "text" if container == "text" else container.upper()
-    raise CameraError(f"no calibration that is known here.{found} Known in {kind}: {known}", path=path)
+    raise _UnknownForm(f"no calibration that is known here.{found} Known in {kind}: {known}", path=path)
 
 
 def _sizes(path: str, raw: Mapping[str, RawCamera], form: Form, said: Size | None) -> dict[str, Size]:
@@ -204,9 +224,9 @@ def _camera(path: str, name: str, raw: RawCamera, size: Size, unit: float, uprig
                 "R mirrors (its determinant is -1): no camera does" if _mirrors(raw, part) else error.message
             )
             raise CameraError(message, path=place.path or path, line=place.line, key=key) from None
-    for warning in caught:
-        if issubclass(warning.category, HumansimWarning):
-            warn_of(path, f"{name}: {warning.message}")
+    odd = [str(warning.message) for warning in caught if issubclass(warning.category, HumansimWarning)]
+    for message in (*odd, *doubts_of_size(camera)):
+        warn_of(path, f"{name}: {message}")
     return camera
 
 
@@ -287,10 +307,10 @@ def write_calibration(
 ) -> list[Path]:
     """Write cameras in a form, whole or not at all.
 
-    ``form``: a name of :data:`FORMS`; by the suffix of ``path`` where that tells. ``path``: a file, or, for
-    several cameras in a form of one each, and for COLMAP, a folder. Returns the files. What the form cannot
-    hold is refused where it would change what the cameras see, and else told with a HumansimWarning. Raises
-    CameraError.
+    ``form``: a name of :data:`FORMS`; by the suffix of ``path`` where that tells. ``path``: a file; a folder
+    for COLMAP, and, without a suffix, for forms of one camera per file. Returns the files. What the form
+    cannot hold is refused where it would change what the cameras see, and else told with a HumansimWarning.
+    Raises CameraError.
     """
     target = Path(path)
     chosen = _form_of(target, form, len(cameras))
@@ -379,7 +399,7 @@ def _some(names: Sequence[str]) -> str:
 def _texts(target: Path, cameras: Mapping[str, Camera], form: Form) -> dict[Path, str]:
     """Text of each file."""
     try:
-        if form.several or (len(cameras) == 1 and not target.is_dir()):
+        if form.several or (len(cameras) == 1 and target.suffix and not target.is_dir()):
             texts = form.write(cameras)
             if "" in texts:
                 file = target / f"cameras{form.suffix}" if target.is_dir() else target

@@ -90,21 +90,28 @@ def doubts_of_rig(cameras: Mapping[str, Camera]) -> list[str]:
     return found
 
 
+def doubts_of_size(camera: Camera) -> list[str]:
+    """Whether K seems to be of an image of another size."""
+    (width, height), (cx, cy) = camera.size, camera.K[:2, 2]
+    share = (camera.K[:2, 2] + 0.5) / camera.size
+    low, high = sorted(share)
+    if np.abs(share - 0.5).max() <= _OFF_MIDDLE or low <= 0 or high / low >= 1 + _SAME_SCALE:
+        return []
+    fitting = "{}x{}".format(*likely_size((cx, cy)))
+    where = f"the principal point ({cx:.1f}, {cy:.1f}) is at {share[0]:.0%} and {share[1]:.0%}"
+    what = f"this K is of an image of about {fitting}; is the size wrong, or was the image scaled?"
+    return [f"{where} of a {width}x{height} image: {what}"]
+
+
 def _of_matrix(camera: Camera) -> Iterator[str]:
-    width, height = camera.size
+    width = camera.size[0]
     (fx, skew, cx), (_, fy, cy) = camera.K[:2]
-    share = (np.array([cx, cy]) + 0.5) / camera.size
-    if np.abs(share - 0.5).max() > _OFF_MIDDLE:
-        where = f"the principal point ({cx:.1f}, {cy:.1f}) is at {share[0]:.0%} and {share[1]:.0%}"
-        low, high = sorted(share)
-        if low > 0 and high / low < 1 + _SAME_SCALE:
-            fitting = "{}x{}".format(*likely_size((cx, cy)))
-            yield (
-                f"{where} of a {width}x{height} image: this K is of an image of about {fitting}; "
-                "is the size wrong, or was the image scaled?"
-            )
-        else:
-            yield f"{where} of the image's sides: was the image cropped?"
+    share = (camera.K[:2, 2] + 0.5) / camera.size
+    of_size = doubts_of_size(camera)
+    yield from of_size
+    if not of_size and np.abs(share - 0.5).max() > _OFF_MIDDLE:
+        where = f"({cx:.1f}, {cy:.1f}) is at {share[0]:.0%} and {share[1]:.0%} of the image's sides"
+        yield f"the principal point {where}: was the image cropped?"
     if abs(fx / fy - 1) > _NOT_SQUARE:
         yield f"the pixels are not square: fx / fy is {fx / fy:.3f}"
     if abs(skew) > _SKEWED * fx:

@@ -65,9 +65,11 @@ def coverage(
     """How many cameras see the points at height ``low``; or, with ``high``, all of the upright line from
     ``low`` to ``high``: a person who stands there, from head to foot.
 
-    ``x`` (W,), ``y`` (H,): even steps, metres in ``map``. Nothing stands in the way of anything.
+    ``x`` (W,), ``y`` (H,): even steps, two at least, metres in ``map``. Nothing is in the way of anything.
     """
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    if min(x.size, y.size) < 2:
+        raise CameraError("a coverage needs at least two places along x and y")
     heights = [low] if high is None else np.linspace(low, high, _HEIGHTS)
     counts = np.zeros((len(y), len(x)), np.intp)
     for camera in cameras.values():
@@ -108,6 +110,8 @@ def coverage_picture(
     low, high = (rig.low[:2], rig.high[:2]) if area is None else _corners(area)
     plan = _Plan.fitting(low, high)
     x, y = plan.places()
+    if area is not None:
+        x, y = x[(x > low[0]) & (x < high[0])], y[(y > low[1]) & (y < high[1])]
     heads = (f"a point {chest:g} m over the floor", f"all from the floor to {stature:g} m")
     panels = [
         _covered(rig, plan, coverage(cameras, x, y, chest)),
@@ -200,6 +204,8 @@ def _draw_cameras_above(image: Image, plan: _Plan, rig: _Rig, colors: Sequence[C
     shown: list[tuple[Array, Array, list[str]]] = []
     for (name, camera), border, color in zip(rig.cameras.items(), rig.borders, colors, strict=True):
         center, pixels = plan.pixels(camera.center), plan.pixels(border)
+        if not ((center >= [_MARGIN, 0]) & (center < [_SIDE, _SIDE - _MARGIN])).all():
+            continue
         _draw_view(image, center, pixels, color)
         near = [names for other, _, names in shown if np.linalg.norm(other - center) < _TOGETHER]
         if near:
@@ -300,7 +306,8 @@ def _covered(rig: _Rig, plan: _Plan, covered: Coverage) -> Image:
     for (least, last), color in zip(levels, colors, strict=True):
         of_count[least : last + 1] = color
     field = np.repeat(np.repeat(of_count[covered.counts], _STEP, axis=0), _STEP, axis=1)
-    image[: field.shape[0], _MARGIN : _MARGIN + field.shape[1]] = field
+    left, top = np.rint(plan.pixels(np.array([covered.x[0], covered.y[0]])) - _STEP / 2).astype(int)
+    image[top : top + field.shape[0], left : left + field.shape[1]] = field
     plan.draw_axes(image)
     _draw_cameras_above(image, plan, rig, [_INK] * len(rig.colors))
     legend = np.full((_SIDE, 150, 3), _PAPER, np.uint8)

@@ -188,6 +188,8 @@ def test_coverage_counts_the_cameras_that_see_a_point_or_all_of_a_person() -> No
         assert whole.counts[row, column] == sum(seen_by(camera, upright).all() for camera in cameras.values())
     assert 0 < whole.counts.sum() < chest.counts.sum()
     assert chest.area(0, 6) == pytest.approx(15 * 13 * 0.5 * 0.5)
+    with pytest.raises(CameraError, match="two places"):
+        coverage(cameras, [0.0], y, 1.2)
     assert chest.area(6, 6) == (chest.counts == 6).sum() * 0.25
 
 

@@ -70,7 +70,7 @@ def test_one_pose_is_a_camera_that_stands(end: str, tmp_path: Path) -> None:
         np.testing.assert_allclose(place(trajectory, seconds), POSITIONS[0])
 
 
-def test_an_orbit_looks_at_its_middle_all_the_way_round() -> None:
+def test_an_orbit_looks_at_its_middle_all_the_way_round_and_can_be_kept(tmp_path: Path) -> None:
     orbit = Trajectory.orbit((0.5, -1, 0.9), radius=4, height=1.8, period=10, start=np.pi / 2)
     np.testing.assert_allclose(place(orbit, 0), [0.5, 3, 1.8], atol=1e-9)
     np.testing.assert_allclose(place(orbit, 2.5), [-3.5, -1, 1.8], atol=1e-9)  # to the left
@@ -80,6 +80,11 @@ def test_an_orbit_looks_at_its_middle_all_the_way_round() -> None:
         assert np.hypot(*middle[:2]) < 1e-4
         assert middle[2] == pytest.approx(np.hypot(4, 0.9), abs=1e-4)
         assert rotation[0, 2] == pytest.approx(0, abs=1e-6)  # level
+    orbit.write(tmp_path / "orbit.txt")
+    again = Trajectory.read(tmp_path / "orbit.txt", "loop")
+    for seconds in (0.3, 17.7):
+        for ours, theirs in zip(again.pose(seconds), orbit.pose(seconds), strict=True):
+            np.testing.assert_allclose(ours, theirs, atol=1e-14)
     for wrong in ({"radius": 0}, {"period": -1}, {"period": np.nan}):
         with pytest.raises(CameraError) as caught:
             Trajectory.orbit(**({"look_at": (0, 0, 1), "radius": 1, "height": 2, "period": 3} | wrong))

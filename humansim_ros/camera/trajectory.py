@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError, warn_of
-from humansim_ros.files import read_text
+from humansim_ros.files import atomic_path, read_text
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
 
 #: What follows the last pose: it stays, the first comes again, or the way goes back.
@@ -125,6 +125,13 @@ class Trajectory:
         turns = np.stack([Camera.look_at(place, look_at).R.T for place in circle])
         times = np.linspace(0, period, len(angles))
         return cls(times, circle, matrix_to_quaternion(turns), "loop")
+
+    def write(self, path: str | os.PathLike[str]) -> None:
+        """Write a file that :meth:`read` gives back; what follows its end is not in it."""
+        rows = np.column_stack([self.times, self.positions, self.rotations]).tolist()
+        lines = [f"# {_COLUMNS}", *(" ".join(map(repr, row)) for row in rows)]
+        with atomic_path(path) as temporary:
+            temporary.write_text("\n".join(lines) + "\n")
 
     @property
     def duration(self) -> float:

@@ -158,7 +158,7 @@ def test_good_cameras_are_not_doubted() -> None:
     [
         (camera(K=[[600, 0, 380], [0, 600, 239.5], [0, 0, 1]]), "was the image cropped?"),
         (camera(K=[[600, 0, 320], [0, 1200, 240], [0, 0, 1]]), "the pixels are not square: fx / fy is 0.500"),
-        (camera(K=[[600, 30, 320], [0, 600, 240], [0, 0, 1]]), "there is a skew of 30, 5.0% of the focal length"),
+        (camera(K=[[600, 30, 320], [0, 600, 240], [0, 0, 1]]), "a skew of 30, 5.0% of the focal length"),
         (camera(K=[[0.9, 0, 320], [0, 0.9, 240], [0, 0, 1]]), "is K in pixels?"),
         (camera(distortion=(-0.9, 0, 0, 0)), "of the image sees nothing: this lens model folds"),
         (camera(rectified=[[2400, 0, 320, 0], [0, 2400, 240, 0], [0, 0, 1, 0]]), "4 and 4 times those of K"),
@@ -169,7 +169,8 @@ def test_good_cameras_are_not_doubted() -> None:
         (Camera.look_at((3, 2, -1.5), (0, 0, 1)), "is below the floor, at z = -1.50 m"),
         (Camera.look_at((3000, 2000, 1500), (0, 0, 1)), "3.91e+03 m from the origin"),
     ],
-)def test_what_looks_wrong_is_said(odd: Camera, said: str) -> None:
+)
+def test_what_looks_wrong_is_said(odd: Camera, said: str) -> None:
     (message,) = doubts(odd)
     assert said in message
 

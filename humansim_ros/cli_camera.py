@@ -107,10 +107,9 @@ def convert(
     camera: Only = None,
 ) -> None:
     """Write the cameras of calibrations in another form; what it cannot hold is said."""
-    from humansim_ros.camera.calibration import joined, write_calibration
+    from humansim_ros.camera.calibration import write_calibration
 
-    read = {file: _load(file, size, image, unit, up).cameras for file in files}
-    cameras = chosen(joined(read), camera, files[0])
+    cameras = chosen(read_cameras(files, size, image, unit, up), camera, files[0])
     for path in write_calibration(output, cameras, to.value if to else None):
         say(f"wrote {path}")
 
@@ -168,6 +167,7 @@ def describe_camera(name: str, camera: Camera) -> dict[str, Any]:
         "P": camera.P.tolist(),
         "rectification": camera.rectification_matrix.tolist(),
         "rectified": camera.rectified_projection.tolist(),
+        "rectified_given": camera.rectified is not None or camera.rectification is not None,
         "baseline": baseline(camera) + 0.0,
         "fov_deg": {key: angle if math.isfinite(angle) else None for key, angle in angles.items()},
         "valid_radius": float(reach),
@@ -206,6 +206,9 @@ def _camera_lines(camera: dict[str, Any]) -> Iterator[str]:
     yield f"  t      {_row(camera['t'])}"
     yield f"  centre {_row(camera['center'])}  (map, metres)"
     yield from _matrix_lines("P", camera["P"])
+    if camera["rectified_given"]:
+        yield from _matrix_lines("rect R", camera["rectification"])
+        yield from _matrix_lines("rect P", camera["rectified"])
     if camera["baseline"]:
         yield f"  stereo {camera['baseline']:.6g} m to the right of the first camera"
     for text in camera["warnings"]:

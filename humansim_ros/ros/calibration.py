@@ -14,18 +14,21 @@ from sensor_msgs.msg import CameraInfo
 from sensor_msgs.srv import SetCameraInfo
 
 from humansim_ros.camera import Camera
-from humansim_ros.camera.calibration import read_calibration, write_calibration
+from humansim_ros.camera.calibration import read_calibration, resolve_url, write_calibration
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import CameraError, HumansimError
 from humansim_ros.ros.messages import camera_info_message, optical_frame, read_camera_info
 from humansim_ros.ros.node import SceneNode
 
 
-def calibration_of(url: str) -> Camera:
-    """The camera of a calibration file or URL that has one. Raises CameraError."""
-    cameras = read_calibration(url)
+def calibration_of(url: str, name: str) -> Camera:
+    """The camera of a calibration file or URL that has one. ``name``: what ${NAME} stands for. Raises
+    CameraError.
+    """
+    path = resolve_url(url, name)
+    cameras = read_calibration(path)
     if len(cameras) > 1:
-        raise CameraError(f"there are {len(cameras)} cameras in this file, a driver has one", path=url)
+        raise CameraError(f"there are {len(cameras)} cameras in this file, a driver has one", path=path)
     return next(iter(cameras.values()))
 
 
@@ -48,11 +51,12 @@ class PublishedCalibration:
         """``camera_info`` of a frame."""
         return camera_info_message(self._said, stamp, optical_frame(self._name), self._region)
 
-    def say(self, camera: Camera) -> None:
+    def say(self, camera: Camera, source: str | None = None) -> None:
         """Say something else than the truth. CameraError where it is of another image size."""
         if camera.size != self._lens.size:
             (w, h), (width, height) = camera.size, self._lens.size
-            raise CameraError(f"this calibration is for {w}x{h} pixels, the camera has {width}x{height}")
+            message = f"this calibration is for {w}x{h} pixels, the camera has {width}x{height}"
+            raise CameraError(message, path=source)
         self._said = camera
 
     def _on_set(self, request: Any, response: Any) -> Any:

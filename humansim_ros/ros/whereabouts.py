@@ -24,8 +24,8 @@ _REMEMBERED = 200
 
 
 class Whereabouts:
-    """Publishes ``<camera>/extrinsics`` and ``projection``, latched, and tf: once while the camera stands
-    still, with every frame's stamp from when it moves.
+    """Publishes ``<camera>/extrinsics`` and ``projection``, latched, and tf: once of a camera that nothing
+    moves, with every frame's stamp of others.
 
     ``<camera>/pose`` (``map``, the optical frame) moves any camera: between two poses it is interpolated,
     after the last it stays.
@@ -38,15 +38,15 @@ class Whereabouts:
         self._start = self._last = CameraPose.of(camera.camera)
         self._extrinsics = node.create_publisher(TransformStamped, f"{camera.name}/extrinsics", LATCHED)
         self._projection = node.create_publisher(Float64MultiArray, f"{camera.name}/projection", LATCHED)
-        self._tf = None
+        self._tf = self._tf_static = None
         if TFMessage is not None:
             self._tf = node.create_publisher(TFMessage, "/tf", DATA)
+        transform = self._say(self._last, node.now())
         if not camera.moves:
             node.create_subscription(PoseStamped, f"{camera.name}/pose", self._on_pose, NEWEST)
             if TFMessage is not None:
-                self._still = node.create_publisher(TFMessage, "/tf_static", LATCHED)
-                self._still.publish(TFMessage(transforms=[self._transform(self._last, node.now())]))
-        self._say(self._last, node.now())
+                self._tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
+                self._tf_static.publish(TFMessage(transforms=[transform]))
 
     def shot(self, instant: Instant) -> Shot:
         """What there is to be seen of an instant from where the camera is then. Says where that is."""
@@ -54,12 +54,12 @@ class Whereabouts:
         if self._poses:
             moving = self._place(instant.stamp) is not self._last  # where it stays, it stays the same object
             shot = Shot(shot.bodies_at, lambda s: self._place(instant.stamp + round(1e9 * s)), moving)
-        pose = shot.pose_at(0.0)
-        if shot.moving:
-            transform = self._say(pose, instant.stamp)
+        self._last = shot.pose_at(0.0)
+        if shot.moving or self._poses:
+            # those who ask tf where a camera is at a frame's stamp need one at that stamp
+            transform = self._say(self._last, instant.stamp)
             if self._tf is not None:
                 self._tf.publish(TFMessage(transforms=[transform]))
-        self._last = pose
         return shot
 
     def _place(self, stamp: int) -> CameraPose:
@@ -79,8 +79,13 @@ class Whereabouts:
             self._node.get_logger().error(f"pose not used: {error}", throttle_duration_sec=1.0)
             return
         stamp = messages.to_nanoseconds(message.header.stamp) or self._node.now()
+        if not self._poses and self._tf_static is not None:
+            self._tf_static.publish(TFMessage())  # late joiners do not get where it was
         if self._poses and stamp <= self._poses[-1][0]:
+            self._start = self._last
             self._poses.clear()  # the clock was set anew
+        elif len(self._poses) == _REMEMBERED:
+            self._start = self._poses[0][1]
         self._poses.append((stamp, pose))
 
     def _say(self, pose: CameraPose, stamp: int) -> TransformStamped:

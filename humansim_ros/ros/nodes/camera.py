@@ -63,7 +63,7 @@ class CameraNode(SceneNode):
             "",
             "Calibration file that camera_info says, whatever the lens; empty: the truth",
         ):
-            self._calibration.say(calibration_of(url))
+            self._calibration.say(calibration_of(url, name), url)
         self._where = Whereabouts(self, self._camera)
         self._publish_legends()
         self._joiner = FrameJoiner(self, self.show, [name] if self._camera.moves else [])
@@ -82,7 +82,7 @@ class CameraNode(SceneNode):
                 f"no camera {name!r}; the scene has {known}", path=self.scene.path, key="cameras"
             )
         camera = self.scene.scene_cameras[name]
-        return camera.with_calibration(calibration_of(url)) if url else camera
+        return camera.with_calibration(calibration_of(url, name)) if url else camera
 
     def close(self) -> None:
         self._renderer.close()

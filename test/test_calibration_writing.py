@@ -220,9 +220,10 @@ def test_a_rational_lens_without_denominator_is_written_as_plumb_bob(tmp_path: P
         ("a.yaml", "camera_info", (), "no camera"),
         ("nowhere/a.yaml", "camera_info", ("a",), "No such file"),
         ("rig", "ini", ("a/b", "a_b"), "two cameras would be written to a_b.ini"),
-        ("par.txt", "middlebury", ("a b",), "no room for blanks"),
+        ("par.txt", "middlebury", ("a b",), "needs a name without blanks"),
         ("a.ini", "ini", ("image",), "cannot hold a camera of this name"),
         ("a.yml", "opencv", ("a", "b c"), "letters, digits"),
+        ("a.yml", "opencv", ("a", "coeffs"), "cannot hold a camera of this name"),  # dist_coeffs
         ("here.txt", "colmap", ("a",), "is a folder, and this is a file"),
     ],
 )

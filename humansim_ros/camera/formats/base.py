@@ -244,9 +244,17 @@ def without_suffix(name: str) -> str:
     return name
 
 
+def check_words(names: Iterable[str]) -> None:
+    """That names can stand in columns split by blanks. Raises CameraError."""
+    for name in names:
+        if not name or not name.isprintable() or any(c.isspace() for c in name) or name[0] in "#;%/":
+            raise CameraError(
+                "needs a name without blanks, that begins with no # ; % or / in this form", key=name
+            )
+
+
 def picture_names(cameras: Iterable[str]) -> dict[str, str]:
     """Image names for forms that name cameras by their images, in columns split by blanks."""
-    for name in cameras:
-        if not name or any(c.isspace() or not c.isprintable() for c in name):
-            raise CameraError("this form has no room for blanks in a camera's name", key=name)
-    return {name: f"{name}.png" for name in cameras}
+    names = list(cameras)
+    check_words(names)
+    return {name: f"{name}.png" for name in names}

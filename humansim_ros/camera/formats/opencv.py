@@ -236,7 +236,7 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Entry]:
     for name, camera in cameras.items():
         if _NAME.fullmatch(name) is None:
             raise CameraError("needs a name of letters, digits, _ and - in this form", key=name)
-        entries |= {
+        own: dict[str, _Entry] = {
             f"W_{name}": camera.size[0],
             f"H_{name}": camera.size[1],
             f"K_{name}": camera.K,
@@ -247,7 +247,16 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Entry]:
             f"T_{name}": camera.t[:, None],
             **_stereo_entries(camera, f"_{name}"),
         }
+        if any(_is_name_of_a_part(key) for key in own):
+            raise CameraError("this form cannot hold a camera of this name", key=name)
+        entries |= own
     return entries
+
+
+def _is_name_of_a_part(key: str) -> bool:
+    """Whether a key, such as dist_coeffs, is read as a part of the only camera."""
+    matches = (pattern.fullmatch(key) for pattern in _PATTERNS.values())
+    return any(matched and not (matched[2] or matched[3]) for matched in matches)
 
 
 def _stereo_entries(camera: Camera, suffix: str) -> dict[str, _Entry]:

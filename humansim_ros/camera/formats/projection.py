@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import Form, Place, RawCamera, Source, row
+from humansim_ros.camera.formats.base import Form, Place, RawCamera, Source, check_words, row
 from humansim_ros.errors import CameraError
 
 _SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
@@ -99,10 +99,9 @@ def _camera(source: Source, values: list[float], line: int, size: _Size | None) 
 
 
 def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
+    check_words(cameras)
     lines = []
     for name, camera in cameras.items():
-        if not name or any(c.isspace() or not c.isprintable() for c in name):
-            raise CameraError("this form has no room for blanks in a camera's name", key=name)
         lines += [f"# {name} {camera.size[0]}x{camera.size[1]}", *(row(values) for values in camera.P)]
     return {"": "\n".join(lines) + "\n"}
 

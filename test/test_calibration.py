@@ -480,7 +480,9 @@ def test_a_folder_is_a_rig(tmp_path: Path) -> None:
     written(tmp_path, "c.cam", "C=1,2,3\nf=1\nR=0,0,0\nsize=640x480\n")
     written(tmp_path, "notes.txt", "do not forget the tripod\n")
     with pytest.warns(HumansimWarning) as caught:
-        assert list(read_calibration(tmp_path)) == ["a", "b", "c"]
+        calibration = load_calibration(tmp_path)
+    assert list(calibration.cameras) == ["a", "b", "c"]
+    assert calibration.sizes == dict.fromkeys("abc", (640, 480))
     said = [str(warning.message).removeprefix(f"{tmp_path}/") for warning in caught]
     assert said == [
         "notes.txt: no calibration that is known here: left out",

@@ -140,10 +140,16 @@ def _folder(folder: Path, size: Size | None, unit: float | None, up: str | None)
         hint = "its cameras.bin can be read after colmap model_converter --output_type TXT"
         binary = f"; {hint}" if (folder / "cameras.bin").is_file() else ""
         raise CameraError(f"no calibration in this folder ({', '.join(_SUFFIXES)}){binary}", path=folder)
-    cameras = joined({str(file): calibration.cameras for file, calibration in read.items()})
+    names = _own_names({str(file): list(calibration.cameras) for file, calibration in read.items()})
+    cameras, said = {}, {}
+    for file, calibration in read.items():
+        for name, camera in calibration.cameras.items():
+            own = names[str(file), name]
+            cameras[own] = camera
+            if name in calibration.sizes:
+                said[own] = calibration.sizes[name]
     first = next(iter(read.values()))
     alike = all(calibration.form is first.form for calibration in read.values())
-    said = {name: size for calibration in read.values() for name, size in calibration.sizes.items()}
     return Calibration(cameras, first.form if alike else None, first.unit, first.up, said)
 
 
@@ -153,18 +159,26 @@ def joined(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Camera]:
     Cameras of the same name are called by their files, with a HumansimWarning. Raises CameraError where
     these are the same too.
     """
-    names = Counter(name for found in read.values() for name in found)
-    cameras: dict[str, Camera] = {}
+    names = _own_names({path: list(found) for path, found in read.items()})
+    return {names[path, name]: camera for path, found in read.items() for name, camera in found.items()}
+
+
+def _own_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
+    """A name of its own for each camera of each file."""
+    counts = Counter(name for found in read.values() for name in found)
+    names: dict[tuple[str, str], str] = {}
+    taken: set[str] = set()
     for path, found in read.items():
-        for name, camera in found.items():
+        for name in found:
             own = name
-            if names[name] > 1:
+            if counts[name] > 1:
                 own = Path(path).stem + (f"_{name}" if len(found) > 1 else "")
                 warn_of(path, f"there are several cameras {name}; this one is called {own}")
-            if own in cameras:
+            if own in taken:
                 raise CameraError(f"there are two cameras {own}: rename a file", path=path, key=name)
-            cameras[own] = camera
-    return cameras
+            taken.add(own)
+            names[path, name] = own
+    return names
 
 
 def _recognised(path: str, text: str) -> tuple[Source, Form]:

@@ -218,7 +218,7 @@ def _sizes(path: str, raw: Mapping[str, RawCamera], form: Form, said: Size | Non
 def _principal_point(raw: RawCamera) -> Array:
     scale = raw.K[2, 2] or 1.0
     with np.errstate(all="ignore"):
-        return np.nan_to_num(raw.K[:2, 2] / scale)
+        return np.asarray(np.nan_to_num(raw.K[:2, 2] / scale), dtype=float)
 
 
 def _camera(path: str, name: str, raw: RawCamera, size: Size, unit: float, upright: Array) -> Camera:

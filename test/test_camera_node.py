@@ -396,6 +396,11 @@ def test_camera_info_url_is_the_lens_and_published_info_url_what_is_said(
             "distortion_coefficients.data: a number is not",
         ),
         ("camera_info_url", "just: words", "no calibration that is known here"),
+        (
+            "camera_info_url",
+            CALIBRATION.replace("128", "64"),
+            "roi: x, y, width, height of 0, 0, 100, 90 is not",
+        ),
         ("published_info_url", None, "no such calibration file"),
         ("published_info_url", CALIBRATION.replace("128", "64"), "64x96 pixels, the camera has 128x96"),
     ],
@@ -405,7 +410,8 @@ def test_a_wrong_calibration_ends_the_node_with_code_2_and_its_file(
 ) -> None:
     from rclpy.parameter import Parameter
 
-    scene = write_files(tmp_path, DRIVER)
+    part = ", roi: {width: 100, height: 90}" if parameter == "camera_info_url" else ""
+    scene = write_files(tmp_path, DRIVER.replace(BENT, BENT + part))
     if content is not None:
         (tmp_path / "wrong.yaml").write_text(content)
     values = {"scene": str(scene), parameter: f"file://{tmp_path}/wrong.yaml"}

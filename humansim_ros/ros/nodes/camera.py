@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import SceneError
+from humansim_ros.errors import CameraError, SceneError
 from humansim_ros.render import GLRenderer, View
 from humansim_ros.ros import messages
 from humansim_ros.ros.calibration import PublishedCalibration, calibration_of
@@ -82,7 +82,12 @@ class CameraNode(SceneNode):
                 f"no camera {name!r}; the scene has {known}", path=self.scene.path, key="cameras"
             )
         camera = self.scene.scene_cameras[name]
-        return camera.with_calibration(calibration_of(url, name)) if url else camera
+        if not url:
+            return camera
+        try:
+            return camera.with_calibration(calibration_of(url, name))
+        except CameraError as error:
+            raise CameraError(error.message, path=error.path or url, line=error.line, key=error.key) from None
 
     def close(self) -> None:
         self._renderer.close()

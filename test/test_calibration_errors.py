@@ -156,6 +156,19 @@ def test_the_texts_to_be_spoiled_are_right(tmp_path: Path) -> None:
             assert list(camera.K[:2, 2]) in ([310, 245], [515, 387], [309.5, 244.5])
 
 
+@pytest.mark.parametrize(
+    "header", ["%YAML:1.0\n", "%YAML:1.0\n---\n", "%YAML 1.1\n---\n", "\ufeff# a comment\n---\n"]
+)
+def test_headers_change_neither_what_is_read_nor_its_lines(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "left.yaml"
+    path.write_text(header + ROS, encoding="utf-8")
+    assert list(read_calibration(path)) == ["left"]
+    path.write_text(header + ROS.replace("plumb_bob", "omni"), encoding="utf-8")
+    with pytest.raises(CameraError) as caught:
+        read_calibration(path)
+    assert caught.value.line == 8 + header.count("\n")
+
+
 def ros(old: str, new: str) -> str:
     assert old in ROS
     return ROS.replace(old, new)

@@ -296,7 +296,7 @@ def ros(old: str, new: str) -> str:
         ("C=1,2,3\nf=0\nR=0,0,0\nsize=640x480\n", ":2: f: must be above zero"),
         ("C=1,2,3\nf=1\nR=0,0,0\nsize=640x480\ncolour=red\n", ":5: colour: unknown key"),
         # JSON
-        (changed(SHELF, "0.fx", -700), "0.K: K is singular or has a focal length that is not positive"),
+        (changed(SHELF, "0.fx", -700), "0.fx: K is singular or has a focal length that is not positive"),
         (changed(SHELF, "0.fy", None), "0.fy: is missing"),
         (changed(SHELF, "0.T", [1, 2]), "0.T: needs 3 numbers, not 2"),
         (changed(SHELF, "0.R", [[float("nan"), 0, 0], [0, 1, 0], [0, 0, 1]]), "0.R: a number is not finite"),

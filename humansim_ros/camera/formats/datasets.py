@@ -109,6 +109,7 @@ def _read_shelf(source: Source) -> dict[str, RawCamera]:
             model="plumb_bob",
             places={
                 "": source.place(name),
+                "K": source.place(name, "fx"),
                 "R": source.place(name, "R"),
                 "t": source.place(name, "T"),
                 "distortion": source.place(name, "k"),

@@ -23,7 +23,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
 from humansim_ros.render.outline import blend, crossings
 from humansim_ros.render.posed import Floats, Posed, Topology
-from humansim_ros.render.refine import NEAR, LensView, Refined
+from humansim_ros.render.refine import NEAR, TOLERANCE, VISIBLE, LensView, Refined
 from humansim_ros.render.renderer import CHANNELS, Body, View, check_request
 from humansim_ros.render.shadow import CELLS
 from humansim_ros.render.still import Expanded, Pieces, StillScene, texture
@@ -217,23 +217,23 @@ class GLRenderer:
         if passing:
             if self._passing is not None:
                 self._passing.target.release()
-            self._passing = self._draw_static(camera, _PASSING_SUPERSAMPLING)
+            self._passing = self._draw_static(camera, _PASSING_SUPERSAMPLING, VISIBLE)
             return self._passing
         numbers = (np.array(camera.size), camera.K, camera.R, camera.t, np.array(camera.distortion))
         key = b"".join((*(n.tobytes() for n in numbers), str(camera.model).encode()))
         if key not in self._layers:
             if len(self._layers) >= _MAX_LAYERS:
                 self._layers.pop(next(iter(self._layers))).target.release()
-            self._layers[key] = self._draw_static(camera, _STATIC_SUPERSAMPLING)
+            self._layers[key] = self._draw_static(camera, _STATIC_SUPERSAMPLING, TOLERANCE)
         return self._layers[key]
 
-    def _draw_static(self, camera: Camera, supersampling: int) -> _StaticLayer:
+    def _draw_static(self, camera: Camera, supersampling: int, tolerance: float) -> _StaticLayer:
         width, height = camera.size
         factor = max(1, min(supersampling, _MAX_STATIC_SIDE // max(width, height)))
         # the same window, only finer: clip coordinates do not know how many pixels there are
         fine = self._target((width * factor, height * factor))
         target = _Target(self._ctx, camera.size)
-        with self._still.seen_by(camera) as still:
+        with self._still.seen_by(camera, tolerance) as still:
             for into, lit in ((fine, True), (target, False)):
                 program = self._lit if lit else self._truth
                 into.clear(self._lighting.background)

@@ -6,8 +6,10 @@ edge is halved depends on its two ends alone, so that triangles which share one 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +18,11 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.lens import Lens
 from humansim_ros.rotations import Array
 
-#: Pixels that an edge may be away from where it should be.
-TOLERANCE = 0.03
+#: Pixels that an edge may be away from where it should be; and, where edges are cut, how near they come: all
+#: lines of a surface are bent to one side, so that what is left of it shifts its picture as a whole.
+VISIBLE, TOLERANCE = 0.03, 0.01
+#: The halves of an arc that is off by less than so many times the tolerance surely are near enough.
+_SURELY = 3.5
 #: Edges longer than so many pixels are halved anyway: their middle alone says too little.
 _LONGEST = 48.0
 #: Beside the image by so many pixels it does not matter.
@@ -72,14 +77,14 @@ class LensView:
         x0, y0 = np.clip(np.floor(low / cells), 0, _GRID - 1).astype(int)
         x1, y1 = np.clip(np.ceil(high / cells), 0, _GRID - 1).astype(int) + 1
         bend = float(bends[y0:y1, x0:x1].max())
-        return distance * float(np.sqrt(8 * TOLERANCE / max(bend, 1e-9)))
+        return distance * float(np.sqrt(8 * VISIBLE / max(bend, 1e-9)))
 
-    def outside(self, corners: Array) -> NDArray[np.bool_]:
-        """Which triangles (N, 3, 3), optical frame, surely are not in the image: beyond one of its sides."""
-        x, y, z = np.moveaxis(corners, -1, 0)
+    def _sides_beyond(self, points: Array) -> NDArray[np.uint8]:
+        """Beyond which sides of the image points (V, 3), optical frame, surely are: a bit each."""
+        x, y, z = points.T
         (left, top), (right, bottom) = self.bounds
         beyond = [z < NEAR, x < left * z, x > right * z, y < top * z, y > bottom * z]
-        return np.asarray(np.any([side.all(axis=1) for side in beyond], axis=0))
+        return np.packbits(beyond, axis=0)[0]
 
     def image_of(self, low: Array, high: Array) -> tuple[Array, Array]:
         """Lowest and highest pixels, each (2,), of what lies between ``low`` and ``high`` of the normalised
@@ -97,49 +102,90 @@ class LensView:
         pixels = self.camera.lens.distort(n) @ k[:2, :2].T + k[:2, 2]
         return pixels.min(axis=0) - 1, pixels.max(axis=0) + 1
 
-    def bent(self, starts: Array, ends: Array) -> NDArray[np.bool_]:
-        """Which edges (E, 3), optical frame, are to be halved."""
-        middles = (starts + ends) / 2
-        (a, za), (b, zb), (m, _) = (self.camera.project_optical(p) for p in (starts, ends, middles))
-        length = np.linalg.norm(ends - starts, axis=1)
-        distance = np.linalg.norm(middles, axis=1)
+    def bent(self, starts: Array, ends: Array, *, tolerance: float = VISIBLE) -> NDArray[np.bool_]:
+        """Which edges (E, 3), optical frame, are to be halved so that none is off by more than a tolerance,
+        in pixels.
+        """
+        points = starts, ends, (starts + ends) / 2
+        return self._bent(points, [self.camera.project_optical(p)[0] for p in points], tolerance)[0]
+
+    def _bent(
+        self, points: Sequence[Array], pixels: Sequence[Array], tolerance: float
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Which edges are to be halved, and whether their halves need not be looked at.
+
+        ``points``: their starts, ends and middles (E, 3), optical frame; ``pixels``: the same (E, 2).
+        """
+        (start, end, _), (a, b, m) = points, pixels
         seen_a, seen_b = np.isfinite(a[:, 0]), np.isfinite(b[:, 0])
         with np.errstate(invalid="ignore", divide="ignore"):
-            drawn = (a * za[:, None] + b * zb[:, None]) / (za + zb)[:, None]
-            off = np.linalg.norm(m - drawn, axis=1)
-            span = np.linalg.norm(a - b, axis=1)
-            size = np.array(self.camera.size)
-            beside = ((np.maximum(a, b) < -_BESIDE) | (np.minimum(a, b) > size + _BESIDE)).any(axis=1)
-            bent = ((off > TOLERANCE) | (span > _LONGEST)) & ~(beside & (span < _BESIDE))
-        rim = length > _RIM * distance
-        beyond = length > _BEYOND * distance
-        return np.asarray(np.where(seen_a & seen_b, bent, np.where(seen_a | seen_b, rim, beyond)))
+            za, zb = start[:, 2:], end[:, 2:]
+            off = _length(m - (a * za + b * zb) / (za + zb))
+            span = _length(a - b)
+            beside = (np.maximum(a, b) < -_BESIDE) | (np.minimum(a, b) > np.add(self.camera.size, _BESIDE))
+            beside = beside.any(axis=1) & (span < _BESIDE)
+            bent = ((off > tolerance) | (span > _LONGEST)) & ~beside
+            enough = (off < _SURELY * tolerance) & (span < _LONGEST)
+        if not (seen_a & seen_b).all():
+            length, distance = _length(end - start), _length(start + end) / 2
+            rim, beyond = length > _RIM * distance, length > _BEYOND * distance
+            bent = np.where(seen_a & seen_b, bent, np.where(seen_a | seen_b, rim, beyond))
+        return bent, enough
 
-    def refine(self, attributes: Array, triangles: Indices) -> Refined:
-        """Cut triangles (N, 3) of ``attributes`` (V, 3 + k), which begin with a position in the world.
+    def refine(self, attributes: Array, triangles: Indices, tolerance: float = TOLERANCE) -> Refined:
+        """Cut triangles (N, 3) of ``attributes`` (V, 3 + k), which begin with a position in the world, until
+        no edge is off by more than a tolerance, in pixels.
 
         What is outside the image is left out.
         """
-        triangles = triangles.astype(np.intp)
-        parents: Indices = np.arange(len(triangles), dtype=np.intp)
-        optical = self.camera.to_optical(attributes[:, :3])
+        corners, parents = triangles.astype(np.intp), np.arange(len(triangles), dtype=np.intp)
+        # each round has its own edges: their ends (E, 2), and which of them the sides ab, bc, ca of each
+        # triangle are; -1 for sides that are straight
+        sides = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        keys, inverse = np.unique(sides[:, 0] * len(attributes) + sides[:, 1], return_inverse=True)
+        ends = np.stack([keys // len(attributes), keys % len(attributes)], axis=1)
+        edges = inverse.reshape(-1, 3)
+        points = self.camera.to_optical(attributes[:, :3])
+        pixels, beyond = self.camera.project_optical(points)[0], self._sides_beyond(points)
+        done, count = [(corners[:0], parents[:0])], 0
         for _ in range(_ROUNDS):
-            kept = ~self.outside(optical[triangles])
-            triangles, parents = triangles[kept], parents[kept]
-            sides = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-            keys, inverse = np.unique(sides[:, 0] * len(attributes) + sides[:, 1], return_inverse=True)
-            edges = np.stack([keys // len(attributes), keys % len(attributes)], axis=1)
-            halved = self.bent(*(optical[ends] for ends in edges.T))
-            if not halved.any() or len(triangles) > _MOST_TRIANGLES:
+            a, b, c = beyond[corners].T
+            kept = (a & b & c) == 0
+            straight = kept & (edges < 0).all(axis=1)
+            done.append((corners[straight], parents[straight]))
+            kept &= ~straight
+            corners, edges, parents = corners[kept], edges[kept], parents[kept]
+            count += len(corners)
+            if not len(corners) or count > _MOST_TRIANGLES:
                 break
-            middle = np.where(halved, len(attributes) + np.cumsum(halved) - 1, -1)
-            ends = edges[halved]
-            attributes, optical = (
-                np.concatenate([values, values[ends].mean(axis=1)]) for values in (attributes, optical)
+            used = np.zeros(len(ends) + 1, bool)
+            used[edges] = True
+            looked_at = np.flatnonzero(used[:-1])
+            first, second = ends[looked_at].T
+            middles = (points[first] + points[second]) / 2
+            fallen = self.camera.project_optical(middles)[0]
+            halved, enough = self._bent(
+                (points[first], points[second], middles), (pixels[first], pixels[second], fallen), tolerance
             )
-            triangles, parts = _divided(triangles, middle[inverse].reshape(-1, 3))
-            parents = parents[parts]
-        return Refined(attributes, triangles, parents)
+            cut, further = looked_at[halved], ~enough[halved]
+            new = 2 * int(np.count_nonzero(further))
+            # by edge; the last one stands for -1
+            middle, half = np.full((2, len(ends) + 1), -1)
+            middle[cut] = len(points) + np.arange(len(cut))
+            half[cut[further]] = np.arange(0, new, 2)
+            halves = _halves(corners, ends[edges], half[edges])
+            pieces = _divided(corners, middle[edges], halves, new)
+            attributes = np.concatenate([attributes, attributes[ends[cut]].mean(axis=1)])
+            points = np.concatenate([points, middles[halved]])
+            pixels = np.concatenate([pixels, fallen[halved]])
+            beyond = np.concatenate([beyond, self._sides_beyond(middles[halved])])
+            between = np.repeat(middle[cut[further], None], 2, axis=1)
+            ends = np.concatenate(
+                [np.stack([ends[cut[further]], between], axis=2).reshape(-1, 2), pieces.within]
+            )
+            corners, edges, parents = pieces.corners, pieces.edges, parents[pieces.parts]
+        done.append((corners, parents))
+        return Refined(attributes, *(np.concatenate(parts) for parts in zip(*done, strict=True)))
 
     def divide_edges(
         self, starts: NDArray[np.floating], ends: NDArray[np.floating]
@@ -147,7 +193,9 @@ class LensView:
         """Edges (E, 3), world, cut into pieces (P, 3) that are straight in the image."""
         done_starts, done_ends = [starts[:0]], [ends[:0]]
         for _ in range(_ROUNDS):
-            halved = self.bent(self.camera.to_optical(starts), self.camera.to_optical(ends))
+            halved = self.bent(
+                self.camera.to_optical(starts), self.camera.to_optical(ends), tolerance=TOLERANCE
+            )
             done_starts.append(starts[~halved])
             done_ends.append(ends[~halved])
             starts, ends = starts[halved], ends[halved]
@@ -199,29 +247,76 @@ def _border(x: Array, y: Array) -> Array:
     return np.concatenate([np.stack(side, axis=1) for side in sides])
 
 
-def _divided(triangles: Indices, middles: Indices) -> tuple[Indices, Indices]:
-    """Triangles (N, 3) whose edges ab, bc, ca have a vertex ``middles`` (N, 3) or -1, in pieces; and which
-    triangle each piece is of.
+def _length(vectors: Array) -> Array:
+    """(N,) of (N, k)."""
+    return np.asarray(np.sqrt(np.einsum("ij,ij->i", vectors, vectors)))
+
+
+def _halves(corners: Indices, ends: Indices, half: Indices) -> Indices:
+    """Edges (N, 3, 2) that the halves of the sides of triangles (N, 3) become, that at a side's start first.
+
+    ``ends`` (N, 3, 2) of the edges that the sides were; ``half`` (N, 3): the edge that the half at the first
+    of these ends becomes, the other half becomes the next one; or -1.
+    """
+    turned = (ends[..., 0] != corners).astype(np.intp)
+    both = np.stack([half + turned, half + 1 - turned], axis=2)
+    return np.where(half[..., None] < 0, -1, both)
+
+
+class _Pieces(NamedTuple):
+    """``corners`` (P, 3) and ``edges`` (P, 3) of pieces, ``parts`` (P,): which triangle each is a piece of.
+
+    ``within``: ends (E, 2) of the edges between the pieces of a triangle.
+    """
+
+    corners: Indices
+    edges: Indices
+    parts: Indices
+    within: Indices
+
+
+#: Pieces of a triangle, by how many of its sides are halved: corners, edges, and ends of the edges within.
+#: Corners: 0 1 2 (a b c), 3 4 5 (middles of ab bc ca). Edges: 0 straight, 1 to 6 halves of ab bc ca, 7 8 9
+#: those within.
+_CUTS: dict[int, tuple[list[tuple[int, int, int]], list[tuple[int, int, int]], list[tuple[int, int]]]] = {
+    0: ([(0, 1, 2)], [(0, 0, 0)], []),
+    # turned so that ab is halved
+    1: ([(0, 3, 2), (3, 1, 2)], [(1, 7, 0), (2, 0, 7)], [(3, 2)]),
+    # turned so that ca is the side that stays
+    2: ([(3, 1, 4), (0, 3, 4), (0, 4, 2)], [(2, 3, 7), (1, 7, 8), (8, 4, 0)], [(3, 4), (0, 4)]),
+    3: (
+        [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
+        [(1, 7, 6), (2, 3, 8), (9, 4, 5), (8, 9, 7)],
+        [(3, 5), (3, 4), (4, 5)],
+    ),
+}
+
+
+def _divided(corners: Indices, middles: Indices, halves: Indices, first: int) -> _Pieces:
+    """Triangles (N, 3) whose sides ab, bc, ca have a vertex ``middles`` (N, 3) or -1, in pieces.
+
+    ``halves`` (N, 3, 2): edges that the halves of their sides become. ``first``: number of the first edge
+    between pieces.
     """
     count = (middles >= 0).sum(axis=1)
-    pieces, parts = [triangles[count == 0]], [np.flatnonzero(count == 0)]
-
-    def cut(rows: Indices, turn: NDArray[np.intp] | int, *corners: tuple[int, int, int]) -> None:
-        """Pieces of corners 0 1 2 (a b c) and 3 4 5 (middles of ab bc ca), turned to begin at a corner."""
-        order = (np.arange(3) + np.reshape(turn, (-1, 1))) % 3
-        order = np.broadcast_to(order, (len(rows), 3))
-        six = np.concatenate(
-            [np.take_along_axis(v[rows], order, axis=1) for v in (triangles, middles)], axis=1
+    turns = np.zeros(len(corners), np.intp)
+    turns[count == 1] = np.argmax(middles[count == 1] >= 0, axis=1)
+    turns[count == 2] = np.argmax(middles[count == 2] < 0, axis=1) + 1
+    found = []
+    for number, (pieces, edges, within) in _CUTS.items():
+        rows = np.flatnonzero(count == number)
+        order = (np.arange(3) + turns[rows, None]) % 3
+        at = rows[:, None]
+        six = np.concatenate([corners[at, order], middles[at, order]], axis=1)
+        new = first + np.arange(len(rows) * len(within), dtype=np.intp).reshape(len(rows), len(within))
+        first += new.size
+        ten = np.concatenate([np.full_like(at, -1), halves[at, order].reshape(-1, 6), new], axis=1)
+        found.append(
+            _Pieces(
+                six[:, pieces].reshape(-1, 3),
+                ten[:, edges].reshape(-1, 3),
+                np.repeat(rows, len(pieces)),
+                six[:, np.reshape(within, (-1, 2)).astype(np.intp)].reshape(-1, 2),
+            )
         )
-        for piece in corners:
-            pieces.append(six[:, list(piece)])
-            parts.append(rows)
-
-    one = np.flatnonzero(count == 1)
-    cut(one, np.argmax(middles[one] >= 0, axis=1), (0, 3, 2), (3, 1, 2))
-    two = np.flatnonzero(count == 2)
-    # turned so that ca is the edge that stays
-    cut(two, (np.argmax(middles[two] < 0, axis=1) + 1) % 3, (3, 1, 4), (0, 3, 4), (0, 4, 2))
-    three = np.flatnonzero(count == 3)
-    cut(three, 0, (0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5))
-    return np.concatenate(pieces), np.concatenate(parts)
+    return _Pieces(*(np.concatenate(parts) for parts in zip(*found, strict=True)))

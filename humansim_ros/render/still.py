@@ -105,11 +105,14 @@ class StillScene:
         self._counts = [len(mesh.triangles) for mesh in meshes]
         self._whole = Pieces(ctx, self._attributes, self._corners)
 
-    def seen_by(self, camera: Camera) -> Still:
-        """What is to be drawn for a camera: cut to pieces where its lens bends them."""
+    def seen_by(self, camera: Camera, tolerance: float) -> Still:
+        """What is to be drawn for a camera: cut to pieces where its lens bends them, that no line is off by
+        more than a tolerance, in pixels.
+        """
         if not camera.distorted:
             return Still(self._whole, self._textures, self._counts, kept=True)
-        refined = LensView(camera).refine(self._attributes.astype(float), self._corners.astype(np.intp))
+        whole = self._attributes.astype(float), self._corners.astype(np.intp)
+        refined = LensView(camera).refine(*whole, tolerance)
         owner: Indices = np.searchsorted(self._ends, refined.parents, side="right")
         order = np.argsort(owner, kind="stable")
         counts = np.bincount(owner, minlength=len(self._textures)).tolist()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -160,6 +162,21 @@ def test_a_wrong_calibration_is_said_with_its_own_key(folder: Path) -> None:
 def test_a_camera_that_nobody_has_placed_is_warned_of(folder: Path) -> None:
     with pytest.warns(HumansimWarning, match="usb.yaml says no place"):
         load(folder, "cameras: {left: {calibration: usb.yaml}}")
+
+
+@pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
+def test_the_cameras_of_the_documents_are_those_they_say(folder: Path) -> None:
+    text = (ROOT / "docs" / "scene.md").read_text()
+    example = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)[1]
+    (folder / "usb_cam.yaml").write_text(INFO.replace("320", "640").replace("240", "480"))
+    trajectory(folder)
+    cameras = load(folder, example).cameras
+    assert list(cameras) == ["camera_0", "back_door", "usb", "half", "dolly"]
+    assert [camera.size for camera in cameras.values()] == [(516, 388)] * 2 + [
+        (640, 480),
+        (640, 240),
+        (640, 480),
+    ]
 
 
 # --- cameras that move

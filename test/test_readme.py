@@ -80,6 +80,7 @@ def test_the_scene_of_the_documents_loads_and_every_key_is_described(tmp_path: P
     assert example
     assert len(Scene.load(write_scene(tmp_path, example.group(1))).cameras) == 2
     sections = (config.HumanConfig, config.MotionConfig, config.ObjectConfig, config.CameraConfig)
-    for section in (*sections, config.RoomConfig):
+    cameras = (config.RigConfig, config.TrajectoryConfig, config.RegionConfig)
+    for section in (*sections, *cameras, config.RoomConfig):
         for key in section.model_fields:
             assert f"`{key}`" in text or f".{key}`" in text, key

@@ -37,7 +37,7 @@ UPRIGHT: Mapping[str, Array] = {
     "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
     "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
 }
-_MOST_BYTES = 16 << 20
+_MOST_BYTES = 8 << 20
 #: Files of a folder that can be calibrations.
 _SUFFIXES = (".yaml", ".yml", ".json", ".xml", ".ini", ".txt", ".cam", ".krtd")
 #: Of several principal points, how far those of equal images are from their median.
@@ -111,7 +111,10 @@ def load_calibration(
     if file.is_dir():
         return _folder(file, size, unit, up)
     most = MOST_BYTES_COLMAP if file.name in (CAMERAS, IMAGES) else _MOST_BYTES
-    source, form = _recognised(str(file), read_text(file, CameraError, "calibration", most))
+    text = read_text(file, CameraError, "calibration", most)
+    if "\r" in text:
+        text = text.replace("\r\n", "\n").replace("\r", "\n")
+    source, form = _recognised(str(file), text)
     raw = form.read(source)
     unit, up = form.unit if unit is None else unit, form.up if up is None else up
     sizes = _sizes(source.path, raw, form, size)
@@ -182,7 +185,7 @@ def _own_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
 
 
 def _recognised(path: str, text: str) -> tuple[Source, Form]:
-    container = container_of(text)
+    container = container_of(path, text)
     source = parsed(path, text, container)
     for form in FORMS:
         if form.container == container and form.matches(source):

@@ -7,8 +7,10 @@ already in them; calibration.py does the rest, once for all.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
@@ -23,6 +25,8 @@ Key = str | int
 
 #: Larger numbers are of no camera, and their squares and cubes overflow.
 LARGEST = 1e15
+#: Characters of a line: one of COLMAP's has a hundred thousand points of an image.
+_LONGEST_LINE = 4 << 20
 #: Rigs are smaller; a file with more is not what it seems.
 MOST_CAMERAS = 10_000
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -146,10 +150,27 @@ class Source:
             raise self.error(f"there are more than {MOST_CAMERAS} cameras", *keys, line=line)
         cameras[name] = camera
 
-    def lines(self) -> list[tuple[int, str]]:
+    def lines(self) -> Iterator[tuple[int, str]]:
         """Number (from 1) and text of each line that is neither empty nor a comment."""
-        numbered = ((n, line.strip()) for n, line in enumerate(self.text.splitlines(), 1))
-        return [(n, line) for n, line in numbered if line and line[0] not in "#;"]
+        return ((n, line) for n, line in self.all_lines() if line and line[0] not in "#;")
+
+    @cached_property
+    def head(self) -> list[str]:
+        """The first three of :meth:`lines`, to tell forms by."""
+        return [line for _, line in islice(self.lines(), 3)]
+
+    def all_lines(self) -> Iterator[tuple[int, str]]:
+        """Number (from 1) and text, without blanks at its ends, of each line, one after the other."""
+        start = 0
+        for number in count(1):
+            end = self.text.find("\n", start)
+            line = self.text[start : end if end >= 0 else None].strip()
+            if len(line) > _LONGEST_LINE:
+                raise CameraError("this line is too long to be of a calibration", path=self.path, line=number)
+            yield number, line
+            if end < 0:
+                return
+            start = end + 1
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 CAMERAS, IMAGES, POINTS = "cameras.txt", "images.txt", "points3D.txt"
 #: Longer ones are of larger scenes than any rig.
-MOST_BYTES = 128 << 20
+MOST_BYTES = 64 << 20
 #: What each parameter of a model is; the names of coefficients are those of :data:`_ORDER`.
 _MODELS = {
     "SIMPLE_PINHOLE": "f cx cy",
@@ -52,7 +52,7 @@ _QUATERNION_SLACK = 1e-3
 def _is_colmap(source: Source) -> bool:
     if Path(source.path).name in (CAMERAS, IMAGES):
         return True
-    words = next((text.split() for _, text in source.lines()), [])
+    words = source.head[0].split() if source.head else []
     return len(words) > 4 and words[1] in (*_MODELS, *_UNKNOWN)
 
 
@@ -122,8 +122,8 @@ def _lens(model: str, said: dict[str, float], values: list[float], place: Place)
 def _image_lines(source: Source) -> Iterator[tuple[int, list[str]]]:
     """Lines of images; after each comes one of its points, three words each, which may be empty."""
     image = False
-    for line, text in enumerate(source.text.splitlines(), 1):
-        if text.lstrip().startswith("#"):
+    for line, text in source.all_lines():
+        if text.startswith("#"):
             continue
         words = text.split()
         if image and len(words) % 3 == 0:

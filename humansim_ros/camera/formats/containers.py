@@ -18,8 +18,8 @@ from humansim_ros.camera.formats.base import Source
 from humansim_ros.errors import CameraError
 from humansim_ros.yaml_files import parse_yaml
 
-#: YAML is slow to read, and calibrations are short.
-_MOST_YAML = 1 << 20
+#: Characters of a text; YAML is slow to read. Hundreds of cameras take much less.
+_MOST = {"yaml": 1 << 19, "json": 8 << 20, "xml": 4 << 20}
 _MOST_DEPTH = 20
 #: OpenCV's header, which YAML 1.1 does not know.
 _HEADER = re.compile(r"\A\s*%YAML:1\.[0-9]+[^\n]*")
@@ -34,9 +34,9 @@ class Matrix(dict[str, Any]):
     """One of OpenCV's matrices: rows, cols, dt, data."""
 
 
-def container_of(text: str) -> str:
+def container_of(path: str, text: str) -> str:
     """Whether a text is yaml, json, xml, or plain text, by how it begins."""
-    first = _first_lines(text)
+    first = _first_lines(path, text)
     head = first[0].strip()[:1] if first else ""
     if head == "<":
         return "xml"
@@ -50,17 +50,19 @@ def container_of(text: str) -> str:
     return "yaml" if first and _KEY.match(first[0]) and not bare else "text"
 
 
-def _first_lines(text: str) -> list[str]:
+def _first_lines(path: str, text: str) -> list[str]:
     """The first two lines that say something."""
-    lines = (line for line in text.splitlines() if line.strip())
-    return list(islice((li for li in lines if not li.lstrip().startswith(("#", "---", "%", ";"))), 2))
+    lines = (line for _, line in Source(path, text).all_lines() if line)
+    return list(islice((line for line in lines if not line.startswith(("#", "---", "%", ";"))), 2))
 
 
 def parsed(path: str, text: str, container: str) -> Source:
     """A source with its document. Raises CameraError with the line, or the key."""
+    most = _MOST.get(container, len(text))
+    if len(text) > most:
+        message = f"this is too large for a calibration in {container.upper()}: more than {most >> 10} kB"
+        raise CameraError(message, path=path)
     if container == "yaml":
-        if len(text) > _MOST_YAML:
-            raise CameraError("this is too large for a YAML calibration: more than 1 MB", path=path)
         text = _END.sub("\n", _HEADER.sub("", text))
         document, tree = parse_yaml(text, CameraError, path, _Loader)
         return Source(path, text, document, tree)

@@ -6,6 +6,7 @@ The coefficients are OpenCV's, as many as are not zero; a single 0 is no distort
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -14,26 +15,30 @@ from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import Form, Place, RawCamera, Source, row
 from humansim_ros.errors import CameraError
 
+#: OpenCV has no more, and nobody writes them one a line.
+_MOST_COEFFICIENTS, _MOST_LINES = 14, 21
+
 
 def _is_krtd(source: Source) -> bool:
-    lines = [text.split() for _, text in source.lines()[:3]]
-    return len(lines) == 3 and all(len(words) == 3 for words in lines)
+    return len(source.head) == 3 and all(len(line.split()) == 3 for line in source.head)
 
 
 def _read(source: Source) -> dict[str, RawCamera]:
-    lines = source.lines()
-    values = [(line, value) for line, text in lines for value in source.row(text.split(), line)]
-    if len(lines) < 7 or len(values) < 21 or any(len(text.split()) != 3 for _, text in lines[:7]):
+    lines = [(line, text.split()) for line, text in islice(source.lines(), _MOST_LINES + 1)]
+    if len(lines) < 7 or any(len(words) != 3 for _, words in lines[:7]):
         message = "needs K (3 x 3), R (3 x 3) and t (3), then the distortion coefficients or a 0"
         raise CameraError(message, path=source.path, line=lines[-1][0])
-    numbers = np.array([value for _, value in values])
+    count = sum(len(words) for _, words in lines) - 21
+    if count > _MOST_COEFFICIENTS:
+        message = (
+            f"more than {_MOST_COEFFICIENTS} distortion coefficients: is there more than one camera in it?"
+        )
+        raise CameraError(message, path=source.path, line=lines[7][0])
+    numbers = np.array([value for line, words in lines for value in source.row(words, line)])
     distortion = numbers[21:]
-    if len(distortion) > 14:
-        message = f"has {len(distortion)} distortion coefficients: is there more than one camera in it?"
-        raise CameraError(message, path=source.path, line=values[21][0])
     places = {"K": Place("K", lines[0][0]), "R": Place("R", lines[3][0]), "t": Place("t", lines[6][0])}
     if len(distortion):
-        places["distortion"] = Place("distortion", values[21][0])
+        places["distortion"] = Place("distortion", lines[7][0])
     camera = RawCamera(
         numbers[:9].reshape(3, 3),
         numbers[9:18].reshape(3, 3),

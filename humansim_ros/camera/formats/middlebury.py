@@ -25,12 +25,13 @@ from humansim_ros.errors import CameraError
 
 
 def _is_par(source: Source) -> bool:
-    lines = source.lines()
-    return len(lines) > 1 and lines[0][1].isdecimal() and len(lines[1][1].split()) > 12
+    count, *images = source.head or [""]
+    return count.isdecimal() and bool(images) and len(images[0].split()) > 12
 
 
 def _read(source: Source) -> dict[str, RawCamera]:
-    (first, count), *lines = source.lines()
+    lines = source.lines()
+    first, count = next(lines)
     cameras: dict[str, RawCamera] = {}
     folder = Path(source.path).parent
     for line, text in lines:

@@ -134,8 +134,8 @@ def _other_half(path: Path) -> Source | None:
         if one in path.name:
             sibling = path.with_name(path.name.replace(one, other))
             if sibling.is_file():
-                text = read_text(sibling, CameraError, "calibration", 16 << 20)
-                return parsed(str(sibling), text, container_of(text))
+                text = read_text(sibling, CameraError, "calibration", 8 << 20)
+                return parsed(str(sibling), text, container_of(str(sibling), text))
     return None
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import Form, Place, RawCamera, Source, check_words, row
+from humansim_ros.camera.formats.base import MOST_CAMERAS, Form, Place, RawCamera, Source, check_words, row
 from humansim_ros.errors import CameraError
 
 _SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
@@ -31,8 +31,7 @@ def _rows(source: Source) -> Iterator[tuple[int, str, list[str]]]:
     matrix only; in "# name 640x480" the size stays in it.
     """
     name = ""
-    for line, text in enumerate(source.text.splitlines(), 1):
-        text = text.strip()
+    for line, text in source.all_lines():
         if text[:1] in ("#", ";", "%") or text.startswith("//"):
             name = text.lstrip("#;%/ ").strip()
             continue
@@ -61,14 +60,16 @@ def _read(source: Source) -> dict[str, RawCamera]:
             matrices[-1][2].extend(values)
         elif unfinished:
             raise CameraError("the matrix above has fewer than three rows", path=source.path, line=line)
+        elif len(matrices) == MOST_CAMERAS:
+            raise CameraError(f"there are more than {MOST_CAMERAS} cameras", path=source.path, line=line)
         else:
             matrices.append((line, name, values))
     if len(matrices[-1][2]) < 12:
         raise CameraError("the last matrix has fewer than three rows", path=source.path, line=last)
-    left = [(n, text) for n, text in source.lines() if n > last and text[0] not in "%/"]
-    if left:
+    left = next((n for n, text in source.lines() if n > last and text[0] not in "%/"), None)
+    if left is not None:
         message = "rows of P have 4 numbers each, or all 12 on one line"
-        raise CameraError(message, path=source.path, line=left[0][0])
+        raise CameraError(message, path=source.path, line=left)
     cameras: dict[str, RawCamera] = {}
     stem = Path(source.path).stem
     for number, (line, said, values) in enumerate(matrices):

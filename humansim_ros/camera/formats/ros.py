@@ -125,14 +125,13 @@ def _matrix_lines(key: str, matrix: Array) -> list[str]:
 _INI_SHAPES = {"camera matrix": (3, 3), "rectification": (3, 3), "projection": (3, 4)}
 #: Sections that describe no camera. ROS reads and forgets the second.
 _IMAGE, _EXTERNALS = "image", "externals"
+_MOST_NUMBERS = 50
 _HEADING = re.compile(r"\[(.*)\]")
 
 
 def _is_ini(source: Source) -> bool:
-    lines = source.lines()
-    return (
-        bool(lines) and _HEADING.fullmatch(lines[0][1]) is not None and any(c.isalpha() for c in lines[0][1])
-    )
+    first = next(iter(source.head), "")
+    return _HEADING.fullmatch(first) is not None and any(c.isalpha() for c in first)
 
 
 def _read_ini(source: Source) -> dict[str, RawCamera]:
@@ -174,6 +173,10 @@ def _sections(source: Source) -> dict[str, tuple[int, _Section]]:
             raise CameraError("numbers without a key above them", path=source.path, line=number)
         else:
             values += source.row(line.split(), number)
+            if len(values) > _MOST_NUMBERS:
+                raise CameraError(
+                    f"more than {_MOST_NUMBERS} numbers of a key", path=source.path, line=number
+                )
     return sections
 
 

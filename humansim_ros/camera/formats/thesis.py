@@ -15,8 +15,7 @@ _LINE = re.compile(r"(C|f|R|k|size|format)\s*=.*")
 
 
 def _is_cam(source: Source) -> bool:
-    lines = source.lines()
-    return bool(lines) and _LINE.fullmatch(lines[0][1]) is not None
+    return bool(source.head) and _LINE.fullmatch(source.head[0]) is not None
 
 
 def _read(source: Source) -> dict[str, RawCamera]:

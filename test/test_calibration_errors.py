@@ -169,6 +169,16 @@ def test_headers_change_neither_what_is_read_nor_its_lines(tmp_path: Path, heade
     assert caught.value.line == 8 + header.count("\n")
 
 
+@pytest.mark.parametrize("ending", ["\r\n", "\r"])
+def test_lines_may_end_as_elsewhere(tmp_path: Path, ending: str) -> None:
+    path = tmp_path / "calibration"
+    for text in (ROS, INI, P, KRTD, PAR, KALIBR, STORAGE, XML, SCENE):
+        path.write_bytes(text.encode())
+        expected = {name: camera.P.tolist() for name, camera in read_calibration(path).items()}
+        path.write_bytes(text.replace("\n", ending).encode())
+        assert {name: camera.P.tolist() for name, camera in read_calibration(path).items()} == expected
+
+
 def ros(old: str, new: str) -> str:
     assert old in ROS
     return ROS.replace(old, new)

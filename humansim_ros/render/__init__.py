@@ -1,6 +1,15 @@
 """Pictures and per-pixel ground truth of meshes as cameras see them."""
 
 from humansim_ros.render.gl import GLRenderer, Lighting
-from humansim_ros.render.renderer import CHANNELS, Body, Renderer, View
+from humansim_ros.render.renderer import ALL_CHANNELS, CHANNELS, Body, Moment, Renderer, View
 
-__all__ = ["CHANNELS", "Body", "GLRenderer", "Lighting", "Renderer", "View"]
+__all__ = [
+    "ALL_CHANNELS",
+    "CHANNELS",
+    "Body",
+    "GLRenderer",
+    "Lighting",
+    "Moment",
+    "Renderer",
+    "View",
+]

@@ -8,9 +8,10 @@ cannot show are not sent at all.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import cv2
@@ -21,10 +22,19 @@ from numpy.typing import NDArray
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
+from humansim_ros.render.detail import Detail, Shown, optical_flow
 from humansim_ros.render.outline import blend, crossings
 from humansim_ros.render.posed import Floats, Posed, Topology
 from humansim_ros.render.refine import NEAR, TOLERANCE, VISIBLE, LensView, Refined
-from humansim_ros.render.renderer import CHANNELS, Body, View, check_request
+from humansim_ros.render.renderer import (
+    CHANNELS,
+    FLOWS,
+    Body,
+    Moment,
+    View,
+    check_moments,
+    check_request,
+)
 from humansim_ros.render.shadow import CELLS
 from humansim_ros.render.still import Expanded, Pieces, StillScene, texture
 from humansim_ros.rotations import Array
@@ -103,47 +113,123 @@ class GLRenderer:
         camera: Camera,
         channels: Collection[str] = CHANNELS,
         passing: bool = False,
+        after: Moment | None = None,
+        before: Moment | None = None,
     ) -> View:
         """See :class:`humansim_ros.render.Renderer`.
 
         What was worked out of a body for one camera serves the next, as long as it is the same Body object.
         """
+        moments = {"after": after, "before": before}
         check_request(bodies, channels)
+        check_moments(bodies, channels, moments)
         with self._ctx:  # others in this thread may have made their own context the current one
-            return self._render(bodies, camera, frozenset(channels), passing)
+            hidden = [moments[FLOWS[c]] for c in channels if c.endswith("_hidden")]
+            depths = {
+                id(moment): self._render(moment.bodies, moment.camera, frozenset({"depth"}), passing).depth
+                for moment in hidden
+                if moment is not None
+            }
+            return self._render(bodies, camera, frozenset(channels), passing, moments, depths)
 
     def _render(
-        self, bodies: Sequence[Body], camera: Camera, channels: frozenset[str], passing: bool
+        self,
+        bodies: Sequence[Body],
+        camera: Camera,
+        channels: frozenset[str],
+        passing: bool,
+        moments: Mapping[str, Moment | None] = MappingProxyType({}),
+        depths: Mapping[int, Floats | None] = MappingProxyType({}),
     ) -> View:
         layer = self._layer(camera, passing)
         lit = "rgb" in channels
+        flows = [which for which in ("after", "before") if any(FLOWS.get(c) == which for c in channels)]
+        outlined = lit or "alpha" in channels
         surfaces = [self._surface(body) for body in bodies]
         clouds = [surface.posed.points for surface in surfaces]
         shadowed = [surface for surface in surfaces if surface.body.instance] if lit else []
         clouds += [surface.posed.shadow.corners.T for surface in shadowed]
         rectangle = _touched(clouds, camera)
-        view = layer.view(channels | {"depth"} if lit else channels)
+        view: dict[str, Any] = layer.view(channels | {"depth"} if outlined or flows else channels)
+        shown = Shown(*(np.zeros(0, np.intp) for _ in range(3)))
+        if "alpha" in channels:
+            view["alpha"] = {
+                b.instance: np.zeros(view["depth"].shape, np.uint8) for b in bodies if b.instance
+            }
         if not rectangle.empty:
             target = self._target(camera.size)
             target.start(layer.target, rectangle)
             if shadowed:
                 self._draw_shadows(shadowed, camera)
             target.use(lit)
-            seen = self._draw_bodies(surfaces, camera, rectangle, lit)
+            seen = self._draw_bodies(surfaces, camera, rectangle, lit, outlined)
             if "depth" in view:
                 depth = target.read("depth", lit)
                 np.copyto(view["depth"][rectangle.slices], depth, where=depth > 0)
             if lit:
                 view["rgb"][rectangle.slices] = target.read("rgb", lit)
-                blend(view["rgb"], view["depth"], crossings(camera, *seen.outline))
-            if not channels.isdisjoint(("instance", "part")):
+            if channels - {"rgb", "depth", "amodal"}:
                 labels = target.read("label", lit)
-                for name in channels & {"instance", "part"}:
+                for name in channels & {"instance", "part", "face"}:
                     view[name][rectangle.slices] = seen.table(name)[labels]
+                if channels & {"normal", "uv"} or flows:
+                    shown = seen.shown(labels, rectangle, camera.size)
+                if "alpha" in channels:
+                    instances = seen.table("instance")[labels]
+                    for instance, alpha in view["alpha"].items():
+                        alpha[rectangle.slices] = np.where(instances == instance, 255, 0)
+            if outlined:
+                outline = crossings(camera, *seen.outline)
+                images = [view["rgb"]] if lit else []
+                blend([*images, *view.get("alpha", {}).values()], view["depth"], outline)
+        if channels & {"normal", "uv"} or flows:
+            self._add_detail(view, Detail(camera, bodies, shown), channels, flows, moments, depths)
+        if "amodal" in channels:
+            view["amodal"] = {b.instance: self._alone(b, camera) for b in bodies if b.instance}
         return View(**{name: view[name] for name in channels})
 
+    def _add_detail(
+        self,
+        view: dict[str, Any],
+        detail: Detail,
+        channels: frozenset[str],
+        flows: Sequence[str],
+        moments: Mapping[str, Moment | None],
+        depths: Mapping[int, Floats | None],
+    ) -> None:
+        """Fill in what follows from the triangles that are shown."""
+        pixels = detail.shown.pixels
+        if "normal" in channels:
+            view["normal"].reshape(-1, 3)[pixels] = detail.normals()
+        if "uv" in channels:
+            view["uv"].reshape(-1, 2)[pixels] = detail.texture_coordinates()
+        for which in flows:
+            moment = moments[which]
+            assert moment is not None
+            name = "flow" if which == "after" else "flow_back"
+            flow = optical_flow(detail.camera, detail, view["depth"], moment, depths.get(id(moment)))
+            view[name], view[f"{name}_hidden"] = flow.flow, flow.hidden
+
+    def _alone(self, body: Body, camera: Camera) -> NDArray[np.bool_]:
+        """(H, W) where a body would be seen if nothing were before it."""
+        mask = np.zeros(camera.size[::-1], bool)
+        surface = self._surface(body)
+        rectangle = _touched([surface.posed.points], camera)
+        if not rectangle.empty:
+            target = self._target(camera.size)
+            target.start(None, rectangle)
+            target.use(False)
+            self._draw_bodies([surface], camera, rectangle, False, False)
+            mask[rectangle.slices] = target.read("label", False) > 0
+        return mask
+
     def _draw_bodies(
-        self, surfaces: Sequence[_Surface], camera: Camera, rectangle: _Rectangle, lit: bool
+        self,
+        surfaces: Sequence[_Surface],
+        camera: Camera,
+        rectangle: _Rectangle,
+        lit: bool,
+        outlined: bool,
     ) -> _Seen:
         """Draw what can be seen, every triangle with a number of its own, counted on from body to body."""
         program = self._lit if lit else self._truth
@@ -151,7 +237,7 @@ class GLRenderer:
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         eye = camera.center
         seen = _Seen()
-        for surface in surfaces:
+        for number, surface in enumerate(surfaces):
             facing = surface.posed.facing(eye)
             # from outside a closed surface its back faces never show; a camera that is near may be inside
             culled = surface.topology.mesh.closed and not rectangle.near
@@ -160,11 +246,11 @@ class GLRenderer:
             refined = surface.refined(camera, limit) if np.isfinite(limit) else None
             if refined is None:
                 surface.draw(lit, facing if culled else None)
-                seen.add(surface.body, facing if culled else slice(None))
+                seen.add(number, surface.body, np.flatnonzero(facing) if culled else slice(None))
             else:
                 surface.draw_refined(program, refined)
-                seen.add(surface.body, refined.parents)
-            if lit:
+                seen.add(number, surface.body, refined.parents)
+            if outlined:
                 seen.outlines.append(_straight(surface.posed.contour(facing), camera, limit))
         return seen
 
@@ -367,20 +453,33 @@ class _Seen:
     def __init__(self) -> None:
         self.count = 1
         self.outlines: list[tuple[Floats, Floats]] = []
-        self._labels: dict[str, list[NDArray[Any]]] = {
-            "instance": [np.zeros(1, np.uint16)],
-            "part": [np.zeros(1, np.uint8)],
-        }
+        self._drawn: list[tuple[int, Body, NDArray[np.intp] | slice]] = []
 
-    def add(self, body: Body, drawn: NDArray[np.bool_] | NDArray[np.intp] | slice) -> None:
-        parts = body.parts[drawn]
-        self.count += len(parts)
-        self._labels["part"].append(parts)
-        self._labels["instance"].append(np.full(len(parts), body.instance, np.uint16))
+    def add(self, number: int, body: Body, drawn: NDArray[np.intp] | slice) -> None:
+        """The triangles ``drawn`` of the body of a number."""
+        self.count += len(body.parts[drawn])
+        self._drawn.append((number, body, drawn))
 
     def table(self, channel: str) -> NDArray[Any]:
-        """What each label is in a channel."""
-        return np.concatenate(self._labels[channel])
+        """What each label is in a channel, or as ``owner`` and ``triangle``."""
+        make: dict[str, Callable[[int, Body, Any], NDArray[Any]]] = {
+            "instance": lambda _, body, drawn: np.full(len(body.parts[drawn]), body.instance, np.uint16),
+            "part": lambda _, body, drawn: body.parts[drawn],
+            "owner": lambda number, body, drawn: np.full(len(body.parts[drawn]), number, np.intp),
+            "triangle": lambda _, body, drawn: np.arange(len(body.parts), dtype=np.intp)[drawn],
+            "face": lambda _, body, drawn: (
+                np.arange(1, len(body.parts) + 1, dtype=np.int32)[drawn] * np.int32(body.instance > 0)
+            ),
+        }
+        kind = {"instance": np.uint16, "part": np.uint8, "face": np.int32}.get(channel, np.intp)
+        return np.concatenate([np.zeros(1, kind), *(make[channel](*one) for one in self._drawn)])
+
+    def shown(self, labels: NDArray[np.uint32], rectangle: _Rectangle, size: tuple[int, int]) -> Shown:
+        """Which triangles the pixels of a rectangle show, from their labels."""
+        row, column = np.nonzero(labels)
+        label = labels[row, column]
+        pixels = (row + rectangle.y0) * size[0] + column + rectangle.x0
+        return Shown(pixels, self.table("owner")[label], self.table("triangle")[label])
 
     @property
     def outline(self) -> tuple[Floats, Floats]:
@@ -410,12 +509,14 @@ class _Target:
         self._colour.depth_mask = False  # shadows colour what is there, they hide nothing
         self._rectangle = _Rectangle(0, 0, *size)
 
-    def start(self, background: _Target, rectangle: _Rectangle) -> None:
+    def start(self, background: _Target | None, rectangle: _Rectangle) -> None:
         """Keep to a rectangle, and fill it with the colour of a background that hides what is behind it."""
         self._rectangle = rectangle
         for framebuffer in (*self._framebuffers.values(), self._colour):
             framebuffer.scissor = rectangle.xywh
         self._clear()  # cheaper than to copy these as well
+        if background is None:
+            return
         self._colour.use()
         self._ctx.copy_framebuffer(self._colour, background._colour)
 
@@ -469,8 +570,11 @@ class _StaticLayer:
             "depth": self._depth.copy,
             "instance": lambda: np.zeros(shape, np.uint16),
             "part": lambda: np.zeros(shape, np.uint8),
+            "face": lambda: np.zeros(shape, np.int32),
+            "normal": lambda: np.zeros((*shape, 3), np.float32),
+            "uv": lambda: np.full((*shape, 2), np.nan, np.float32),
         }
-        return {name: make[name]() for name in channels}
+        return {name: make[name]() for name in channels if name in make}
 
 
 class _Surface:

@@ -7,6 +7,7 @@ slope of the crossing. This share is blended in (after E. Persson, Geometric Pos
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,17 +91,17 @@ def _share(distance: Array, slope: Array) -> Array:
     return np.where(distance + slope / 2 > 0.5, corner**2 / np.maximum(2 * slope, 1e-9), 0.5 - distance)
 
 
-def blend(image: NDArray[np.uint8], depth: NDArray[np.float32], outline: Crossings) -> None:
-    """Blend the outlines that are seen into an image (H, W, 3) with its depth (H, W), in place."""
+def blend(images: Sequence[NDArray[np.uint8]], depth: NDArray[np.float32], outline: Crossings) -> None:
+    """Blend the outlines that are seen into images (H, W) or (H, W, C) with their depth (H, W), in place."""
     z, z_neighbour = depth.ravel()[outline.pixel], depth.ravel()[outline.neighbour]
     # what lies in front is the outlined surface, not something that hides it; and something lies behind
     front, behind = np.minimum(z, z_neighbour), np.maximum(z, z_neighbour)
     seen = np.flatnonzero((np.abs(front - outline.depth) < _RIM) & (behind > outline.depth))
     # where outlines share a pixel the largest share counts: along a slanted edge it is the right one of two
     order = seen[np.argsort(outline.share[seen], kind="stable")]
-    pixel, share = outline.pixel[order], outline.share[order, None].astype(np.float32)
-    flat = image.reshape(-1, 3)
-    own = flat[pixel]
-    flat[pixel] = np.rint(own + share * (flat[outline.neighbour[order]].astype(np.float32) - own)).astype(
-        np.uint8
-    )
+    pixel, neighbour = outline.pixel[order], outline.neighbour[order]
+    share = outline.share[order, None].astype(np.float32)
+    for image in images:
+        flat = image.reshape(depth.size, -1)
+        own = flat[pixel]
+        flat[pixel] = np.rint(own + share * (flat[neighbour].astype(np.float32) - own)).astype(np.uint8)

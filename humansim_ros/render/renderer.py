@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -13,8 +13,16 @@ from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
 
-#: Every channel a renderer can be asked for; docs/ground_truth.md defines each.
+#: What is rendered unless one says otherwise.
 CHANNELS = ("rgb", "depth", "instance", "part")
+#: Channels that follow from the triangle each pixel shows.
+DETAILS = ("face", "normal", "uv")
+#: Channels that need to know what stands where in the next frame, and in the one before.
+FLOWS = {"flow": "after", "flow_hidden": "after", "flow_back": "before", "flow_back_hidden": "before"}
+#: Channels with one image for each labelled body.
+PER_BODY = ("alpha", "amodal")
+#: Every channel a renderer can be asked for; docs/ground_truth.md defines each.
+ALL_CHANNELS = (*CHANNELS, *DETAILS, *FLOWS, *PER_BODY)
 
 
 @dataclass(frozen=True)
@@ -35,6 +43,14 @@ class Body:
 
 
 @dataclass(frozen=True)
+class Moment:
+    """What a camera has before it at another moment: the same bodies, in the same order."""
+
+    bodies: Sequence[Body]
+    camera: Camera
+
+
+@dataclass(frozen=True)
 class View:
     """What one camera sees: (H, W, ...) arrays on one pixel grid; None for a channel that was not asked for.
 
@@ -42,12 +58,29 @@ class View:
     float32 metres along z of the optical frame, +inf where nothing is. ``instance``: (H, W) uint16, ``part``:
     (H, W) uint8; 0 where no body is.
     Labels and depth are those of the pixel's centre, never blended.
+
+    ``face``: (H, W) int32, 1 + the triangle of the body's mesh, 0 where no labelled body is. ``normal``:
+    (H, W, 3) float32, the outward unit normal of the body's triangle there in the optical frame, 0 where none
+    is. ``uv``: (H, W, 2) float32 texture coordinates of the body, v up, NaN where none is. ``flow``,
+    ``flow_back``: (H, W, 2) float32, pixels from here to where the point shown is in the next and the
+    previous frame, NaN where nothing is; ``flow_hidden``, ``flow_back_hidden``: (H, W) uint8, 1 where that
+    point cannot be seen there. ``alpha``: by instance, (H, W) uint8, how much of each pixel the body covers,
+    255 all of it. ``amodal``: by instance, (H, W) bool, where the body would be if nothing hid it.
     """
 
     rgb: NDArray[np.uint8] | None = None
     depth: NDArray[np.float32] | None = None
     instance: NDArray[np.uint16] | None = None
     part: NDArray[np.uint8] | None = None
+    face: NDArray[np.int32] | None = None
+    normal: NDArray[np.float32] | None = None
+    uv: NDArray[np.float32] | None = None
+    flow: NDArray[np.float32] | None = None
+    flow_back: NDArray[np.float32] | None = None
+    flow_hidden: NDArray[np.uint8] | None = None
+    flow_back_hidden: NDArray[np.uint8] | None = None
+    alpha: dict[int, NDArray[np.uint8]] | None = None
+    amodal: dict[int, NDArray[np.bool_]] | None = None
 
 
 class Renderer(Protocol):
@@ -59,10 +92,15 @@ class Renderer(Protocol):
         camera: Camera,
         channels: Collection[str] = CHANNELS,
         passing: bool = False,
+        after: Moment | None = None,
+        before: Moment | None = None,
     ) -> View:
-        """The asked channels of one view. ``passing``: the camera moves on, nothing is kept for it.
+        """The asked channels of one view.
 
-        Raises RenderError if a channel is unknown or vertices are not finite.
+        ``passing``: the camera moves on, nothing is kept for it. ``after``, ``before``: the next and the
+        previous frame, for the channels of flow.
+
+        Raises RenderError if a channel is unknown, lacks what it needs, or vertices are not finite.
         """
         ...
 
@@ -73,9 +111,10 @@ class Renderer(Protocol):
 
 def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
     """RenderError for a channel nobody draws or a body that cannot be drawn."""
-    unknown = set(channels) - set(CHANNELS)
+    unknown = set(channels) - set(ALL_CHANNELS)
     if unknown:
-        raise RenderError(f"no such channel: {', '.join(sorted(unknown))}; there are {', '.join(CHANNELS)}")
+        known = ", ".join(ALL_CHANNELS)
+        raise RenderError(f"no such channel: {', '.join(sorted(unknown))}; there are {known}")
     labels = [body.instance for body in bodies if body.instance]
     things = [id(body.mesh) for body in bodies if not body.instance]
     if len(set(things)) < len(things):
@@ -94,3 +133,17 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
         if body.parts.shape != (len(body.mesh.triangles),):
             n = len(body.mesh.triangles)
             raise RenderError(f"part labels of shape {body.parts.shape} do not fit a mesh of {n} triangles")
+
+
+def check_moments(
+    bodies: Sequence[Body], channels: Collection[str], moments: Mapping[str, Moment | None]
+) -> None:
+    """RenderError where a channel of flow lacks the frame it needs, or that frame has other bodies."""
+    for channel in set(channels) & set(FLOWS):
+        which = FLOWS[channel]
+        moment = moments[which]
+        if moment is None:
+            raise RenderError(f"{channel} needs the frame {which} this one")
+        if [body.vertices.shape for body in moment.bodies] != [body.vertices.shape for body in bodies]:
+            raise RenderError(f"the frame {which} this one has other bodies")
+        check_request(moment.bodies, ())

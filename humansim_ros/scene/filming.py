@@ -17,7 +17,7 @@ from humansim_ros.camera.idealize import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import CameraError, SceneError, warn_of
-from humansim_ros.render import Body, Renderer, View
+from humansim_ros.render import Body, Moment, Renderer, View
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.config import CameraConfig, RigConfig, SceneConfig, line_of_key
 from humansim_ros.sensor import Sensor
@@ -124,11 +124,14 @@ class SceneCamera:
 class Shot:
     """All there is to be seen around one instant. ``bodies_at``: as they stand so many seconds after it;
     ``pose_at``: where the camera is then. ``moving``: whether the camera may be elsewhere in the next frame.
+    ``after``, ``before``: the next and the previous frame, where channels need them.
     """
 
     bodies_at: Callable[[float], Sequence[Body]]
     pose_at: Callable[[float], CameraPose]
     moving: bool = False
+    after: Moment | None = None
+    before: Moment | None = None
 
 
 def photograph(
@@ -141,7 +144,9 @@ def photograph(
     at_once = len(times) == 1
     here, bodies = camera.at(shot.pose_at(0.0)), shot.bodies_at(0.0)
     drawn = [channel for channel in channels if at_once or channel != "rgb"]
-    view = renderer.render(bodies, here, drawn, passing=shot.moving) if drawn else View()
+    view = View()
+    if drawn:
+        view = renderer.render(bodies, here, drawn, shot.moving, shot.after, shot.before)
     if "rgb" not in channels or not camera.sensor.active:
         return view
     if at_once:

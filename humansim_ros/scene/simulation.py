@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import CHANNELS, GLRenderer, Renderer, View
+from humansim_ros.render.renderer import FLOWS
 from humansim_ros.scene.filming import photograph
 from humansim_ros.scene.instant import Instant, JointMotion
 from humansim_ros.scene.objects import ObjectPose
@@ -67,21 +68,37 @@ class Simulation:
     def frame(self, index: int) -> Frame:
         """Frame ``index``, at ``start + round(index * period)``."""
         elapsed = self.scene.frame_time(index)
-        moment = self.playback.show(elapsed)
-        humans = {name: actor.state(moment.poses[name]) for name, actor in self.playback.actors.items()}
-        instant = self._instant(elapsed, humans, moment)
+        asked = {FLOWS[channel] for channel in self.channels if channel in FLOWS}
+        beside = {
+            which: self._at(self.scene.frame_time(index + step))[2]
+            for which, step in (("after", 1), ("before", -1))
+            if which in asked
+        }
+        moment, humans, instant = self._at(elapsed)
         cameras = {
             name: camera.at(moment.cameras[name]) if camera.moves else camera.camera
             for name, camera in self.scene.scene_cameras.items()
         }
         views = {
-            name: photograph(self.renderer, camera, instant.shot(camera), self.channels, instant.stamp)
+            name: photograph(
+                self.renderer,
+                camera,
+                instant.shot(camera, beside.get("after"), beside.get("before")),
+                self.channels,
+                instant.stamp,
+            )
             for name, camera in self.scene.scene_cameras.items()
         }
         joints: dict[str, dict[str, JointView]] = {}
         if {"instance", "part"} <= set(self.channels):
             joints = {name: self._joints(cameras[name], humans, view) for name, view in views.items()}
         return Frame(index, instant.stamp, humans, views, joints, moment.objects, cameras)
+
+    def _at(self, elapsed: int) -> tuple[Moment, dict[str, HumanState], Instant]:
+        """All there is at a time of the scene in nanoseconds."""
+        moment = self.playback.show(elapsed)
+        humans = {name: actor.state(moment.poses[name]) for name, actor in self.playback.actors.items()}
+        return moment, humans, self._instant(elapsed, humans, moment)
 
     def _instant(self, elapsed: int, humans: dict[str, HumanState], moment: Moment) -> Instant:
         def joints_of(name: str) -> JointMotion:

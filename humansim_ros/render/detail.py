@@ -1,0 +1,206 @@
+"""What follows from which triangle a pixel shows: normals, texture coordinates, where its point goes.
+
+A renderer says for every pixel which triangle of which body its centre shows. The point of that triangle on
+the pixel's ray is then known exactly, by its barycentric coordinates, and with it all that belongs to the
+point: no renderer interpolates or rounds it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.camera.lens import Lens
+from humansim_ros.render.renderer import Body, Moment
+from humansim_ros.rotations import Array
+
+Floats = NDArray[np.float32]
+
+#: Metres, and share of the distance, that a surface may lie before a point that is seen all the same: the
+#: depth between two pixels of a surface that slants away.
+_SLACK, _SLANT = 0.01, 0.01
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The pixels of an image that show bodies. ``pixels``: (M,) flat indices. ``owner``: (M,) which of the
+    bodies; ``triangle``: (M,) which of its triangles.
+    """
+
+    pixels: NDArray[np.intp]
+    owner: NDArray[np.intp]
+    triangle: NDArray[np.intp]
+
+
+class Detail:
+    """The points of bodies' surfaces that the pixels of a camera show."""
+
+    def __init__(self, camera: Camera, bodies: Sequence[Body], shown: Shown) -> None:
+        self.camera = camera
+        self.shown = shown
+        # which vertices each pixel's triangle has, of those of all bodies one after the other
+        offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
+        first = np.cumsum([0, *(len(body.mesh.triangles) for body in bodies)])
+        self._bodies = bodies
+        numbers = first[shown.owner] + shown.triangle
+        # a triangle is worked out once, however many pixels show it
+        self._seen, self._which = _distinct(numbers, int(first[-1]))
+        owner = np.searchsorted(first, self._seen, side="right") - 1
+        self._owner, self._triangle = owner, self._seen - first[owner]
+        corners = np.empty((len(owner), 3), np.intp)
+        for index, body in enumerate(bodies):
+            mine = owner == index
+            corners[mine] = body.mesh.triangles[self._triangle[mine]] + offsets[index]
+        self._corners = corners
+
+    def _posed(self, bodies: Sequence[Body], camera: Camera) -> Array:
+        """(T, 3, 3) corners of the triangles that are seen, in the optical frame of a camera."""
+        vertices = np.concatenate([body.vertices for body in bodies])[self._corners]
+        return camera.to_optical(vertices)
+
+    @cached_property
+    def _now(self) -> Array:
+        return self._posed(self._bodies, self.camera)
+
+    @cached_property
+    def _normals(self) -> Array:
+        """(T, 3) unit normals of the triangles, optical frame."""
+        a, b, c = np.moveaxis(self._now, 1, 0)
+        normals = np.cross(b - a, c - a)
+        return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30))
+
+    @cached_property
+    def weights(self) -> Array:
+        """(M, 3) barycentric coordinates of the points."""
+        a, b, c = np.moveaxis(self._now, 1, 0)
+        # the ray d meets the plane of a b c where d . (b x c), d . (c x a), d . (a x b) are as the weights
+        planes = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=1)
+        rays = ray_grid(self.camera).reshape(-1, 3)[self.shown.pixels]
+        weights = np.einsum("mij,mj->mi", planes[self._which], rays)
+        total = weights.sum(axis=1, keepdims=True)
+        weights /= np.where(np.abs(total) > 1e-30, total, 1.0)
+        # centres that only just are on a triangle may be a rounding beside it
+        return np.asarray(np.clip(weights, -0.01, 1.01))
+
+    def normals(self) -> Floats:
+        """(M, 3) unit outward normals in the optical frame."""
+        return np.asarray(self._normals[self._which], dtype=np.float32)
+
+    def points(self) -> Array:
+        """(M, 3) the points, optical frame, metres."""
+        return self._of_corners(self._now)
+
+    def texture_coordinates(self) -> Floats:
+        """(M, 2) texture coordinates, v up; NaN where a body has none."""
+        uv = np.full((len(self._seen), 3, 2), np.nan)
+        for index, body in enumerate(self._bodies):
+            mesh, mine = body.mesh, self._owner == index
+            if mesh.uv is not None and mesh.uv_triangles is not None:
+                uv[mine] = mesh.uv[mesh.uv_triangles[self._triangle[mine]]]
+        return np.asarray(self._of_corners(uv), dtype=np.float32)
+
+    def where(self, other: Moment) -> tuple[Array, Array]:
+        """Pixels (M, 2) and depths (M,) of the same points of the surfaces at another moment."""
+        return other.camera.project_optical(self._of_corners(self._posed(other.bodies, other.camera)))
+
+    def _of_corners(self, values: Array) -> Array:
+        """(M, k) of what the corners (T, 3, k) of the triangles have."""
+        return np.asarray(np.einsum("mi,mik->mk", self.weights, values[self._which]))
+
+
+@dataclass(frozen=True)
+class Flow:
+    """``flow``: (H, W, 2) float32 pixels from each pixel's centre to where the point that it shows is at the
+    other moment, NaN where nothing is or it is not before the lens. ``hidden``: (H, W) uint8, 1 where that
+    point is not seen there: hidden by something, or outside the image.
+    """
+
+    flow: Floats
+    hidden: NDArray[np.uint8]
+
+
+def optical_flow(
+    camera: Camera, detail: Detail, depth: Floats, other: Moment, other_depth: Floats | None
+) -> Flow:
+    """Where what a camera sees goes. ``depth``: (H, W) what it sees; ``other_depth``: what is seen at the
+    other moment, needed for what is hidden.
+    """
+    stays = np.array_equal(camera.R, other.camera.R) and np.array_equal(camera.t, other.camera.t)
+    flow, there = (_nothing_moves if stays else _camera_moves)(camera, depth, other.camera)
+    shown = detail.shown.pixels
+    pixels, distance = detail.where(other)
+    flow.reshape(-1, 2)[shown] = pixels - _pixel_grid(camera.size)[shown]
+    there.ravel()[shown] = distance
+    hidden = np.zeros(depth.shape, np.uint8)
+    if other_depth is not None and stays:
+        hidden[:] = other_depth < there * np.float32(1 - _SLANT) - np.float32(_SLACK)
+        hidden[np.isinf(there)] = 1
+        hidden.ravel()[shown] = _hidden(pixels, distance, other_depth)
+    elif other_depth is not None:
+        to = (_pixel_grid(camera.size) + flow.reshape(-1, 2)).astype(float)
+        hidden.ravel()[:] = _hidden(to, there.ravel(), other_depth)
+    return Flow(flow, hidden)
+
+
+def _nothing_moves(camera: Camera, depth: Floats, other: Camera) -> tuple[Floats, Floats]:
+    """Flow (H, W, 2), and depths (H, W) at the other moment, of what stands still before a still camera."""
+    flow = np.zeros((*depth.shape, 2), np.float32)
+    nothing = np.isinf(depth)
+    if nothing.any():
+        flow[nothing] = np.nan
+    return flow, depth.copy()
+
+
+def _camera_moves(camera: Camera, depth: Floats, other: Camera) -> tuple[Floats, Floats]:
+    """The same of what stands still before a camera that is elsewhere at the other moment."""
+    with np.errstate(invalid="ignore"):  # endlessly far away
+        world = (ray_grid(camera) * depth[..., None] - camera.t) @ camera.R
+        pixels, there = other.project(world.reshape(-1, 3))
+    flow = (pixels - _pixel_grid(camera.size)).astype(np.float32).reshape(*depth.shape, 2)
+    return flow, there.astype(np.float32).reshape(depth.shape)
+
+
+def _hidden(to: Array, distance: NDArray[np.floating], other_depth: Floats) -> NDArray[np.uint8]:
+    """(M,) which points at pixels (M, 2) are not seen: something is before them, or they are outside."""
+    height, width = other_depth.shape
+    inside = np.all((to > -0.5) & (to < np.array([width, height]) - 0.5), axis=1)  # false for NaN
+    hidden = np.ones(len(to), np.uint8)
+    column, row = np.rint(to[inside]).astype(np.intp).T
+    hidden[inside] = other_depth[row, column] < distance[inside] * (1 - _SLANT) - _SLACK
+    return hidden
+
+
+def ray_grid(camera: Camera) -> Array:
+    """(H, W, 3) directions with z = 1, optical frame, that the pixels' centres see; NaN where the lens is
+    dark.
+    """
+    return _ray_grid(camera.lens, camera.size, tuple(camera.K.ravel().tolist()))
+
+
+@lru_cache(maxsize=16)
+def _ray_grid(lens: Lens, size: tuple[int, int], k: tuple[float, ...]) -> Array:
+    camera = Camera(size, np.reshape(k, (3, 3)), np.eye(3), np.zeros(3), lens.coefficients, lens.model)
+    return camera.rays(_pixel_grid(size).reshape(size[1], size[0], 2))
+
+
+@lru_cache(maxsize=16)
+def _pixel_grid(size: tuple[int, int]) -> Array:
+    """(H W, 2) pixels of an image."""
+    columns, rows = np.meshgrid(np.arange(size[0], dtype=float), np.arange(size[1], dtype=float))
+    return np.stack([columns.ravel(), rows.ravel()], axis=1)
+
+
+def _distinct(numbers: NDArray[Any], count: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """The distinct ones of numbers below ``count``, and which of these each is: np.unique without sorting."""
+    there = np.zeros(count, bool)
+    there[numbers] = True
+    distinct = np.flatnonzero(there)
+    place = np.empty(count, np.intp)
+    place[distinct] = np.arange(len(distinct))
+    return distinct, place[numbers]

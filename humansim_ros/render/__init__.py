@@ -1,7 +1,7 @@
 """Pictures and per-pixel ground truth of meshes as cameras see them."""
 
 from humansim_ros.render.gl import GLRenderer, Lighting
-from humansim_ros.render.renderer import ALL_CHANNELS, CHANNELS, Body, Moment, Renderer, View
+from humansim_ros.render.renderer import ALL_CHANNELS, CHANNELS, Body, Neighbour, Renderer, View
 
 __all__ = [
     "ALL_CHANNELS",
@@ -9,7 +9,7 @@ __all__ = [
     "Body",
     "GLRenderer",
     "Lighting",
-    "Moment",
+    "Neighbour",
     "Renderer",
     "View",
 ]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.lens import Lens
-from humansim_ros.render.renderer import Body, Moment
+from humansim_ros.render.renderer import Body, Neighbour
 from humansim_ros.rotations import Array
 
 Floats = NDArray[np.float32]
@@ -105,7 +105,7 @@ class Detail:
                 uv[mine] = mesh.uv[mesh.uv_triangles[self._triangle[mine]]]
         return np.asarray(self._of_corners(uv), dtype=np.float32)
 
-    def where(self, other: Moment) -> tuple[Array, Array]:
+    def where(self, other: Neighbour) -> tuple[Array, Array]:
         """Pixels (M, 2) and depths (M,) of the same points of the surfaces at another moment."""
         return other.camera.project_optical(self._of_corners(self._posed(other.bodies, other.camera)))
 
@@ -126,7 +126,7 @@ class Flow:
 
 
 def optical_flow(
-    camera: Camera, detail: Detail, depth: Floats, other: Moment, other_depth: Floats | None
+    camera: Camera, detail: Detail, depth: Floats, other: Neighbour, other_depth: Floats | None
 ) -> Flow:
     """Where what a camera sees goes. ``depth``: (H, W) what it sees; ``other_depth``: what is seen at the
     other moment, needed for what is hidden.

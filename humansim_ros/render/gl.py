@@ -30,9 +30,9 @@ from humansim_ros.render.renderer import (
     CHANNELS,
     FLOWS,
     Body,
-    Moment,
+    Neighbour,
     View,
-    check_moments,
+    check_neighbours,
     check_request,
 )
 from humansim_ros.render.shadow import CELLS
@@ -113,8 +113,8 @@ class GLRenderer:
         camera: Camera,
         channels: Collection[str] = CHANNELS,
         passing: bool = False,
-        after: Moment | None = None,
-        before: Moment | None = None,
+        after: Neighbour | None = None,
+        before: Neighbour | None = None,
     ) -> View:
         """See :class:`humansim_ros.render.Renderer`.
 
@@ -122,7 +122,7 @@ class GLRenderer:
         """
         moments = {"after": after, "before": before}
         check_request(bodies, channels)
-        check_moments(bodies, channels, moments)
+        check_neighbours(bodies, channels, moments)
         with self._ctx:  # others in this thread may have made their own context the current one
             hidden = [moments[FLOWS[c]] for c in channels if c.endswith("_hidden")]
             depths = {
@@ -138,7 +138,7 @@ class GLRenderer:
         camera: Camera,
         channels: frozenset[str],
         passing: bool,
-        moments: Mapping[str, Moment | None] = MappingProxyType({}),
+        moments: Mapping[str, Neighbour | None] = MappingProxyType({}),
         depths: Mapping[int, Floats | None] = MappingProxyType({}),
     ) -> View:
         layer = self._layer(camera, passing)
@@ -194,7 +194,7 @@ class GLRenderer:
         detail: Detail,
         channels: frozenset[str],
         flows: Sequence[str],
-        moments: Mapping[str, Moment | None],
+        moments: Mapping[str, Neighbour | None],
         depths: Mapping[int, Floats | None],
     ) -> None:
         """Fill in what follows from the triangles that are shown."""

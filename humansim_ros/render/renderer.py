@@ -43,7 +43,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Moment:
+class Neighbour:
     """What a camera has before it at another moment: the same bodies, in the same order."""
 
     bodies: Sequence[Body]
@@ -92,8 +92,8 @@ class Renderer(Protocol):
         camera: Camera,
         channels: Collection[str] = CHANNELS,
         passing: bool = False,
-        after: Moment | None = None,
-        before: Moment | None = None,
+        after: Neighbour | None = None,
+        before: Neighbour | None = None,
     ) -> View:
         """The asked channels of one view.
 
@@ -135,8 +135,8 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
             raise RenderError(f"part labels of shape {body.parts.shape} do not fit a mesh of {n} triangles")
 
 
-def check_moments(
-    bodies: Sequence[Body], channels: Collection[str], moments: Mapping[str, Moment | None]
+def check_neighbours(
+    bodies: Sequence[Body], channels: Collection[str], moments: Mapping[str, Neighbour | None]
 ) -> None:
     """RenderError where a channel of flow lacks the frame it needs, or that frame has other bodies."""
     for channel in set(channels) & set(FLOWS):

@@ -17,7 +17,7 @@ from humansim_ros.camera.idealize import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import CameraError, SceneError, warn_of
-from humansim_ros.render import Body, Moment, Renderer, View
+from humansim_ros.render import Body, Neighbour, Renderer, View
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.config import CameraConfig, RigConfig, SceneConfig, line_of_key
 from humansim_ros.sensor import Sensor
@@ -130,8 +130,8 @@ class Shot:
     bodies_at: Callable[[float], Sequence[Body]]
     pose_at: Callable[[float], CameraPose]
     moving: bool = False
-    after: Moment | None = None
-    before: Moment | None = None
+    after: Neighbour | None = None
+    before: Neighbour | None = None
 
 
 def photograph(

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.render import Body, Moment
+from humansim_ros.render import Body, Neighbour
 from humansim_ros.rotations import Array
 from humansim_ros.scene.filming import CameraPose, SceneCamera, Shot
 from humansim_ros.scene.objects import ObjectPose
@@ -63,9 +63,9 @@ class Instant:
             return self
         return replace(self, before=replace(before, vertices={}, before=None))
 
-    def moment(self, camera: SceneCamera) -> Moment:
+    def neighbour(self, camera: SceneCamera) -> Neighbour:
         """This instant as a neighbour of another one."""
-        return Moment(self.bodies, camera.at(self._pose_at(camera, 0.0)))
+        return Neighbour(self.bodies, camera.at(self._pose_at(camera, 0.0)))
 
     def shot(
         self, camera: SceneCamera, following: Instant | None = None, previous: Instant | None = None
@@ -77,8 +77,8 @@ class Instant:
             self._bodies_at,
             lambda seconds: self._pose_at(camera, seconds),
             camera.moves,
-            None if following is None else following.moment(camera),
-            None if previous is None else previous.moment(camera),
+            None if following is None else following.neighbour(camera),
+            None if previous is None else previous.neighbour(camera),
         )
 
     def _bodies_at(self, seconds: float) -> Sequence[Body]:

@@ -1,0 +1,124 @@
+"""What a lens costs: camera-frames of the demo scene through each model, beside the same without distortion.
+
+All contestants take turns in one process, frame by frame and in changing order, so that what else the machine
+does hits them alike. The figures are medians of wall-clock milliseconds; read the ratios.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from humansim_ros.camera import Camera
+from humansim_ros.render import CHANNELS, Body, GLRenderer
+from humansim_ros.scene import Scene
+
+#: Calibrations of real cameras; the fisheye's coefficients are made up.
+LENSES: dict[str, tuple[tuple[float, ...], str | None]] = {
+    "ideal": ((), None),
+    "plumb_bob": ((-0.361976, 0.110510, 0.001014, 0.000505, 0.0), "plumb_bob"),
+    "rational_polynomial": (
+        (0.189544, -0.018229, -0.00063, 0.000054, -0.000212, 0.543582, -0.027892, 0.0),
+        "rational_polynomial",
+    ),
+    "equidistant": ((-0.013, 0.021, -0.0031, 0.0004), "equidistant"),
+}
+Draw = Callable[[Body, Camera, int], object]
+
+
+def through(camera: Camera, lens: str) -> Camera:
+    coefficients, model = LENSES[lens]
+    return replace(camera, distortion=coefficients, model=model)
+
+
+def steady(renderer: GLRenderer, lens: str, channels: Sequence[str]) -> Draw:
+    """A frame of a camera that stands still."""
+    return lambda body, camera, _: renderer.render([replace(body)], through(camera, lens), channels)
+
+
+def moving(renderer: GLRenderer, lens: str) -> Draw:
+    """A frame of a camera that is a centimetre farther in each."""
+
+    def draw(body: Body, camera: Camera, number: int) -> object:
+        there = replace(through(camera, lens), t=camera.t + 0.01 * (number % 20))
+        return renderer.render([replace(body)], there, CHANNELS, passing=True)
+
+    return draw
+
+
+def first(renderer: GLRenderer, lens: str) -> Draw:
+    """The first frame of a camera of its own with a lens of its own: nothing is known of either."""
+    coefficients, model = LENSES[lens]
+
+    def draw(body: Body, camera: Camera, number: int) -> object:
+        own = tuple(k * (1 + 1e-6 * number) for k in coefficients)
+        there = replace(camera, t=camera.t + 0.001 * number, distortion=own, model=model)
+        return renderer.render([replace(body)], there, CHANNELS)
+
+    return draw
+
+
+def compare(title: str, draws: dict[str, Draw], shots: Sequence[tuple[Body, Camera]], rounds: int) -> object:
+    """Print and return the median of each lens, and the median of its ratios to the ideal one's frames."""
+    times: dict[str, list[float]] = {lens: [] for lens in draws}
+    order = list(draws)
+    for number in range(-4, rounds):  # the first four warm up
+        body, camera = shots[number % len(shots)]
+        order.append(order.pop(0))
+        for lens in order:
+            start = time.perf_counter()
+            draws[lens](body, camera, number + 100)
+            if number >= 0:
+                times[lens].append((time.perf_counter() - start) * 1e3)
+    print(f"\n{title:<40} {'median':>8} {'best':>8} {'x ideal':>8}")
+    ideal, rows = float(np.median(times["ideal"])), []
+    for lens, values in times.items():
+        median, best = float(np.median(values)), float(np.min(values))
+        print(f"{lens:<40} {median:8.2f} {best:8.2f} {median / ideal:8.2f}")
+        rows.append({"lens": lens, "median_ms": median, "best_ms": best, "x_ideal": median / ideal})
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--rounds", type=int, default=160, help="frames of each contestant (default: %(default)s)"
+    )
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
+    options = parser.parse_args()
+
+    scene = Scene.load()
+    actor, cameras = next(iter(scene.actors.values())), list(scene.cameras.values())
+    bodies = [actor.body(actor.at(0.25 * number).vertices) for number in range(16)]
+    shots = [(body, cameras[number % len(cameras)]) for number, body in enumerate(bodies)]
+    renderer = GLRenderer(scene.static_meshes)
+    print(f"{renderer.device}, {os.cpu_count()} cores; {len(cameras)} cameras, {cameras[0].size}")
+    figures: dict[str, object] = {"device": renderer.device, "cores": os.cpu_count()}
+    for title, channels in (
+        ("ms: rgb, depth, instance, part", CHANNELS),
+        ("ms: rgb alone", ("rgb",)),
+        ("ms: depth, instance, part", ("depth", "instance", "part")),
+    ):
+        draws = {lens: steady(renderer, lens, channels) for lens in LENSES}
+        figures[title] = compare(title, draws, shots, options.rounds)
+    title = "ms: all channels, camera that moves"
+    draws = {lens: moving(renderer, lens) for lens in LENSES}
+    figures[title] = compare(title, draws, shots, max(options.rounds // 8, 1))
+    title = "ms: all channels, first frame"
+    draws = {lens: first(renderer, lens) for lens in LENSES}
+    figures[title] = compare(title, draws, shots, max(options.rounds // 16, 1))
+    if options.json:
+        options.json.write_text(json.dumps(figures, indent=2) + "\n")
+
+
+if __name__ == "__main__":
+    main()

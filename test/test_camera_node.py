@@ -629,6 +629,34 @@ def test_a_pose_moves_a_camera_and_a_wrong_one_is_told(
     assert "pose not used: a camera's pose must be in map, this is in 'odom'" in told
 
 
+def test_a_camera_that_is_posed_now_and_then_is_not_taken_to_rest_between(
+    make: Callable[[str, str], Set], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What stands still is drawn finely, and kept, only where the camera stays for a while."""
+    from sensor_msgs.msg import Image
+
+    monkeypatch.setattr(whereabouts, "_RESTLESS", 400_000_000)
+    one = make("restless", f"rate: 20\nroom: null\n{WALL}cameras: {{left: {{{PLACE}}}}}")
+    node = one.add(CameraNode)
+    passing: list[bool] = []
+    render = node._renderer.render
+
+    def watch(bodies: Any, camera: Any, channels: Any, moves: bool = False, *rest: Any) -> Any:
+        passing.append(moves)
+        return render(bodies, camera, channels, moves, *rest)
+
+    monkeypatch.setattr(node._renderer, "render", watch)
+    one.hear(Image, "left/image_raw")
+    one.next("left/image_raw", count=2)
+    assert not any(passing)
+    for x in (1.0, 1.1, 1.2):
+        there = Camera.look_at((x, 0, 1), (0, 0, 1))
+        one.send("left/pose", messages.pose_message(whereabouts.CameraPose.of(there), node.now()))
+        one.next("left/image_raw", count=4)
+    assert passing[-8:] == [True] * 8
+    assert one.client.spin_until(lambda: passing[-2:] == [False] * 2)
+
+
 def test_depth_alone_is_rendered_once_a_frame_whatever_the_sensor(
     make: Callable[[str, str], Set], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -642,9 +670,9 @@ def test_depth_alone_is_rendered_once_a_frame_whatever_the_sensor(
     asked: list[set[str]] = []
     render = node._renderer.render
 
-    def watch(bodies: Any, camera: Any, channels: Any, **rest: Any) -> Any:
+    def watch(bodies: Any, camera: Any, channels: Any, *rest: Any, **named: Any) -> Any:
         asked.append(set(channels))
-        return render(bodies, camera, channels, **rest)
+        return render(bodies, camera, channels, *rest, **named)
 
     monkeypatch.setattr(node._renderer, "render", watch)
     one.hear(Image, "left/depth/image")

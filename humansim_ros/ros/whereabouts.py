@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from std_msgs.msg import Float64MultiArray
@@ -21,6 +22,8 @@ except ImportError:  # not on PyPI
 
 #: Poses that are remembered: frames are a little older than the newest pose.
 _REMEMBERED = 200
+#: Nanoseconds after its last move that a camera is taken to move on: poses may be rarer than frames.
+_RESTLESS = 1_000_000_000
 
 
 class Whereabouts:
@@ -36,6 +39,7 @@ class Whereabouts:
         self._camera = camera
         self._poses: deque[tuple[int, CameraPose]] = deque(maxlen=_REMEMBERED)
         self._start = self._last = CameraPose.of(camera.camera)
+        self._moved = 0
         self._extrinsics = node.create_publisher(TransformStamped, f"{camera.name}/extrinsics", LATCHED)
         self._projection = node.create_publisher(Float64MultiArray, f"{camera.name}/projection", LATCHED)
         self._tf = self._tf_static = None
@@ -52,8 +56,13 @@ class Whereabouts:
         """What there is to be seen of an instant from where the camera is then. Says where that is."""
         shot = instant.shot(self._camera)
         if self._poses:
-            moving = self._place(instant.stamp) is not self._last  # where it stays, it stays the same object
-            shot = Shot(shot.bodies_at, lambda s: self._place(instant.stamp + round(1e9 * s)), moving)
+            if self._place(instant.stamp) is not self._last:  # where it stays, it stays the same object
+                self._moved = instant.stamp
+            shot = replace(
+                shot,
+                pose_at=lambda seconds: self._place(instant.stamp + round(1e9 * seconds)),
+                moving=abs(instant.stamp - self._moved) < _RESTLESS,
+            )
         self._last = shot.pose_at(0.0)
         if shot.moving or self._poses:
             # those who ask tf where a camera is at a frame's stamp need one at that stamp

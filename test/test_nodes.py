@@ -305,9 +305,9 @@ def test_nothing_is_rendered_that_nobody_wants(
     node = CameraNode(**parameters(scene=str(write_scene(tmp_path)), camera="left"), namespace="lazy")
     render = node._renderer.render
 
-    def watch(bodies: Any, camera: Any, channels: Any, **rest: Any) -> Any:
+    def watch(bodies: Any, camera: Any, channels: Any, *rest: Any, **named: Any) -> Any:
         asked.append(set(channels))
-        return render(bodies, camera, channels, **rest)
+        return render(bodies, camera, channels, *rest, **named)
 
     monkeypatch.setattr(node._renderer, "render", watch)
     client = Client("lazy")

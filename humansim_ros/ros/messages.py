@@ -47,7 +47,20 @@ from humansim_ros.truth.joints import OCCLUDED, OUTSIDE, VISIBLE, JointView
 WORLD_FRAME = "map"
 
 #: Image encodings of the channels but rgb, which the sensor decides (docs/ground_truth.md).
-ENCODINGS = {"depth": "32FC1", "instance": "mono16", "part": "mono8"}
+ENCODINGS = {
+    "depth": "32FC1",
+    "instance": "mono16",
+    "part": "mono8",
+    "face": "32SC1",
+    "normal": "32FC3",
+    "uv": "32FC2",
+    "flow": "32FC2",
+    "flow_hidden": "mono8",
+    "flow_back": "32FC2",
+    "flow_back_hidden": "mono8",
+    "alpha": "mono8",
+    "amodal": "mono8",
+}
 
 #: One point of ``<camera>/joints``; padded so that points start at multiples of four bytes.
 JOINT_POINT = np.dtype(

@@ -10,6 +10,7 @@ nobody subscribes to. As a driver it has ``camera_info``, ``set_camera_info`` an
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from typing import Any
 
 from numpy.typing import NDArray
@@ -17,25 +18,22 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError, SceneError
-from humansim_ros.render import GLRenderer, View
+from humansim_ros.render import GLRenderer, Neighbour, View
 from humansim_ros.ros import messages
 from humansim_ros.ros.calibration import PublishedCalibration, calibration_of
 from humansim_ros.ros.joiner import FrameJoiner
 from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.outlets import Outlets
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.ros.whereabouts import Whereabouts
-from humansim_ros.scene.filming import SceneCamera, photograph
+from humansim_ros.scene.filming import SceneCamera, Shot, photograph
 from humansim_ros.scene.instant import Instant
 from humansim_ros.truth.joints import joint_surfaces, view_joints
 
-#: Topic of each channel below the camera's name.
-_IMAGE_TOPICS = {
-    "rgb": "image_raw",
-    "depth": "depth/image",
-    "instance": "instance/image",
-    "part": "part/image",
-}
+#: Channels that are known only when the next frame is.
+_FORWARD = {"flow", "flow_hidden"}
+_BACKWARD = {"flow_back", "flow_back_hidden"}
 
 
 class CameraNode(SceneNode):
@@ -48,10 +46,9 @@ class CameraNode(SceneNode):
         self._frame = messages.optical_frame(name)
         self._renderer = GLRenderer(self.scene.static_meshes)
         self._surfaces = {human: joint_surfaces(actor.human) for human, actor in self.scene.actors.items()}
-        self._images = {
-            channel: self.create_publisher(Image, f"{name}/{topic}", DATA)
-            for channel, topic in _IMAGE_TOPICS.items()
-        }
+        instances = {human: actor.instance for human, actor in self.scene.actors.items()}
+        self._outlets = Outlets(self, name, self._camera.encoding, instances)
+        self._before: tuple[Instant, Shot] | None = None
         self._rect = None
         if self._camera.rectified is not None:
             self._rect = self.create_publisher(Image, f"{name}/image_rect", DATA)
@@ -106,7 +103,12 @@ class CameraNode(SceneNode):
         """Render what somebody wants of this instant, and send it."""
         stamp = instant.stamp
         shot = self._where.shot(instant)
-        channels = {c for c, publisher in self._images.items() if publisher.get_subscription_count()}
+        channels = self._outlets.wanted()
+        before, self._before = self._before, (instant, shot) if channels & (_FORWARD | _BACKWARD) else None
+        if before is not None:
+            shot = replace(shot, before=_neighbour(self._camera, *before))
+            self._send_forward_flow(channels & _FORWARD, *before, _neighbour(self._camera, instant, shot))
+        channels -= _FORWARD if before is not None else _FORWARD | _BACKWARD
         wanted = set(channels)
         wants_joints = self._joints.get_subscription_count() > 0
         wants_rect = self._rect is not None and self._rect.get_subscription_count() > 0
@@ -119,8 +121,7 @@ class CameraNode(SceneNode):
         if not wanted:
             return
         view = photograph(self._renderer, self._camera, shot, wanted, stamp)
-        for channel in channels:
-            self._send(self._images[channel], getattr(view, channel), self._encoding(channel), stamp)
+        self._outlets.send(view, channels, stamp)
         if self._rect is not None and wants_rect and view.rgb is not None:
             encoding = self._camera.encoding.replace("bayer_rggb8", "rgb8")
             self._send(self._rect, self._camera.rectify(view.rgb), encoding, stamp)
@@ -129,8 +130,14 @@ class CameraNode(SceneNode):
         self.count("frames")
         self.report_lateness(stamp)
 
-    def _encoding(self, channel: str) -> str:
-        return self._camera.encoding if channel == "rgb" else messages.ENCODINGS[channel]
+    def _send_forward_flow(
+        self, channels: set[str], instant: Instant, shot: Shot, following: Neighbour
+    ) -> None:
+        """Send where everything of the frame before has gone, with that frame's stamp."""
+        if channels:
+            shot = replace(shot, after=following)
+            view = photograph(self._renderer, self._camera, shot, channels, instant.stamp)
+            self._outlets.send(view, channels, instant.stamp)
 
     def _send(self, publisher: Any, image: NDArray[Any], encoding: str, stamp: int) -> None:
         publisher.publish(messages.image_message(image, encoding, stamp, self._frame))
@@ -142,6 +149,11 @@ class CameraNode(SceneNode):
             joints = view_joints(camera, positions, view, actor.instance, self._surfaces[name])
             seen.append((actor.instance, joints))
         self._joints.publish(messages.joint_view_message(seen, instant.stamp, self._frame))
+
+
+def _neighbour(camera: SceneCamera, instant: Instant, shot: Shot) -> Neighbour:
+    """An instant as one that another frame is compared with."""
+    return Neighbour(instant.bodies, camera.at(shot.pose_at(0.0)))
 
 
 def main() -> int:

@@ -6,7 +6,6 @@ import signal
 import sys
 import tempfile
 import time
-import warnings
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -14,7 +13,7 @@ import typer
 import yaml
 
 from humansim_ros import __version__, cli_camera_rig, cli_human, cli_motion
-from humansim_ros.errors import HumansimError, HumansimWarning
+from humansim_ros.errors import HumansimError, tell_warnings
 from humansim_ros.resources import resource_path
 
 app = typer.Typer(
@@ -158,7 +157,7 @@ def _describe(scene: Any) -> None:
 
 def main() -> int:
     """Entry point: our errors become one line on standard error and exit code 2."""
-    warnings.showwarning = _show_warning  # type: ignore[assignment]  # a narrower one is enough here
+    tell_warnings()
     try:
         result = app(standalone_mode=False)
     except HumansimError as error:
@@ -176,11 +175,6 @@ def main() -> int:
             return 2
         raise
     return result if isinstance(result, int) else 0  # typer.Exit ends here as its code
-
-
-def _show_warning(message: Any, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
-    if issubclass(category, HumansimWarning):
-        print(f"warning: {message}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,9 @@ without a traceback and exits with code 2.
 from __future__ import annotations
 
 import os
+import sys
 import warnings
+from typing import Any
 
 
 class HumansimError(Exception):
@@ -76,3 +78,13 @@ def warn_of(path: str | os.PathLike[str], message: str) -> None:
 
 class HumansimWarning(UserWarning):
     """Input that was usable but not as it should be; the message says what was assumed."""
+
+
+def tell_warnings() -> None:
+    """Print our warnings as lines for people, and no others: what a program does at its start."""
+    warnings.showwarning = _tell  # type: ignore[assignment]  # a narrower one is enough here
+
+
+def _tell(message: Any, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
+    if issubclass(category, HumansimWarning):
+        print(f"warning: {message}", file=sys.stderr)

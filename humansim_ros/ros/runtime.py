@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
-from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.errors import HumansimError, RosError, tell_warnings
 from humansim_ros.resources import resource_path
 
 #: Whoever sets one of these has configured Fast DDS's transports.
@@ -57,6 +57,7 @@ def prepare_transport() -> None:
 
 def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) -> int:
     """Run one node until SIGINT or SIGTERM. Returns the exit code: 0 stopped, 2 the input was wrong."""
+    tell_warnings()
     try:
         require_ros()
     except HumansimError as error:

@@ -657,6 +657,28 @@ def test_a_camera_that_is_posed_now_and_then_is_not_taken_to_rest_between(
     assert one.client.spin_until(lambda: passing[-2:] == [False] * 2)
 
 
+def test_the_first_frame_is_not_smeared_from_where_the_scene_stood_still(
+    make: Callable[[str, str], Set],
+) -> None:
+    """A camera that joins a scene that is long running has shown it as at its start until then."""
+    from sensor_msgs.msg import Image
+
+    moving = f"{{size: [64, 48], trajectory: way.txt, sensor: {{{BLUR}}}}}"
+    one = make("late_camera", DRIVER.partition("cameras")[0] + f"cameras: {{one: {moving}}}")
+    node = one.add(CameraNode)
+    one.hear(Image, "one/image_raw")
+    assert one.client.spin_until(lambda: len(one.heard("one/image_raw")) > 0)
+    camera = Scene.load(one.scene).scene_cameras["one"]
+    stamp = node.now() + 200_000_000
+    one.send("one/pose", messages.pose_message(camera.pose(2.0), stamp))
+    assert one.client.spin_until(lambda: stamp in one.heard("one/image_raw"))
+    pictures = [pixels(one.heard("one/image_raw")[stamp])]
+    one.send("one/pose", messages.pose_message(camera.pose(2.0), stamp + 50_000_000))
+    assert one.client.spin_until(lambda: stamp + 50_000_000 in one.heard("one/image_raw"))
+    pictures.append(pixels(one.heard("one/image_raw")[stamp + 50_000_000]))
+    np.testing.assert_array_equal(*pictures)
+
+
 def test_depth_alone_is_rendered_once_a_frame_whatever_the_sensor(
     make: Callable[[str, str], Set], monkeypatch: pytest.MonkeyPatch
 ) -> None:

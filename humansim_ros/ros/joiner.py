@@ -165,6 +165,8 @@ class FrameJoiner:
         if self._last:
             # those that the pace leaves out are drops too
             self._node.count("drops", max(0, round((stamp - self._last) / self._period) - 1))
+        else:
+            self._before = None  # the scene as it stood still leads nowhere
         self._last = stamp
         start = time.monotonic()
         joints_of = cache(lambda human: _joints(serialised[human]))

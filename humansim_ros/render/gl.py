@@ -8,6 +8,7 @@ cannot show are not sent at all.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -50,6 +51,8 @@ _MAX_STATIC_SIDE = 8192
 _PASSING_SUPERSAMPLING = 2
 #: Cameras whose static scene is kept.
 _MAX_LAYERS = 32
+#: Devices that are tried where one works.
+_MAX_DEVICES = 16
 #: Pieces along a side of a shadow that a lens may bend.
 _SHADOW_GRID = 32
 #: What a target is made of: the shaders' location, components read back, their type.
@@ -73,9 +76,11 @@ class GLRenderer:
     Use it from one thread. Raises RenderError, naming the system packages, where no OpenGL can be had.
     """
 
-    def __init__(self, static: Sequence[Mesh] = (), lighting: Lighting | None = None) -> None:
+    def __init__(
+        self, static: Sequence[Mesh] = (), lighting: Lighting | None = None, device: int | None = None
+    ) -> None:
         self._lighting = lighting or Lighting()
-        self._ctx = create_context()
+        self._ctx = create_context(device)
         self._ctx.front_face = (
             "cw"  # the image's rows run down where OpenGL's run up: everything is mirrored once
         )
@@ -101,7 +106,8 @@ class GLRenderer:
     @property
     def device(self) -> str:
         """What draws, such as ``llvmpipe (LLVM 15.0.6, 256 bits)``."""
-        return str(self._ctx.info["GL_RENDERER"])
+        with self._ctx:
+            return str(self._ctx.info["GL_RENDERER"])
 
     def close(self) -> None:
         """Free the OpenGL context and what is in it."""
@@ -342,17 +348,25 @@ class GLRenderer:
         )
 
 
-def create_context() -> moderngl.Context:
-    """A standalone OpenGL 3.3 context through EGL. RenderError, naming the packages to install, where there
-    is none.
+def create_context(device: int | None = None) -> moderngl.Context:
+    """A standalone OpenGL 3.3 context through EGL, on a device by its number as EGL counts them, GPUs first;
+    None: the first that works. RenderError, naming the packages to install or the devices there are, where
+    there is none.
     """
-    try:
-        return moderngl.create_context(require=330, standalone=True, backend="egl")  # type: ignore[arg-type]
-    except Exception as reason:  # moderngl and glcontext raise bare Exceptions
-        raise RenderError(
-            f"no OpenGL through EGL ({str(reason).splitlines()[0]}). "
-            "On Debian or Ubuntu: sudo apt-get install -y libegl1 libgl1-mesa-dri"
-        ) from None
+    reasons: list[str] = []
+    for number in itertools.count() if device is None else [device]:
+        try:
+            return moderngl.create_context(require=330, standalone=True, backend="egl", device_index=number)  # type: ignore[arg-type]
+        except Exception as reason:  # moderngl and glcontext raise bare Exceptions
+            reasons.append(str(reason).splitlines()[0])
+            if "device index" in reasons[-1] or number >= _MAX_DEVICES:
+                break
+    if device is not None and (device < 0 or "device index" in reasons[0]):
+        raise RenderError(f"there is no OpenGL device {device}: {reasons[0]}")
+    raise RenderError(
+        f"no OpenGL through EGL ({reasons[0]}). "
+        "On Debian or Ubuntu: sudo apt-get install -y libegl1 libgl1-mesa-dri"
+    )
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,29 @@
+"""Which renderer draws, by its name in scene files."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+from humansim_ros.body.mesh import Mesh
+from humansim_ros.render.gl import GLRenderer, Lighting
+from humansim_ros.render.pyrender import PyrenderRenderer
+
+RendererName = Literal["moderngl", "pyrender"]
+
+
+def make_renderer(
+    name: RendererName = "moderngl",
+    static: Sequence[Mesh] = (),
+    lighting: Lighting | None = None,
+    device: int | None = None,
+) -> GLRenderer | PyrenderRenderer:
+    """The renderer of a name. ``device``: number of the GPU as EGL counts them; the first that works if None.
+
+    Raises RenderError, saying what to install, where something is missing, and where there is no such device.
+    """
+    kinds: dict[str, type[GLRenderer] | type[PyrenderRenderer]] = {
+        "moderngl": GLRenderer,
+        "pyrender": PyrenderRenderer,
+    }
+    return kinds[name](static, lighting, device)

@@ -168,7 +168,7 @@ WRONG: list[tuple[str, str, int | None, str | None, str]] = [
         GOOD.replace("rate:", "fps:"),
         1,
         "fps",
-        "unknown key; known here: rate, room, humans, variety, objects, rig, cameras",
+        "unknown key; known here: rate, renderer, room, humans, variety, objects, rig, cameras",
     ),
     (
         "unknown key of a motion",
@@ -276,6 +276,7 @@ WRONG: list[tuple[str, str, int | None, str | None, str]] = [
     ("a number for a name", GOOD.replace("left:", "7:"), 10, "cameras.7", "string"),
     ("the same camera twice", GOOD.replace("right:", "left:"), 15, "left", "second time"),
     ("the same key twice", "rate: 30\n" + GOOD, 2, "rate", "second time"),
+    ("an unknown renderer", "renderer: crayon\n" + GOOD, 1, "renderer", "'moderngl' or 'pyrender'"),
     ("a small room", GOOD.replace("null", "{size: [2, 2, 2]}"), 2, "room", "at least 5"),
     ("a room of a negative seed", GOOD.replace("null", "{seed: -1}"), 2, "room.seed", "greater"),
 ]

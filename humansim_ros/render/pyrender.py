@@ -165,7 +165,8 @@ class _Shape:
         self.whole = _compact(triangles)
         texture = body.mesh.texture
         if texture is not None:
-            texture = library.Texture(source=texture, source_channels="RGB")
+            # (rows of three bytes a pixel would have to be padded)
+            texture = library.Texture(source=texture, source_channels="RGBA")
         self.material = library.MetallicRoughnessMaterial(baseColorTexture=texture)
 
 

@@ -11,6 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 
 from humansim_ros.errors import SceneError
 from humansim_ros.files import read_text
+from humansim_ros.render.choose import RendererName
 from humansim_ros.resources import resource_path
 from humansim_ros.sensor.config import SensorConfig
 from humansim_ros.yaml_files import line_of, parse_yaml
@@ -304,6 +305,7 @@ class SceneConfig(_Section):
     """A scene file."""
 
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
+    renderer: RendererName = Field(default="moderngl", description="what draws; pyrender to compare with")
     room: RoomConfig | None = Field(default=RoomConfig(), description="null for an empty world")
     humans: dict[Name, HumanConfig] = Field(default_factory=dict)
     variety: VarietyConfig | None = Field(default=None, description="more humans, drawn at random")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from humansim_ros.body import Human
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
+from humansim_ros.errors import SceneError
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.files import read_motion, split_name
 from humansim_ros.motion.joint_names import match_motion
@@ -27,7 +28,7 @@ from humansim_ros.motion.world import (
     central_difference,
     understand,
 )
-from humansim_ros.render import Body
+from humansim_ros.render import Body, GLRenderer, PyrenderRenderer, make_renderer
 from humansim_ros.resources import resource_path
 from humansim_ros.rotations import Array, matrix_to_quaternion, moved
 from humansim_ros.scene.config import (
@@ -36,6 +37,7 @@ from humansim_ros.scene.config import (
     SceneConfig,
     find_file,
     find_human,
+    line_of_key,
     load_config,
 )
 from humansim_ros.scene.filming import SceneCamera, build_cameras
@@ -219,7 +221,22 @@ class Scene:
             name: SceneObject.build(name, thing, path, tracks.get(("objects", name)))
             for name, thing in config.objects.items()
         }
-        return cls(path, config, actors, build_cameras(config, path), objects)
+        cameras = build_cameras(config, path)
+        distorted = [name for name, camera in cameras.items() if camera.camera.distorted]
+        if config.renderer == "pyrender" and distorted:
+            raise SceneError(
+                f"pyrender knows no lens distortion, such as that of {distorted[0]}: take moderngl",
+                path=path,
+                line=line_of_key(path, "renderer"),
+                key="renderer",
+            )
+        return cls(path, config, actors, cameras, objects)
+
+    def make_renderer(self, device: int | None = None) -> GLRenderer | PyrenderRenderer:
+        """A renderer of the kind that the scene asks for, in its static world. ``device``: number of the GPU
+        as EGL counts them; the first that works if None. Raises RenderError.
+        """
+        return make_renderer(self.config.renderer, self.static_meshes, device=device)
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:

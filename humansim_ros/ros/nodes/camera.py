@@ -18,7 +18,7 @@ from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError, SceneError
-from humansim_ros.render import GLRenderer, Neighbour, View
+from humansim_ros.render import Neighbour, View
 from humansim_ros.ros import messages
 from humansim_ros.ros.calibration import PublishedCalibration, calibration_of
 from humansim_ros.ros.joiner import FrameJoiner
@@ -44,7 +44,12 @@ class CameraNode(SceneNode):
         self._camera = self._chosen()
         name = self._camera.name
         self._frame = messages.optical_frame(name)
-        self._renderer = GLRenderer(self.scene.static_meshes)
+        device = int(
+            self.described_parameter(
+                "device", -1, "GPU to render on, as EGL counts them; -1: the first that works", read_only=True
+            )
+        )
+        self._renderer = self.scene.make_renderer(None if device < 0 else device)
         self._surfaces = {human: joint_surfaces(actor.human) for human, actor in self.scene.actors.items()}
         instances = {human: actor.instance for human, actor in self.scene.actors.items()}
         self._outlets = Outlets(self, name, self._camera.encoding, instances)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.render import CHANNELS, GLRenderer, Renderer, View
+from humansim_ros.render import CHANNELS, Renderer, View
 from humansim_ros.render.renderer import FLOWS
 from humansim_ros.scene.filming import photograph
 from humansim_ros.scene.instant import Instant, JointMotion
@@ -57,7 +57,7 @@ class Simulation:
         self.playback = Playback(scene)
         self.channels = tuple(channels)
         self.start = start
-        self.renderer: Renderer = renderer or GLRenderer(scene.static_meshes)
+        self.renderer: Renderer = renderer or scene.make_renderer()
 
     def __iter__(self) -> Iterator[Frame]:
         index = 0

@@ -243,13 +243,14 @@ class GLRenderer:
         self._ctx.enable_only(moderngl.DEPTH_TEST)
         eye = camera.center
         seen = _Seen()
+        # edges that are seen under less a lens does not bend visibly
+        straight = LensView(camera).straight_angle(rectangle.low, rectangle.high) if camera.distorted else 0.0
         for number, surface in enumerate(surfaces):
             facing = surface.posed.facing(eye)
             # from outside a closed surface its back faces never show; a camera that is near may be inside
             culled = surface.topology.mesh.closed and not rectangle.near
             _set(program, "first_label", seen.count)
-            limit = surface.longest_straight(camera, rectangle) if camera.distorted else np.inf
-            refined = surface.refined(camera, limit) if np.isfinite(limit) else None
+            refined = surface.refined(camera, straight) if camera.distorted else None
             if refined is None:
                 surface.draw(lit, facing if culled else None)
                 seen.add(number, surface.body, np.flatnonzero(facing) if culled else slice(None))
@@ -257,7 +258,8 @@ class GLRenderer:
                 surface.draw_refined(program, refined)
                 seen.add(number, surface.body, refined.parents)
             if outlined:
-                seen.outlines.append(_straight(surface.posed.contour(facing), camera, limit))
+                contour = surface.posed.contour(facing)
+                seen.outlines.append(_straight(contour, camera, straight) if camera.distorted else contour)
         return seen
 
     def _draw_shadows(self, surfaces: Sequence[_Surface], camera: Camera) -> None:
@@ -385,6 +387,14 @@ class _Rectangle:
         return self.x1 <= self.x0 or self.y1 <= self.y0
 
     @property
+    def low(self) -> tuple[int, int]:
+        return self.x0, self.y0
+
+    @property
+    def high(self) -> tuple[int, int]:
+        return self.x1, self.y1
+
+    @property
     def xywh(self) -> tuple[int, int, int, int]:
         return self.x0, self.y0, self.x1 - self.x0, self.y1 - self.y0
 
@@ -422,15 +432,28 @@ def _touched(clouds: Sequence[Floats], camera: Camera) -> _Rectangle:
     return _Rectangle(int(x0), int(y0), int(x1), int(y1))
 
 
-def _straight(edges: tuple[Floats, Floats], camera: Camera, limit: float) -> tuple[Floats, Floats]:
-    """Starts and ends (N, 3) of edges, those that are longer than a limit cut as a lens bends them."""
+def _straight(edges: tuple[Floats, Floats], camera: Camera, angle: float) -> tuple[Floats, Floats]:
+    """Starts and ends (N, 3) of edges, those that are seen under more than an angle cut as a lens bends
+    them.
+    """
     starts, ends = edges
-    way = ends - starts
-    long = np.einsum("ij,ij->i", way, way) > limit * limit
+    long = _wide(starts, ends, camera, angle)
     if not long.any():
         return edges
     first, second = LensView(camera).divide_edges(starts[long], ends[long])
     return np.concatenate([starts[~long], first]), np.concatenate([ends[~long], second])
+
+
+def _wide(starts: Floats, ends: Floats, camera: Camera, angle: float) -> NDArray[np.bool_]:
+    """Which edges (N, 3) may be seen under more than an angle, radians."""
+    eye = camera.center.astype(np.float32)
+    nearest = np.minimum(_squares(starts - eye), _squares(ends - eye))
+    return np.asarray(_squares(ends - starts) > angle * angle * nearest)
+
+
+def _squares(vectors: Floats) -> Floats:
+    """(N,) squared lengths."""
+    return np.asarray(np.einsum("ij,ij->i", vectors, vectors))
 
 
 def _floats(matrix: Array) -> bytes:
@@ -646,18 +669,17 @@ class _Surface:
         self._texture.use(0)
         (self._lit if lit else self._truth).render(moderngl.TRIANGLES, vertices=corners.size)
 
-    def longest_straight(self, camera: Camera, rectangle: _Rectangle) -> float:
-        """Edges up to this length, in metres, a lens does not bend visibly."""
+    def refined(self, camera: Camera, angle: float) -> Refined | None:
+        """What is to be drawn where a lens bends edges, which are seen under more than an angle, visibly; or
+        None.
+        """
         away = self.posed.points - camera.center.astype(np.float32)[:, None]
-        distance = float(np.sqrt(np.einsum("ij,ij->j", away, away).min()))
-        low, high = np.array([rectangle.x0, rectangle.y0]), np.array([rectangle.x1, rectangle.y1])
-        return LensView(camera).longest_straight(distance, low, high)
-
-    def refined(self, camera: Camera, limit: float) -> Refined | None:
-        """What is to be drawn where a lens bends edges, which are longer than a limit, visibly; or None."""
-        starts, ends = self.topology.edges_longer(limit).T
-        view, vertices = LensView(camera), self.posed.vertices
-        if not view.bent(*(camera.to_optical(vertices[which]) for which in (starts, ends))).any():
+        nearest = float(np.sqrt(np.einsum("ij,ij->j", away, away).min()))
+        vertices = self.posed.vertices
+        starts, ends = (vertices[which] for which in self.topology.edges_longer(angle * nearest).T)
+        wide = _wide(starts, ends, camera, angle)
+        view = LensView(camera)
+        if not view.bent(camera.to_optical(starts[wide]), camera.to_optical(ends[wide])).any():
             return None
         return view.refine(self._expanded.attributes(self.posed).astype(float), self._corners.astype(np.intp))
 

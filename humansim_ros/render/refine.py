@@ -68,16 +68,16 @@ class LensView:
         """Lowest and highest x and y of the normalised image plane that the image can show."""
         return self._field.low, self._field.high
 
-    def longest_straight(self, distance: float, low: Array, high: Array) -> float:
-        """Length of an edge, in metres, that surely is not bent visibly at a distance or farther, between the
-        pixels ``low`` and ``high``, each (2,).
+    def straight_angle(self, low: tuple[int, int], high: tuple[int, int]) -> float:
+        """The angle, radians, of edges that surely are not bent visibly between the pixels ``low`` and
+        ``high``: their length over their distance.
         """
         bends = self._field.bends
         cells = (np.array(self.camera.size) - 1) / (_GRID - 1)
         x0, y0 = np.clip(np.floor(low / cells), 0, _GRID - 1).astype(int)
         x1, y1 = np.clip(np.ceil(high / cells), 0, _GRID - 1).astype(int) + 1
         bend = float(bends[y0:y1, x0:x1].max())
-        return distance * float(np.sqrt(8 * VISIBLE / max(bend, 1e-9)))
+        return float(np.sqrt(8 * VISIBLE / max(bend, 1e-9)))
 
     def _sides_beyond(self, points: Array) -> NDArray[np.uint8]:
         """Beyond which sides of the image points (V, 3), optical frame, surely are: a bit each."""

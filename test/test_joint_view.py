@@ -11,15 +11,27 @@ from humansim_ros.body import Human
 from humansim_ros.camera import Camera
 from humansim_ros.render import View
 from humansim_ros.rotations import Array
-from humansim_ros.truth.joints import OCCLUDED, OUTSIDE, VISIBLE, joint_surfaces, view_joints
+from humansim_ros.truth.joints import (
+    NOTHING,
+    OCCLUDED,
+    OUTSIDE,
+    PERSON,
+    SELF,
+    THING,
+    VISIBLE,
+    JointView,
+    joint_surfaces,
+    view_joints,
+)
 
 #: 8 x 6 pixels, looking along world z from the origin: a point (x, y, 1) falls on pixel (x, y).
 CAMERA = Camera((8, 6), np.eye(3), np.eye(3), np.zeros(3))
 
 
-def labels(instance: int, part: int) -> View:
-    """A view that shows one instance and part everywhere."""
+def labels(instance: int, part: int, depth: float = 0.9) -> View:
+    """A view that shows one instance and part everywhere, at one depth."""
     return View(
+        depth=np.full((6, 8), depth, np.float32),
         instance=np.full((6, 8), instance, np.uint16),
         part=np.full((6, 8), part, np.uint8),
     )
@@ -32,11 +44,16 @@ def skin_of(*parts: int) -> NDArray[np.bool_]:
     return table
 
 
-def see(pixel: tuple[float, float], view: View, parts: tuple[int, ...] = (5,), depth: float = 1.0) -> int:
-    point = np.array([[pixel[0] * depth, pixel[1] * depth, depth]])
-    seen = view_joints(CAMERA, point, view, 3, skin_of(*parts))
-    assert seen.visible.dtype == np.uint8
-    return int(seen.visible[0])
+def look(pixel: tuple[float, float], view: View, parts: tuple[int, ...] = (5,)) -> JointView:
+    """A joint of human 3, one metre away."""
+    seen = view_joints(CAMERA, np.array([[*pixel, 1.0]]), view, 3, skin_of(*parts))
+    kinds = (seen.visible.dtype, seen.occluder.dtype, seen.by.dtype, seen.behind.dtype)
+    assert kinds == (np.uint8, np.uint8, np.uint16, np.float32)
+    return seen
+
+
+def see(pixel: tuple[float, float], view: View, parts: tuple[int, ...] = (5,)) -> int:
+    return int(look(pixel, view, parts).visible[0])
 
 
 def test_a_joint_under_its_own_skin_is_visible() -> None:
@@ -54,6 +71,37 @@ def test_a_joint_behind_another_part_of_the_same_human_is_occluded() -> None:
 
 def test_a_joint_behind_the_scene_is_occluded() -> None:
     assert see((4, 2), labels(0, 0)) == OCCLUDED
+
+
+@pytest.mark.parametrize(
+    ("view", "visible", "occluder", "by"),
+    [
+        (labels(3, 5), VISIBLE, NOTHING, 0),
+        (labels(3, 9), OCCLUDED, SELF, 3),
+        (labels(2, 5), OCCLUDED, PERSON, 2),
+        (labels(0, 0), OCCLUDED, THING, 0),
+    ],
+    ids=["skin", "self", "person", "thing"],
+)
+def test_what_hides_a_joint_is_said(view: View, visible: int, occluder: int, by: int) -> None:
+    seen = look((4, 2), view)
+    assert (seen.visible[0], seen.occluder[0], seen.by[0]) == (visible, occluder, by)
+    assert seen.behind[0] == pytest.approx(0.1, abs=1e-6)
+
+
+@pytest.mark.parametrize("instance", [0, 2, 3])
+def test_nothing_hides_a_joint_that_lies_before_the_first_surface(instance: int) -> None:
+    for depth, behind in ((1.25, -0.25), (np.inf, -np.inf)):
+        seen = look((4, 2), labels(instance, 9, depth))
+        assert (seen.visible[0], seen.occluder[0], seen.by[0]) == (VISIBLE, NOTHING, 0)
+        assert seen.behind[0] == behind
+
+
+@pytest.mark.parametrize("point", [(9.0, 2.0, 1.0), (4.0, 2.0, -1.0), (np.nan, 0.0, 1.0)])
+def test_nothing_is_known_of_what_is_before_a_joint_outside(point: tuple[float, float, float]) -> None:
+    seen = view_joints(CAMERA, np.array([point]), labels(2, 5), 3, skin_of(5))
+    assert (seen.visible[0], seen.occluder[0], seen.by[0]) == (OUTSIDE, NOTHING, 0)
+    assert np.isnan(seen.behind[0])
 
 
 @pytest.mark.parametrize(
@@ -101,7 +149,8 @@ def test_a_joint_looks_at_the_pixel_whose_centre_is_nearest(column: int, row: in
 def test_positions_pixels_and_depth_are_the_cameras() -> None:
     camera = Camera.look_at((2, 1, 1.5), (0, 0, 1), (64, 48))
     points: Array = np.random.default_rng(0).normal(size=(20, 3))
-    view = View(instance=np.zeros((48, 64), np.uint16), part=np.zeros((48, 64), np.uint8))
+    zeros = [np.zeros((48, 64), kind) for kind in (np.float32, np.uint16, np.uint8)]
+    view = View(**dict(zip(("depth", "instance", "part"), zeros, strict=True)))
     seen = view_joints(camera, points, view, 1, np.zeros((20, 256), dtype=bool))
     np.testing.assert_allclose(seen.optical, points @ camera.R.T + camera.t, atol=1e-12)
     np.testing.assert_array_equal(seen.pixels, camera.project(points)[0])

@@ -14,6 +14,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import RosError
 from humansim_ros.ros import messages
 from humansim_ros.scene import Scene
+from humansim_ros.truth.boxes import HumanBox
 from humansim_ros.truth.joints import JointView
 
 STAMP = 1_700_000_000_123_456_789
@@ -152,22 +153,96 @@ def test_joint_view_has_the_layout_its_fields_say(read_outside: Any) -> None:
     view = JointView(
         optical=np.array([[0.1, 0.2, 3.0], [0.0, 0.0, -1.0]]),
         pixels=np.array([[12.5, 100.25], [np.nan, np.nan]]),
-        visible=np.array([2, 0], np.uint8),
+        visible=np.array([1, 0], np.uint8),
+        occluder=np.array([2, 0], np.uint8),
+        by=np.array([300, 0], np.uint16),
+        behind=np.array([0.25, np.nan], np.float32),
     )
     outside = read_outside(messages.joint_view_message([(1, view), (7, view)], STAMP, "cam_optical_frame"))
-    assert (outside.width, outside.point_step, outside.is_dense) == (4, 28, False)
-    rows = outside.data.reshape(4, 28)
-    column = {f.name: (f.offset, {7: "<f4", 2: "u1", 4: "<u2"}[f.datatype]) for f in outside.fields}
-    read = {
-        name: np.ascontiguousarray(rows[:, offset : offset + np.dtype(kind).itemsize]).view(kind).ravel()
-        for name, (offset, kind) in column.items()
-    }
+    assert (outside.width, outside.point_step, outside.is_dense) == (4, 32, False)
+    read = columns_of(outside)
     assert np.allclose(read["z"], [3.0, -1.0, 3.0, -1.0])
     assert np.allclose(read["u"], [12.5, np.nan, 12.5, np.nan], equal_nan=True)
     assert np.allclose(read["v"], [100.25, np.nan, 100.25, np.nan], equal_nan=True)
-    assert read["visible"].tolist() == [2, 0, 2, 0]
+    assert read["visible"].tolist() == [1, 0, 1, 0]
+    assert read["occluder"].tolist() == [2, 0, 2, 0]
+    assert read["by"].tolist() == [300, 0, 300, 0]
+    assert np.array_equal(read["behind"], np.float32([0.25, np.nan] * 2), equal_nan=True)
     assert read["human"].tolist() == [1, 1, 7, 7]
     assert read["joint"].tolist() == [0, 1, 0, 1]
+
+
+def columns_of(cloud: Any) -> dict[str, np.ndarray]:
+    """The fields of a PointCloud2, cut out of its bytes."""
+    kinds = {7: "<f4", 6: "<u4", 4: "<u2", 2: "u1"}
+    rows = cloud.data.reshape(cloud.width, cloud.point_step)
+    return {
+        f.name: np.ascontiguousarray(rows[:, f.offset : f.offset + np.dtype(kinds[f.datatype]).itemsize])
+        .view(kinds[f.datatype])
+        .ravel()
+        for f in cloud.fields
+    }
+
+
+def test_boxes_have_the_layout_their_fields_say(read_outside: Any) -> None:
+    one = HumanBox(np.array([9.5, -0.5, 70.5, 100.5]), np.array([-20.25, -30, 71, 101.5]), 0.25, 0.5, 4321)
+    none = HumanBox(np.full(4, np.nan), np.full(4, np.nan), 1.0, np.nan, 0)
+    message = messages.boxes_message([(3, one), (700, none)], STAMP, "cam_optical_frame")
+    outside = read_outside(message)
+    assert (outside.width, outside.point_step, outside.is_dense) == (2, 48, False)
+    read = columns_of(outside)
+    sides = ["left", "top", "right", "bottom"]
+    assert [read[side][0] for side in sides] == one.visible.tolist()
+    assert [read[f"whole_{side}"][0] for side in sides] == one.whole.tolist()
+    assert np.isnan([read[prefix + side][1] for prefix in ("", "whole_") for side in sides]).all()
+    assert read["human"].tolist() == [3, 700]
+    assert read["pixels"].tolist() == [4321, 0]
+    assert read["truncation"].tolist() == [0.25, 1.0]
+    assert np.array_equal(read["visible_fraction"], [0.5, np.nan], equal_nan=True)
+    assert messages.read_boxes(message).tobytes() == bytes(outside.data)
+    assert messages.boxes_message([(3, one)], STAMP, "cam_optical_frame").is_dense
+
+
+def test_visible_vertices_are_listed_by_human(read_outside: Any) -> None:
+    first, second = np.zeros(70_000, bool), np.zeros(5, bool)
+    first[[0, 69_999]], second[2] = True, True
+    message = messages.visible_vertices_message([(1, first), (9, second)], STAMP, "cam_optical_frame")
+    read = columns_of(read_outside(message))
+    assert read["vertex"].tolist() == [0, 69_999, 2]
+    assert read["human"].tolist() == [1, 1, 9]
+    assert messages.read_visible_vertices(message)["vertex"].tolist() == [0, 69_999, 2]
+    nobody = messages.visible_vertices_message([(1, np.zeros(5, bool))], STAMP, "cam_optical_frame")
+    assert (nobody.width, len(messages.read_visible_vertices(nobody))) == (0, 0)
+
+
+def test_joints_that_were_recorded_with_fewer_fields_are_read() -> None:
+    kinds = {"x": "<f4", "y": "<f4", "z": "<f4", "u": "<f4", "v": "<f4", "visible": "u1"}
+    old = np.zeros(3, np.dtype([*kinds.items(), ("human", "<u2"), ("joint", "<u2")], align=True))
+    old["u"], old["joint"] = [1, 2, 3], [0, 1, 2]
+    message = messages._point_cloud(old, messages.header(STAMP, "cam_optical_frame"))
+    read = messages.read_joint_view(message)
+    assert read["u"].tolist() == [1, 2, 3]
+    assert read["joint"].tolist() == [0, 1, 2]
+
+
+@pytest.mark.parametrize("fault", ["field", "step", "bytes", "offset", "endian", "twice"])
+def test_points_that_are_not_laid_out_as_they_say_are_refused(fault: str) -> None:
+    box = HumanBox(np.zeros(4), np.zeros(4), 0.0, 1.0, 1)
+    message = messages.boxes_message([(1, box)], STAMP, "cam_optical_frame")
+    if fault == "field":
+        message.fields = message.fields[:-1]
+    elif fault == "step":
+        message.point_step = 0
+    elif fault == "bytes":
+        message.width = 2
+    elif fault == "offset":
+        message.fields[0].offset = 1000
+    elif fault == "endian":
+        message.is_bigendian = True
+    else:
+        message.fields[0].name = "top"
+    with pytest.raises(RosError):
+        messages.read_boxes(message)
 
 
 def test_legends_are_json_that_name_every_number(scene: Scene) -> None:
@@ -180,6 +255,7 @@ def test_legends_are_json_that_name_every_number(scene: Scene) -> None:
     assert joints["human"] == {"1": "walker"}
     assert joints["joint"]["walker"] == list(skeleton.joint_names)
     assert joints["visible"] == {"0": "outside", "1": "occluded", "2": "visible"}
+    assert joints["occluder"] == {"0": "nothing", "1": "self", "2": "person", "3": "thing"}
 
 
 def test_markers_are_few_enough_for_a_viewer_and_lie_on_the_body(scene: Scene) -> None:

@@ -198,7 +198,7 @@ def test_visible_joints_are_on_their_own_body(flow: Any) -> None:
             message = frame[f"/{camera}/instance/image"]
             labels = np.frombuffer(message.data, np.uint16).reshape(message.height, message.width)
             cloud = messages.read_joint_view(frame[f"/{camera}/joints"])
-            visible = cloud[cloud["visible"] == 2]
+            visible = cloud[(cloud["visible"] == 2) & (cloud["behind"] > 0)]
             column, row = np.rint(visible["u"]).astype(int), np.rint(visible["v"]).astype(int)
             assert np.array_equal(labels[row, column], visible["human"])
             outside = cloud[cloud["visible"] == 0]

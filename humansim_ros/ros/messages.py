@@ -42,7 +42,17 @@ from humansim_ros.scene.filming import CameraPose
 from humansim_ros.scene.instant import JointMotion
 from humansim_ros.scene.live import Source
 from humansim_ros.scene.objects import ObjectPose, SceneObject
-from humansim_ros.truth.joints import OCCLUDED, OUTSIDE, VISIBLE, JointView
+from humansim_ros.truth.boxes import HumanBox
+from humansim_ros.truth.joints import (
+    NOTHING,
+    OCCLUDED,
+    OUTSIDE,
+    PERSON,
+    SELF,
+    THING,
+    VISIBLE,
+    JointView,
+)
 
 WORLD_FRAME = "map"
 
@@ -65,12 +75,21 @@ ENCODINGS = {
 #: One point of ``<camera>/joints``; padded so that points start at multiples of four bytes.
 JOINT_POINT = np.dtype(
     {
-        "names": ["x", "y", "z", "u", "v", "visible", "human", "joint"],
-        "formats": ["<f4", "<f4", "<f4", "<f4", "<f4", "u1", "<u2", "<u2"],
-        "offsets": [0, 4, 8, 12, 16, 20, 22, 24],
-        "itemsize": 28,
+        "names": ["x", "y", "z", "u", "v", "visible", "occluder", "human", "joint", "by", "behind"],
+        "formats": ["<f4", "<f4", "<f4", "<f4", "<f4", "u1", "u1", "<u2", "<u2", "<u2", "<f4"],
+        "offsets": [0, 4, 8, 12, 16, 20, 21, 22, 24, 26, 28],
+        "itemsize": 32,
     }
 )
+#: One point of ``<camera>/boxes``: left, top, right and bottom of the visible pixels and of the whole body.
+BOX_POINT = np.dtype(
+    [(name, "<f4") for name in ("left", "top", "right", "bottom")]
+    + [(name, "<f4") for name in ("whole_left", "whole_top", "whole_right", "whole_bottom")]
+    + [("truncation", "<f4"), ("visible_fraction", "<f4"), ("pixels", "<u4"), ("human", "<u2")],
+    align=True,
+)
+#: One point of ``<camera>/visible_vertices``: ``vertex`` in the order of ``humans/<id>/vertices``.
+VISIBLE_VERTEX = np.dtype([("vertex", "<u4"), ("human", "<u2")], align=True)
 _ALL_OF_IT = Region()
 _VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 #: Metres from the origin beyond which nobody is; m/s and rad/s that nobody has.
@@ -80,6 +99,7 @@ _FIELD_TYPES = {
     np.dtype("<f4"): PointField.FLOAT32,
     np.dtype("u1"): PointField.UINT8,
     np.dtype("<u2"): PointField.UINT16,
+    np.dtype("<u4"): PointField.UINT32,
 }
 
 
@@ -413,6 +433,7 @@ def joint_view_message(views: Sequence[tuple[int, JointView]], stamp: int, frame
             part[axis] = view.optical[:, i]
         part["u"], part["v"] = view.pixels[:, 0], view.pixels[:, 1]
         part["visible"], part["human"], part["joint"] = view.visible, instance, np.arange(len(part))
+        part["occluder"], part["by"], part["behind"] = view.occluder, view.by, view.behind
         start += len(part)
     message = _point_cloud(points, header(stamp, frame))
     message.is_dense = bool(np.isfinite(points["u"]).all())
@@ -420,8 +441,75 @@ def joint_view_message(views: Sequence[tuple[int, JointView]], stamp: int, frame
 
 
 def read_joint_view(message: PointCloud2) -> NDArray[Any]:
-    """The points of a ``<camera>/joints`` message as a structured array (:data:`JOINT_POINT`)."""
-    return np.frombuffer(message.data, dtype=JOINT_POINT)
+    """The points of a ``<camera>/joints`` message as a structured array (:data:`JOINT_POINT`; recordings of
+    earlier versions lack some of its fields). RosError where it is not laid out as one.
+    """
+    return _read_points(message, ("x", "y", "z", "u", "v", "visible", "human", "joint"))
+
+
+def boxes_message(boxes: Sequence[tuple[int, HumanBox]], stamp: int, frame: str) -> PointCloud2:
+    """``<camera>/boxes``: one point per human, from pairs of instance label and boxes."""
+    points = np.zeros(len(boxes), dtype=BOX_POINT)
+    for point, (instance, box) in zip(points, boxes, strict=True):
+        values = (*box.visible, *box.whole, box.truncation, box.visible_fraction, box.pixels, instance)
+        for name, value in zip(BOX_POINT.names or (), values, strict=True):
+            point[name] = value
+    message = _point_cloud(points, header(stamp, frame))
+    message.is_dense = all(bool(np.isfinite(points[name]).all()) for name in BOX_POINT.names or ())
+    return message
+
+
+def read_boxes(message: PointCloud2) -> NDArray[Any]:
+    """The points of a ``<camera>/boxes`` message as a structured array (:data:`BOX_POINT`). RosError where it
+    is not laid out as one.
+    """
+    return _read_points(message, BOX_POINT.names or ())
+
+
+def visible_vertices_message(
+    seen: Sequence[tuple[int, NDArray[np.bool_]]], stamp: int, frame: str
+) -> PointCloud2:
+    """``<camera>/visible_vertices``: one point per vertex that is seen, from pairs of instance label and
+    which of the human's vertices (V,) are.
+    """
+    numbers = [np.flatnonzero(mask) for _, mask in seen]
+    points = np.zeros(sum(map(len, numbers)), dtype=VISIBLE_VERTEX)
+    if len(points):
+        points["vertex"] = np.concatenate(numbers)
+        points["human"] = np.repeat([instance for instance, _ in seen], [len(n) for n in numbers])
+    return _point_cloud(points, header(stamp, frame))
+
+
+def read_visible_vertices(message: PointCloud2) -> NDArray[Any]:
+    """The points of a ``<camera>/visible_vertices`` message as a structured array (:data:`VISIBLE_VERTEX`).
+    RosError where it is not laid out as one.
+    """
+    return _read_points(message, VISIBLE_VERTEX.names or ())
+
+
+def _read_points(message: PointCloud2, needed: Sequence[str]) -> NDArray[Any]:
+    """(N,) structured array of a cloud's points, as its fields say."""
+    kinds = {number: kind for kind, number in _FIELD_TYPES.items()}
+    fields = [f for f in message.fields if f.datatype in kinds and f.count == 1]
+    missing = set(needed) - {f.name for f in fields}
+    if missing or message.is_bigendian:
+        lacks = f"the fields {', '.join(sorted(missing))}" if missing else "little-endian numbers"
+        raise RosError(f"a PointCloud2 lacks {lacks}")
+    data, count = np.frombuffer(message.data, dtype=np.uint8), message.width * message.height
+    try:
+        dtype = np.dtype(
+            {
+                "names": [f.name for f in fields],
+                "formats": [kinds[f.datatype] for f in fields],
+                "offsets": [f.offset for f in fields],
+                "itemsize": message.point_step,
+            }
+        )
+    except ValueError as reason:  # fields beyond the point, or two of one name
+        raise RosError(f"the fields of a PointCloud2 are impossible: {reason}") from None
+    if len(data) != count * dtype.itemsize:
+        raise RosError(f"{len(data)} bytes are not {count} points of {dtype.itemsize}")
+    return data.view(dtype)
 
 
 # --- legends
@@ -455,12 +543,20 @@ def part_legend(skeleton: Skeleton) -> String:
 
 
 def joints_legend(humans: Mapping[str, tuple[int, Sequence[str]]]) -> String:
-    """``<camera>/joints/legend``: names of the fields ``human``, ``joint`` and ``visible``."""
+    """``<camera>/joints/legend``: names of the fields ``human`` (and ``by``), ``joint``, ``visible`` and
+    ``occluder``.
+    """
     return _legend(
         {
             "human": {str(label): name for name, (label, _) in humans.items()},
             "joint": {name: list(joints) for name, (_, joints) in humans.items()},
             "visible": {str(OUTSIDE): "outside", str(OCCLUDED): "occluded", str(VISIBLE): "visible"},
+            "occluder": {
+                str(NOTHING): "nothing",
+                str(SELF): "self",
+                str(PERSON): "person",
+                str(THING): "thing",
+            },
         }
     )
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -10,23 +10,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.render import CHANNELS, Renderer, View
+from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.renderer import FLOWS
 from humansim_ros.scene.filming import photograph
 from humansim_ros.scene.instant import Instant, JointMotion
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Moment, Playback
 from humansim_ros.scene.scene import HumanState, Scene
+from humansim_ros.truth.boxes import HumanBox, view_boxes
 from humansim_ros.truth.joints import JointView, joint_surfaces, view_joints
+from humansim_ros.truth.vertices import visible_vertices
 
 
 @dataclass(frozen=True)
 class Frame:
     """One instant of a scene. ``stamp``: nanoseconds. ``humans``: by name. ``views``: by camera name.
 
-    ``joints``: by camera name and human name; empty unless instance and part are among the channels.
-    ``objects``: where the objects that move are, by name. ``cameras``: the cameras of ``views``, where they
-    stand.
+    ``joints``, ``boxes``: by camera name and human name; empty unless the channels that they need are among
+    those asked for: depth, instance and part; instance and amodal. ``objects``: where the objects that move
+    are, by name. ``cameras``: the cameras of ``views``, where they stand. ``bodies``: what they see, the
+    humans first.
     """
 
     index: int
@@ -36,6 +39,13 @@ class Frame:
     joints: dict[str, dict[str, JointView]]
     objects: dict[str, ObjectPose] = field(default_factory=dict)
     cameras: dict[str, Camera] = field(default_factory=dict)
+    boxes: dict[str, dict[str, HumanBox]] = field(default_factory=dict)
+    bodies: Sequence[Body] = ()
+
+    def visible_vertices(self, camera: str) -> dict[str, NDArray[np.bool_]]:
+        """Which vertices (V,) of each human a camera sees; needs depth and instance among the channels."""
+        seen = visible_vertices(self.cameras[camera], self.bodies, self.views[camera])
+        return dict(zip(self.humans, seen.values(), strict=True))
 
 
 class Simulation:
@@ -90,9 +100,17 @@ class Simulation:
             for name, camera in self.scene.scene_cameras.items()
         }
         joints: dict[str, dict[str, JointView]] = {}
-        if {"instance", "part"} <= set(self.channels):
+        if {"depth", "instance", "part"} <= set(self.channels):
             joints = {name: self._joints(cameras[name], humans, view) for name, view in views.items()}
-        return Frame(index, instant.stamp, humans, views, joints, moment.objects, cameras)
+        boxes: dict[str, dict[str, HumanBox]] = {}
+        if {"instance", "amodal"} <= set(self.channels):
+            boxes = {
+                name: dict(zip(humans, view_boxes(cameras[name], instant.bodies, view).values(), strict=True))
+                for name, view in views.items()
+            }
+        return Frame(
+            index, instant.stamp, humans, views, joints, moment.objects, cameras, boxes, instant.bodies
+        )
 
     def _at(self, elapsed: int) -> tuple[Moment, dict[str, HumanState], Instant]:
         """All there is at a time of the scene in nanoseconds."""

@@ -14,6 +14,8 @@ from humansim_ros.rotations import Array
 
 #: Visibility of a joint: outside the image (or behind the camera), hidden by something, or seen.
 OUTSIDE, OCCLUDED, VISIBLE = 0, 1, 2
+#: What hides an occluded joint: another part of the same person, another person, or an object or the room.
+NOTHING, SELF, PERSON, THING = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
@@ -21,34 +23,61 @@ class JointView:
     """Joints (J) as a camera sees them.
 
     ``optical``: (J, 3) in the optical frame, metres. ``pixels``: (J, 2), NaN behind the camera. ``visible``:
-    (J,) uint8: OUTSIDE, OCCLUDED or VISIBLE.
+    (J,) uint8: OUTSIDE, OCCLUDED or VISIBLE. ``occluder``: (J,) uint8, what hides an occluded joint: SELF,
+    PERSON or THING; else NOTHING. ``by``: (J,) uint16 instance label of the person that hides it (its own
+    where that is itself), else 0. ``behind``: (J,) float32 metres along z from the first surface at the
+    joint's pixel back to the joint; -inf where there is no surface, NaN outside the image.
     """
 
     optical: Array
     pixels: Array
     visible: NDArray[np.uint8]
+    occluder: NDArray[np.uint8]
+    by: NDArray[np.uint16]
+    behind: NDArray[np.float32]
 
 
 def view_joints(
     camera: Camera, positions: Array, view: View, instance: int, surfaces: NDArray[np.bool_]
 ) -> JointView:
-    """Joints (J, 3) of the human labelled ``instance``, seen by a camera whose ``view`` has instance and part
-    labels.
+    """Joints (J, 3) of the human labelled ``instance``, seen by a camera whose ``view`` has depth, instance
+    and part labels.
 
     Joints lie inside the body, so one counts as visible where the first surface at its pixel is skin around
-    that joint:
-    ``surfaces`` (J, 256) says which part labels those are (:func:`joint_surfaces`).
+    that joint: ``surfaces`` (J, 256) says which part labels those are (:func:`joint_surfaces`). So does one
+    that nothing lies before: the end of a limb may lie beside the pixels of its skin.
     """
-    assert view.instance is not None and view.part is not None
+    assert view.depth is not None and view.instance is not None and view.part is not None
     optical = camera.to_optical(positions)
-    pixels, _ = camera.project_optical(optical)
-    width, height = camera.size
-    inside = np.all((pixels > -0.5) & (pixels < np.array([width, height]) - 0.5), axis=-1)
-    column, row = np.where(inside[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(int).T
-    own = view.instance[row, column] == instance
+    pixels, depth = camera.project_optical(optical)
+    inside, row, column = nearest_pixels(pixels, camera.size)
+    with np.errstate(invalid="ignore"):  # joints that are nowhere
+        behind = np.where(inside, depth - view.depth[row, column], np.nan)
+    first = view.instance[row, column]
     near = surfaces[np.arange(len(positions)), view.part[row, column]]
-    visible = np.where(inside, np.where(own & near, VISIBLE, OCCLUDED), OUTSIDE)
-    return JointView(optical, pixels, visible.astype(np.uint8))
+    seen = ((first == instance) & near) | (behind <= 0)
+    visible = np.where(inside, np.where(seen, VISIBLE, OCCLUDED), OUTSIDE)
+    hider = np.where(first == 0, THING, np.where(first == instance, SELF, PERSON))
+    occluded = visible == OCCLUDED
+    return JointView(
+        optical,
+        pixels,
+        visible.astype(np.uint8),
+        np.where(occluded, hider, NOTHING).astype(np.uint8),
+        np.where(occluded, first, 0).astype(np.uint16),
+        behind.astype(np.float32),
+    )
+
+
+def nearest_pixels(
+    pixels: Array, size: tuple[int, int]
+) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.intp]]:
+    """Which of the points (N, 2) fall into an image of a size (width, height), and the row and column (N,) of
+    the pixel whose centre is nearest; 0, 0 for those that do not.
+    """
+    inside = np.all((pixels > -0.5) & (pixels < np.array(size) - 0.5), axis=-1)  # false for NaN
+    column, row = np.where(inside[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(np.intp).T
+    return inside, row, column
 
 
 def joint_surfaces(human: Human) -> NDArray[np.bool_]:

@@ -118,7 +118,7 @@ class CameraNode(SceneNode):
         wants_joints = self._joints.get_subscription_count() > 0
         wants_rect = self._rect is not None and self._rect.get_subscription_count() > 0
         if wants_joints:
-            wanted |= {"instance", "part"}
+            wanted |= {"depth", "instance", "part"}
         if wants_rect:
             wanted |= {"rgb"}
         if self._info.get_subscription_count():

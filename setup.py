@@ -16,6 +16,7 @@ COMMANDS = [
     "motion_player = humansim_ros.ros.nodes.motion_player:main",
     "skinner = humansim_ros.ros.nodes.skinner:main",
     "camera = humansim_ros.ros.nodes.camera:main",
+    "camera_rig = humansim_ros.ros.nodes.camera_rig:main",
 ]
 
 # The upper bounds keep Ubuntu 24.04's own NumPy 1.26 in place: from these releases on, SciPy and OpenCV ask

@@ -50,6 +50,9 @@ def run(
         str | None, typer.Option(help="Joint table for the motion (name or YAML file).")
     ] = None,
     duration: Annotated[float | None, typer.Option(help="Stop after so many seconds.", min=0.1)] = None,
+    processes: Annotated[
+        int | None, typer.Option(help="Processes that share the cameras; one per core if absent.", min=1)
+    ] = None,
 ) -> None:
     """Start every node of a scene as a process; Ctrl-C stops them all."""
     from humansim_ros.ros.processes import scene_processes
@@ -63,7 +66,7 @@ def run(
         if motion or mesh or joint_names:
             path = _scene_with(path, motion, mesh, joint_names, Path(folder))
         _describe(Scene.load(path))  # everything is checked here, before anything is started
-        with Supervisor(scene_processes(path)) as nodes:
+        with Supervisor(scene_processes(path, processes)) as nodes:
             print("running; Ctrl-C stops", flush=True)
             try:
                 dead = nodes.wait(None if duration is None else time.monotonic() + duration)

@@ -1,4 +1,4 @@
-"""Start every node of a scene: one motion_player, one skinner per human, one camera per camera."""
+"""Start every node of a scene: one motion_player, one skinner per human, cameras in a process per core."""
 
 from pathlib import Path
 
@@ -6,9 +6,8 @@ from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
-from launch_ros.parameter_descriptions import ParameterValue
 
-from humansim_ros.ros.processes import scene_processes
+from humansim_ros.ros.processes import rasterizer_threads, scene_processes
 
 # launch/ and config/ lie side by side, in the checkout as in share/humansim_ros
 DEMO_SCENE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "demo.yaml"
@@ -16,18 +15,18 @@ DEMO_SCENE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "demo.y
 
 def scene_nodes(context: LaunchContext) -> list[Node]:
     scene = LaunchConfiguration("scene").perform(context)
+    number = LaunchConfiguration("processes").perform(context)
+    processes = scene_processes(scene, int(number) if number else None)
     return [
         Node(
             package="humansim_ros",
             executable=process.executable,
-            name=process.node_name,
-            # typed, or launch would turn a camera called off into a boolean
-            parameters=[
-                {key: ParameterValue(value, value_type=str) for key, value in process.parameters.items()}
-            ],
+            # its name and parameters; as `parameters` a camera called off would become a boolean
+            arguments=process.ros_arguments,
+            additional_env=rasterizer_threads(processes),
             output="screen",
         )
-        for process in scene_processes(scene)
+        for process in processes
     ]
 
 
@@ -35,6 +34,11 @@ def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
             DeclareLaunchArgument("scene", default_value=str(DEMO_SCENE), description="Path of a scene file"),
+            DeclareLaunchArgument(
+                "processes",
+                default_value="",
+                description="Processes that share the cameras; empty: one per core",
+            ),
             OpaqueFunction(function=scene_nodes),
         ]
     )

@@ -724,7 +724,7 @@ def test_the_cameras_of_a_rig_run_as_nodes(ros: None, tmp_path: Path) -> None:
     scene.write_text(
         f"room: null\n{WALL}rig: {{file: rig.json, size: [64, 48]}}\ncameras: {{last: {{{PLACE}}}}}\n"
     )
-    cameras = [node.parameters["camera"] for node in scene_processes(scene) if node.executable == "camera"]
+    cameras = [n.parameters["camera"] for n in scene_processes(scene, 9) if n.executable == "camera"]
     assert cameras == ["camera_0", "camera_1", "last"]
     client = Client("rig_client")
     client.subscribe(CameraInfo, [f"/{name}/camera_info" for name in cameras])

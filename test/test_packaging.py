@@ -19,11 +19,12 @@ import pytest
 import humansim_ros
 from humansim_ros.errors import ResourceError, SceneError
 from humansim_ros.resources import resource_path, resource_root
+from humansim_ros.ros import processes
 from humansim_ros.ros.processes import NodeProcess, scene_processes
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")
-EXECUTABLES = {"humansim", "motion_player", "skinner", "camera"}
+EXECUTABLES = {"humansim", "motion_player", "skinner", "camera", "camera_rig"}
 SOURCES = ("humansim_ros", "resource", *SHARED_FOLDERS)
 SOURCE_FILES = ("LICENSE", "MANIFEST.in", "package.xml", "pyproject.toml", "setup.cfg", "setup.py")
 PRINT_ROOT = "from humansim_ros.resources import resource_root; print(resource_root())"
@@ -159,6 +160,29 @@ def test_processes_of_a_scene(tmp_path: Path) -> None:
     ]
 
 
+def test_cameras_are_spread_evenly_over_as_many_processes_as_there_are_cores(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text("cameras: {a: {}, b: {}, c: {}, d: {}, e: {}}")
+
+    def spread(processes: int | None = None) -> list[tuple[str, object]]:
+        started = scene_processes(path, processes)[1:]
+        return [(p.node_name, p.parameters.get("cameras", p.parameters.get("camera"))) for p in started]
+
+    two = [("camera_rig_1", ["a", "c", "e"]), ("camera_rig_2", ["b", "d"])]
+    monkeypatch.setattr(processes, "cores", lambda: 2)
+    assert spread() == spread(2) == two
+    assert spread(4) == [("camera_rig_1", ["a", "e"]), *((f"camera_{c}", c) for c in "bcd")]
+    assert spread(1) == [("camera_rig_1", ["a", "b", "c", "d", "e"])]
+    assert spread(9) == [(f"camera_{c}", c) for c in "abcde"]
+    monkeypatch.delenv("LP_NUM_THREADS", raising=False)
+    assert processes.rasterizer_threads(scene_processes(path, 1)) == {"LP_NUM_THREADS": "2"}
+    assert processes.rasterizer_threads(scene_processes(path, 5)) == {"LP_NUM_THREADS": "1"}
+    monkeypatch.setenv("LP_NUM_THREADS", "7")
+    assert processes.rasterizer_threads(scene_processes(path)) == {}
+
+
 def test_parameters_reach_a_node_as_strings(tmp_path: Path) -> None:
     """Names that YAML would read as something else, and paths with spaces, must survive the command line."""
     rclpy = pytest.importorskip("rclpy")
@@ -227,7 +251,6 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
         "launch.substitutions": {"LaunchConfiguration": FakeConfiguration},
         "launch_ros": {},
         "launch_ros.actions": {"Node": record},
-        "launch_ros.parameter_descriptions": {"ParameterValue": lambda value, value_type: value_type(value)},
     }
     for name, content in fakes.items():
         module = types.ModuleType(name)
@@ -237,12 +260,19 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     launch_file = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(launch_file)
 
-    argument, opaque = launch_file.generate_launch_description()
-    assert argument.args == ("scene",)
-    nodes = opaque.function({"scene": argument.default_value})
-    started = [NodeProcess(node.executable, node.name, node.parameters[0]) for node in nodes]
-    assert started == scene_processes(resource_path("config/scenes/demo.yaml"))
-    assert {node.package for node in nodes} == {"humansim_ros"}
+    *arguments, opaque = launch_file.generate_launch_description()
+    assert [argument.args for argument in arguments] == [("scene",), ("processes",)]
+    for number in (None, 3):
+        said = {
+            **{a.args[0]: a.default_value for a in arguments},
+            **({"processes": str(number)} if number else {}),
+        }
+        nodes = opaque.function(said)
+        wanted = scene_processes(resource_path("config/scenes/demo.yaml"), number)
+        assert [(node.executable, node.arguments) for node in nodes] == [
+            (process.executable, process.ros_arguments) for process in wanted
+        ]
+        assert {node.package for node in nodes} == {"humansim_ros"}
 
 
 # The three ways to install. Each test works on a copy of the sources, so that no build folder is left behind.

@@ -24,7 +24,10 @@ CAMERA = "{position: [3, 0, 1], look_at: [0, 0, 1]}"
 def running(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     with (tmp_path / "output").open("w") as output:
         process = subprocess.Popen(
-            [*HUMANSIM, "run", str(write_scene(tmp_path))], stdout=output, stderr=subprocess.STDOUT, text=True
+            [*HUMANSIM, "run", str(write_scene(tmp_path)), "--processes", "2"],
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            text=True,
         )
         yield process
         if process.poll() is None:

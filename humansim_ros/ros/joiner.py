@@ -89,7 +89,7 @@ class FrameJoiner:
         try:
             vertices = messages.read_vertices(message)
         except HumansimError as error:
-            self._skipped(f"{human}: {error}")
+            self._node.skipped(f"{human}: {error}")
         else:
             self._take(messages.to_nanoseconds(message.header.stamp), 0, human, vertices)
 
@@ -100,7 +100,7 @@ class FrameJoiner:
         try:
             pose = messages.read_object(message)
         except HumansimError as error:
-            self._skipped(f"{name}: {error}")
+            self._node.skipped(f"{name}: {error}")
         else:
             self._take(messages.to_nanoseconds(message.header.stamp), 2, name, pose)
 
@@ -108,7 +108,7 @@ class FrameJoiner:
         try:
             pose = messages.read_pose(message)
         except HumansimError as error:
-            self._skipped(f"{name}: {error}")
+            self._node.skipped(f"{name}: {error}")
         else:
             self._take(messages.to_nanoseconds(message.header.stamp), 3, name, pose)
 
@@ -208,11 +208,7 @@ class FrameJoiner:
         try:
             self._show(instant)
         except HumansimError as error:
-            self._skipped(str(error))
-
-    def _skipped(self, reason: str) -> None:
-        self._node.count("drops")
-        self._node.get_logger().error(f"frame skipped: {reason}", throttle_duration_sec=1.0)
+            self._node.skipped(str(error))
 
 
 def _joints(data: bytes) -> JointMotion:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -15,17 +16,26 @@ from humansim_ros.scene import Scene
 
 
 class SceneNode(Node):
-    """A node of a scene. Parameter ``scene``: the scene file, empty for the demo scene."""
+    """A node of a scene. Parameter ``scene``: the scene file, empty for the demo scene; unless the node is
+    given a scene that others of its process have loaded.
+    """
 
-    def __init__(self, name: str, **options: Any) -> None:
+    def __init__(self, name: str, scene: Scene | None = None, **options: Any) -> None:
         super().__init__(name, **options)
-        path = self.text_parameter("scene", "", "Scene file (YAML); empty for the demo scene")
-        self.scene = Scene.load(path or None)
+        if scene is None:
+            path = self.text_parameter("scene", "", "Scene file (YAML); empty for the demo scene")
+            scene = Scene.load(path or None)
+        self.scene = scene
         self._counts: dict[str, int] = {}
         self._worst_lateness = 0.0
         self._latched: list[Any] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DATA)
         self.create_timer(1.0, self._publish_diagnostics)
+
+    @property
+    def members(self) -> Sequence[SceneNode]:
+        """The nodes to spin: itself, and those it has made."""
+        return [self]
 
     def text_parameter(self, name: str, default: str, description: str) -> str:
         """Declare a string that is read once, at the start."""
@@ -57,6 +67,12 @@ class SceneNode(Node):
         except (InvalidParameterTypeException, InvalidParameterValueException) as reason:
             raise RosError(f"parameter {name}: {reason}") from None
 
+    def make_renderer(self) -> Any:
+        """A renderer of the scene's kind. Parameter ``device``: which GPU it draws on."""
+        what = "GPU to render on, as EGL counts them; -1: the first that works"
+        device = int(self.described_parameter("device", -1, what, read_only=True))
+        return self.scene.make_renderer(None if device < 0 else device)
+
     def publish_latched(self, message: Any, topic: str) -> None:
         """Send a message that late joiners get too."""
         publisher = self.create_publisher(type(message), topic, LATCHED)
@@ -70,6 +86,11 @@ class SceneNode(Node):
     def count(self, what: str, number: int = 1) -> None:
         """Count something that diagnostics report, such as frames and drops."""
         self._counts[what] = self._counts.get(what, 0) + number
+
+    def skipped(self, reason: str) -> None:
+        """Say that a frame was skipped, and why."""
+        self.count("drops")
+        self.get_logger().error(f"frame skipped: {reason}", throttle_duration_sec=1.0)
 
     def report_lateness(self, stamp: int) -> None:
         """Note how long after its stamp a frame has left this node."""

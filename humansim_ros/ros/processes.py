@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,7 @@ class NodeProcess:
 
     executable: str
     node_name: str
-    parameters: Mapping[str, str]
+    parameters: Mapping[str, str | list[str]]
 
     @property
     def ros_arguments(self) -> list[str]:
@@ -39,22 +39,50 @@ class NodeProcess:
         return arguments
 
 
-def scene_processes(scene_path: str | os.PathLike[str]) -> list[NodeProcess]:
-    """The motion player, one skinner per human and one camera node per camera of a scene file."""
+def cores() -> int:
+    """CPU cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def scene_processes(scene_path: str | os.PathLike[str], processes: int | None = None) -> list[NodeProcess]:
+    """The motion player, one skinner per human and the cameras of a scene file, spread over so many
+    ``processes``: one per core if None.
+    """
     path = Path(scene_path).resolve()
     content = _read_yaml(path)
     scene = {"scene": str(path)}
+    cameras = (*_rig_names(content, path), *_names(content, "cameras", path))
     return [
         NodeProcess("motion_player", "motion_player", scene),
         *(
             NodeProcess("skinner", f"skinner_{name}", {**scene, "human": name})
             for name in (*_names(content, "humans", path), *_drawn(content, path))
         ),
-        *(
-            NodeProcess("camera", f"camera_{name}", {**scene, "camera": name})
-            for name in (*_rig_names(content, path), *_names(content, "cameras", path))
-        ),
+        *_camera_processes(cameras, cores() if processes is None else processes, scene),
     ]
+
+
+def _camera_processes(
+    cameras: Sequence[str], processes: int, scene: Mapping[str, str]
+) -> Iterator[NodeProcess]:
+    """Cameras of one process share all they can; more processes than cores only get in each other's way."""
+    number = min(max(1, processes), len(cameras))
+    for i in range(number):
+        own = list(cameras[i::number])
+        if len(own) == 1:
+            yield NodeProcess("camera", f"camera_{own[0]}", {**scene, "camera": own[0]})
+        else:
+            yield NodeProcess("camera_rig", f"camera_rig_{i + 1}", {**scene, "cameras": own})
+
+
+def rasterizer_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
+    """Environment in which processes that draw without a GPU share the cores: Mesa would give each as many
+    threads as there are cores. Nothing where the user has said how many.
+    """
+    if "LP_NUM_THREADS" in os.environ:
+        return {}
+    drawing = sum(process.executable in ("camera", "camera_rig") for process in processes)
+    return {"LP_NUM_THREADS": str(max(1, cores() // max(1, drawing)))}
 
 
 def _drawn(content: Mapping[str, Any], path: Path) -> list[str]:

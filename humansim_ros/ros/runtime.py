@@ -56,7 +56,9 @@ def prepare_transport() -> None:
 
 
 def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) -> int:
-    """Run one node until SIGINT or SIGTERM. Returns the exit code: 0 stopped, 2 the input was wrong."""
+    """Run one node, and those it has made, until SIGINT or SIGTERM. Returns the exit code: 0 stopped, 2 the
+    input was wrong.
+    """
     tell_warnings()
     try:
         require_ros()
@@ -74,7 +76,8 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     try:
         node = make()
         executor = SingleThreadedExecutor()
-        executor.add_node(node)
+        for member in node.members:
+            executor.add_node(member)
         signal.signal(signal.SIGTERM, lambda *_: rclpy.try_shutdown())
         executor.spin()
     except HumansimError as error:

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from types import TracebackType
 
-from humansim_ros.ros.processes import NodeProcess
+from humansim_ros.ros.processes import NodeProcess, rasterizer_threads
 
 _PR_SET_PDEATHSIG = 1
 #: Seconds a node gets to stop after SIGINT, and again after SIGTERM.
@@ -28,14 +28,11 @@ class Supervisor:
         self, processes: Sequence[NodeProcess], environment: Mapping[str, str] | None = None
     ) -> None:
         self._processes = list(processes)
-        self._environment = {**os.environ, **(environment or {})}
+        threads = rasterizer_threads(processes)
+        self._environment = {**os.environ, **threads, **(environment or {})}
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Supervisor:
-        cameras = sum(process.executable == "camera" for process in self._processes)
-        # several processes share the cores: each rasterising with a thread per core would only get in each
-        # other's way
-        self._environment.setdefault("LP_NUM_THREADS", str(max(1, (os.cpu_count() or 1) // max(1, cameras))))
         try:
             for process in self._processes:
                 self._running[process.node_name] = self._start(process)

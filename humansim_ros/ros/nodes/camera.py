@@ -27,6 +27,7 @@ from humansim_ros.ros.outlets import Outlets
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.ros.whereabouts import Whereabouts
+from humansim_ros.scene import Scene
 from humansim_ros.scene.filming import SceneCamera, Shot, photograph
 from humansim_ros.scene.instant import Instant
 from humansim_ros.truth.joints import joint_surfaces, view_joints
@@ -37,19 +38,21 @@ _BACKWARD = {"flow_back", "flow_back_hidden"}
 
 
 class CameraNode(SceneNode):
-    """One camera with its ground truth."""
+    """One camera with its ground truth.
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__("camera", **options)
-        self._camera = self._chosen()
+    As one of a rig it is given its ``name``, the ``scene`` and the ``renderer``, all of which it shares with
+    the other cameras of the process, and every frame, by :meth:`show`.
+    """
+
+    def __init__(
+        self, name: str = "", scene: Scene | None = None, renderer: Any = None, **options: Any
+    ) -> None:
+        super().__init__(f"camera_{name}" if name else "camera", scene, **options)
+        self._camera = self._chosen(name)
         name = self._camera.name
         self._frame = messages.optical_frame(name)
-        device = int(
-            self.described_parameter(
-                "device", -1, "GPU to render on, as EGL counts them; -1: the first that works", read_only=True
-            )
-        )
-        self._renderer = self.scene.make_renderer(None if device < 0 else device)
+        self._shared = renderer is not None
+        self._renderer = renderer if self._shared else self.make_renderer()
         self._surfaces = {human: joint_surfaces(actor.human) for human, actor in self.scene.actors.items()}
         instances = {human: actor.instance for human, actor in self.scene.actors.items()}
         self._outlets = Outlets(self, name, self._camera.encoding, instances)
@@ -68,12 +71,13 @@ class CameraNode(SceneNode):
             self._calibration.say(calibration_of(url, name), url)
         self._where = Whereabouts(self, self._camera)
         self._publish_legends()
-        self._joiner = FrameJoiner(self, self.show, [name] if self._camera.moves else [])
+        if not self._shared:
+            self._joiner = FrameJoiner(self, self.show, [name] if self._camera.moves else [])
         width, height = self._camera.camera.size
         self.get_logger().info(f"{name}: {width}x{height} on {self._renderer.device}")
 
-    def _chosen(self) -> SceneCamera:
-        name = self.text_parameter("camera", "", "Which camera of the scene; empty for the first")
+    def _chosen(self, name: str) -> SceneCamera:
+        name = name or self.text_parameter("camera", "", "Which camera of the scene; empty for the first")
         url = self.text_parameter(
             "camera_info_url", "", "Calibration file of the lens to render with; empty: as the scene says"
         )
@@ -92,7 +96,8 @@ class CameraNode(SceneNode):
             raise CameraError(error.message, path=error.path or url, line=error.line, key=error.key) from None
 
     def close(self) -> None:
-        self._renderer.close()
+        if not self._shared:
+            self._renderer.close()
 
     def _publish_legends(self) -> None:
         name, actors = self._camera.name, self.scene.actors.values()

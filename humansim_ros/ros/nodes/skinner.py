@@ -79,8 +79,7 @@ class Skinner(SceneNode):
         try:
             state = self._follower.follow(read_joints(message), stamp)
         except HumansimError as error:
-            self.count("drops")
-            self.get_logger().error(f"frame skipped: {error}", throttle_duration_sec=1.0)
+            self.skipped(str(error))
             return
         if self._follower.found != self._told:
             self._told = self._follower.found

@@ -12,16 +12,30 @@ from numpy.typing import ArrayLike, NDArray
 from humansim_ros.body import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
-from humansim_ros.render import Body, GLRenderer, Lighting, View
+from humansim_ros.render import (
+    Body,
+    GLRenderer,
+    Lighting,
+    PyrenderRenderer,
+    RendererName,
+    View,
+    make_renderer,
+)
 from humansim_ros.scene import Scene
 
 #: Even light: a white surface is white whichever way it looks.
 EVEN = Lighting(sun_color=(0, 0, 0), sky_color=(1, 1, 1), ground_color=(1, 1, 1), background=(0, 0, 0))
 
 
-def renderer_or_skip(static: Iterable[Mesh] = (), lighting: Lighting | None = None) -> GLRenderer:
+#: The renderers that have to pass one test-suite.
+RENDERERS: tuple[RendererName, ...] = ("moderngl", "pyrender")
+
+
+def renderer_or_skip(
+    static: Iterable[Mesh] = (), lighting: Lighting | None = None, name: RendererName = "moderngl"
+) -> GLRenderer | PyrenderRenderer:
     try:
-        return GLRenderer(tuple(static), lighting)
+        return make_renderer(name, tuple(static), lighting)
     except RenderError as reason:
         pytest.skip(str(reason))
 

@@ -8,12 +8,10 @@ vertices: a body in a new pose is a new mesh. It draws everything anew for each 
 from __future__ import annotations
 
 import os
-import weakref
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
@@ -47,9 +45,10 @@ class PyrenderRenderer:
         self._lighting = lighting or Lighting()
         self._library = _import_pyrender()
         self._ctx = create_context(device)
-        with self._ctx:
-            self._passes = tuple(self._library.Renderer(1, 1) for _ in range(2))
-        self._finalizer = weakref.finalize(self, _release, self._ctx, self._passes)
+        # left to themselves they would delete what is in another context
+        quiet = type("QuietRenderer", (self._library.Renderer,), {"__del__": lambda self: None})
+        self._passes = tuple(quiet(1, 1) for _ in range(2))
+        self._closed = False
         self._shapes: dict[int, _Shape] = {}
         self._figures: dict[tuple[int, int], _Figure] = {}
         whole = [
@@ -65,7 +64,12 @@ class PyrenderRenderer:
 
     def close(self) -> None:
         """Free the OpenGL context and what is in it."""
-        self._finalizer()
+        if not self._closed:
+            self._closed = True
+            with self._ctx:
+                for renderer in self._passes:
+                    renderer.delete()
+            self._ctx.release()
 
     def render(
         self,
@@ -79,7 +83,7 @@ class PyrenderRenderer:
         """See :class:`humansim_ros.render.Renderer`. RenderError for a camera that distorts, and for channels
         that only the default renderer has.
         """
-        if not self._finalizer.alive:
+        if self._closed:
             raise RenderError("this renderer has been closed")
         check_request(bodies, channels)
         if others := sorted(set(channels) - set(CHANNELS)):
@@ -283,13 +287,6 @@ def _import_pyrender() -> Any:
             "pyrender needs PyOpenGL on EGL: set PYOPENGL_PLATFORM=egl before OpenGL is imported"
         )
     return pyrender
-
-
-def _release(ctx: moderngl.Context, passes: Sequence[Any]) -> None:
-    with ctx:
-        for renderer in passes:
-            renderer.delete()
-    ctx.release()
 
 
 def _light(lighting: Lighting, normals: Floats) -> Floats:

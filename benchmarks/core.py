@@ -26,7 +26,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import CHANNELS, Body, GLRenderer
-from humansim_ros.render.gl import create_context
+from humansim_ros.render.context import create_context
 from humansim_ros.render.outline import crossings
 from humansim_ros.render.posed import Posed, Topology
 from humansim_ros.render.shadow import contact_shadow

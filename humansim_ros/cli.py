@@ -97,7 +97,7 @@ def demo(
 
 def _check_machine() -> None:
     """Without ROS or OpenGL every node would fail: say so once, before anything starts."""
-    from humansim_ros.render.gl import create_context
+    from humansim_ros.render.context import create_context
     from humansim_ros.ros.runtime import require_ros
 
     require_ros()

@@ -18,10 +18,11 @@ from numpy.typing import NDArray
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
-from humansim_ros.render.gl import Lighting, create_context
+from humansim_ros.render.context import create_context, current
+from humansim_ros.render.light import Lighting
 from humansim_ros.render.posed import Floats, Posed, Topology
 from humansim_ros.render.refine import NEAR
-from humansim_ros.render.renderer import CHANNELS, Body, Neighbour, View, check_request
+from humansim_ros.render.renderer import CHANNELS, Backdrop, Body, Neighbour, View, check_request
 from humansim_ros.render.shadow import ContactShadow
 from humansim_ros.render.still import Expanded
 from humansim_ros.rotations import Array
@@ -35,15 +36,15 @@ class PyrenderRenderer:
 
     Channels are those of :data:`CHANNELS`; cameras may have skew but no distortion. It has an OpenGL context
     of its own, which others in the process do not notice. Use it from one thread.
-    ``device``: see :func:`humansim_ros.render.gl.create_context`. Raises RenderError where OpenGL or pyrender
-    is missing.
+    ``device``: see :func:`humansim_ros.render.context.create_context`. Raises RenderError where OpenGL or
+    pyrender is missing.
     """
 
     def __init__(
         self, static: Sequence[Mesh] = (), lighting: Lighting | None = None, device: int | None = None
     ) -> None:
         self._lighting = lighting or Lighting()
-        self._library = _import_pyrender()
+        self._library, self._failure = _import_pyrender()
         self._ctx = create_context(device)
         # left to themselves they would delete what is in another context
         quiet = type("QuietRenderer", (self._library.Renderer,), {"__del__": lambda self: None})
@@ -79,12 +80,11 @@ class PyrenderRenderer:
         passing: bool = False,
         after: Neighbour | None = None,
         before: Neighbour | None = None,
+        backdrop: Backdrop | None = None,
     ) -> View:
         """See :class:`humansim_ros.render.Renderer`. RenderError for a camera that distorts, and for channels
         that only the default renderer has.
         """
-        if self._closed:
-            raise RenderError("this renderer has been closed")
         check_request(bodies, channels)
         if others := sorted(set(channels) - set(CHANNELS)):
             raise RenderError(f"pyrender does not draw {', '.join(others)}; the renderer moderngl does")
@@ -94,12 +94,16 @@ class PyrenderRenderer:
             )
         figures = [*self._static, *(self._figure(body) for body in bodies)]
         view: dict[str, Any] = {}
-        with self._ctx:
+        with current(self._ctx):
+            truth = set(channels) - {"rgb"} | ({"depth"} if backdrop is not None else set())
+            if truth:
+                view |= self._truth(figures, camera, truth)
             if "rgb" in channels:
                 view["rgb"] = self._colour(figures, camera)
-            if truth := set(channels) - {"rgb"}:
-                view |= self._truth(figures, camera, truth)
-        return View(**view)
+                if backdrop is not None:  # with the plain colour still at outlines
+                    empty = np.isinf(view["depth"])[..., None]
+                    view["rgb"] = np.where(empty, backdrop.picture(camera), view["rgb"])
+        return View(**{name: view[name] for name in channels})
 
     def _figure(self, body: Body) -> _Figure:
         """The body as it stands, kept while it is the same one."""
@@ -150,7 +154,10 @@ class PyrenderRenderer:
         renderer, flags = self._passes[which], self._library.RenderFlags
         renderer.viewport_width, renderer.viewport_height = camera.size
         scene = _Scene(nodes, _Eye(camera), camera.world_from_optical, background)
-        picture, depth = renderer.render(scene, flags.OFFSCREEN | getattr(flags, how), colours)
+        try:
+            picture, depth = renderer.render(scene, flags.OFFSCREEN | getattr(flags, how), colours)
+        except self._failure as reason:
+            raise RenderError(f"OpenGL failed in pyrender ({type(reason).__name__})") from None
         return picture, depth
 
 
@@ -272,9 +279,11 @@ class _Scene:
         return self._pose if node is self.main_camera_node else np.eye(4)
 
 
-def _import_pyrender() -> Any:
+def _import_pyrender() -> tuple[Any, type[Exception]]:
+    """pyrender, and what PyOpenGL raises."""
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
     try:
+        import OpenGL.error
         import OpenGL.platform
         import pyrender
     except ImportError as reason:  # PyOpenGL says so as well where a library of the system is missing
@@ -286,7 +295,7 @@ def _import_pyrender() -> Any:
         raise RenderError(
             "pyrender needs PyOpenGL on EGL: set PYOPENGL_PLATFORM=egl before OpenGL is imported"
         )
-    return pyrender
+    return pyrender, OpenGL.error.Error
 
 
 def _light(lighting: Lighting, normals: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""The image topics of a camera: which channel goes where, in which encoding, and who wants it."""
+"""The topics of what a camera sees: which channel goes where, in which encoding, and who wants it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ from collections.abc import Collection, Mapping
 from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import Image
+from sensor_msgs.msg import Image, PointCloud2
 
+from humansim_ros.camera import Camera
 from humansim_ros.render import View
 from humansim_ros.ros import messages
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
+from humansim_ros.scene.instant import Instant
+from humansim_ros.truth.boxes import view_boxes
+from humansim_ros.truth.joints import joint_surfaces, view_joints
+from humansim_ros.truth.vertices import visible_vertices
 
 #: Topic of each channel below the camera's name.
 TOPICS = {
@@ -71,3 +76,54 @@ class Outlets:
 
     def _publish(self, publisher: Any, channel: str, image: Any, stamp: int) -> None:
         publisher.publish(messages.image_message(image, self._encodings[channel], stamp, self._frame))
+
+
+class PeopleOutlets:
+    """Publishers of what a camera knows of each person: joints, boxes, and which vertices it sees."""
+
+    def __init__(self, node: SceneNode, camera: str) -> None:
+        self._frame = messages.optical_frame(camera)
+        self._actors = node.scene.actors
+        self._surfaces = {name: joint_surfaces(actor.human) for name, actor in self._actors.items()}
+        self._topics = {
+            topic: node.create_publisher(PointCloud2, f"{camera}/{topic}", DATA) for topic in _NEEDED
+        }
+
+    def wanted(self) -> set[str]:
+        """The topics that somebody subscribes to."""
+        return {topic for topic, publisher in self._topics.items() if publisher.get_subscription_count()}
+
+    def send(self, topics: Collection[str], instant: Instant, view: View, camera: Camera) -> None:
+        """Publish some topics of an instant, as the camera where it stands sees it."""
+        make = {"joints": self._joints, "boxes": self._boxes, "visible_vertices": self._vertices}
+        for topic in topics:
+            self._topics[topic].publish(make[topic](instant, view, camera))
+
+    def _joints(self, instant: Instant, view: View, camera: Camera) -> PointCloud2:
+        seen = []
+        for name, actor in self._actors.items():
+            positions = instant.joints_of(name).positions
+            joints = view_joints(camera, positions, view, actor.instance, self._surfaces[name])
+            seen.append((actor.instance, joints))
+        return messages.joint_view_message(seen, instant.stamp, self._frame)
+
+    def _boxes(self, instant: Instant, view: View, camera: Camera) -> PointCloud2:
+        boxes = view_boxes(camera, instant.bodies, view)
+        return messages.boxes_message(list(boxes.items()), instant.stamp, self._frame)
+
+    def _vertices(self, instant: Instant, view: View, camera: Camera) -> PointCloud2:
+        seen = visible_vertices(camera, instant.bodies, view)
+        return messages.visible_vertices_message(list(seen.items()), instant.stamp, self._frame)
+
+
+def needed(topics: Collection[str]) -> set[str]:
+    """The channels that topics on people follow from."""
+    return {channel for topic in topics for channel in _NEEDED[topic]}
+
+
+#: Channels that the topics on people need.
+_NEEDED = {
+    "joints": ("depth", "instance", "part"),
+    "boxes": ("instance", "amodal"),
+    "visible_vertices": ("depth", "instance"),
+}

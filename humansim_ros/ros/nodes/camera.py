@@ -14,23 +14,21 @@ from dataclasses import replace
 from typing import Any
 
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from sensor_msgs.msg import CameraInfo, Image
 
-from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError, SceneError
-from humansim_ros.render import Neighbour, View
+from humansim_ros.render import Neighbour
 from humansim_ros.ros import messages
 from humansim_ros.ros.calibration import PublishedCalibration, calibration_of
 from humansim_ros.ros.joiner import FrameJoiner
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.outlets import Outlets
+from humansim_ros.ros.outlets import Outlets, PeopleOutlets, needed
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.ros.whereabouts import Whereabouts
 from humansim_ros.scene import Scene
 from humansim_ros.scene.filming import SceneCamera, Shot, photograph
 from humansim_ros.scene.instant import Instant
-from humansim_ros.truth.joints import joint_surfaces, view_joints
 
 #: Channels that are known only when the next frame is.
 _FORWARD = {"flow", "flow_hidden"}
@@ -53,7 +51,6 @@ class CameraNode(SceneNode):
         self._frame = messages.optical_frame(name)
         self._shared = renderer is not None
         self._renderer = renderer if self._shared else self.make_renderer()
-        self._surfaces = {human: joint_surfaces(actor.human) for human, actor in self.scene.actors.items()}
         instances = {human: actor.instance for human, actor in self.scene.actors.items()}
         self._outlets = Outlets(self, name, self._camera.encoding, instances)
         self._before: tuple[Instant, Shot] | None = None
@@ -61,7 +58,7 @@ class CameraNode(SceneNode):
         if self._camera.rectified is not None:
             self._rect = self.create_publisher(Image, f"{name}/image_rect", DATA)
         self._info = self.create_publisher(CameraInfo, f"{name}/camera_info", DATA)
-        self._joints = self.create_publisher(PointCloud2, f"{name}/joints", DATA)
+        self._people = PeopleOutlets(self, name)
         self._calibration = PublishedCalibration(self, name, self._camera.whole, self._camera.region)
         if url := self.text_parameter(
             "published_info_url",
@@ -120,10 +117,9 @@ class CameraNode(SceneNode):
             self._send_forward_flow(channels & _FORWARD, *before, _neighbour(self._camera, instant, shot))
         channels -= _FORWARD if before is not None else _FORWARD | _BACKWARD
         wanted = set(channels)
-        wants_joints = self._joints.get_subscription_count() > 0
+        of_people = self._people.wanted()
         wants_rect = self._rect is not None and self._rect.get_subscription_count() > 0
-        if wants_joints:
-            wanted |= {"depth", "instance", "part"}
+        wanted |= needed(of_people)
         if wants_rect:
             wanted |= {"rgb"}
         if self._info.get_subscription_count():
@@ -135,8 +131,7 @@ class CameraNode(SceneNode):
         if self._rect is not None and wants_rect and view.rgb is not None:
             encoding = self._camera.encoding.replace("bayer_rggb8", "rgb8")
             self._send(self._rect, self._camera.rectify(view.rgb), encoding, stamp)
-        if wants_joints:
-            self._send_joints(instant, view, self._camera.at(shot.pose_at(0.0)))
+        self._people.send(of_people, instant, view, self._camera.at(shot.pose_at(0.0)))
         self.count("frames")
         self.report_lateness(stamp)
 
@@ -151,14 +146,6 @@ class CameraNode(SceneNode):
 
     def _send(self, publisher: Any, image: NDArray[Any], encoding: str, stamp: int) -> None:
         publisher.publish(messages.image_message(image, encoding, stamp, self._frame))
-
-    def _send_joints(self, instant: Instant, view: View, camera: Camera) -> None:
-        seen = []
-        for name, actor in self.scene.actors.items():
-            positions = instant.joints_of(name).positions
-            joints = view_joints(camera, positions, view, actor.instance, self._surfaces[name])
-            seen.append((actor.instance, joints))
-        self._joints.publish(messages.joint_view_message(seen, instant.stamp, self._frame))
 
 
 def _neighbour(camera: SceneCamera, instant: Instant, shot: Shot) -> Neighbour:

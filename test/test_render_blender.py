@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from render_scenes import RENDERERS, renderer_or_skip
 
 from humansim_ros.body import Mesh
 from humansim_ros.camera import Camera
-from humansim_ros.errors import RenderError
-from humansim_ros.render import Body, GLRenderer, Renderer, View
+from humansim_ros.render import Body, Renderer, View
 
 with np.load(Path(__file__).parent / "data" / "blender_masks.npz") as _archive:
     BLENDER = {key: _archive[key] for key in _archive}
@@ -24,12 +24,9 @@ DIFFERENT_PIXELS = 3
 DEPTH_TOLERANCE = 1e-5
 
 
-@pytest.fixture(scope="module")
-def renderer() -> Iterator[Renderer]:
-    try:
-        renderer = GLRenderer()
-    except RenderError as reason:
-        pytest.skip(str(reason))
+@pytest.fixture(scope="module", params=RENDERERS)
+def renderer(request: pytest.FixtureRequest) -> Iterator[Renderer]:
+    renderer = renderer_or_skip(name=request.param)
     yield renderer
     renderer.close()
 

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 from typing import Literal
 
 from humansim_ros.body.mesh import Mesh
-from humansim_ros.render.gl import GLRenderer, Lighting
+from humansim_ros.render.gl import GLRenderer
+from humansim_ros.render.light import Lighting
 from humansim_ros.render.pyrender import PyrenderRenderer
 
 RendererName = Literal["moderngl", "pyrender"]

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -22,13 +23,15 @@ from numpy.typing import NDArray
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.render.context import create_context, current
-from humansim_ros.render.detail import Detail, Shown, optical_flow
+from humansim_ros.render.detail import Detail, Shown, optical_flow, ray_grid
+from humansim_ros.render.light import Lighting
 from humansim_ros.render.outline import blend, crossings
 from humansim_ros.render.posed import Floats, Posed, Topology
 from humansim_ros.render.refine import NEAR, TOLERANCE, VISIBLE, LensView, Refined
 from humansim_ros.render.renderer import (
     CHANNELS,
     FLOWS,
+    Backdrop,
     Body,
     Neighbour,
     View,
@@ -37,6 +40,7 @@ from humansim_ros.render.renderer import (
 )
 from humansim_ros.render.shadow import CELLS
 from humansim_ros.render.still import Expanded, Pieces, StillScene, texture
+from humansim_ros.render.sun import MOVING_SIDE, STILL_SIDE, SunMap, encloses, shadow_ends, spread
 from humansim_ros.rotations import Array
 
 _SHADERS = Path(__file__).parent / "shaders"
@@ -53,18 +57,7 @@ _MAX_LAYERS = 32
 #: Pieces along a side of a shadow that a lens may bend.
 _SHADOW_GRID = 32
 #: What a target is made of: the shaders' location, components read back, their type.
-_ATTACHMENTS = {"depth": (0, 1, "f4"), "label": (1, 1, "u4"), "rgb": (2, 3, "f1")}
-
-
-@dataclass(frozen=True)
-class Lighting:
-    """Linear-light colours and the direction to the sun, ``map`` frame."""
-
-    sun: tuple[float, float, float] = (0.45, 0.3, 0.84)
-    sun_color: tuple[float, float, float] = (0.78, 0.74, 0.68)
-    sky_color: tuple[float, float, float] = (0.80, 0.82, 0.86)
-    ground_color: tuple[float, float, float] = (0.46, 0.43, 0.39)
-    background: tuple[int, int, int] = (168, 176, 184)
+_ATTACHMENTS = {"depth": (0, 1, "f4"), "label": (1, 1, "u4"), "rgb": (2, 3, "f1"), "rgba": (2, 4, "f1")}
 
 
 class GLRenderer:
@@ -87,7 +80,18 @@ class GLRenderer:
         self._targets: dict[tuple[int, int], _Target] = {}
         self._layers: dict[bytes, _StaticLayer] = {}
         self._passing: _StaticLayer | None = None
-        self._lit = self._program("lit.vert", "lit.frag")
+        light = self._lighting
+        looks = [
+            name
+            for name, asked in (
+                ("SHADELESS", light.mode == "shadeless"),
+                ("FILMIC", light.tone_mapping == "filmic"),
+            )
+            if asked
+        ]
+        soft = light.shadow == "soft"
+        self._lit = self._program("lit.vert", "lit.frag", (*looks, "STILL", "MOVING") if soft else looks)
+        self._lit_still = self._program("lit.vert", "lit.frag", (*looks, "STILL")) if soft else self._lit
         self._truth = self._program("truth.vert", "truth.frag")
         self._shadow = self._program("shadow.vert", "shadow.frag")
         self._shadow_quad, self._shadow_grid = (
@@ -95,10 +99,19 @@ class GLRenderer:
             for cells in (1, _SHADOW_GRID)
         )
         self._shadow_texture = self._ctx.texture((CELLS, CELLS), 1, alignment=1)
+        self._shine(self._lit)
+        self._shine(self._lit_still)
+        self._sunlight = None
+        if soft:
+            self._sunlight = _Sunlight(self._ctx, self._still, light, (self._lit, self._lit_still))
+
+    def _shine(self, program: moderngl.Program, sun: bool = True) -> None:
+        """Light what a program draws, with the sun or without."""
         light = self._lighting
-        _set(self._lit, "sun", tuple(np.array(light.sun) / np.linalg.norm(light.sun)))
-        for name in ("sun_color", "sky_color", "ground_color"):
-            _set(self._lit, name, getattr(light, name))
+        _set(program, "sun", tuple(light.direction))
+        _set(program, "sun_color", light.brightness(light.sun_color) if sun else (0.0, 0.0, 0.0))
+        _set(program, "sky_color", light.brightness(light.sky_color))
+        _set(program, "ground_color", light.brightness(light.ground_color))
 
     @property
     def device(self) -> str:
@@ -118,6 +131,7 @@ class GLRenderer:
         passing: bool = False,
         after: Neighbour | None = None,
         before: Neighbour | None = None,
+        backdrop: Backdrop | None = None,
     ) -> View:
         """See :class:`humansim_ros.render.Renderer`.
 
@@ -129,11 +143,13 @@ class GLRenderer:
         with current(self._ctx):
             hidden = [moments[FLOWS[c]] for c in channels if c.endswith("_hidden")]
             depths = {
-                id(moment): self._render(moment.bodies, moment.camera, frozenset({"depth"}), passing).depth
+                id(moment): self._render(
+                    moment.bodies, moment.camera, frozenset({"depth"}), passing, backdrop=backdrop
+                ).depth
                 for moment in hidden
                 if moment is not None
             }
-            return self._render(bodies, camera, frozenset(channels), passing, moments, depths)
+            return self._render(bodies, camera, frozenset(channels), passing, moments, depths, backdrop)
 
     def _render(
         self,
@@ -143,15 +159,19 @@ class GLRenderer:
         passing: bool,
         moments: Mapping[str, Neighbour | None] = MappingProxyType({}),
         depths: Mapping[int, Floats | None] = MappingProxyType({}),
+        backdrop: Backdrop | None = None,
     ) -> View:
-        layer = self._layer(camera, passing)
-        lit = "rgb" in channels
+        layer = self._layer(camera, passing, backdrop)
+        lit = bool(channels & {"rgb", "shadow"})
         flows = [which for which in ("after", "before") if any(FLOWS.get(c) == which for c in channels)]
-        outlined = lit or "alpha" in channels
+        outlined = bool(channels & {"rgb", "alpha"})
         surfaces = [self._surface(body) for body in bodies]
         clouds = [surface.posed.points for surface in surfaces]
-        shadowed = [surface for surface in surfaces if surface.body.instance] if lit else []
+        shadowed = surfaces if lit and self._contact else []
         clouds += [surface.posed.shadow.corners.T for surface in shadowed]
+        sunlight = self._sunlight if lit else None
+        if sunlight is not None and surfaces:
+            clouds += sunlight.shine_on(surfaces)
         rectangle = _touched(clouds, camera)
         view: dict[str, Any] = layer.view(channels | {"depth"} if outlined or flows else channels)
         shown = Shown(*(np.zeros(0, np.intp) for _ in range(3)))
@@ -164,14 +184,21 @@ class GLRenderer:
             target.start(layer.target, rectangle)
             if shadowed:
                 self._draw_shadows(shadowed, camera)
+            if sunlight is not None:
+                sunlight.shade(layer, target, camera)
             target.use(lit)
             seen = self._draw_bodies(surfaces, camera, rectangle, lit, outlined)
             if "depth" in view:
                 depth = target.read("depth", lit)
                 np.copyto(view["depth"][rectangle.slices], depth, where=depth > 0)
-            if lit:
+            if "shadow" in channels:
+                rgba = target.read("rgba", lit)
+                view["shadow"][rectangle.slices] = 255 - rgba[..., 3]
+                if "rgb" in channels:
+                    view["rgb"][rectangle.slices] = rgba[..., :3]
+            elif lit:
                 view["rgb"][rectangle.slices] = target.read("rgb", lit)
-            if channels - {"rgb", "depth", "amodal"}:
+            if channels - {"rgb", "depth", "amodal", "shadow"}:
                 labels = target.read("label", lit)
                 for name in channels & {"instance", "part", "face"}:
                     view[name][rectangle.slices] = seen.table(name)[labels]
@@ -183,7 +210,7 @@ class GLRenderer:
                         alpha[rectangle.slices] = np.where(instances == instance, 255, 0)
             if outlined:
                 outline = crossings(camera, *seen.outline)
-                images = [view["rgb"]] if lit else []
+                images = [view["rgb"]] if "rgb" in channels else []
                 blend([*images, *view.get("alpha", {}).values()], view["depth"], outline)
         if channels & {"normal", "uv"} or flows:
             self._add_detail(view, Detail(camera, bodies, shown), channels, flows, moments, depths)
@@ -261,7 +288,13 @@ class GLRenderer:
 
     def _draw_shadows(self, surfaces: Sequence[_Surface], camera: Camera) -> None:
         self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
-        self._ctx.blend_func = moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA
+        # alpha keeps how much light is left
+        self._ctx.blend_func = (  # type: ignore[assignment]  # it may be four
+            moderngl.SRC_ALPHA,
+            moderngl.ONE_MINUS_SRC_ALPHA,
+            moderngl.ZERO,
+            moderngl.ONE_MINUS_SRC_ALPHA,
+        )
         self._use_camera(self._shadow, camera)
         square = self._shadow_grid if camera.distorted else self._shadow_quad
         for surface in surfaces:
@@ -304,47 +337,84 @@ class GLRenderer:
             self._targets[size] = _Target(self._ctx, size)
         return self._targets[size]
 
-    def _layer(self, camera: Camera, passing: bool) -> _StaticLayer:
+    @cached_property
+    def _contact(self) -> bool:
+        """Whether bodies leave shadows under them: there is a floor that these can lie on."""
+        return self._lighting.shadow == "contact" and self._still.has_floor
+
+    def _layer(self, camera: Camera, passing: bool, backdrop: Backdrop | None) -> _StaticLayer:
         if passing:
             if self._passing is not None:
-                self._passing.target.release()
-            self._passing = self._draw_static(camera, _PASSING_SUPERSAMPLING, VISIBLE)
+                self._passing.release()
+            self._passing = self._draw_static(camera, _PASSING_SUPERSAMPLING, VISIBLE, backdrop)
             return self._passing
         numbers = (np.array(camera.size), camera.K, camera.R, camera.t, np.array(camera.distortion))
-        key = b"".join((*(n.tobytes() for n in numbers), str(camera.model).encode()))
+        key = b"".join((*(n.tobytes() for n in numbers), f"{camera.model} {id(backdrop)}".encode()))
         if key not in self._layers:
             if len(self._layers) >= _MAX_LAYERS:
-                self._layers.pop(next(iter(self._layers))).target.release()
-            self._layers[key] = self._draw_static(camera, _STATIC_SUPERSAMPLING, TOLERANCE)
+                self._layers.pop(next(iter(self._layers))).release()
+            self._layers[key] = self._draw_static(camera, _STATIC_SUPERSAMPLING, TOLERANCE, backdrop)
         return self._layers[key]
 
-    def _draw_static(self, camera: Camera, supersampling: int, tolerance: float) -> _StaticLayer:
+    def _draw_static(
+        self, camera: Camera, supersampling: int, tolerance: float, backdrop: Backdrop | None
+    ) -> _StaticLayer:
         width, height = camera.size
         factor = max(1, min(supersampling, _MAX_STATIC_SIDE // max(width, height)))
         # the same window, only finer: clip coordinates do not know how many pixels there are
         fine = self._target((width * factor, height * factor))
         target = _Target(self._ctx, camera.size)
+        behind = None if backdrop is None else backdrop.picture(camera)
         with self._still.seen_by(camera, tolerance) as still:
-            for into, lit in ((fine, True), (target, False)):
-                program = self._lit if lit else self._truth
-                into.clear(self._lighting.background)
+
+            def draw(into: _Target, lit: bool) -> None:
+                program = self._lit_still if lit else self._truth
+                into.clear(self._lighting.background if behind is None else (0, 0, 0))
                 into.use(lit)
                 self._ctx.enable_only(moderngl.DEPTH_TEST)
                 self._use_camera(program, camera)
                 still.draw(program)
+
+            draw(fine, True)
+            rgb = self._averaged(fine, camera, behind)
+            sunny, sunless = None, None
+            if self._sunlight is not None:
+                sunny = cv2.resize(fine.read("rgba", lit=True), camera.size, interpolation=cv2.INTER_AREA)
+                self._shine(self._lit_still, sun=False)
+                draw(fine, True)
+                self._shine(self._lit_still)
+                sunless = self._averaged(fine, camera, behind)
+            draw(target, False)
+        target.take(rgb, None if sunny is None else np.asarray(sunny[..., 3], dtype=np.uint8))
+        shades = None if sunless is None else _Shades(self._ctx, camera, sunless)
+        return _StaticLayer(target, backdrop, shades)
+
+    def _averaged(self, fine: _Target, camera: Camera, behind: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
+        """A picture (H, W, 3) of one that is drawn finer, before what is behind it."""
         rgb = cv2.resize(fine.read("rgb", lit=True), camera.size, interpolation=cv2.INTER_AREA)
+        if behind is not None:
+            empty = np.where(fine.read("depth", lit=True) > 0, np.uint8(0), np.uint8(255))
+            share = cv2.resize(empty, camera.size, interpolation=cv2.INTER_AREA)[..., None] / 255
+            rgb = np.rint(rgb + share * behind)
         if camera.distorted and LensView(camera).partly_dark:
             rgb = np.where(_lit_pixels(camera)[..., None], rgb, 0)
-        target.take(np.ascontiguousarray(rgb, dtype=np.uint8))
-        return _StaticLayer(target)
+        return np.ascontiguousarray(rgb, dtype=np.uint8)
 
-    def _program(self, vertex: str, fragment: str) -> moderngl.Program:
+    def _program(self, vertex: str, fragment: str, switches: Sequence[str] = ()) -> moderngl.Program:
+        """``switches``: names that are defined in both shaders."""
+        lit = fragment == "lit.frag"
+        before = [*(["develop.glsl"] if lit else []), *(["sunshine.glsl"] if "STILL" in switches else [])]
         return self._ctx.program(
-            vertex_shader="#version 330\n"
-            + (_SHADERS / "lens.glsl").read_text()
-            + (_SHADERS / vertex).read_text().removeprefix("#version 330\n"),
-            fragment_shader=(_SHADERS / fragment).read_text(),
+            vertex_shader=_shader(["lens.glsl", vertex], switches),
+            fragment_shader=_shader([*before, fragment], switches),
         )
+
+
+def _shader(files: Sequence[str], switches: Sequence[str] = ()) -> str:
+    """Files put together as one shader."""
+    head = "#version 330\n"
+    texts = [(_SHADERS / file).read_text().removeprefix(head) for file in files]
+    return "".join([head, *(f"#define {name}\n" for name in switches), *texts])
 
 
 @dataclass(frozen=True)
@@ -539,9 +609,22 @@ class _Target:
         red, green, blue = (c / 255 for c in colour)
         self._colour.clear(red, green, blue, 1.0)
 
-    def take(self, rgb: NDArray[np.uint8]) -> None:
-        """Take over a picture (H, W, 3)."""
-        self._textures[2].write(np.dstack([rgb, np.full(rgb.shape[:2], 255, np.uint8)]).tobytes())
+    def take(self, rgb: NDArray[np.uint8], alpha: NDArray[np.uint8] | None = None) -> None:
+        """Take over a picture (H, W, 3), and what its alpha (H, W) is if not 255."""
+        last = np.full(rgb.shape[:2], 255, np.uint8) if alpha is None else alpha
+        self._textures[2].write(np.dstack([rgb, last]).tobytes())
+
+    @property
+    def depth(self) -> moderngl.Texture:
+        return self._textures[0]
+
+    @property
+    def colour(self) -> moderngl.Texture:
+        return self._textures[2]
+
+    def use_colour(self) -> None:
+        """Draw colour alone."""
+        self._colour.use()
 
     def _clear(self) -> None:
         self._framebuffers[False].use()  # or the scissor of what was in use would count
@@ -570,8 +653,9 @@ class _Target:
 class _StaticLayer:
     """The static scene as one camera sees it, kept on the device and as arrays."""
 
-    def __init__(self, target: _Target) -> None:
-        self.target = target
+    def __init__(self, target: _Target, backdrop: Backdrop | None, shades: _Shades | None) -> None:
+        self.target, self.shades = target, shades
+        self._backdrop = backdrop  # kept, so that its id stays its own
         self._rgb, depth = (target.read(name, lit=True) for name in ("rgb", "depth"))
         self._depth = np.where(depth > 0, depth, np.float32(np.inf))
 
@@ -586,8 +670,93 @@ class _StaticLayer:
             "face": lambda: np.zeros(shape, np.int32),
             "normal": lambda: np.zeros((*shape, 3), np.float32),
             "uv": lambda: np.full((*shape, 2), np.nan, np.float32),
+            "shadow": lambda: np.zeros(shape, np.uint8),
         }
         return {name: make[name]() for name in channels if name in make}
+
+    def release(self) -> None:
+        self.target.release()
+        if self.shades is not None:
+            self.shades.release()
+
+
+class _Shades:
+    """What a still scene looks like in the shade: as one camera sees it without the sun, and the rays it
+    sees along.
+    """
+
+    def __init__(self, ctx: moderngl.Context, camera: Camera, sunless: NDArray[np.uint8]) -> None:
+        rays = np.nan_to_num(ray_grid(camera)[..., :2]).astype("f4")
+        self.sunless = ctx.texture(camera.size, 3, sunless.tobytes(), alignment=1)
+        self.rays = ctx.texture(camera.size, 2, np.ascontiguousarray(rays).tobytes(), dtype="f4")
+
+    def release(self) -> None:
+        self.sunless.release()
+        self.rays.release()
+
+
+class _Sunlight:
+    """The soft shadows of a renderer's scene."""
+
+    def __init__(
+        self, ctx: moderngl.Context, still: StillScene, lighting: Lighting, lit: Sequence[moderngl.Program]
+    ) -> None:
+        self._ctx, self._lighting, self._box = ctx, lighting, still.box
+        self._depths = ctx.program(vertex_shader=_shader(["sun.vert"]), fragment_shader=_shader(["sun.frag"]))
+        self._cast = ctx.program(
+            vertex_shader=_shader(["whole.vert"]), fragment_shader=_shader(["sunshine.glsl", "cast.frag"])
+        )
+        self._whole = ctx.vertex_array(self._cast, [(ctx.buffer(_unit_square(1)), "2f", "corner")])
+        for unit, name in enumerate(("sunny", "sunless", "depths", "rays"), 5):
+            _set(self._cast, name, unit)
+        self._programs = (*lit, self._cast)
+        for program in self._programs:
+            _set(program, "spread", spread(lighting))
+        self._still, self._moving = SunMap(ctx, "still", STILL_SIDE), SunMap(ctx, "moving", MOVING_SIDE)
+        self._bodies: list[Body] = []
+        self._ends: list[Floats] = []
+        if self._box is not None:
+            with still.facing(lighting.direction) as facing:
+                self._still.draw(
+                    self._box, lighting.direction, self._depths, lambda: facing.draw_alone(self._depths)
+                )
+        for program in self._programs:
+            self._still.use(program)
+            self._moving.use(program)
+
+    def shine_on(self, surfaces: Sequence[_Surface]) -> list[Floats]:
+        """Look at surfaces from the sun, once for all cameras: where their shadows end, (3, N) each."""
+        bodies = [surface.body for surface in surfaces]
+        if len(bodies) == len(self._bodies) and all(
+            a is b for a, b in zip(bodies, self._bodies, strict=True)
+        ):
+            return self._ends
+        clouds = [surface.posed.points for surface in surfaces]
+
+        def draw() -> None:
+            for surface in surfaces:
+                surface.draw_depths(self._depths)
+
+        self._moving.draw(encloses(clouds), self._lighting.direction, self._depths, draw)
+        for program in self._programs:
+            self._moving.use(program)
+        self._bodies, self._ends = bodies, []
+        if self._box is not None:
+            lowest, farthest = float(self._box[2].min()), float(np.linalg.norm(np.ptp(self._box, axis=1)))
+            self._ends = [shadow_ends(points, self._lighting, lowest, farthest) for points in clouds]
+        return self._ends
+
+    def shade(self, layer: _StaticLayer, target: _Target, camera: Camera) -> None:
+        """Let the shadows of what moves fall on a picture of the still scene."""
+        if layer.shades is None:
+            return
+        self._ctx.enable_only(moderngl.NOTHING)
+        target.use_colour()
+        pictures = (layer.target.colour, layer.shades.sunless, layer.target.depth, layer.shades.rays)
+        for unit, picture in enumerate(pictures, 5):
+            picture.use(unit)
+        _set(self._cast, "world", _floats(camera.world_from_optical))
+        self._whole.render(moderngl.TRIANGLES)
 
 
 class _Surface:
@@ -621,6 +790,7 @@ class _Surface:
             index_buffer=self._index,
         )
         self._truth = ctx.vertex_array(truth, [(self._positions, "3f", "position")], index_buffer=self._index)
+        self._depths: moderngl.VertexArray | None = None
         self._pose(body)
 
     def stand(self, body: Body) -> None:
@@ -644,6 +814,15 @@ class _Surface:
         self._index.write(corners)
         self._texture.use(0)
         (self._lit if lit else self._truth).render(moderngl.TRIANGLES, vertices=corners.size)
+
+    def draw_depths(self, program: moderngl.Program) -> None:
+        """Draw all triangles with a program that needs their places alone, always the same one."""
+        if self._depths is None:
+            index = self._ctx.buffer(self._corners.tobytes())
+            self._depths = self._ctx.vertex_array(
+                program, [(self._positions, "3f", "position")], index_buffer=index
+            )
+        self._depths.render(moderngl.TRIANGLES)
 
     def refined(self, camera: Camera, angle: float) -> Refined | None:
         """What is to be drawn where a lens bends edges, which are seen under more than an angle, visibly; or

@@ -22,7 +22,7 @@ FLOWS = {"flow": "after", "flow_hidden": "after", "flow_back": "before", "flow_b
 #: Channels with one image for each labelled body.
 PER_BODY = ("alpha", "amodal")
 #: Every channel a renderer can be asked for; docs/ground_truth.md defines each.
-ALL_CHANNELS = (*CHANNELS, *DETAILS, *FLOWS, *PER_BODY)
+ALL_CHANNELS = (*CHANNELS, *DETAILS, *FLOWS, *PER_BODY, "shadow")
 
 
 @dataclass(frozen=True)
@@ -31,9 +31,9 @@ class Body:
 
     ``mesh``: its topology and looks (its own vertices are not used). ``vertices``: (V, 3) float32, ``map``,
     metres. ``parts``: (N,) uint8 part label of each of ``mesh.triangles``. ``instance``: label of this body
-    and of no other, 1 to 65535; or 0 for a thing that has no label, only colour and depth, and leaves no
-    shadow: things need a mesh of their own each. Make a new Body for a new frame: renderers keep what they
-    worked out of one.
+    and of no other, 1 to 65535; or 0 for a thing that has no label, only colour, depth and shadow: things
+    need a mesh of their own each. Make a new Body for a new frame: renderers keep what they worked out of
+    one.
     """
 
     mesh: Mesh
@@ -66,6 +66,9 @@ class View:
     previous frame, NaN where nothing is; ``flow_hidden``, ``flow_back_hidden``: (H, W) uint8, 1 where that
     point cannot be seen there. ``alpha``: by instance, (H, W) uint8, how much of each pixel the body covers,
     255 all of it. ``amodal``: by instance, (H, W) bool, where the body would be if nothing hid it.
+
+    ``shadow``: (H, W) uint8, how much of the direct light bodies take away, 255 all of it; 0 where nothing
+    is, and where there would be none without them.
     """
 
     rgb: NDArray[np.uint8] | None = None
@@ -81,6 +84,15 @@ class View:
     flow_back_hidden: NDArray[np.uint8] | None = None
     alpha: dict[int, NDArray[np.uint8]] | None = None
     amodal: dict[int, NDArray[np.bool_]] | None = None
+    shadow: NDArray[np.uint8] | None = None
+
+
+class Backdrop(Protocol):
+    """What a camera sees where nothing is."""
+
+    def picture(self, camera: Camera) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 sRGB of the size of the camera's image."""
+        ...
 
 
 class Renderer(Protocol):
@@ -94,11 +106,13 @@ class Renderer(Protocol):
         passing: bool = False,
         after: Neighbour | None = None,
         before: Neighbour | None = None,
+        backdrop: Backdrop | None = None,
     ) -> View:
         """The asked channels of one view.
 
         ``passing``: the camera moves on, nothing is kept for it. ``after``, ``before``: the next and the
-        previous frame, for the channels of flow.
+        previous frame, for the channels of flow. ``backdrop``: what is behind everything; a plain colour if
+        None.
 
         Raises RenderError if a channel is unknown, lacks what it needs, or vertices are not finite.
         """

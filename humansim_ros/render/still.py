@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Any
 
 import moderngl
@@ -13,8 +14,11 @@ from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.render.posed import Floats, Indices, Posed, Topology
 from humansim_ros.render.refine import LensView
+from humansim_ros.render.sun import encloses
 from humansim_ros.rotations import Array
 
+#: Metres from z = 0 within which something level is a floor.
+FLOOR_SLACK = 0.02
 #: What shaders know of a vertex, in the order of :data:`Attributes`, and how many numbers each is.
 _LAYOUT = (("position", 3), ("normal", 3), ("uv", 2), ("color", 3))
 
@@ -69,6 +73,17 @@ class Pieces:
             self._vertices.release()
             self._index.release()
 
+    def draw_alone(self, program: moderngl.Program) -> None:
+        """Draw all of it with a program that needs no textures."""
+        if not self._empty:
+            layout = " ".join(f"{n}f" if name in program else f"{4 * n}x" for name, n in _LAYOUT)
+            used = [name for name, _ in _LAYOUT if name in program]
+            array = self._ctx.vertex_array(
+                program, [(self._vertices, layout, *used)], index_buffer=self._index
+            )
+            array.render(moderngl.TRIANGLES)
+            array.release()
+
     def draw(
         self, program: moderngl.Program, textures: Sequence[moderngl.Texture], counts: Sequence[int]
     ) -> None:
@@ -104,6 +119,22 @@ class StillScene:
         self._ends = np.cumsum([len(mesh.triangles) for mesh in meshes], dtype=np.intp)
         self._counts = [len(mesh.triangles) for mesh in meshes]
         self._whole = Pieces(ctx, self._attributes, self._corners)
+
+    @property
+    def box(self) -> Floats | None:
+        """(3, 8) corners of the box around it, None if there is nothing."""
+        return encloses([self._attributes[:, :3].T]) if len(self._attributes) else None
+
+    @cached_property
+    def has_floor(self) -> bool:
+        """Whether some of it lies level on the ground, z = 0."""
+        return bool((np.abs(self._attributes[self._corners, 2]) < FLOOR_SLACK).all(axis=1).any())
+
+    def facing(self, direction: Array) -> Pieces:
+        """Its triangles that turn their outside to a direction."""
+        a, b, c = (self._attributes[self._corners[:, i], :3] for i in range(3))
+        towards = np.einsum("ij,j->i", np.cross(b - a, c - a), direction) > 0
+        return Pieces(self._ctx, self._attributes, self._corners[towards])
 
     def seen_by(self, camera: Camera, tolerance: float) -> Still:
         """What is to be drawn for a camera: cut to pieces where its lens bends them, that no line is off by

@@ -1,0 +1,20 @@
+#version 330
+// The still scene under the shadows of what moves, from two pictures of it: with the sun and without.
+uniform sampler2D sunny;    // alpha: how much of the sun reaches it
+uniform sampler2D sunless;
+uniform sampler2D depths;   // metres, 0 where nothing is
+uniform sampler2D rays;     // what pixels look along: x and y where z is 1, optical frame
+uniform mat4 world;         // from the optical frame
+out vec4 rgb;
+void main() {
+    ivec2 pixel = ivec2(gl_FragCoord.xy);
+    vec4 lit = texelFetch(sunny, pixel, 0);
+    float z = texelFetch(depths, pixel, 0).r;
+    rgb = vec4(lit.rgb, 1.0);
+    if (z == 0.0 || lit.a == 0.0) return;
+    vec3 point = (world * vec4(vec3(texelFetch(rays, pixel, 0).xy, 1.0) * z, 1.0)).xyz;
+    float left = sunshine(moving_shadows, moving_depths, moving_map, point, vec3(0.0));
+    if (left == 1.0) return;
+    vec3 unlit = texelFetch(sunless, pixel, 0).rgb;
+    rgb = vec4(sqrt(mix(unlit * unlit, lit.rgb * lit.rgb, left)), 1.0 - lit.a * (1.0 - left));
+}

@@ -1,0 +1,6 @@
+#version 330
+// The whole picture.
+in vec2 corner;
+void main() {
+    gl_Position = vec4(2.0 * corner - 1.0, 0.0, 1.0);
+}

@@ -11,6 +11,7 @@ from sensor_msgs.msg import Image, PointCloud2
 from humansim_ros.camera import Camera
 from humansim_ros.render import View
 from humansim_ros.ros import messages
+from humansim_ros.ros.compressed import CompressedDepthOutlet, CompressedOutlet
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
 from humansim_ros.scene.instant import Instant
@@ -46,6 +47,10 @@ class Outlets:
             channel: node.create_publisher(Image, f"{camera}/{topic}", DATA)
             for channel, topic in TOPICS.items()
         }
+        self._compressed: dict[str, CompressedOutlet | CompressedDepthOutlet] = {
+            "rgb": CompressedOutlet(node, camera, TOPICS["rgb"], encoding),
+            "depth": CompressedDepthOutlet(node, camera, TOPICS["depth"]),
+        }
         self._by_human = {
             channel: {
                 instance: node.create_publisher(Image, f"{camera}/{channel}/{human}/image", DATA)
@@ -57,6 +62,7 @@ class Outlets:
     def wanted(self) -> set[str]:
         """The channels that somebody subscribes to."""
         wanted = {name for name, publisher in self._images.items() if publisher.get_subscription_count()}
+        wanted |= {name for name, outlet in self._compressed.items() if outlet.wanted}
         for name, publishers in self._by_human.items():
             if any(publisher.get_subscription_count() for publisher in publishers.values()):
                 wanted.add(name)
@@ -66,13 +72,20 @@ class Outlets:
         """Publish some channels of a view."""
         for channel in channels:
             if channel in self._images:
-                self._publish(self._images[channel], channel, getattr(view, channel), stamp)
+                self._send_image(channel, getattr(view, channel), stamp)
                 continue
             for instance, image in getattr(view, channel).items():
                 publisher = self._by_human[channel][instance]
                 if publisher.get_subscription_count():
                     mask = image if image.dtype == np.uint8 else image.astype(np.uint8) * np.uint8(255)
                     self._publish(publisher, channel, mask, stamp)
+
+    def _send_image(self, channel: str, image: Any, stamp: int) -> None:
+        compressed = self._compressed.get(channel)
+        if compressed is None or self._images[channel].get_subscription_count():
+            self._publish(self._images[channel], channel, image, stamp)
+        if compressed is not None and compressed.wanted:
+            compressed.send(image, stamp)
 
     def _publish(self, publisher: Any, channel: str, image: Any, stamp: int) -> None:
         publisher.publish(messages.image_message(image, self._encodings[channel], stamp, self._frame))

@@ -1,0 +1,144 @@
+"""Compressed images as image_transport's plugins ``compressed`` and ``compressedDepth`` send and read them.
+
+Parameters have the plugins' names, ranges and defaults, below the topic they belong to
+(``<camera>.image_raw.compressed.jpeg_quality``), and can be set at any time.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from rcl_interfaces.msg import SetParametersResult
+from sensor_msgs.msg import CompressedImage
+
+from humansim_ros.errors import RosError
+from humansim_ros.ros.messages import header, optical_frame
+from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.qos import DATA
+
+#: Encodings of colour, which OpenCV takes as bgr8; others are coded as they are.
+_COLOUR = ("rgb8", "bgr8")
+#: The plugin's ``INV_DEPTH``, and its header: format, then the two numbers that depth is restored by.
+_INVERSE_DEPTH = 0
+_CONFIG_HEADER = struct.Struct("<iff")
+_MOST = 65535
+
+
+def encode_image(
+    image: NDArray[np.uint8], encoding: str, form: str, jpeg_quality: int, png_level: int
+) -> tuple[str, NDArray[np.uint8]]:
+    """The ``format`` and ``data`` of an image (H, W) or (H, W, 3) of 8 bits. ``form``: jpeg or png."""
+    settings = {
+        "jpeg": (".jpg", [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]),
+        "png": (".png", [cv2.IMWRITE_PNG_COMPRESSION, png_level]),
+    }
+    if encoding == "rgb8":
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), dtype=np.uint8)
+    colour = "bgr8" if encoding in _COLOUR else ""
+    return f"{encoding}; {form} compressed {colour}", _coded(image, *settings[form])
+
+
+def encode_depth(
+    depth: NDArray[np.float32], depth_max: float, depth_quantization: float, png_level: int
+) -> tuple[str, NDArray[np.uint8]]:
+    """The ``format`` and ``data`` of a depth image (H, W) in metres: a header of 12 bytes, then a 16 bit PNG.
+
+    A pixel is ``a / depth + b``, rounded, where the header says a and b, and 0 where depth is ``depth_max``
+    or more; so depth d is restored to within d * d / (2 a), where a = q (q + 1) and q is
+    ``depth_quantization``.
+    """
+    a = np.float32(depth_quantization * (depth_quantization + 1))
+    b = np.float32(1 - a / np.float32(depth_max))
+    inverse = np.divide(a, depth) + b
+    np.rint(inverse, out=inverse)
+    levels = np.where(depth < depth_max, np.clip(inverse, 1, _MOST), 0).astype(np.uint16)
+    png = _coded(levels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, png_level])
+    head = np.frombuffer(_CONFIG_HEADER.pack(_INVERSE_DEPTH, a, b), dtype=np.uint8)
+    return "32FC1; compressedDepth png", np.concatenate([head, png])
+
+
+def _coded(image: NDArray[Any], ending: str, settings: Sequence[int]) -> NDArray[np.uint8]:
+    done, data = cv2.imencode(ending, image, list(settings))
+    if not done:
+        height, width = image.shape[:2]
+        raise RosError(f"OpenCV cannot make a {ending[1:]} of {width}x{height} pixels")
+    return np.asarray(data, dtype=np.uint8).reshape(-1)
+
+
+class _Compressed:
+    """A topic of compressed images, and its parameters."""
+
+    def __init__(self, node: SceneNode, camera: str, topic: str, transport: str) -> None:
+        self._node = node
+        self._frame = optical_frame(camera)
+        self._parameters = f"{camera}.{topic.replace('/', '.')}.{transport}."
+        self._publisher = node.create_publisher(CompressedImage, f"{camera}/{topic}/{transport}", DATA)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether somebody subscribes."""
+        return bool(self._publisher.get_subscription_count())
+
+    def _declare(self, name: str, default: Any, limits: tuple[float, float] | None, description: str) -> None:
+        self._node.described_parameter(self._parameters + name, default, description, limits)
+
+    def _value(self, name: str) -> Any:
+        return self._node.get_parameter(self._parameters + name).value
+
+    def _allow(self, name: str, *values: str) -> None:
+        """Refuse other values of a parameter, now and later."""
+        full = self._parameters + name
+
+        def check(parameters: Sequence[Any]) -> SetParametersResult:
+            wrong = [p.value for p in parameters if p.name == full and p.value not in values]
+            reason = f"{full}: no such format: {wrong[0]}; there are {', '.join(values)}" if wrong else ""
+            return SetParametersResult(successful=not wrong, reason=reason)
+
+        result = check([self._node.get_parameter(full)])
+        if not result.successful:
+            raise RosError(f"parameter {result.reason}")
+        self._node.add_on_set_parameters_callback(check)
+
+    def _publish(self, form: str, data: NDArray[np.uint8], stamp: int) -> None:
+        message = CompressedImage(header=header(stamp, self._frame), format=form)
+        message._data = data  # as it is: assigning to data would check every byte
+        self._publisher.publish(message)
+
+
+class CompressedOutlet(_Compressed):
+    """``<camera>/image_raw/compressed``, for images of one encoding."""
+
+    def __init__(self, node: SceneNode, camera: str, topic: str, encoding: str) -> None:
+        super().__init__(node, camera, topic, "compressed")
+        self._encoding = encoding
+        self._declare("format", "jpeg", None, "jpeg or png")
+        self._allow("format", "jpeg", "png")
+        self._declare("jpeg_quality", 95, (1, 100), "JPEG quality, 1 to 100")
+        self._declare("png_level", 3, (0, 9), "How hard PNG tries, 0 to 9; the pixels stay the same")
+
+    def send(self, image: NDArray[np.uint8], stamp: int) -> None:
+        """Encode an image and publish it."""
+        settings = (self._value(name) for name in ("format", "jpeg_quality", "png_level"))
+        self._publish(*encode_image(image, self._encoding, *settings), stamp)
+
+
+class CompressedDepthOutlet(_Compressed):
+    """``<camera>/depth/image/compressedDepth``."""
+
+    def __init__(self, node: SceneNode, camera: str, topic: str) -> None:
+        super().__init__(node, camera, topic, "compressedDepth")
+        self._declare("format", "png", None, "png")
+        self._allow("format", "png")
+        self._declare("depth_max", 10.0, (1.0, 100.0), "Metres from which on depth is not known any more")
+        self._declare("depth_quantization", 100.0, (1.0, 150.0), "Metres at which depth is known to a metre")
+        self._declare("png_level", 3, (0, 9), "How hard PNG tries, 0 to 9; the pixels stay the same")
+
+    def send(self, depth: NDArray[np.float32], stamp: int) -> None:
+        """Encode a depth image and publish it."""
+        settings = (self._value(name) for name in ("depth_max", "depth_quantization", "png_level"))
+        self._publish(*encode_depth(depth, *settings), stamp)

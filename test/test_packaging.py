@@ -178,7 +178,7 @@ def test_cameras_are_spread_evenly_over_as_many_processes_as_there_are_cores(
     assert spread(9) == [(f"camera_{c}", c) for c in "abcde"]
     monkeypatch.delenv("LP_NUM_THREADS", raising=False)
     assert processes.rasterizer_threads(scene_processes(path, 1)) == {"LP_NUM_THREADS": "2"}
-    assert processes.rasterizer_threads(scene_processes(path, 5)) == {"LP_NUM_THREADS": "1"}
+    assert processes.rasterizer_threads(scene_processes(path, 5)) == {"LP_NUM_THREADS": "0"}
     monkeypatch.setenv("LP_NUM_THREADS", "7")
     assert processes.rasterizer_threads(scene_processes(path)) == {}
 

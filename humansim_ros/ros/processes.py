@@ -82,7 +82,9 @@ def rasterizer_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
     if "LP_NUM_THREADS" in os.environ:
         return {}
     drawing = sum(process.executable in ("camera", "camera_rig") for process in processes)
-    return {"LP_NUM_THREADS": str(max(1, cores() // max(1, drawing)))}
+    share = cores() // max(1, drawing)
+    # 0: no thread but the one that asks. To wait for a single other one costs a tenth more
+    return {"LP_NUM_THREADS": str(share if share > 1 else 0)}
 
 
 def _drawn(content: Mapping[str, Any], path: Path) -> list[str]:

@@ -14,9 +14,9 @@ import pytest
 from render_scenes import RENDERERS, along_x, body, cast, inner, renderer_or_skip, walkers, wall
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import CameraError, HumansimError, RenderError
-from humansim_ros.render import Body, Renderer, RendererName, make_renderer
-from humansim_ros.scene import Scene
+from humansim_ros.errors import CameraError, HumansimError, HumansimWarning, RenderError
+from humansim_ros.render import Body, Lighting, Renderer, RendererName, make_renderer
+from humansim_ros.scene import Scene, Simulation
 
 
 @pytest.fixture(scope="module", params=RENDERERS)
@@ -92,6 +92,51 @@ def test_the_largest_side_is_drawn(renderer: Renderer, size: tuple[int, int]) ->
     camera = along_x(size, focal=size[0])
     view = renderer.render([body(wall(3, 0, 1, 0.4))], camera)
     assert view.rgb.shape == (size[1], size[0], 3) and view.instance.any()
+
+
+# textures that cannot be read
+
+PAINTED = """mtllib m.mtl
+v -1 0 0
+v 1 0 0
+v 1 0 2
+v -1 0 2
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+usemtl paint
+f 1/1 2/2 3/3 4/4
+"""
+
+
+def painted(folder: Path, picture: bytes | None) -> Path:
+    """A scene with a red square whose material wants a picture."""
+    (folder / "m.obj").write_text(PAINTED)
+    (folder / "m.mtl").write_text("newmtl paint\nKd 1 0 0\nmap_Kd picture.png\n")
+    if picture is not None:
+        (folder / "picture.png").write_bytes(picture)
+    path = folder / "scene.yaml"
+    path.write_text(
+        "room: null\nobjects: {board: {mesh: m.obj}}\n"
+        "cameras: {c: {size: [64, 48], position: [0, -3, 1], look_at: [0, 0, 1]}}\n"
+    )
+    return path
+
+
+@pytest.mark.parametrize(("picture", "message"), [(b"no picture", "no PNG or JPEG"), (b"", "is empty")])
+def test_a_texture_that_cannot_be_read_is_named(tmp_path: Path, picture: bytes, message: str) -> None:
+    with pytest.raises(HumansimError, match=rf"picture\.png.*{message}"):
+        assert Scene.load(painted(tmp_path, picture)).static_meshes
+
+
+def test_without_its_texture_a_surface_has_its_plain_colour(tmp_path: Path) -> None:
+    renderer_or_skip().close()
+    with pytest.warns(HumansimWarning, match="picture.png"):
+        simulation = Simulation(Scene.load(painted(tmp_path, None)))
+    red, green, blue = simulation.frame(0).views["c"].rgb[24, 32].tolist()
+    assert red > 100 and green == blue == 0
+    simulation.close()
 
 
 # what is missing
@@ -203,3 +248,9 @@ def test_a_scene_with_a_lens_that_pyrender_does_not_know_is_refused(tmp_path: Pa
     path.write_text(f"room: null\nrenderer: pyrender\ncameras:\n  bent: {camera}\n")
     with pytest.raises(HumansimError, match=r"scene.yaml:2: renderer: .*distortion, such as that of bent"):
         Scene.load(path)
+
+
+def test_what_pyrender_leaves_out_of_pictures_is_said() -> None:
+    renderer_or_skip(name="pyrender").close()
+    with pytest.warns(HumansimWarning, match="no soft shadows"):
+        make_renderer("pyrender", lighting=Lighting(shadows="soft")).close()

@@ -8,6 +8,7 @@ vertices: a body in a new pose is a new mesh. It draws everything anew for each 
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,14 +18,14 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
-from humansim_ros.errors import RenderError
+from humansim_ros.errors import HumansimWarning, RenderError
 from humansim_ros.render.context import create_context, current
 from humansim_ros.render.light import Lighting
 from humansim_ros.render.posed import Floats, Posed, Topology
 from humansim_ros.render.refine import NEAR
 from humansim_ros.render.renderer import CHANNELS, Backdrop, Body, Neighbour, View, check_request
 from humansim_ros.render.shadow import ContactShadow
-from humansim_ros.render.still import Expanded
+from humansim_ros.render.still import FLOOR_SLACK, Expanded
 from humansim_ros.rotations import Array
 
 _FAR = 200.0
@@ -44,6 +45,12 @@ class PyrenderRenderer:
         self, static: Sequence[Mesh] = (), lighting: Lighting | None = None, device: int | None = None
     ) -> None:
         self._lighting = lighting or Lighting()
+        if self._lighting.shadow == "soft" or self._lighting.tone_mapping != "none":
+            warnings.warn(
+                "pyrender draws no soft shadows and maps no tones: its pictures will be without",
+                HumansimWarning,
+                stacklevel=2,
+            )
         self._library, self._failure = _import_pyrender()
         self._ctx = create_context(device)
         # left to themselves they would delete what is in another context
@@ -56,6 +63,9 @@ class PyrenderRenderer:
             Body(m, m.vertices.astype(np.float32), np.zeros(len(m.triangles), np.uint8), 0) for m in static
         ]
         self._static = [_Figure(self._library, _Shape(self._library, body), body) for body in whole]
+        self._has_floor = any(
+            (np.abs(mesh.vertices[mesh.triangles][..., 2]) < FLOOR_SLACK).all(axis=1).any() for mesh in static
+        )
 
     @property
     def device(self) -> str:
@@ -95,15 +105,11 @@ class PyrenderRenderer:
         figures = [*self._static, *(self._figure(body) for body in bodies)]
         view: dict[str, Any] = {}
         with current(self._ctx):
-            truth = set(channels) - {"rgb"} | ({"depth"} if backdrop is not None else set())
-            if truth:
-                view |= self._truth(figures, camera, truth)
             if "rgb" in channels:
-                view["rgb"] = self._colour(figures, camera)
-                if backdrop is not None:  # with the plain colour still at outlines
-                    empty = np.isinf(view["depth"])[..., None]
-                    view["rgb"] = np.where(empty, backdrop.picture(camera), view["rgb"])
-        return View(**{name: view[name] for name in channels})
+                view["rgb"] = self._colour(figures, camera, backdrop)
+            if truth := set(channels) - {"rgb"}:
+                view |= self._truth(figures, camera, truth)
+        return View(**view)
 
     def _figure(self, body: Body) -> _Figure:
         """The body as it stands, kept while it is the same one."""
@@ -115,13 +121,21 @@ class PyrenderRenderer:
             self._figures[key] = _Figure(self._library, shape, body)
         return self._figures[key]
 
-    def _colour(self, figures: Sequence[_Figure], camera: Camera) -> NDArray[np.uint8]:
+    def _colour(
+        self, figures: Sequence[_Figure], camera: Camera, backdrop: Backdrop | None
+    ) -> NDArray[np.uint8]:
         light = self._lighting
         nodes = [figure.coloured(light, figure.sides(camera)) for figure in figures]
-        shadows = [figure.shadow(0.01 + 1e-4 * n) for n, figure in enumerate(figures) if figure.body.instance]
+        shadows = []
+        if light.shadow == "contact" and self._has_floor:
+            moving = figures[len(self._static) :]
+            shadows = [figure.shadow(0.01 + 1e-4 * number) for number, figure in enumerate(moving)]
         background = np.append(np.array(light.background) / 255, 1.0)
-        rgb, _ = self._draw(0, [*nodes, *shadows], camera, "FLAT", background)
-        return np.ascontiguousarray(rgb)
+        if backdrop is None:
+            return np.ascontiguousarray(self._draw(0, [*nodes, *shadows], camera, ("FLAT",), background)[0])
+        rgb = self._draw(0, [*nodes, *shadows], camera, ("FLAT",), np.zeros(4))[0]
+        alpha = self._draw(0, nodes, camera, ("FLAT", "RGBA"), np.zeros(4))[0][..., 3:]
+        return np.asarray(np.rint(rgb + (1 - alpha / 255) * backdrop.picture(camera)), dtype=np.uint8)
 
     def _truth(self, figures: Sequence[_Figure], camera: Camera, channels: set[str]) -> dict[str, Any]:
         numbered = [
@@ -132,7 +146,7 @@ class PyrenderRenderer:
         # of the static scene and of things without a label only what they hide counts
         table = np.array([(0, 0), *((instance, part * (instance > 0)) for instance, part, _ in numbered)])
         colours = {node: _colour_of(number) for number, (*_, node) in enumerate(numbered, 1)}
-        colour, depth = self._draw(1, list(colours), camera, "SEG", None, colours)
+        colour, depth = self._draw(1, list(colours), camera, ("SEG",), None, colours)
         number = colour.astype(np.uint32) @ np.array([1, 256, 65536], np.uint32)
         truth: dict[str, Any] = {}
         if "depth" in channels:
@@ -147,7 +161,7 @@ class PyrenderRenderer:
         which: int,
         nodes: Sequence[_Node],
         camera: Camera,
-        how: str,
+        how: Sequence[str],
         background: Array | None = None,
         colours: dict[_Node, Array] | None = None,
     ) -> tuple[NDArray[Any], NDArray[Any]]:
@@ -155,7 +169,8 @@ class PyrenderRenderer:
         renderer.viewport_width, renderer.viewport_height = camera.size
         scene = _Scene(nodes, _Eye(camera), camera.world_from_optical, background)
         try:
-            picture, depth = renderer.render(scene, flags.OFFSCREEN | getattr(flags, how), colours)
+            flag = sum((getattr(flags, name) for name in how), flags.OFFSCREEN)
+            picture, depth = renderer.render(scene, flag, colours)
         except self._failure as reason:
             raise RenderError(f"OpenGL failed in pyrender ({type(reason).__name__})") from None
         return picture, depth
@@ -300,9 +315,12 @@ def _import_pyrender() -> tuple[Any, type[Exception]]:
 
 def _light(lighting: Lighting, normals: Floats) -> Floats:
     """(V, 3) what vertices multiply their colour by: the formula of shaders/lit.frag."""
-    ground, sky, sun = (np.array(c) for c in (lighting.ground_color, lighting.sky_color, lighting.sun_color))
+    if lighting.mode == "shadeless":
+        return np.ones_like(normals)
+    colours = lighting.ground_color, lighting.sky_color, lighting.sun_color
+    ground, sky, sun = (np.array(lighting.brightness(colour)) for colour in colours)
     up = 0.5 + 0.5 * normals[:, 2:]
-    facing = normals @ (np.array(lighting.sun) / np.linalg.norm(lighting.sun))
+    facing = normals @ lighting.direction
     return np.asarray(np.sqrt((1 - up) * ground + up * sky + np.maximum(facing, 0)[:, None] * sun), "f4")
 
 

@@ -7,6 +7,7 @@ Everything stands along the walls, so that the middle is free. World coordinates
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -80,11 +81,8 @@ def _walls(x: float, y: float, height: float, rng: _Rng) -> list[Mesh]:
     for i, image in enumerate((plaster, accent, plaster, plaster)):
         (ax, ay), (bx, by) = corners[i], corners[(i + 1) % 4]
         span = float(np.hypot(bx - ax, by - ay))
-        meshes.append(
-            _quad(
-                [(ax, ay, 0), (bx, by, 0), (bx, by, height), (ax, ay, height)], image, (span / 2, height / 2)
-            )
-        )
+        wall = [(ax, ay, 0), (bx, by, 0), (bx, by, height), (ax, ay, height)]
+        meshes.append(_turned(_quad(wall, image, (span / 2, height / 2))))
         middle = ((ax + bx) / 2, (ay + by) / 2, 0.05)
         meshes.append(_box(middle, (abs(bx - ax) + 0.03, abs(by - ay) + 0.03, 0.1), trim))
     return meshes
@@ -131,7 +129,9 @@ def _picture(at: Sequence[float], along: Sequence[float], size: tuple[float, flo
     centre, right, up = np.array(at), np.array(along, dtype=float), np.array([0.0, 0.0, 1.0])
     w, h = right * size[0] / 2, up * size[1] / 2
     corners = [centre - w - h, centre + w - h, centre + w + h, centre - w + h]
-    return _quad(corners, _poster(rng, (int(360 * size[1]), int(360 * size[0]))))
+    picture = _quad(corners, _poster(rng, (int(360 * size[1]), int(360 * size[0]))))
+    inwards = np.cross(right, up) @ centre < 0
+    return picture if inwards else _turned(picture)
 
 
 def _quad(
@@ -140,6 +140,12 @@ def _quad(
     uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * np.array(repeat)
     face = np.array([[0, 1, 2, 3]], dtype=np.int32)
     return Mesh(np.array(corners, dtype=float), face, uv, face, texture=image)
+
+
+def _turned(mesh: Mesh) -> Mesh:
+    """The same quad with its front on the other side."""
+    faces = np.ascontiguousarray(mesh.faces[:, [0, 3, 2, 1]])
+    return replace(mesh, faces=faces, uv_faces=faces)
 
 
 def _box(centre: Sequence[float], size: Sequence[float], image: Image) -> Mesh:

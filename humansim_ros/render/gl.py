@@ -784,7 +784,8 @@ class _Surface:
             lit,
             [
                 (self._positions, "3f", "position"),
-                (self._normals, "3f", "normal"),
+                # (without light nobody asks for them)
+                *([(self._normals, "3f", "normal")] if "normal" in lit else []),
                 (self._looks, "2f 3f", "uv", "color"),
             ],
             index_buffer=self._index,

@@ -15,6 +15,13 @@ const vec2 DISC[16] = vec2[](
     vec2(0.6846, 0.2500), vec2(-0.7123, 0.2941), vec2(0.3434, -0.7337), vec2(0.2540, 0.8089),
     vec2(-0.7649, -0.4431), vec2(0.8968, -0.1968), vec2(-0.5475, 0.7788), vec2(-0.1273, -0.9761)
 );
+#ifdef MOVING
+#define LOOKS 4
+#define TAPS 8
+#else
+#define LOOKS 8
+#define TAPS 16
+#endif
 float sunshine(sampler2DShadow shadows, sampler2D depths, ShadowMap map, vec3 point, vec3 normal) {
     // off the surface by some texels, or its own steps in the map would shade it
     vec3 p = (map.place * vec4(point + normal * (1.5 * map.texel), 1.0)).xyz;
@@ -24,7 +31,7 @@ float sunshine(sampler2DShadow shadows, sampler2D depths, ShadowMap map, vec3 po
     vec2 slope = -n.xy * map.size.xy / min(n.z, -0.25);
     slope *= min(1.0, 2.0 / max(length(slope), 1e-6));
     float reach = spread * max(p.z, 0.0) + map.texel, found = 0.0, sum = 0.0;
-    for (int i = 1; i < 16; i += 2) {
+    for (int i = 16 / LOOKS - 1; i < 16; i += 16 / LOOKS) {
         vec2 o = DISC[i] * reach;
         float limit = p.z + min(dot(slope, o), 0.0) - map.texel;
         float z = texture(depths, p.xy + o / map.size.xy).r * map.size.z;
@@ -33,12 +40,13 @@ float sunshine(sampler2DShadow shadows, sampler2D depths, ShadowMap map, vec3 po
             sum += z;
         }
     }
-    if (found == 0.0) return 1.0;
+    // most points see all of the sun or nothing
+    if (found == 0.0 || found == float(LOOKS)) return found == 0.0 ? 1.0 : 0.0;
     float radius = max(spread * (p.z - sum / found), map.texel), seen = 0.0;
-    for (int i = 0; i < 16; i++) {
+    for (int i = 16 / TAPS - 1; i < 16; i += 16 / TAPS) {
         vec2 o = DISC[i] * radius;
         float limit = p.z + min(dot(slope, o), 0.0) - map.texel;
         seen += texture(shadows, vec3(p.xy + o / map.size.xy, min(limit / map.size.z, 1.0)));
     }
-    return seen / 16.0;
+    return seen / float(TAPS);
 }

@@ -41,8 +41,11 @@ def visible_vertices(camera: Camera, bodies: Sequence[Body], view: View) -> dict
     offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
     points = camera.to_optical(np.concatenate([body.vertices for body in bodies]))
     triangles = np.concatenate(
-        [body.mesh.triangles + offset for body, offset in zip(bodies, offsets[:-1], strict=True)]
-    ).astype(np.intp)
+        [
+            _hiding(body, points[offset : offset + len(body.vertices)]) + offset
+            for body, offset in zip(bodies, offsets[:-1], strict=True)
+        ]
+    )
     candidates = _perhaps_seen(camera, points, view.depth, view.instance)
     seen = np.zeros(len(points), bool)
     seen[_unhidden(points, np.flatnonzero(candidates), triangles)] = True
@@ -62,6 +65,17 @@ def _perhaps_seen(
     hidden = farthest[row, column] < depth - _SURELY
     hidden |= (labels[row, column] == 0) & (shown[row, column] < depth - _TOUCHING)
     return np.asarray(inside & (depth >= NEAR) & ~hidden)
+
+
+def _hiding(body: Body, points: Array) -> Indices:
+    """(N, 3) the triangles of a body that can hide something; ``points``: (V, 3) where it is in the optical
+    frame. From outside a closed surface, whatever a back face hides is hidden by a front face as well.
+    """
+    triangles = body.mesh.triangles.astype(np.intp)
+    if not body.mesh.closed or points[:, 2].min() < 2 * NEAR:
+        return triangles
+    a, b, c = points[triangles.T]
+    return triangles[np.einsum("ij,ij->i", np.cross(b - a, c - a), a) < 0]
 
 
 def _unhidden(points: Array, candidates: Indices, triangles: Indices) -> Indices:

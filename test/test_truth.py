@@ -1,0 +1,320 @@
+"""Truth per person and camera against rays: what hides joints and vertices, boxes, points of the surface.
+
+Three scenes with two people and things before them: a furnished room seen by an ideal camera, a screen that
+passes before a fisheye, and a camera with a bent lens that flies round them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+from render_scenes import body, box, quad, renderer_or_skip
+
+from humansim_ros.camera import Camera
+from humansim_ros.camera.trajectory import Trajectory
+from humansim_ros.render import Body
+from humansim_ros.scene import Frame, Scene, Simulation
+from humansim_ros.truth.boxes import truncation, view_boxes
+from humansim_ros.truth.joints import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, THING, VISIBLE, joint_surfaces
+from humansim_ros.truth.surface import part_u_v, rest_points
+from humansim_ros.truth.vertices import visible_vertices
+
+PEOPLE = """
+rate: 10
+humans:
+  anna: {body: adult_woman, motion: {file: walk, position: [0.0, -1.59], loop: continue}}
+  ben: {motion: {file: wave, position: [-0.5, 0.1], yaw_deg: 70, anchor: center, loop: repeat}}
+"""
+SCENES = {
+    "room": """
+room: {size: [6.0, 6.0, 2.8]}
+objects:
+  table: {size: [0.5, 1.0, 0.7], position: [0.9, -0.9, 0.35]}
+cameras:
+  camera: {position: [2.2, -2.0, 1.5], look_at: [-0.2, 0, 0.8]}
+""",
+    "screen": """
+room: null
+objects:
+  screen: {size: [0.04, 0.5, 2.0], position: [1.2, -0.6, 1.0], keyframes: moves.xml}
+  crate: {size: [0.4, 0.4, 0.5], position: [0.6, 0.5, 0.25]}
+cameras:
+  camera:
+    K: [[330, 0, 310], [0, 330, 250], [0, 0, 1]]
+    distortion: [-0.013, 0.021, -0.0031, 0.0004]
+    distortion_model: equidistant
+    position: [2.2, -0.3, 1.5]
+    look_at: [0, 0, 0.9]
+""",
+    "flight": """
+room: null
+objects:
+  crate: {size: [0.5, 0.5, 0.9], position: [0.7, -0.6, 0.45]}
+  post: {mesh: cylinder, size: [0.15, 0.15, 2], position: [-0.9, 0.9, 1]}
+cameras:
+  camera: {fov_deg: 55, distortion: [-0.2, 0.05, 0.001, -0.002], trajectory: way.txt}
+""",
+}
+MOVES = """<animation startframe="0" endframe="20" rate="10"><object name="screen">
+<frame number="0"><position x="0" y="0" z="0"/></frame>
+<frame number="20"><position x="0" y="1.2" z="0"/><rotation x="0" y="0" z="30"/></frame>
+</object></animation>"""
+CHANNELS = ("depth", "instance", "part", "face", "uv", "amodal")
+FRAMES = (0, 3, 7, 11, 15, 19)
+
+
+@dataclass(frozen=True)
+class Shot:
+    """A frame, and its world as rays meet it: the humans' surfaces and then all things."""
+
+    scene: Scene
+    frame: Frame
+
+    @property
+    def camera(self) -> Camera:
+        return self.frame.cameras["camera"]
+
+    @property
+    def people(self) -> list[Body]:
+        return [b for b in self.frame.bodies if b.instance]
+
+    def cast(self, points: NDArray[np.floating]) -> tuple[NDArray[np.generic], ...]:
+        """What the rays from the camera through points (N, 3) meet first: depth (inf: nothing), label (0: a
+        thing), triangle.
+        """
+        surfaces = [(b.vertices.astype(float), b.mesh.triangles, b.instance) for b in self.people]
+        things = [b for b in self.frame.bodies if not b.instance]
+        surfaces += [(b.vertices.astype(float), b.mesh.triangles, 0) for b in things]
+        surfaces += [(m.vertices, m.triangles, 0) for m in self.scene.static_meshes]
+        starts = np.cumsum([0, *(len(v) for v, _, _ in surfaces)])
+        vertices = np.concatenate([v for v, _, _ in surfaces])
+        triangles = np.concatenate([t + n for (_, t, _), n in zip(surfaces, starts, strict=False)])
+        labels = np.concatenate([np.full(len(t), label) for _, t, label in surfaces])
+        numbers = np.concatenate([np.arange(len(t)) for _, t, _ in surfaces])
+        ways = points - self.camera.center
+        mesh = trimesh.Trimesh(vertices, triangles, process=False)
+        hit, ray = mesh.ray.intersects_id(
+            np.broadcast_to(self.camera.center, ways.shape), ways, multiple_hits=False
+        )[:2]
+        corners = vertices[triangles[hit]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        share = np.einsum("ij,ij->i", normals, corners[:, 0] - self.camera.center)
+        share /= np.einsum("ij,ij->i", normals, ways[ray])
+        depth, label, number = np.full(len(ways), np.inf), np.zeros(len(ways), int), np.full(len(ways), -1)
+        depth[ray] = share * (ways[ray] @ self.camera.R[2])
+        label[ray], number[ray] = labels[hit], numbers[hit]
+        return depth, label, number
+
+    def around(self, pixels: NDArray[np.floating]) -> tuple[NDArray[np.generic], ...]:
+        """The same (9, N) of pixels (N, 2) and the eight around each."""
+        beside = [(x, y) for y in (0, -1, 1) for x in (0, -1, 1)]
+        nine = np.concatenate([pixels + offset for offset in beside])
+        return tuple(a.reshape(9, -1) for a in self.cast(self.camera.unproject(nine, np.ones(len(nine)))))
+
+
+@pytest.fixture(scope="module", params=SCENES)
+def shots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Shot]]:
+    folder = tmp_path_factory.mktemp(request.param)
+    (folder / "scene.yaml").write_text(PEOPLE + SCENES[request.param])
+    (folder / "moves.xml").write_text(MOVES)
+    Trajectory.orbit((0, 0, 0.9), radius=2.6, height=1.4, period=4).write(folder / "way.txt")
+    scene = Scene.load(folder / "scene.yaml")
+    simulation = Simulation(scene, CHANNELS, renderer=renderer_or_skip(scene.static_meshes))
+    yield [Shot(scene, simulation.frame(number)) for number in FRAMES]
+    simulation.close()
+
+
+def test_what_hides_joints_is_what_rays_meet(shots: list[Shot]) -> None:
+    compared = agreed = 0
+    kinds: set[int] = set()
+    for shot in shots:
+        for name, actor in shot.scene.actors.items():
+            seen = shot.frame.joints["camera"][name]
+            positions = shot.frame.humans[name].positions
+            size = np.array(shot.camera.size)
+            inside = np.all((seen.pixels > -0.5) & (seen.pixels < size - 0.5), axis=1)
+            assert ((seen.visible == OUTSIDE) == ~inside).all()
+            depth, label, triangle = shot.around(np.where(inside[:, None], seen.pixels, 100.0))
+            parts = np.zeros(label.shape, int)
+            for b in shot.people:
+                parts[label == b.instance] = b.parts[triangle[label == b.instance]]
+            own = label == actor.instance
+            skin = own & np.take_along_axis(joint_surfaces(actor.human), parts.T, axis=1).T
+            z = (positions - shot.camera.center) @ shot.camera.R[2]
+            visible = np.where(skin | (depth > z), VISIBLE, OCCLUDED)
+            hider = np.select([visible == VISIBLE, own, label > 0], [NOTHING, SELF, PERSON], THING)
+            by = np.where(visible == OCCLUDED, label, 0)
+            calm = inside & (label == label[0]).all(0) & (visible == visible[0]).all(0)
+            with np.errstate(invalid="ignore"):
+                same = (seen.visible == visible[0]) & (seen.occluder == hider[0]) & (seen.by == by[0])
+                near = (seen.behind >= z - depth.max(0) - 1e-3) & (seen.behind <= z - depth.min(0) + 1e-3)
+            compared += calm.sum()
+            agreed += (same & near)[calm].sum()
+            kinds |= set(seen.occluder[calm].tolist())
+    assert compared > 250
+    assert agreed >= 0.995 * compared
+    assert kinds >= {NOTHING, SELF, PERSON, THING}
+
+
+def test_vertices_are_seen_where_rays_reach_them(shots: list[Shot]) -> None:
+    compared = agreed = seen_at_all = 0
+    for shot in shots[::3]:
+        for name, seen in shot.frame.visible_vertices("camera").items():
+            vertices = shot.frame.humans[name].vertices.astype(float)
+            assert seen.shape == (len(vertices),)
+            pixels, z = shot.camera.project(vertices)
+            inside = np.all((pixels > -0.5) & (pixels < np.array(shot.camera.size) - 0.5), axis=1)
+            assert not seen[~inside].any()
+            depth = shot.cast(vertices)[0]
+            reached = depth > z * (1 - 1e-4)
+            # at the rim of a room or an object the pixel may show the other of the two
+            _, beside, _ = shot.around(np.where(inside[:, None], pixels, 100.0))
+            calm = inside & ((beside > 0).all(0) | (beside == 0).all(0))
+            compared += calm.sum()
+            agreed += (seen == reached)[calm].sum()
+            seen_at_all += seen.sum()
+    assert compared > 20_000
+    assert agreed > 0.999 * compared
+    assert 5_000 < seen_at_all < 0.9 * compared
+
+
+def test_boxes_are_round_the_rays_that_meet_a_person(shots: list[Shot]) -> None:
+    for shot in shots[::3]:
+        width, height = shot.camera.size
+        columns, rows = np.meshgrid(np.arange(width), np.arange(height))
+        pixels = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
+        label = shot.cast(shot.camera.unproject(pixels, np.ones(len(pixels))))[1]
+        for (name, actor), person in zip(shot.scene.actors.items(), shot.people, strict=True):
+            found = shot.frame.boxes["camera"][name]
+            mine = pixels[label == actor.instance]
+            if len(mine):
+                expected = [*(mine.min(0) - 0.5), *(mine.max(0) + 0.5)]
+                np.testing.assert_allclose(found.visible, expected, atol=1.01)
+            else:
+                assert np.isnan(found.visible).all()
+            assert abs(found.pixels - len(mine)) <= 0.01 * len(mine)
+            # if nothing else were there
+            alone = trimesh.Trimesh(person.vertices, person.mesh.triangles, process=False)
+            ways = shot.camera.unproject(pixels, np.ones(len(pixels))) - shot.camera.center
+            met = alone.ray.intersects_any(np.broadcast_to(shot.camera.center, ways.shape), ways)
+            assert found.visible_fraction == pytest.approx(len(mine) / met.sum(), abs=0.01)
+            # OpenCV's projection of every vertex
+            rotation, d = cv2.Rodrigues(shot.camera.R)[0], np.array(shot.camera.distortion)
+            project = cv2.fisheye.projectPoints if shot.camera.model == "equidistant" else cv2.projectPoints
+            points = person.vertices.astype(float)[:, None]
+            places = project(points, rotation, shot.camera.t, shot.camera.K, d)[0].reshape(-1, 2)
+            np.testing.assert_allclose(found.whole, [*places.min(0), *places.max(0)], atol=1e-3)
+
+
+def test_the_point_of_the_surface_is_the_one_that_the_ray_meets(shots: list[Shot]) -> None:
+    shot = shots[3]
+    view = shot.frame.views["camera"]
+    points = rest_points(shot.camera, shot.frame.bodies, view)
+    assert (np.isnan(points).all(axis=2) == (view.instance == 0)).all()
+    rows, columns = np.nonzero(view.instance)
+    pick = np.random.default_rng(3).choice(len(rows), 3000, replace=False)
+    rows, columns = rows[pick], columns[pick]
+    world = shot.camera.unproject(np.column_stack([columns, rows]), np.ones(len(rows)))
+    depth, label, triangle = shot.cast(world)
+    met = shot.camera.unproject(np.column_stack([columns, rows]), depth)
+    compared = 0
+    for person in shot.people:
+        mine = (label == person.instance) & (view.instance[rows, columns] == person.instance)
+        corners = person.mesh.triangles[triangle[mine]]
+        bary = trimesh.triangles.points_to_barycentric(person.vertices.astype(float)[corners], met[mine])
+        expected = np.einsum("ij,ijk->ik", bary, person.mesh.vertices[corners])
+        error = np.linalg.norm(points[rows[mine], columns[mine]] - expected, axis=1)
+        assert np.percentile(error, 99) < 1e-4
+        compared += mine.sum()
+    assert compared > 2500
+
+
+def test_part_u_and_v_belong_to_one_triangle_only(shots: list[Shot]) -> None:
+    """Found again in the texture's plane, as somebody would who has only this image and the mesh."""
+    shot = shots[0]
+    view = shot.frame.views["camera"]
+    image = part_u_v(view)
+    assert image.dtype == np.float32 and image.shape == (*view.instance.shape, 3)
+    assert (image[view.instance == 0][:, 0] == 0).all()
+    assert np.isnan(image[view.instance == 0][:, 1:]).all()
+    person = shot.people[1]
+    uv = person.mesh.uv[person.mesh.uv_triangles]
+    rows, columns = np.nonzero(view.instance == person.instance)
+    right = 0
+    for k in np.random.default_rng(4).choice(len(rows), 200, replace=False):
+        part, *place = image[rows[k], columns[k]]
+        sides = [cross(uv[:, i], uv[:, (i + 1) % 3], place) for i in range(3)]
+        within = (np.min(sides, axis=0) >= 0) | (np.max(sides, axis=0) <= 0)
+        found = np.flatnonzero(within & (person.parts == part))
+        right += found.tolist() == [view.face[rows[k], columns[k]] - 1]
+    assert right > 190  # edges between two triangles
+
+
+def cross(a: NDArray[np.floating], b: NDArray[np.floating], p: list[float]) -> NDArray[np.floating]:
+    return (b[:, 0] - a[:, 0]) * (p[1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (p[0] - a[:, 0])
+
+
+# A body that leaves the image, is behind the camera, or round it
+
+
+def straight(size: tuple[int, int] = (100, 80)) -> Camera:
+    """At the origin, looking along world z, x right and y down; 100 pixels per unit of x / z."""
+    return Camera(size, np.array([[100.0, 0, 49.5], [0, 100, 39.5], [0, 0, 1]]), np.eye(3), np.zeros(3))
+
+
+def plate(x0: float, y0: float, x1: float, y1: float, z: float) -> Body:
+    """An upright rectangle that faces the camera."""
+    return body(quad([(x0, y0, z), (x0, y1, z), (x1, y1, z), (x1, y0, z)]), instance=7)
+
+
+def boxes_of(thing: Body) -> tuple[NDArray[np.floating], float, float, int]:
+    camera, renderer = straight(), renderer_or_skip()
+    found = view_boxes(camera, [thing], renderer.render([thing], camera, ["instance", "amodal"]))[7]
+    renderer.close()
+    return found.whole, found.truncation, found.visible_fraction, found.pixels
+
+
+def test_truncation_is_the_share_of_the_box_outside_the_image() -> None:
+    # from the middle of the image to as much again beyond its right edge
+    whole, share, fraction, pixels = boxes_of(plate(0.0, -0.2, 1.0, 0.2, 1.0))
+    np.testing.assert_allclose(whole, [49.5, 19.5, 149.5, 59.5], atol=1e-5)
+    assert share == pytest.approx(0.5, abs=1e-6)
+    assert (fraction, pixels) == (1.0, 50 * 40)
+    assert truncation(np.array([-0.5, -0.5, 99.5, 79.5]), (100, 80)) == 0
+    assert truncation(np.array([200.0, 0, 300, 50]), (100, 80)) == 1
+    assert truncation(np.array([50.0, 10, 50, 10]), (100, 80)) == 0  # a point
+
+
+def test_a_body_behind_the_camera_has_no_boxes() -> None:
+    whole, share, fraction, pixels = boxes_of(plate(0.0, -0.2, 1.0, 0.2, -1.0))
+    assert np.isnan(whole).all()
+    assert (share, pixels) == (1.0, 0)
+    assert np.isnan(fraction)
+
+
+def test_of_a_body_round_the_camera_the_box_is_that_of_what_is_before_it() -> None:
+    """A floor one metre below, from two metres behind to ten before: cut at 5 cm."""
+    floor = body(quad([(-1, 1, -2), (1, 1, -2), (1, 1, 10), (-1, 1, 10)]), instance=7)
+    whole, share, _, pixels = boxes_of(floor)
+    near = 100 / 0.05
+    np.testing.assert_allclose(whole, [49.5 - near, 39.5 + 10, 49.5 + near, 39.5 + near], rtol=1e-6)
+    assert 0.99 < share < 1
+    assert pixels > 1000
+
+
+def test_vertices_at_the_back_are_not_seen_and_nobody_sees_behind_the_camera() -> None:
+    camera, renderer = straight(), renderer_or_skip()
+    before, behind = box((0, 0, 2), 0.2), box((0, 0, -2), 0.2)
+    bodies = [body(before, 3), body(behind, 4)]
+    view = renderer.render(bodies, camera, ["depth", "instance"])
+    renderer.close()
+    seen = visible_vertices(camera, bodies, view)
+    assert seen[3].tolist() == (before.vertices[:, 2] < 2).tolist()
+    assert not seen[4].any()
+    assert visible_vertices(camera, [], view) == {}

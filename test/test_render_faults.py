@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 from render_scenes import RENDERERS, along_x, body, cast, inner, renderer_or_skip, walkers, wall
 
+from humansim_ros.body import read_mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError, HumansimError, HumansimWarning, RenderError
 from humansim_ros.render import Body, Lighting, Renderer, RendererName, make_renderer
-from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene import Scene
 
 
 @pytest.fixture(scope="module", params=RENDERERS)
@@ -111,32 +112,31 @@ f 1/1 2/2 3/3 4/4
 
 
 def painted(folder: Path, picture: bytes | None) -> Path:
-    """A scene with a red square whose material wants a picture."""
+    """A square whose red material wants a picture."""
     (folder / "m.obj").write_text(PAINTED)
     (folder / "m.mtl").write_text("newmtl paint\nKd 1 0 0\nmap_Kd picture.png\n")
     if picture is not None:
         (folder / "picture.png").write_bytes(picture)
-    path = folder / "scene.yaml"
-    path.write_text(
-        "room: null\nobjects: {board: {mesh: m.obj}}\n"
-        "cameras: {c: {size: [64, 48], position: [0, -3, 1], look_at: [0, 0, 1]}}\n"
-    )
-    return path
+    return folder / "m.obj"
 
 
 @pytest.mark.parametrize(("picture", "message"), [(b"no picture", "no PNG or JPEG"), (b"", "is empty")])
 def test_a_texture_that_cannot_be_read_is_named(tmp_path: Path, picture: bytes, message: str) -> None:
+    scene = tmp_path / "scene.yaml"
+    camera = "{position: [0, -3, 1], look_at: [0, 0, 1]}"
+    scene.write_text(f"room: null\nobjects: {{board: {{mesh: m.obj}}}}\ncameras: {{c: {camera}}}\n")
     with pytest.raises(HumansimError, match=rf"picture\.png.*{message}"):
-        assert Scene.load(painted(tmp_path, picture)).static_meshes
+        read_mesh(painted(tmp_path, picture))
+    with pytest.raises(HumansimError, match=r"picture\.png"):
+        assert Scene.load(scene).static_meshes
 
 
-def test_without_its_texture_a_surface_has_its_plain_colour(tmp_path: Path) -> None:
-    renderer_or_skip().close()
+def test_without_its_texture_a_surface_has_its_plain_colour(renderer: Renderer, tmp_path: Path) -> None:
     with pytest.warns(HumansimWarning, match="picture.png"):
-        simulation = Simulation(Scene.load(painted(tmp_path, None)))
-    red, green, blue = simulation.frame(0).views["c"].rgb[24, 32].tolist()
+        square = read_mesh(painted(tmp_path, None))
+    view = renderer.render([body(square)], Camera.look_at((0, -3, 1), (0, 0, 1), (64, 48)))
+    red, green, blue = view.rgb[24, 32].tolist()
     assert red > 100 and green == blue == 0
-    simulation.close()
 
 
 # what is missing

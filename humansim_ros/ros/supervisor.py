@@ -46,6 +46,11 @@ class Supervisor:
     ) -> None:
         self.stop()
 
+    @property
+    def pids(self) -> list[int]:
+        """The process of each node."""
+        return [process.pid for process in self._running.values()]
+
     def dead(self) -> tuple[str, int] | None:
         """Name and exit code of a node that has ended by itself, None while all run."""
         for name, process in self._running.items():

@@ -21,11 +21,12 @@ from humansim_ros.scene import Scene, Simulation
 SCENE = """
 rate: 4
 room: null
+light: {shadows: soft}
 humans:
   anna: {body: child, motion: {file: walk, position: [0.0, -1], loop: continue}}
 objects:
   box: {size: [0.3, 0.3, 0.3], position: [0, 0, 0.2], keyframes: moves.xml}
-  wall: {size: [0.1, 9, 5], position: [-3, 0, 1]}
+  floor: {size: [9, 9, 0.1], position: [0, 0, -0.05]}
 cameras:
   left: {size: [120, 90], position: [4.0, 0.6, 1.4], look_at: [0, 0, 0.8], fov_deg: 70}
 """
@@ -62,7 +63,7 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     deep = rclpy.qos.QoSProfile(depth=500)
     client.subscribe(Marker, ["/detail/objects/box/marker"], deep)
     client.subscribe(Image, topics.values(), deep)
-    done = client.spin_until(lambda: len(client.received) == 10 and len(client.common_stamps()) >= 4, 60)
+    done = client.spin_until(lambda: len(client.received) == 1 + len(DETAILS) and len(client.common_stamps()) >= 4, 60)
     assert done, f"heard {sorted(client.received)}, {len(client.common_stamps())} common stamps"
     simulation = Simulation(Scene.load(folder / "scene.yaml"), ALL_CHANNELS)
     yield SimpleNamespace(

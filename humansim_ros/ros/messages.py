@@ -70,6 +70,7 @@ ENCODINGS = {
     "flow_back_hidden": "mono8",
     "alpha": "mono8",
     "amodal": "mono8",
+    "shadow": "mono8",
 }
 
 #: One point of ``<camera>/joints``; padded so that points start at multiples of four bytes.

@@ -32,6 +32,7 @@ TOPICS = {
     "flow_hidden": "flow/hidden",
     "flow_back": "flow_back/image",
     "flow_back_hidden": "flow_back/hidden",
+    "shadow": "shadow/image",
 }
 #: Channels that have a topic for each human.
 BY_HUMAN = ("alpha", "amodal")

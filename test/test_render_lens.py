@@ -191,3 +191,20 @@ def test_people_beyond_the_image_are_not_drawn_and_one_around_the_camera_is(scen
     seen = renderer.render(around, camera, ["instance", "depth"])
     assert np.mean((seen.instance > 0)[far]) > 0.98
     renderer.close()
+
+
+def test_a_fisheye_sees_the_wall_right_beside_it() -> None:
+    straight = Camera.look_at((0.6, 0.1, -0.2), (-1, 0.3, 0), (640, 480), 1.0)
+    k = np.array([[205.0, 0, 319.5], [0, 205, 239.5], [0, 0, 1]])
+    camera = Camera((640, 480), k, straight.R, straight.t, *LENSES["fisheye"])
+    room = box((0, 0, 0), 1.0)
+    renderer = renderer_or_skip([room])
+    view = renderer.render([], camera, ["depth"])
+    renderer.close()
+    columns, rows = np.meshgrid(np.arange(640), np.arange(480))
+    seen = np.isfinite(camera.rays(np.stack([columns, rows], axis=-1))[..., 0])
+    seen = cv2.erode(seen.astype(np.uint8), np.ones((5, 5))) > 0
+    assert 100_000 < np.count_nonzero(seen) < 307_200
+    depth, _, _ = cast(camera, [(room.vertices, room.triangles)])
+    assert np.isfinite(view.depth[seen]).all()
+    assert np.percentile(np.abs(view.depth[seen] - depth[seen]), 99) < 1e-3

@@ -38,7 +38,7 @@ from humansim_ros.render.renderer import (
     check_neighbours,
     check_request,
 )
-from humansim_ros.render.shadow import CELLS
+from humansim_ros.render.shadow import CELLS, REACH, ContactShadow
 from humansim_ros.render.still import Expanded, Pieces, StillScene, texture
 from humansim_ros.render.sun import MOVING_SIDE, STILL_SIDE, SunMap, encloses, shadow_ends, spread
 from humansim_ros.rotations import Array
@@ -167,8 +167,10 @@ class GLRenderer:
         outlined = bool(channels & {"rgb", "alpha"})
         surfaces = [self._surface(body) for body in bodies]
         clouds = [surface.posed.points for surface in surfaces]
-        shadowed = surfaces if lit and self._contact else []
-        clouds += [surface.posed.shadow.corners.T for surface in shadowed]
+        shadows = (
+            [surface.shadow for surface in surfaces if surface.near_floor] if lit and self._contact else []
+        )
+        clouds += [shadow.corners.T for shadow in shadows]
         sunlight = self._sunlight if lit else None
         if sunlight is not None and surfaces:
             clouds += sunlight.shine_on(surfaces)
@@ -182,8 +184,8 @@ class GLRenderer:
         if not rectangle.empty:
             target = self._target(camera.size)
             target.start(layer.target, rectangle)
-            if shadowed:
-                self._draw_shadows(shadowed, camera)
+            if shadows:
+                self._draw_shadows(shadows, camera)
             if sunlight is not None:
                 sunlight.shade(layer, target, camera)
             target.use(lit)
@@ -286,7 +288,7 @@ class GLRenderer:
                 seen.outlines.append(_straight(contour, camera, straight) if camera.distorted else contour)
         return seen
 
-    def _draw_shadows(self, surfaces: Sequence[_Surface], camera: Camera) -> None:
+    def _draw_shadows(self, shadows: Sequence[ContactShadow], camera: Camera) -> None:
         self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
         # alpha keeps how much light is left
         self._ctx.blend_func = (  # type: ignore[assignment]  # it may be four
@@ -297,8 +299,7 @@ class GLRenderer:
         )
         self._use_camera(self._shadow, camera)
         square = self._shadow_grid if camera.distorted else self._shadow_quad
-        for surface in surfaces:
-            shadow = surface.posed.shadow
+        for shadow in shadows:
             self._shadow_texture.write(shadow.darkness.tobytes())
             self._shadow_texture.use(0)
             _set(self._shadow, "place", (*shadow.corner, shadow.side, shadow.side))
@@ -306,7 +307,8 @@ class GLRenderer:
 
     def _use_camera(self, program: moderngl.Program, camera: Camera) -> None:
         _set(program, "optical_z", (*camera.R[2], camera.t[2]))
-        clip = camera.opengl_clip(NEAR, _FAR)
+        near = LensView(camera).near if camera.distorted else NEAR
+        clip = camera.opengl_clip(near, _FAR)
         if not camera.distorted:
             _set(program, "lens", 0)
             _set(program, "clip", _floats(clip @ camera.optical_from_world))
@@ -318,7 +320,7 @@ class GLRenderer:
         _set(program, "optical", _floats(camera.optical_from_world))
         _set(program, "k", np.array((*lens.coefficients, *[0.0] * 8)[:8], dtype="f4").tobytes())
         _set(program, "reach", lens.valid_radius)
-        _set(program, "nearest", NEAR)
+        _set(program, "nearest", near)
         self._ctx.enable_direct(_CLIP_DISTANCE)
 
     def _surface(self, body: Body) -> _Surface:
@@ -793,6 +795,16 @@ class _Surface:
         self._truth = ctx.vertex_array(truth, [(self._positions, "3f", "position")], index_buffer=self._index)
         self._depths: moderngl.VertexArray | None = None
         self._pose(body)
+
+    @property
+    def near_floor(self) -> bool:
+        """Whether it may leave a shadow under it."""
+        return self.body.instance > 0 or float(self.posed.points[2].min()) < REACH
+
+    @property
+    def shadow(self) -> ContactShadow:
+        """What it leaves on the floor."""
+        return self.posed.shadow if self.body.instance else self.posed.shadow_of_thing
 
     def stand(self, body: Body) -> None:
         """Take up the body's pose."""

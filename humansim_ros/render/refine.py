@@ -25,15 +25,19 @@ VISIBLE, TOLERANCE = 0.03, 0.01
 _SURELY = 3.5
 #: Edges longer than so many pixels are halved anyway: their middle alone says too little.
 _LONGEST = 48.0
-#: Beside the image by so many pixels it does not matter.
-_BESIDE = 100.0
+#: Beside the image by so many pixels it does not matter how edges shorter than that are drawn.
+_BESIDE = 16.0
+#: Beyond this tangent of the angle to the axis edges may be off by more, as it grows: depth changes so fast
+#: there that edges would become shorter than pixels.
+_FAR_OFF = 4.0
 #: Edges at the rim of what the lens sees are cut down to this share of their distance.
 _RIM, _BEYOND = 0.01, 0.1
 #: Points along each side of the image at which the lens is looked at.
 _GRID = 65
 _ROUNDS, _MOST_TRIANGLES = 14, 4_000_000
-#: Metres from the camera within which nothing is drawn.
-NEAR = 0.05
+#: Metres along the axis within which nothing is drawn; and for lenses that see farther off the axis than this
+#: tangent: what is beside a camera is far away, and yet its depth is small.
+NEAR, _NEAR_BESIDE, _BESIDE_FROM = 0.05, 0.005, 5.0
 
 Indices = NDArray[np.intp]
 
@@ -68,6 +72,12 @@ class LensView:
         """Lowest and highest x and y of the normalised image plane that the image can show."""
         return self._field.low, self._field.high
 
+    @property
+    def near(self) -> float:
+        """Metres along the axis within which nothing is drawn."""
+        widest = max(float(np.abs(bound).max()) for bound in self.bounds)
+        return NEAR if widest < _BESIDE_FROM else _NEAR_BESIDE
+
     def straight_angle(self, low: tuple[int, int], high: tuple[int, int]) -> float:
         """The angle, radians, of edges that surely are not bent visibly between the pixels ``low`` and
         ``high``: their length over their distance.
@@ -83,7 +93,7 @@ class LensView:
         """Beyond which sides of the image points (V, 3), optical frame, surely are: a bit each."""
         x, y, z = points.T
         (left, top), (right, bottom) = self.bounds
-        beyond = [z < NEAR, x < left * z, x > right * z, y < top * z, y > bottom * z]
+        beyond = [z < self.near, x < left * z, x > right * z, y < top * z, y > bottom * z]
         return np.packbits(beyond, axis=0)[0]
 
     def image_of(self, low: Array, high: Array) -> tuple[Array, Array]:
@@ -116,16 +126,16 @@ class LensView:
 
         ``points``: their starts, ends and middles (E, 3), optical frame; ``pixels``: the same (E, 2).
         """
-        (start, end, _), (a, b, m) = points, pixels
+        (start, end, middle), (a, b, m) = points, pixels
         seen_a, seen_b = np.isfinite(a[:, 0]), np.isfinite(b[:, 0])
         with np.errstate(invalid="ignore", divide="ignore"):
             za, zb = start[:, 2:], end[:, 2:]
             off = _length(m - (a * za + b * zb) / (za + zb))
             span = _length(a - b)
-            beside = (np.maximum(a, b) < -_BESIDE) | (np.minimum(a, b) > np.add(self.camera.size, _BESIDE))
-            beside = beside.any(axis=1) & (span < _BESIDE)
-            bent = ((off > tolerance) | (span > _LONGEST)) & ~beside
-            enough = (off < _SURELY * tolerance) & (span < _LONGEST)
+            before, behind = np.maximum(a, b) < -_BESIDE, np.minimum(a, b) > np.add(self.camera.size, _BESIDE)
+            allowed = tolerance * np.maximum(1.0, _length(middle[:, :2]) / (middle[:, 2] * _FAR_OFF))
+            bent = ((off > allowed) & ~(before | behind).any(axis=1)) | (span > _LONGEST)
+            enough = (off < _SURELY * allowed) & (span < _LONGEST)
         if not (seen_a & seen_b).all():
             length, distance = _length(end - start), _length(start + end) / 2
             rim, beyond = length > _RIM * distance, length > _BEYOND * distance

@@ -13,6 +13,8 @@ from humansim_ros.render.shadow import ContactShadow, contact_shadow
 
 #: How much longer than at rest skin may get.
 _STRETCH = 2.0
+#: Metres between points of things whose shadows are looked for, and the most of them along an edge.
+_SAMPLE, _MOST_PIECES = 0.04, 48
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.intp]
@@ -109,6 +111,30 @@ class Posed:
     def shadow(self) -> ContactShadow:
         """What it leaves on the floor."""
         return contact_shadow(self.points, self.topology.vertex_areas)
+
+    @cached_property
+    def shadow_of_thing(self) -> ContactShadow:
+        """The same of a surface that may have few vertices, far from each other, and have been resized."""
+        return contact_shadow(*self._samples)
+
+    @property
+    def _samples(self) -> tuple[Floats, Floats]:
+        """Points (3, M) all over the surface, and the area (M,) that each stands for."""
+        corners = np.stack([self.points.take(corner, axis=1) for corner in self.topology.corners])
+        area = np.linalg.norm(self.areas, axis=0)
+        longest = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max(axis=0)
+        pieces = np.clip(np.ceil(longest / _SAMPLE), 1, _MOST_PIECES).astype(np.intp)
+        points, areas = [], []
+        for n in np.unique(pieces).tolist():
+            chosen = np.flatnonzero(pieces == n)
+            i, j = np.divmod(np.arange(n * n), n)
+            # a square of middles folded over its diagonal
+            u, v = (i + 0.5) / n, (j + 0.5) / n
+            u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+            weights = np.stack([1 - u - v, u, v]).astype(np.float32)
+            points.append(np.einsum("ks,kcn->cns", weights, corners[..., chosen]).reshape(3, -1))
+            areas.append(np.repeat(area[chosen] / (n * n), n * n))
+        return np.concatenate(points, axis=1), np.concatenate(areas).astype(np.float32)
 
     def facing(self, eye: NDArray[np.floating]) -> NDArray[np.bool_]:
         """(N,) which triangles show their outside to a point."""

@@ -14,7 +14,7 @@ _MARGIN = 0.35
 #: Metres above the floor at which a surface's shadow has faded to 1/e.
 _FADE = 0.22
 #: Metres above the floor from which on a surface leaves no shadow (it would be 1 % there).
-_REACH = 1.0
+REACH = 1.0
 _STRENGTH = 0.62
 
 
@@ -43,7 +43,7 @@ def contact_shadow(points: NDArray[np.float32], areas: NDArray[np.float32]) -> C
     low, high = points[:2].min(axis=1) - _MARGIN, points[:2].max(axis=1) + _MARGIN
     side = float((high - low).max())
     cell = side / CELLS
-    below = np.flatnonzero(points[2] < _REACH)
+    below = np.flatnonzero(points[2] < REACH)
     x, y = ((points[:2, below] - low[:, None]) / np.float32(cell)).astype(np.intp)
     amount = areas[below] * np.exp(-np.maximum(points[2, below], 0) / np.float32(_FADE))
     grid = np.bincount(y * CELLS + x, amount, CELLS * CELLS).reshape(CELLS, CELLS)

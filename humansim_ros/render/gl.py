@@ -307,7 +307,8 @@ class GLRenderer:
 
     def _use_camera(self, program: moderngl.Program, camera: Camera) -> None:
         _set(program, "optical_z", (*camera.R[2], camera.t[2]))
-        clip = camera.opengl_clip(NEAR, _FAR)
+        near = LensView(camera).near if camera.distorted else NEAR
+        clip = camera.opengl_clip(near, _FAR)
         if not camera.distorted:
             _set(program, "lens", 0)
             _set(program, "clip", _floats(clip @ camera.optical_from_world))
@@ -319,7 +320,7 @@ class GLRenderer:
         _set(program, "optical", _floats(camera.optical_from_world))
         _set(program, "k", np.array((*lens.coefficients, *[0.0] * 8)[:8], dtype="f4").tobytes())
         _set(program, "reach", lens.valid_radius)
-        _set(program, "nearest", NEAR)
+        _set(program, "nearest", near)
         self._ctx.enable_direct(_CLIP_DISTANCE)
 
     def _surface(self, body: Body) -> _Surface:

@@ -20,15 +20,12 @@ from humansim_ros.scene import Scene, Simulation
 
 SCENE = """
 rate: 4
-room: null
-light: {shadows: soft}
 humans:
   anna: {body: child, motion: {file: walk, position: [0.0, -1], loop: continue}}
 objects:
   box: {size: [0.3, 0.3, 0.3], position: [0, 0, 0.2], keyframes: moves.xml}
-  floor: {size: [9, 9, 0.1], position: [0, 0, -0.05]}
 cameras:
-  left: {size: [120, 90], position: [4.0, 0.6, 1.4], look_at: [0, 0, 0.8], fov_deg: 70}
+  left: {size: [120, 90], position: [3.2, 0.6, 1.4], look_at: [0, 0, 0.8], fov_deg: 70}
 """
 MOVES = """<animation startframe="0" endframe="4000" rate="10">
   <object name="box">
@@ -63,7 +60,8 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     deep = rclpy.qos.QoSProfile(depth=500)
     client.subscribe(Marker, ["/detail/objects/box/marker"], deep)
     client.subscribe(Image, topics.values(), deep)
-    done = client.spin_until(lambda: len(client.received) == 1 + len(DETAILS) and len(client.common_stamps()) >= 4, 60)
+    kinds = 1 + len(DETAILS)
+    done = client.spin_until(lambda: len(client.received) == kinds and len(client.common_stamps()) >= 4, 60)
     assert done, f"heard {sorted(client.received)}, {len(client.common_stamps())} common stamps"
     simulation = Simulation(Scene.load(folder / "scene.yaml"), ALL_CHANNELS)
     yield SimpleNamespace(

@@ -71,6 +71,7 @@ def test_only_what_is_asked_for_is_rendered(simulation: Simulation) -> None:
     quick = Simulation(simulation.scene, channels=("depth",), renderer=simulation.renderer)
     frame = quick.frame(0)
     assert frame.joints == {}
+    assert frame.boxes == {}
     for view in frame.views.values():
         assert view.depth is not None
         assert view.rgb is None

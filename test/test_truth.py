@@ -164,24 +164,24 @@ def test_what_hides_joints_is_what_rays_meet(shots: list[Shot]) -> None:
 
 def test_vertices_are_seen_where_rays_reach_them(shots: list[Shot]) -> None:
     compared = agreed = seen_at_all = 0
-    for shot in shots[::3]:
+    for shot in shots[::2]:
         for name, seen in shot.frame.visible_vertices("camera").items():
             vertices = shot.frame.humans[name].vertices.astype(float)
             assert seen.shape == (len(vertices),)
             pixels, z = shot.camera.project(vertices)
             inside = np.all((pixels > -0.5) & (pixels < np.array(shot.camera.size) - 0.5), axis=1)
             assert not seen[~inside].any()
-            depth = shot.cast(vertices)[0]
-            reached = depth > z * (1 - 1e-4)
+            pick = np.random.default_rng(5).choice(np.flatnonzero(inside), 2000, replace=False)
+            reached = shot.cast(vertices[pick])[0] > z[pick] * (1 - 1e-4)
             # at the rim of a room or an object the pixel may show the other of the two
-            _, beside, _ = shot.around(np.where(inside[:, None], pixels, 100.0))
-            calm = inside & ((beside > 0).all(0) | (beside == 0).all(0))
+            beside = shot.around(pixels[pick])[1]
+            calm = (beside > 0).all(0) | (beside == 0).all(0)
             compared += calm.sum()
-            agreed += (seen == reached)[calm].sum()
-            seen_at_all += seen.sum()
-    assert compared > 20_000
+            agreed += (seen[pick] == reached)[calm].sum()
+            seen_at_all += seen[pick].sum()
+    assert compared > 8_000
     assert agreed > 0.999 * compared
-    assert 5_000 < seen_at_all < 0.9 * compared
+    assert 0.2 * compared < seen_at_all < 0.9 * compared
 
 
 def test_boxes_are_round_the_rays_that_meet_a_person(shots: list[Shot]) -> None:
@@ -199,17 +199,18 @@ def test_boxes_are_round_the_rays_that_meet_a_person(shots: list[Shot]) -> None:
             else:
                 assert np.isnan(found.visible).all()
             assert abs(found.pixels - len(mine)) <= 0.01 * len(mine)
-            # if nothing else were there
-            alone = trimesh.Trimesh(person.vertices, person.mesh.triangles, process=False)
-            ways = shot.camera.unproject(pixels, np.ones(len(pixels))) - shot.camera.center
-            met = alone.ray.intersects_any(np.broadcast_to(shot.camera.center, ways.shape), ways)
-            assert found.visible_fraction == pytest.approx(len(mine) / met.sum(), abs=0.01)
             # OpenCV's projection of every vertex
             rotation, d = cv2.Rodrigues(shot.camera.R)[0], np.array(shot.camera.distortion)
             project = cv2.fisheye.projectPoints if shot.camera.model == "equidistant" else cv2.projectPoints
             points = person.vertices.astype(float)[:, None]
             places = project(points, rotation, shot.camera.t, shot.camera.K, d)[0].reshape(-1, 2)
             np.testing.assert_allclose(found.whole, [*places.min(0), *places.max(0)], atol=1e-3)
+            # if nothing else were there
+            near = np.all((pixels > places.min(0) - 2) & (pixels < places.max(0) + 2), axis=1)
+            alone = trimesh.Trimesh(person.vertices, person.mesh.triangles, process=False)
+            ways = shot.camera.unproject(pixels[near], np.ones(near.sum())) - shot.camera.center
+            met = alone.ray.intersects_any(np.broadcast_to(shot.camera.center, ways.shape), ways)
+            assert found.visible_fraction == pytest.approx(len(mine) / met.sum(), abs=0.01)
 
 
 def test_the_point_of_the_surface_is_the_one_that_the_ray_meets(shots: list[Shot]) -> None:

@@ -34,6 +34,8 @@ _GAPS = 5
 _PATIENCE = 1.5
 #: Seconds without any vertices after which the still scene is shown.
 _STILL_AFTER = 1.5
+#: Metres from the origin within which everything is.
+_FARTHEST = 1e6
 #: Nanoseconds back that mean the clock was set anew (a bag played again) and not a message that is late.
 _NEW_TIME = 1_000_000_000
 
@@ -203,12 +205,26 @@ class FrameJoiner:
         joints_of: Callable[[str], JointMotion],
     ) -> None:
         actors = self._scene.actors
+        for name, points in vertices.items():
+            if wrong := _wrong(points, len(actors[name].human.mesh.vertices)):
+                # nothing of it may be kept: the next frame would be compared with it
+                self._node.skipped(f"{name}: {wrong}")
+                return
         instant = Instant(stamp, self._scene, actors, vertices, joints_of, objects, cameras)
         instant = self._before = instant.after(self._before)
         try:
             self._show(instant)
         except HumansimError as error:
             self._node.skipped(str(error))
+
+
+def _wrong(vertices: NDArray[np.float32], number: int) -> str:
+    """What is wrong with the vertices (V, 3) of a body of so many."""
+    if len(vertices) != number:
+        return f"{len(vertices)} vertices are not those of a body of {number}"
+    if not (np.abs(vertices) < _FARTHEST).all():  # False for NaN, too
+        return "a vertex is not finite, or farther away than anybody is"
+    return ""
 
 
 def _joints(data: bytes) -> JointMotion:

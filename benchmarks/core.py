@@ -1,8 +1,10 @@
-"""What a camera-frame costs without ROS, beside a bare OpenGL draw and pyrender: one human, the demo scene.
+"""What a camera-frame costs without ROS, beside a bare OpenGL draw and other renderers: one human, the demo
+scene.
 
-All contestants draw the same posed triangles for the same cameras, turn and turn about in one process: what
-else the machine does hits them alike. The figures are medians of wall-clock milliseconds; read the ratios.
-We draw in the furnished room, with shadow and lighting; the others draw the body alone.
+All contestants draw the same posed triangles for the same cameras, turn and turn about: what else the machine
+does hits them alike. The figures are medians of wall-clock milliseconds; read the ratios. We draw in the
+furnished room, with shadow and lighting; the others draw the body alone. aitviewer, Open3D and Blender draw
+in processes of their own, by the Python that an option or HUMANSIM_BENCH_AITVIEWER, _OPEN3D, _BLENDER names.
 """
 
 from __future__ import annotations
@@ -13,8 +15,10 @@ import os
 import resource
 import subprocess
 import sys
+import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -25,7 +29,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
-from humansim_ros.render import CHANNELS, Body, GLRenderer
+from humansim_ros.render import ALL_CHANNELS, CHANNELS, Body, GLRenderer, Neighbour
 from humansim_ros.render.context import create_context
 from humansim_ros.render.outline import crossings
 from humansim_ros.render.posed import Posed, Topology
@@ -34,22 +38,53 @@ from humansim_ros.scene import Scene
 from humansim_ros.scene.objects import SHAPES, ObjectPose
 
 _NEAR, _FAR = 0.05, 200.0
+#: Renderers that draw in processes of their own, slow ones: one of so many rounds is enough.
+GUESTS = ("aitviewer", "open3d", "blender")
+_GUEST_ROUNDS = 5
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One thing to draw: a body as it stands in a frame, and the camera that sees it."""
+    """One thing to draw: a body as it stands in a frame, and the camera that sees it; and as it stands in
+    the next frame and the previous one.
+    """
 
     body: Body
     camera: Camera
+    after: Body
+    before: Body
 
 
 def shots(scene: Scene, count: int) -> list[Shot]:
     """``count`` frames of the scene's first human, each seen by the next of its cameras."""
     actor = next(iter(scene.actors.values()))
     cameras = list(scene.cameras.values())
-    bodies = [actor.body(actor.at(0.25 * i).vertices) for i in range(count)]
-    return [Shot(body, cameras[i % len(cameras)]) for i, body in enumerate(bodies)]
+
+    def body(seconds: float) -> Body:
+        return actor.body(actor.at(seconds).vertices)
+
+    times = 0.25 * np.arange(1, count + 1)
+    return [
+        Shot(body(t), cameras[i % len(cameras)], body(t + scene.period), body(t - scene.period))
+        for i, t in enumerate(times.tolist())
+    ]
+
+
+FOUR = "humansim_ros: rgb (anti-aliased), depth, instance, part"
+EVERYTHING = "humansim_ros: all channels there are"
+BARE = "bare draw: rgb, id, depth; no anti-aliasing"
+SEGMENTED = "pyrender: rgb, depth, SEG pass by part"
+CHANNEL_ROWS: dict[str, Sequence[str]] = {
+    FOUR: CHANNELS,
+    "humansim_ros: rgb alone": ("rgb",),
+    "humansim_ros: depth, instance, part": ("depth", "instance", "part"),
+    **{
+        f"those four and {channel}": (*CHANNELS, channel)
+        for channel in ALL_CHANNELS
+        if channel not in CHANNELS
+    },
+    EVERYTHING: ALL_CHANNELS,
+}
 
 
 class BareDraw:
@@ -160,8 +195,60 @@ class Pyrender:
 
 
 def ours(renderer: GLRenderer, channels: Sequence[str]) -> Callable[[Shot], object]:
-    # a new Body, as in a new frame: of one that it knows the renderer would keep what it has worked out
-    return lambda shot: renderer.render([replace(shot.body)], shot.camera, channels)
+    # new Bodies, as in a new frame: of one that it knows the renderer would keep what it has worked out
+    def draw(shot: Shot) -> object:
+        after, before = (Neighbour([replace(body)], shot.camera) for body in (shot.after, shot.before))
+        return renderer.render([replace(shot.body)], shot.camera, channels, after=after, before=before)
+
+    return draw
+
+
+def pictured(order: Sequence[Shot], path: Path) -> None:
+    """Write what the guests are to draw."""
+    mesh = order[0].body.mesh
+    assert mesh.uv is not None and mesh.uv_triangles is not None and mesh.texture is not None
+    pairs = np.stack([mesh.triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
+    unique, corners = np.unique(pairs, axis=0, return_inverse=True)
+    np.savez(
+        path,
+        size=order[0].camera.size,
+        K=[shot.camera.K for shot in order],
+        extrinsics=[shot.camera.optical_from_world for shot in order],
+        vertices=np.stack([shot.body.vertices for shot in order])[:, unique[:, 0]],
+        corners=corners.reshape(-1, 3).astype(np.int32),
+        uv=mesh.uv[unique[:, 1]],
+        texture=mesh.texture,
+    )
+
+
+@contextmanager
+def guest(name: str, python: str, order: Sequence[Shot]) -> Iterator[tuple[str, Callable[[Shot], float]]]:
+    """A renderer in another Python: what it is called, and how to have it draw, for milliseconds of its own.
+    Without it: an empty name.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "shots.npz"
+        pictured(order, path)
+        process = subprocess.Popen(
+            [python, str(Path(__file__).parent / "guests" / "draw.py"), name, str(path)],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        assert process.stdin is not None and process.stdout is not None
+        numbers = {id(shot): number for number, shot in enumerate(order)}
+
+        def draw(shot: Shot) -> float:
+            assert process.stdin is not None and process.stdout is not None
+            print(numbers[id(shot)], file=process.stdin, flush=True)
+            return float(process.stdout.readline())
+
+        try:
+            yield process.stdout.readline().strip(), draw
+        finally:
+            process.stdin.close()
+            process.wait(20)
 
 
 def beside(renderer: GLRenderer, shape: str, count: int) -> Callable[[Shot], object]:
@@ -184,10 +271,13 @@ def beside(renderer: GLRenderer, shape: str, count: int) -> Callable[[Shot], obj
 
 
 def interleave(
-    contestants: dict[str, Callable[[Shot], object]], order: Sequence[Shot], rounds: int
+    contestants: dict[str, Callable[[Shot], object]],
+    order: Sequence[Shot],
+    rounds: int,
+    guests: dict[str, Callable[[Shot], float]],
 ) -> dict[str, list[float]]:
     """Milliseconds of each call: every contestant draws a shot before the next shot comes."""
-    times: dict[str, list[float]] = {name: [] for name in contestants}
+    times: dict[str, list[float]] = {name: [] for name in (*contestants, *guests)}
     for number in range(-len(order), rounds):  # the first time round warms up
         shot = order[number % len(order)]
         for name, draw in contestants.items():
@@ -195,6 +285,11 @@ def interleave(
             draw(shot)
             if number >= 0:
                 times[name].append((time.perf_counter() - start) * 1e3)
+        if number % _GUEST_ROUNDS == 0:
+            for name, other in guests.items():
+                took = other(shot)
+                if number >= 0:
+                    times[name].append(took)
     return times
 
 
@@ -206,6 +301,29 @@ def table(times: dict[str, list[float]], bare: str, title: str) -> list[dict[str
         median, best = float(np.median(values)), float(np.min(values))
         print(f"{name:<58} {median:8.2f} {best:8.2f} {median / reference:8.2f}")
         rows.append({"what": name, "median_ms": median, "best_ms": best, "x_bare": median / reference})
+    return rows
+
+
+def targets(times: dict[str, list[float]]) -> list[dict[str, object]]:
+    """The ratios that matter: of medians, and the median of the ratios of draws that followed each other."""
+    wanted = (
+        (FOUR, BARE, "at most", 1.0),
+        (EVERYTHING, BARE, "at most", 2.0),
+        (SEGMENTED, FOUR, "at least", 8.0),
+    )
+    rows: list[dict[str, object]] = []
+    print(f"\n{'ratios':<74} {'medians':>8} {'paired':>8}")
+    for what, beside, bound, limit in wanted:
+        if what in times and beside in times:
+            of_medians = float(np.median(times[what]) / np.median(times[beside]))
+            paired = float(np.median(np.divide(times[what], times[beside])))
+            met = of_medians <= limit if bound == "at most" else of_medians >= limit
+            title = f"{what.split(': ')[-1]} / {beside.split(':')[0]}"
+            verdict = f"{bound} {limit:g}: {'met' if met else 'MISSED'}"
+            print(f"{title[:50]:<50} {verdict:<23} {of_medians:8.2f} {paired:8.2f}")
+            rows.append(
+                {"what": title, "limit": limit, "of_medians": of_medians, "paired": paired, "met": met}
+            )
     return rows
 
 
@@ -278,6 +396,15 @@ def main() -> None:
         "--rounds", type=int, default=120, help="frames of each contestant (default: %(default)s)"
     )
     parser.add_argument("--no-pyrender", action="store_true", help="leave pyrender out")
+    for name in GUESTS:
+        variable = f"HUMANSIM_BENCH_{name.upper()}"
+        module = {"blender": "bpy"}.get(name, name)
+        parser.add_argument(
+            f"--{name}",
+            metavar="PYTHON",
+            default=os.environ.get(variable, sys.executable),
+            help=f"a Python that can import {module} (default: ${variable}, or this one)",
+        )
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
     parser.add_argument("--cpu-time", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -292,29 +419,31 @@ def main() -> None:
     print(
         f"{renderer.device}, {os.cpu_count()} cores; {len(mesh.triangles)} triangles, {order[0].camera.size}"
     )
-    contestants: dict[str, Callable[[Shot], object]] = {
-        "bare draw: rgb, id, depth; no anti-aliasing": BareDraw(order[0])
-    }
-    for name, channels in (
-        ("humansim_ros: rgb (anti-aliased), depth, instance, part", CHANNELS),
-        ("humansim_ros: rgb alone", ("rgb",)),
-        ("humansim_ros: depth, instance, part", ("depth", "instance", "part")),
-    ):
-        contestants[name] = ours(renderer, channels)
-    contestants["humansim_ros: all channels, and a box that moves"] = beside(renderer, "box", 1)
-    contestants["humansim_ros: all channels, and 4 balls that move"] = beside(renderer, "sphere", 4)
+    contestants: dict[str, Callable[[Shot], object]] = {BARE: BareDraw(order[0])}
+    contestants |= {name: ours(renderer, channels) for name, channels in CHANNEL_ROWS.items()}
+    contestants["those four and a box that moves"] = beside(renderer, "box", 1)
+    contestants["those four and 4 balls that move"] = beside(renderer, "sphere", 4)
     if not options.no_pyrender:
         for name, by_part in (
             ("pyrender: rgb, depth", False),
-            ("pyrender: rgb, depth, SEG pass by part", True),
+            (SEGMENTED, True),
         ):
             contestants[name] = Pyrender(order[0], by_part)
-    bare = next(iter(contestants))
+    with ExitStack() as stack:
+        guests: dict[str, Callable[[Shot], float]] = {}
+        for name in GUESTS:
+            title, draw = stack.enter_context(guest(name, getattr(options, name), order))
+            if title:
+                guests[title] = draw
+            else:
+                print(f"{name}: left out, as {getattr(options, name)} has none (--{name} PYTHON)")
+        times = interleave(contestants, order, options.rounds, guests)
     figures = {
         "device": renderer.device,
         "cores": os.cpu_count(),
         "triangles": len(mesh.triangles),
-        "frames": table(interleave(contestants, order, options.rounds), bare, "ms per camera-frame"),
+        "frames": table(times, BARE, "ms per camera-frame"),
+        "targets": targets(times),
         "stages": stages(order[0], options.rounds),
         "threads": threads(options.rounds),
     }

@@ -70,8 +70,8 @@ class Outlets:
         return wanted
 
     def send(self, view: View, channels: Collection[str], stamp: int) -> None:
-        """Publish some channels of a view."""
-        for channel in channels:
+        """Publish some channels of a view, colour first."""
+        for channel in (name for name in (*TOPICS, *BY_HUMAN) if name in channels):
             if channel in self._images:
                 self._send_image(channel, getattr(view, channel), stamp)
                 continue

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,17 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
         raise
 
 
+def read_surfaces(path: str | os.PathLike[str]) -> list[Mesh]:
+    """The same as one mesh for each material, whose textures may repeat."""
+    text = read_text(path, MeshError, "mesh")
+    try:
+        return _parse(text, os.fspath(path)).surfaces()
+    except MeshError as error:
+        if error.path is None:
+            raise MeshError(error.message, path=path) from None
+        raise
+
+
 def material_files(path: str | os.PathLike[str]) -> list[Path]:
     """The materials and textures that a mesh is coloured with."""
     files: list[Path] = []
@@ -49,7 +61,51 @@ def _named(path: Path, keyword: str) -> list[Path]:
     return [file for file in found if file is not None and file.is_file()]
 
 
+@dataclass(frozen=True)
+class _Obj:
+    """What a file says. ``worn``: the material of each face."""
+
+    points: Array
+    faces: Indices
+    uv: Array | None
+    uv_faces: Indices
+    worn: list[str]
+    libraries: list[str]
+    path: str
+
+    def surfaces(self) -> list[Mesh]:
+        known = _known_materials(self.libraries, self.path)
+        laid = [bool(has) for has in self.uv_faces[:, :3].min(axis=1) >= 0]
+        numbers: dict[tuple[str, bool], int] = {}
+        number = np.array(
+            [numbers.setdefault(kind, len(numbers)) for kind in zip(self.worn, laid, strict=True)]
+        )
+        made = []
+        for (name, has), kind in numbers.items():
+            chosen = number == kind
+            used, corners = np.unique(self.faces[chosen], return_inverse=True)
+            first = int(used[0] < 0)  # -1, that pads triangles
+            faces = (corners.reshape(-1, 4) - first).astype(np.int32)
+            tile = known.get(name, plain_tile((0.6, 0.6, 0.6)) if known else plain_tile((1, 1, 1)))
+            vertices = self.points[used[first:]]
+            if has:
+                made.append(Mesh(vertices, faces, self.uv, self.uv_faces[chosen], texture=tile))
+                continue
+            color = tile.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
+            made.append(Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1))))
+        return made
+
+
 def _read_obj(text: str, path: str) -> Mesh:
+    obj = _parse(text, path)
+    colored = _colored(obj)
+    if colored is not None:
+        return colored
+    has_uv = obj.uv is not None and bool((obj.uv_faces[:, :3] >= 0).all())
+    return Mesh(obj.points, obj.faces, obj.uv if has_uv else None, obj.uv_faces if has_uv else None)
+
+
+def _parse(text: str, path: str) -> _Obj:
     vertices: list[list[str]] = []
     uv: list[list[str]] = []
     vertex_lines: list[int] = []
@@ -105,23 +161,11 @@ def _read_obj(text: str, path: str) -> Mesh:
             worn.append(name)
     corner_array = np.array(corners, dtype=np.int32)
     texture_array = np.array(texture_corners, dtype=np.int32)
-    colored = _colored(points, corner_array, texture, texture_array, worn, libraries, path)
-    if colored is not None:
-        return colored
-    has_uv = texture is not None and bool((texture_array[:, :3] >= 0).all())
-    return Mesh(points, corner_array, texture if has_uv else None, texture_array if has_uv else None)
+    return _Obj(points, corner_array, texture, texture_array, worn, libraries, path)
 
 
-def _colored(
-    points: Array,
-    faces: Indices,
-    uv: Array | None,
-    uv_faces: Indices,
-    worn: list[str],
-    libraries: list[str],
-    path: str,
-) -> Mesh | None:
-    """The mesh with its materials, None if it has none; those that are missing are told and left grey."""
+def _known_materials(libraries: list[str], path: str) -> dict[str, NDArray[np.uint8]]:
+    """Textures by the names of materials; a library that is missing is told."""
     known: dict[str, NDArray[np.uint8]] = {}
     for name in libraries:
         file = inside(Path(path).resolve().parent, name)
@@ -129,8 +173,15 @@ def _colored(
             warn_of(path, f"its materials {name[:60]!r} are not beside it: it has none of their colours")
         else:
             known |= _read_materials(file)
+    return known
+
+
+def _colored(obj: _Obj) -> Mesh | None:
+    """The mesh with its materials, None if it has none; those that are missing are left grey."""
+    known = _known_materials(obj.libraries, obj.path)
     if not known:
         return None
+    uv, uv_faces, worn, faces = obj.uv, obj.uv_faces, obj.worn, obj.faces
     names = list(dict.fromkeys(worn))
     tiles = [known.get(name, plain_tile((0.6, 0.6, 0.6))) for name in names]
     number = {name: n for n, name in enumerate(names)}
@@ -139,7 +190,7 @@ def _colored(
     plain = np.array([tile.shape[0] == PLAIN for tile in tiles])
     if len(tiles) == 1 and plain[0]:
         coordinates, uv_faces = np.zeros((1, 2)), np.where(faces < 0, -1, 0).astype(np.int32)
-    return textured(points, faces, coordinates, uv_faces, material, tiles)
+    return textured(obj.points, faces, coordinates, uv_faces, material, tiles)
 
 
 def _read_materials(path: Path) -> dict[str, NDArray[np.uint8]]:

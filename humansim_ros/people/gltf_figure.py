@@ -18,6 +18,8 @@ from humansim_ros.images import decode_image
 from humansim_ros.people.figure import Figure
 from humansim_ros.rotations import Array
 
+_MOST_VERTICES = 5_000_000
+
 
 @dataclass(frozen=True)
 class _Piece:
@@ -38,7 +40,7 @@ def read_gltf_mesh(path: str | os.PathLike[str]) -> Mesh | Figure:
     if not pieces:
         raise MeshError("the file has no triangles", path=path)
     total = sum(len(piece.vertices) for piece in pieces)
-    if total > 5_000_000:
+    if total > _MOST_VERTICES:
         raise MeshError(f"{total} vertices are too many", path=path)
     mesh = _one_mesh(gltf, pieces)
     if skeleton is None:
@@ -52,6 +54,38 @@ def read_gltf_mesh(path: str | os.PathLike[str]) -> Mesh | Figure:
         skeleton.bind[:, :3, 3],
         normalise_weights(weights),
     )
+
+
+def read_gltf_surfaces(path: str | os.PathLike[str]) -> list[Mesh]:
+    """What a file shows as it stands, one mesh for each material, whose textures may repeat. MeshError where
+    it is wrong or shows nothing.
+    """
+    gltf = Gltf.read(path)
+    pieces = [piece for number in gltf.order for piece in _pieces(gltf, int(number), None)]
+    if not pieces:
+        raise MeshError("the file has no triangles", path=path)
+    if sum(len(piece.vertices) for piece in pieces) > _MOST_VERTICES:
+        raise MeshError(f"more than {_MOST_VERTICES} vertices are too many", path=path)
+    materials = dict.fromkeys((piece.material, piece.uv is not None) for piece in pieces)
+    return [
+        _one_surface(gltf, [p for p in pieces if (p.material, p.uv is not None) == kind])
+        for kind in materials
+    ]
+
+
+def _one_surface(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
+    """Pieces of one material."""
+    starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
+    triangles = np.concatenate([p.triangles + start for p, start in zip(pieces, starts, strict=False)])
+    vertices = np.concatenate([p.vertices for p in pieces])
+    faces: Indices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
+    texture = _tile(gltf, pieces[0].material)
+    coordinates = [piece.uv for piece in pieces if piece.uv is not None]
+    if not coordinates:  # of a texture that nothing says how to lay on, its mean is left
+        color = texture.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
+        return Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1)))
+    uv = np.concatenate(coordinates) * [1, -1] + [0, 1]
+    return Mesh(vertices, faces, uv, faces, texture=texture)
 
 
 def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> list[_Piece]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -92,21 +92,20 @@ class Photograph:
 
 @dataclass(frozen=True, eq=False)
 class Panorama:
-    """Surroundings endlessly far away: ``radiance`` (H, W, 3) float32 linear light, equirectangular; its
-    middle is in direction +x of ``map``, turned to the left by ``yaw`` radians, its first row straight up.
+    """Surroundings endlessly far away: ``image`` (H, W, 3) uint8 sRGB, equirectangular. Its middle is in
+    direction +x of ``map``, turned to the left by ``yaw`` radians, its first row straight up.
     """
 
-    radiance: NDArray[np.float32]
-    lighting: Lighting = field(default_factory=Lighting)
+    image: NDArray[np.uint8]
     yaw: float = 0.0
 
     @cached_property
-    def _developed(self) -> NDArray[np.uint8]:
-        sides = ((0, 0), (_WRAP, _WRAP), (0, 0))
-        return np.pad(developed(self.radiance, self.lighting), sides, mode="wrap")
+    def _wrapped(self) -> NDArray[np.uint8]:
+        """The same with its sides repeated beside it, so that they are blended with each other."""
+        return np.pad(self.image, ((0, 0), (_WRAP, _WRAP), (0, 0)), mode="wrap")
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:
-        height, width = self.radiance.shape[:2]
+        height, width = self.image.shape[:2]
         with np.errstate(invalid="ignore"):  # where the lens is dark
             x, y, z = np.moveaxis(ray_grid(camera) @ camera.R, -1, 0)
             left = np.arctan2(y, x) - self.yaw
@@ -114,19 +113,20 @@ class Panorama:
         column = np.mod(0.5 - left / (2 * np.pi), 1.0) * width - 0.5 + _WRAP
         row = np.clip((0.5 - up / np.pi) * height - 0.5, 0, height - 1)
         across, down = (np.nan_to_num(axis, nan=-10.0).astype(np.float32) for axis in (column, row))
-        seen = cv2.remap(self._developed, across, down, interpolation=cv2.INTER_LINEAR)
+        seen = cv2.remap(self._wrapped, across, down, interpolation=cv2.INTER_LINEAR)
         return np.asarray(seen, dtype=np.uint8)
 
-    @cached_property
-    def ambient(self) -> tuple[Color, Color]:
-        """Mean colours of the upper and of the lower half: what light comes from above and from below."""
-        rows = len(self.radiance)
-        up = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)
-        # of a row: its share of the sphere, and how steeply its light falls on level ground
-        weight = np.cos(up) * np.abs(np.sin(up))
-        means = self.radiance.mean(axis=1, dtype=float)
-        sky, ground = (np.average(means[half], axis=0, weights=weight[half]) for half in (up > 0, up <= 0))
-        return (
-            (float(sky[0]), float(sky[1]), float(sky[2])),
-            (float(ground[0]), float(ground[1]), float(ground[2])),
-        )
+
+def ambient(radiance: NDArray[np.float32]) -> tuple[Color, Color]:
+    """Mean colours of the upper and of the lower half of a panorama (H, W, 3) of linear light: what lights
+    level ground from above, and what lights it from below.
+    """
+    rows = len(radiance)
+    up = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)
+    # of a row: its share of the sphere, and how steeply its light falls
+    weight = np.cos(up) * np.abs(np.sin(up))
+    means = radiance.mean(axis=1, dtype=float)
+    sky, ground = (
+        np.average(means[half], axis=0, weights=weight[half]).tolist() for half in (up > 0, up < 0)
+    )
+    return tuple(sky), tuple(ground)

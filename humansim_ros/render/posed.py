@@ -115,10 +115,10 @@ class Posed:
     @cached_property
     def shadow_of_thing(self) -> ContactShadow:
         """The same of a surface that may have few vertices, far from each other, and have been resized."""
-        return contact_shadow(*self._samples)
+        return contact_shadow(*self.samples)
 
     @property
-    def _samples(self) -> tuple[Floats, Floats]:
+    def samples(self) -> tuple[Floats, Floats]:
         """Points (3, M) all over the surface, and the area (M,) that each stands for."""
         corners = np.stack([self.points.take(corner, axis=1) for corner in self.topology.corners])
         area = np.linalg.norm(self.areas, axis=0)

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 from humansim_ros.errors import SceneError
 from humansim_ros.files import read_text
 from humansim_ros.render.choose import RendererName
+from humansim_ros.render.light import Lighting
 from humansim_ros.resources import resource_path
 from humansim_ros.sensor.config import SensorConfig
 from humansim_ros.yaml_files import line_of, parse_yaml
@@ -21,6 +22,12 @@ Row4 = tuple[float, float, float, float]
 Byte = Annotated[int, Field(ge=0, le=255)]
 #: Metres or degrees; what is beyond is a mistake.
 Bounded = Annotated[float, Field(ge=-1e6, le=1e6)]
+#: Linear light.
+LinearColor = tuple[
+    Annotated[float, Field(ge=0, le=1e4)],
+    Annotated[float, Field(ge=0, le=1e4)],
+    Annotated[float, Field(ge=0, le=1e4)],
+]
 Size = Annotated[float, Field(gt=0, le=1e6)]
 #: Names become parts of ROS topics and frames.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
@@ -202,6 +209,9 @@ class CameraConfig(_Section):
     )
     roi: RegionConfig | None = Field(default=None, description="the part of the sensor that is sent")
     sensor: SensorConfig = Field(default=SensorConfig(), description="what the sensor does to the picture")
+    background: str | None = Field(
+        default=None, description="a photograph that shows where nothing is; as the world has it if absent"
+    )
 
     @model_validator(mode="after")
     def _one_way(self) -> CameraConfig:
@@ -301,6 +311,103 @@ class VarietyConfig(_Section):
     )
 
 
+class LightConfig(_Section):
+    """How everything is lit, and how that is shown. Colours are linear light: 1 shows a surface as it is."""
+
+    mode: Literal["lit", "shadeless"] = Field(
+        default="lit", description="shadeless: colours as they are, without light and shadow"
+    )
+    sun: Vector3 = Field(default=Lighting.sun, description="direction to the sun")
+    sun_color: LinearColor = Field(default=Lighting.sun_color, description="light of the sun")
+    sky_color: LinearColor = Field(
+        default=Lighting.sky_color,
+        description="light from above; with world.environment its mean, if absent",
+    )
+    ground_color: LinearColor = Field(
+        default=Lighting.ground_color,
+        description="light from below; with world.environment its mean, if absent",
+    )
+    strength: float = Field(default=1.0, ge=0, le=1e4, description="times all of these")
+    shadows: Literal["contact", "soft", "none"] = Field(
+        default="contact",
+        description="contact: a dark patch on the floor under everybody; soft: of the sun, on everything",
+    )
+    sun_size_deg: float = Field(
+        default=Lighting.sun_size_deg,
+        gt=0,
+        le=45,
+        description="angle that the sun takes up in the sky: the larger, the softer its shadows",
+    )
+    tone_mapping: Literal["none", "filmic"] = Field(
+        default="none", description="filmic: bright colours fade to white instead of being cut off"
+    )
+    exposure: float = Field(default=0.0, ge=-20, le=20, description="stops: one more is twice as bright")
+
+    @model_validator(mode="after")
+    def _sun_somewhere(self) -> LightConfig:
+        if not 1e-9 < sum(x * x for x in self.sun) < 1e18:
+            raise ValueError("sun is a direction: it cannot be 0 0 0")
+        return self
+
+
+class WorldMeshConfig(_Section):
+    """A mesh file that stands in the world."""
+
+    file: str = Field(description="an .obj, .gltf or .glb file, with its materials and textures")
+    position: tuple[Bounded, Bounded, Bounded] = Field(
+        default=(0.0, 0.0, 0.0), description="where its origin goes"
+    )
+    rotation_deg: tuple[Bounded, Bounded, Bounded] = Field(
+        default=(0.0, 0.0, 0.0), description="degrees about the x axis of map, then y, then z"
+    )
+    scale: Size = Field(default=1.0, description="metres per unit of the file")
+    up_axis: Literal["y", "z"] | None = Field(
+        default=None, description="the file's axis that points up; y for glTF and z for OBJ, if absent"
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _file_alone(cls, value: Any) -> Any:
+        return {"file": value} if isinstance(value, str) else value
+
+
+class WorldConfig(_Section):
+    """What is around the people besides the room."""
+
+    meshes: tuple[WorldMeshConfig, ...] = Field(default=(), description="mesh files that stand still")
+    background: tuple[Byte, Byte, Byte] | str | None = Field(
+        default=None, description="where nothing is: red, green, blue, or a photograph for all cameras"
+    )
+    environment: str | None = Field(
+        default=None, description="a panorama (.hdr) endlessly far away; its light is sky and ground light"
+    )
+    environment_yaw_deg: Bounded = Field(
+        default=0.0, description="turns the panorama to the left; at 0 its middle is along +x"
+    )
+
+
+class JitterConfig(_Section):
+    """How far cameras are moved and turned at random."""
+
+    position: float = Field(default=0.0, ge=0, le=100, description="metres along each axis of map at most")
+    rotation_deg: float = Field(
+        default=0.0, ge=0, le=180, description="degrees about each axis of the camera at most"
+    )
+
+
+class RandomiseConfig(_Section):
+    """What is drawn at random from a seed."""
+
+    seed: int = Field(default=1, ge=0, description="another seed, another draw; the same, the same")
+    light: bool = Field(default=False, description="where the sun is, its colour, and that of sky and ground")
+    colours: bool = Field(default=False, description="colours of the room, the world and standing objects")
+    textures: bool = Field(default=False, description="patterns in place of their textures")
+    clutter: int = Field(
+        default=0, ge=0, le=1000, description="boxes, cylinders and balls on the floor, where nobody walks"
+    )
+    camera_jitter: JitterConfig = JitterConfig()
+
+
 class SceneConfig(_Section):
     """A scene file."""
 
@@ -312,6 +419,9 @@ class SceneConfig(_Section):
     objects: dict[Name, ObjectConfig] = Field(default_factory=dict)
     rig: RigConfig | None = Field(default=None, description="cameras of a calibration file")
     cameras: dict[Name, CameraConfig] = Field(default_factory=dict)
+    world: WorldConfig = Field(default=WorldConfig(), description="mesh files, and what is behind them")
+    light: LightConfig = Field(default=LightConfig(), description="light and shadows")
+    randomise: RandomiseConfig | None = Field(default=None, description="looks drawn at random")
 
     @model_validator(mode="after")
     def _something_to_see(self) -> SceneConfig:

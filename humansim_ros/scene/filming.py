@@ -18,8 +18,10 @@ from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import CameraError, SceneError, warn_of
 from humansim_ros.render import Body, Neighbour, Renderer, View
+from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.config import CameraConfig, RigConfig, SceneConfig, line_of_key
+from humansim_ros.scene.pictures import photograph_of
 from humansim_ros.sensor import Sensor
 
 
@@ -47,7 +49,8 @@ class CameraPose:
 @dataclass(frozen=True, eq=False)
 class SceneCamera:
     """A camera of a scene. ``whole``: all of its sensor, as it stands at the start. ``path``: what moves it,
-    ``speed`` times as fast as it says and ``offset`` seconds ahead.
+    ``speed`` times as fast as it says and ``offset`` seconds ahead. ``backdrop``: what it sees where nothing
+    is; a plain colour if None.
     """
 
     name: str
@@ -57,6 +60,7 @@ class SceneCamera:
     path: Trajectory | None = None
     offset: float = 0.0
     speed: float = 1.0
+    backdrop: Backdrop | None = None
 
     @classmethod
     def build(cls, name: str, config: CameraConfig, scene: Path) -> SceneCamera:
@@ -74,7 +78,10 @@ class SceneCamera:
             whole = replace(whole, R=r, t=t)
         roi = config.roi
         region = Region(None if roi is None else (roi.x, roi.y, roi.width, roi.height), config.binning)
-        return cls(name, whole, region, Sensor(config.sensor, region.of(whole), name), path, offset, speed)
+        sensor = Sensor(config.sensor, region.of(whole), name)
+        key = f"cameras.{name}.background"
+        backdrop = None if config.background is None else photograph_of(config.background, scene, key)
+        return cls(name, whole, region, sensor, path, offset, speed, backdrop)
 
     def with_calibration(self, calibrated: Camera) -> SceneCamera:
         """The same camera at the same place with the lens, K and size of another."""
@@ -146,7 +153,7 @@ def photograph(
     drawn = [channel for channel in channels if at_once or channel != "rgb"]
     view = View()
     if drawn:
-        view = renderer.render(bodies, here, drawn, shot.moving, shot.after, shot.before)
+        view = renderer.render(bodies, here, drawn, shot.moving, shot.after, shot.before, camera.backdrop)
     if "rgb" not in channels or not camera.sensor.active:
         return view
     if at_once:
@@ -156,7 +163,9 @@ def photograph(
     def pictures() -> Iterator[NDArray[np.uint8]]:
         for time in times.tolist():
             there = camera.at(shot.pose_at(time))
-            seen = renderer.render(shot.bodies_at(time), there, ("rgb",), passing=shot.moving)
+            seen = renderer.render(
+                shot.bodies_at(time), there, ("rgb",), passing=shot.moving, backdrop=camera.backdrop
+            )
             assert seen.rgb is not None
             yield seen.rgb
 

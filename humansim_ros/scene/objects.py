@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.mesh import Mesh
-from humansim_ros.body.obj import read_mesh
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
 from humansim_ros.render import Body
 from humansim_ros.rotations import Array, quaternion_to_matrix, slerp
 from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig
+from humansim_ros.scene.meshes import read_thing
 
 #: Segments around a sphere or a cylinder.
 _ROUND = 48
@@ -78,11 +78,12 @@ class SceneObject:
             known = f"the built-in meshes are {', '.join(SHAPES)}"
             path = _existing(config.mesh, scene, key, known)
             shape = str(path.resolve())
-            mesh = read_mesh(path)
-        colors = np.tile(np.array(config.color, np.uint8), (len(mesh.vertices), 1))
+            mesh = read_thing(path)
+        plain = mesh.texture is None or "color" in config.model_fields_set
+        colors = np.tile(np.array(config.color, np.uint8), (len(mesh.vertices), 1)) if plain else None
         turn = Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_quat()
         stands = ObjectPose(np.array(config.position), turn, np.array(config.size))
-        return cls(name, shape, config.color, replace(mesh, colors=colors, texture=None), stands, keyframes)
+        return cls(name, shape, config.color, replace(mesh, colors=colors), stands, keyframes)
 
     @property
     def moves(self) -> bool:

@@ -170,6 +170,27 @@ def _box(centre: Sequence[float], size: Sequence[float], image: Image) -> Mesh:
     return Mesh(np.array(vertices), faces, np.array(uv), faces, texture=image)
 
 
+def pattern(seed: int, color: Sequence[int]) -> Image:
+    """Any pattern in any colour: planks, weave, plaster, checks, stripes, dots, or a picture."""
+    rng = np.random.default_rng(seed)
+    kind = int(rng.integers(7))
+    if kind < 3:
+        make = (_planks, _weave, _plaster)[kind]
+        return make(rng, color)
+    if kind == 3:
+        return _poster(rng, (512, 512))
+    side, count = 512, int(rng.integers(2, 9))
+    y, x = np.mgrid[:side, :side] * (count / side)
+    where = (
+        (np.floor(x) + np.floor(y)) % 2 > 0,
+        np.mod(x if rng.random() < 0.5 else y, 1) < rng.uniform(0.2, 0.8),
+        np.hypot(np.mod(x, 1) - 0.5, np.mod(y, 1) - 0.5) < rng.uniform(0.15, 0.45),
+    )[kind - 4]
+    other = rng.integers(30, 240, 3)
+    image = np.where(where[..., None], np.array(color), other)
+    return np.clip(image * (1 + 0.04 * _noise(rng, (side, side), 2)[..., None]), 0, 255).astype(np.uint8)
+
+
 def _noise(rng: _Rng, shape: tuple[int, int], scale: float) -> Array:
     """Smooth noise of unit deviation that repeats at its edges."""
     spectrum = np.fft.rfft2(rng.standard_normal(shape))

@@ -42,8 +42,9 @@ from humansim_ros.scene.config import (
 )
 from humansim_ros.scene.filming import SceneCamera, build_cameras
 from humansim_ros.scene.objects import SceneObject, load_tracks
-from humansim_ros.scene.room import furnished_room
+from humansim_ros.scene.randomise import Around, clutter, jittered, restyled
 from humansim_ros.scene.variety import with_variety
+from humansim_ros.scene.world import World
 
 DEMO_SCENE = "config/scenes/demo.yaml"
 
@@ -202,6 +203,7 @@ class Scene:
     actors: dict[str, Actor]
     scene_cameras: dict[str, SceneCamera]
     objects: dict[str, SceneObject] = field(default_factory=dict)
+    world: World = field(default_factory=World)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
@@ -221,7 +223,16 @@ class Scene:
             name: SceneObject.build(name, thing, path, tracks.get(("objects", name)))
             for name, thing in config.objects.items()
         }
-        cameras = build_cameras(config, path)
+        world = World.load(config, path)
+        cameras = {
+            name: replace(camera, backdrop=camera.backdrop or world.backdrop)
+            for name, camera in build_cameras(config, path).items()
+        }
+        if config.randomise is not None:
+            cameras = jittered(cameras, config.randomise)
+            still = [*world.meshes, *(thing.standing() for thing in objects.values() if not thing.moves)]
+            things = clutter(config, path, Around.of(actors.values(), cameras, objects, still))
+            objects |= {name: SceneObject.build(name, thing, path, None) for name, thing in things.items()}
         distorted = [name for name, camera in cameras.items() if camera.camera.distorted]
         if config.renderer == "pyrender" and distorted:
             raise SceneError(
@@ -230,13 +241,13 @@ class Scene:
                 line=line_of_key(path, "renderer"),
                 key="renderer",
             )
-        return cls(path, config, actors, cameras, objects)
+        return cls(path, config, actors, cameras, objects, world)
 
     def make_renderer(self, device: int | None = None) -> GLRenderer | PyrenderRenderer:
         """A renderer of the kind that the scene asks for, in its static world. ``device``: number of the GPU
         as EGL counts them; the first that works if None. Raises RenderError.
         """
-        return make_renderer(self.config.renderer, self.static_meshes, device=device)
+        return make_renderer(self.config.renderer, self.static_meshes, self.world.lighting, device)
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
@@ -260,9 +271,9 @@ class Scene:
     @cached_property
     def static_meshes(self) -> list[Mesh]:
         """The world that stands still."""
-        room = self.config.room
-        meshes = [] if room is None else furnished_room(room.size, room.seed)
-        return meshes + [thing.standing() for thing in self.objects.values() if not thing.moves]
+        standing = [thing.standing() for thing in self.objects.values() if not thing.moves]
+        meshes = [*self.world.meshes, *standing]
+        return meshes if self.config.randomise is None else restyled(meshes, self.config.randomise)
 
     @cached_property
     def moving_objects(self) -> dict[str, SceneObject]:

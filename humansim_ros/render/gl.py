@@ -518,8 +518,7 @@ def _unit_square(cells: int) -> bytes:
 
 def _lit_pixels(camera: Camera) -> NDArray[np.bool_]:
     """(H, W) which pixels the lens does not leave dark."""
-    grid = np.stack(np.meshgrid(*(np.arange(n) for n in camera.size)), axis=-1)
-    return np.isfinite(camera.rays(grid)[..., 0])
+    return np.asarray(np.isfinite(ray_grid(camera)[..., 0]))
 
 
 def _set(program: moderngl.Program, name: str, value: Any) -> None:

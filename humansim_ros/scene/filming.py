@@ -107,6 +107,8 @@ class SceneCamera:
 
     def at(self, pose: CameraPose) -> Camera:
         """The camera of image_raw at a pose."""
+        if pose.R is self.camera.R and pose.t is self.camera.t:
+            return self.camera
         return replace(self.camera, R=pose.R, t=pose.t)
 
     @cached_property

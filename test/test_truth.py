@@ -8,13 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
-from render_scenes import body, box, quad, renderer_or_skip
+from render_scenes import body, box, quad, renderer_or_skip, walkers
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.trajectory import Trajectory
@@ -73,7 +74,7 @@ FRAMES = (0, 3, 7, 11, 15, 19)
 class Shot:
     """A frame, and its world as rays meet it: the humans' surfaces and then all things."""
 
-    scene: Scene
+    scene: Scene | SimpleNamespace
     frame: Frame
 
     @property
@@ -307,6 +308,26 @@ def test_of_a_body_round_the_camera_the_box_is_that_of_what_is_before_it() -> No
     np.testing.assert_allclose(whole, [49.5 - near, 39.5 + 10, 49.5 + near, 39.5 + near], rtol=1e-6)
     assert 0.99 < share < 1
     assert pixels > 1000
+
+
+def test_vertices_of_people_who_stand_round_a_fisheye() -> None:
+    """Some of both is behind it; triangles that pass its plane hide what is beside it."""
+    there = Camera.look_at((0, 0, 1.3), (3, 0, 1.0))
+    k = np.array([[255.0, 0, 399.5], [0, 255, 399.5], [0, 0, 1]])
+    camera = Camera((800, 800), k, there.R, there.t, (0, 0, 0, 0), "equidistant")
+    bodies = walkers(Scene.load(), 0.6, [(0.3, 0.5), (0.1, -0.9)])
+    renderer = renderer_or_skip()
+    view = renderer.render(bodies, camera, ["depth", "instance"])
+    renderer.close()
+    empty = SimpleNamespace(static_meshes=())
+    shot = Shot(empty, Frame(0, 0, {}, {"camera": view}, {}, cameras={"camera": camera}, bodies=bodies))
+    seen = np.concatenate(list(visible_vertices(camera, bodies, view).values()))
+    vertices = np.concatenate([b.vertices for b in bodies]).astype(float)
+    pixels, z = camera.project(vertices)
+    inside = (z > 0.006) & np.isfinite(pixels).all(axis=1)
+    assert 0.5 * len(z) < inside.sum() < len(z) - 1000
+    reached = shot.cast(vertices[inside])[0] > z[inside] * (1 - 1e-4)
+    assert (seen[inside] == reached).mean() > 0.995
 
 
 def test_vertices_at_the_back_are_not_seen_and_nobody_sees_behind_the_camera() -> None:

@@ -27,7 +27,7 @@ from humansim_ros.render.detail import Detail, Shown, optical_flow, ray_grid
 from humansim_ros.render.light import Lighting
 from humansim_ros.render.outline import blend, crossings
 from humansim_ros.render.posed import Floats, Posed, Topology
-from humansim_ros.render.refine import NEAR, TOLERANCE, VISIBLE, LensView, Refined
+from humansim_ros.render.refine import NEAR, TOLERANCE, VISIBLE, LensView, Refined, nearest
 from humansim_ros.render.renderer import (
     CHANNELS,
     FLOWS,
@@ -307,7 +307,7 @@ class GLRenderer:
 
     def _use_camera(self, program: moderngl.Program, camera: Camera) -> None:
         _set(program, "optical_z", (*camera.R[2], camera.t[2]))
-        near = LensView(camera).near if camera.distorted else NEAR
+        near = nearest(camera)
         clip = camera.opengl_clip(near, _FAR)
         if not camera.distorted:
             _set(program, "lens", 0)
@@ -463,8 +463,7 @@ def _touched(clouds: Sequence[Floats], camera: Camera) -> _Rectangle:
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for points in clouds:
         x, y, depth = p[:, :3] @ points + p[:, 3:]
-        nearest = depth.min()
-        if nearest < 2 * NEAR:
+        if depth.min() < 2 * NEAR:
             if depth.max() < 0:
                 continue
             return _Rectangle(0, 0, width, height, near=True)

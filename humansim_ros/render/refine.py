@@ -216,6 +216,11 @@ class LensView:
         return np.concatenate([*done_starts, starts]), np.concatenate([*done_ends, ends])
 
 
+def nearest(camera: Camera) -> float:
+    """Metres along its axis within which nothing is drawn for a camera."""
+    return LensView(camera).near if camera.distorted else NEAR
+
+
 @dataclass(frozen=True)
 class _Field:
     """What a lens shows: bounds in the normalised image plane, and whether they leave the image partly dark.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
-from humansim_ros.render.refine import NEAR
+from humansim_ros.render.refine import nearest
 from humansim_ros.rotations import Array
 
 
@@ -53,13 +53,14 @@ def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, 
 
 
 def whole_box(camera: Camera, body: Body) -> Array:
-    """(4,) left, top, right, bottom of the projection of all of a body that a camera could draw: what is
-    farther than 5 cm along its axis and within what its lens sees. NaN where that is nothing.
+    """(4,) left, top, right, bottom of the projection of all of a body that a camera could draw: what is not
+    too near (5 cm along its axis, 5 mm for wide fisheyes) and within what its lens sees. NaN where that is
+    nothing.
     """
-    points = camera.to_optical(body.vertices)
-    near = points[:, 2] < NEAR
+    points, plane = camera.to_optical(body.vertices), nearest(camera)
+    near = points[:, 2] < plane
     if near.any():
-        points = np.concatenate([points[~near], _crossings(points, body.mesh.triangles, near)])
+        points = np.concatenate([points[~near], _crossings(points, body.mesh.triangles, plane)])
     pixels = camera.project_optical(points)[0]
     pixels = pixels[np.isfinite(pixels[:, 0])]
     if not len(pixels):
@@ -90,9 +91,9 @@ def _box_of(mask: NDArray[np.bool_]) -> tuple[Array, int]:
     return np.array([x, y, x + width, y + height]) - 0.5, pixels
 
 
-def _crossings(points: Array, triangles: NDArray[np.integer], near: NDArray[np.bool_]) -> Array:
-    """(N, 3) where the edges of triangles pass from near the camera to farther away: at z = NEAR."""
-    edges = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+def _crossings(points: Array, triangles: NDArray[np.integer], plane: float) -> Array:
+    """(N, 3) where the edges of triangles pass through the plane z = ``plane``."""
+    edges, near = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), points[:, 2] < plane
     a, b = points[edges[near[edges[:, 0]] != near[edges[:, 1]]].T]
-    share = (NEAR - a[:, 2]) / (b[:, 2] - a[:, 2])
+    share = (plane - a[:, 2]) / (b[:, 2] - a[:, 2])
     return np.asarray(a + share[:, None] * (b - a), dtype=float)

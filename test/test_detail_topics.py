@@ -38,11 +38,14 @@ DTYPES = {"32SC1": np.int32, "32FC1": np.float32, "32FC2": np.float32, "32FC3": 
 #: Channel, topic and what of the view it is.
 DETAILS = [c for c in ALL_CHANNELS if c not in CHANNELS]
 
+#: Topics on the people that a camera sees.
+CLOUDS = ("joints", "boxes", "visible_vertices")
+
 
 @pytest.fixture(scope="module")
 def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     from rclpy.parameter import Parameter
-    from sensor_msgs.msg import Image
+    from sensor_msgs.msg import Image, PointCloud2
     from visualization_msgs.msg import Marker
 
     folder = tmp_path_factory.mktemp("detail")
@@ -60,7 +63,8 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     deep = rclpy.qos.QoSProfile(depth=500)
     client.subscribe(Marker, ["/detail/objects/box/marker"], deep)
     client.subscribe(Image, topics.values(), deep)
-    kinds = 1 + len(DETAILS)
+    client.subscribe(PointCloud2, [f"/detail/left/{kind}" for kind in CLOUDS], deep)
+    kinds = 1 + len(DETAILS) + len(CLOUDS)
     done = client.spin_until(lambda: len(client.received) == kinds and len(client.common_stamps()) >= 4, 60)
     assert done, f"heard {sorted(client.received)}, {len(client.common_stamps())} common stamps"
     simulation = Simulation(Scene.load(folder / "scene.yaml"), ALL_CHANNELS)
@@ -106,3 +110,23 @@ def test_a_topic_has_what_simulation_has(flow: Any, channel: str) -> None:
         assert same.mean() > 0.995
         assert len(np.unique(np.nan_to_num(truth))) > 1, "somebody is there"
     assert whole > 0
+
+
+def test_what_is_said_of_people_is_what_simulation_says(flow: Any) -> None:
+    for stamp in flow.stamps:
+        frame = flow.simulation.frame(round(index_of(flow, stamp)))
+        joints, boxes, vertices = (flow.received[f"/detail/left/{kind}"][stamp] for kind in CLOUDS)
+        said, seen = messages.read_joint_view(joints), frame.joints["left"]["anna"]
+        assert np.mean((said["visible"] == seen.visible) & (said["occluder"] == seen.occluder)) > 0.9
+        assert np.median(np.abs(said["behind"] - seen.behind)) < 1e-4
+        (box,) = messages.read_boxes(boxes)
+        truth = frame.boxes["left"]["anna"]
+        assert box["human"] == 1
+        whole = [box[f"whole_{side}"] for side in ("left", "top", "right", "bottom")]
+        np.testing.assert_allclose(whole, truth.whole, atol=1e-3)
+        assert box["pixels"] == pytest.approx(truth.pixels, rel=0.01)
+        assert box["visible_fraction"] == pytest.approx(truth.visible_fraction, abs=0.01)
+        heard = np.zeros(len(frame.humans["anna"].vertices), bool)
+        heard[messages.read_visible_vertices(vertices)["vertex"]] = True
+        assert np.mean(heard == frame.visible_vertices("left")["anna"]) > 0.99
+        assert heard.any()

@@ -2,9 +2,10 @@
 scene.
 
 All contestants draw the same posed triangles for the same cameras, turn and turn about: what else the machine
-does hits them alike. The figures are medians of wall-clock milliseconds; read the ratios. We draw in the
-furnished room, with shadow and lighting; the others draw the body alone. aitviewer, Open3D and Blender draw
-in processes of their own, by the Python that an option or HUMANSIM_BENCH_AITVIEWER, _OPEN3D, _BLENDER names.
+does hits them alike. The figures are medians of wall-clock milliseconds, and of those of the CPU, all threads
+together, which other work changes less; read the ratios. We draw in the furnished room, with shadow and
+lighting; the others draw the body alone. aitviewer, Open3D and Blender draw in processes of their own, by the
+Python that an option or HUMANSIM_BENCH_AITVIEWER, _OPEN3D, _BLENDER names.
 """
 
 from __future__ import annotations
@@ -275,36 +276,49 @@ def interleave(
     order: Sequence[Shot],
     rounds: int,
     guests: dict[str, Callable[[Shot], float]],
-) -> dict[str, list[float]]:
-    """Milliseconds of each call: every contestant draws a shot before the next shot comes."""
+) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
+    """Milliseconds of each call, wall-clock and CPU: all contestants draw one shot, then the next."""
     times: dict[str, list[float]] = {name: [] for name in (*contestants, *guests)}
+    cpu: dict[str, list[float]] = {name: [] for name in contestants}
     for number in range(-len(order), rounds):  # the first time round warms up
         shot = order[number % len(order)]
         for name, draw in contestants.items():
-            start = time.perf_counter()
+            start, start_cpu = time.perf_counter(), time.process_time()
             draw(shot)
             if number >= 0:
                 times[name].append((time.perf_counter() - start) * 1e3)
+                cpu[name].append((time.process_time() - start_cpu) * 1e3)
         if number % _GUEST_ROUNDS == 0:
             for name, other in guests.items():
                 took = other(shot)
                 if number >= 0:
                     times[name].append(took)
-    return times
+    return times, cpu
 
 
-def table(times: dict[str, list[float]], bare: str, title: str) -> list[dict[str, object]]:
-    reference = float(np.median(times[bare]))
-    print(f"\n{title:<58} {'median':>8} {'best':>8} {'x bare':>8}")
+def table(times: dict[str, list[float]], cpu: dict[str, list[float]], title: str) -> list[dict[str, object]]:
+    reference, reference_cpu = float(np.median(times[BARE])), float(np.median(cpu[BARE]))
+    print(f"\n{title:<58} {'median':>8} {'best':>8} {'x bare':>8} {'CPU':>8} {'x bare':>8}")
     rows: list[dict[str, object]] = []
     for name, values in times.items():
         median, best = float(np.median(values)), float(np.min(values))
-        print(f"{name:<58} {median:8.2f} {best:8.2f} {median / reference:8.2f}")
-        rows.append({"what": name, "median_ms": median, "best_ms": best, "x_bare": median / reference})
+        row: dict[str, object] = {
+            "what": name,
+            "median_ms": median,
+            "best_ms": best,
+            "x_bare": median / reference,
+        }
+        line = f"{name:<58} {median:8.2f} {best:8.2f} {median / reference:8.2f}"
+        if name in cpu:
+            ms = float(np.median(cpu[name]))
+            line += f" {ms:8.2f} {ms / reference_cpu:8.2f}"
+            row |= {"cpu_ms": ms, "x_bare_cpu": ms / reference_cpu}
+        print(line)
+        rows.append(row)
     return rows
 
 
-def targets(times: dict[str, list[float]]) -> list[dict[str, object]]:
+def targets(times: dict[str, list[float]], cpu: dict[str, list[float]]) -> list[dict[str, object]]:
     """The ratios that matter: of medians, and the median of the ratios of draws that followed each other."""
     wanted = (
         (FOUR, BARE, "at most", 1.0),
@@ -312,17 +326,25 @@ def targets(times: dict[str, list[float]]) -> list[dict[str, object]]:
         (SEGMENTED, FOUR, "at least", 8.0),
     )
     rows: list[dict[str, object]] = []
-    print(f"\n{'ratios':<74} {'medians':>8} {'paired':>8}")
+    print(f"\n{'ratios':<74} {'medians':>8} {'paired':>8} {'CPU':>8}")
     for what, beside, bound, limit in wanted:
         if what in times and beside in times:
             of_medians = float(np.median(times[what]) / np.median(times[beside]))
             paired = float(np.median(np.divide(times[what], times[beside])))
+            of_cpu = float(np.median(cpu[what]) / np.median(cpu[beside]))
             met = of_medians <= limit if bound == "at most" else of_medians >= limit
             title = f"{what.split(': ')[-1]} / {beside.split(':')[0]}"
             verdict = f"{bound} {limit:g}: {'met' if met else 'MISSED'}"
-            print(f"{title[:50]:<50} {verdict:<23} {of_medians:8.2f} {paired:8.2f}")
+            print(f"{title[:50]:<50} {verdict:<23} {of_medians:8.2f} {paired:8.2f} {of_cpu:8.2f}")
             rows.append(
-                {"what": title, "limit": limit, "of_medians": of_medians, "paired": paired, "met": met}
+                {
+                    "what": title,
+                    "limit": limit,
+                    "of_medians": of_medians,
+                    "paired": paired,
+                    "cpu": of_cpu,
+                    "met": met,
+                }
             )
     return rows
 
@@ -437,13 +459,13 @@ def main() -> None:
                 guests[title] = draw
             else:
                 print(f"{name}: left out, as {getattr(options, name)} has none (--{name} PYTHON)")
-        times = interleave(contestants, order, options.rounds, guests)
+        times, cpu = interleave(contestants, order, options.rounds, guests)
     figures = {
         "device": renderer.device,
         "cores": os.cpu_count(),
         "triangles": len(mesh.triangles),
-        "frames": table(times, BARE, "ms per camera-frame"),
-        "targets": targets(times),
+        "frames": table(times, cpu, "ms per camera-frame"),
+        "targets": targets(times, cpu),
         "stages": stages(order[0], options.rounds),
         "threads": threads(options.rounds),
     }

@@ -600,8 +600,12 @@ class _Target:
         self._clear()  # cheaper than to copy these as well
         if background is None:
             return
+        # all of it: with a scissor Mesa would not copy but draw, at several times the cost
+        self._colour.scissor = None
         self._colour.use()
         self._ctx.copy_framebuffer(self._colour, background._colour)
+        self._colour.scissor = rectangle.xywh
+        self._colour.use()
 
     def clear(self, colour: Sequence[int]) -> None:
         """Start anew: nothing there but a colour, endlessly far away."""

@@ -1,0 +1,175 @@
+#!/usr/bin/env python3
+"""The same scene by our renderer and by Blender's path tracer, side by side (docs/look.md).
+
+    python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
+    python tools/blender_cycles.py --blender blender/bin/python [-o docs/images/cycles.jpg]
+
+Blender gets the meshes where they stand, their textures as diffuse colours, the camera, a sun of the same
+direction, size and irradiance, and a sky and ground that shine evenly. Walls and ceiling let light through in
+both. Light goes on from surface to surface in Blender alone.
+"""
+
+import argparse
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+SIZE, SAMPLES = (560, 420), 96
+SCENE = """\
+humans:
+  anna: {body: adult_woman, motion: {file: wave, position: [0.2, -0.2], yaw_deg: -20}}
+  walker: {motion: {file: walk, position: [-0.6, 0.9], yaw_deg: 10}}
+cameras:
+  corner: {size: [560, 420], position: [3.0, 2.3, 1.9], look_at: [-0.2, 0.2, 0.75], fov_deg: 58}
+light: {shadows: soft}
+"""
+
+
+def ours(folder: Path) -> np.ndarray:
+    """Our picture (H, W, 3), RGB; what it shows is written for Blender."""
+    sys.path.insert(0, str(ROOT))
+    from humansim_ros.scene import Scene, Simulation
+
+    path = folder / "scene.yaml"
+    path.write_text(SCENE)
+    scene = Scene.load(path)
+    simulation = Simulation(scene, ("rgb",))
+    frame = simulation.frame(20)
+    simulation.close()
+    meshes = [(mesh, mesh.vertices) for mesh in scene.static_meshes]
+    meshes += [(actor.human.mesh, frame.humans[name].vertices) for name, actor in scene.actors.items()]
+    camera, light = frame.cameras["corner"], scene.world.lighting
+    data = {
+        "K": camera.K,
+        "R": camera.R,
+        "t": camera.t,
+        "sun": light.direction,
+        "sun_size": np.radians(light.sun_size_deg),
+        **{name: np.array(getattr(light, name)) for name in ("sun_color", "sky_color", "ground_color")},
+    }
+    for number, (mesh, vertices) in enumerate(meshes):
+        # sheets that stand or hang, unlike the floor, are the room's shell
+        shell = len(mesh.faces) == 1 and not np.allclose(vertices[:, 2], 0, atol=0.01)
+        # sides of furniture that lie in each other would shade each other at random
+        middle = vertices.mean(axis=0)
+        vertices = middle + (vertices - middle) * (1 - 1e-4 * (number % 7))
+        data |= {
+            f"{number}/vertices": vertices,
+            f"{number}/triangles": mesh.triangles,
+            f"{number}/uv": mesh.uv[mesh.uv_triangles],
+            f"{number}/texture": mesh.texture,
+            f"{number}/shell": np.array(shell),
+        }
+    np.savez(folder / "scene.npz", **data)
+    return frame.views["corner"].rgb
+
+
+def render(scene_file: Path, picture: Path) -> None:
+    """What Blender makes of it. Runs in Blender's Python."""
+    import bpy
+    from blender_masks import set_camera
+    from mathutils import Vector
+
+    data = np.load(scene_file)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    eye = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+    scene.collection.objects.link(eye)
+    scene.camera = eye
+    set_camera(data["K"], data["R"], data["t"], np.array(SIZE))
+    for number in sorted({name.partition("/")[0] for name in data.files if "/" in name}, key=int):
+        mesh = bpy.data.meshes.new(number)
+        triangles = data[f"{number}/triangles"]
+        mesh.from_pydata(data[f"{number}/vertices"].tolist(), [], triangles.tolist())
+        mesh.uv_layers.new().data.foreach_set("uv", data[f"{number}/uv"].ravel())
+        smooth = len(triangles) > 1000
+        mesh.polygons.foreach_set("use_smooth", [smooth] * len(triangles))
+        texture = data[f"{number}/texture"]
+        height, width = texture.shape[:2]
+        image = bpy.data.images.new(number, width, height)
+        pixels = np.ones((height, width, 4), np.float32)
+        pixels[..., :3] = texture[::-1] / 255
+        image.pixels.foreach_set(pixels.ravel())
+        material = bpy.data.materials.new(number)
+        material.use_nodes = True
+        nodes, links = material.node_tree.nodes, material.node_tree.links
+        nodes.clear()
+        look, diffuse, output = (
+            nodes.new(f"ShaderNode{kind}") for kind in ("TexImage", "BsdfDiffuse", "OutputMaterial")
+        )
+        look.image = image
+        links.new(look.outputs["Color"], diffuse.inputs["Color"])
+        links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
+        mesh.materials.append(material)
+        thing = bpy.data.objects.new(number, mesh)
+        if data[f"{number}/shell"]:
+            thing.visible_shadow = thing.visible_diffuse = False
+        scene.collection.objects.link(thing)
+    lamp = bpy.data.lights.new("sun", "SUN")
+    # a white surface that faces it shows sun_color: irradiance over pi
+    lamp.energy, lamp.color, lamp.angle = np.pi, data["sun_color"].tolist(), float(data["sun_size"])
+    sun = bpy.data.objects.new("sun", lamp)
+    sun.rotation_mode = "QUATERNION"
+    sun.rotation_quaternion = Vector(data["sun"].tolist()).to_track_quat("Z", "Y")
+    scene.collection.objects.link(sun)
+    add_sky(scene, data["sky_color"], data["ground_color"])
+    scene.render.engine = "CYCLES"
+    scene.cycles.device = "CPU"
+    scene.cycles.samples = SAMPLES
+    scene.cycles.use_denoising = True
+    scene.cycles.max_bounces = 3
+    scene.view_settings.view_transform = "Standard"
+    scene.render.filepath = str(picture)
+    scene.render.image_settings.file_format = "PNG"
+    bpy.ops.render.render(write_still=True)
+
+
+def add_sky(scene, sky: np.ndarray, ground: np.ndarray) -> None:
+    """Even light from above, and another from below."""
+    import bpy
+
+    world = bpy.data.worlds.new("world")
+    scene.world = world
+    world.use_nodes = True
+    nodes, links = world.node_tree.nodes, world.node_tree.links
+    place, parts, above, mix = (
+        nodes.new(f"ShaderNode{kind}") for kind in ("TexCoord", "SeparateXYZ", "Math", "MixRGB")
+    )
+    above.operation = "GREATER_THAN"
+    above.inputs[1].default_value = 0.0
+    mix.inputs[1].default_value = (*ground.tolist(), 1.0)
+    mix.inputs[2].default_value = (*sky.tolist(), 1.0)
+    links.new(place.outputs["Generated"], parts.inputs[0])
+    links.new(parts.outputs["Z"], above.inputs[0])
+    links.new(above.outputs[0], mix.inputs[0])
+    links.new(mix.outputs[0], nodes["Background"].inputs["Color"])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--blender", help="a Python that has bpy")
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs/images/cycles.jpg")
+    parser.add_argument("--render", nargs=2, type=Path, help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.render:
+        render(*arguments.render)
+        return
+    import cv2
+
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        left = ours(folder)[..., ::-1]
+        files = [str(folder / "scene.npz"), str(folder / "blender.png")]
+        subprocess.run([arguments.blender, __file__, "--render", *files], check=True)
+        right = cv2.imread(files[1])
+    difference = np.abs(left.astype(int) - right).mean()
+    print(f"mean difference {difference:.1f} of 255")
+    cv2.imwrite(str(arguments.output), np.hstack([left, right]), [cv2.IMWRITE_JPEG_QUALITY, 88])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,217 @@
+#!/usr/bin/env python3
+"""Pictures of docs/look.md: light and shadows, worlds, backgrounds, looks drawn at random.
+
+    python tools/look_pictures.py [-o docs/images]
+
+What the scenes are made of (a courtyard as .glb, a sky as .hdr, a photograph) is made here, by rule.
+"""
+
+import argparse
+import json
+import struct
+import sys
+import tempfile
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT))
+
+from humansim_ros.camera import Camera  # noqa: E402
+from humansim_ros.render import GLRenderer, Lighting  # noqa: E402
+from humansim_ros.scene import Scene, Simulation  # noqa: E402
+from humansim_ros.scene.room import furnished_room  # noqa: E402
+
+PEOPLE = """\
+humans:
+  anna: {body: adult_woman, motion: {file: wave, position: [0.2, -0.2], yaw_deg: -20}}
+  walker: {motion: {file: walk, position: [-0.6, 0.9], yaw_deg: 10}}
+cameras:
+  corner: {size: [640, 480], position: [3.0, 2.3, 1.9], look_at: [-0.2, 0.2, 0.75], fov_deg: 58}
+"""
+LOW_SUN = "sun: [0.5, -0.8, 0.75], sun_color: [1.5, 1.3, 1.0]"
+SCENES = {
+    "shadeless": "light: {mode: shadeless}",
+    "contact": "",
+    "soft": "light: {shadows: soft}",
+    "world": f"room: null\nlight: {{shadows: soft, tone_mapping: filmic, exposure: 0.6, {LOW_SUN}}}\n"
+    "world: {meshes: [court.glb], environment: sky.hdr}",
+    "photo": "room: null\nworld: {background: photo.jpg}\nlight: {shadows: soft}",
+    "hdri": "room: null\nlight: {shadows: soft, sun: [0.5, -0.8, 0.75]}\n"
+    "world: {environment: sky.hdr, meshes: [{file: ground.obj}]}",
+    **{
+        f"random_{seed}": "light: {shadows: soft}\nrandomise: {seed: %d, light: true, colours: true, "
+        "textures: true, clutter: 5, camera_jitter: {position: 0.2, rotation_deg: 3}}" % seed
+        for seed in (1, 2, 4, 6)
+    },
+}
+
+
+def court() -> bytes:
+    """A courtyard as .glb: paving, a wall with arches on two sides, a few pillars; y is up."""
+    rng = np.random.default_rng(3)
+    stone, paving = (
+        np.clip(
+            np.array(color)
+            * (1 + 0.05 * cv2.GaussianBlur(rng.standard_normal((512, 512, 1)), (0, 0), 1.5)[..., None] * 3),
+            0,
+            255,
+        ).astype(np.uint8)
+        for color in ((186, 170, 146), (158, 150, 138))
+    )
+    for image, step in ((stone, 64), (paving, 128)):
+        for line in range(4):
+            image[line::step] = image[:, line::step] = (112, 104, 94)
+    quads: dict[int, list] = {0: [], 1: []}
+
+    def box(low, high):
+        (x0, y0, z0), (x1, y1, z1) = low, high
+        for axis in range(3):
+            for sign in (0, 1):
+                u, v = [(1, 2), (2, 0), (0, 1)][axis]
+                corners = []
+                for a, b in ((0, 0), (1, 0), (1, 1), (0, 1)) if sign else ((0, 0), (0, 1), (1, 1), (1, 0)):
+                    point = [0.0, 0.0, 0.0]
+                    point[axis] = (low, high)[sign][axis]
+                    point[u], point[v] = (low, high)[a][u], (low, high)[b][v]
+                    corners.append((point, (point[u], point[v])))
+                quads[1].append(corners)
+
+    quads[0].append([((x, 0.0, z), (x, z)) for x, z in ((-8, 8), (8, 8), (8, -8), (-8, -8))])
+    for i in range(-3, 4):
+        for along in (0, 1):
+            low, high = [(i - 0.22, 0.0, -4.0), (i + 0.22, 2.4, -3.4)]
+            turn = (lambda p: p) if along else (lambda p: (p[2], p[1], p[0]))
+            box(turn(low), turn(high))
+    box((-4.0, 2.4, -4.0), (3.6, 3.1, -3.4))
+    box((-4.0, 2.4, -3.4), (-3.4, 3.1, 3.6))
+    box((-4.6, 0.0, -4.6), (3.6, 3.1, -4.5))
+    box((-4.6, 0.0, -4.6), (-4.5, 3.1, 3.6))
+    box((-2.0, 0.0, -2.4), (-1.0, 0.5, -2.0))
+
+    blob, views, accessors, primitives = b"", [], [], []
+
+    def add(data: bytes) -> int:
+        nonlocal blob
+        blob += b"\0" * (-len(blob) % 4)
+        views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(data)})
+        blob += data
+        return len(views) - 1
+
+    for material, faces in quads.items():
+        arrays = [
+            ("VEC3", 5126, np.array([p for quad in faces for p, _ in quad], "<f4")),
+            ("VEC2", 5126, np.array([uv for quad in faces for _, uv in quad], "<f4") / 2),
+            ("SCALAR", 5125, (4 * np.arange(len(faces))[:, None] + [0, 1, 2, 0, 2, 3]).ravel().astype("<u4")),
+        ]
+        for kind, component, array in arrays:
+            view = add(array.tobytes())
+            accessors.append(
+                {"bufferView": view, "componentType": component, "count": len(array), "type": kind}
+            )
+        n = len(accessors)
+        primitives.append(
+            {
+                "attributes": {"POSITION": n - 3, "TEXCOORD_0": n - 2},
+                "indices": n - 1,
+                "material": material,
+            }
+        )
+    images = [
+        {"bufferView": add(cv2.imencode(".png", image[..., ::-1])[1].tobytes()), "mimeType": "image/png"}
+        for image in (paving, stone)
+    ]
+    document = {
+        "asset": {"version": "2.0"},
+        "nodes": [{"mesh": 0}],
+        "meshes": [{"primitives": primitives}],
+        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": n}}} for n in (0, 1)],
+        "textures": [{"source": 0}, {"source": 1}],
+        "images": images,
+        "accessors": accessors,
+        "bufferViews": views,
+        "buffers": [{"byteLength": len(blob)}],
+    }
+    text = json.dumps(document).encode()
+    text += b" " * (-len(text) % 4)
+    blob += b"\0" * (-len(blob) % 4)
+    chunks = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(blob), b"BIN\0") + blob
+    return b"glTF" + struct.pack("<II", 2, 12 + len(chunks)) + chunks
+
+
+def sky(width: int = 4096) -> np.ndarray:
+    """A panorama (H, W, 3) of linear light: sky, clouds, sun, hills, grass."""
+    height = width // 2
+    rng = np.random.default_rng(5)
+    left = np.pi - 2 * np.pi * (np.arange(width) + 0.5) / width
+    up = np.pi / 2 - np.pi * (np.arange(height)[:, None] + 0.5) / height
+    view = np.stack(
+        np.broadcast_arrays(np.cos(up) * np.cos(left), np.cos(up) * np.sin(left), np.sin(up)), axis=-1
+    )
+    height_of = np.clip(view[..., 2:], 0, 1) ** 0.5
+    image = (1 - height_of) * np.array([0.75, 0.82, 0.9]) + height_of * np.array([0.16, 0.32, 0.72])
+    noise = np.zeros((height, width))
+    for size in (8, 16, 32, 64, 128):
+        grid = rng.standard_normal((size // 2, size)).astype(np.float32)
+        grid[:, -1] = grid[:, 0]
+        noise += cv2.resize(grid, (width, height), interpolation=cv2.INTER_CUBIC) * 6 / size**0.9
+    cloud = np.clip(noise, 0, 1)[..., None] * np.clip(4 * view[..., 2:], 0, 1)
+    image = image * (1 - 0.8 * cloud) + 0.8 * cloud * 0.95
+    sun = np.array([0.5, -0.8, 0.75]) / np.linalg.norm([0.5, -0.8, 0.75])
+    near = np.clip(view @ sun, 0, 1)[..., None]
+    image = image + 40 * (near > 0.9997) + 0.6 * near**200
+    hills = 0.05 + 0.03 * np.sin(3 * left) + 0.02 * np.sin(7 * left + 1) + 0.008 * np.sin(31 * left)
+    image = np.where((up < hills)[..., None], np.array([0.12, 0.2, 0.13]), image)
+    image = cv2.GaussianBlur(image, (0, 0), 1.2)
+    blades = cv2.GaussianBlur(rng.standard_normal((height, width)), (0, 0), 1.2)[..., None]
+    grass = np.array([0.16, 0.2, 0.07]) * (1 + 0.3 * blades)
+    image = np.where((up < 0)[..., None], grass, image)
+    return np.asarray(np.maximum(image, 0), dtype=np.float32)
+
+
+def photograph() -> np.ndarray:
+    """A hall, out of focus, as a camera on a wall would see it without anybody in it."""
+    renderer = GLRenderer(furnished_room((9.0, 8.0, 3.2), seed=8), Lighting(shadows="soft"))
+    camera = Camera.look_at((4.0, 3.4, 2.1), (-1.2, -0.8, 0.7), (1280, 853), np.radians(66))
+    rgb = renderer.render([], camera, ("rgb",)).rgb
+    renderer.close()
+    return cv2.GaussianBlur(rgb, (0, 0), 2.2)
+
+
+def take(folder: Path, name: str) -> np.ndarray:
+    """The picture (480, 640, 3), BGR, of one of the scenes."""
+    path = folder / f"{name}.yaml"
+    path.write_text(PEOPLE + SCENES[name] + "\n")
+    simulation = Simulation(Scene.load(path), ("rgb",))
+    rgb = simulation.frame(20).views["corner"].rgb
+    simulation.close()
+    return np.ascontiguousarray(rgb[..., ::-1])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs/images")
+    output = parser.parse_args().output
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "court.glb").write_bytes(court())
+        (folder / "ground.obj").write_text(
+            "mtllib ground.mtl\nv -4 -4 0\nv 4 -4 0\nv 4 4 0\nv -4 4 0\nusemtl sand\nf 1 2 3 4\n"
+        )
+        (folder / "ground.mtl").write_text("newmtl sand\nKd 0.62 0.58 0.48\n")
+        cv2.imwrite(str(folder / "sky.hdr"), sky()[..., ::-1])
+        cv2.imwrite(str(folder / "photo.jpg"), photograph()[..., ::-1])
+        seen = {name: take(folder, name) for name in SCENES}
+    pictures = {name: seen[name] for name in ("shadeless", "contact", "soft", "world", "photo", "hdri")}
+    random = [image for name, image in seen.items() if name.startswith("random")]
+    pictures["randomised"] = cv2.resize(
+        np.vstack([np.hstack(random[:2]), np.hstack(random[2:])]), (960, 720), interpolation=cv2.INTER_AREA
+    )
+    for name, image in pictures.items():
+        cv2.imwrite(str(output / f"look_{name}.jpg"), image, [cv2.IMWRITE_JPEG_QUALITY, 88])
+
+
+if __name__ == "__main__":
+    main()

@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import random
 import resource
 import subprocess
 import sys
@@ -278,11 +279,13 @@ def interleave(
     guests: dict[str, Callable[[Shot], float]],
 ) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
     """Milliseconds of each call, wall-clock and CPU: all contestants draw one shot, then the next."""
+    random.seed(1)
     times: dict[str, list[float]] = {name: [] for name in (*contestants, *guests)}
     cpu: dict[str, list[float]] = {name: [] for name in contestants}
     for number in range(-len(order), rounds):  # the first time round warms up
         shot = order[number % len(order)]
-        for name, draw in contestants.items():
+        # in any order: who comes after another finds the caches and the OpenGL context full of the other's
+        for name, draw in random.sample(list(contestants.items()), len(contestants)):
             start, start_cpu = time.perf_counter(), time.process_time()
             draw(shot)
             if number >= 0:

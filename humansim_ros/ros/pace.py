@@ -6,7 +6,7 @@ _WINDOW = 1.0
 #: More than this share of a second's frames lost: too fast.
 _LOST = 0.2
 #: Less than this share of the time at work: twice as fast may do.
-_IDLE = 0.4
+_IDLE = 0.46
 _MOST = 8
 _FIRST_WAIT, _LONGEST_WAIT = 2.0, 16.0
 

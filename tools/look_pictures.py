@@ -42,8 +42,8 @@ SCENES = {
     "hdri": "room: null\nlight: {shadows: soft, sun: [0.5, -0.8, 0.75]}\n"
     "world: {environment: sky.hdr, meshes: [{file: ground.obj}]}",
     **{
-        f"random_{seed}": "light: {shadows: soft}\nrandomise: {seed: %d, light: true, colours: true, "
-        "textures: true, clutter: 5, camera_jitter: {position: 0.2, rotation_deg: 3}}" % seed
+        f"random_{seed}": f"light: {{shadows: soft}}\nrandomise: {{seed: {seed}, light: true, colours: true, "
+        "textures: true, clutter: 5, camera_jitter: {position: 0.2, rotation_deg: 3}}"
         for seed in (1, 2, 4, 6)
     },
 }
@@ -67,7 +67,6 @@ def court() -> bytes:
     quads: dict[int, list] = {0: [], 1: []}
 
     def box(low, high):
-        (x0, y0, z0), (x1, y1, z1) = low, high
         for axis in range(3):
             for sign in (0, 1):
                 u, v = [(1, 2), (2, 0), (0, 1)][axis]

@@ -38,7 +38,8 @@ _AHEAD, _STEP = 60.0, 0.2
 _CLEAR, _CLEAR_OF_CAMERA, _APART = 0.35, 0.4, 0.05
 #: Between these heights what stands there is in the way of clutter.
 _LOW, _HIGH = 0.05, 1.8
-_TRIES = 400
+#: Places tried for a thing: so many times, so many at once.
+_TRIES, _AT_ONCE = 20, 20
 
 
 def _drawn(seed: int, what: str) -> Callable[[], float]:
@@ -87,7 +88,8 @@ def _look(texture: Image, number: int, randomise: RandomiseConfig) -> Image:
         color = tuple(int(40 + 200 * drawn()) for _ in range(3))
         if not randomise.colours:
             color = tuple(int(c) for c in texture.reshape(-1, 3).mean(axis=0))
-        return pattern(int(drawn() * 1e9), color)
+        side = 512 if max(texture.shape) >= 256 else 64
+        return pattern(int(drawn() * 1e9), color, side)
     return _recoloured(texture, _drawn(randomise.seed, f"colour {number}")) if randomise.colours else texture
 
 
@@ -178,12 +180,14 @@ def clutter(config: SceneConfig, scene: Path, around: Around) -> dict[str, Objec
             raise SceneError(f"there is an object {name} already", path=scene, key="randomise.clutter")
         thing, radius = _thing(drawn)
         for _ in range(_TRIES):
-            place = area[0] + radius + (np.ptp(area, axis=0) - 2 * radius) * np.array([drawn(), drawn()])
-            if all(tree.query(place)[0] > radius + clear for tree, clear in trees) and all(
-                math.dist(place, other) > radius + reach + _APART for other, reach in placed
-            ):
-                placed.append((place, radius))
-                x, y = (round(float(value), 4) for value in place)
+            shares = np.array([(drawn(), drawn()) for _ in range(_AT_ONCE)])
+            places = area[0] + radius + (np.ptp(area, axis=0) - 2 * radius) * shares
+            free = np.all([tree.query(places)[0] > radius + clear for tree, clear in trees], axis=0)
+            for other, reach in placed:
+                free &= np.linalg.norm(places - other, axis=1) > radius + reach + _APART
+            if free.any():
+                placed.append((places[np.argmax(free)], radius))
+                x, y = (round(float(value), 4) for value in placed[-1][0])
                 found[name] = thing.model_copy(update={"position": (x, y, thing.size[2] / 2)})
                 break
     if len(found) < randomise.clutter:

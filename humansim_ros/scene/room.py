@@ -170,16 +170,17 @@ def _box(centre: Sequence[float], size: Sequence[float], image: Image) -> Mesh:
     return Mesh(np.array(vertices), faces, np.array(uv), faces, texture=image)
 
 
-def pattern(seed: int, color: Sequence[int]) -> Image:
-    """Any pattern in any colour: planks, weave, plaster, checks, stripes, dots, or a picture."""
+def pattern(seed: int, color: Sequence[int], side: int) -> Image:
+    """(side, side, 3) of any pattern in a colour: planks, weave, plaster, checks, stripes, dots, a picture."""
     rng = np.random.default_rng(seed)
     kind = int(rng.integers(7))
     if kind < 3:
-        make = (_planks, _weave, _plaster)[kind]
-        return make(rng, color)
+        if kind == 0:
+            return _planks(rng, color, side=side)
+        return (_weave if kind == 1 else _plaster)(rng, color, side)
     if kind == 3:
-        return _poster(rng, (512, 512))
-    side, count = 512, int(rng.integers(2, 9))
+        return _poster(rng, (side, side))
+    count = int(rng.integers(2, 9))
     y, x = np.mgrid[:side, :side] * (count / side)
     where = (
         (np.floor(x) + np.floor(y)) % 2 > 0,

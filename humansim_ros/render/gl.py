@@ -601,7 +601,7 @@ class _Target:
         if background is None:
             return
         # all of it: with a scissor Mesa would not copy but draw, at several times the cost
-        self._colour.scissor = None
+        self._colour.scissor = None  # type: ignore[assignment]
         self._colour.use()
         self._ctx.copy_framebuffer(self._colour, background._colour)
         self._colour.scissor = rectangle.xywh

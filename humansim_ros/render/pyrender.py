@@ -310,7 +310,20 @@ def _import_pyrender() -> tuple[Any, type[Exception]]:
         raise RenderError(
             "pyrender needs PyOpenGL on EGL: set PYOPENGL_PLATFORM=egl before OpenGL is imported"
         )
+    _mend_pyopengl()
     return pyrender, OpenGL.error.Error
+
+
+def _mend_pyopengl() -> None:
+    """PyOpenGL 3.1.0, which pyrender asks for, knows what ctypes.byref makes by a name that it has no more
+    since Python 3.12: tell it the type itself.
+    """
+    from OpenGL.arrays import arraydatatype
+    from OpenGL.arrays.ctypesparameters import CtypesParameterHandler
+
+    handler = CtypesParameterHandler()
+    for kind in handler.HANDLED_TYPES:
+        arraydatatype.GLOBAL_REGISTRY.setdefault(kind, handler)
 
 
 def _light(lighting: Lighting, normals: Floats) -> Floats:

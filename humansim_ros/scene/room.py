@@ -171,7 +171,7 @@ def _box(centre: Sequence[float], size: Sequence[float], image: Image) -> Mesh:
 
 
 def pattern(seed: int, color: Sequence[int], side: int) -> Image:
-    """(side, side, 3) of any pattern in a colour: planks, weave, plaster, checks, stripes, dots, a picture."""
+    """(side, side, 3), any pattern in a colour: planks, weave, plaster, checks, stripes, dots, a picture."""
     rng = np.random.default_rng(seed)
     kind = int(rng.integers(7))
     if kind < 3:

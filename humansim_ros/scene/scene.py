@@ -230,6 +230,7 @@ class Scene:
         }
         if config.randomise is not None:
             cameras = jittered(cameras, config.randomise)
+        if config.randomise is not None and config.randomise.clutter:
             still = [*world.meshes, *(thing.standing() for thing in objects.values() if not thing.moves)]
             things = clutter(config, path, Around.of(actors.values(), cameras, objects, still))
             objects |= {name: SceneObject.build(name, thing, path, None) for name, thing in things.items()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,7 @@ from humansim_ros.body.mesh import Mesh
 from humansim_ros.errors import MeshError, warn_of
 from humansim_ros.render.light import Lighting, Panorama, ambient, developed
 from humansim_ros.render.renderer import Backdrop
-from humansim_ros.scene.config import LightConfig, SceneConfig, WorldMeshConfig
+from humansim_ros.scene.config import LightConfig, RoomConfig, SceneConfig, WorldMeshConfig
 from humansim_ros.scene.meshes import read_world_mesh
 from humansim_ros.scene.pictures import photograph_of, radiance_of, scene_file
 from humansim_ros.scene.randomise import random_light
@@ -25,17 +26,19 @@ _LARGE, _SMALL = 1000.0, 0.02
 
 @dataclass(frozen=True)
 class World:
-    """What stands still whatever people do. ``backdrop``: what cameras see where nothing is."""
+    """What stands still whatever people do. ``placed``: its mesh files. ``backdrop``: what cameras see where
+    nothing is.
+    """
 
-    meshes: tuple[Mesh, ...] = ()
+    placed: tuple[Mesh, ...] = ()
+    room: RoomConfig | None = None
     lighting: Lighting = field(default_factory=Lighting)
     backdrop: Backdrop | None = None
 
     @classmethod
     def load(cls, config: SceneConfig, scene: Path) -> World:
         """The world of a scene file. Raises SceneError with its key, or MeshError with the mesh's file."""
-        world, room = config.world, config.room
-        meshes = [] if room is None else furnished_room(room.size, room.seed)
+        world, meshes = config.world, list[Mesh]()
         for number, mesh in enumerate(world.meshes):
             meshes += _placed(mesh, scene, f"world.meshes.{number}")
         random = config.randomise is not None and config.randomise.light
@@ -54,7 +57,13 @@ class World:
             backdrop = photograph_of(world.background, scene, "world.background")
         elif world.background is not None:
             lighting = replace(lighting, background=world.background)
-        return cls(tuple(meshes), lighting, backdrop)
+        return cls(tuple(meshes), config.room, lighting, backdrop)
+
+    @cached_property
+    def meshes(self) -> tuple[Mesh, ...]:
+        """The room, and what is placed."""
+        room = [] if self.room is None else furnished_room(self.room.size, self.room.seed)
+        return (*room, *self.placed)
 
 
 def _lighting(light: LightConfig) -> Lighting:

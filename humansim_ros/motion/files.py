@@ -6,7 +6,6 @@ import os
 from pathlib import Path
 
 from humansim_ros.motion.bvh import Positions, read_bvh
-from humansim_ros.motion.gltf_motion import read_gltf_motion
 from humansim_ros.motion.kinematics import Motion
 
 _GLTF = (".gltf", ".glb")
@@ -27,5 +26,7 @@ def read_motion(path: str | os.PathLike[str], positions: Positions = "auto") -> 
     """
     file, animation = split_name(path)
     if Path(file).suffix.lower() in _GLTF:
+        from humansim_ros.motion.gltf_motion import read_gltf_motion  # half of what starting takes
+
         return read_gltf_motion(file, animation)
     return read_bvh(file, positions)

@@ -7,7 +7,6 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from humansim_ros.sensor.optics import Light
 
@@ -45,5 +44,7 @@ def _normals(shape: tuple[int, ...], random: np.random.Generator) -> Light:
 @cache
 def _quantiles() -> NDArray[np.float32]:
     """65536 equally likely normal numbers, up to 4.3 standard deviations."""
+    from scipy.special import ndtri  # slow to import, and few cameras are noisy
+
     values = ndtri((np.arange(1 << 16) + 0.5) / (1 << 16))
     return np.asarray(values / values.std(), dtype=np.float32)

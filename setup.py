@@ -54,6 +54,8 @@ EXTRAS = {
         "types-PyYAML",
         "types-defusedxml",
     ],
+    # the other renderer
+    "pyrender": ["pyrender==0.1.45"],
     "bench": ["pyrender==0.1.45", "trimesh>=4.0"],
 }
 

@@ -52,6 +52,8 @@ _STATIC_SUPERSAMPLING = 4
 _MAX_STATIC_SIDE = 8192
 #: The same for a camera that is elsewhere in the next frame.
 _PASSING_SUPERSAMPLING = 2
+#: Bytes of depth that are kept for the flow of the next frame.
+_MOST_DEPTHS = 128 << 20
 #: Cameras whose static scene is kept.
 _MAX_LAYERS = 32
 #: Pieces along a side of a shadow that a lens may bend.
@@ -80,6 +82,7 @@ class GLRenderer:
         self._targets: dict[tuple[int, int], _Target] = {}
         self._layers: dict[bytes, _StaticLayer] = {}
         self._passing: _StaticLayer | None = None
+        self._depths: dict[tuple[tuple[int, ...], bytes], tuple[Sequence[Body], Floats]] = {}
         light = self._lighting
         looks = [
             name
@@ -101,6 +104,9 @@ class GLRenderer:
         self._shadow_texture = self._ctx.texture((CELLS, CELLS), 1, alignment=1)
         self._shine(self._lit)
         self._shine(self._lit_still)
+        self._sunless = self._program("lit.vert", "lit.frag", looks) if soft else self._lit
+        if soft:
+            self._shine(self._sunless, sun=False)
         self._sunlight = None
         if soft:
             self._sunlight = _Sunlight(self._ctx, self._still, light, (self._lit, self._lit_still))
@@ -142,14 +148,25 @@ class GLRenderer:
         check_neighbours(bodies, channels, moments)
         with current(self._ctx):
             hidden = [moments[FLOWS[c]] for c in channels if c.endswith("_hidden")]
-            depths = {
-                id(moment): self._render(
-                    moment.bodies, moment.camera, frozenset({"depth"}), passing, backdrop=backdrop
-                ).depth
-                for moment in hidden
-                if moment is not None
-            }
+            depths = {id(m): self._depth_at(m, passing, backdrop) for m in hidden if m is not None}
             return self._render(bodies, camera, frozenset(channels), passing, moments, depths, backdrop)
+
+    def _depth_at(self, moment: Neighbour, passing: bool, backdrop: Backdrop | None) -> Floats:
+        """(H, W) depth of a neighbouring frame, drawn now unless it has been."""
+        key = _frame_key(moment.bodies, moment.camera)
+        if key not in self._depths:
+            view = self._render(
+                moment.bodies, moment.camera, frozenset({"depth"}), passing, backdrop=backdrop
+            )
+            assert view.depth is not None
+            self._keep_depth(moment.bodies, moment.camera, view.depth)
+        return self._depths[key][1]
+
+    def _keep_depth(self, bodies: Sequence[Body], camera: Camera, depth: Floats) -> None:
+        """Keep the depth of a frame for those beside it; with its bodies, so that their ids stay their own."""
+        self._depths[_frame_key(bodies, camera)] = tuple(bodies), depth
+        while len(self._depths) > 2 and len(self._depths) * depth.nbytes > _MOST_DEPTHS:
+            self._depths.pop(next(iter(self._depths)))
 
     def _render(
         self,
@@ -216,6 +233,8 @@ class GLRenderer:
                 blend([*images, *view.get("alpha", {}).values()], view["depth"], outline)
         if channels & {"normal", "uv"} or flows:
             self._add_detail(view, Detail(camera, bodies, shown), channels, flows, moments, depths)
+        if "flow_back_hidden" in channels or "flow_hidden" in channels:
+            self._keep_depth(bodies, camera, view["depth"].copy())  # the caller's own may be changed
         if "amodal" in channels:
             view["amodal"] = {b.instance: self._alone(b, camera) for b in bodies if b.instance}
         return View(**{name: view[name] for name in channels})
@@ -350,8 +369,7 @@ class GLRenderer:
                 self._passing.release()
             self._passing = self._draw_static(camera, _PASSING_SUPERSAMPLING, VISIBLE, backdrop)
             return self._passing
-        numbers = (np.array(camera.size), camera.K, camera.R, camera.t, np.array(camera.distortion))
-        key = b"".join((*(n.tobytes() for n in numbers), f"{camera.model} {id(backdrop)}".encode()))
+        key = _camera_key(camera) + str(id(backdrop)).encode()
         if key not in self._layers:
             if len(self._layers) >= _MAX_LAYERS:
                 self._layers.pop(next(iter(self._layers))).release()
@@ -369,24 +387,21 @@ class GLRenderer:
         behind = None if backdrop is None else backdrop.picture(camera)
         with self._still.seen_by(camera, tolerance) as still:
 
-            def draw(into: _Target, lit: bool) -> None:
-                program = self._lit_still if lit else self._truth
+            def draw(into: _Target, program: moderngl.Program) -> None:
                 into.clear(self._lighting.background if behind is None else (0, 0, 0))
-                into.use(lit)
+                into.use(program is not self._truth)
                 self._ctx.enable_only(moderngl.DEPTH_TEST)
                 self._use_camera(program, camera)
                 still.draw(program)
 
-            draw(fine, True)
+            draw(fine, self._lit_still)
             rgb = self._averaged(fine, camera, behind)
             sunny, sunless = None, None
             if self._sunlight is not None:
                 sunny = cv2.resize(fine.read("rgba", lit=True), camera.size, interpolation=cv2.INTER_AREA)
-                self._shine(self._lit_still, sun=False)
-                draw(fine, True)
-                self._shine(self._lit_still)
+                draw(fine, self._sunless)
                 sunless = self._averaged(fine, camera, behind)
-            draw(target, False)
+            draw(target, self._truth)
         target.take(rgb, None if sunny is None else np.asarray(sunny[..., 3], dtype=np.uint8))
         shades = None if sunless is None else _Shades(self._ctx, camera, sunless)
         return _StaticLayer(target, backdrop, shades)
@@ -417,6 +432,17 @@ def _shader(files: Sequence[str], switches: Sequence[str] = ()) -> str:
     head = "#version 330\n"
     texts = [(_SHADERS / file).read_text().removeprefix(head) for file in files]
     return "".join([head, *(f"#define {name}\n" for name in switches), *texts])
+
+
+def _camera_key(camera: Camera) -> bytes:
+    """The same for cameras that see the same."""
+    numbers = (np.array(camera.size), camera.K, camera.R, camera.t, np.array(camera.distortion))
+    return b"".join((*(n.tobytes() for n in numbers), str(camera.model).encode()))
+
+
+def _frame_key(bodies: Sequence[Body], camera: Camera) -> tuple[tuple[int, ...], bytes]:
+    """The same for what is the same before the same camera."""
+    return tuple(id(body) for body in bodies), _camera_key(camera)
 
 
 @dataclass(frozen=True)

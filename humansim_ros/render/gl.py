@@ -163,7 +163,7 @@ class GLRenderer:
         return self._depths[key][1]
 
     def _keep_depth(self, bodies: Sequence[Body], camera: Camera, depth: Floats) -> None:
-        """Keep the depth of a frame for those beside it; with its bodies, so that their ids stay their own."""
+        """Keep the depth of a frame for those beside it, and its bodies, so that their ids stay their own."""
         self._depths[_frame_key(bodies, camera)] = tuple(bodies), depth
         while len(self._depths) > 2 and len(self._depths) * depth.nbytes > _MOST_DEPTHS:
             self._depths.pop(next(iter(self._depths)))

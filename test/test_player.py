@@ -524,3 +524,22 @@ def test_parameters_at_the_start_win_over_the_scene(ros: None, tmp_path: Path) -
         with pytest.raises(HumansimError, match=r"rate|speed|nothing|loop"):
             made(**wrong)
     assert issubclass(RosError, HumansimError)
+
+
+def test_frames_leave_at_their_stamps_however_late_the_first_one_was(
+    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.parameter import Parameter
+
+    overrides = [Parameter("scene", value=str(write_scene(tmp_path))), Parameter("rate", value=5.0)]
+    player = MotionPlayer(parameter_overrides=overrides, namespace="sluggish")
+    late: list[int] = []
+    monkeypatch.setattr(player, "_publish", lambda tick: late.append(player.now() - tick.stamp))
+    executor = SingleThreadedExecutor()
+    executor.add_node(player)
+    time.sleep(0.25)  # the timer was due after 0.2 s
+    while len(late) < 6:
+        executor.spin_once(timeout_sec=1.0)
+    player.destroy_node()
+    assert np.median(late) < 0.04 * SECOND

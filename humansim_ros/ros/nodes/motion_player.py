@@ -88,9 +88,15 @@ class MotionPlayer(SceneNode):
     # --- frames
 
     def _tick(self) -> None:
-        tick = self._scene_clock.due(self.now())
-        if tick is not None:
-            self._publish(tick)
+        now = self.now()
+        tick = self._scene_clock.due(now)
+        if tick is None:
+            return
+        if tick.stamp == now:
+            # frames are counted from here: a timer that came late to it would be early for all others, and
+            # each would wait for the timer's next round
+            self._ticking.reset()
+        self._publish(tick)
 
     def _publish(self, tick: Tick) -> None:
         """One frame: everything that moves, at one stamp."""
@@ -109,9 +115,9 @@ class MotionPlayer(SceneNode):
 
     def _publish_at_once(self, tick: Tick) -> None:
         """A frame out of turn; the timer goes on from here, as the clock does."""
-        self._publish(tick)
         self._ticking.timer_period_ns = round(self._scene_clock.period)
         self._ticking.reset()
+        self._publish(tick)
 
     # --- parameters
 

@@ -120,6 +120,11 @@ def _scene_with(
         raise SceneError("the scene has no human to give a motion or mesh to", path=path, key="humans")
     for human in config["humans"].values():
         _make_absolute(human, path)
+    sections = [config["world"], *config["world"]["meshes"], *config["cameras"].values()]
+    for section in sections:
+        for key in {"file", "background", "environment"} & section.keys():
+            if isinstance(section[key], str):
+                section[key] = str(path.resolve().parent / section[key])
     human = next(iter(config["humans"].values()))
     if mesh:
         human["body"] = _absolute(mesh)

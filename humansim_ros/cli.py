@@ -118,13 +118,7 @@ def _scene_with(
     config.setdefault("room", None)
     if not config["humans"]:
         raise SceneError("the scene has no human to give a motion or mesh to", path=path, key="humans")
-    for human in config["humans"].values():
-        _make_absolute(human, path)
-    sections = [config["world"], *config["world"]["meshes"], *config["cameras"].values()]
-    for section in sections:
-        for key in {"file", "background", "environment"} & section.keys():
-            if isinstance(section[key], str):
-                section[key] = str(path.resolve().parent / section[key])
+    _make_absolute(config, path.resolve().parent)
     human = next(iter(config["humans"].values()))
     if mesh:
         human["body"] = _absolute(mesh)
@@ -138,11 +132,24 @@ def _scene_with(
     return changed
 
 
-def _make_absolute(human: dict[str, Any], scene: Path) -> None:
-    base = scene.resolve().parent
-    for section, key in ((human, "body"), (human["motion"], "file"), (human["motion"], "joint_names")):
-        if section.get(key) and (base / section[key]).is_file():
-            section[key] = str(base / section[key])
+#: Keys of a scene file that name files.
+_FILES = {"file", "body", "joint_names", "mesh", "calibration", "background", "environment"}
+
+
+def _make_absolute(section: Any, base: Path) -> None:
+    """Files that a scene names from its own folder by their whole path, in place."""
+    if isinstance(section, dict):
+        for key, value in section.items():
+            if key in _FILES and isinstance(value, str) and value:
+                there = base / value.split("#")[0]
+                # a folder may have the name of something built in
+                if there.is_file() or (there.is_dir() and "/" in value):
+                    section[key] = str(base / value)
+            else:
+                _make_absolute(value, base)
+    elif isinstance(section, (list, tuple)):
+        for part in section:
+            _make_absolute(part, base)
 
 
 def _absolute(name: str) -> str:

@@ -414,3 +414,23 @@ def edge_width(view: View) -> int:
     share = (row - background) / (board - background)
     first = int(np.argmax(share > 0.02))
     return int(np.argmax(share > 0.98)) - first
+
+
+def test_another_motion_leaves_the_files_of_a_scene_where_they_are(tmp_path: Path) -> None:
+    """``humansim run SCENE --motion``: the changed scene lies in another folder."""
+    from humansim_ros.cli import _scene_with
+
+    home, other = tmp_path / "home", tmp_path / "other"
+    home.mkdir()
+    other.mkdir()
+    (home / "way.txt").write_text("0 3 0 1 0.5 0.5 -0.5 -0.5\n1 3 1 1 0.5 0.5 -0.5 -0.5\n")
+    (home / "P.txt").write_text("# front 64x48\n60 31.5 0 120\n0 23.5 -60 150\n0 1 0 4\n")
+    (home / "scene.yaml").write_text(
+        "room: null\nhumans: {anna: {}}\ncameras:\n"
+        "  moves: {size: [64, 48], trajectory: way.txt}\n  front: {calibration: P.txt}\n"
+    )
+    changed = _scene_with(home / "scene.yaml", "wave", None, None, other)
+    scene = Scene.load(changed)
+    assert scene.path.parent == other
+    assert list(scene.moving_cameras) == ["moves"]
+    assert scene.config.humans["anna"].motion.file == "wave"

@@ -119,11 +119,11 @@ class Trajectory:
                 raise CameraError(f"must be above zero, not {value:g}", key=key)
         x, y, _ = np.asarray(look_at, dtype=float)
         angles = start + np.linspace(0, 2 * np.pi, _ORBIT_POSES + 1)
-        circle = np.column_stack(
+        circle: Array = np.column_stack(
             [x + radius * np.cos(angles), y + radius * np.sin(angles), np.full(len(angles), height)]
         )
         turns = np.stack([Camera.look_at(place, look_at).R.T for place in circle])
-        times = np.linspace(0, period, len(angles))
+        times: Array = np.linspace(0, period, len(angles), dtype=float)
         return cls(times, circle, matrix_to_quaternion(turns), "loop")
 
     def write(self, path: str | os.PathLike[str]) -> None:

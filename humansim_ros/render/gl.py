@@ -486,7 +486,8 @@ def _touched(clouds: Sequence[Floats], camera: Camera) -> _Rectangle:
     width, height = camera.size
     view = LensView(camera) if camera.distorted else None
     p = (camera.P if view is None else camera.optical_from_world[:3]).astype(np.float32)
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    low: Array = np.full(2, np.inf)
+    high: Array = np.full(2, -np.inf)
     for points in clouds:
         x, y, depth = p[:, :3] @ points + p[:, 3:]
         if depth.min() < 2 * NEAR:

@@ -238,7 +238,7 @@ class _Field:
 @lru_cache(maxsize=64)
 def _field(lens: Lens, size: tuple[int, int], k: tuple[float, ...]) -> _Field:
     camera = Camera(size, np.reshape(k, (3, 3)), np.eye(3), np.zeros(3), lens.coefficients, lens.model)
-    x, y = (np.linspace(-0.5, n - 0.5, _GRID) for n in size)
+    x, y = (np.linspace(-0.5, n - 0.5, _GRID, dtype=float) for n in size)
     rim = camera.rays(_border(x, y))[:, :2]
     dark = bool(np.isnan(rim).any())
     low, high = rim.min(axis=0), rim.max(axis=0)

@@ -108,7 +108,9 @@ class StillScene:
     def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> None:
         self._ctx = ctx
         self._textures = [texture(ctx, mesh.texture) for mesh in meshes]
-        attributes, corners, first = [np.zeros((0, 11), np.float32)], [np.zeros((0, 3), np.int32)], 0
+        attributes: list[Floats] = [np.zeros((0, 11), np.float32)]
+        corners: list[NDArray[Any]] = [np.zeros((0, 3), np.int32)]
+        first = 0
         for mesh in meshes:
             expanded = Expanded(mesh)
             attributes.append(expanded.attributes(Posed(Topology(mesh), mesh.vertices.astype(np.float32))))

@@ -138,7 +138,7 @@ class Around:
     ) -> Around:
         """All that is known of the first minute of a scene."""
         times = np.arange(0.0, _AHEAD, _STEP)
-        people = [np.zeros((0, 2))]
+        people: list[Array] = [np.zeros((0, 2))]
         for actor in actors:
             if actor.keyframes is None:
                 places = [actor.motion.sample(times + actor.offset).positions]
@@ -146,7 +146,7 @@ class Around:
                 places = [actor.joint_poses(float(time)).positions for time in times[::5]]
             people += [place[..., :2].reshape(-1, 2) for place in places]
         eyes = [camera.whole.center[None, :2] for camera in cameras.values()]
-        things = [np.zeros((0, 2))]
+        things: list[Array] = [np.zeros((0, 2))]
         for mesh in still:
             samples = Posed(Topology(mesh), mesh.vertices.astype(np.float32)).samples[0]
             things.append(samples[:2, (samples[2] > _LOW) & (samples[2] < _HIGH)].T.astype(float))

@@ -22,7 +22,7 @@ def sample_times(height: int, exposure: float, row_time: float, samples: int) ->
         return np.zeros(1)
     if row_time == 0:
         return exposure * ((np.arange(samples) + 0.5) / samples - 0.5)
-    return np.linspace(-span / 2, span / 2, samples)
+    return np.linspace(-span / 2, span / 2, samples, dtype=float)
 
 
 def row_weights(height: int, exposure: float, row_time: float, samples: int) -> Array:

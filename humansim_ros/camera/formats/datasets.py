@@ -13,6 +13,7 @@ from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import Form, Key, RawCamera, Source, nested
 from humansim_ros.camera.formats.models import check_count
 from humansim_ros.errors import CameraError
+from humansim_ros.rotations import Array
 
 # -- Human3.6M: x = R X + t in millimetres, z up; each of 4 cameras at 11 places, one per subject
 
@@ -96,7 +97,8 @@ def _read_shelf(source: Source) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     for name in source.document:
         fx, fy, cx, cy = (float(source.numbers((), name, key)) for key in ("fx", "fy", "cx", "cy"))
-        radial, tangential = np.zeros(3), np.zeros(2)
+        radial: Array = np.zeros(3)
+        tangential: Array = np.zeros(2)
         if source.get(name, "k") is not None:
             radial = source.numbers((3,), name, "k")
         if source.get(name, "p") is not None:
@@ -148,7 +150,7 @@ def _read_panoptic(source: Source) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     for index in range(len(source.need("cameras"))):
         at: tuple[Key, ...] = ("cameras", index)
-        distortion = np.zeros(0)
+        distortion: Array = np.zeros(0)
         if source.get(*at, "distCoef") is not None:
             distortion = source.some_numbers(*at, "distCoef")
         check_count(source, "plumb_bob", distortion, (*at, "distCoef"))

@@ -61,7 +61,8 @@ def _camera(source: Source, name: str, pose: Array, said: str) -> RawCamera:
     if named not in _MODELS:
         message = f"distortion model {named!r} is not known here; there are {', '.join(_MODELS)}"
         raise source.error(message, name, "distortion_model")
-    model, distortion = _MODELS[named], np.zeros(0)
+    model = _MODELS[named]
+    distortion: Array = np.zeros(0)
     if model is not None:
         distortion = source.numbers((4,), name, "distortion_coeffs")
         check_count(source, model, distortion, (name, "distortion_coeffs"))

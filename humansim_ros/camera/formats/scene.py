@@ -46,7 +46,7 @@ def _camera(source: Source, name: str) -> RawCamera:
     if source.get(*at, "size") is not None:
         source.numbers((2,), *at, "size")
         size = source.size((*at, "size", 0), (*at, "size", 1))
-    distortion = np.zeros(0)
+    distortion: Array = np.zeros(0)
     if source.get(*at, "distortion") not in (None, []):
         distortion = source.some_numbers(*at, "distortion")
     named = source.get(*at, "distortion_model")

@@ -70,49 +70,33 @@ class FrameJoiner:
         self._whole = node.create_guard_condition(self._hand_over)
         for human in actors:
             topic = f"humans/{human}"
-            node.create_subscription(
-                PointCloud2, f"{topic}/vertices", partial(self._take_vertices, human), NEWEST
-            )
+            vertices = partial(self._read, messages.read_vertices, 0, human)
+            node.create_subscription(PointCloud2, f"{topic}/vertices", vertices, NEWEST)
             # as bytes: they are read only if somebody wants to know where a camera sees the joints
             node.create_subscription(
                 MultiDOFJointState, f"{topic}/joints", partial(self._take_joints, human), NEWEST, raw=True
             )
         for name in objects:
-            node.create_subscription(
-                Marker, f"objects/{name}/marker", partial(self._take_object, name), NEWEST
-            )
+            place = partial(self._read, messages.read_object, 2, name)
+            node.create_subscription(Marker, f"objects/{name}/marker", place, NEWEST)
         for name in cameras:
-            node.create_subscription(PoseStamped, f"{name}/pose", partial(self._take_pose, name), NEWEST)
+            pose = partial(self._read, messages.read_pose, 3, name)
+            node.create_subscription(PoseStamped, f"{name}/pose", pose, NEWEST)
         self._started = node.now()
         self._told = False
         self._still = node.create_timer(self._scene.period, self._show_still)
 
-    def _take_vertices(self, human: str, message: PointCloud2) -> None:
+    def _read(self, read: Callable[[Any], Any], kind: int, name: str, message: Any) -> None:
+        """Take what a message says, if it can be read."""
         try:
-            vertices = messages.read_vertices(message)
+            part = read(message)
         except HumansimError as error:
-            self._node.skipped(f"{human}: {error}")
+            self._node.skipped(f"{name}: {error}")
         else:
-            self._take(messages.to_nanoseconds(message.header.stamp), 0, human, vertices)
+            self._take(messages.to_nanoseconds(message.header.stamp), kind, name, part)
 
     def _take_joints(self, human: str, data: bytes) -> None:
         self._take(messages.serialised_stamp(data), 1, human, data)
-
-    def _take_object(self, name: str, message: Marker) -> None:
-        try:
-            pose = messages.read_object(message)
-        except HumansimError as error:
-            self._node.skipped(f"{name}: {error}")
-        else:
-            self._take(messages.to_nanoseconds(message.header.stamp), 2, name, pose)
-
-    def _take_pose(self, name: str, message: PoseStamped) -> None:
-        try:
-            pose = messages.read_pose(message)
-        except HumansimError as error:
-            self._node.skipped(f"{name}: {error}")
-        else:
-            self._take(messages.to_nanoseconds(message.header.stamp), 3, name, pose)
 
     def _take(self, stamp: int, kind: int, name: str, part: Any) -> None:
         """Put a human's vertices (kind 0) or joints (1), an object (2) or a camera (3) with the others of

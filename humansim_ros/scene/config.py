@@ -487,6 +487,15 @@ def find_human(name: str, scene: Path, key: str) -> Path:
     return find_file(name, "humans", ".npz", scene, key)
 
 
+def beside(scene: Path, name: str) -> tuple[Path, bool]:
+    """A file or folder that a scene names from its own folder, and whether it is there."""
+    path = scene.resolve().parent / Path(name).expanduser()
+    try:
+        return path, path.exists()
+    except (OSError, ValueError):  # a name too long for the file system, or a NUL in it
+        return path, False
+
+
 def find_file(name: str, folder: str, suffix: str, scene: Path, key: str) -> Path:
     """A file named in a scene: a built-in of ``assets/<folder>``, or a path from the scene's folder.
 
@@ -495,8 +504,8 @@ def find_file(name: str, folder: str, suffix: str, scene: Path, key: str) -> Pat
     built_in = resource_path(f"assets/{folder}")
     if (built_in / f"{name}{suffix}").is_file():
         return built_in / f"{name}{suffix}"
-    path = scene.resolve().parent / Path(name).expanduser()
-    if not path.exists():
+    path, there = beside(scene, name)
+    if not there:
         known = ", ".join(built_in_names(folder, suffix))
         where = f"no such file {str(path)!r}" if Path(name).suffix else f"no {name!r}"
         raise SceneError(f"{where}; the built-in {folder} are {known}", path=scene, key=key)

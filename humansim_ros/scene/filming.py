@@ -20,7 +20,7 @@ from humansim_ros.errors import CameraError, SceneError, warn_of
 from humansim_ros.render import Body, Neighbour, Renderer, View
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
-from humansim_ros.scene.config import CameraConfig, RigConfig, SceneConfig, line_of_key
+from humansim_ros.scene.config import CameraConfig, RigConfig, SceneConfig, beside, line_of_key
 from humansim_ros.scene.pictures import photograph_of
 from humansim_ros.sensor import Sensor
 
@@ -142,6 +142,10 @@ class Shot:
     after: Neighbour | None = None
     before: Neighbour | None = None
 
+    def neighbour(self, camera: SceneCamera) -> Neighbour:
+        """Its instant as one that another frame is compared with."""
+        return Neighbour(self.bodies_at(0.0), camera.at(self.pose_at(0.0)))
+
 
 def photograph(
     renderer: Renderer, camera: SceneCamera, shot: Shot, channels: Collection[str], stamp: int
@@ -226,11 +230,15 @@ def _found(file: str, scene: Path, key: str) -> Path:
     """A file or URL of a scene; CameraError with the key that says it where there is none."""
     from humansim_ros.camera.calibration import resolve_url
 
-    try:
-        path = resolve_url(file) if "://" in file else scene.resolve().parent / Path(file).expanduser()
-    except CameraError as error:
-        raise CameraError(f"{file}: {error.message}", key=key) from None
-    if not path.exists():
+    if "://" not in file:
+        path, there = beside(scene, file)
+    else:
+        try:
+            path = resolve_url(file)
+        except CameraError as error:
+            raise CameraError(f"{file}: {error.message}", key=key) from None
+        there = path.exists()
+    if not there:
         raise CameraError(f"no such file {str(path)!r}", key=key)
     return path
 

@@ -19,7 +19,7 @@ from humansim_ros.errors import HumansimWarning, MotionError, SceneError
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
 from humansim_ros.render import Body
 from humansim_ros.rotations import Array, quaternion_to_matrix, slerp
-from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig
+from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig, beside
 from humansim_ros.scene.meshes import read_thing
 
 #: Segments around a sphere or a cylinder.
@@ -153,11 +153,7 @@ def load_tracks(config: SceneConfig, scene: Path) -> dict[tuple[str, str], Track
 
 
 def _existing(name: str, scene: Path, key: str, known: str = "") -> Path:
-    path = scene.resolve().parent / Path(name).expanduser()
-    try:
-        there = path.exists()
-    except (OSError, ValueError):  # a name too long for the file system, or a NUL in it
-        there = False
+    path, there = beside(scene, name)
     if not there:
         raise SceneError(f"no such file {str(path)!r}" + (f"; {known}" if known else ""), path=scene, key=key)
     return path

@@ -13,7 +13,7 @@ from humansim_ros.errors import HumansimError, MeshError, SceneError
 from humansim_ros.files import read_bytes
 from humansim_ros.images import MOST_PIXELS, decode_image, stated_size
 from humansim_ros.render.light import Photograph
-from humansim_ros.scene.config import line_of_key
+from humansim_ros.scene.config import beside, line_of_key
 
 _RADIANCE = re.compile(rb"^#\?(RADIANCE|RGBE)\b.*?\n\s*?\n-Y (\d{1,6}) \+X (\d{1,6})\n", re.DOTALL)
 _EXR = b"\x76\x2f\x31\x01"
@@ -23,11 +23,7 @@ _WIDEST = 4096
 
 def scene_file(name: str, scene: Path, key: str) -> Path:
     """A file that a scene names, from the scene's folder. SceneError with the key if there is none."""
-    path = scene.resolve().parent / Path(name).expanduser()
-    try:
-        there = path.exists()
-    except (OSError, ValueError):  # a name too long for the file system, or a NUL in it
-        there = False
+    path, there = beside(scene, name)
     if not there:
         raise SceneError(f"no such file {str(path)!r}", path=scene, line=line_of_key(scene, key), key=key)
     return path

@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.render import Body, Neighbour
+from humansim_ros.render import Body
 from humansim_ros.rotations import Array
 from humansim_ros.scene.filming import CameraPose, SceneCamera, Shot
 from humansim_ros.scene.objects import ObjectPose
@@ -63,23 +63,9 @@ class Instant:
             return self
         return replace(self, before=replace(before, vertices={}, before=None))
 
-    def neighbour(self, camera: SceneCamera) -> Neighbour:
-        """This instant as a neighbour of another one."""
-        return Neighbour(self.bodies, camera.at(self._pose_at(camera, 0.0)))
-
-    def shot(
-        self, camera: SceneCamera, following: Instant | None = None, previous: Instant | None = None
-    ) -> Shot:
-        """What there is to be seen by a camera. ``following``, ``previous``: the whole frames beside it,
-        where channels need them.
-        """
-        return Shot(
-            self._bodies_at,
-            lambda seconds: self._pose_at(camera, seconds),
-            camera.moves,
-            None if following is None else following.neighbour(camera),
-            None if previous is None else previous.neighbour(camera),
-        )
+    def shot(self, camera: SceneCamera) -> Shot:
+        """What there is to be seen by a camera."""
+        return Shot(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), camera.moves)
 
     def _bodies_at(self, seconds: float) -> Sequence[Body]:
         if seconds == 0:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.renderer import FLOWS
-from humansim_ros.scene.filming import photograph
+from humansim_ros.scene.filming import SceneCamera, photograph
 from humansim_ros.scene.instant import Instant, JointMotion
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Moment, Playback
@@ -95,14 +95,7 @@ class Simulation:
             for name, camera in self.scene.scene_cameras.items()
         }
         views = {
-            name: photograph(
-                self.renderer,
-                camera,
-                instant.shot(camera, beside.get("after"), beside.get("before")),
-                self.channels,
-                instant.stamp,
-            )
-            for name, camera in self.scene.scene_cameras.items()
+            name: self._view(camera, instant, beside) for name, camera in self.scene.scene_cameras.items()
         }
         joints: dict[str, dict[str, JointView]] = {}
         if {"depth", "instance", "part"} <= set(self.channels):
@@ -116,6 +109,15 @@ class Simulation:
         return Frame(
             index, instant.stamp, humans, views, joints, moment.objects, cameras, boxes, instant.bodies
         )
+
+    def _view(self, camera: SceneCamera, instant: Instant, beside: Mapping[str, Instant]) -> View:
+        """What a camera sees. ``beside``: the frames after and before, where channels need them."""
+        after, before = (
+            other.shot(camera).neighbour(camera) if (other := beside.get(which)) else None
+            for which in ("after", "before")
+        )
+        shot = replace(instant.shot(camera), after=after, before=before)
+        return photograph(self.renderer, camera, shot, self.channels, instant.stamp)
 
     def _at(self, elapsed: int) -> _Found:
         """All there is at a time of the scene in nanoseconds. The last few are kept: with flow, frames are

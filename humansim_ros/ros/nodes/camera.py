@@ -53,7 +53,7 @@ class CameraNode(SceneNode):
         self._renderer = renderer if self._shared else self.make_renderer()
         instances = {human: actor.instance for human, actor in self.scene.actors.items()}
         self._outlets = Outlets(self, name, self._camera.encoding, instances)
-        self._before: tuple[Instant, Shot] | None = None
+        self._before: tuple[int, Shot] | None = None
         self._rect = None
         if self._camera.rectified is not None:
             self._rect = self.create_publisher(Image, f"{name}/image_rect", DATA)
@@ -111,10 +111,10 @@ class CameraNode(SceneNode):
         stamp = instant.stamp
         shot = self._where.shot(instant)
         channels = self._outlets.wanted()
-        before, self._before = self._before, (instant, shot) if channels & (_FORWARD | _BACKWARD) else None
+        before, self._before = self._before, (stamp, shot) if channels & (_FORWARD | _BACKWARD) else None
         if before is not None:
-            shot = replace(shot, before=_neighbour(self._camera, *before))
-            self._send_forward_flow(channels & _FORWARD, *before, _neighbour(self._camera, instant, shot))
+            self._send_forward_flow(channels & _FORWARD, *before, shot.neighbour(self._camera))
+            shot = replace(shot, before=before[1].neighbour(self._camera))
         channels -= _FORWARD if before is not None else _FORWARD | _BACKWARD
         wanted = set(channels)
         of_people = self._people.wanted()
@@ -135,22 +135,14 @@ class CameraNode(SceneNode):
         self.count("frames")
         self.report_lateness(stamp)
 
-    def _send_forward_flow(
-        self, channels: set[str], instant: Instant, shot: Shot, following: Neighbour
-    ) -> None:
+    def _send_forward_flow(self, channels: set[str], stamp: int, shot: Shot, after: Neighbour) -> None:
         """Send where everything of the frame before has gone, with that frame's stamp."""
         if channels:
-            shot = replace(shot, after=following)
-            view = photograph(self._renderer, self._camera, shot, channels, instant.stamp)
-            self._outlets.send(view, channels, instant.stamp)
+            view = photograph(self._renderer, self._camera, replace(shot, after=after), channels, stamp)
+            self._outlets.send(view, channels, stamp)
 
     def _send(self, publisher: Any, image: NDArray[Any], encoding: str, stamp: int) -> None:
         publisher.publish(messages.image_message(image, encoding, stamp, self._frame))
-
-
-def _neighbour(camera: SceneCamera, instant: Instant, shot: Shot) -> Neighbour:
-    """An instant as one that another frame is compared with."""
-    return Neighbour(instant.bodies, camera.at(shot.pose_at(0.0)))
 
 
 def main() -> int:

@@ -74,7 +74,7 @@ def show(
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        calibration = _load(file, size, image, unit, up)
+        calibration = load(file, size, image, unit, up)
     cameras = chosen(calibration.cameras, camera, file)
     described = [describe_camera(name, cam) for name, cam in cameras.items()]
     of_cameras = tuple(f"{cam['name']}: {text}" for cam in described for text in cam["warnings"])
@@ -124,7 +124,7 @@ def read_cameras(
     """The cameras of calibration files, with the options that all commands have."""
     from humansim_ros.camera.calibration import joined
 
-    return joined({file: _load(file, size, image, unit, up).cameras for file in files})
+    return joined({file: load(file, size, image, unit, up).cameras for file in files})
 
 
 def chosen(cameras: dict[str, Camera], patterns: list[str] | None, file: str) -> dict[str, Camera]:
@@ -224,7 +224,8 @@ def _row(values: Sequence[float]) -> str:
     return " ".join(f"{value:.6g}" for value in values)
 
 
-def _load(file: str, size: str | None, image: Path | None, unit: float | None, up: str | None) -> Calibration:
+def load(file: str, size: str | None, image: Path | None, unit: float | None, up: str | None) -> Calibration:
+    """A calibration file, with the options that all commands have."""
     from humansim_ros.camera.calibration import load_calibration
 
     given = None if size is None else parse_size(size)

@@ -78,11 +78,9 @@ def idealize(
     """Ideal cameras in place of real ones, and their images: no lens distortion, no skew, the principal point
     in the middle.
     """
-    from humansim_ros.camera.calibration import load_calibration
     from humansim_ros.camera.idealize import idealize as made_ideal
 
-    given = None if size is None else cli_camera.parse_size(size)
-    calibration = load_calibration(file, size=given, unit=unit, up=up, image=image)
+    calibration = cli_camera.load(file, size, image, unit, up)
     real = cli_camera.chosen(calibration.cameras, camera, file)
     if images and len(real) != 1:
         names = ", ".join(list(real)[:8])

@@ -41,6 +41,7 @@ from humansim_ros.render.renderer import (
 from humansim_ros.render.shadow import CELLS, REACH, ContactShadow
 from humansim_ros.render.still import Expanded, Pieces, StillScene, texture
 from humansim_ros.render.sun import MOVING_SIDE, STILL_SIDE, SunMap, encloses, shadow_ends, spread
+from humansim_ros.render.uniforms import columns, set_uniform
 from humansim_ros.rotations import Array
 
 _SHADERS = Path(__file__).parent / "shaders"
@@ -114,10 +115,10 @@ class GLRenderer:
     def _shine(self, program: moderngl.Program, sun: bool = True) -> None:
         """Light what a program draws, with the sun or without."""
         light = self._lighting
-        _set(program, "sun", tuple(light.direction))
-        _set(program, "sun_color", light.brightness(light.sun_color) if sun else (0.0, 0.0, 0.0))
-        _set(program, "sky_color", light.brightness(light.sky_color))
-        _set(program, "ground_color", light.brightness(light.ground_color))
+        set_uniform(program, "sun", tuple(light.direction))
+        set_uniform(program, "sun_color", light.brightness(light.sun_color) if sun else (0.0, 0.0, 0.0))
+        set_uniform(program, "sky_color", light.brightness(light.sky_color))
+        set_uniform(program, "ground_color", light.brightness(light.ground_color))
 
     @property
     def device(self) -> str:
@@ -294,7 +295,7 @@ class GLRenderer:
             facing = surface.posed.facing(eye)
             # from outside a closed surface its back faces never show; a camera that is near may be inside
             culled = surface.topology.mesh.closed and not rectangle.near
-            _set(program, "first_label", seen.count)
+            set_uniform(program, "first_label", seen.count)
             refined = surface.refined(camera, straight) if camera.distorted else None
             if refined is None:
                 surface.draw(lit, facing if culled else None)
@@ -321,25 +322,25 @@ class GLRenderer:
         for shadow in shadows:
             self._shadow_texture.write(shadow.darkness.tobytes())
             self._shadow_texture.use(0)
-            _set(self._shadow, "place", (*shadow.corner, shadow.side, shadow.side))
+            set_uniform(self._shadow, "place", (*shadow.corner, shadow.side, shadow.side))
             square.render(moderngl.TRIANGLES)
 
     def _use_camera(self, program: moderngl.Program, camera: Camera) -> None:
-        _set(program, "optical_z", (*camera.R[2], camera.t[2]))
+        set_uniform(program, "optical_z", (*camera.R[2], camera.t[2]))
         near = nearest(camera)
         clip = camera.opengl_clip(near, _FAR)
         if not camera.distorted:
-            _set(program, "lens", 0)
-            _set(program, "clip", _floats(clip @ camera.optical_from_world))
+            set_uniform(program, "lens", 0)
+            set_uniform(program, "clip", columns(clip @ camera.optical_from_world))
             self._ctx.disable_direct(_CLIP_DISTANCE)
             return
         lens = camera.lens
-        _set(program, "lens", 2 if lens.model == "equidistant" else 1)
-        _set(program, "clip", _floats(clip))
-        _set(program, "optical", _floats(camera.optical_from_world))
-        _set(program, "k", np.array((*lens.coefficients, *[0.0] * 8)[:8], dtype="f4").tobytes())
-        _set(program, "reach", lens.valid_radius)
-        _set(program, "nearest", near)
+        set_uniform(program, "lens", 2 if lens.model == "equidistant" else 1)
+        set_uniform(program, "clip", columns(clip))
+        set_uniform(program, "optical", columns(camera.optical_from_world))
+        set_uniform(program, "k", np.array((*lens.coefficients, *[0.0] * 8)[:8], dtype="f4").tobytes())
+        set_uniform(program, "reach", lens.valid_radius)
+        set_uniform(program, "nearest", near)
         self._ctx.enable_direct(_CLIP_DISTANCE)
 
     def _surface(self, body: Body) -> _Surface:
@@ -530,11 +531,6 @@ def _squares(vectors: Floats) -> Floats:
     return np.asarray(np.einsum("ij,ij->i", vectors, vectors))
 
 
-def _floats(matrix: Array) -> bytes:
-    """A matrix as shaders take it, column by column."""
-    return bytes(matrix.T.astype("f4").tobytes())
-
-
 def _unit_square(cells: int) -> bytes:
     """Corners of the triangles of a square of so many cells a side."""
     low = np.stack(np.meshgrid(np.arange(cells), np.arange(cells)), axis=-1).reshape(-1, 1, 2)
@@ -545,16 +541,6 @@ def _unit_square(cells: int) -> bytes:
 def _lit_pixels(camera: Camera) -> NDArray[np.bool_]:
     """(H, W) which pixels the lens does not leave dark."""
     return np.asarray(np.isfinite(ray_grid(camera)[..., 0]))
-
-
-def _set(program: moderngl.Program, name: str, value: Any) -> None:
-    """Set a uniform, unless the compiler found the shader does not need it."""
-    if name in program:
-        uniform = program[name]
-        if isinstance(value, bytes):
-            uniform.write(value)  # type: ignore[union-attr]
-        else:
-            uniform.value = value  # type: ignore[union-attr]
 
 
 class _Seen:
@@ -739,10 +725,10 @@ class _Sunlight:
         )
         self._whole = ctx.vertex_array(self._cast, [(ctx.buffer(_unit_square(1)), "2f", "corner")])
         for unit, name in enumerate(("sunny", "sunless", "depths", "rays"), 5):
-            _set(self._cast, name, unit)
+            set_uniform(self._cast, name, unit)
         self._programs = (*lit, self._cast)
         for program in self._programs:
-            _set(program, "spread", spread(lighting))
+            set_uniform(program, "spread", spread(lighting))
         self._still, self._moving = SunMap(ctx, "still", STILL_SIDE), SunMap(ctx, "moving", MOVING_SIDE)
         self._bodies: list[Body] = []
         self._ends: list[Floats] = []
@@ -786,7 +772,7 @@ class _Sunlight:
         pictures = (layer.target.colour, layer.shades.sunless, layer.target.depth, layer.shades.rays)
         for unit, picture in enumerate(pictures, 5):
             picture.use(unit)
-        _set(self._cast, "world", _floats(camera.world_from_optical))
+        set_uniform(self._cast, "world", columns(camera.world_from_optical))
         self._whole.render(moderngl.TRIANGLES)
 
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import moderngl
@@ -16,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.render.light import Lighting
+from humansim_ros.render.uniforms import columns, set_uniform
 from humansim_ros.rotations import Array
 
 Floats = NDArray[np.float32]
@@ -92,7 +92,7 @@ class SunMap:
         self._framebuffer.use()
         self._framebuffer.clear(depth=1.0)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
-        program["clip"].write(_columns(self._view.clip))  # type: ignore[union-attr]
+        set_uniform(program, "clip", columns(self._view.clip))
         draw()
 
     def use(self, program: moderngl.Program) -> None:
@@ -103,11 +103,11 @@ class SunMap:
             self._samplers, _UNITS[self._name], ("shadows", "depths"), strict=True
         ):
             sampler.use(unit)
-            _set(program, f"{self._name}_{kind}", unit)
+            set_uniform(program, f"{self._name}_{kind}", unit)
         view = self._view
-        _set(program, f"{self._name}_map.place", _columns(view.place))
-        _set(program, f"{self._name}_map.size", tuple(view.size.tolist()))
-        _set(program, f"{self._name}_map.texel", view.texel)
+        set_uniform(program, f"{self._name}_map.place", columns(view.place))
+        set_uniform(program, f"{self._name}_map.size", tuple(view.size.tolist()))
+        set_uniform(program, f"{self._name}_map.texel", view.texel)
 
 
 def shadow_ends(points: Floats, lighting: Lighting, lowest: float, farthest: float) -> Floats:
@@ -133,19 +133,6 @@ def shadow_ends(points: Floats, lighting: Lighting, lowest: float, farthest: flo
 def spread(lighting: Lighting) -> float:
     """Metres that the rim of a shadow is wider on either side for each metre from what casts it."""
     return float(np.tan(np.radians(lighting.sun_size_deg) / 2))
-
-
-def _columns(matrix: Array) -> bytes:
-    return bytes(matrix.T.astype("f4").tobytes())
-
-
-def _set(program: moderngl.Program, name: str, value: Any) -> None:
-    if name in program:
-        uniform = program[name]
-        if isinstance(value, bytes):
-            uniform.write(value)  # type: ignore[union-attr]
-        else:
-            uniform.value = value  # type: ignore[union-attr]
 
 
 def encloses(points: Sequence[Floats]) -> Floats:

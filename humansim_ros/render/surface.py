@@ -1,0 +1,210 @@
+"""Bodies on the device, what of them can be seen, and which triangle each label stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.render.detail import Shown
+from humansim_ros.render.posed import Floats, Posed, Topology
+from humansim_ros.render.refine import NEAR, LensView, Refined
+from humansim_ros.render.renderer import Body
+from humansim_ros.render.shadow import REACH, ContactShadow
+from humansim_ros.render.still import Expanded, Pieces, texture
+from humansim_ros.render.target import Rectangle
+from humansim_ros.rotations import Array
+
+
+class Surface:
+    """A mesh on the device. Vertices on texture seams are there twice, once per texture coordinate."""
+
+    def __init__(
+        self,
+        ctx: moderngl.Context,
+        topology: Topology,
+        body: Body,
+        lit: moderngl.Program,
+        truth: moderngl.Program,
+    ) -> None:
+        self._ctx = ctx
+        self.topology = topology
+        mesh = topology.mesh
+        self._expanded = Expanded(mesh)
+        self._source, self._corners = self._expanded.source, self._expanded.corners
+        looks = self._expanded.looks
+        self._texture = texture(ctx, mesh.texture)
+        self._positions, self._normals = (ctx.buffer(reserve=len(looks) * 12, dynamic=True) for _ in range(2))
+        self._looks = ctx.buffer(looks.tobytes())
+        self._index = ctx.buffer(self._corners.tobytes(), dynamic=True)
+        self._lit = ctx.vertex_array(
+            lit,
+            [
+                (self._positions, "3f", "position"),
+                # (without light nobody asks for them)
+                *([(self._normals, "3f", "normal")] if "normal" in lit else []),
+                (self._looks, "2f 3f", "uv", "color"),
+            ],
+            index_buffer=self._index,
+        )
+        self._truth = ctx.vertex_array(truth, [(self._positions, "3f", "position")], index_buffer=self._index)
+        self._depths: moderngl.VertexArray | None = None
+        self._pose(body)
+
+    @property
+    def near_floor(self) -> bool:
+        """Whether it may leave a shadow under it."""
+        return self.body.instance > 0 or float(self.posed.points[2].min()) < REACH
+
+    @property
+    def shadow(self) -> ContactShadow:
+        """What it leaves on the floor."""
+        return self.posed.shadow if self.body.instance else self.posed.shadow_of_thing
+
+    def stand(self, body: Body) -> None:
+        """Take up the body's pose."""
+        if body is not self.body:
+            self._pose(body)
+
+    def _pose(self, body: Body) -> None:
+        self.body, self.posed = body, Posed(self.topology, body.vertices)
+        self._upload(self._positions, body.vertices)
+        self._normals_of: Posed | None = None
+
+    def draw(self, lit: bool, shown: NDArray[np.bool_] | None = None) -> None:
+        """Draw all triangles, or those that are ``shown`` (N,)."""
+        if lit and self._normals_of is not self.posed:
+            self._upload(self._normals, self.posed.normals)
+            self._normals_of = self.posed
+        # (taking rows by number is several times faster than by a mask)
+        corners = self._corners if shown is None else self._corners.take(np.flatnonzero(shown), axis=0)
+        self._index.orphan()
+        self._index.write(corners)
+        self._texture.use(0)
+        (self._lit if lit else self._truth).render(moderngl.TRIANGLES, vertices=corners.size)
+
+    def draw_depths(self, program: moderngl.Program) -> None:
+        """Draw all triangles with a program that needs their places alone, always the same one."""
+        if self._depths is None:
+            index = self._ctx.buffer(self._corners.tobytes())
+            self._depths = self._ctx.vertex_array(
+                program, [(self._positions, "3f", "position")], index_buffer=index
+            )
+        self._depths.render(moderngl.TRIANGLES)
+
+    def refined(self, camera: Camera, angle: float) -> Refined | None:
+        """What is to be drawn where a lens bends edges, which are seen under more than an angle, visibly; or
+        None.
+        """
+        away = self.posed.points - camera.center.astype(np.float32)[:, None]
+        closest = float(np.sqrt(np.einsum("ij,ij->j", away, away).min()))
+        vertices = self.posed.vertices
+        starts, ends = (vertices[which] for which in self.topology.edges_longer(angle * closest).T)
+        wide = _wide(starts, ends, camera, angle)
+        view = LensView(camera)
+        if not view.bent(camera.to_optical(starts[wide]), camera.to_optical(ends[wide])).any():
+            return None
+        return view.refine(self._expanded.attributes(self.posed).astype(float), self._corners.astype(np.intp))
+
+    def draw_refined(self, program: moderngl.Program, refined: Refined) -> None:
+        """Draw triangles cut to pieces."""
+        with Pieces(self._ctx, refined.attributes, refined.triangles) as pieces:
+            pieces.draw(program, [self._texture], [len(refined.triangles)])
+
+    def _upload(self, buffer: moderngl.Buffer, values: Floats) -> None:
+        buffer.orphan()
+        buffer.write(values.take(self._source, axis=0))
+
+
+class Seen:
+    """The triangles drawn of one picture's bodies: label 0 is no body, label n the n-th triangle drawn."""
+
+    def __init__(self) -> None:
+        self.count = 1
+        self.outlines: list[tuple[Floats, Floats]] = []
+        self._drawn: list[tuple[int, Body, NDArray[np.intp] | slice]] = []
+
+    def add(self, number: int, body: Body, drawn: NDArray[np.intp] | slice) -> None:
+        """The triangles ``drawn`` of the body of a number."""
+        self.count += len(body.parts[drawn])
+        self._drawn.append((number, body, drawn))
+
+    def table(self, channel: str) -> NDArray[Any]:
+        """What each label is in a channel, or as ``owner`` and ``triangle``."""
+        make: dict[str, Callable[[int, Body, Any], NDArray[Any]]] = {
+            "instance": lambda _, body, drawn: np.full(len(body.parts[drawn]), body.instance, np.uint16),
+            "part": lambda _, body, drawn: body.parts[drawn],
+            "owner": lambda number, body, drawn: np.full(len(body.parts[drawn]), number, np.intp),
+            "triangle": lambda _, body, drawn: np.arange(len(body.parts), dtype=np.intp)[drawn],
+            "face": lambda _, body, drawn: (
+                np.arange(1, len(body.parts) + 1, dtype=np.int32)[drawn] * np.int32(body.instance > 0)
+            ),
+        }
+        kind = {"instance": np.uint16, "part": np.uint8, "face": np.int32}.get(channel, np.intp)
+        return np.concatenate([np.zeros(1, kind), *(make[channel](*one) for one in self._drawn)])
+
+    def shown(self, labels: NDArray[np.uint32], rectangle: Rectangle, size: tuple[int, int]) -> Shown:
+        """Which triangles the pixels of a rectangle show, from their labels."""
+        row, column = np.nonzero(labels)
+        label = labels[row, column]
+        pixels = (row + rectangle.y0) * size[0] + column + rectangle.x0
+        return Shown(pixels, self.table("owner")[label], self.table("triangle")[label])
+
+    @property
+    def outline(self) -> tuple[Floats, Floats]:
+        """Starts and ends (N, 3) of all edges that outlines lie on."""
+        starts, ends = zip(*self.outlines, strict=True)
+        return np.concatenate(starts), np.concatenate(ends)
+
+
+def touched(clouds: Sequence[Floats], camera: Camera) -> Rectangle:
+    """The pixels that surfaces spanned by points (3, N) can touch: the whole image if one comes too near."""
+    width, height = camera.size
+    view = LensView(camera) if camera.distorted else None
+    p = (camera.P if view is None else camera.optical_from_world[:3]).astype(np.float32)
+    low: Array = np.full(2, np.inf)
+    high: Array = np.full(2, -np.inf)
+    for points in clouds:
+        x, y, depth = p[:, :3] @ points + p[:, 3:]
+        if depth.min() < 2 * NEAR:
+            if depth.max() < 0:
+                continue
+            return Rectangle(0, 0, width, height, near=True)
+        x /= depth
+        y /= depth
+        low, high = np.minimum(low, (x.min(), y.min())), np.maximum(high, (x.max(), y.max()))
+    if view is not None:
+        low, high = view.image_of(low, high)
+    if not np.isfinite(low).all():
+        return Rectangle(0, 0, 0, 0)
+    x0, y0 = np.clip(np.floor(low) - 2, 0, camera.size).astype(int)
+    x1, y1 = np.clip(np.ceil(high) + 3, 0, camera.size).astype(int)
+    return Rectangle(int(x0), int(y0), int(x1), int(y1))
+
+
+def straightened(edges: tuple[Floats, Floats], camera: Camera, angle: float) -> tuple[Floats, Floats]:
+    """Starts and ends (N, 3) of edges, those that are seen under more than an angle cut as a lens bends
+    them.
+    """
+    starts, ends = edges
+    long = _wide(starts, ends, camera, angle)
+    if not long.any():
+        return edges
+    first, second = LensView(camera).divide_edges(starts[long], ends[long])
+    return np.concatenate([starts[~long], first]), np.concatenate([ends[~long], second])
+
+
+def _wide(starts: Floats, ends: Floats, camera: Camera, angle: float) -> NDArray[np.bool_]:
+    """Which edges (N, 3) may be seen under more than an angle, radians."""
+    eye = camera.center.astype(np.float32)
+    nearest = np.minimum(_squares(starts - eye), _squares(ends - eye))
+    return np.asarray(_squares(ends - starts) > angle * angle * nearest)
+
+
+def _squares(vectors: Floats) -> Floats:
+    """(N,) squared lengths."""
+    return np.asarray(np.einsum("ij,ij->i", vectors, vectors))

@@ -1,0 +1,182 @@
+"""What pictures are drawn into, and the still scene as one camera sees it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.render.detail import ray_grid
+from humansim_ros.render.renderer import Backdrop
+
+#: What a target is made of: the shaders' location, components read back, their type.
+_ATTACHMENTS = {"depth": (0, 1, "f4"), "label": (1, 1, "u4"), "rgb": (2, 3, "f1"), "rgba": (2, 4, "f1")}
+
+
+@dataclass(frozen=True)
+class Rectangle:
+    """Pixels x0 <= x < x1, y0 <= y < y1."""
+
+    x0: int
+    y0: int
+    x1: int
+    y1: int
+    #: a surface comes so near that the camera may be inside it
+    near: bool = False
+
+    @property
+    def empty(self) -> bool:
+        return self.x1 <= self.x0 or self.y1 <= self.y0
+
+    @property
+    def low(self) -> tuple[int, int]:
+        return self.x0, self.y0
+
+    @property
+    def high(self) -> tuple[int, int]:
+        return self.x1, self.y1
+
+    @property
+    def xywh(self) -> tuple[int, int, int, int]:
+        return self.x0, self.y0, self.x1 - self.x0, self.y1 - self.y0
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        return self.y1 - self.y0, self.x1 - self.x0
+
+    @property
+    def slices(self) -> tuple[slice, slice]:
+        return slice(self.y0, self.y1), slice(self.x0, self.x1)
+
+
+class Target:
+    """What one picture is drawn into: colour, depth in metres, triangle number; and OpenGL's depth buffer.
+
+    Without ``lit`` the colour is left out. Where nothing was drawn depth and number are 0.
+    """
+
+    def __init__(self, ctx: moderngl.Context, size: tuple[int, int]) -> None:
+        self._ctx = ctx
+        self._textures = [
+            ctx.texture(size, 1, dtype="f4"),
+            ctx.texture(size, 1, dtype="u4"),
+            ctx.texture(size, 4),
+        ]
+        self._buffer = ctx.depth_renderbuffer(size)
+        self._framebuffers = {
+            lit: ctx.framebuffer(self._textures[: 2 + lit], self._buffer) for lit in (False, True)
+        }
+        self._colour = ctx.framebuffer(self._textures[2:], self._buffer)
+        self._colour.depth_mask = False  # shadows colour what is there, they hide nothing
+        self._rectangle = Rectangle(0, 0, *size)
+
+    def start(self, background: Target | None, rectangle: Rectangle) -> None:
+        """Keep to a rectangle, and fill it with the colour of a background that hides what is behind it."""
+        self._rectangle = rectangle
+        for framebuffer in (*self._framebuffers.values(), self._colour):
+            framebuffer.scissor = rectangle.xywh
+        self._clear()  # cheaper than to copy these as well
+        if background is None:
+            return
+        # all of it: with a scissor Mesa would not copy but draw, at several times the cost
+        self._colour.scissor = None  # type: ignore[assignment]
+        self._colour.use()
+        self._ctx.copy_framebuffer(self._colour, background._colour)
+        self._colour.scissor = rectangle.xywh
+        self._colour.use()
+
+    def clear(self, colour: Sequence[int]) -> None:
+        """Start anew: nothing there but a colour, endlessly far away."""
+        self._clear()
+        red, green, blue = (c / 255 for c in colour)
+        self._colour.clear(red, green, blue, 1.0)
+
+    def take(self, rgb: NDArray[np.uint8], alpha: NDArray[np.uint8] | None = None) -> None:
+        """Take over a picture (H, W, 3), and what its alpha (H, W) is if not 255."""
+        last = np.full(rgb.shape[:2], 255, np.uint8) if alpha is None else alpha
+        self._textures[2].write(np.dstack([rgb, last]).tobytes())
+
+    @property
+    def depth(self) -> moderngl.Texture:
+        return self._textures[0]
+
+    @property
+    def colour(self) -> moderngl.Texture:
+        return self._textures[2]
+
+    def use_colour(self) -> None:
+        """Draw colour alone."""
+        self._colour.use()
+
+    def _clear(self) -> None:
+        self._framebuffers[False].use()  # or the scissor of what was in use would count
+        self._framebuffers[False].clear()
+
+    def use(self, lit: bool) -> None:
+        self._framebuffers[lit].use()
+
+    def read(self, name: str, lit: bool) -> NDArray[Any]:
+        """The rectangle's pixels (H, W) or (H, W, 3)."""
+        attachment, components, dtype = _ATTACHMENTS[name]
+        pixels = self._framebuffers[lit].read(
+            self._rectangle.xywh, components=components, attachment=attachment, dtype=dtype, alignment=1
+        )
+        image = np.frombuffer(pixels, np.uint8 if dtype == "f1" else dtype)
+        return image.reshape(*self._rectangle.shape, *(() if components == 1 else (components,)))
+
+    def release(self) -> None:
+        for framebuffer in (*self._framebuffers.values(), self._colour):
+            framebuffer.release()
+        for attachment in self._textures:
+            attachment.release()
+        self._buffer.release()
+
+
+class StaticLayer:
+    """The static scene as one camera sees it, kept on the device and as arrays."""
+
+    def __init__(self, target: Target, backdrop: Backdrop | None, shades: Shades | None) -> None:
+        self.target, self.shades = target, shades
+        self._backdrop = backdrop  # kept, so that its id stays its own
+        self._rgb, depth = (target.read(name, lit=True) for name in ("rgb", "depth"))
+        self._depth = np.where(depth > 0, depth, np.float32(np.inf))
+
+    def view(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:
+        """The channels of a picture without bodies, to be drawn into."""
+        shape = self._depth.shape
+        make: dict[str, Callable[[], NDArray[Any]]] = {
+            "rgb": self._rgb.copy,
+            "depth": self._depth.copy,
+            "instance": lambda: np.zeros(shape, np.uint16),
+            "part": lambda: np.zeros(shape, np.uint8),
+            "face": lambda: np.zeros(shape, np.int32),
+            "normal": lambda: np.zeros((*shape, 3), np.float32),
+            "uv": lambda: np.full((*shape, 2), np.nan, np.float32),
+            "shadow": lambda: np.zeros(shape, np.uint8),
+        }
+        return {name: make[name]() for name in channels if name in make}
+
+    def release(self) -> None:
+        self.target.release()
+        if self.shades is not None:
+            self.shades.release()
+
+
+class Shades:
+    """What a still scene looks like in the shade: as one camera sees it without the sun, and the rays it
+    sees along.
+    """
+
+    def __init__(self, ctx: moderngl.Context, camera: Camera, sunless: NDArray[np.uint8]) -> None:
+        rays = np.nan_to_num(ray_grid(camera)[..., :2]).astype("f4")
+        self.sunless = ctx.texture(camera.size, 3, sunless.tobytes(), alignment=1)
+        self.rays = ctx.texture(camera.size, 2, np.ascontiguousarray(rays).tobytes(), dtype="f4")
+
+    def release(self) -> None:
+        self.sunless.release()
+        self.rays.release()

@@ -265,7 +265,6 @@ def ros(old: str, new: str) -> str:
             ros("camera_name: left", "camera_name: !!python/object/apply:os.system [touch /tmp/x]"),
             ":3: not valid YAML: could not determine a constructor",
         ),
-        (ros("camera_name: left", "<<: {a: 1}"), ":3: not valid YAML: merge keys"),
         (ros("  data: [700, 0, 310, 0, 690, 245, 0, 0, 1]", "  data: [700, 0, 310, 0,"), "not valid YAML"),
         (ROS[: ROS.index("distortion_model")], "distortion_coefficients: is missing"),
         # INI

@@ -356,7 +356,7 @@ PAIR = yaml.safe_load(TABLE.read_text())["joints"][1]["first"]
         ("- 1", "valid dictionary"),
         ("[" * 5000, "YAML"),
         (broken(bone="tail"), r"joints.1: no bone 'tail'"),
-        (broken(colour="red"), r"joints.1.colour: Extra inputs"),
+        (broken(colour="red"), r"joints.1.colour: unknown key"),
         (broken(first=None), "either 'swing' or both"),
         (broken(first=[PAIR[0], PAIR[0]]), "not opposite turns"),
         (broken(second=PAIR), "not at right angles"),

@@ -103,6 +103,29 @@ def test_velocities_of_the_body_are_the_slope_of_its_joints() -> None:
         np.testing.assert_allclose(state.linear, slope, atol=0.03)
 
 
+def test_cameras_may_share_what_they_say_by_merge_keys(write: Write) -> None:
+    text = """\
+cameras:
+  left: &all
+    size: [320, 240]
+    position: &here [3, 0, 1.5]
+    look_at: [0, 0, 1]
+    fov_deg: 50
+  right:
+    <<: *all
+    look_at: *here
+    up: [0, 1, 0]
+    position: [3, 1, 1.5]
+"""
+    cameras = load_config(write(text)).cameras
+    assert cameras["right"].size == (320, 240)
+    assert cameras["right"].look_at == cameras["left"].position == (3, 0, 1.5)
+    assert cameras["right"].position == (3, 1, 1.5)
+    with pytest.raises(SceneError) as caught:
+        load_config(write(text.replace("[3, 1, 1.5]", "[3, 1, up]")))
+    assert (caught.value.line, caught.value.key) == (11, "cameras.right.position.2")
+
+
 def test_files_are_looked_for_from_the_scenes_folder(
     write: Write, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -161,7 +184,10 @@ WRONG: list[tuple[str, str, int | None, str | None, str]] = [
     ("broken YAML", GOOD.replace("look_at: [0, 0, 1]", "look_at: [0, 0, 1"), 14, None, "not valid YAML"),
     ("a tab", GOOD.replace("    body", "\tbody"), 5, None, "not valid YAML"),
     ("an impossible date", GOOD.replace("rate: 25", "rate: 2001-99-99"), None, None, "not valid YAML"),
-    ("brackets without end", "rate: " + "[" * 1_200, None, None, "not valid YAML"),
+    ("brackets without end", "rate: " + "[" * 1_200, 1, None, "nested too deeply"),
+    ("a number without end", "rate: 1" + ":1" * 100_000, 1, None, "too long"),
+    ("a number that is none", GOOD.replace("25", "!!int ''"), None, None, "not valid YAML"),
+    ("a character that is none", GOOD.replace("walk", "wa\x07lk"), 7, None, "no character 0x7"),
     ("a Python object", GOOD.replace("25", "!!python/object/apply:os.getcwd []"), 1, None, "not valid YAML"),
     (
         "unknown key",

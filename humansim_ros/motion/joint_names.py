@@ -17,9 +17,10 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
-from humansim_ros.files import atomic_path, read_text
+from humansim_ros.files import atomic_path
 from humansim_ros.motion.bvh import Motion
 from humansim_ros.resources import resource_path
+from humansim_ros.yaml_files import invalid, read_yaml
 
 #: Without these bones nobody would call the result a person moving.
 REQUIRED_BONES = (
@@ -214,15 +215,11 @@ def _key(name: str) -> str:
 
 def load_table(path: str | os.PathLike[str]) -> JointTable:
     """Read a joint table (YAML); MotionError with file and key if it is not one."""
-    text = read_text(path, MotionError, "joint table")
+    data, tree = read_yaml(path, MotionError, "joint table")
     try:
-        return JointTable.model_validate(yaml.safe_load(text))
-    except yaml.YAMLError as reason:
-        raise MotionError(f"not valid YAML: {reason}", path=path) from None
+        return JointTable.model_validate(data)
     except ValidationError as reason:
-        first = reason.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        raise MotionError(first["msg"].removeprefix("Value error, "), path=path, key=key or None) from None
+        raise invalid(reason, tree, MotionError, path) from None
 
 
 @functools.cache

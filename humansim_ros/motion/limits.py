@@ -18,15 +18,14 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.errors import MotionError
-from humansim_ros.files import read_text
 from humansim_ros.resources import resource_path
 from humansim_ros.rotations import Array, from_y_axis, matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.yaml_files import invalid, read_yaml
 
 #: Anatomical directions; "out" is away from the middle of the body, so that both sides share a row.
 Direction = Literal["up", "down", "front", "back", "left", "right", "out", "in"]
@@ -501,17 +500,11 @@ def load_limits(path: str | os.PathLike[str] | None = None, skeleton: Skeleton |
     Raises MotionError with file and key if it is no such table.
     """
     path = resource_path(_BUILT_IN) if path is None else path
-    text = read_text(path, MotionError, "joint limits")
+    data, tree = read_yaml(path, MotionError, "joint limits")
     try:
-        table = LimitTable.model_validate(yaml.safe_load(text))
-    except yaml.YAMLError as reason:
-        raise MotionError(f"not valid YAML: {reason}", path=path) from None
-    except RecursionError:
-        raise MotionError("this YAML is nested too deeply", path=path) from None
+        table = LimitTable.model_validate(data)
     except ValidationError as reason:
-        first = reason.errors()[0]
-        key = ".".join(map(str, first["loc"]))
-        raise MotionError(first["msg"].removeprefix("Value error, "), path=path, key=key or None) from None
+        raise invalid(reason, tree, MotionError, path) from None
     return JointLimits(table, hanim_skeleton()).for_skeleton(skeleton or hanim_skeleton())
 
 

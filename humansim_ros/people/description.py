@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
 from humansim_ros.body.human import Skinning
 from humansim_ros.errors import MeshError
-from humansim_ros.files import read_text
 from humansim_ros.makehuman import MakeHumanConfig, Outfit
-from humansim_ros.yaml_files import line_of, parse_yaml
+from humansim_ros.yaml_files import invalid, read_yaml
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
 Axis = Annotated[str, StringConstraints(pattern=r"^[+-]?[xyz]$")]
@@ -88,22 +87,15 @@ class ParametricHuman(_Section):
 
 def read_description(path: str | os.PathLike[str]) -> MeshHuman | ParametricHuman:
     """Read a description. Raises MeshError with file, line and key."""
-    data, tree = parse_yaml(read_text(path, MeshError, "human"), MeshError, path)
+    data, tree = read_yaml(path, MeshError, "human")
     if not isinstance(data, dict) or ("mesh" in data) == ("makehuman" in data):
         raise MeshError("a human is described by 'mesh' or by 'makehuman', one of them", path=path)
     model: type[MeshHuman | ParametricHuman] = MeshHuman if "mesh" in data else ParametricHuman
     try:
         return model.model_validate(data)
     except ValidationError as reason:
-        first: Any = reason.errors()[0]
-        keys = [key for key in first["loc"] if key != "[key]"]
-        message = first["msg"].removeprefix("Value error, ")
-        if first["type"] == "extra_forbidden":
-            message = "unknown key"
-            if len(keys) == 1:
-                message += f"; known here: {', '.join(model.model_fields)}"
-        key = ".".join(map(str, keys)) or None
-        raise MeshError(message, path=path, line=line_of(tree, keys), key=key) from None
+        known = f"; known here: {', '.join(model.model_fields)}"
+        raise invalid(reason, tree, MeshError, path, lambda keys: known if len(keys) == 1 else "") from None
 
 
 def beside(path: str | os.PathLike[str], name: str) -> Path:

@@ -14,11 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from humansim_ros.errors import SceneError
-from humansim_ros.files import read_text
 from humansim_ros.names import variety_names
+from humansim_ros.yaml_files import read_yaml
 
 
 @dataclass(frozen=True)
@@ -49,7 +47,9 @@ def scene_processes(scene_path: str | os.PathLike[str], processes: int | None = 
     ``processes``: one per core if None.
     """
     path = Path(scene_path).resolve()
-    content = _read_yaml(path)
+    content, _ = read_yaml(path, SceneError, "scene")
+    if not isinstance(content, dict):
+        raise SceneError("this is not a scene; it needs the keys humans and cameras", path=path)
     scene = {"scene": str(path)}
     cameras = (*_rig_names(content, path), *_names(content, "cameras", path))
     return [
@@ -104,19 +104,6 @@ def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
     from humansim_ros.scene.filming import build_rig
 
     return list(build_rig(load_config(path), path))
-
-
-def _read_yaml(path: Path) -> Mapping[str, Any]:
-    try:
-        content = yaml.safe_load(read_text(path, SceneError, "scene"))
-    except yaml.MarkedYAMLError as error:
-        line = None if error.problem_mark is None else error.problem_mark.line + 1
-        raise SceneError(f"not valid YAML: {error.problem}", path=path, line=line) from None
-    except yaml.YAMLError as error:
-        raise SceneError(f"not valid YAML: {error}", path=path) from None
-    if not isinstance(content, dict):
-        raise SceneError("this is not a scene; it needs the keys humans and cameras", path=path)
-    return content
 
 
 def _names(content: Mapping[str, Any], key: str, path: Path) -> list[str]:

@@ -6,16 +6,14 @@ import os
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-import yaml
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
 from humansim_ros.errors import SceneError
-from humansim_ros.files import read_text
 from humansim_ros.render.choose import RendererName
 from humansim_ros.render.light import Lighting
 from humansim_ros.resources import resource_path
 from humansim_ros.sensor.config import SensorConfig
-from humansim_ros.yaml_files import line_of, parse_yaml
+from humansim_ros.yaml_files import invalid, line_of, read_yaml
 
 Vector3 = tuple[float, float, float]
 Row4 = tuple[float, float, float, float]
@@ -436,21 +434,13 @@ class SceneConfig(_Section):
 
 def load_config(path: str | os.PathLike[str]) -> SceneConfig:
     """Read and check a scene file. Raises SceneError with file, line and key."""
-    text = read_text(path, SceneError, "scene")
-    data, tree = parse_yaml(text, SceneError, path)
+    data, tree = read_yaml(path, SceneError, "scene")
     if not isinstance(data, dict):
         raise SceneError("a scene is a mapping with 'humans' and 'cameras'", path=path)
     try:
         return SceneConfig.model_validate(data)
     except ValidationError as reason:
-        first = reason.errors()[0]
-        keys = [k for k in first["loc"] if k != "[key]"]
-        message = first["msg"].removeprefix("Value error, ")
-        if first["type"] == "extra_forbidden":
-            message = "unknown key" + _known_keys(keys)
-        raise SceneError(
-            message, path=path, line=line_of(tree, keys), key=".".join(map(str, keys)) or None
-        ) from None
+        raise invalid(reason, tree, SceneError, path, _known_keys) from None
 
 
 def _known_keys(keys: list[Any]) -> str:
@@ -471,10 +461,9 @@ def _section(annotation: Any) -> type[BaseModel] | None:
 def line_of_key(path: str | os.PathLike[str], key: str) -> int | None:
     """Line of a dotted key in a scene file, or of as much of it as is there; None if it cannot be read."""
     try:
-        tree = yaml.compose(Path(path).read_text(), Loader=yaml.SafeLoader)
-    except (OSError, ValueError, yaml.YAMLError):
+        return line_of(read_yaml(path, SceneError, "scene")[1], key.split("."))
+    except SceneError:
         return None
-    return line_of(tree, key.split("."))
 
 
 def built_in_names(folder: str, suffix: str) -> list[str]:

@@ -1,5 +1,5 @@
 """YAML, JSON and XML texts as dictionaries and lists, without trusting them: no tag makes an object, no
-reference multiplies anything, no key is there twice.
+reference multiplies without end, no key is there twice.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from defusedxml.common import DefusedXmlException
 
 from humansim_ros.camera.formats.base import Source
 from humansim_ros.errors import CameraError
-from humansim_ros.yaml_files import parse_yaml
+from humansim_ros.yaml_files import Loader, parse_yaml
 
 #: Characters of a text; YAML is slow to read. Hundreds of cameras take much less.
 _MOST = {"yaml": 1 << 19, "json": 8 << 20, "xml": 4 << 20}
@@ -73,15 +73,8 @@ def parsed(path: str, text: str, container: str) -> Source:
     return Source(path, text)
 
 
-class _Loader(yaml.SafeLoader):
-    """Data only, with OpenCV's matrices. Merge keys could multiply what is there without end."""
-
-    def flatten_mapping(self, node: yaml.MappingNode) -> None:
-        for key, _ in node.value:
-            if key.tag == "tag:yaml.org,2002:merge":
-                raise yaml.constructor.ConstructorError(
-                    None, None, "merge keys ('<<') have no place in a calibration", key.start_mark
-                )
+class _Loader(Loader):
+    """Data, and OpenCV's matrices."""
 
 
 def _matrix(loader: _Loader, node: yaml.Node) -> Matrix:

@@ -40,7 +40,7 @@ from humansim_ros.render.renderer import (
 from humansim_ros.render.shadow import CELLS, ContactShadow
 from humansim_ros.render.still import StillScene
 from humansim_ros.render.sunlight import Sunlight
-from humansim_ros.render.surface import Seen, Surface, straightened, touched
+from humansim_ros.render.surface import Fallen, Seen, Surface, straightened, touched
 from humansim_ros.render.target import Rectangle, Shades, StaticLayer, Target
 from humansim_ros.render.uniforms import set_uniform
 
@@ -178,15 +178,15 @@ class GLRenderer:
         flows = [which for which in ("after", "before") if any(FLOWS.get(c) == which for c in channels)]
         outlined = bool(channels & {"rgb", "alpha"})
         surfaces = [self._surface(body) for body in bodies]
-        clouds = [surface.posed.points for surface in surfaces]
         shadows = (
             [surface.shadow for surface in surfaces if surface.near_floor] if lit and self._contact else []
         )
-        clouds += [shadow.corners.T for shadow in shadows]
+        clouds = [shadow.corners.T for shadow in shadows]
         sunlight = self._sunlight if lit else None
         if sunlight is not None and surfaces:
             clouds += sunlight.shine_on(surfaces)
-        rectangle = touched(clouds, camera)
+        fallen = [Fallen(surface.posed.points, camera) for surface in surfaces]
+        rectangle = touched([*fallen, *(Fallen(points, camera) for points in clouds)], camera)
         view: dict[str, Any] = layer.view(channels | {"depth"} if outlined or flows else channels)
         shown = Shown(*(np.zeros(0, np.intp) for _ in range(3)))
         if "alpha" in channels:
@@ -195,13 +195,13 @@ class GLRenderer:
             }
         if not rectangle.empty:
             target = self._target(camera.size)
-            target.start(layer.target, rectangle)
+            target.start(rectangle, layer)
             if shadows:
                 self._draw_shadows(shadows, camera)
             if sunlight is not None:
                 sunlight.shade(layer, target, camera)
             target.use(lit)
-            seen = self._draw_bodies(surfaces, camera, rectangle, lit, outlined)
+            seen = self._draw_bodies(surfaces, fallen, camera, rectangle, lit, outlined)
             if "depth" in view:
                 depth = target.read("depth", lit)
                 np.copyto(view["depth"][rectangle.slices], depth, where=depth > 0)
@@ -260,18 +260,20 @@ class GLRenderer:
         """(H, W) where a body would be seen if nothing were before it."""
         mask = np.zeros(camera.size[::-1], bool)
         surface = self._surface(body)
-        rectangle = touched([surface.posed.points], camera)
+        fallen = Fallen(surface.posed.points, camera)
+        rectangle = touched([fallen], camera)
         if not rectangle.empty:
             target = self._target(camera.size)
-            target.start(None, rectangle)
+            target.start(rectangle)
             target.use(False)
-            self._draw_bodies([surface], camera, rectangle, False, False)
+            self._draw_bodies([surface], [fallen], camera, rectangle, False, False)
             mask[rectangle.slices] = target.read("label", False) > 0
         return mask
 
     def _draw_bodies(
         self,
         surfaces: Sequence[Surface],
+        fallen: Sequence[Fallen],
         camera: Camera,
         rectangle: Rectangle,
         lit: bool,
@@ -285,18 +287,21 @@ class GLRenderer:
         seen = Seen()
         # edges that are seen under less a lens does not bend visibly
         straight = LensView(camera).straight_angle(rectangle.low, rectangle.high) if camera.distorted else 0.0
-        for number, surface in enumerate(surfaces):
+        for number, (surface, places) in enumerate(zip(surfaces, fallen, strict=True)):
             facing = surface.posed.facing(eye)
-            # from outside a closed surface its back faces never show; a camera that is near may be inside
-            culled = surface.topology.mesh.closed and not rectangle.near
             set_uniform(program, "first_label", seen.count)
             refined = surface.refined(camera, straight) if camera.distorted else None
-            if refined is None:
-                surface.draw(lit, facing if culled else None)
-                seen.add(number, surface.body, np.flatnonzero(facing) if culled else slice(None))
-            else:
+            if refined is not None:
                 surface.draw_refined(program, refined)
                 seen.add(number, surface.body, refined.parents)
+            else:
+                # from outside a closed surface its back faces never show; a camera that is near may be inside
+                culled = surface.topology.mesh.closed and not rectangle.near
+                shown = np.flatnonzero(facing) if culled else np.arange(len(facing))
+                if not rectangle.near:
+                    shown = shown[places.covering([c.take(shown) for c in surface.topology.corners])]
+                surface.draw(lit, shown)
+                seen.add(number, surface.body, shown)
             if outlined:
                 contour = surface.posed.contour(facing)
                 seen.outlines.append(straightened(contour, camera, straight) if camera.distorted else contour)

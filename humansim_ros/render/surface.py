@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any
 
 import moderngl
@@ -18,6 +19,10 @@ from humansim_ros.render.shadow import REACH, ContactShadow
 from humansim_ros.render.still import Expanded, Pieces, texture
 from humansim_ros.render.target import Rectangle
 from humansim_ros.rotations import Array
+
+#: Pixels by which a triangle that is said to miss the centres of all pixels surely does: places are computed in single
+#: precision, here and on the device, which rounds them to 1/256 of a pixel.
+_SURELY = np.float32(1 / 64)
 
 
 class Surface:
@@ -75,13 +80,14 @@ class Surface:
         self._upload(self._positions, body.vertices)
         self._normals_of: Posed | None = None
 
-    def draw(self, lit: bool, shown: NDArray[np.bool_] | None = None) -> None:
-        """Draw all triangles, or those that are ``shown`` (N,)."""
+    def draw(self, lit: bool, shown: NDArray[np.intp]) -> None:
+        """Draw the triangles of the numbers ``shown`` (M,)."""
         if lit and self._normals_of is not self.posed:
             self._upload(self._normals, self.posed.normals)
             self._normals_of = self.posed
-        # (taking rows by number is several times faster than by a mask)
-        corners = self._corners if shown is None else self._corners.take(np.flatnonzero(shown), axis=0)
+        corners = self._corners.take(shown, axis=0)
+        if not len(corners):
+            return
         self._index.orphan()
         self._index.write(corners)
         self._texture.use(0)
@@ -126,9 +132,9 @@ class Seen:
     def __init__(self) -> None:
         self.count = 1
         self.outlines: list[tuple[Floats, Floats]] = []
-        self._drawn: list[tuple[int, Body, NDArray[np.intp] | slice]] = []
+        self._drawn: list[tuple[int, Body, NDArray[np.intp]]] = []
 
-    def add(self, number: int, body: Body, drawn: NDArray[np.intp] | slice) -> None:
+    def add(self, number: int, body: Body, drawn: NDArray[np.intp]) -> None:
         """The triangles ``drawn`` of the body of a number."""
         self.count += len(body.parts[drawn])
         self._drawn.append((number, body, drawn))
@@ -161,24 +167,60 @@ class Seen:
         return np.concatenate(starts), np.concatenate(ends)
 
 
-def touched(clouds: Sequence[Floats], camera: Camera) -> Rectangle:
-    """The pixels that surfaces spanned by points (3, N) can touch: the whole image if one comes too near."""
+class Fallen:
+    """Where points (3, N) of the world fall before a camera.
+
+    ``near``: some of them are so near that the camera may be inside what they span; ``behind``: none of them is
+    before it. ``plane``: (2, N) pixels, or where the lens distorts the normalised image plane; not to be used
+    where ``near``.
+    """
+
+    def __init__(self, points: Floats, camera: Camera) -> None:
+        self._camera = camera
+        p = (camera.optical_from_world[:3] if camera.distorted else camera.P).astype(np.float32)
+        x, y, self.depth = p[:, :3] @ points + p[:, 3:]
+        self.near, self.behind = bool(self.depth.min() < 2 * NEAR), bool(self.depth.max() < 0)
+        if not self.near:
+            x /= self.depth
+            y /= self.depth
+        self.plane = x, y
+
+    @cached_property
+    def pixels(self) -> tuple[Floats, Floats]:
+        """Columns and rows (N,); NaN for what the lens does not see."""
+        camera = self._camera
+        if not camera.distorted:
+            return self.plane
+        x, y = camera.K[:2, :2] @ camera.lens.distort(np.stack(self.plane, axis=1)).T + camera.K[:2, 2:]
+        return x.astype(np.float32), y.astype(np.float32)
+
+    def covering(self, corners: Sequence[NDArray[np.intp]]) -> NDArray[np.bool_]:
+        """(M,) which triangles of corners, three of (M,), may cover the centre of a pixel.
+
+        The others, half of a person's, leave no trace in the picture.
+        """
+        covering: NDArray[np.bool_] = np.ones(len(corners[0]), bool)
+        for places in self.pixels:
+            a, b, c = (places.take(corner) for corner in corners)
+            low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+            covering &= ~(np.floor(high + _SURELY) < np.ceil(low - _SURELY))  # true for NaN
+        return covering
+
+
+def touched(clouds: Sequence[Fallen], camera: Camera) -> Rectangle:
+    """The pixels that surfaces spanned by points can touch: the whole image if one comes too near."""
     width, height = camera.size
-    view = LensView(camera) if camera.distorted else None
-    p = (camera.P if view is None else camera.optical_from_world[:3]).astype(np.float32)
     low: Array = np.full(2, np.inf)
     high: Array = np.full(2, -np.inf)
-    for points in clouds:
-        x, y, depth = p[:, :3] @ points + p[:, 3:]
-        if depth.min() < 2 * NEAR:
-            if depth.max() < 0:
-                continue
+    for cloud in clouds:
+        if cloud.behind:
+            continue
+        if cloud.near:
             return Rectangle(0, 0, width, height, near=True)
-        x /= depth
-        y /= depth
-        low, high = np.minimum(low, (x.min(), y.min())), np.maximum(high, (x.max(), y.max()))
-    if view is not None:
-        low, high = view.image_of(low, high)
+        low = np.minimum(low, [places.min() for places in cloud.plane])
+        high = np.maximum(high, [places.max() for places in cloud.plane])
+    if camera.distorted:
+        low, high = LensView(camera).image_of(low, high)
     if not np.isfinite(low).all():
         return Rectangle(0, 0, 0, 0)
     x0, y0 = np.clip(np.floor(low) - 2, 0, camera.size).astype(int)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render.detail import ray_grid
+from humansim_ros.render.posed import Floats
 from humansim_ros.render.renderer import Backdrop
 
 #: What a target is made of: the shaders' location, components read back, their type.
@@ -67,7 +68,7 @@ class Target:
             ctx.texture(size, 1, dtype="u4"),
             ctx.texture(size, 4),
         ]
-        self._buffer = ctx.depth_renderbuffer(size)
+        self._buffer = ctx.depth_texture(size)
         self._framebuffers = {
             lit: ctx.framebuffer(self._textures[: 2 + lit], self._buffer) for lit in (False, True)
         }
@@ -75,20 +76,24 @@ class Target:
         self._colour.depth_mask = False  # shadows colour what is there, they hide nothing
         self._rectangle = Rectangle(0, 0, *size)
 
-    def start(self, background: Target | None, rectangle: Rectangle) -> None:
+    def start(self, rectangle: Rectangle, background: StaticLayer | None = None) -> None:
         """Keep to a rectangle, and fill it with the colour of a background that hides what is behind it."""
         self._rectangle = rectangle
         for framebuffer in (*self._framebuffers.values(), self._colour):
             framebuffer.scissor = rectangle.xywh
-        self._clear()  # cheaper than to copy these as well
+        # written: to clear costs Mesa more, and so does to copy, which with a scissor it does by drawing
+        nothing = bytes(4 * rectangle.shape[0] * rectangle.shape[1])
+        self._write(self._textures[0], nothing)
+        self._write(self._textures[1], nothing)
         if background is None:
-            return
-        # all of it: with a scissor Mesa would not copy but draw, at several times the cost
-        self._colour.scissor = None  # type: ignore[assignment]
+            self._write(self._buffer, np.ones(rectangle.shape, np.float32).tobytes())
+        else:
+            self._write(self._buffer, background.hides[rectangle.slices].tobytes())
+            self._write(self.colour, background.rgba[rectangle.slices].tobytes())
         self._colour.use()
-        self._ctx.copy_framebuffer(self._colour, background._colour)
-        self._colour.scissor = rectangle.xywh
-        self._colour.use()
+
+    def _write(self, image: moderngl.Texture, pixels: bytes) -> None:
+        image.write(pixels, viewport=self._rectangle.xywh, alignment=1)
 
     def clear(self, colour: Sequence[int]) -> None:
         """Start anew: nothing there but a colour, endlessly far away."""
@@ -104,6 +109,12 @@ class Target:
     @property
     def depth(self) -> moderngl.Texture:
         return self._textures[0]
+
+    @property
+    def hides(self) -> Floats:
+        """(H, W) the whole of OpenGL's depth buffer, 0 to 1."""
+        width, height = self._buffer.size
+        return np.frombuffer(self._buffer.read(alignment=1), np.float32).reshape(height, width)
 
     @property
     def colour(self) -> moderngl.Texture:
@@ -143,7 +154,8 @@ class StaticLayer:
     def __init__(self, target: Target, backdrop: Backdrop | None, shades: Shades | None) -> None:
         self.target, self.shades = target, shades
         self._backdrop = backdrop  # kept, so that its id stays its own
-        self._rgb, depth = (target.read(name, lit=True) for name in ("rgb", "depth"))
+        self._rgb, self.rgba, depth = (target.read(name, lit=True) for name in ("rgb", "rgba", "depth"))
+        self.hides = target.hides
         self._depth = np.where(depth > 0, depth, np.float32(np.inf))
 
     def view(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:

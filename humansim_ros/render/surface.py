@@ -20,8 +20,8 @@ from humansim_ros.render.still import Expanded, Pieces, texture
 from humansim_ros.render.target import Rectangle
 from humansim_ros.rotations import Array
 
-#: Pixels by which a triangle that is said to miss the centres of all pixels surely does: places are computed in single
-#: precision, here and on the device, which rounds them to 1/256 of a pixel.
+#: Pixels by which a triangle that is said to miss the centres of all pixels surely does: places are computed
+#: in single precision, here and on the device, which rounds them to 1/256 of a pixel.
 _SURELY = np.float32(1 / 64)
 
 
@@ -170,9 +170,9 @@ class Seen:
 class Fallen:
     """Where points (3, N) of the world fall before a camera.
 
-    ``near``: some of them are so near that the camera may be inside what they span; ``behind``: none of them is
-    before it. ``plane``: (2, N) pixels, or where the lens distorts the normalised image plane; not to be used
-    where ``near``.
+    ``near``: some of them are so near that the camera may be inside what they span; ``behind``: none of them
+    is before it. ``plane``: two of (N,), columns and rows, or where the lens distorts x and y of the
+    normalised image plane; not to be used where ``near``.
     """
 
     def __init__(self, points: Floats, camera: Camera) -> None:

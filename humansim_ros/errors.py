@@ -81,10 +81,12 @@ class HumansimWarning(UserWarning):
 
 
 def tell_warnings() -> None:
-    """Print our warnings as lines for people, and no others: what a program does at its start."""
-    warnings.showwarning = _tell  # type: ignore[assignment]  # a narrower one is enough here
+    """Print our warnings as lines for people, each once, and no others: what a program does at its start."""
+    told = set[str]()
 
+    def tell(message: Any, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
+        if issubclass(category, HumansimWarning) and str(message) not in told:
+            told.add(str(message))  # (the filter "once" forgets whenever filters change)
+            print(f"warning: {message}", file=sys.stderr)
 
-def _tell(message: Any, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
-    if issubclass(category, HumansimWarning):
-        print(f"warning: {message}", file=sys.stderr)
+    warnings.showwarning = tell  # type: ignore[assignment]  # a narrower one is enough here

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,7 +12,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
 
-from humansim_ros.errors import RosError
+from humansim_ros.errors import HumansimWarning, RosError
+from humansim_ros.ros.processes import TOLD
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.scene import Scene
 
@@ -24,7 +27,10 @@ class SceneNode(Node):
         super().__init__(name, **options)
         if scene is None:
             path = self.text_parameter("scene", "", "Scene file (YAML); empty for the demo scene")
-            scene = Scene.load(path or None)
+            with warnings.catch_warnings():
+                if TOLD in os.environ:
+                    warnings.simplefilter("ignore", HumansimWarning)
+                scene = Scene.load(path or None)
         self.scene = scene
         self._counts: dict[str, int] = {}
         self._worst_lateness = 0.0

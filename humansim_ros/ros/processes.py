@@ -18,6 +18,9 @@ from humansim_ros.errors import SceneError
 from humansim_ros.names import variety_names
 from humansim_ros.yaml_files import read_yaml
 
+#: In the environment of nodes whose scene has been loaded before, and its warnings told.
+TOLD = "HUMANSIM_SCENE_TOLD"
+
 
 @dataclass(frozen=True)
 class NodeProcess:
@@ -101,9 +104,9 @@ def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
     if not content.get("rig"):
         return []
     from humansim_ros.scene.config import load_config  # only now, since it needs much more
-    from humansim_ros.scene.filming import build_rig
+    from humansim_ros.scene.filming import rig_cameras
 
-    return list(build_rig(load_config(path), path))
+    return list(rig_cameras(load_config(path).rig, path))
 
 
 def _names(content: Mapping[str, Any], key: str, path: Path) -> list[str]:

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from types import TracebackType
 
-from humansim_ros.ros.processes import NodeProcess, rasterizer_threads
+from humansim_ros.ros.processes import TOLD, NodeProcess, rasterizer_threads
 
 _PR_SET_PDEATHSIG = 1
 #: Seconds a node gets to stop after SIGINT, and again after SIGTERM.
@@ -22,14 +22,16 @@ _PATIENCE = 4.0
 
 
 class Supervisor:
-    """Context manager around a set of running nodes. They stop with it, whatever ends it."""
+    """Context manager around a set of running nodes. They stop with it, whatever ends it. Of what is odd in
+    their scene they say nothing: who starts them has loaded it, and told.
+    """
 
     def __init__(
         self, processes: Sequence[NodeProcess], environment: Mapping[str, str] | None = None
     ) -> None:
         self._processes = list(processes)
         threads = rasterizer_threads(processes)
-        self._environment = {**os.environ, **threads, **(environment or {})}
+        self._environment = {**os.environ, **threads, TOLD: "1", **(environment or {})}
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Supervisor:

@@ -140,16 +140,25 @@ def _make_absolute(section: Any, base: Path) -> None:
     """Files that a scene names from its own folder by their whole path, in place."""
     if isinstance(section, dict):
         for key, value in section.items():
-            if key in _FILES and isinstance(value, str) and value:
-                there = base / value.split("#")[0]
-                # a folder may have the name of something built in
-                if there.is_file() or (there.is_dir() and "/" in value):
-                    section[key] = str(base / value)
+            if key in _FILES:
+                section[key] = _made_absolute(value, base)
             else:
                 _make_absolute(value, base)
     elif isinstance(section, (list, tuple)):
         for part in section:
             _make_absolute(part, base)
+
+
+def _made_absolute(value: Any, base: Path) -> Any:
+    """A file, or one for each camera; what is not there may be built in."""
+    if isinstance(value, dict):
+        return {key: _made_absolute(file, base) for key, file in value.items()}
+    if not isinstance(value, str) or not value:
+        return value
+    there = base / value.split("#")[0]
+    # a folder may have the name of something built in
+    known = there.is_file() or (there.is_dir() and "/" in value) or "{name}" in value
+    return str(base / value) if known else value
 
 
 def _absolute(name: str) -> str:

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from conftest import ROOT
@@ -107,6 +110,34 @@ def test_a_rig_is_all_cameras_of_a_file_or_some(folder: Path) -> None:
     assert list(load(folder, rig % ", cameras: [0]").cameras) == ["camera_0"]
 
 
+RIG = "rig: {file: shelf.json, size: [320, 240], background: %s}\nroom: null"
+
+
+@pytest.mark.parametrize(
+    ("background", "red"),
+    [
+        ("plate 0.png", {"camera_0": 40, "back_door": 40}),
+        ("'plate {name}.png'", {"camera_0": 40, "back_door": 90}),
+        ("{0: plate back door.png}", {"camera_0": 90, "back_door": 168}),  # the world's own for the other
+    ],
+)
+def test_cameras_of_a_rig_have_photographs(folder: Path, background: str, red: dict[str, int]) -> None:
+    for name, value in (("0", 40), ("back door", 90)):
+        cv2.imwrite(str(folder / f"plate {name}.png"), np.full((24, 32, 3), value, np.uint8))
+    (frame,) = film(folder, RIG % background, 0)
+    assert {name: int(view.rgb[0, 0, 0]) for name, view in frame.views.items()} == red
+
+
+def test_running_a_scene_with_a_rig_tells_what_is_odd_once(folder: Path) -> None:
+    pytest.importorskip("rclpy")
+    scene = folder / "scene.yaml"
+    scene.write_text("rig: shelf.json\nroom: null\n" + WALK)
+    command = [sys.executable, "-m", "humansim_ros.cli", "run", scene, "--duration", "4"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0
+    assert done.stderr.count("the image size is not in the file") == 1
+
+
 @pytest.mark.parametrize(
     ("text", "key", "line", "message"),
     [
@@ -131,6 +162,15 @@ def test_a_rig_is_all_cameras_of_a_file_or_some(folder: Path) -> None:
         ("rig: {file: usb.yaml, size: [64, 48]}", "rig.size", 1, "images of 320x240"),
         ("rig: {file: shelf.json, size: [320, 240], cameras: [1]}", "rig.cameras", 1, "no camera '1'"),
         ("rig: {file: twins.json, size: [320, 240]}", "rig.cameras", 1, "would be a_b in ROS"),
+        ("\n" + RIG % "gone.png", "rig.background", 2, "no such file"),
+        ("\n" + RIG % "'usb.{name}'", "rig.background", 2, "usb.0"),
+        (
+            "rig:\n  file: shelf.json\n  size: [320, 240]\n  background:\n    0: usb.yaml",
+            "rig.background.0",
+            5,
+            "no PNG or JPEG",
+        ),
+        (RIG % "{1: usb.yaml}", "rig.background.1", 1, "no camera '1' in this rig; there are 0, back door"),
         (
             f"rig: {{file: shelf.json, size: [320, 240]}}\ncameras: {{back_door: {{{PLACE}}}}}",
             "cameras.back_door",
@@ -425,9 +465,11 @@ def test_another_motion_leaves_the_files_of_a_scene_where_they_are(tmp_path: Pat
     other.mkdir()
     (home / "way.txt").write_text("0 3 0 1 0.5 0.5 -0.5 -0.5\n1 3 1 1 0.5 0.5 -0.5 -0.5\n")
     (home / "P.txt").write_text("# front 64x48\n60 31.5 0 120\n0 23.5 -60 150\n0 1 0 4\n")
+    cv2.imwrite(str(home / "front.png"), np.zeros((48, 64, 3), np.uint8))
     (home / "scene.yaml").write_text(
         "room: null\nhumans: {anna: {}}\ncameras:\n"
-        "  moves: {size: [64, 48], trajectory: way.txt}\n  front: {calibration: P.txt}\n"
+        "  moves: {size: [64, 48], trajectory: way.txt}\n  own: {calibration: P.txt}\n"
+        "rig: {file: P.txt, background: '{name}.png'}\n"
     )
     changed = _scene_with(home / "scene.yaml", "wave", None, None, other)
     scene = Scene.load(changed)

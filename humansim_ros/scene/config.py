@@ -266,6 +266,11 @@ class RigConfig(_Section):
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
     sensor: SensorConfig = Field(default=SensorConfig(), description="what their sensors do to the pictures")
+    background: str | dict[str, str] | None = Field(
+        default=None,
+        description="a photograph for all, with {name} for the camera's name in the file, or one for each by "
+        "that name; as the world has it if absent",
+    )
 
     @model_validator(mode="before")
     @classmethod

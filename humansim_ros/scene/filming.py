@@ -261,25 +261,59 @@ def build_cameras(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
 
 
 def build_rig(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
-    """The cameras that a scene file takes from a calibration file as its rig. Raises CameraError."""
-    if config.rig is None:
+    """The cameras that a scene file takes from a calibration file as its rig. Raises CameraError, or
+    SceneError for their photographs.
+    """
+    rig, found = config.rig, rig_cameras(config.rig, scene)
+    if rig is None:
         return {}
-    rig, cameras = config.rig, {}
+    region, cameras = Region(None, rig.binning), dict[str, SceneCamera]()
+    backdrops = _backdrops(rig, [original for original, _ in found.values()], scene)
+    try:
+        for name, (original, whole) in found.items():
+            sensor = Sensor(rig.sensor, region.of(whole), name)
+            cameras[name] = SceneCamera(name, whole, region, sensor, backdrop=backdrops.get(original))
+    except CameraError as error:
+        raise _placed(error, scene, "rig") from None
+    return cameras
+
+
+def rig_cameras(rig: RigConfig | None, scene: Path) -> dict[str, tuple[str, Camera]]:
+    """By their names in ROS, what the cameras of a rig are called in their file, and what they are there.
+    Raises CameraError.
+    """
+    if rig is None:
+        return {}
+    cameras: dict[str, tuple[str, Camera]] = {}
     try:
         found = _read(rig.file, "file", scene, rig)
         missing = set(rig.cameras or ()) - set(found)
         if missing:
             known = ", ".join(found)
             raise CameraError(f"no camera {min(missing)!r} in {rig.file}; there are {known}", key="cameras")
-        region = Region(None, rig.binning)
         for original in rig.cameras or found:
-            name, whole = _topic_name(original), found[original]
+            name = _topic_name(original)
             if name in cameras:
                 raise CameraError(f"two of its cameras would be {name} in ROS: rename one", key="cameras")
-            cameras[name] = SceneCamera(name, whole, region, Sensor(rig.sensor, region.of(whole), name))
+            cameras[name] = original, found[original]
     except CameraError as error:
         raise _placed(error, scene, "rig") from None
     return cameras
+
+
+def _backdrops(rig: RigConfig, names: Sequence[str], scene: Path) -> dict[str, Backdrop]:
+    """Photographs of a rig by the names that cameras have in its file. SceneError with the key."""
+    key = "rig.background"
+    if isinstance(rig.background, str):
+        files = {name: rig.background.replace("{name}", name) for name in names}
+        # by file: one that all cameras have is kept once
+        read = {file: photograph_of(file, scene, key) for file in dict.fromkeys(files.values())}
+        return {name: read[file] for name, file in files.items()}
+    files = rig.background or {}
+    for name in files.keys() - {*names}:
+        key, message = f"{key}.{name}", f"no camera {name!r} in this rig; there are {', '.join(names)}"
+        raise SceneError(message, path=scene, line=line_of_key(scene, key), key=key)
+    return {name: photograph_of(file, scene, f"{key}.{name}") for name, file in files.items()}
 
 
 def _topic_name(name: str) -> str:

@@ -166,3 +166,13 @@ def assert_agrees(view: View, bodies: Sequence[Body], static: Sequence[Mesh], ca
         assert np.mean(np.abs(view.depth[background] - depth[background]) < 1e-3) > 0.999
     # up to where a ray grazes an edge
     assert np.count_nonzero(np.isfinite(view.depth) != np.isfinite(depth)) <= 8
+
+
+def centroids(weights: NDArray[np.floating], near: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Weighted centroids, (N, 2), of what lies within 8 pixels of (N, 2) places."""
+    found = []
+    for x, y in near.round().astype(int):
+        window = weights[y - 8 : y + 9, x - 8 : x + 9]
+        rows, columns = np.mgrid[y - 8 : y + 9, x - 8 : x + 9]
+        found.append(np.array([(columns * window).sum(), (rows * window).sum()]) / window.sum())
+    return np.array(found)

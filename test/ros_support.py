@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -82,3 +83,40 @@ class Client:
 
     def close(self) -> None:
         self.node.destroy_node()
+
+
+@contextmanager
+def whole_flow(
+    scene: Path, namespace: str, topics: Mapping[Any, Sequence[str]], frames: int
+) -> Iterator[Client]:
+    """A client of a player, a skinner and a camera of a scene, once it has so many frames of which every
+    topic (by the type of its messages) has arrived.
+    """
+    from rclpy.parameter import Parameter
+    from rclpy.qos import QoSProfile
+
+    from humansim_ros.ros.nodes.camera import CameraNode
+    from humansim_ros.ros.nodes.motion_player import MotionPlayer
+    from humansim_ros.ros.nodes.skinner import Skinner
+
+    given = [Parameter("scene", value=str(scene))]
+    nodes = [
+        kind(parameter_overrides=given, namespace=namespace) for kind in (MotionPlayer, Skinner, CameraNode)
+    ]
+    client = Client(f"client_of_{namespace}")
+    for node in nodes:
+        client.executor.add_node(node)
+    for message, names in topics.items():
+        client.subscribe(message, names, QoSProfile(depth=500))
+    number = sum(len(names) for names in topics.values())
+
+    def enough() -> bool:
+        return len(client.received) == number and len(client.common_stamps()) >= frames
+
+    done = client.spin_until(enough, 60)
+    assert done, f"heard {sorted(client.received)}, {len(client.common_stamps())} common stamps"
+    yield client
+    for node in nodes:
+        node.close()
+        node.destroy_node()
+    client.close()

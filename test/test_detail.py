@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from opencv_support import opencv_pixels
 from render_scenes import EVEN, block_means, box, cast, finer, inner, oblique, renderer_or_skip, walkers, wall
 
 from humansim_ros.body import Mesh
@@ -115,12 +116,7 @@ def test_flow_is_where_the_point_that_a_ray_hits_goes(scene: Scene, camera: Came
     # a triangle of no area has no such coordinates; what is within centimetres of the lens is not drawn
     within &= np.isfinite(points).all(axis=2) & np.isfinite(view.depth)
     rows, columns = np.nonzero(within)
-    rotation, d = cv2.Rodrigues(other.R)[0], np.array(other.distortion)
-    if other.model == "equidistant":
-        plane, _ = cv2.fisheye.projectPoints(points[within][:, None], rotation, other.t, np.eye(3), d)
-    else:
-        plane, _ = cv2.projectPoints(points[within], rotation, other.t, np.eye(3), d)
-    expected = np.column_stack([plane.reshape(-1, 2), np.ones(len(rows))]) @ other.K[:2].T
+    expected = opencv_pixels(other, points[within])
     error = np.abs(view.flow[within] + np.stack([columns, rows], 1) - expected).max(axis=1)
     assert np.percentile(error, 99.5) < 0.05
     assert np.isnan(view.flow[np.isinf(view.depth)]).all()

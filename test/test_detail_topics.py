@@ -8,13 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import Client, rclpy
+from ros_support import whole_flow, write_scene
 
 from humansim_ros.render import ALL_CHANNELS, CHANNELS
 from humansim_ros.ros import messages
-from humansim_ros.ros.nodes.camera import CameraNode
-from humansim_ros.ros.nodes.motion_player import MotionPlayer
-from humansim_ros.ros.nodes.skinner import Skinner
 from humansim_ros.ros.outlets import TOPICS
 from humansim_ros.scene import Scene, Simulation
 
@@ -44,38 +41,25 @@ CLOUDS = ("joints", "boxes", "visible_vertices")
 
 @pytest.fixture(scope="module")
 def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    from rclpy.parameter import Parameter
     from sensor_msgs.msg import Image, PointCloud2
     from visualization_msgs.msg import Marker
 
     folder = tmp_path_factory.mktemp("detail")
     (folder / "moves.xml").write_text(MOVES)
-    (folder / "scene.yaml").write_text(SCENE)
-    scene = Parameter("scene", value=str(folder / "scene.yaml"))
-    nodes = [
-        kind(parameter_overrides=[scene], namespace="detail") for kind in (MotionPlayer, Skinner, CameraNode)
-    ]
-    client = Client("looker")
-    for node in nodes:
-        client.executor.add_node(node)
+    scene = write_scene(folder, SCENE)
     topics = {c: f"/detail/left/{TOPICS[c]}" for c in DETAILS if c in TOPICS}
     topics |= {c: f"/detail/left/{c}/anna/image" for c in ("alpha", "amodal")}
-    deep = rclpy.qos.QoSProfile(depth=500)
-    client.subscribe(Marker, ["/detail/objects/box/marker"], deep)
-    client.subscribe(Image, topics.values(), deep)
-    client.subscribe(PointCloud2, [f"/detail/left/{kind}" for kind in CLOUDS], deep)
-    kinds = 1 + len(DETAILS) + len(CLOUDS)
-    done = client.spin_until(lambda: len(client.received) == kinds and len(client.common_stamps()) >= 4, 60)
-    assert done, f"heard {sorted(client.received)}, {len(client.common_stamps())} common stamps"
-    simulation = Simulation(Scene.load(folder / "scene.yaml"), ALL_CHANNELS)
-    yield SimpleNamespace(
-        received=client.received, stamps=client.common_stamps(), topics=topics, simulation=simulation
-    )
-    simulation.close()
-    for node in nodes:
-        node.close()
-        node.destroy_node()
-    client.close()
+    wanted = {
+        Marker: ["/detail/objects/box/marker"],
+        Image: list(topics.values()),
+        PointCloud2: [f"/detail/left/{kind}" for kind in CLOUDS],
+    }
+    with whole_flow(scene, "detail", wanted, frames=4) as client:
+        simulation = Simulation(Scene.load(scene), ALL_CHANNELS)
+        yield SimpleNamespace(
+            received=client.received, stamps=client.common_stamps(), topics=topics, simulation=simulation
+        )
+        simulation.close()
 
 
 def index_of(flow: Any, stamp: int) -> float:

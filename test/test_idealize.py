@@ -16,6 +16,7 @@ from conftest import ROOT, needs_shared_data
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
+from opencv_support import opencv_pixels
 from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
 
@@ -52,17 +53,6 @@ def real_cameras(draw: st.DrawFn) -> Camera:
     return Camera(SIZE, k, rotation, t, tuple(strength * np.array(LENSES[model])), model)
 
 
-def distorted(camera: Camera, plane: Array) -> Array:
-    """Pixels (N, 2) of points of the normalised plane, by OpenCV, skew by hand."""
-    none, points = np.zeros(3), np.column_stack([plane, np.ones(len(plane))])
-    coefficients = np.array(camera.distortion)
-    if camera.model == "equidistant":
-        out, _ = cv2.fisheye.projectPoints(points[None], none, none, np.eye(3), coefficients)
-    else:
-        out, _ = cv2.projectPoints(points, none, none, np.eye(3), coefficients)
-    return np.column_stack([out.reshape(-1, 2), np.ones(len(plane))]) @ camera.K[:2].T
-
-
 def inside(pixels: Array, size: ArrayLike = SIZE) -> np.ndarray:
     return ((pixels >= 0) & (pixels <= np.subtract(size, 1))).all(axis=-1)
 
@@ -75,10 +65,10 @@ def test_a_world_point_has_the_same_ideal_pixel_by_the_ideal_camera_and_through_
     ideal = idealize(camera, square, center)
     rng = np.random.default_rng(seed)
     plane = rng.uniform(-0.8, 0.8, (400, 2))
-    real = distorted(camera, plane)
-    plane, real = plane[inside(real)], real[inside(real)]
     depth = rng.uniform(0.2, 30, len(plane))
     world = (np.column_stack([plane * depth[:, None], depth]) - camera.t) @ camera.R
+    real = opencv_pixels(camera, world)
+    world, real = world[inside(real)], real[inside(real)]
     projected = np.column_stack([world, np.ones(len(world))]) @ ideal.camera.P.T
     projected = projected[:, :2] / projected[:, 2:]
     np.testing.assert_allclose(ideal.points_to_ideal(real), projected, atol=1e-4)

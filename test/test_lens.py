@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from opencv_support import opencv_pixels
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
@@ -54,17 +55,6 @@ def seen_points(camera: Camera, seed: int, count: int = 60) -> Array:
     turn, depth = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.3, 20, count)
     optical = np.stack([np.tan(angle) * np.cos(turn), np.tan(angle) * np.sin(turn), np.ones(count)], axis=1)
     return (optical * depth[:, None] - camera.t) @ camera.R
-
-
-def opencv_pixels(camera: Camera, points: Array) -> Array:
-    """Where OpenCV projects points; it knows no skew, so that is put on after it."""
-    rotation, d = cv2.Rodrigues(camera.R)[0], np.array(camera.distortion)
-    plane = np.eye(3)
-    if camera.model == "equidistant":
-        image, _ = cv2.fisheye.projectPoints(points[:, None], rotation, camera.t, plane, d)
-    else:
-        image, _ = cv2.projectPoints(points, rotation, camera.t, plane, d)
-    return np.column_stack([image.reshape(-1, 2), np.ones(len(points))]) @ camera.K[:2].T
 
 
 @settings(deadline=None, max_examples=40)

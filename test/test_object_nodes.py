@@ -9,13 +9,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import Client, rclpy
+from ros_support import whole_flow, write_scene
 
 from humansim_ros.errors import RosError
 from humansim_ros.ros import messages
-from humansim_ros.ros.nodes.camera import CameraNode
-from humansim_ros.ros.nodes.motion_player import MotionPlayer
-from humansim_ros.ros.nodes.skinner import Skinner
 from humansim_ros.scene import Scene, Simulation
 
 #: A person is carried, turned and made larger; a box passes before it, whose place tells the time.
@@ -54,33 +51,22 @@ IMAGES = {
 
 @pytest.fixture(scope="module")
 def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    from rclpy.parameter import Parameter
     from sensor_msgs.msg import Image, MultiDOFJointState, PointCloud2
     from visualization_msgs.msg import Marker
 
     folder = tmp_path_factory.mktemp("lift")
     (folder / "moves.xml").write_text(MOVES)
-    (folder / "scene.yaml").write_text(SCENE)
-    scene = Parameter("scene", value=str(folder / "scene.yaml"))
-    nodes = [
-        kind(parameter_overrides=[scene], namespace="lift") for kind in (MotionPlayer, Skinner, CameraNode)
-    ]
-    client = Client("rider")
-    for node in nodes:
-        client.executor.add_node(node)
-    client.subscribe(MultiDOFJointState, TOPICS[:2], rclpy.qos.QoSProfile(depth=500))
-    client.subscribe(PointCloud2, [TOPICS[2], "/lift/left/joints"])
-    client.subscribe(Marker, ["/lift/objects/box/marker"], rclpy.qos.QoSProfile(depth=500))
-    client.subscribe(Image, [f"/lift/left/{kind}" for kind in IMAGES])
-    done = client.spin_until(lambda: len(client.received) == 9 and len(client.common_stamps()) >= 8, 60)
-    assert done, f"heard {sorted(client.received)}, {len(client.common_stamps())} common stamps"
-    simulation = Simulation(Scene.load(folder / "scene.yaml"))
-    yield SimpleNamespace(received=client.received, stamps=client.common_stamps(), simulation=simulation)
-    simulation.close()
-    for node in nodes:
-        node.close()
-        node.destroy_node()
-    client.close()
+    scene = write_scene(folder, SCENE)
+    wanted = {
+        MultiDOFJointState: TOPICS[:2],
+        PointCloud2: [TOPICS[2], "/lift/left/joints"],
+        Marker: ["/lift/objects/box/marker"],
+        Image: [f"/lift/left/{kind}" for kind in IMAGES],
+    }
+    with whole_flow(scene, "lift", wanted, frames=8) as client:
+        simulation = Simulation(Scene.load(scene))
+        yield SimpleNamespace(received=client.received, stamps=client.common_stamps(), simulation=simulation)
+        simulation.close()
 
 
 def frame_of(flow: Any, stamp: int) -> Any:

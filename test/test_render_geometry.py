@@ -10,7 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from render_scenes import EVEN, RENDERERS, assert_agrees, box, inner, oblique, renderer_or_skip, walkers
+from render_scenes import (
+    EVEN,
+    RENDERERS,
+    assert_agrees,
+    box,
+    centroids,
+    inner,
+    oblique,
+    renderer_or_skip,
+    walkers,
+)
 
 from humansim_ros.body import Mesh
 from humansim_ros.camera import Camera
@@ -48,16 +58,6 @@ def markers(camera: Camera, rng: np.random.Generator, radius: float) -> tuple[Bo
     faces = faces.reshape(-1, 4).astype(np.int32)
     parts = np.repeat(np.arange(1, len(centres) + 1), 12).astype(np.uint8)
     return Body(Mesh(vertices, faces), vertices.astype(np.float32), parts, 1), centres
-
-
-def centroids(weights: NDArray[np.floating], near: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weighted centroids, (N, 2), of what lies within 8 pixels of (N, 2) places."""
-    found = []
-    for x, y in near.round().astype(int):
-        window = weights[y - 8 : y + 9, x - 8 : x + 9]
-        rows, columns = np.mgrid[y - 8 : y + 9, x - 8 : x + 9]
-        found.append(np.array([(columns * window).sum(), (rows * window).sum()]) / window.sum())
-    return np.array(found)
 
 
 #: Bounds on the 95th percentile, pixels. Four samples a pixel do not cover it evenly.

@@ -8,12 +8,14 @@ import cv2
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from opencv_support import opencv_pixels
 from render_scenes import (
     EVEN,
     Surface,
     assert_agrees,
     box,
     cast,
+    centroids,
     inner,
     quad,
     renderer_or_skip,
@@ -49,15 +51,6 @@ def scene() -> Scene:
     return Scene.load()
 
 
-def opencv_pixels(camera: Camera, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    rotation, d, plane = cv2.Rodrigues(camera.R)[0], np.array(camera.distortion), np.eye(3)
-    if camera.model == "equidistant":
-        image, _ = cv2.fisheye.projectPoints(points[:, None], rotation, camera.t, plane, d)
-    else:
-        image, _ = cv2.projectPoints(points, rotation, camera.t, plane, d)
-    return np.column_stack([image.reshape(-1, 2), np.ones(len(points))]) @ camera.K[:2].T
-
-
 def discs(camera: Camera, rng: np.random.Generator, radius: float) -> tuple[Body, NDArray[np.float64]]:
     """Small discs that face the camera all over its image, a part label each; their centres in the world."""
     columns, rows = np.meshgrid(np.arange(24, 620, 40), np.arange(24, 460, 40))
@@ -75,15 +68,6 @@ def discs(camera: Camera, rng: np.random.Generator, radius: float) -> tuple[Body
     parts = np.repeat(np.arange(1, len(centres) + 1), 16).astype(np.uint8)
     mesh = Mesh(vertices, faces.reshape(-1, 4).astype(np.int32))
     return Body(mesh, vertices.astype(np.float32), parts, 1), centres
-
-
-def centroids(weights: NDArray[np.floating], near: NDArray[np.float64]) -> NDArray[np.float64]:
-    found = []
-    for x, y in near.round().astype(int):
-        window = weights[y - 8 : y + 9, x - 8 : x + 9]
-        rows, columns = np.mgrid[y - 8 : y + 9, x - 8 : x + 9]
-        found.append(np.array([(columns * window).sum(), (rows * window).sum()]) / window.sum())
-    return np.array(found)
 
 
 @pytest.mark.parametrize("name", LENSES)

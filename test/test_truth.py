@@ -10,11 +10,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from types import SimpleNamespace
 
-import cv2
 import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
+from opencv_support import opencv_pixels
 from render_scenes import body, box, quad, renderer_or_skip, walkers
 
 from humansim_ros.camera import Camera
@@ -200,11 +200,7 @@ def test_boxes_are_round_the_rays_that_meet_a_person(shots: list[Shot]) -> None:
             else:
                 assert np.isnan(found.visible).all()
             assert abs(found.pixels - len(mine)) <= 0.01 * len(mine)
-            # OpenCV's projection of every vertex
-            rotation, d = cv2.Rodrigues(shot.camera.R)[0], np.array(shot.camera.distortion)
-            project = cv2.fisheye.projectPoints if shot.camera.model == "equidistant" else cv2.projectPoints
-            points = person.vertices.astype(float)[:, None]
-            places = project(points, rotation, shot.camera.t, shot.camera.K, d)[0].reshape(-1, 2)
+            places = opencv_pixels(shot.camera, person.vertices)
             np.testing.assert_allclose(found.whole, [*places.min(0), *places.max(0)], atol=1e-3)
             # if nothing else were there
             near = np.all((pixels > places.min(0) - 2) & (pixels < places.max(0) + 2), axis=1)

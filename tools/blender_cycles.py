@@ -4,9 +4,11 @@
     python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
     python tools/blender_cycles.py --blender blender/bin/python [-o docs/images/cycles.jpg]
 
-Blender gets the meshes where they stand, their textures as diffuse colours, the camera, a sun of the same
-direction, size and irradiance, and a sky and ground that shine evenly. Walls and ceiling let light through in
-both. Light goes on from surface to surface in Blender alone.
+Blender gets the meshes where they stand, their textures as base colours, the camera, a sun of the same
+direction, size and irradiance, and a sky and ground that shine evenly. Where our people have skin it has
+skin of its own (light goes some millimetres into it, and it shines), elsewhere rough cloth with fibres that
+stand off. Walls and ceiling let light through in both. Light goes on from surface to surface in Blender
+alone.
 """
 
 import argparse
@@ -25,19 +27,19 @@ humans:
   walker: {motion: {file: walk, position: [-0.6, 0.9], yaw_deg: 10}}
 cameras:
   corner: {size: [560, 420], position: [3.0, 2.3, 1.9], look_at: [-0.2, 0.2, 0.75], fov_deg: 58}
-light: {shadows: soft}
+light: {shadows: soft%s}
 """
 
 
-def ours(folder: Path) -> np.ndarray:
-    """Our picture (H, W, 3), RGB; what it shows is written for Blender."""
+def ours(folder: Path, light: str = "") -> tuple[np.ndarray, np.ndarray]:
+    """Our picture (H, W, 3), RGB, and where people are; what it shows is written for Blender."""
     sys.path.insert(0, str(ROOT))
     from humansim_ros.scene import Scene, Simulation
 
     path = folder / "scene.yaml"
-    path.write_text(SCENE)
+    path.write_text(SCENE % light)
     scene = Scene.load(path)
-    simulation = Simulation(scene, ("rgb",))
+    simulation = Simulation(scene, ("rgb", "instance"))
     frame = simulation.frame(20)
     simulation.close()
     meshes = [(mesh, mesh.vertices) for mesh in scene.static_meshes]
@@ -64,8 +66,11 @@ def ours(folder: Path) -> np.ndarray:
             f"{number}/texture": mesh.texture,
             f"{number}/shell": np.array(shell),
         }
+        if mesh.skin is not None:
+            data[f"{number}/skin"] = mesh.skin
     np.savez(folder / "scene.npz", **data)
-    return frame.views["corner"].rgb
+    view = frame.views["corner"]
+    return view.rgb, view.instance > 0
 
 
 def render(scene_file: Path, picture: Path) -> None:
@@ -88,22 +93,10 @@ def render(scene_file: Path, picture: Path) -> None:
         mesh.uv_layers.new().data.foreach_set("uv", data[f"{number}/uv"].ravel())
         smooth = len(triangles) > 1000
         mesh.polygons.foreach_set("use_smooth", [smooth] * len(triangles))
-        texture = data[f"{number}/texture"]
-        height, width = texture.shape[:2]
-        image = bpy.data.images.new(number, width, height)
-        pixels = np.ones((height, width, 4), np.float32)
-        pixels[..., :3] = texture[::-1] / 255
-        image.pixels.foreach_set(pixels.ravel())
         material = bpy.data.materials.new(number)
         material.use_nodes = True
-        nodes, links = material.node_tree.nodes, material.node_tree.links
-        nodes.clear()
-        look, diffuse, output = (
-            nodes.new(f"ShaderNode{kind}") for kind in ("TexImage", "BsdfDiffuse", "OutputMaterial")
-        )
-        look.image = image
-        links.new(look.outputs["Color"], diffuse.inputs["Color"])
-        links.new(diffuse.outputs["BSDF"], output.inputs["Surface"])
+        skin = data[f"{number}/skin"] if f"{number}/skin" in data.files else None
+        paint(material.node_tree, data[f"{number}/texture"], skin)
         mesh.materials.append(material)
         thing = bpy.data.objects.new(number, mesh)
         if data[f"{number}/shell"]:
@@ -126,6 +119,52 @@ def render(scene_file: Path, picture: Path) -> None:
     scene.render.filepath = str(picture)
     scene.render.image_settings.file_format = "PNG"
     bpy.ops.render.render(write_still=True)
+
+
+def paint(tree, texture: np.ndarray, skin: np.ndarray | None) -> None:
+    """Make a material matt, or one of skin and cloth."""
+    import bpy
+
+    def image(pixels: np.ndarray, space: str):
+        height, width = pixels.shape[:2]
+        made = bpy.data.images.new("texture", width, height)
+        made.colorspace_settings.name = space
+        whole = np.ones((height, width, 4), np.float32)
+        whole[..., :3] = pixels[::-1].reshape(height, width, -1) / 255
+        made.pixels.foreach_set(whole.ravel())
+        node = tree.nodes.new("ShaderNodeTexImage")
+        node.image = made
+        return node.outputs["Color"]
+
+    def times(factor: float, plus: float, value):
+        node = tree.nodes.new("ShaderNodeMath")
+        node.operation = "MULTIPLY_ADD"
+        node.inputs[1].default_value, node.inputs[2].default_value = factor, plus
+        tree.links.new(value, node.inputs[0])
+        return node.outputs[0]
+
+    tree.nodes.clear()
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    kind = "BsdfDiffuse" if skin is None else "BsdfPrincipled"
+    surface = tree.nodes.new(f"ShaderNode{kind}")
+    tree.links.new(surface.outputs["BSDF"], output.inputs["Surface"])
+    color = "Color" if skin is None else "Base Color"
+    tree.links.new(image(texture, "sRGB"), surface.inputs[color])
+    if skin is None:
+        return
+    share = image(skin, "Non-Color")
+    answers = {
+        "Subsurface Weight": (1.0, 0.0),
+        "Specular IOR Level": (0.4, 0.0),
+        "Diffuse Roughness": (-0.4, 0.4),
+        "Sheen Weight": (-0.12, 0.12),
+    }
+    for name, (factor, plus) in answers.items():
+        tree.links.new(times(factor, plus, share), surface.inputs[name])
+    surface.inputs["Roughness"].default_value = 0.5
+    surface.inputs["Sheen Roughness"].default_value = 0.5
+    surface.inputs["Subsurface Radius"].default_value = (1.0, 0.35, 0.2)
+    surface.inputs["Subsurface Scale"].default_value = 0.01
 
 
 def add_sky(scene, sky: np.ndarray, ground: np.ndarray) -> None:

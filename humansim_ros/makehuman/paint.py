@@ -208,16 +208,21 @@ def paint_eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
 
 def paint_head_and_hands(c: Canvas, outfit: Outfit) -> Array:
     """Skin, and hair above the hairline."""
-    p = c.body
     colour = paint_skin(c, outfit)
+    rows, amount = hair_on(c)
+    colour[rows] = blend(colour[rows], paint_hair(c.at(rows), outfit), amount)
+    return colour
+
+
+def hair_on(c: Canvas) -> tuple[NDArray[np.intp], Array]:
+    """Which texels (M,) hair is on, and how much of it (M,)."""
+    p = c.body
     hairline = c.tailor.hair(p) + 0.004 * noise(p, 0.006, 22) + 0.003 * noise(p, 0.002, 23)
     rows = np.flatnonzero(hairline > -0.004)
-    some = c.at(rows)
     amount = ramp(hairline[rows], -0.004, 0.005)
     if c.tailor.hair_style == "short":
-        amount *= 1 - some.mask("ears")
-    colour[rows] = blend(colour[rows], paint_hair(some, outfit), amount)
-    return colour
+        amount *= 1 - c.at(rows).mask("ears")
+    return rows, amount
 
 
 def paint_hair(c: Canvas, outfit: Outfit) -> Array:
@@ -410,3 +415,13 @@ def paint(mesh: Mesh, texels: Texels, canvas: Canvas, light: Array, outfit: Outf
         axis /= np.linalg.norm(axis)
         fill(part == number, functools.partial(paint_eye, outfit=outfit, centre=centre, axis=axis))
     return np.asarray(colour * light[:, None])
+
+
+def bare(mesh: Mesh, texels: Texels, canvas: Canvas) -> Array:
+    """How much of each texel (N,) is skin or eyes: neither cloth nor leather nor hair."""
+    naked = mesh.face_garment[texels.face] == NONE
+    skin = naked.astype(float)
+    head = np.flatnonzero(naked & (mesh.part[texels.vertices[:, 0]] == 0))
+    rows, amount = hair_on(canvas.at(head))
+    skin[head[rows]] = 1 - amount
+    return skin

@@ -88,8 +88,10 @@ class GLRenderer:
             if asked
         ]
         soft = light.shadow == "soft"
-        self._lit = link(self._ctx, "lit.vert", "lit.frag", (*looks, "STILL", "MOVING") if soft else looks)
-        self._lit_still = link(self._ctx, "lit.vert", "lit.frag", (*looks, "STILL")) if soft else self._lit
+        people = ["PEOPLE"] if light.materials and light.mode == "lit" else []
+        still, moving = (["STILL"], ["STILL", "MOVING"]) if soft else ([], [])
+        self._lit = link(self._ctx, "lit.vert", "lit.frag", (*looks, *moving, *people))
+        self._lit_still = link(self._ctx, "lit.vert", "lit.frag", (*looks, *still))
         self._truth = link(self._ctx, "truth.vert", "truth.frag")
         self._shadow = link(self._ctx, "shadow.vert", "shadow.frag")
         self._shadow_quad, self._shadow_grid = (
@@ -99,7 +101,7 @@ class GLRenderer:
         self._shadow_texture = self._ctx.texture((CELLS, CELLS), 1, alignment=1)
         self._shine(self._lit)
         self._shine(self._lit_still)
-        self._sunless = link(self._ctx, "lit.vert", "lit.frag", looks) if soft else self._lit
+        self._sunless = link(self._ctx, "lit.vert", "lit.frag", looks) if soft else self._lit_still
         if soft:
             self._shine(self._sunless, sun=False)
         self._sunlight = None
@@ -290,6 +292,7 @@ class GLRenderer:
         for number, (surface, places) in enumerate(zip(surfaces, fallen, strict=True)):
             facing = surface.posed.facing(eye)
             set_uniform(program, "first_label", seen.count)
+            set_uniform(program, "dressed", float(surface.dressed))
             refined = surface.refined(camera, straight) if camera.distorted else None
             if refined is not None:
                 surface.draw_refined(program, refined)

@@ -26,7 +26,8 @@ class Lighting:
     ``mode``: shadeless shows colours as they are. ``strength``: times all light. ``shadows``: contact is a
     soft dark patch on the floor z = 0 under each body; soft is the shadow that the sun casts on everything,
     the blurrier the larger the sun appears, ``sun_size_deg``. ``tone_mapping``: filmic lets bright colours
-    fade to white. ``exposure``: in stops, one is twice as bright. ``background``: sRGB, where nothing is.
+    fade to white. ``exposure``: in stops, one is twice as bright. ``materials``: skin and cloth of people
+    answer light as such; all is matt otherwise. ``background``: sRGB, where nothing is.
     """
 
     sun: Color = (0.45, 0.3, 0.84)
@@ -40,6 +41,7 @@ class Lighting:
     sun_size_deg: float = 3.0
     tone_mapping: Literal["none", "filmic"] = "none"
     exposure: float = 0.0
+    materials: bool = True
 
     @property
     def shadow(self) -> Literal["contact", "soft", "none"]:

@@ -37,8 +37,9 @@ def link(ctx: moderngl.Context, vertex: str, fragment: str, switches: Sequence[s
     """A program of two files. ``switches``: names that are defined in both shaders."""
     lit = fragment == "lit.frag"
     before = [*(["develop.glsl"] if lit else []), *(["sunshine.glsl"] if "STILL" in switches else [])]
+    answers = ["people.glsl"] if "PEOPLE" in switches else []
     return ctx.program(
-        vertex_shader=shader(["lens.glsl", vertex], switches),
+        vertex_shader=shader(["lens.glsl", *answers, vertex], switches),
         fragment_shader=shader([*before, fragment], switches),
     )
 
@@ -46,6 +47,7 @@ def link(ctx: moderngl.Context, vertex: str, fragment: str, switches: Sequence[s
 def use_camera(ctx: moderngl.Context, program: moderngl.Program, camera: Camera) -> None:
     """Let what a program draws fall into a camera."""
     set_uniform(program, "optical_z", (*camera.R[2], camera.t[2]))
+    set_uniform(program, "eye", tuple(camera.center.tolist()))
     near = nearest(camera)
     clip = camera.opengl_clip(near, _FAR)
     if not camera.distorted:

@@ -173,13 +173,19 @@ class Still:
         self._pieces.draw(program, self._textures, self._counts)
 
 
-def texture(ctx: moderngl.Context, image: NDArray[np.uint8] | None) -> moderngl.Texture:
-    """A texture on the device, white where there is none."""
+def texture(
+    ctx: moderngl.Context, image: NDArray[np.uint8] | None, skin: NDArray[np.uint8] | None = None
+) -> moderngl.Texture:
+    """A texture on the device, white where there is none; its alpha is 0 where there is skin."""
     if image is None:
         return ctx.texture((1, 1), 3, b"\xff\xff\xff", alignment=1)
     # the texture coordinate v points up, the image's first row is on top
     height, width = image.shape[:2]
-    made = ctx.texture((width, height), 3, np.ascontiguousarray(image[::-1]).tobytes(), alignment=1)
+    if skin is not None:
+        image = np.dstack([image, 255 - skin])
+    made = ctx.texture(
+        (width, height), image.shape[2], np.ascontiguousarray(image[::-1]).tobytes(), alignment=1
+    )
     made.build_mipmaps()
     made.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
     return made

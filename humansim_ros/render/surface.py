@@ -42,7 +42,8 @@ class Surface:
         self._expanded = Expanded(mesh)
         self._source, self._corners = self._expanded.source, self._expanded.corners
         looks = self._expanded.looks
-        self._texture = texture(ctx, mesh.texture)
+        self.dressed = mesh.texture is not None and mesh.skin is not None
+        self._texture = texture(ctx, mesh.texture, mesh.skin)
         self._positions, self._normals = (ctx.buffer(reserve=len(looks) * 12, dynamic=True) for _ in range(2))
         self._looks = ctx.buffer(looks.tobytes())
         self._index = ctx.buffer(self._corners.tobytes(), dynamic=True)

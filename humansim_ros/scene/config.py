@@ -345,6 +345,9 @@ class LightConfig(_Section):
         default="none", description="filmic: bright colours fade to white instead of being cut off"
     )
     exposure: float = Field(default=0.0, ge=-20, le=20, description="stops: one more is twice as bright")
+    materials: bool = Field(
+        default=True, description="skin and cloth answer light as such; false: all surfaces are matt"
+    )
 
     @model_validator(mode="after")
     def _sun_somewhere(self) -> LightConfig:

@@ -1,11 +1,12 @@
 #version 330
 // Lit colour, and the truth with it. Light is added in linear space; x * x and sqrt(x) stand for the sRGB curve and its
 // inverse. A face seen from behind is lit as its front would be if it looked that way. What not every scene asks for is
-// switched on by name: SHADELESS, FILMIC, and the shadows of what is still (STILL) and of what moves (MOVING).
+// switched on by name: SHADELESS, FILMIC, the shadows of what is still (STILL) and of what moves (MOVING), PEOPLE of
+// skin and cloth.
 in vec4 v_normal;
 in vec2 v_uv;
 in vec3 v_color;
-uniform sampler2D surface;
+uniform sampler2D surface;  // alpha: of people, 0 is skin and 1 cloth
 uniform vec3 sun;        // direction to the light
 uniform vec3 sun_color;
 uniform vec3 sky_color;  // from above
@@ -17,27 +18,55 @@ layout(location = 2) out vec4 rgb;
 #ifdef STILL
 in vec3 v_world;
 #endif
+#ifdef PEOPLE
+in vec3 v_answer;
+uniform float dressed;  // 1 where it is known what is skin, 0 where all is matt
+const vec3 DEEP = vec3(0.45, 0.22, 0.13);   // how far past its edge light goes on under skin: red farthest
+const float THROUGH = 0.008;                // metres of skin that light goes through
+const float ROUGH_EVEN = 0.92, ROUGH_MORE = 0.28;  // Oren and Nayar's A and B, as Fujii has them, for 0.3
+const vec3 TINT = vec3(1.0, 0.95, 0.93);    // of light that has been under skin, and lost what skin does not let by
+const float FUZZ = 0.25;                    // how much of grazing light the fibres of cloth send back
+#endif
 void main() {
     vec3 n = normalize(gl_FrontFacing ? v_normal.xyz : -v_normal.xyz);
-    vec3 albedo = texture(surface, v_uv).rgb * v_color;
+    vec4 texel = texture(surface, v_uv);
+    vec3 albedo = texel.rgb * v_color;
 #ifdef SHADELESS
     rgb = vec4(albedo, 1.0);
 #else
+    vec3 shown = albedo;
     albedo *= albedo;
-    float facing = max(dot(n, sun), 0.0);
+    float slant = dot(n, sun), facing = max(slant, 0.0);
+    vec3 direct = vec3(facing);
+#ifdef PEOPLE
+    float skin = dressed * (1.0 - texel.a), cloth = dressed - skin;
+    vec3 past = max(DEEP - abs(slant), 0.0);
+    direct = direct * (1.0 + cloth * (ROUGH_EVEN - 1.0 + ROUGH_MORE * v_answer.z)) + skin * past * past * (0.25 / DEEP);
+#endif
+    float sunlit = 1.0;
     float unshadowed = 1.0;  // how much of its own light the surface lets through: alpha keeps what bodies leave of it
 #ifdef STILL
-    float still = facing > 0.0 ? sunshine(still_shadows, still_depths, still_map, v_world, n) : 0.0;
-    unshadowed = still;
-    facing *= still;
+    vec3 where = v_world;
+#ifdef PEOPLE
+    where += sun * (skin * THROUGH);
+#endif
+    bool lit = direct.r > 0.0;
+    sunlit = lit ? sunshine(still_shadows, still_depths, still_map, where, n) : 0.0;
+    unshadowed = sunlit;
 #ifdef MOVING
-    float left = facing > 0.0 ? sunshine(moving_shadows, moving_depths, moving_map, v_world, n) : 0.0;
-    facing *= left;
-    unshadowed = dot(n, sun) > 0.0 ? 1.0 - still * (1.0 - left) : 0.0;
+    float left = lit ? sunshine(moving_shadows, moving_depths, moving_map, where, n) : 0.0;
+    unshadowed = slant > 0.0 ? 1.0 - sunlit * (1.0 - left) : 0.0;
+    sunlit *= left;
 #endif
 #endif
-    vec3 light = mix(ground_color, sky_color, 0.5 + 0.5 * n.z) + sun_color * facing;
-    rgb = vec4(developed(albedo * light), unshadowed);
+    vec3 around = mix(ground_color, sky_color, 0.5 + 0.5 * n.z);
+    vec3 light = albedo * (around + sun_color * sunlit * direct);
+#ifdef PEOPLE
+    light *= mix(vec3(1.0 - 0.1 * FUZZ * dressed), 0.92 * TINT, skin);  // what shines does not go in
+    light += skin * (around * (0.01 + 0.15 * v_answer.y) + sun_color * (sunlit * facing * v_answer.x));
+    light += cloth * FUZZ * v_answer.y * shown * (around + sun_color * (sunlit * facing));
+#endif
+    rgb = vec4(developed(light), unshadowed);
 #endif
     depth = v_normal.w;
     label = first_label + uint(gl_PrimitiveID);

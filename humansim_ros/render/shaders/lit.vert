@@ -11,6 +11,11 @@ out vec3 v_color;
 #ifdef STILL
 out vec3 v_world;
 #endif
+#ifdef PEOPLE
+uniform vec3 eye;
+uniform vec3 sun;
+out vec3 v_answer;  // of what shines: the sun, evenly from around; of cloth: what roughness adds in the sun
+#endif
 void main() {
     gl_Position = projected(position);
     v_normal = vec4(normal, dot(optical_z, vec4(position, 1.0)));
@@ -18,5 +23,8 @@ void main() {
     v_color = color;
 #ifdef STILL
     v_world = position;
+#endif
+#ifdef PEOPLE
+    v_answer = answer(normal, normalize(eye - position), sun);
 #endif
 }

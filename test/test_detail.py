@@ -11,12 +11,24 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from opencv_support import opencv_pixels
-from render_scenes import EVEN, block_means, box, cast, finer, inner, oblique, renderer_or_skip, walkers, wall
+from render_scenes import (
+    EVEN,
+    RENDERERS,
+    block_means,
+    box,
+    cast,
+    finer,
+    inner,
+    oblique,
+    renderer_or_skip,
+    walkers,
+    wall,
+)
 
 from humansim_ros.body import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
-from humansim_ros.render import ALL_CHANNELS, Body, Neighbour
+from humansim_ros.render import ALL_CHANNELS, Body, Neighbour, RendererName
 from humansim_ros.scene import Scene
 
 CAMERA = oblique((2.6, 1.9, 1.7), (0, 0, 0.9))
@@ -202,9 +214,10 @@ def test_mattes_are_shares_of_pixels_and_add_up(scene: Scene) -> None:
     assert total.max() <= 256
 
 
-def test_amodal_masks_are_of_each_body_alone(scene: Scene) -> None:
+@pytest.mark.parametrize("name", RENDERERS)
+def test_amodal_masks_are_of_each_body_alone(scene: Scene, name: RendererName) -> None:
     bodies = walkers(scene, 0.6, PLACES)
-    renderer = renderer_or_skip([box((1.3, 0.9, 1.0), 0.3)])
+    renderer = renderer_or_skip([box((1.3, 0.9, 1.0), 0.3)], name=name)
     view = renderer.render(bodies, CAMERA, ["amodal", "instance", "depth"])
     for body in bodies:
         alone = cast(CAMERA, [(body.vertices, body.mesh.triangles)])[1] == 0

@@ -15,11 +15,11 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from opencv_support import opencv_pixels
-from render_scenes import body, box, quad, renderer_or_skip, walkers
+from render_scenes import RENDERERS, body, box, quad, renderer_or_skip, walkers
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.render import Body
+from humansim_ros.render import Body, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.truth.boxes import truncation, view_boxes
 from humansim_ros.truth.joints import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, THING, VISIBLE, joint_surfaces
@@ -119,14 +119,22 @@ class Shot:
         return tuple(a.reshape(9, -1) for a in self.cast(self.camera.unproject(nine, np.ones(len(nine)))))
 
 
-@pytest.fixture(scope="module", params=SCENES)
+#: Scenes and what draws them; pyrender knows ideal lenses only, and no faces.
+OURS = [(name, "moderngl") for name in SCENES]
+ALL = [*OURS, ("room", "pyrender")]
+
+
+@pytest.fixture(scope="module", params=ALL, ids="-".join)
 def shots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Shot]]:
-    folder = tmp_path_factory.mktemp(request.param)
-    (folder / "scene.yaml").write_text(PEOPLE + SCENES[request.param])
+    name, renderer = request.param
+    folder = tmp_path_factory.mktemp(name)
+    (folder / "scene.yaml").write_text(PEOPLE + SCENES[name])
     (folder / "moves.xml").write_text(MOVES)
     Trajectory.orbit((0, 0, 0.9), radius=2.6, height=1.4, period=4).write(folder / "way.txt")
     scene = Scene.load(folder / "scene.yaml")
-    simulation = Simulation(scene, CHANNELS, renderer=renderer_or_skip(scene.static_meshes))
+    channels = CHANNELS if renderer == "moderngl" else tuple(set(CHANNELS) - {"face", "uv"})
+    drawing = renderer_or_skip(scene.static_meshes, name=renderer)
+    simulation = Simulation(scene, channels, renderer=drawing)
     yield [Shot(scene, simulation.frame(number)) for number in FRAMES]
     simulation.close()
 
@@ -210,6 +218,7 @@ def test_boxes_are_round_the_rays_that_meet_a_person(shots: list[Shot]) -> None:
             assert found.visible_fraction == pytest.approx(len(mine) / met.sum(), abs=0.01)
 
 
+@pytest.mark.parametrize("shots", OURS, indirect=True, ids="-".join)
 def test_the_point_of_the_surface_is_the_one_that_the_ray_meets(shots: list[Shot]) -> None:
     shot = shots[3]
     view = shot.frame.views["camera"]
@@ -233,6 +242,7 @@ def test_the_point_of_the_surface_is_the_one_that_the_ray_meets(shots: list[Shot
     assert compared > 2500
 
 
+@pytest.mark.parametrize("shots", OURS, indirect=True, ids="-".join)
 def test_part_u_and_v_belong_to_one_triangle_only(shots: list[Shot]) -> None:
     """Found again in the texture's plane, as somebody would who has only this image and the mesh."""
     shot = shots[0]
@@ -271,16 +281,17 @@ def plate(x0: float, y0: float, x1: float, y1: float, z: float) -> Body:
     return body(quad([(x0, y0, z), (x0, y1, z), (x1, y1, z), (x1, y0, z)]), instance=7)
 
 
-def boxes_of(thing: Body) -> tuple[NDArray[np.floating], float, float, int]:
-    camera, renderer = straight(), renderer_or_skip()
+def boxes_of(thing: Body, name: RendererName) -> tuple[NDArray[np.floating], float, float, int]:
+    camera, renderer = straight(), renderer_or_skip(name=name)
     found = view_boxes(camera, [thing], renderer.render([thing], camera, ["instance", "amodal"]))[7]
     renderer.close()
     return found.whole, found.truncation, found.visible_fraction, found.pixels
 
 
-def test_truncation_is_the_share_of_the_box_outside_the_image() -> None:
+@pytest.mark.parametrize("name", RENDERERS)
+def test_truncation_is_the_share_of_the_box_outside_the_image(name: RendererName) -> None:
     # from the middle of the image to as much again beyond its right edge
-    whole, share, fraction, pixels = boxes_of(plate(0.0, -0.2, 1.0, 0.2, 1.0))
+    whole, share, fraction, pixels = boxes_of(plate(0.0, -0.2, 1.0, 0.2, 1.0), name)
     np.testing.assert_allclose(whole, [49.5, 19.5, 149.5, 59.5], atol=1e-5)
     assert share == pytest.approx(0.5, abs=1e-6)
     assert (fraction, pixels) == (1.0, 50 * 40)
@@ -289,17 +300,19 @@ def test_truncation_is_the_share_of_the_box_outside_the_image() -> None:
     assert truncation(np.array([50.0, 10, 50, 10]), (100, 80)) == 0  # a point
 
 
-def test_a_body_behind_the_camera_has_no_boxes() -> None:
-    whole, share, fraction, pixels = boxes_of(plate(0.0, -0.2, 1.0, 0.2, -1.0))
+@pytest.mark.parametrize("name", RENDERERS)
+def test_a_body_behind_the_camera_has_no_boxes(name: RendererName) -> None:
+    whole, share, fraction, pixels = boxes_of(plate(0.0, -0.2, 1.0, 0.2, -1.0), name)
     assert np.isnan(whole).all()
     assert (share, pixels) == (1.0, 0)
     assert np.isnan(fraction)
 
 
-def test_of_a_body_round_the_camera_the_box_is_that_of_what_is_before_it() -> None:
+@pytest.mark.parametrize("name", RENDERERS)
+def test_of_a_body_round_the_camera_the_box_is_that_of_what_is_before_it(name: RendererName) -> None:
     """A floor one metre below, from two metres behind to ten before: cut at 5 cm."""
     floor = body(quad([(-1, 1, -2), (1, 1, -2), (1, 1, 10), (-1, 1, 10)]), instance=7)
-    whole, share, _, pixels = boxes_of(floor)
+    whole, share, _, pixels = boxes_of(floor, name)
     near = 100 / 0.05
     np.testing.assert_allclose(whole, [49.5 - near, 39.5 + 10, 49.5 + near, 39.5 + near], rtol=1e-6)
     assert 0.99 < share < 1

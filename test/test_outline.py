@@ -11,7 +11,7 @@ from render_scenes import EVEN, along_x, block_means, body, finer, quad, rendere
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, GLRenderer
-from humansim_ros.render import gl as default_renderer
+from humansim_ros.render import drawn
 from humansim_ros.render.posed import Posed, Topology
 from humansim_ros.scene import Scene
 
@@ -24,7 +24,7 @@ def tilted(angle: float, half: float = 0.5, x: float = 3.0) -> Body:
 
 
 def without_antialiasing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(default_renderer, "blend", lambda *_: None)
+    monkeypatch.setattr(drawn, "blend", lambda *_: None)
 
 
 def coverage(renderer: GLRenderer, bodies: list[Body], camera: Camera, fine: int = 16) -> NDArray[np.float64]:

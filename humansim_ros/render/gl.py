@@ -8,10 +8,8 @@ cannot show are not sent at all.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from functools import cached_property
-from types import MappingProxyType
-from typing import Any
 
 import cv2
 import moderngl
@@ -20,10 +18,12 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
+from humansim_ros.memory import keep_image_blocks
 from humansim_ros.render.context import create_context, current
-from humansim_ros.render.detail import Detail, Shown, optical_flow, ray_grid
+from humansim_ros.render.detail import ray_grid
+from humansim_ros.render.drawn import Asked, Drawn, Seen
 from humansim_ros.render.light import Lighting
-from humansim_ros.render.outline import blend, crossings
+from humansim_ros.render.outline import crossings
 from humansim_ros.render.posed import Floats, Topology
 from humansim_ros.render.programs import link, unit_square, use_camera
 from humansim_ros.render.refine import TOLERANCE, VISIBLE, LensView
@@ -40,7 +40,7 @@ from humansim_ros.render.renderer import (
 from humansim_ros.render.shadow import CELLS, ContactShadow
 from humansim_ros.render.still import StillScene
 from humansim_ros.render.sunlight import Sunlight
-from humansim_ros.render.surface import Fallen, Seen, Surface, straightened, touched
+from humansim_ros.render.surface import Fallen, Surface, contour, straight_angle, touched
 from humansim_ros.render.target import Rectangle, Shades, StaticLayer, Target
 from humansim_ros.render.uniforms import set_uniform
 
@@ -49,8 +49,8 @@ _STATIC_SUPERSAMPLING = 4
 _MAX_STATIC_SIDE = 8192
 #: The same for a camera that is elsewhere in the next frame.
 _PASSING_SUPERSAMPLING = 2
-#: Bytes of depth that are kept for the flow of the next frame.
-_MOST_DEPTHS = 128 << 20
+#: Pixels of pictures that are kept, as the next frame may be asked for again when this one's flow is known.
+_MOST_KEPT = 4 << 20
 #: Cameras whose static scene is kept.
 _MAX_LAYERS = 32
 #: Pieces along a side of a shadow that a lens may bend.
@@ -66,6 +66,7 @@ class GLRenderer:
     def __init__(
         self, static: Sequence[Mesh] = (), lighting: Lighting | None = None, device: int | None = None
     ) -> None:
+        keep_image_blocks()
         self._lighting = lighting or Lighting()
         self._ctx = create_context(device)
         self._ctx.front_face = (
@@ -77,7 +78,7 @@ class GLRenderer:
         self._targets: dict[tuple[int, int], Target] = {}
         self._layers: dict[bytes, StaticLayer] = {}
         self._passing: StaticLayer | None = None
-        self._depths: dict[tuple[tuple[int, ...], bytes], tuple[Sequence[Body], Floats]] = {}
+        self._drawn: dict[tuple[object, ...], Drawn] = {}
         light = self._lighting
         looks = [
             name
@@ -143,132 +144,87 @@ class GLRenderer:
         moments = {"after": after, "before": before}
         check_request(bodies, channels)
         check_neighbours(bodies, channels, moments)
+        asked = Asked.by(channels)
         with current(self._ctx):
-            hidden = [moments[FLOWS[c]] for c in channels if c.endswith("_hidden")]
-            depths = {id(m): self._depth_at(m, passing, backdrop) for m in hidden if m is not None}
-            return self._render(bodies, camera, frozenset(channels), passing, moments, depths, backdrop)
+            drawn = self._drawn_of(bodies, camera, asked, passing, backdrop)
+            others: dict[str, tuple[Neighbour, Floats | None]] = {}
+            for which, moment in moments.items():
+                flows = {channel for channel in channels if FLOWS.get(channel) == which}
+                if moment is None or not flows:
+                    continue
+                depth = None
+                if any(channel.endswith("_hidden") for channel in flows):
+                    # as this one: it will be asked for next
+                    other = self._drawn_of(moment.bodies, moment.camera, asked, passing, backdrop)
+                    depth = other.whole_depth
+                others[which] = moment, depth
+            return drawn.view(channels, others)
 
-    def _depth_at(self, moment: Neighbour, passing: bool, backdrop: Backdrop | None) -> Floats:
-        """(H, W) depth of a neighbouring frame, drawn now unless it has been."""
-        key = _frame_key(moment.bodies, moment.camera)
-        if key not in self._depths:
-            view = self._render(
-                moment.bodies, moment.camera, frozenset({"depth"}), passing, backdrop=backdrop
-            )
-            assert view.depth is not None
-            self._keep_depth(moment.bodies, moment.camera, view.depth)
-        return self._depths[key][1]
+    def _drawn_of(
+        self, bodies: Sequence[Body], camera: Camera, asked: Asked, passing: bool, backdrop: Backdrop | None
+    ) -> Drawn:
+        """The picture of a frame, drawn now unless it has been."""
+        key = _frame_key(bodies, camera, passing, backdrop)
+        drawn = self._drawn.pop(key, None)
+        if drawn is None or not drawn.asked.covers(asked):
+            drawn = self._draw(bodies, camera, asked, passing, backdrop)
+        self._drawn[key] = drawn  # with its bodies, so that their ids stay their own
+        kept = sum(picture.labels.size for picture in self._drawn.values())
+        while kept > _MOST_KEPT and len(self._drawn) > 3:
+            kept -= self._drawn.pop(next(iter(self._drawn))).labels.size
+        return drawn
 
-    def _keep_depth(self, bodies: Sequence[Body], camera: Camera, depth: Floats) -> None:
-        """Keep the depth of a frame for those beside it, and its bodies, so that their ids stay their own."""
-        self._depths[_frame_key(bodies, camera)] = tuple(bodies), depth
-        while len(self._depths) > 2 and len(self._depths) * depth.nbytes > _MOST_DEPTHS:
-            self._depths.pop(next(iter(self._depths)))
-
-    def _render(
-        self,
-        bodies: Sequence[Body],
-        camera: Camera,
-        channels: frozenset[str],
-        passing: bool,
-        moments: Mapping[str, Neighbour | None] = MappingProxyType({}),
-        depths: Mapping[int, Floats | None] = MappingProxyType({}),
-        backdrop: Backdrop | None = None,
-    ) -> View:
+    def _draw(
+        self, bodies: Sequence[Body], camera: Camera, asked: Asked, passing: bool, backdrop: Backdrop | None
+    ) -> Drawn:
         layer = self._layer(camera, passing, backdrop)
-        lit = bool(channels & {"rgb", "shadow"})
-        flows = [which for which in ("after", "before") if any(FLOWS.get(c) == which for c in channels)]
-        outlined = bool(channels & {"rgb", "alpha"})
         surfaces = [self._surface(body) for body in bodies]
-        shadows = (
-            [surface.shadow for surface in surfaces if surface.near_floor] if lit and self._contact else []
-        )
-        clouds = [shadow.corners.T for shadow in shadows]
-        sunlight = self._sunlight if lit else None
+        shadows: list[ContactShadow] = []
+        if asked.lit and self._contact:
+            shadows = [surface.shadow for surface in surfaces if surface.near_floor]
+        around = [shadow.corners.T for shadow in shadows]
+        sunlight = self._sunlight if asked.lit else None
         if sunlight is not None and surfaces:
-            clouds += sunlight.shine_on(surfaces)
+            around += sunlight.shine_on(surfaces)
         fallen = [Fallen(surface.posed.points, camera) for surface in surfaces]
-        rectangle = touched([*fallen, *(Fallen(points, camera) for points in clouds)], camera)
-        view: dict[str, Any] = layer.view(channels | {"depth"} if outlined or flows else channels)
-        shown = Shown(*(np.zeros(0, np.intp) for _ in range(3)))
-        if "alpha" in channels:
-            view["alpha"] = {
-                b.instance: np.zeros(view["depth"].shape, np.uint8) for b in bodies if b.instance
-            }
+        rectangle = touched([*fallen, *(Fallen(points, camera) for points in around)], camera)
+        target = self._target(camera.size)
+        target.start(rectangle, layer)
+        seen, outline = Seen(), None
         if not rectangle.empty:
-            target = self._target(camera.size)
-            target.start(rectangle, layer)
             if shadows:
                 self._draw_shadows(shadows, camera)
             if sunlight is not None:
                 sunlight.shade(layer, target, camera)
-            target.use(lit)
-            seen = self._draw_bodies(surfaces, fallen, camera, rectangle, lit, outlined)
-            if "depth" in view:
-                depth = target.read("depth", lit)
-                np.copyto(view["depth"][rectangle.slices], depth, where=depth > 0)
-            if "shadow" in channels:
-                rgba = target.read("rgba", lit)
-                view["shadow"][rectangle.slices] = 255 - rgba[..., 3]
-                if "rgb" in channels:
-                    view["rgb"][rectangle.slices] = rgba[..., :3]
-            elif lit:
-                view["rgb"][rectangle.slices] = target.read("rgb", lit)
-            if channels - {"rgb", "depth", "amodal", "shadow"}:
-                labels = target.read("label", lit)
-                for name in channels & {"instance", "part", "face"}:
-                    view[name][rectangle.slices] = seen.table(name)[labels]
-                if channels & {"normal", "uv"} or flows:
-                    shown = seen.shown(labels, rectangle, camera.size)
-                if "alpha" in channels:
-                    instances = seen.table("instance")[labels]
-                    for instance, alpha in view["alpha"].items():
-                        alpha[rectangle.slices] = np.where(instances == instance, 255, 0)
-            if outlined:
-                outline = crossings(camera, *seen.outline)
-                images = [view["rgb"]] if "rgb" in channels else []
-                blend([*images, *view.get("alpha", {}).values()], view["depth"], outline)
-        if channels & {"normal", "uv"} or flows:
-            self._add_detail(view, Detail(camera, bodies, shown), channels, flows, moments, depths)
-        if "flow_back_hidden" in channels or "flow_hidden" in channels:
-            self._keep_depth(bodies, camera, view["depth"].copy())  # the caller's own may be changed
-        if "amodal" in channels:
-            view["amodal"] = {b.instance: self._alone(b, camera) for b in bodies if b.instance}
-        return View(**{name: view[name] for name in channels})
+            target.use(asked.lit)
+            facing = [surface.posed.facing(camera.center) for surface in surfaces]
+            seen = self._draw_bodies(surfaces, fallen, facing, camera, rectangle, asked.lit)
+            if asked.outlined:
+                angle = straight_angle(camera, rectangle)
+                each = zip(surfaces, fallen, facing, strict=True)
+                outline = crossings([contour(s.posed, f, front, angle) for s, f, front in each], camera.size)
+        labels, depth = (target.read(name, asked.lit) for name in ("label", "depth"))
+        rgba = target.read("rgba", True) if asked.lit else None
+        alone = None
+        if asked.alone:
+            alone = {
+                s.body.instance: self._alone(s, f, camera) for s, f in zip(surfaces, fallen, strict=True)
+            }
+            alone.pop(0, None)
+        return Drawn(
+            asked, tuple(bodies), camera, layer, rectangle, seen, labels, depth, rgba, outline, alone
+        )
 
-    def _add_detail(
-        self,
-        view: dict[str, Any],
-        detail: Detail,
-        channels: frozenset[str],
-        flows: Sequence[str],
-        moments: Mapping[str, Neighbour | None],
-        depths: Mapping[int, Floats | None],
-    ) -> None:
-        """Fill in what follows from the triangles that are shown."""
-        pixels = detail.shown.pixels
-        if "normal" in channels:
-            view["normal"].reshape(-1, 3)[pixels] = detail.normals()
-        if "uv" in channels:
-            view["uv"].reshape(-1, 2)[pixels] = detail.texture_coordinates()
-        for which in flows:
-            moment = moments[which]
-            assert moment is not None
-            name = "flow" if which == "after" else "flow_back"
-            flow = optical_flow(detail.camera, detail, view["depth"], moment, depths.get(id(moment)))
-            view[name], view[f"{name}_hidden"] = flow.flow, flow.hidden
-
-    def _alone(self, body: Body, camera: Camera) -> NDArray[np.bool_]:
+    def _alone(self, surface: Surface, fallen: Fallen, camera: Camera) -> NDArray[np.bool_]:
         """(H, W) where a body would be seen if nothing were before it."""
         mask = np.zeros(camera.size[::-1], bool)
-        surface = self._surface(body)
-        fallen = Fallen(surface.posed.points, camera)
         rectangle = touched([fallen], camera)
         if not rectangle.empty:
             target = self._target(camera.size)
             target.start(rectangle)
             target.use(False)
-            self._draw_bodies([surface], [fallen], camera, rectangle, False, False)
+            facing = surface.posed.facing(camera.center)
+            self._draw_bodies([surface], [fallen], [facing], camera, rectangle, False)
             mask[rectangle.slices] = target.read("label", False) > 0
         return mask
 
@@ -276,38 +232,32 @@ class GLRenderer:
         self,
         surfaces: Sequence[Surface],
         fallen: Sequence[Fallen],
+        facing: Sequence[NDArray[np.bool_]],
         camera: Camera,
         rectangle: Rectangle,
         lit: bool,
-        outlined: bool,
     ) -> Seen:
         """Draw what can be seen, every triangle with a number of its own, counted on from body to body."""
         program = self._lit if lit else self._truth
         use_camera(self._ctx, program, camera)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
-        eye = camera.center
         seen = Seen()
-        # edges that are seen under less a lens does not bend visibly
-        straight = LensView(camera).straight_angle(rectangle.low, rectangle.high) if camera.distorted else 0.0
-        for number, (surface, places) in enumerate(zip(surfaces, fallen, strict=True)):
-            facing = surface.posed.facing(eye)
+        straight = straight_angle(camera, rectangle)
+        for surface, places, front in zip(surfaces, fallen, facing, strict=True):
             set_uniform(program, "first_label", seen.count)
             set_uniform(program, "dressed", float(surface.dressed))
             refined = surface.refined(camera, straight) if camera.distorted else None
             if refined is not None:
                 surface.draw_refined(program, refined)
-                seen.add(number, surface.body, refined.parents)
-            else:
-                # from outside a closed surface its back faces never show; a camera that is near may be inside
-                culled = surface.topology.mesh.closed and not rectangle.near
-                shown = np.flatnonzero(facing) if culled else np.arange(len(facing))
-                if not rectangle.near:
-                    shown = shown[places.covering([c.take(shown) for c in surface.topology.corners])]
-                surface.draw(lit, shown)
-                seen.add(number, surface.body, shown)
-            if outlined:
-                contour = surface.posed.contour(facing)
-                seen.outlines.append(straightened(contour, camera, straight) if camera.distorted else contour)
+                seen.add(surface.body, refined.parents)
+                continue
+            # from outside a closed surface its back faces never show; a camera that is near may be inside
+            culled = surface.topology.mesh.closed and not rectangle.near
+            shown = np.flatnonzero(front) if culled else np.arange(len(front))
+            if not rectangle.near:
+                shown = shown[places.covering([c.take(shown) for c in surface.topology.corners])]
+            surface.draw(lit, shown)
+            seen.add(surface.body, shown)
         return seen
 
     def _draw_shadows(self, shadows: Sequence[ContactShadow], camera: Camera) -> None:
@@ -409,9 +359,11 @@ def _camera_key(camera: Camera) -> bytes:
     return b"".join((*(n.tobytes() for n in numbers), str(camera.model).encode()))
 
 
-def _frame_key(bodies: Sequence[Body], camera: Camera) -> tuple[tuple[int, ...], bytes]:
+def _frame_key(
+    bodies: Sequence[Body], camera: Camera, passing: bool, backdrop: Backdrop | None
+) -> tuple[object, ...]:
     """The same for what is the same before the same camera."""
-    return tuple(id(body) for body in bodies), _camera_key(camera)
+    return tuple(id(body) for body in bodies), _camera_key(camera), passing, id(backdrop)
 
 
 def _lit_pixels(camera: Camera) -> NDArray[np.bool_]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,45 +36,68 @@ class Crossings:
     depth: Array
 
 
-def crossings(camera: Camera, starts: NDArray[np.floating], ends: NDArray[np.floating]) -> Crossings:
-    """Where edges from ``starts`` to ``ends``, (N, 3) world, cross columns and rows of pixel centres.
+class ImageEdges(NamedTuple):
+    """Edges that are straight in an image: columns, rows and depths (N,) of their starts and ends."""
 
-    They are straight in the image: what a lens bends is to be cut into pieces before.
-    """
-    (p, near), (q, far) = camera.project(starts), camera.project(ends)
-    good = np.isfinite(p[:, 0]) & np.isfinite(q[:, 0])
+    start: tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+    end: tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+
+    @classmethod
+    def of(cls, camera: Camera, starts: NDArray[np.floating], ends: NDArray[np.floating]) -> ImageEdges:
+        """Edges from ``starts`` to ``ends``, (N, 3) world, that a camera sees; those that the lens bends cut
+        to pieces before.
+        """
+        (p, near), (q, far) = camera.project(starts), camera.project(ends)
+        good = np.isfinite(p[:, 0]) & np.isfinite(q[:, 0])
+        (px, py), (qx, qy) = p[good].T, q[good].T
+        return cls((px, py, near[good]), (qx, qy, far[good]))
+
+
+def crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> Crossings:
+    """Where edges cross columns and rows of pixel centres of an image of a width and a height."""
+    (px, py, near), (qx, qy, far) = (
+        [np.concatenate(values, dtype=float) for values in zip(*side, strict=True)]
+        for side in zip(*edges, strict=True)
+    )
+    # columns, then rows: x is the coordinate of the line that is crossed, y goes along it
+    width, height = size
+    x0, x1 = np.concatenate([px, py]), np.concatenate([qx, qy])
+    y0, y1 = np.concatenate([py, px]), np.concatenate([qy, qx])
     # along an edge in the image 1 / z is what changes evenly
-    p, q = np.column_stack([p[good], 1 / near[good]]), np.column_stack([q[good], 1 / far[good]])
-    width, height = camera.size
-    columns = _crossings(p, q, (width, height), (1, width))
-    rows = _crossings(p[:, [1, 0, 2]], q[:, [1, 0, 2]], (height, width), (width, 1))
-    return Crossings(*(np.concatenate(both) for both in zip(columns, rows, strict=True)))
-
-
-def _crossings(
-    p: Array, q: Array, size: tuple[int, int], stride: tuple[int, int]
-) -> tuple[NDArray[Any], ...]:
-    """Crossings of edges, (N, 3) of x, y and 1 / z, with the lines where x is a whole number."""
-    low, high = np.minimum(p[:, 0], q[:, 0]), np.maximum(p[:, 0], q[:, 0])
-    first, end = (np.clip(np.ceil(x), 0, size[0]).astype(np.intp) for x in (low, high))
+    inverse0, inverse1 = 1 / np.concatenate([near, near]), 1 / np.concatenate([far, far])
+    lines, places = (np.repeat(limit, len(px)) for limit in ((width, height), (height, width)))
+    first, end = (
+        np.minimum(np.maximum(np.ceil(x), 0), lines).astype(np.intp)
+        for x in (np.minimum(x0, x1), np.maximum(x0, x1))
+    )
     count = end - first
-    edge = np.repeat(np.arange(len(p)), count)
-    x = np.arange(len(edge)) + np.repeat(first - np.cumsum(count) + count, count)
-    start, way = p[edge], q[edge] - p[edge]
-    _, y, inverse = (start + way * ((x - start[:, 0]) / way[:, 0])[:, None]).T
+    edge = np.repeat(np.arange(len(count)), count)
+    x = np.arange(len(edge)) + (first - np.cumsum(count) + count).take(edge)
+    slope = ((y1 - y0) / np.where(count > 0, x1 - x0, 1)).take(edge)
+    way = x - x0.take(edge)
+    y = y0.take(edge) + slope * way
+    depth = 1 / (
+        inverse0.take(edge) + ((inverse1 - inverse0) / np.where(count > 0, x1 - x0, 1)).take(edge) * way
+    )
     centre = np.rint(y)
-    other = centre + np.where(y < centre, -1, 1)
-    inside = np.flatnonzero((np.minimum(centre, other) >= 0) & (np.maximum(centre, other) < size[1]))
-    x, y, inverse, centre, other = (values[inside] for values in (x, y, inverse, centre, other))
-    nearer, farther = (x * stride[0] + row.astype(np.intp) * stride[1] for row in (centre, other))
-    slope = np.minimum(
-        np.abs(way[inside, 1] / way[inside, 0]), 1
-    )  # what is steeper is found along the other axis
-    distance, depth = np.abs(y - centre), 1 / inverse
+    side = np.where(y < centre, -1, 1)
+    limit = places.take(edge)
+    inside = np.flatnonzero(
+        (np.minimum(centre, centre + side) >= 0) & (np.maximum(centre, centre + side) < limit)
+    )
+    x, y, depth, centre, side, limit, slope = (
+        values.take(inside) for values in (x, y, depth, centre, side, limit, slope)
+    )
+    rows = edge.take(inside) >= len(px)
+    along = np.where(rows, 1, width)
+    nearer = x * np.where(rows, width, 1) + centre.astype(np.intp) * along
+    farther = nearer + side * along
+    slope = np.minimum(np.abs(slope), 1)  # what is steeper is found along the other axis
+    distance = np.abs(y - centre)
     both = np.flatnonzero(distance + slope / 2 > 0.5)
     # right on a centre either neighbour may be the one on the other side
-    tie = np.flatnonzero((distance < _SNAP) & (2 * centre - other >= 0) & (2 * centre - other < size[1]))
-    return (
+    tie = np.flatnonzero((distance < _SNAP) & (centre - side >= 0) & (centre - side < limit))
+    return Crossings(
         np.concatenate([nearer, farther[both], nearer[tie]]),
         np.concatenate([farther, nearer[both], 2 * nearer[tie] - farther[tie]]),
         np.concatenate(

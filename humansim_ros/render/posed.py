@@ -141,12 +141,12 @@ class Posed:
         # not by BLAS: its threads would round differently on another machine
         return np.asarray(np.einsum("i,ij->j", eye.astype(np.float32), self.areas) > self._planes)
 
-    def contour(self, facing: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-        """Starts and ends (C, 3) of the edges that all outlines lie on.
+    def contour(self, facing: NDArray[np.bool_]) -> tuple[Indices, Indices]:
+        """Vertices (C,) at the starts and ends of the edges that all outlines lie on.
 
         They part a triangle that faces the eye from one that does not, or end the surface.
         """
         first, second = self.topology.sides
         chosen = np.flatnonzero((facing.take(first) != facing.take(second)) | self.topology.border)
         starts, ends = self.topology.edges.take(chosen, axis=0).T
-        return self.vertices.take(starts, axis=0), self.vertices.take(ends, axis=0)
+        return starts, ends

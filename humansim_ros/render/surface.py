@@ -1,17 +1,16 @@
-"""Bodies on the device, what of them can be seen, and which triangle each label stands for."""
+"""Bodies on the device, and where their vertices fall in the image."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.render.detail import Shown
+from humansim_ros.render.outline import ImageEdges
 from humansim_ros.render.posed import Floats, Posed, Topology
 from humansim_ros.render.refine import NEAR, LensView, Refined
 from humansim_ros.render.renderer import Body
@@ -23,6 +22,8 @@ from humansim_ros.rotations import Array
 #: Pixels by which a triangle that is said to miss the centres of all pixels surely does: places are computed
 #: in single precision, here and on the device, which rounds them to 1/256 of a pixel.
 _SURELY = np.float32(1 / 64)
+#: Poses of a body of which is kept what was worked out: those of some frames, and of an exposure.
+_MOST_POSES = 12
 
 
 class Surface:
@@ -59,6 +60,7 @@ class Surface:
         )
         self._truth = ctx.vertex_array(truth, [(self._positions, "3f", "position")], index_buffer=self._index)
         self._depths: moderngl.VertexArray | None = None
+        self._kept: dict[int, tuple[Body, Posed]] = {}
         self._pose(body)
 
     @property
@@ -77,7 +79,11 @@ class Surface:
             self._pose(body)
 
     def _pose(self, body: Body) -> None:
-        self.body, self.posed = body, Posed(self.topology, body.vertices)
+        kept = self._kept.pop(id(body), None)
+        self.body, self.posed = body, Posed(self.topology, body.vertices) if kept is None else kept[1]
+        self._kept[id(body)] = body, self.posed  # with the body, so that its id stays its own
+        if len(self._kept) > _MOST_POSES:
+            self._kept.pop(next(iter(self._kept)))
         self._upload(self._positions, body.vertices)
         self._normals_of: Posed | None = None
 
@@ -127,47 +133,6 @@ class Surface:
         buffer.write(values.take(self._source, axis=0))
 
 
-class Seen:
-    """The triangles drawn of one picture's bodies: label 0 is no body, label n the n-th triangle drawn."""
-
-    def __init__(self) -> None:
-        self.count = 1
-        self.outlines: list[tuple[Floats, Floats]] = []
-        self._drawn: list[tuple[int, Body, NDArray[np.intp]]] = []
-
-    def add(self, number: int, body: Body, drawn: NDArray[np.intp]) -> None:
-        """The triangles ``drawn`` of the body of a number."""
-        self.count += len(body.parts[drawn])
-        self._drawn.append((number, body, drawn))
-
-    def table(self, channel: str) -> NDArray[Any]:
-        """What each label is in a channel, or as ``owner`` and ``triangle``."""
-        make: dict[str, Callable[[int, Body, Any], NDArray[Any]]] = {
-            "instance": lambda _, body, drawn: np.full(len(body.parts[drawn]), body.instance, np.uint16),
-            "part": lambda _, body, drawn: body.parts[drawn],
-            "owner": lambda number, body, drawn: np.full(len(body.parts[drawn]), number, np.intp),
-            "triangle": lambda _, body, drawn: np.arange(len(body.parts), dtype=np.intp)[drawn],
-            "face": lambda _, body, drawn: (
-                np.arange(1, len(body.parts) + 1, dtype=np.int32)[drawn] * np.int32(body.instance > 0)
-            ),
-        }
-        kind = {"instance": np.uint16, "part": np.uint8, "face": np.int32}.get(channel, np.intp)
-        return np.concatenate([np.zeros(1, kind), *(make[channel](*one) for one in self._drawn)])
-
-    def shown(self, labels: NDArray[np.uint32], rectangle: Rectangle, size: tuple[int, int]) -> Shown:
-        """Which triangles the pixels of a rectangle show, from their labels."""
-        row, column = np.nonzero(labels)
-        label = labels[row, column]
-        pixels = (row + rectangle.y0) * size[0] + column + rectangle.x0
-        return Shown(pixels, self.table("owner")[label], self.table("triangle")[label])
-
-    @property
-    def outline(self) -> tuple[Floats, Floats]:
-        """Starts and ends (N, 3) of all edges that outlines lie on."""
-        starts, ends = zip(*self.outlines, strict=True)
-        return np.concatenate(starts), np.concatenate(ends)
-
-
 class Fallen:
     """Where points (3, N) of the world fall before a camera.
 
@@ -177,7 +142,7 @@ class Fallen:
     """
 
     def __init__(self, points: Floats, camera: Camera) -> None:
-        self._camera = camera
+        self.camera = camera
         p = (camera.optical_from_world[:3] if camera.distorted else camera.P).astype(np.float32)
         x, y, self.depth = p[:, :3] @ points + p[:, 3:]
         self.near, self.behind = bool(self.depth.min() < 2 * NEAR), bool(self.depth.max() < 0)
@@ -189,7 +154,7 @@ class Fallen:
     @cached_property
     def pixels(self) -> tuple[Floats, Floats]:
         """Columns and rows (N,); NaN for what the lens does not see."""
-        camera = self._camera
+        camera = self.camera
         if not camera.distorted:
             return self.plane
         x, y = camera.K[:2, :2] @ camera.lens.distort(np.stack(self.plane, axis=1)).T + camera.K[:2, 2:]
@@ -229,14 +194,31 @@ def touched(clouds: Sequence[Fallen], camera: Camera) -> Rectangle:
     return Rectangle(int(x0), int(y0), int(x1), int(y1))
 
 
-def straightened(edges: tuple[Floats, Floats], camera: Camera, angle: float) -> tuple[Floats, Floats]:
-    """Starts and ends (N, 3) of edges, those that are seen under more than an angle cut as a lens bends
-    them.
+def straight_angle(camera: Camera, rectangle: Rectangle) -> float:
+    """Radians: edges that are seen under less a lens does not bend visibly within a rectangle."""
+    return LensView(camera).straight_angle(rectangle.low, rectangle.high) if camera.distorted else 0.0
+
+
+def contour(posed: Posed, fallen: Fallen, facing: NDArray[np.bool_], angle: float) -> ImageEdges:
+    """The edges of a body that all outlines lie on. ``fallen``: where its vertices do; ``facing``: (N,) its
+    triangles that face the camera; ``angle``: :func:`straight_angle`.
     """
-    starts, ends = edges
+    starts, ends = posed.contour(facing)
+    camera = fallen.camera
+    if not camera.distorted and not fallen.near:
+        first, second = (
+            [*(x.take(which) for x in fallen.pixels), fallen.depth.take(which)] for which in (starts, ends)
+        )
+        return ImageEdges((first[0], first[1], first[2]), (second[0], second[1], second[2]))
+    edges = posed.vertices.take(starts, axis=0), posed.vertices.take(ends, axis=0)
+    return ImageEdges.of(camera, *(_straightened(*edges, camera, angle) if camera.distorted else edges))
+
+
+def _straightened(starts: Floats, ends: Floats, camera: Camera, angle: float) -> tuple[Floats, Floats]:
+    """Edges (N, 3), those that are seen under more than an angle cut as a lens bends them."""
     long = _wide(starts, ends, camera, angle)
     if not long.any():
-        return edges
+        return starts, ends
     first, second = LensView(camera).divide_edges(starts[long], ends[long])
     return np.concatenate([starts[~long], first]), np.concatenate([ends[~long], second])
 

@@ -78,9 +78,7 @@ class Target:
 
     def start(self, rectangle: Rectangle, background: StaticLayer | None = None) -> None:
         """Keep to a rectangle, and fill it with the colour of a background that hides what is behind it."""
-        self._rectangle = rectangle
-        for framebuffer in (*self._framebuffers.values(), self._colour):
-            framebuffer.scissor = rectangle.xywh
+        self._keep_to(rectangle)
         # written: to clear costs Mesa more, and so does to copy, which with a scissor it does by drawing
         nothing = bytes(4 * rectangle.shape[0] * rectangle.shape[1])
         self._write(self._textures[0], nothing)
@@ -95,9 +93,16 @@ class Target:
     def _write(self, image: moderngl.Texture, pixels: bytes) -> None:
         image.write(pixels, viewport=self._rectangle.xywh, alignment=1)
 
+    def _keep_to(self, rectangle: Rectangle) -> None:
+        self._rectangle = rectangle
+        for framebuffer in (*self._framebuffers.values(), self._colour):
+            framebuffer.scissor = rectangle.xywh
+
     def clear(self, colour: Sequence[int]) -> None:
-        """Start anew: nothing there but a colour, endlessly far away."""
-        self._clear()
+        """Start anew with the whole picture: nothing there but a colour, endlessly far away."""
+        self._keep_to(Rectangle(0, 0, *self._buffer.size))
+        self._framebuffers[False].use()  # or the scissor of what was in use would count
+        self._framebuffers[False].clear()
         red, green, blue = (c / 255 for c in colour)
         self._colour.clear(red, green, blue, 1.0)
 
@@ -123,10 +128,6 @@ class Target:
     def use_colour(self) -> None:
         """Draw colour alone."""
         self._colour.use()
-
-    def _clear(self) -> None:
-        self._framebuffers[False].use()  # or the scissor of what was in use would count
-        self._framebuffers[False].clear()
 
     def use(self, lit: bool) -> None:
         self._framebuffers[lit].use()

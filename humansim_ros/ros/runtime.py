@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import gc
 import importlib
 import os
@@ -13,6 +12,7 @@ from contextlib import suppress
 from typing import Any
 
 from humansim_ros.errors import HumansimError, RosError, tell_warnings
+from humansim_ros.memory import keep_image_blocks
 from humansim_ros.resources import resource_path
 
 #: Whoever sets one of these has configured Fast DDS's transports.
@@ -22,10 +22,6 @@ _TRANSPORT_SETTINGS = (
     "FASTDDS_BUILTIN_TRANSPORTS",
     "ROS_DISCOVERY_SERVER",
 )
-#: glibc's mallopt parameters: trim threshold, top pad, mmap threshold.
-_MALLOPT = ((-3, 32 << 20), (-1, 512 << 20), (-2, 64 << 20))
-
-
 #: Seconds that taking a node down may take.
 _LAST_WORDS = 5
 
@@ -49,11 +45,7 @@ def prepare_transport() -> None:
     """
     if not any(name in os.environ for name in _TRANSPORT_SETTINGS):
         os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(resource_path("config/fastdds.xml"))
-    with suppress(OSError, AttributeError):
-        libc = ctypes.CDLL("libc.so.6")
-        # image-sized blocks stay in the heap instead of being mapped and unmapped for every message
-        for parameter, value in _MALLOPT:
-            libc.mallopt(parameter, value)
+    keep_image_blocks()
 
 
 def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) -> int:

@@ -1,0 +1,144 @@
+"""A picture as it was drawn, and every channel that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.render.detail import Detail, Shown, optical_flow
+from humansim_ros.render.outline import Crossings, blend
+from humansim_ros.render.posed import Floats, Indices
+from humansim_ros.render.renderer import Body, Neighbour, View
+from humansim_ros.render.target import Rectangle, StaticLayer
+
+
+class Asked(NamedTuple):
+    """What a picture is drawn for besides depth and labels: colour, outlines, each body as if alone."""
+
+    lit: bool
+    outlined: bool
+    alone: bool
+
+    @classmethod
+    def by(cls, channels: Collection[str]) -> Asked:
+        """What channels follow from."""
+        asked = set(channels)
+        return cls(bool(asked & {"rgb", "shadow"}), bool(asked & {"rgb", "alpha"}), "amodal" in asked)
+
+    def covers(self, other: Asked) -> bool:
+        """Whether what was drawn for this serves the other."""
+        return all(has or not wants for has, wants in zip(self, other, strict=True))
+
+
+class Seen:
+    """The triangles drawn of one picture's bodies: label 0 is no body, label n the n-th triangle drawn."""
+
+    def __init__(self) -> None:
+        self.count = 1
+        self._drawn: list[tuple[Body, Indices]] = []
+
+    def add(self, body: Body, drawn: Indices) -> None:
+        """The triangles ``drawn`` (M,) of the next body."""
+        self.count += len(drawn)
+        self._drawn.append((body, drawn))
+
+    def table(self, channel: str) -> NDArray[Any]:
+        """What each label is in a channel, or as ``owner`` and ``triangle``."""
+        make: dict[str, Callable[[int, Body, Indices], NDArray[Any]]] = {
+            "instance": lambda _, body, drawn: np.full(len(drawn), body.instance, np.uint16),
+            "part": lambda _, body, drawn: body.parts[drawn],
+            "owner": lambda number, _, drawn: np.full(len(drawn), number, np.intp),
+            "triangle": lambda _, __, drawn: drawn,
+            "face": lambda _, body, drawn: ((drawn + 1) * (body.instance > 0)).astype(np.int32),
+        }
+        kind = {"instance": np.uint16, "part": np.uint8, "face": np.int32}.get(channel, np.intp)
+        found = (make[channel](number, *one) for number, one in enumerate(self._drawn))
+        return np.concatenate([np.zeros(1, kind), *found])
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Bodies as they were drawn before a camera, within the rectangle that they can touch.
+
+    ``labels``: (h, w) of :class:`Seen`. ``depth``: (h, w) metres, 0 where no body is. ``rgba``: (h, w, 4),
+    alpha is the share of light that bodies leave; ``outline``: where outlines cross; ``alone``: by instance,
+    (H, W) where a body would be seen if nothing were before it; each if it was ``asked`` for.
+    """
+
+    asked: Asked
+    bodies: Sequence[Body]
+    camera: Camera
+    layer: StaticLayer
+    rectangle: Rectangle
+    seen: Seen
+    labels: NDArray[np.uint32]
+    depth: Floats
+    rgba: NDArray[np.uint8] | None
+    outline: Crossings | None
+    alone: Mapping[int, NDArray[np.bool_]] | None
+
+    @cached_property
+    def whole_depth(self) -> Floats:
+        """(H, W) metres, of what is still as well; infinite where nothing is; not to be changed."""
+        whole: Floats = self.layer.view(("depth",))["depth"]
+        np.copyto(whole[self.rectangle.slices], self.depth, where=self.depth > 0)
+        return whole
+
+    @cached_property
+    def _detail(self) -> Detail:
+        there = np.flatnonzero(self.labels > 0)
+        label = self.labels.ravel().take(there)
+        row, column = np.divmod(there, max(self.rectangle.shape[1], 1))
+        pixels = (row + self.rectangle.y0) * self.camera.size[0] + column + self.rectangle.x0
+        owner, triangle = (self.seen.table(name).take(label) for name in ("owner", "triangle"))
+        return Detail(self.camera, self.bodies, Shown(pixels, owner, triangle))
+
+    def view(self, channels: Collection[str], others: Mapping[str, tuple[Neighbour, Floats | None]]) -> View:
+        """The channels of the whole image. ``others``: the frames after and before that flow needs, and the
+        (H, W) depth there that what is hidden needs.
+        """
+        view: dict[str, Any] = self.layer.view({*channels, "depth"} if self.outline is not None else channels)
+        within = self.rectangle.slices
+        if "depth" in view:
+            np.copyto(view["depth"][within], self.depth, where=self.depth > 0)
+        for name in {"instance", "part", "face"} & set(channels):
+            view[name][within] = self.seen.table(name).take(self.labels)
+        if self.rgba is not None and "rgb" in view:
+            # (many times faster than to assign the first three of four)
+            view["rgb"][within] = cv2.cvtColor(self.rgba, cv2.COLOR_RGBA2RGB) if self.rgba.size else 0
+        if self.rgba is not None and "shadow" in view:
+            view["shadow"][within] = 255 - self.rgba[..., 3]
+        if "alpha" in channels:
+            view["alpha"] = self._covered(view.get("instance"))
+        blended = [*([view["rgb"]] if "rgb" in view else []), *view.get("alpha", {}).values()]
+        if self.outline is not None and blended:
+            blend(blended, view["depth"], self.outline)
+        if "normal" in view:
+            view["normal"].reshape(-1, 3)[self._detail.shown.pixels] = self._detail.normals()
+        if "uv" in view:
+            view["uv"].reshape(-1, 2)[self._detail.shown.pixels] = self._detail.texture_coordinates()
+        for which, (moment, depth) in others.items():
+            flow = optical_flow(self.camera, self._detail, self.whole_depth, moment, depth)
+            name = "flow" if which == "after" else "flow_back"
+            view[name], view[f"{name}_hidden"] = flow.flow, flow.hidden
+        if "amodal" in channels and self.alone is not None:
+            view["amodal"] = {instance: mask.copy() for instance, mask in self.alone.items()}
+        return View(**{name: view[name] for name in channels})
+
+    def _covered(self, instances: NDArray[np.uint16] | None) -> dict[int, NDArray[np.uint8]]:
+        """By instance, (H, W) 255 where the centre of a pixel shows it."""
+        if instances is None:
+            instances = self.layer.view(("instance",))["instance"]
+            instances[self.rectangle.slices] = self.seen.table("instance").take(self.labels)
+        return {
+            b.instance: (instances == b.instance).view(np.uint8) * np.uint8(255)
+            for b in self.bodies
+            if b.instance
+        }

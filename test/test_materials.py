@@ -8,12 +8,13 @@ import numpy as np
 import pytest
 import trimesh
 from numpy.typing import NDArray
-from render_scenes import along_x, renderer_or_skip
+from render_scenes import along_x, box, quad, renderer_or_skip
 
 from humansim_ros.body import Human, Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import MeshError
 from humansim_ros.render import Body, Lighting
+from humansim_ros.render.around import directions
 from humansim_ros.resources import resource_path
 
 BLACK = (0.0, 0.0, 0.0)
@@ -109,3 +110,46 @@ def test_built_in_people_know_where_they_have_skin() -> None:
     assert share["l_wrist"] > 0.99 and share["l_knee"] < 0.01 and share["l_ankle"] < 0.01
     with pytest.raises(MeshError, match="does not fit"):
         replace(mesh, skin=mesh.skin[:9])
+
+
+def test_the_floor_beside_a_box_sees_as_much_of_the_sky_as_rays_do() -> None:
+    # light from above alone, on a white floor
+    sky = Lighting(sun_color=BLACK, sky_color=(0.6,) * 3, ground_color=BLACK, shadows="none")
+    floor = quad([(-4, -4, 0), (4, -4, 0), (4, 4, 0), (-4, 4, 0)])
+    things = [box((1.2, 0.3, 0.4), 0.4), box((-0.2, 0.3, 1.3), 0.3)]
+    camera = Camera.look_at((-2.5, -2.5, 3.0), (0.5, 0.3, 0), (200, 150), 0.9)
+    renderer = renderer_or_skip([floor, *things], sky)
+    view = renderer.render([], camera, ("rgb", "depth"))
+    renderer.close()
+    rows, columns = np.mgrid[4:150:6, 4:200:6].reshape(2, -1)
+    there = np.isfinite(view.depth[rows, columns])
+    rows, columns = rows[there], columns[there]
+    points = camera.unproject(np.stack([columns, rows], 1), view.depth[rows, columns].astype(float))
+    on_floor = (np.abs(points[:, 2]) < 0.01) & (np.abs(points[:, :2]).max(axis=1) < 3.5)
+    points, rows, columns = points[on_floor] + [0, 0, 0.01], rows[on_floor], columns[on_floor]
+    around = directions(1200)[:600]  # the upper half
+    solid = trimesh.util.concatenate(
+        [trimesh.Trimesh(m.vertices, m.triangles, process=False) for m in things]
+    )
+    blocked = solid.ray.intersects_any(
+        np.repeat(points, len(around), axis=0), np.tile(around, (len(points), 1))
+    )
+    falling = around[:, 2] / around[:, 2].sum()
+    share = ((~blocked).reshape(len(points), -1) * falling).sum(axis=1)
+    expected = 0.6 * share * (1 + 0.6 * (1 - share))
+    found = (view.rgb[rows, columns, 0] / 255.0) ** 2
+    assert share.min() < 0.5 and len(share) > 200
+    assert np.abs(found - expected).mean() < 0.01 and np.percentile(np.abs(found - expected), 98) < 0.06
+
+
+def test_where_nothing_stands_before_it_the_light_is_that_without_occlusion() -> None:
+    floor = quad([(-4, -4, 0), (4, -4, 0), (4, 4, 0), (-4, 4, 0)], (200, 160, 120))
+    camera = Camera.look_at((0, 0, 2), (2, 0, 0), (160, 120), 1.0)
+    for bent in (camera, replace(camera, distortion=(-0.2, 0.03))):
+        for passing in (False, True):
+            seen = []
+            for on in (True, False):
+                renderer = renderer_or_skip([floor], Lighting(ambient_occlusion=on))
+                seen.append(renderer.render([], bent, ("rgb",), passing=passing).rgb)
+                renderer.close()
+            assert np.abs(seen[0].astype(int) - seen[1]).max() <= 1

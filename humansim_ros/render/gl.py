@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.memory import keep_image_blocks
+from humansim_ros.render.around import UNIT, Surroundings
 from humansim_ros.render.context import create_context, current
 from humansim_ros.render.detail import ray_grid
 from humansim_ros.render.drawn import Asked, Drawn, Seen
@@ -51,6 +52,8 @@ _MAX_STATIC_SIDE = 8192
 _PASSING_SUPERSAMPLING = 2
 #: Pixels of pictures that are kept, as the next frame may be asked for again when this one's flow is known.
 _MOST_KEPT = 4 << 20
+#: Pixels of a picture along a side of one that looks for ambient occlusion, by its supersampling.
+_COARSER = {_STATIC_SUPERSAMPLING: 2, _PASSING_SUPERSAMPLING: 4}
 #: Cameras whose static scene is kept.
 _MAX_LAYERS = 32
 #: Pieces along a side of a shadow that a lens may bend.
@@ -92,6 +95,8 @@ class GLRenderer:
         people = ["PEOPLE"] if light.materials and light.mode == "lit" else []
         still, moving = (["STILL"], ["STILL", "MOVING"]) if soft else ([], [])
         self._lit = link(self._ctx, "lit.vert", "lit.frag", (*looks, *moving, *people))
+        occluded = light.ambient_occlusion and light.mode == "lit" and self._still.box is not None
+        looks += ["AROUND"] if occluded else []
         self._lit_still = link(self._ctx, "lit.vert", "lit.frag", (*looks, *still))
         self._truth = link(self._ctx, "truth.vert", "truth.frag")
         self._shadow = link(self._ctx, "shadow.vert", "shadow.frag")
@@ -105,6 +110,7 @@ class GLRenderer:
         self._sunless = link(self._ctx, "lit.vert", "lit.frag", looks) if soft else self._lit_still
         if soft:
             self._shine(self._sunless, sun=False)
+        self._surroundings = Surroundings(self._ctx, self._still) if occluded else None
         self._sunlight = None
         if soft:
             self._sunlight = Sunlight(self._ctx, self._still, light, (self._lit, self._lit_still))
@@ -329,6 +335,12 @@ class GLRenderer:
                 use_camera(self._ctx, program, camera)
                 still.draw(program)
 
+            if self._surroundings is not None:
+                seen = self._surroundings.seen_by(camera, still, _COARSER[supersampling])
+                seen.use(UNIT)
+                for program in (self._lit_still, self._sunless):
+                    set_uniform(program, "seen", UNIT)
+                    set_uniform(program, "coarser", (seen.width / fine.size[0], seen.height / fine.size[1]))
             draw(fine, self._lit_still)
             rgb = self._averaged(fine, camera, behind)
             sunny, sunless = None, None
@@ -337,6 +349,8 @@ class GLRenderer:
                 draw(fine, self._sunless)
                 sunless = self._averaged(fine, camera, behind)
             draw(target, self._truth)
+            if self._surroundings is not None:
+                seen.release()
         target.take(rgb, None if sunny is None else np.asarray(sunny[..., 3], dtype=np.uint8))
         shades = None if sunless is None else Shades(self._ctx, camera, sunless)
         return StaticLayer(target, backdrop, shades)

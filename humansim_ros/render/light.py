@@ -27,7 +27,8 @@ class Lighting:
     soft dark patch on the floor z = 0 under each body; soft is the shadow that the sun casts on everything,
     the blurrier the larger the sun appears, ``sun_size_deg``. ``tone_mapping``: filmic lets bright colours
     fade to white. ``exposure``: in stops, one is twice as bright. ``materials``: skin and cloth of people
-    answer light as such; all is matt otherwise. ``background``: sRGB, where nothing is.
+    answer light as such; all is matt otherwise. ``ambient_occlusion``: light from around does not reach where
+    something stands before it. ``background``: sRGB, where nothing is.
     """
 
     sun: Color = (0.45, 0.3, 0.84)
@@ -42,6 +43,7 @@ class Lighting:
     tone_mapping: Literal["none", "filmic"] = "none"
     exposure: float = 0.0
     materials: bool = True
+    ambient_occlusion: bool = True
 
     @property
     def shadow(self) -> Literal["contact", "soft", "none"]:

@@ -138,6 +138,10 @@ class StillScene:
         towards = np.einsum("ij,j->i", np.cross(b - a, c - a), direction) > 0
         return Pieces(self._ctx, self._attributes, self._corners[towards])
 
+    def draw_alone(self, program: moderngl.Program) -> None:
+        """Draw all of it with a program that needs no textures."""
+        self._whole.draw_alone(program)
+
     def seen_by(self, camera: Camera, tolerance: float) -> Still:
         """What is to be drawn for a camera: cut to pieces where its lens bends them, that no line is off by
         more than a tolerance, in pixels.

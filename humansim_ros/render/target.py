@@ -62,7 +62,7 @@ class Target:
     """
 
     def __init__(self, ctx: moderngl.Context, size: tuple[int, int]) -> None:
-        self._ctx = ctx
+        self._ctx, self.size = ctx, size
         self._textures = [
             ctx.texture(size, 1, dtype="f4"),
             ctx.texture(size, 1, dtype="u4"),

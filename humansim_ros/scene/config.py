@@ -349,6 +349,11 @@ class LightConfig(_Section):
         default=True, description="skin and cloth answer light as such; false: all surfaces are matt"
     )
 
+    ambient_occlusion: bool = Field(
+        default=True,
+        description="corners are darker: light from around does not reach where something stands",
+    )
+
     @model_validator(mode="after")
     def _sun_somewhere(self) -> LightConfig:
         if not 1e-9 < sum(x * x for x in self.sun) < 1e18:

@@ -27,6 +27,26 @@ const float ROUGH_EVEN = 0.92, ROUGH_MORE = 0.28;  // Oren and Nayar's A and B, 
 const vec3 TINT = vec3(1.0, 0.95, 0.93);    // of light that has been under skin, and lost what skin does not let by
 const float FUZZ = 0.25;                    // how much of grazing light the fibres of cloth send back
 #endif
+#ifdef AROUND
+uniform usampler2D seen;  // how much of sky (8 bits) and of ground (8) is seen, and 1 / (1 + depth) of that (16)
+uniform vec2 coarser;     // pixels of it for each pixel
+const float SENT_ON = 0.6;
+vec2 surroundings(float z) {
+    vec2 place = gl_FragCoord.xy * coarser - 0.5;
+    ivec2 low = ivec2(floor(place)), most = textureSize(seen, 0) - 1;
+    vec2 share = place - vec2(low), sum = vec2(0.0);
+    float total = 0.0;
+    for (int i = 0; i < 4; i++) {
+        ivec2 step = ivec2(i & 1, i >> 1);
+        uint there = texelFetch(seen, clamp(low + step, ivec2(0), most), 0).r;
+        vec2 weights = mix(1.0 - share, share, vec2(step));
+        float weight = (weights.x * weights.y + 1e-3) / (1e-3 + abs(float(there >> 16u) / 65535.0 * (1.0 + z) - 1.0));
+        sum += weight * vec2(uvec2(there & 255u, (there >> 8u) & 255u));
+        total += weight;
+    }
+    return sum / (255.0 * total);
+}
+#endif
 void main() {
     vec3 n = normalize(gl_FrontFacing ? v_normal.xyz : -v_normal.xyz);
     vec4 texel = texture(surface, v_uv);
@@ -60,6 +80,13 @@ void main() {
 #endif
 #endif
     vec3 around = mix(ground_color, sky_color, 0.5 + 0.5 * n.z);
+#ifdef AROUND
+    vec2 shares = surroundings(v_normal.w);
+    around = sky_color * (0.5 + 0.5 * n.z) * shares.x + ground_color * (0.5 - 0.5 * n.z) * shares.y;
+    // what stands there sends some on
+    vec2 hidden = vec2(0.5 + 0.5 * n.z, 0.5 - 0.5 * n.z) * (1.0 - shares);
+    around *= 1.0 + SENT_ON * (hidden.x + hidden.y);
+#endif
     vec3 light = albedo * (around + sun_color * sunlit * direct);
 #ifdef PEOPLE
     light *= mix(vec3(1.0 - 0.1 * FUZZ * dressed), 0.92 * TINT, skin);  // what shines does not go in

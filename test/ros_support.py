@@ -43,13 +43,15 @@ def write_scene(folder: Path, text: str = SMALL_SCENE) -> Path:
 
 
 class Client:
-    """Subscribes to topics and keeps every message by topic and stamp, as a tracker under test would."""
+    """Subscribes to topics and keeps every message by topic and stamp, as a tracker under test would.
+    ``executor``: rclpy's default one if None.
+    """
 
-    def __init__(self, name: str = "client") -> None:
+    def __init__(self, name: str = "client", executor: Any = None) -> None:
         from rclpy.executors import SingleThreadedExecutor
 
         self.node = rclpy.create_node(name)
-        self.executor = SingleThreadedExecutor()
+        self.executor = executor or SingleThreadedExecutor()
         self.executor.add_node(self.node)
         self.received: dict[str, dict[int, Any]] = defaultdict(dict)
 

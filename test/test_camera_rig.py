@@ -21,6 +21,7 @@ from humansim_ros.render.posed import Posed
 from humansim_ros.ros import messages
 from humansim_ros.ros.nodes.camera_rig import CameraRig
 from humansim_ros.ros.processes import scene_processes
+from humansim_ros.ros.runtime import make_executor
 from humansim_ros.scene import Scene, Simulation
 
 START = 7_000_000_000
@@ -50,7 +51,7 @@ class Stage:
         overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in values.items()]
         self.namespace = namespace
         self.rig = CameraRig(parameter_overrides=overrides, namespace=namespace)
-        self.client = Client(f"{namespace}_client")
+        self.client = Client(f"{namespace}_client", make_executor())  # the one that processes have
         for node in self.rig.members:
             self.client.executor.add_node(node)
         self.senders = {

@@ -21,6 +21,7 @@ from humansim_ros.ros import messages
 from humansim_ros.ros.nodes.motion_player import MotionPlayer
 from humansim_ros.ros.nodes.skinner import Skinner
 from humansim_ros.ros.qos import LATCHED
+from humansim_ros.ros.runtime import make_executor
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.playback import Clock, Playback, Tick
@@ -225,7 +226,7 @@ class Steered:
         self.nodes = [self.player]
         if skinner:
             self.nodes.append(Skinner(parameter_overrides=scene, namespace=namespace))
-        self.client = Client(f"{namespace}_client")
+        self.client = Client(f"{namespace}_client", make_executor())  # the one that processes have
         for node in self.nodes:
             self.client.executor.add_node(node)
         self.namespace = namespace

@@ -67,7 +67,6 @@ class FrameJoiner:
         self._before: Instant | None = None
         # nanoseconds between the newest frames: the player's rate may not be the scene's
         self._gaps: deque[float] = deque([self._period] * _GAPS, maxlen=_GAPS)
-        self._whole = node.create_guard_condition(self._hand_over)
         for human in actors:
             topic = f"humans/{human}"
             vertices = partial(self._read, messages.read_vertices, 0, human)
@@ -113,8 +112,7 @@ class FrameJoiner:
             return
         self._waiting.setdefault(stamp, ({}, {}, {}, {}))[kind][name] = part
         if self._is_whole(stamp):
-            # not at once: what else has arrived is taken first, so that who is late sees it
-            self._whole.trigger()
+            self._hand_over_soon()
         elif len(self._waiting) > _MOST_WAITING:
             self._give_up()
 
@@ -138,6 +136,12 @@ class FrameJoiner:
             f"frames wait for {', '.join(missing)}: is {source} running?", throttle_duration_sec=5.0
         )
 
+    def _hand_over_soon(self) -> None:
+        """Not at once: what else has arrived is taken first, so that who is late sees it."""
+        executor = self._node.executor
+        # executors that do not take events in turn have tasks before what has arrived: thus two
+        executor.create_task(lambda: executor.create_task(self._hand_over) and None)
+
     def _hand_over(self) -> None:
         """Show the oldest whole frame that is not late, or the newest whole one if all are."""
         whole = sorted(stamp for stamp in self._waiting if self._is_whole(stamp))
@@ -154,12 +158,13 @@ class FrameJoiner:
         else:
             self._before = None  # the scene as it stood still leads nowhere
         self._last = stamp
+        self._node.report_lateness(stamp, "arrival")
         start = time.monotonic()
         joints_of = cache(lambda human: _joints(serialised[human]))
         self._try_to_show(stamp, vertices, objects, cameras, joints_of)
         self._pace.worked(start, time.monotonic())
         if any(self._is_whole(later) for later in self._waiting):
-            self._whole.trigger()
+            self._hand_over_soon()
 
     def _show_still(self) -> None:
         now = self._node.now()

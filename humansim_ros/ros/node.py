@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from collections.abc import Sequence
+from statistics import median
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -33,7 +34,7 @@ class SceneNode(Node):
                 scene = Scene.load(path or None)
         self.scene = scene
         self._counts: dict[str, int] = {}
-        self._worst_lateness = 0.0
+        self._late: dict[str, list[float]] = {}
         self._latched: list[Any] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DATA)
         self.create_timer(1.0, self._publish_diagnostics)
@@ -103,9 +104,9 @@ class SceneNode(Node):
         self.count("drops")
         self.get_logger().error(f"frame skipped: {reason}", throttle_duration_sec=1.0)
 
-    def report_lateness(self, stamp: int) -> None:
-        """Note how long after its stamp a frame has left this node."""
-        self._worst_lateness = max(self._worst_lateness, (self.now() - stamp) * 1e-9)
+    def report_lateness(self, stamp: int, what: str = "lateness") -> None:
+        """Note how long after its stamp a frame has left this node, or come to ``what`` else."""
+        self._late.setdefault(what, []).append((self.now() - stamp) * 1e-6)
 
     def close(self) -> None:
         """Free what the node holds besides its ROS entities."""
@@ -116,7 +117,10 @@ class SceneNode(Node):
         status.level = DiagnosticStatus.WARN if drops else DiagnosticStatus.OK
         frames = self._counts.get("frames", 0)
         status.message = f"{frames} frames/s" + (f", {drops} dropped" if drops else "")
-        values = {**self._counts, "lateness_ms": f"{1e3 * self._worst_lateness:.1f}"}
+        values: dict[str, object] = {**self._counts}
+        for what, times in self._late.items():
+            values[f"{what}_ms"] = f"{max(times):.1f}"
+            values[f"{what}_median_ms"] = f"{median(times):.1f}"
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
@@ -126,4 +130,4 @@ class SceneNode(Node):
                 f"{drops} frames dropped in the last second", throttle_duration_sec=5.0, skip_first=True
             )
         self._counts = dict.fromkeys(self._counts, 0)
-        self._worst_lateness = 0.0
+        self._late = {}

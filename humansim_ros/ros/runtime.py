@@ -22,6 +22,9 @@ _TRANSPORT_SETTINGS = (
     "FASTDDS_BUILTIN_TRANSPORTS",
     "ROS_DISCOVERY_SERVER",
 )
+#: Signals that stop a node, and seconds after which it heeds them, if nothing happens meanwhile.
+_STOPPING = (signal.SIGINT, signal.SIGTERM)
+_LOOK_UP = 0.1
 #: Seconds that taking a node down may take.
 _LAST_WORDS = 5
 
@@ -48,6 +51,24 @@ def prepare_transport() -> None:
     keep_image_blocks()
 
 
+def make_executor() -> Any:
+    """What runs the callbacks of a process's nodes: the executor that is told of events, where rclpy has it.
+    The default one asks every service, timer and topic anew for each callback, which takes a fifth of all
+    CPU time.
+    """
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:  # before rclpy 7.1.4
+        from rclpy.executors import SingleThreadedExecutor
+
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def _interrupt(number: int, _: Any) -> None:
+    raise KeyboardInterrupt
+
+
 def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) -> int:
     """Run one node, and those it has made, until SIGINT or SIGTERM. Returns the exit code: 0 stopped, 2 the
     input was wrong.
@@ -60,31 +81,33 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
         return 2
     prepare_transport()
     import rclpy
-    from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+    from rclpy.executors import ExternalShutdownException
+    from rclpy.signals import SignalHandlerOptions
 
-    rclpy.init(args=None if arguments is None else list(arguments))
-    # half-made rclpy objects of a node that is stopped while it starts complain as they are deleted: let them
-    sys.unraisablehook = lambda problem: sys.__unraisablehook__(problem) if rclpy.ok() else None
+    # rclpy's own handlers take the context away from under whatever is being sent
+    options = SignalHandlerOptions.NO
+    rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=options)
     node = None
     try:
+        for number in _STOPPING:
+            signal.signal(number, _interrupt)
         node = make()
         # what was made until now stays: looking through it for garbage stops a node for a tenth of a second
         gc.collect()
         gc.freeze()
-        executor = SingleThreadedExecutor()
+        executor = make_executor()
         for member in node.members:
             executor.add_node(member)
-        signal.signal(signal.SIGTERM, lambda *_: rclpy.try_shutdown())
-        executor.spin()
+        told: list[int] = []
+        for number in _STOPPING:
+            signal.signal(number, lambda number, _: told.append(number))
+        while not told:  # not spin(), which never sleeps where libstdc++ is old
+            executor.spin_once(_LOOK_UP)
     except HumansimError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except Exception:
-        if rclpy.ok():
-            raise
-        # told to stop while it was still starting: whatever rclpy made of that is no error
     finally:
         # Fast DDS has been seen to spin for ever while its participant is taken down: then this ends the
         # process
@@ -94,7 +117,6 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
             with suppress(Exception):  # the context may be gone already
                 node.close()
                 node.destroy_node()
-        with suppress(Exception):  # a signal handler may be shutting the context down at this moment
-            rclpy.try_shutdown()
+        rclpy.try_shutdown()
         signal.alarm(0)
     return 0

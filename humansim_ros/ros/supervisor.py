@@ -49,9 +49,9 @@ class Supervisor:
         self.stop()
 
     @property
-    def pids(self) -> list[int]:
-        """The process of each node."""
-        return [process.pid for process in self._running.values()]
+    def pids(self) -> dict[str, int]:
+        """The process of each node, by its name."""
+        return {name: process.pid for name, process in self._running.items()}
 
     def dead(self) -> tuple[str, int] | None:
         """Name and exit code of a node that has ended by itself, None while all run."""

@@ -446,6 +446,30 @@ def test_a_moving_thing_smears_before_a_camera_that_stands_still(folder: Path) -
     assert edge_width(frame.views["smeared"]) == pytest.approx(pixels, abs=2)
 
 
+def test_what_begins_anew_smears_as_it_did_at_first(folder: Path) -> None:
+    """A camera and a board that jump back to where they started: the way back is no movement."""
+    trajectory(folder)
+    (folder / "moves.xml").write_text(MOVES.replace("<animation", '<animation loop="repeat"'))
+    words = "size: [160, 120], fov_deg: 60, sensor: {exposure_time: 0.05, samples: 12}"
+    text = "rate: 10\nroom: null\n"
+    text += "objects: {board: {size: [0.02, 0.8, 1.2], color: [250, 250, 250], keyframes: moves.xml}}\n"
+    text += f"cameras:\n  stands: {{{words}, {PLACE}}}\n"
+    text += f"  flies: {{{words}, trajectory: {{file: way.txt, end: loop}}}}\n"
+    first, again = film(folder, text, 0, 20)
+    for name in ("stands", "flies"):
+        assert np.array_equal(first.views[name].rgb, again.views[name].rgb)
+        assert len(np.unique(first.views[name].rgb)) > 8, "and it did smear"
+    # one metre a second, and so many of the way's one in its second
+    np.testing.assert_allclose(again.objects["board"].velocity.linear, [0, 1, 0], atol=1e-9)
+    pose = load(folder, text).scene_cameras["flies"].pose(3.0)
+    np.testing.assert_allclose(pose.velocity.linear, [-1.0, 0.5, 0.1], atol=1e-9)
+    np.testing.assert_allclose(pose.velocity.angular, [0, 0, 0.3], atol=1e-6)
+    there = pose.moved(0.25)
+    expected = load(folder, text).scene_cameras["flies"].pose(3.25)
+    np.testing.assert_allclose(there.R, expected.R, atol=1e-6)
+    np.testing.assert_allclose(there.t, expected.t, atol=1e-6)
+
+
 def edge_width(view: View) -> int:
     """Pixels of the middle row that are neither background nor board, at the left edge of the board."""
     assert view.rgb is not None

@@ -51,6 +51,7 @@ IMAGES = {
 
 @pytest.fixture(scope="module")
 def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    from geometry_msgs.msg import TwistStamped
     from sensor_msgs.msg import Image, MultiDOFJointState, PointCloud2
     from visualization_msgs.msg import Marker
 
@@ -61,6 +62,7 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         MultiDOFJointState: TOPICS[:2],
         PointCloud2: [TOPICS[2], "/lift/left/joints"],
         Marker: ["/lift/objects/box/marker"],
+        TwistStamped: ["/lift/objects/box/twist"],
         Image: [f"/lift/left/{kind}" for kind in IMAGES],
     }
     with whole_flow(scene, "lift", wanted, frames=8) as client:
@@ -82,6 +84,16 @@ def test_people_and_things_of_a_frame_have_the_same_stamp(flow: Any) -> None:
     assert len(flow.stamps) >= 8
     for topic, by_stamp in flow.received.items():
         assert {stamp for stamp in by_stamp if stamp >= flow.stamps[0]} <= played, topic
+
+
+def test_things_say_how_they_move(flow: Any) -> None:
+    for stamp in flow.stamps:
+        said = messages.read_twist(flow.received["/lift/objects/box/twist"][stamp])
+        frame = frame_of(flow, stamp)
+        truth = frame.objects["box"].velocity
+        np.testing.assert_allclose([said.linear, said.angular], [truth.linear, truth.angular], atol=1e-9)
+        if frame.index > 0:  # before, it stood
+            np.testing.assert_allclose(said.linear, [0, 1, 0], atol=1e-9)
 
 
 def test_the_live_body_is_that_of_the_simulation(flow: Any) -> None:

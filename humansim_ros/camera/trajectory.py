@@ -156,6 +156,14 @@ class Trajectory:
         rotation = quaternion_to_matrix(quaternion).T
         return rotation, -rotation @ position
 
+    def around(self, seconds: float, step: float) -> tuple[float, float]:
+        """A time a step before and one a step after, which reach no farther than where a loop begins anew."""
+        early, late = seconds - step, seconds + step
+        if self.end != "loop":
+            return early, late
+        start = seconds - self._wrapped(seconds)
+        return max(early, start), min(late, start + self.duration * (1 - 1e-9))
+
     def _wrapped(self, seconds: float) -> float:
         """Seconds since the first pose that are within the trajectory."""
         if self.end == "clamp" or self.duration == 0:

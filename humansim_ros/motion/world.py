@@ -83,6 +83,24 @@ def central_difference(
     return (after - before) / seconds, turn.as_rotvec().reshape(before.shape) / seconds
 
 
+@dataclass(frozen=True, eq=False)
+class Velocity:
+    """How something moves: ``linear`` (3,) m/s and ``angular`` (3,) rad/s, in the axes of ``map``."""
+
+    linear: Array
+    angular: Array
+
+    @classmethod
+    def between(cls, positions: Array, rotations: Array, seconds: float) -> Velocity:
+        """From positions (2, 3) and quaternions (2, 4) so many seconds apart."""
+        (before, after), turns = positions, rotations
+        return cls(*central_difference(before, after, turns[0], turns[1], max(seconds, 1e-12)))
+
+    def paced(self, pace: float) -> Velocity:
+        """The same so many times as fast."""
+        return self if pace == 1 else Velocity(self.linear * pace, self.angular * pace)
+
+
 @dataclass(frozen=True)
 class Placement:
     """Where a motion goes in the world: its anchor is put at ``position`` (x, y), turned by ``yaw`` radians.

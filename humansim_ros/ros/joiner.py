@@ -7,11 +7,12 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
@@ -41,13 +42,13 @@ _NEW_TIME = 1_000_000_000
 
 
 #: What comes of one stamp, in this order: vertices by human, serialised joints by human, poses by object and
-#: by camera.
-_Parts = tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]]
+#: by camera, how these move by topic.
+_Parts = tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]]
 
 
 class FrameJoiner:
-    """Subscribes to every human's vertices and joints, every moving object's marker and the pose of some
-    ``cameras``, and hands over whole instants, the newest where it is late.
+    """Subscribes to every human's vertices and joints, every moving object's marker, the pose of some
+    ``cameras``, and how both move, and hands over whole instants, the newest where it is late.
 
     Until a skinner speaks, it hands over the scene as it is at its start, so that a camera alone shows
     something.
@@ -60,11 +61,11 @@ class FrameJoiner:
         self._period = self._scene.period * 1e9
         self._pace = Pace(self._period)
         actors, objects = list(self._scene.actors), list(self._scene.moving_objects)
-        self._expected = (actors, actors, objects, list(cameras))
+        twists = [*(f"objects/{name}" for name in objects), *cameras]
+        self._expected = (actors, actors, objects, list(cameras), twists)
         # by stamp, the frames that are not whole yet
         self._waiting: dict[int, _Parts] = {}
         self._last = self._newest = 0
-        self._before: Instant | None = None
         # nanoseconds between the newest frames: the player's rate may not be the scene's
         self._gaps: deque[float] = deque([self._period] * _GAPS, maxlen=_GAPS)
         for human in actors:
@@ -81,6 +82,9 @@ class FrameJoiner:
         for name in cameras:
             pose = partial(self._read, messages.read_pose, 3, name)
             node.create_subscription(PoseStamped, f"{name}/pose", pose, NEWEST)
+        for name in twists:
+            twist = partial(self._read, messages.read_twist, 4, name)
+            node.create_subscription(TwistStamped, f"{name}/twist", twist, NEWEST)
         self._started = node.now()
         self._told = False
         self._still = node.create_timer(self._scene.period, self._show_still)
@@ -98,11 +102,11 @@ class FrameJoiner:
         self._take(messages.serialised_stamp(data), 1, human, data)
 
     def _take(self, stamp: int, kind: int, name: str, part: Any) -> None:
-        """Put a human's vertices (kind 0) or joints (1), an object (2) or a camera (3) with the others of
-        their stamp.
+        """Put a human's vertices (kind 0) or joints (1), an object (2), a camera (3) or how one of these
+        moves (4) with the others of their stamp.
         """
         if stamp < self._last - _NEW_TIME:
-            self._waiting, self._last, self._newest, self._before = {}, 0, 0, None
+            self._waiting, self._last, self._newest = {}, 0, 0
         if stamp > self._newest:
             if self._newest:
                 self._gaps.append(stamp - self._newest)
@@ -110,7 +114,7 @@ class FrameJoiner:
             self._newest = stamp
         if stamp <= self._last or not self._pace.keeps(stamp):
             return
-        self._waiting.setdefault(stamp, ({}, {}, {}, {}))[kind][name] = part
+        self._waiting.setdefault(stamp, ({}, {}, {}, {}, {}))[kind][name] = part
         if self._is_whole(stamp):
             self._hand_over_soon()
         elif len(self._waiting) > _MOST_WAITING:
@@ -150,13 +154,13 @@ class FrameJoiner:
         newest = max(self._waiting)
         stamp = next((s for s in whole if newest - s <= _PATIENCE * self._period), whole[-1])
         self._pace.lost(sum(older < stamp for older in self._waiting))
-        vertices, serialised, objects, cameras = self._waiting[stamp]
+        vertices, serialised, objects, cameras, twists = self._waiting[stamp]
+        objects = {name: replace(pose, velocity=twists[f"objects/{name}"]) for name, pose in objects.items()}
+        cameras = {name: replace(pose, velocity=twists[name]) for name, pose in cameras.items()}
         self._waiting = {later: parts for later, parts in self._waiting.items() if later > stamp}
         if self._last:
             # those that the pace leaves out are drops too
             self._node.count("drops", max(0, round((stamp - self._last) / self._period) - 1))
-        else:
-            self._before = None  # the scene as it stood still leads nowhere
         self._last = stamp
         self._node.report_lateness(stamp, "arrival")
         start = time.monotonic()
@@ -177,7 +181,8 @@ class FrameJoiner:
                 self._node.get_logger().info("nothing is published: showing the scene as at its start")
             states = {name: actor.at(0.0) for name, actor in self._scene.actors.items()}
             vertices = {name: state.vertices for name, state in states.items()}
-            objects = {name: thing.at(0.0) for name, thing in self._scene.moving_objects.items()}
+            places = {name: thing.at(0.0) for name, thing in self._scene.moving_objects.items()}
+            objects = {name: replace(place, velocity=None) for name, place in places.items()}
             cameras = {name: CameraPose.of(self._scene.cameras[name]) for name in self._expected[3]}
 
             def joints_of(human: str) -> JointMotion:
@@ -196,13 +201,10 @@ class FrameJoiner:
         actors = self._scene.actors
         for name, points in vertices.items():
             if wrong := _wrong(points, len(actors[name].human.mesh.vertices)):
-                # nothing of it may be kept: the next frame would be compared with it
                 self._node.skipped(f"{name}: {wrong}")
                 return
-        instant = Instant(stamp, self._scene, actors, vertices, joints_of, objects, cameras)
-        instant = self._before = instant.after(self._before)
         try:
-            self._show(instant)
+            self._show(Instant(stamp, self._scene, actors, vertices, joints_of, objects, cameras))
         except HumansimError as error:
             self._node.skipped(str(error))
 

@@ -22,6 +22,7 @@ from geometry_msgs.msg import (
     Transform,
     TransformStamped,
     Twist,
+    TwistStamped,
     Vector3,
 )
 from numpy.typing import NDArray
@@ -35,7 +36,7 @@ from humansim_ros.body import Human, Mesh, Skeleton
 from humansim_ros.camera import Camera
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import RosError
-from humansim_ros.motion.world import JointPoses
+from humansim_ros.motion.world import JointPoses, Velocity
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.scene import HumanState
 from humansim_ros.scene.filming import CameraPose
@@ -323,6 +324,24 @@ def read_object(message: Marker) -> ObjectPose:
     if not finite or abs(np.linalg.norm(pose.rotation) - 1) > 1e-3 or not (pose.size > 0).all():
         raise RosError("an object's pose is not finite, its quaternion has not length 1, or its size is 0")
     return pose
+
+
+def twist_message(velocity: Velocity | None, stamp: int) -> TwistStamped:
+    """``objects/<name>/twist``, ``<camera>/twist``: how something moves, in the axes of ``map``; NaN if that
+    is not known.
+    """
+    linear, angular = (np.full(3, np.nan),) * 2 if velocity is None else (velocity.linear, velocity.angular)
+    message = TwistStamped(header=header(stamp, WORLD_FRAME))
+    for part, value in ((message.twist.linear, linear), (message.twist.angular, angular)):
+        part.x, part.y, part.z = value.tolist()
+    return message
+
+
+def read_twist(message: TwistStamped) -> Velocity | None:
+    """What a ``twist`` message says; None if that is not finite."""
+    parts = message.twist.linear, message.twist.angular
+    linear, angular = (np.array([part.x, part.y, part.z]) for part in parts)
+    return Velocity(linear, angular) if np.isfinite([*linear, *angular]).all() else None
 
 
 # --- cameras

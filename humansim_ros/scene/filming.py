@@ -11,12 +11,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.idealize import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import CameraError, SceneError, warn_of
+from humansim_ros.motion.world import VELOCITY_STEP, Velocity
 from humansim_ros.render import Body, Neighbour, Renderer, View
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
@@ -27,14 +29,24 @@ from humansim_ros.sensor import Sensor
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where an optical frame is: ``R`` (3, 3) and ``t`` (3,), world to optical, metres."""
+    """Where an optical frame is: ``R`` (3, 3) and ``t`` (3,), world to optical, metres. ``velocity``: how it
+    moves; None if that is not known.
+    """
 
     R: Array
     t: Array
+    velocity: Velocity | None = None
 
     @classmethod
     def of(cls, camera: Camera) -> CameraPose:
         return cls(camera.R, camera.t)
+
+    def moved(self, seconds: float) -> CameraPose:
+        """Where it is some time later, or before, as it moves now."""
+        if self.velocity is None or seconds == 0:
+            return self
+        r = self.R @ Rotation.from_rotvec(-seconds * self.velocity.angular).as_matrix()
+        return CameraPose(r, -r @ (seconds * self.velocity.linear - self.R.T @ self.t), self.velocity)
 
     def toward(self, other: CameraPose, share: float) -> CameraPose:
         """A share of the way from here (0) to another pose (1), or beyond: straight, at an even turn."""
@@ -100,10 +112,16 @@ class SceneCamera:
         return self.path is not None
 
     def pose(self, seconds: float) -> CameraPose:
-        """Where it is at a time since the start of the scene."""
+        """Where it is at a time since the start of the scene, and how it moves."""
         if self.path is None:
             return CameraPose.of(self.camera)
-        return CameraPose(*self.path.pose(self.speed * (seconds + self.offset)))
+        time = self.speed * (seconds + self.offset)
+        early, late = self.path.around(time, VELOCITY_STEP * max(self.speed, 1e-6))
+        beside = [self.path.pose(early), self.path.pose(late)]
+        positions = np.array([-r.T @ t for r, t in beside])
+        rotations = matrix_to_quaternion(np.array([r.T for r, _ in beside]))
+        velocity = Velocity.between(positions, rotations, late - early).paced(self.speed)
+        return CameraPose(*self.path.pose(time), velocity)
 
     def at(self, pose: CameraPose) -> Camera:
         """The camera of image_raw at a pose."""

@@ -1,13 +1,14 @@
 """One instant of a scene: everything that moves, as it stands, and as it stands a moment before or after.
 
 What a shutter sees while it is open follows from what is known at the instant itself: people go on at the
-velocities of their joints, objects and cameras as they have come since the frame before.
+velocities of their joints, objects and cameras at their own. Frames before it do not matter: time may have
+jumped since.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -39,7 +40,6 @@ class Instant:
     """All humans, moving objects and moving cameras of a scene at one stamp (nanoseconds).
 
     ``vertices``: (V, 3) float32 by human; ``joints_of``: a human's joints, asked for only where they matter.
-    ``before``: the instant of the frame before.
     """
 
     stamp: int
@@ -49,19 +49,12 @@ class Instant:
     joints_of: Callable[[str], JointMotion]
     objects: Mapping[str, ObjectPose]
     cameras: Mapping[str, CameraPose] = field(default_factory=dict)
-    before: Instant | None = None
 
     @cached_property
     def bodies(self) -> Sequence[Body]:
         """What is to be drawn."""
         bodies = [actor.body(self.vertices[name]) for name, actor in self.actors.items()]
         return bodies + [thing.body(self.objects[name]) for name, thing in self.scene.moving_objects.items()]
-
-    def after(self, before: Instant | None) -> Instant:
-        """The same with the frame before it, of which no more is kept than needed."""
-        if before is None or before.stamp >= self.stamp:
-            return self
-        return replace(self, before=replace(before, vertices={}, before=None))
 
     def shot(self, camera: SceneCamera) -> Shot:
         """What there is to be seen by a camera."""
@@ -72,10 +65,7 @@ class Instant:
             return self.bodies
         bodies = [actor.body(self._vertices_at(name, seconds)) for name, actor in self.actors.items()]
         for name, thing in self.scene.moving_objects.items():
-            here, share = self.objects[name], self._share(seconds)
-            if self.before is not None and name in self.before.objects:
-                here = self.before.objects[name].toward(here, 1 + share)
-            bodies.append(thing.body(here))
+            bodies.append(thing.body(self.objects[name].moved(seconds)))
         return bodies
 
     def _vertices_at(self, name: str, seconds: float) -> NDArray[np.float32]:
@@ -85,11 +75,4 @@ class Instant:
         return self.actors[name].moved(motion.joints, motion.linear, motion.angular, seconds)
 
     def _pose_at(self, camera: SceneCamera, seconds: float) -> CameraPose:
-        here = self.cameras.get(camera.name, CameraPose.of(camera.camera))
-        if seconds == 0 or self.before is None or camera.name not in self.before.cameras:
-            return here
-        return self.before.cameras[camera.name].toward(here, 1 + self._share(seconds))
-
-    def _share(self, seconds: float) -> float:
-        """Seconds as a share of the time since the frame before."""
-        return 0.0 if self.before is None else seconds * 1e9 / (self.stamp - self.before.stamp)
+        return self.cameras.get(camera.name, CameraPose.of(camera.camera)).moved(seconds)

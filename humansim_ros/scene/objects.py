@@ -17,8 +17,9 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
+from humansim_ros.motion.world import Velocity
 from humansim_ros.render import Body
-from humansim_ros.rotations import Array, quaternion_to_matrix, slerp
+from humansim_ros.rotations import Array, quaternion_to_matrix
 from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig, beside
 from humansim_ros.scene.meshes import read_thing
 
@@ -30,23 +31,21 @@ _ROUND = 48
 class ObjectPose:
     """``position`` (3,) in ``map``, metres; ``rotation`` (4,) xyzw; ``size`` (3,) along the own axes:
     factors of the mesh, which are metres for the built-in ones. A point x of the mesh is at
-    ``position + rotation (size * x)``.
+    ``position + rotation (size * x)``. ``velocity``: how it moves; None if that is not known.
     """
 
     position: Array
     rotation: Array
     size: Array
+    velocity: Velocity | None = None
 
-    def toward(self, other: ObjectPose, share: float) -> ObjectPose:
-        """A share of the way from here (0) to another pose (1), or beyond."""
-        both = ((self.position, other.position), (self.rotation, other.rotation), (self.size, other.size))
-        if share == 0 or all(np.array_equal(a, b) for a, b in both):
+    def moved(self, seconds: float) -> ObjectPose:
+        """Where it is some time later, or before, as it moves now."""
+        if self.velocity is None or seconds == 0:
             return self
-        return ObjectPose(
-            (1 - share) * self.position + share * other.position,
-            slerp(self.rotation, other.rotation, np.asarray(share)),
-            np.maximum((1 - share) * self.size + share * other.size, 1e-9),
-        )
+        turn = Rotation.from_rotvec(seconds * self.velocity.angular)
+        position = self.position + seconds * self.velocity.linear
+        return replace(self, position=position, rotation=(turn * Rotation.from_quat(self.rotation)).as_quat())
 
     def apply(self, points: Array) -> Array:
         """Where points (..., 3) of the mesh are in ``map``."""
@@ -90,14 +89,17 @@ class SceneObject:
         return self.keyframes is not None
 
     def at(self, seconds: float) -> ObjectPose:
-        """Where it is at a time since the start of the scene: its place, moved as the keyframes say."""
+        """Where it is at a time since the start of the scene, and how it moves: its place, moved as the
+        keyframes say.
+        """
         if self.keyframes is None:
             return self.stands
-        key = self.keyframes.at(seconds)
+        times, key = self.keyframes.around(seconds)
         turn = Rotation.from_quat(key.quaternion)
         position = key.position + turn.apply(key.size * self.stands.position)
         rotation = (turn * Rotation.from_quat(self.stands.rotation)).as_quat()
-        return ObjectPose(position, rotation, key.size * self.stands.size)
+        velocity = Velocity.between(position[::2], rotation[::2], times[2] - times[0])
+        return ObjectPose(position[1], rotation[1], key.size[1] * self.stands.size, velocity)
 
     def body(self, pose: ObjectPose) -> Body:
         """What a renderer needs to draw it; it has no labels: instance and part are 0."""

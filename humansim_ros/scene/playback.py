@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.world import JointPoses, WorldMotion
+from humansim_ros.motion.world import JointPoses, Velocity, WorldMotion
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.filming import CameraPose
 from humansim_ros.scene.objects import ObjectPose
@@ -174,7 +174,9 @@ class Playback:
         seconds = elapsed * 1e-9
         poses = {name: _paced(actor.joint_poses(seconds), pace) for name, actor in self.actors.items()}
         objects = {name: thing.at(seconds) for name, thing in self.scene.moving_objects.items()}
+        objects = {name: replace(place, velocity=_velocity(place, pace)) for name, place in objects.items()}
         cameras = {name: camera.pose(seconds) for name, camera in self.scene.moving_cameras.items()}
+        cameras = {name: replace(pose, velocity=_velocity(pose, pace)) for name, pose in cameras.items()}
         return Moment(poses, objects, cameras)
 
     def change(self, name: str, **settings: Any) -> None:
@@ -242,6 +244,10 @@ def _in_round(motion: WorldMotion, played: float) -> float:
     if motion.loop == "none" or length <= 0:
         return float(np.clip(played, 0.0, length))
     return float(played % length)
+
+
+def _velocity(pose: ObjectPose | CameraPose, pace: float) -> Velocity | None:
+    return None if pose.velocity is None else pose.velocity.paced(pace)
 
 
 def _paced(poses: JointPoses, pace: float) -> JointPoses:

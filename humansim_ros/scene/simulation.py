@@ -141,11 +141,7 @@ class Simulation:
 
         vertices = {name: state.vertices for name, state in humans.items()}
         stamp, actors = self.start + elapsed, self.playback.actors
-        now = Instant(stamp, self.scene, actors, vertices, joints_of, moment.objects, moment.cameras)
-        ago = elapsed - round(1e9 * self.scene.period)
-        objects = {name: thing.at(ago * 1e-9) for name, thing in self.scene.moving_objects.items()}
-        cameras = {name: camera.pose(ago * 1e-9) for name, camera in self.scene.moving_cameras.items()}
-        return now.after(replace(now, stamp=self.start + ago, objects=objects, cameras=cameras))
+        return Instant(stamp, self.scene, actors, vertices, joints_of, moment.objects, moment.cameras)
 
     def close(self) -> None:
         """Free the renderer."""

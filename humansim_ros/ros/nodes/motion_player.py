@@ -1,9 +1,9 @@
 """Node ``motion_player``: plays the motions of a scene's humans, all from one clock.
 
-Publishes ``humans/<id>/motion``, latched ``humans/<id>/motion/legend``, ``objects/<name>/marker`` of every
-object that moves, and ``<camera>/pose`` of every camera with a trajectory. Frame k leaves at
-start + round(k * period) on the wall clock and carries that stamp; a player that is late skips to the newest
-frame and reports the drop.
+Publishes ``humans/<id>/motion``, latched ``humans/<id>/motion/legend``, ``objects/<name>/marker`` and
+``twist`` of every object that moves, and ``<camera>/pose`` and ``twist`` of every camera with a trajectory.
+Frame k leaves at start + round(k * period) on the wall clock and carries that stamp; a player that is late
+skips to the newest frame and reports the drop.
 
 Parameters can be set while it plays, services ``~/pause``, ``~/step`` and ``~/restart`` steer it
 (docs/playing.md). What cannot be played is refused with the reason, and the old motion goes on.
@@ -17,7 +17,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Any, TypeVar
 
-from geometry_msgs.msg import PoseStamped
+from geometry_msgs.msg import PoseStamped, TwistStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
 from sensor_msgs.msg import MultiDOFJointState
@@ -26,7 +26,13 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.ros.messages import motion_legend, motion_message, object_message, pose_message
+from humansim_ros.ros.messages import (
+    motion_legend,
+    motion_message,
+    object_message,
+    pose_message,
+    twist_message,
+)
 from humansim_ros.ros.motion_parameters import LONGEST, MotionParameters
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED
@@ -65,6 +71,11 @@ class MotionPlayer(SceneNode):
         self._markers = {
             name: self.create_publisher(Marker, f"objects/{name}/marker", DATA)
             for name in self.scene.moving_objects
+        }
+        # of objects and cameras: how they move
+        topics = [*(f"objects/{name}" for name in self._markers), *self.scene.moving_cameras]
+        self._twists = {
+            topic: self.create_publisher(TwistStamped, f"{topic}/twist", DATA) for topic in topics
         }
         self._poses = {
             name: self.create_publisher(PoseStamped, f"{name}/pose", DATA)
@@ -106,8 +117,10 @@ class MotionPlayer(SceneNode):
                 self._motions[name].publish(motion_message(poses, tick.stamp))
         for name, place in moment.objects.items():
             thing = self.scene.moving_objects[name]
+            self._twists[f"objects/{name}"].publish(twist_message(place.velocity, tick.stamp))
             self._markers[name].publish(object_message(thing, place, tick.stamp))
         for name, pose in moment.cameras.items():
+            self._twists[name].publish(twist_message(pose.velocity, tick.stamp))
             self._poses[name].publish(pose_message(pose, tick.stamp))
         self.count("drops", tick.dropped)
         self.count("frames")

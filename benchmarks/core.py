@@ -198,8 +198,8 @@ def ours(renderer: GLRenderer, channels: Sequence[str]) -> Callable[[Shot], obje
     frames: list[Body] = []
 
     def draw(shot: Shot) -> object:
-        # each contestant its own: of a Body that it knows the renderer keeps what it has worked out, as it does
-        # of a frame that was another's neighbour
+        # each contestant its own: of Bodies that it knows the renderer keeps what it has worked out, as it
+        # does of a frame that was another's neighbour
         if shot.number == 1 or not frames:
             frames[:] = [replace(body) for body in shot.frames]
         after, before = (Neighbour([frames[shot.number + step]], shot.camera) for step in (1, -1))

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from render_scenes import EVEN, along_x, block_means, body, finer, quad, renderer_or_skip, walkers, wall
 
 from humansim_ros.camera import Camera
-from humansim_ros.render import Body, GLRenderer
-from humansim_ros.render import drawn
+from humansim_ros.render import Body, GLRenderer, drawn
 from humansim_ros.render.posed import Posed, Topology
 from humansim_ros.scene import Scene
 

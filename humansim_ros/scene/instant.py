@@ -49,6 +49,7 @@ class Instant:
     joints_of: Callable[[str], JointMotion]
     objects: Mapping[str, ObjectPose]
     cameras: Mapping[str, CameraPose] = field(default_factory=dict)
+    _moved: dict[float, Sequence[Body]] = field(init=False, default_factory=dict)
 
     @cached_property
     def bodies(self) -> Sequence[Body]:
@@ -61,8 +62,14 @@ class Instant:
         return Shot(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), camera.moves)
 
     def _bodies_at(self, seconds: float) -> Sequence[Body]:
+        """What is to be drawn so many seconds later: once for all cameras that expose alike."""
         if seconds == 0:
             return self.bodies
+        if seconds not in self._moved:
+            self._moved[seconds] = self._bodies_moved(seconds)
+        return self._moved[seconds]
+
+    def _bodies_moved(self, seconds: float) -> Sequence[Body]:
         bodies = [actor.body(self._vertices_at(name, seconds)) for name, actor in self.actors.items()]
         for name, thing in self.scene.moving_objects.items():
             bodies.append(thing.body(self.objects[name].moved(seconds)))

@@ -107,15 +107,20 @@ class CameraNode(SceneNode):
         self.publish_latched(messages.joints_legend(joints), f"{name}/joints/legend")
 
     def show(self, instant: Instant) -> None:
-        """Render what somebody wants of this instant, and send it."""
+        """Render what somebody wants of this instant, and where the frame before has gone, and send it."""
         stamp = instant.stamp
         shot = self._where.shot(instant)
         channels = self._outlets.wanted()
         before, self._before = self._before, (stamp, shot) if channels & (_FORWARD | _BACKWARD) else None
-        if before is not None:
-            self._send_forward_flow(channels & _FORWARD, *before, shot.neighbour(self._camera))
-            shot = replace(shot, before=before[1].neighbour(self._camera))
-        channels -= _FORWARD if before is not None else _FORWARD | _BACKWARD
+        if before is None:
+            self._send_instant(instant, shot, channels - _FORWARD - _BACKWARD)
+            return
+        here, there = shot.neighbour(self._camera), before[1].neighbour(self._camera)
+        self._send_instant(instant, replace(shot, before=there), channels - _FORWARD)
+        self._send_forward_flow(channels & _FORWARD, *before, here)
+
+    def _send_instant(self, instant: Instant, shot: Shot, channels: set[str]) -> None:
+        stamp = instant.stamp
         wanted = set(channels)
         of_people = self._people.wanted()
         wants_rect = self._rect is not None and self._rect.get_subscription_count() > 0

@@ -100,9 +100,9 @@ class Drawn:
         owner, triangle = (self.seen.table(name).take(label) for name in ("owner", "triangle"))
         return Detail(self.camera, self.bodies, Shown(pixels, owner, triangle))
 
-    def view(self, channels: Collection[str], others: Mapping[str, tuple[Neighbour, Floats | None]]) -> View:
-        """The channels of the whole image. ``others``: the frames after and before that flow needs, and the
-        (H, W) depth there that what is hidden needs.
+    def view(self, channels: Collection[str], others: Mapping[str, tuple[Neighbour, Drawn | None]]) -> View:
+        """The channels of the whole image. ``others``: the frames after and before that flow needs, and their
+        pictures, which what is hidden needs.
         """
         view: dict[str, Any] = self.layer.view({*channels, "depth"} if self.outline is not None else channels)
         within = self.rectangle.slices
@@ -124,8 +124,9 @@ class Drawn:
             view["normal"].reshape(-1, 3)[self._detail.shown.pixels] = self._detail.normals()
         if "uv" in view:
             view["uv"].reshape(-1, 2)[self._detail.shown.pixels] = self._detail.texture_coordinates()
-        for which, (moment, depth) in others.items():
-            flow = optical_flow(self.camera, self._detail, self.whole_depth, moment, depth)
+        for which, (moment, other) in others.items():
+            depth, touched = (None, within) if other is None else (other.whole_depth, other.rectangle.slices)
+            flow = optical_flow(self.camera, self._detail, self.whole_depth, moment, depth, touched)
             name = "flow" if which == "after" else "flow_back"
             view[name], view[f"{name}_hidden"] = flow.flow, flow.hidden
         if "amodal" in channels and self.alone is not None:

@@ -25,7 +25,7 @@ from humansim_ros.render.detail import ray_grid
 from humansim_ros.render.drawn import Asked, Drawn, Seen
 from humansim_ros.render.light import Lighting
 from humansim_ros.render.outline import crossings
-from humansim_ros.render.posed import Floats, Topology
+from humansim_ros.render.posed import Topology
 from humansim_ros.render.programs import link, unit_square, use_camera
 from humansim_ros.render.refine import TOLERANCE, VISIBLE, LensView
 from humansim_ros.render.renderer import (
@@ -153,17 +153,16 @@ class GLRenderer:
         asked = Asked.by(channels)
         with current(self._ctx):
             drawn = self._drawn_of(bodies, camera, asked, passing, backdrop)
-            others: dict[str, tuple[Neighbour, Floats | None]] = {}
+            others: dict[str, tuple[Neighbour, Drawn | None]] = {}
             for which, moment in moments.items():
                 flows = {channel for channel in channels if FLOWS.get(channel) == which}
                 if moment is None or not flows:
                     continue
-                depth = None
+                other = None
                 if any(channel.endswith("_hidden") for channel in flows):
                     # as this one: it will be asked for next
                     other = self._drawn_of(moment.bodies, moment.camera, asked, passing, backdrop)
-                    depth = other.whole_depth
-                others[which] = moment, depth
+                others[which] = moment, other
             return drawn.view(channels, others)
 
     def _drawn_of(
@@ -175,9 +174,8 @@ class GLRenderer:
         if drawn is None or not drawn.asked.covers(asked):
             drawn = self._draw(bodies, camera, asked, passing, backdrop)
         self._drawn[key] = drawn  # with its bodies, so that their ids stay their own
-        kept = sum(picture.labels.size for picture in self._drawn.values())
-        while kept > _MOST_KEPT and len(self._drawn) > 3:
-            kept -= self._drawn.pop(next(iter(self._drawn))).labels.size
+        if len(self._drawn) > 3 and sum(kept.labels.size for kept in self._drawn.values()) > _MOST_KEPT:
+            del self._drawn[next(iter(self._drawn))]
         return drawn
 
     def _draw(

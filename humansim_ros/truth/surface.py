@@ -37,7 +37,7 @@ def rest_points(camera: Camera, bodies: Sequence[Body], view: View) -> Floats:
     owners[[body.instance for body in labelled]] = np.arange(len(labelled))
     pixels = np.flatnonzero(view.instance)
     shown = Shown(pixels, owners[view.instance.ravel()[pixels]], view.face.ravel()[pixels] - np.intp(1))
-    weights = Detail(camera, labelled, shown).weights
+    weights = Detail(camera, labelled, shown).weights.T
     points = np.full((*view.instance.shape, 3), np.nan, np.float32)
     for index, body in enumerate(labelled):
         mine = shown.owner == index

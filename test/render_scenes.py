@@ -65,8 +65,9 @@ def box(centre: ArrayLike, half: float) -> Mesh:
 
 
 def body(mesh: Mesh, instance: int = 1, part: int = 1) -> Body:
+    """Someone with a label, or something without."""
     parts = np.full(len(mesh.triangles), part, np.uint8)
-    return Body(mesh, mesh.vertices.astype(np.float32), parts, instance)
+    return Body(mesh, mesh.vertices.astype(np.float32), parts, instance, "human" if instance else "object")
 
 
 def along_x(size: tuple[int, int] = (320, 240), focal: float = 300.0) -> Camera:

@@ -87,7 +87,7 @@ def test_built_in_meshes_are_closed_and_a_metre_in_size() -> None:
 def expected_body(simulation: Simulation, name: str, seconds: float) -> Body:
     mesh = simulation.scene.objects[name].mesh
     vertices = expected_vertices(name, seconds).astype(np.float32)
-    return Body(mesh, vertices, np.zeros(len(mesh.triangles), np.uint8), 0)
+    return Body(mesh, vertices, np.zeros(len(mesh.triangles), np.uint8), 0, "object")
 
 
 @pytest.mark.parametrize("index", [3, 6, 14])
@@ -190,7 +190,7 @@ def test_a_mesh_file_that_is_wrong_is_named_with_its_line(tmp_path: Path) -> Non
 def test_two_things_cannot_share_a_surface() -> None:
     renderer = renderer_or_skip()
     mesh = SHAPES["box"]()
-    thing = Body(mesh, mesh.vertices.astype(np.float32), np.zeros(12, np.uint8), 0)
+    thing = Body(mesh, mesh.vertices.astype(np.float32), np.zeros(12, np.uint8), 0, "object")
     with pytest.raises(RenderError, match="cannot share a mesh"):
         renderer.render([thing, thing], Camera.look_at((3, 0, 1), (0, 0, 0), (32, 24), 1.0))
     renderer.close()

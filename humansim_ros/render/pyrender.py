@@ -67,7 +67,8 @@ class PyrenderRenderer:
         self._shapes: dict[int, _Shape] = {}
         self._figures: dict[tuple[int, int], _Figure] = {}
         whole = [
-            Body(m, m.vertices.astype(np.float32), np.zeros(len(m.triangles), np.uint8), 0) for m in static
+            Body(m, m.vertices.astype(np.float32), np.zeros(len(m.triangles), np.uint8), 0, "object")
+            for m in static
         ]
         self._static = [_Figure(self._library, _Shape(self._library, body), body) for body in whole]
         self._has_floor = any(
@@ -266,7 +267,8 @@ class _Figure:
         """What it leaves on the floor."""
         key = "shadow", height
         if key not in self._made:
-            shadow: ContactShadow = self._posed.shadow
+            human = self.body.kind == "human"
+            shadow: ContactShadow = self._posed.shadow if human else self._posed.shadow_of_thing
             corners = shadow.corners + np.array([0, 0, height], np.float32)
             darkness = np.dstack([np.zeros((*shadow.darkness.shape, 3), np.uint8), shadow.darkness[::-1]])
             texture = self._library.Texture(source=darkness, source_channels="RGBA")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,22 +24,26 @@ PER_BODY = ("alpha", "amodal")
 #: Every channel a renderer can be asked for; docs/ground_truth.md defines each.
 ALL_CHANNELS = (*CHANNELS, *DETAILS, *FLOWS, *PER_BODY, "shadow")
 
+#: What a body is.
+Kind = Literal["human", "object"]
+
 
 @dataclass(frozen=True)
 class Body:
     """A moving surface as it stands in one frame.
 
     ``mesh``: its topology and looks (its own vertices are not used). ``vertices``: (V, 3) float32, ``map``,
-    metres. ``parts``: (N,) uint8 part label of each of ``mesh.triangles``. ``instance``: label of this body
-    and of no other, 1 to 65535; or 0 for a thing that has no label, only colour, depth and shadow: things
-    need a mesh of their own each. Make a new Body for a new frame: renderers keep what they worked out of
-    one.
+    metres. ``parts``: (N,) uint8 part label of each of ``mesh.triangles``, 0 of those that have none.
+    ``instance``: label of this body and of no other, 1 to 65535; or 0 for one that has no label, only colour,
+    depth and shadow: those need a mesh of their own each. ``kind``: what it is, labelled or not. Make a new
+    Body for a new frame: renderers keep what they worked out of one.
     """
 
     mesh: Mesh
     vertices: NDArray[np.float32]
     parts: NDArray[np.uint8]
     instance: int
+    kind: Kind = "human"
 
 
 @dataclass(frozen=True)
@@ -56,7 +60,7 @@ class View:
 
     ``rgb``: (H, W, 3) uint8 sRGB, anti-aliased, or what the camera's sensor makes of it. ``depth``: (H, W)
     float32 metres along z of the optical frame, +inf where nothing is. ``instance``: (H, W) uint16, ``part``:
-    (H, W) uint8; 0 where no body is.
+    (H, W) uint8; 0 where no labelled body is.
     Labels and depth are those of the pixel's centre, never blended.
 
     ``face``: (H, W) int32, 1 + the triangle of the body's mesh, 0 where no labelled body is. ``normal``:
@@ -132,7 +136,7 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
     labels = [body.instance for body in bodies if body.instance]
     things = [id(body.mesh) for body in bodies if not body.instance]
     if len(set(things)) < len(things):
-        raise RenderError("two things without a label cannot share a mesh")
+        raise RenderError("two bodies without a label cannot share a mesh")
     for body in bodies:
         if body.vertices.shape != body.mesh.vertices.shape:
             raise RenderError(

@@ -66,12 +66,12 @@ class Surface:
     @property
     def near_floor(self) -> bool:
         """Whether it may leave a shadow under it."""
-        return self.body.instance > 0 or float(self.posed.points[2].min()) < REACH
+        return self.body.kind == "human" or float(self.posed.points[2].min()) < REACH
 
     @property
     def shadow(self) -> ContactShadow:
         """What it leaves on the floor."""
-        return self.posed.shadow if self.body.instance else self.posed.shadow_of_thing
+        return self.posed.shadow if self.body.kind == "human" else self.posed.shadow_of_thing
 
     def stand(self, body: Body) -> None:
         """Take up the body's pose."""

@@ -35,14 +35,15 @@ def color_depth(depth: NDArray[np.float32]) -> Image:
 
 
 def color_labels(labels: NDArray[np.integer]) -> Image:
-    """(H, W, 3) of labels (H, W): every label its own colour, 0 black."""
+    """(H, W, 3) of labels (H, W): every label its own colour (after 255 they come again), 0 black."""
     number = np.arange(256)
     hue = (number * 0.61803398875 % 1 * 180).astype(np.uint8)
     value = np.where(number % 2, 255, 200).astype(np.uint8)
     hsv = np.stack([hue, np.full(256, 190, np.uint8), value], axis=-1)[None]
     palette = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0]
     palette[0] = 0
-    return np.asarray(palette[labels.astype(np.intp) % 256], dtype=np.uint8)
+    labels = labels.astype(np.intp)
+    return np.asarray(palette[np.where(labels > 0, (labels - 1) % 255 + 1, 0)], dtype=np.uint8)
 
 
 def draw_joints(

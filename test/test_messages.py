@@ -14,7 +14,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import RosError
 from humansim_ros.ros import messages
 from humansim_ros.scene import Scene
-from humansim_ros.truth.boxes import HumanBox
+from humansim_ros.truth.boxes import BodyBox
 from humansim_ros.truth.joints import JointView
 
 STAMP = 1_700_000_000_123_456_789
@@ -185,8 +185,8 @@ def columns_of(cloud: Any) -> dict[str, np.ndarray]:
 
 
 def test_boxes_have_the_layout_their_fields_say(read_outside: Any) -> None:
-    one = HumanBox(np.array([9.5, -0.5, 70.5, 100.5]), np.array([-20.25, -30, 71, 101.5]), 0.25, 0.5, 4321)
-    none = HumanBox(np.full(4, np.nan), np.full(4, np.nan), 1.0, np.nan, 0)
+    one = BodyBox(np.array([9.5, -0.5, 70.5, 100.5]), np.array([-20.25, -30, 71, 101.5]), 0.25, 0.5, 4321)
+    none = BodyBox(np.full(4, np.nan), np.full(4, np.nan), 1.0, np.nan, 0)
     message = messages.boxes_message([(3, one), (700, none)], STAMP, "cam_optical_frame")
     outside = read_outside(message)
     assert (outside.width, outside.point_step, outside.is_dense) == (2, 48, False)
@@ -195,7 +195,7 @@ def test_boxes_have_the_layout_their_fields_say(read_outside: Any) -> None:
     assert [read[side][0] for side in sides] == one.visible.tolist()
     assert [read[f"whole_{side}"][0] for side in sides] == one.whole.tolist()
     assert np.isnan([read[prefix + side][1] for prefix in ("", "whole_") for side in sides]).all()
-    assert read["human"].tolist() == [3, 700]
+    assert read["instance"].tolist() == [3, 700]
     assert read["pixels"].tolist() == [4321, 0]
     assert read["truncation"].tolist() == [0.25, 1.0]
     assert np.array_equal(read["visible_fraction"], [0.5, np.nan], equal_nan=True)
@@ -209,7 +209,7 @@ def test_visible_vertices_are_listed_by_human(read_outside: Any) -> None:
     message = messages.visible_vertices_message([(1, first), (9, second)], STAMP, "cam_optical_frame")
     read = columns_of(read_outside(message))
     assert read["vertex"].tolist() == [0, 69_999, 2]
-    assert read["human"].tolist() == [1, 1, 9]
+    assert read["instance"].tolist() == [1, 1, 9]
     assert messages.read_visible_vertices(message)["vertex"].tolist() == [0, 69_999, 2]
     nobody = messages.visible_vertices_message([(1, np.zeros(5, bool))], STAMP, "cam_optical_frame")
     assert (nobody.width, len(messages.read_visible_vertices(nobody))) == (0, 0)
@@ -227,7 +227,7 @@ def test_joints_that_were_recorded_with_fewer_fields_are_read() -> None:
 
 @pytest.mark.parametrize("fault", ["field", "step", "bytes", "offset", "endian", "twice"])
 def test_points_that_are_not_laid_out_as_they_say_are_refused(fault: str) -> None:
-    box = HumanBox(np.zeros(4), np.zeros(4), 0.0, 1.0, 1)
+    box = BodyBox(np.zeros(4), np.zeros(4), 0.0, 1.0, 1)
     message = messages.boxes_message([(1, box)], STAMP, "cam_optical_frame")
     if fault == "field":
         message.fields = message.fields[:-1]

@@ -10,6 +10,7 @@ import json
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,7 @@ from humansim_ros.scene.filming import CameraPose
 from humansim_ros.scene.instant import JointMotion
 from humansim_ros.scene.live import Source
 from humansim_ros.scene.objects import ObjectPose, SceneObject
-from humansim_ros.truth.boxes import HumanBox
+from humansim_ros.truth.boxes import BodyBox
 from humansim_ros.truth.joints import (
     NOTHING,
     OCCLUDED,
@@ -87,11 +88,14 @@ JOINT_POINT = np.dtype(
 BOX_POINT = np.dtype(
     [(name, "<f4") for name in ("left", "top", "right", "bottom")]
     + [(name, "<f4") for name in ("whole_left", "whole_top", "whole_right", "whole_bottom")]
-    + [("truncation", "<f4"), ("visible_fraction", "<f4"), ("pixels", "<u4"), ("human", "<u2")],
+    + [("truncation", "<f4"), ("visible_fraction", "<f4"), ("pixels", "<u4")]
+    + [("instance", "<u2"), ("kind", "u1")],
     align=True,
 )
+#: What field ``kind`` of these says.
+KINDS = {"human": 1, "object": 2}
 #: One point of ``<camera>/visible_vertices``: ``vertex`` in the order of ``humans/<id>/vertices``.
-VISIBLE_VERTEX = np.dtype([("vertex", "<u4"), ("human", "<u2")], align=True)
+VISIBLE_VERTEX = np.dtype([("vertex", "<u4"), ("instance", "<u2")], align=True)
 _ALL_OF_IT = Region()
 _VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 #: Metres from the origin beyond which nobody is; m/s and rad/s that nobody has.
@@ -467,11 +471,12 @@ def read_joint_view(message: PointCloud2) -> NDArray[Any]:
     return _read_points(message, ("x", "y", "z", "u", "v", "visible", "human", "joint"))
 
 
-def boxes_message(boxes: Sequence[tuple[int, HumanBox]], stamp: int, frame: str) -> PointCloud2:
-    """``<camera>/boxes``: one point per human, from pairs of instance label and boxes."""
+def boxes_message(boxes: Sequence[tuple[int, BodyBox]], stamp: int, frame: str) -> PointCloud2:
+    """``<camera>/boxes``: one point per human and labelled object, from pairs of instance label and boxes."""
     points = np.zeros(len(boxes), dtype=BOX_POINT)
     for point, (instance, box) in zip(points, boxes, strict=True):
-        values = (*box.visible, *box.whole, box.truncation, box.visible_fraction, box.pixels, instance)
+        shares = (box.truncation, box.visible_fraction, box.pixels)
+        values = (*box.visible, *box.whole, *shares, instance, KINDS[box.kind])
         for name, value in zip(BOX_POINT.names or (), values, strict=True):
             point[name] = value
     message = _point_cloud(points, header(stamp, frame))
@@ -490,13 +495,13 @@ def visible_vertices_message(
     seen: Sequence[tuple[int, NDArray[np.bool_]]], stamp: int, frame: str
 ) -> PointCloud2:
     """``<camera>/visible_vertices``: one point per vertex that is seen, from pairs of instance label and
-    which of the human's vertices (V,) are.
+    which of the body's vertices (V,) are.
     """
     numbers = [np.flatnonzero(mask) for _, mask in seen]
     points = np.zeros(sum(map(len, numbers)), dtype=VISIBLE_VERTEX)
     if len(points):
         points["vertex"] = np.concatenate(numbers)
-        points["human"] = np.repeat([instance for instance, _ in seen], [len(n) for n in numbers])
+        points["instance"] = np.repeat([instance for instance, _ in seen], [len(n) for n in numbers])
     return _point_cloud(points, header(stamp, frame))
 
 
@@ -552,9 +557,9 @@ def read_motion_legend(message: String) -> dict[str, Any]:
     return data
 
 
-def instance_legend(humans: Mapping[str, int]) -> String:
-    """``<camera>/instance/legend``: which pixel value is which human."""
-    return _legend({"0": "background"} | {str(label): name for name, label in humans.items()})
+def instance_legend(labels: Mapping[str, int]) -> String:
+    """``<camera>/instance/legend``: which pixel value is which human or object."""
+    return _legend({"0": "background"} | _by_label(labels))
 
 
 def part_legend(skeleton: Skeleton) -> String:
@@ -562,13 +567,16 @@ def part_legend(skeleton: Skeleton) -> String:
     return _legend({"0": "background"} | {str(i): name for i, name in enumerate(skeleton.names, 1)})
 
 
-def joints_legend(humans: Mapping[str, tuple[int, Sequence[str]]]) -> String:
-    """``<camera>/joints/legend``: names of the fields ``human`` (and ``by``), ``joint``, ``visible`` and
-    ``occluder``.
+def joints_legend(
+    humans: Mapping[str, tuple[int, Sequence[str]]], objects: Mapping[str, int] = MappingProxyType({})
+) -> String:
+    """``<camera>/joints/legend``: names of the fields ``human``, ``joint``, ``visible`` and ``occluder``;
+    those of ``by`` are in ``human`` and ``object``. ``objects``: instance labels of objects by name.
     """
     return _legend(
         {
-            "human": {str(label): name for name, (label, _) in humans.items()},
+            "human": _by_label({name: label for name, (label, _) in humans.items()}),
+            "object": _by_label(objects),
             "joint": {name: list(joints) for name, (_, joints) in humans.items()},
             "visible": {str(OUTSIDE): "outside", str(OCCLUDED): "occluded", str(VISIBLE): "visible"},
             "occluder": {
@@ -579,6 +587,10 @@ def joints_legend(humans: Mapping[str, tuple[int, Sequence[str]]]) -> String:
             },
         }
     )
+
+
+def _by_label(labels: Mapping[str, int]) -> dict[str, str]:
+    return {str(label): name for name, label in labels.items()}
 
 
 def _legend(content: Any) -> String:

@@ -34,14 +34,14 @@ TOPICS = {
     "flow_back_hidden": "flow_back/hidden",
     "shadow": "shadow/image",
 }
-#: Channels that have a topic for each human.
-BY_HUMAN = ("alpha", "amodal")
+#: Channels that have a topic for each human and labelled object.
+BY_LABEL = ("alpha", "amodal")
 
 
 class Outlets:
-    """Publishers of a camera's images. ``humans``: instance labels by name."""
+    """Publishers of a camera's images. ``labels``: instance labels by name."""
 
-    def __init__(self, node: SceneNode, camera: str, encoding: str, humans: Mapping[str, int]) -> None:
+    def __init__(self, node: SceneNode, camera: str, encoding: str, labels: Mapping[str, int]) -> None:
         self._frame = messages.optical_frame(camera)
         self._encodings = {**messages.ENCODINGS, "rgb": encoding}
         self._images = {
@@ -52,31 +52,31 @@ class Outlets:
             "rgb": CompressedOutlet(node, camera, TOPICS["rgb"], encoding),
             "depth": CompressedDepthOutlet(node, camera, TOPICS["depth"]),
         }
-        self._by_human = {
+        self._by_label = {
             channel: {
-                instance: node.create_publisher(Image, f"{camera}/{channel}/{human}/image", DATA)
-                for human, instance in humans.items()
+                instance: node.create_publisher(Image, f"{camera}/{channel}/{name}/image", DATA)
+                for name, instance in labels.items()
             }
-            for channel in BY_HUMAN
+            for channel in BY_LABEL
         }
 
     def wanted(self) -> set[str]:
         """The channels that somebody subscribes to."""
         wanted = {name for name, publisher in self._images.items() if publisher.get_subscription_count()}
         wanted |= {name for name, outlet in self._compressed.items() if outlet.wanted}
-        for name, publishers in self._by_human.items():
+        for name, publishers in self._by_label.items():
             if any(publisher.get_subscription_count() for publisher in publishers.values()):
                 wanted.add(name)
         return wanted
 
     def send(self, view: View, channels: Collection[str], stamp: int) -> None:
         """Publish some channels of a view, colour first."""
-        for channel in (name for name in (*TOPICS, *BY_HUMAN) if name in channels):
+        for channel in (name for name in (*TOPICS, *BY_LABEL) if name in channels):
             if channel in self._images:
                 self._send_image(channel, getattr(view, channel), stamp)
                 continue
             for instance, image in getattr(view, channel).items():
-                publisher = self._by_human[channel][instance]
+                publisher = self._by_label[channel][instance]
                 if publisher.get_subscription_count():
                     mask = image if image.dtype == np.uint8 else image.astype(np.uint8) * np.uint8(255)
                     self._publish(publisher, channel, mask, stamp)
@@ -93,11 +93,13 @@ class Outlets:
 
 
 class PeopleOutlets:
-    """Publishers of what a camera knows of each person: joints, boxes, and which vertices it sees."""
+    """Publishers of what a camera knows of each person: joints, boxes, and which vertices it sees; the last
+    two of labelled objects, too.
+    """
 
     def __init__(self, node: SceneNode, camera: str) -> None:
         self._frame = messages.optical_frame(camera)
-        self._actors = node.scene.actors
+        self._actors, self._objects = node.scene.actors, list(node.scene.object_labels.values())
         self._surfaces = {name: joint_surfaces(actor.human) for name, actor in self._actors.items()}
         self._topics = {
             topic: node.create_publisher(PointCloud2, f"{camera}/{topic}", DATA) for topic in _NEEDED
@@ -117,7 +119,8 @@ class PeopleOutlets:
         seen = []
         for name, actor in self._actors.items():
             positions = instant.joints_of(name).positions
-            joints = view_joints(camera, positions, view, actor.instance, self._surfaces[name])
+            skin = self._surfaces[name]
+            joints = view_joints(camera, positions, view, actor.instance, skin, self._objects)
             seen.append((actor.instance, joints))
         return messages.joint_view_message(seen, instant.stamp, self._frame)
 

@@ -134,6 +134,7 @@ class ObjectConfig(_Section):
         default=(0.0, 0.0, 0.0), description="degrees about the x axis of map, then y, then z"
     )
     keyframes: KeyframesConfig | None = Field(default=None, description="moves, turns and sizes it")
+    label: bool = Field(default=False, description="it has an instance label, as humans have")
 
 
 class TrajectoryConfig(_Section):
@@ -416,6 +417,7 @@ class RandomiseConfig(_Section):
     clutter: int = Field(
         default=0, ge=0, le=1000, description="boxes, cylinders and balls on the floor, where nobody walks"
     )
+    clutter_label: bool = Field(default=False, description="these have instance labels")
     camera_jitter: JitterConfig = JitterConfig()
 
 
@@ -440,8 +442,12 @@ class SceneConfig(_Section):
             raise ValueError(
                 "a scene needs at least one camera: in 'cameras', or in a calibration file as 'rig'"
             )
-        if len(self.humans) > 65535:
-            raise ValueError("at most 65535 humans")
+        labels = len(self.humans) + (self.variety.count if self.variety else 0)
+        labels += sum(thing.label for thing in self.objects.values())
+        if self.randomise is not None and self.randomise.clutter_label:
+            labels += self.randomise.clutter
+        if labels > 65535:
+            raise ValueError(f"at most 65535 humans and labelled objects, not {labels}")
         return self
 
 

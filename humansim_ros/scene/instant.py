@@ -55,7 +55,8 @@ class Instant:
     def bodies(self) -> Sequence[Body]:
         """What is to be drawn."""
         bodies = [actor.body(self.vertices[name]) for name, actor in self.actors.items()]
-        return bodies + [thing.body(self.objects[name]) for name, thing in self.scene.moving_objects.items()]
+        bodies += [thing.body(self.objects[name]) for name, thing in self.scene.moving_objects.items()]
+        return bodies + self.scene.standing_bodies
 
     def shot(self, camera: SceneCamera) -> Shot:
         """What there is to be seen by a camera."""
@@ -73,7 +74,7 @@ class Instant:
         bodies = [actor.body(self._vertices_at(name, seconds)) for name, actor in self.actors.items()]
         for name, thing in self.scene.moving_objects.items():
             bodies.append(thing.body(self.objects[name].moved(seconds)))
-        return bodies
+        return bodies + self.scene.standing_bodies
 
     def _vertices_at(self, name: str, seconds: float) -> NDArray[np.float32]:
         motion = self.joints_of(name)

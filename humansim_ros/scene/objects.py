@@ -1,5 +1,5 @@
-"""Things of a scene that are no people: they stand or move, show in rgb and depth, and hide what is behind
-them. And the keyframes that move people and things.
+"""Things of a scene that are no people: they stand or move, show in rgb and depth, hide what is behind them,
+and have labels if they are asked to. And the keyframes that move people and things.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ class ObjectPose:
 class SceneObject:
     """A thing: its ``mesh`` at size 1 about its own origin, where it ``stands``, and the keys that move it.
 
-    ``shape``: box, sphere, cylinder, or the path of the mesh's file.
+    ``shape``: box, sphere, cylinder, or the path of the mesh's file. ``instance``: the label it is drawn
+    with, 0 if it has none.
     """
 
     name: str
@@ -66,9 +67,12 @@ class SceneObject:
     mesh: Mesh
     stands: ObjectPose
     keyframes: Track | None = None
+    instance: int = 0
 
     @classmethod
-    def build(cls, name: str, config: ObjectConfig, scene: Path, keyframes: Track | None) -> SceneObject:
+    def build(
+        cls, name: str, config: ObjectConfig, scene: Path, keyframes: Track | None, instance: int
+    ) -> SceneObject:
         """A thing of a scene file. Raises SceneError or MeshError naming what is wrong with it."""
         if config.mesh in SHAPES:
             shape, mesh = config.mesh, SHAPES[config.mesh]()
@@ -82,7 +86,7 @@ class SceneObject:
         colors = np.tile(np.array(config.color, np.uint8), (len(mesh.vertices), 1)) if plain else None
         turn = Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_quat()
         stands = ObjectPose(np.array(config.position), turn, np.array(config.size))
-        return cls(name, shape, config.color, replace(mesh, colors=colors), stands, keyframes)
+        return cls(name, shape, config.color, replace(mesh, colors=colors), stands, keyframes, instance)
 
     @property
     def moves(self) -> bool:
@@ -102,12 +106,19 @@ class SceneObject:
         return ObjectPose(position[1], rotation[1], key.size[1] * self.stands.size, velocity)
 
     def body(self, pose: ObjectPose) -> Body:
-        """What a renderer needs to draw it; it has no labels: instance and part are 0."""
-        return Body(self.mesh, pose.apply(self.mesh.vertices).astype(np.float32), self._parts, 0)
+        """What a renderer needs to draw it; it has no parts."""
+        return self._body(self.mesh, pose.apply(self.mesh.vertices))
 
     def standing(self) -> Mesh:
         """Its mesh in ``map`` where it stands."""
         return replace(self.mesh, vertices=self.stands.apply(self.mesh.vertices))
+
+    def standing_body(self, standing: Mesh) -> Body:
+        """The same as a renderer draws it frame by frame, with the looks of :meth:`standing` or others."""
+        return self._body(replace(standing, vertices=self.mesh.vertices), standing.vertices)
+
+    def _body(self, mesh: Mesh, vertices: Array) -> Body:
+        return Body(mesh, vertices.astype(np.float32), self._parts, self.instance, "object")
 
     @cached_property
     def _parts(self) -> NDArray[np.uint8]:

@@ -188,7 +188,9 @@ def clutter(config: SceneConfig, scene: Path, around: Around) -> dict[str, Objec
             if free.any():
                 placed.append((places[np.argmax(free)], radius))
                 x, y = (round(float(value), 4) for value in placed[-1][0])
-                found[name] = thing.model_copy(update={"position": (x, y, thing.size[2] / 2)})
+                found[name] = thing.model_copy(
+                    update={"position": (x, y, thing.size[2] / 2), "label": randomise.clutter_label}
+                )
                 break
     if len(found) < randomise.clutter:
         warnings.warn(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -34,6 +35,7 @@ from humansim_ros.rotations import Array, matrix_to_quaternion, moved
 from humansim_ros.scene.config import (
     HumanConfig,
     MotionConfig,
+    ObjectConfig,
     SceneConfig,
     find_file,
     find_human,
@@ -196,7 +198,9 @@ class Actor:
 
 @dataclass(frozen=True)
 class Scene:
-    """Everything that is simulated. Humans are numbered from 1 in the file's order: their instance labels."""
+    """Everything that is simulated. Humans are numbered from 1 in the file's order, then the objects that are
+    to have labels, then clutter that is: their instance labels.
+    """
 
     path: Path
     config: SceneConfig
@@ -219,10 +223,8 @@ class Scene:
             name: _actor(name, number, human, path, tracks.get(("humans", name)))
             for number, (name, human) in enumerate(config.humans.items(), 1)
         }
-        objects = {
-            name: SceneObject.build(name, thing, path, tracks.get(("objects", name)))
-            for name, thing in config.objects.items()
-        }
+        objects: dict[str, SceneObject] = {}
+        _add_objects(objects, config.objects, path, tracks, actors)
         world = World.load(config, path)
         cameras = {
             name: replace(camera, backdrop=camera.backdrop or world.backdrop)
@@ -233,7 +235,7 @@ class Scene:
         if config.randomise is not None and config.randomise.clutter:
             still = [*world.meshes, *(thing.standing() for thing in objects.values() if not thing.moves)]
             things = clutter(config, path, Around.of(actors.values(), cameras, objects, still))
-            objects |= {name: SceneObject.build(name, thing, path, None) for name, thing in things.items()}
+            _add_objects(objects, things, path, tracks, actors)
         distorted = [name for name, camera in cameras.items() if camera.camera.distorted]
         if config.renderer == "pyrender" and distorted:
             raise SceneError(
@@ -270,11 +272,36 @@ class Scene:
         return round(index * 1_000_000_000 / self.config.rate)
 
     @cached_property
+    def labels(self) -> dict[str, int]:
+        """Instance labels by name: of all humans, then of the objects that have one."""
+        return {name: actor.instance for name, actor in self.actors.items()} | self.object_labels
+
+    @cached_property
+    def object_labels(self) -> dict[str, int]:
+        """Instance labels of the objects that have one, by name."""
+        return {name: thing.instance for name, thing in self.objects.items() if thing.instance}
+
+    @cached_property
     def static_meshes(self) -> list[Mesh]:
-        """The world that stands still."""
-        standing = [thing.standing() for thing in self.objects.values() if not thing.moves]
-        meshes = [*self.world.meshes, *standing]
-        return meshes if self.config.randomise is None else restyled(meshes, self.config.randomise)
+        """The world that stands still and has no labels: drawn once."""
+        meshes, standing = self._standing
+        return [*meshes, *(mesh for name, mesh in standing.items() if not self.objects[name].instance)]
+
+    @cached_property
+    def standing_bodies(self) -> list[Body]:
+        """The objects with labels that stand still: drawn with every frame."""
+        things = ((self.objects[name], mesh) for name, mesh in self._standing[1].items())
+        return [thing.standing_body(mesh) for thing, mesh in things if thing.instance]
+
+    @cached_property
+    def _standing(self) -> tuple[list[Mesh], dict[str, Mesh]]:
+        """The world, and the objects that stand still by name, in ``map`` with the looks they have."""
+        standing = {name: thing.standing() for name, thing in self.objects.items() if not thing.moves}
+        meshes = [*self.world.meshes, *standing.values()]
+        if self.config.randomise is not None:
+            meshes = restyled(meshes, self.config.randomise)
+        count = len(self.world.meshes)
+        return meshes[:count], dict(zip(standing, meshes[count:], strict=True))
 
     @cached_property
     def moving_objects(self) -> dict[str, SceneObject]:
@@ -286,6 +313,29 @@ def _actor(name: str, instance: int, config: HumanConfig, scene: Path, keyframes
     body = find_human(config.body, scene, f"humans.{name}.body")
     human = Human.load(body, config.outfit, config.skinning)
     return replace(Actor.build(name, instance, human, config.motion, scene), keyframes=keyframes)
+
+
+def _add_objects(
+    objects: dict[str, SceneObject],
+    configs: Mapping[str, ObjectConfig],
+    scene: Path,
+    tracks: Mapping[tuple[str, str], Track],
+    actors: Mapping[str, Actor],
+) -> None:
+    """Build objects and put them to those that are there. Labels go on from those of humans and objects."""
+    last = len(actors) + sum(thing.instance > 0 for thing in objects.values())
+    for name, config in configs.items():
+        if config.label and name in actors:
+            key = f"objects.{name}"
+            raise SceneError(
+                "there is a human of this name: an object with a label needs one of its own",
+                path=scene,
+                line=line_of_key(scene, key),
+                key=key,
+            )
+        last += config.label
+        number = last if config.label else 0
+        objects[name] = SceneObject.build(name, config, scene, tracks.get(("objects", name)), number)
 
 
 def _size(heads: Array, at_rest: Array, parents: NDArray[np.intp]) -> float:

@@ -18,7 +18,7 @@ from humansim_ros.scene.instant import Instant, JointMotion
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Moment, Playback
 from humansim_ros.scene.scene import Actor, HumanState, Scene
-from humansim_ros.truth.boxes import HumanBox, view_boxes
+from humansim_ros.truth.boxes import BodyBox, view_boxes
 from humansim_ros.truth.joints import JointView, joint_surfaces, view_joints
 from humansim_ros.truth.vertices import visible_vertices
 
@@ -30,10 +30,11 @@ _Found = tuple[Moment, dict[str, HumanState], Instant]
 class Frame:
     """One instant of a scene. ``stamp``: nanoseconds. ``humans``: by name. ``views``: by camera name.
 
-    ``joints``, ``boxes``: by camera name and human name; empty unless the channels that they need are among
-    those asked for: depth, instance and part; instance and amodal. ``objects``: where the objects that move
-    are, by name. ``cameras``: the cameras of ``views``, where they stand. ``bodies``: what they see, the
-    humans first.
+    ``joints``: by camera name and human name, ``boxes``: by camera name and name of a human or labelled
+    object; empty unless the channels that they need are among those asked for: depth, instance and part;
+    instance and amodal. ``objects``: where the objects that move are, by name. ``cameras``: the cameras of
+    ``views``, where they stand. ``bodies``: what they see, the humans first. ``labels``: instance labels by
+    name.
     """
 
     index: int
@@ -43,13 +44,16 @@ class Frame:
     joints: dict[str, dict[str, JointView]]
     objects: dict[str, ObjectPose] = field(default_factory=dict)
     cameras: dict[str, Camera] = field(default_factory=dict)
-    boxes: dict[str, dict[str, HumanBox]] = field(default_factory=dict)
+    boxes: dict[str, dict[str, BodyBox]] = field(default_factory=dict)
     bodies: Sequence[Body] = ()
+    labels: Mapping[str, int] = field(default_factory=dict)
 
     def visible_vertices(self, camera: str) -> dict[str, NDArray[np.bool_]]:
-        """Which vertices (V,) of each human a camera sees; needs depth and instance among the channels."""
+        """Which vertices (V,) of each human and labelled object a camera sees, by name; needs depth and
+        instance among the channels.
+        """
         seen = visible_vertices(self.cameras[camera], self.bodies, self.views[camera])
-        return dict(zip(self.humans, seen.values(), strict=True))
+        return {name: seen[label] for name, label in self.labels.items()}
 
 
 class Simulation:
@@ -100,14 +104,20 @@ class Simulation:
         joints: dict[str, dict[str, JointView]] = {}
         if {"depth", "instance", "part"} <= set(self.channels):
             joints = {name: self._joints(cameras[name], humans, view) for name, view in views.items()}
-        boxes: dict[str, dict[str, HumanBox]] = {}
+        boxes: dict[str, dict[str, BodyBox]] = {}
         if {"instance", "amodal"} <= set(self.channels):
-            boxes = {
-                name: dict(zip(humans, view_boxes(cameras[name], instant.bodies, view).values(), strict=True))
-                for name, view in views.items()
-            }
+            boxes = {name: self._boxes(cameras[name], instant.bodies, view) for name, view in views.items()}
         return Frame(
-            index, instant.stamp, humans, views, joints, moment.objects, cameras, boxes, instant.bodies
+            index,
+            instant.stamp,
+            humans,
+            views,
+            joints,
+            moment.objects,
+            cameras,
+            boxes,
+            instant.bodies,
+            self.scene.labels,
         )
 
     def _view(self, camera: SceneCamera, instant: Instant, beside: Mapping[str, Instant]) -> View:
@@ -159,6 +169,11 @@ class Simulation:
                 view,
                 self.scene.actors[name].instance,
                 self._surfaces[name],
+                self.scene.object_labels.values(),
             )
             for name, state in humans.items()
         }
+
+    def _boxes(self, camera: Camera, bodies: Sequence[Body], view: View) -> dict[str, BodyBox]:
+        boxes = view_boxes(camera, bodies, view)
+        return {name: boxes[label] for name, label in self.scene.labels.items()}

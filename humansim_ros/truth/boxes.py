@@ -1,4 +1,4 @@
-"""Boxes round humans in an image: of what is seen of them, and of the whole body."""
+"""Boxes round humans and objects in an image: of what is seen of them, and of the whole body."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
 from humansim_ros.render.refine import nearest
+from humansim_ros.render.renderer import Kind
 from humansim_ros.rotations import Array
 
 
 @dataclass(frozen=True)
-class HumanBox:
-    """A human in an image. Boxes are (4,): left, top, right, bottom, in pixels.
+class BodyBox:
+    """A human or labelled object in an image. Boxes are (4,): left, top, right, bottom, in pixels.
 
     ``visible``: round the areas of the pixels that show it, so that one pixel (x, y) has the box x - 0.5, y -
     0.5, x + 0.5, y + 0.5; NaN where none does. ``whole``: round the projection of the whole body, also
     outside the image and behind other things; NaN where nothing of the body is before the camera.
     ``truncation``: share of the whole box's area that is outside the image, 0 to 1; 1 where nothing of the
     body is before the camera. ``visible_fraction``: pixels that show it, of those that would if nothing hid
-    it (of the image only); NaN where none would. ``pixels``: how many show it.
+    it (of the image only); NaN where none would. ``pixels``: how many show it. ``kind``: what it is.
     """
 
     visible: Array
@@ -32,9 +33,10 @@ class HumanBox:
     truncation: float
     visible_fraction: float
     pixels: int
+    kind: Kind = "human"
 
 
-def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, HumanBox]:
+def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, BodyBox]:
     """The boxes of every labelled body, by instance, seen by a camera whose ``view`` has instance labels and
     amodal masks.
     """
@@ -46,8 +48,13 @@ def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, 
         visible, pixels = _box_of(view.instance == body.instance)
         there = np.count_nonzero(view.amodal[body.instance])
         whole = whole_box(camera, body)
-        boxes[body.instance] = HumanBox(
-            visible, whole, truncation(whole, camera.size), pixels / there if there else np.nan, pixels
+        boxes[body.instance] = BodyBox(
+            visible,
+            whole,
+            truncation(whole, camera.size),
+            pixels / there if there else np.nan,
+            pixels,
+            body.kind,
         )
     return boxes
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,9 +25,10 @@ class JointView:
 
     ``optical``: (J, 3) in the optical frame, metres. ``pixels``: (J, 2), NaN behind the camera. ``visible``:
     (J,) uint8: OUTSIDE, OCCLUDED or VISIBLE. ``occluder``: (J,) uint8, what hides an occluded joint: SELF,
-    PERSON or THING; else NOTHING. ``by``: (J,) uint16 instance label of the person that hides it (its own
-    where that is itself), else 0. ``behind``: (J,) float32 metres along z from the first surface at the
-    joint's pixel back to the joint; -inf where there is no surface, NaN outside the image.
+    PERSON or THING; else NOTHING. ``by``: (J,) uint16 instance label of the person or object that hides it
+    (its own where that is itself), 0 where that has none. ``behind``: (J,) float32 metres along z from the
+    first surface at the joint's pixel back to the joint; -inf where there is no surface, NaN outside the
+    image.
     """
 
     optical: Array
@@ -38,10 +40,15 @@ class JointView:
 
 
 def view_joints(
-    camera: Camera, positions: Array, view: View, instance: int, surfaces: NDArray[np.bool_]
+    camera: Camera,
+    positions: Array,
+    view: View,
+    instance: int,
+    surfaces: NDArray[np.bool_],
+    objects: Collection[int] = (),
 ) -> JointView:
     """Joints (J, 3) of the human labelled ``instance``, seen by a camera whose ``view`` has depth, instance
-    and part labels.
+    and part labels. ``objects``: which labels are those of objects.
 
     Joints lie inside the body, so one counts as visible where the first surface at its pixel is skin around
     that joint: ``surfaces`` (J, 256) says which part labels those are (:func:`joint_surfaces`). So does one
@@ -57,7 +64,8 @@ def view_joints(
     near = surfaces[np.arange(len(positions)), view.part[row, column]]
     seen = ((first == instance) & near) | (behind <= 0)
     visible = np.where(inside, np.where(seen, VISIBLE, OCCLUDED), OUTSIDE)
-    hider = np.where(first == 0, THING, np.where(first == instance, SELF, PERSON))
+    thing = np.isin(first, [0, *objects])
+    hider = np.where(thing, THING, np.where(first == instance, SELF, PERSON))
     occluded = visible == OCCLUDED
     return JointView(
         optical,

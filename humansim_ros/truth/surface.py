@@ -2,7 +2,8 @@
 
 Two forms of it. *Part, u, v* as in DensePose (Güler et al. 2018), with the body's own part labels and texture
 coordinates in place of DensePose's 24 charts: one image to train on. *Rest points*: where the point shown is
-on the body at rest, which needs no texture coordinates and is metric.
+on the body at rest, which needs no texture coordinates and is metric; on an object, in its mesh's own axes
+and unit.
 """
 
 from __future__ import annotations
@@ -28,8 +29,8 @@ def part_u_v(view: View) -> Floats:
 
 
 def rest_points(camera: Camera, bodies: Sequence[Body], view: View) -> Floats:
-    """(H, W, 3) float32: where the point that each pixel shows is on its body at rest, in body space, metres;
-    NaN where no labelled body is. Of a view that has instance labels and faces.
+    """(H, W, 3) float32: where the point that each pixel shows is on its body's mesh at rest: in body space,
+    metres, of humans; NaN where no labelled body is. Of a view that has instance labels and faces.
     """
     assert view.instance is not None and view.face is not None
     labelled = [body for body in bodies if body.instance]

@@ -51,8 +51,7 @@ class CameraNode(SceneNode):
         self._frame = messages.optical_frame(name)
         self._shared = renderer is not None
         self._renderer = renderer if self._shared else self.make_renderer()
-        instances = {human: actor.instance for human, actor in self.scene.actors.items()}
-        self._outlets = Outlets(self, name, self._camera.encoding, instances)
+        self._outlets = Outlets(self, name, self._camera.encoding, self.scene.labels)
         self._before: tuple[int, Shot] | None = None
         self._rect = None
         if self._camera.rectified is not None:
@@ -98,13 +97,13 @@ class CameraNode(SceneNode):
 
     def _publish_legends(self) -> None:
         name, actors = self._camera.name, self.scene.actors.values()
-        instances = {actor.name: actor.instance for actor in actors}
-        self.publish_latched(messages.instance_legend(instances), f"{name}/instance/legend")
+        self.publish_latched(messages.instance_legend(self.scene.labels), f"{name}/instance/legend")
         for actor in actors:
             self.publish_latched(messages.part_legend(actor.human.skeleton), f"{name}/part/legend")
             break
         joints = {actor.name: (actor.instance, actor.human.skeleton.joint_names) for actor in actors}
-        self.publish_latched(messages.joints_legend(joints), f"{name}/joints/legend")
+        legend = messages.joints_legend(joints, self.scene.object_labels)
+        self.publish_latched(legend, f"{name}/joints/legend")
 
     def show(self, instant: Instant) -> None:
         """Render what somebody wants of this instant, and where the frame before has gone, and send it."""

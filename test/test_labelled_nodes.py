@@ -1,0 +1,133 @@
+"""Objects with labels over the nodes: the same numbers and the same bytes as Simulation has."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_support import Client, whole_flow
+
+from humansim_ros.ros import messages
+from humansim_ros.scene import Scene, Simulation
+from humansim_ros.truth.joints import OCCLUDED
+
+#: A box passes before a person, who stands before a crate; its place tells the time.
+SCENE = """\
+rate: 4
+humans:
+  anna: {body: child, motion: {file: wave, anchor: center, loop: repeat}}
+objects:
+  post: {mesh: cylinder, size: [0.1, 0.1, 1], position: [0.6, -0.5, 0.5]}
+  box: {size: [0.1, 0.3, 0.9], position: [0, 0, 0.6], keyframes: moves.xml, label: true}
+  crate: {size: [0.5, 1.0, 0.8], position: [-0.8, 0, 0.4], label: true}
+randomise: {seed: 2, clutter: 2, clutter_label: true, colours: true}
+cameras:
+  left: {size: [160, 120], position: [3.2, 0.6, 1.4], look_at: [0, 0, 0.7], fov_deg: 60}
+"""
+MOVES = """\
+<animation startframe="0" endframe="400000" rate="100">
+  <object name="box">
+    <frame number="0"><position x="1" y="0" z="0"/></frame>
+    <frame number="400000"><position x="1" y="400" z="0"/></frame>
+  </object>
+</animation>
+"""
+NUMBERS = {"anna": 1, "box": 2, "crate": 3, "clutter_1": 4, "clutter_2": 5}
+IMAGES = {"image_raw": "rgb", "depth/image": "depth", "instance/image": "instance", "part/image": "part"}
+IMAGES |= {"face/image": "face", "normal/image": "normal"}
+CHANNELS = (*IMAGES.values(), "alpha", "amodal")
+
+
+@pytest.fixture(scope="module")
+def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    from sensor_msgs.msg import Image, PointCloud2
+    from visualization_msgs.msg import Marker
+
+    folder = tmp_path_factory.mktemp("labels")
+    (folder / "moves.xml").write_text(MOVES)
+    (folder / "scene.yaml").write_text(SCENE)
+    images = [*IMAGES, *(f"{kind}/{name}/image" for kind in ("alpha", "amodal") for name in NUMBERS)]
+    wanted = {
+        Marker: ["/labels/objects/box/marker"],
+        Image: [f"/labels/left/{topic}" for topic in images],
+        PointCloud2: [f"/labels/left/{topic}" for topic in ("joints", "boxes", "visible_vertices")],
+    }
+    with whole_flow(folder / "scene.yaml", "labels", wanted, frames=3) as client:
+        simulation = Simulation(Scene.load(folder / "scene.yaml"), CHANNELS)
+        stamps = client.common_stamps()[-3:]
+        yield SimpleNamespace(client=client, stamps=stamps, simulation=simulation)
+        simulation.close()
+
+
+def heard(flow: Any, topic: str, stamp: int) -> Any:
+    return flow.client.received[f"/labels/{topic}"][stamp]
+
+
+def frame_of(flow: Any, stamp: int) -> Any:
+    """The same frame from Simulation: the box goes 10 cm a second."""
+    index = 40 * messages.read_object(heard(flow, "objects/box/marker", stamp)).position[1]
+    assert index == pytest.approx(round(index), abs=1e-6)
+    return flow.simulation.frame(round(index))
+
+
+def test_images_of_objects_have_the_bytes_that_simulation_has(flow: Any) -> None:
+    for stamp in flow.stamps:
+        view = frame_of(flow, stamp).views["left"]
+        for topic, channel in IMAGES.items():
+            assert bytes(heard(flow, f"left/{topic}", stamp).data) == getattr(view, channel).tobytes(), topic
+        for name, number in NUMBERS.items():
+            assert bytes(heard(flow, f"left/alpha/{name}/image", stamp).data) == view.alpha[number].tobytes()
+            mask = view.amodal[number] * np.uint8(255)
+            assert bytes(heard(flow, f"left/amodal/{name}/image", stamp).data) == mask.tobytes()
+            assert mask.any() or name.startswith("clutter")
+
+
+def test_what_is_said_of_objects_is_what_simulation_says(flow: Any) -> None:
+    hidden: set[int] = set()
+    for stamp in flow.stamps:
+        frame = frame_of(flow, stamp)
+        boxes = messages.read_boxes(heard(flow, "left/boxes", stamp))
+        numbers = {number: name for name, number in NUMBERS.items()}
+        assert sorted(boxes["instance"].tolist()) == list(numbers)
+        for point in boxes:
+            name = numbers[point["instance"]]
+            truth = frame.boxes["left"][name]
+            assert point["kind"] == messages.KINDS["human" if name == "anna" else "object"]
+            assert (point["pixels"], np.float32(truth.truncation)) == (truth.pixels, point["truncation"])
+            whole = [point[f"whole_{side}"] for side in ("left", "top", "right", "bottom")]
+            np.testing.assert_array_equal(whole, np.float32(truth.whole))
+        seen = messages.read_visible_vertices(heard(flow, "left/visible_vertices", stamp))
+        for name, mask in frame.visible_vertices("left").items():
+            own = seen["vertex"][seen["instance"] == NUMBERS[name]]
+            assert own.tolist() == np.flatnonzero(mask).tolist()
+        joints = messages.read_joint_view(heard(flow, "left/joints", stamp))
+        truth = frame.joints["left"]["anna"]
+        assert joints["by"].tolist() == truth.by.tolist()
+        assert joints["occluder"].tolist() == truth.occluder.tolist()
+        hidden |= set(truth.by[truth.visible == OCCLUDED].tolist())
+    assert hidden >= {NUMBERS["box"]}
+
+
+def test_legends_say_whose_number_is_whose(flow: Any) -> None:
+    from std_msgs.msg import String
+
+    from humansim_ros.ros.qos import LATCHED
+
+    late = Client("late")
+    topics = [f"/labels/left/{kind}/legend" for kind in ("instance", "joints")]
+    late.subscribe(String, topics, LATCHED)
+
+    def both() -> bool:
+        flow.client.executor.spin_once(timeout_sec=0.0)
+        return len(late.received) == 2
+
+    assert late.spin_until(both)
+    instance, joints = (json.loads(late.received[topic][0].data) for topic in topics)
+    late.close()
+    assert instance == {"0": "background"} | {str(number): name for name, number in NUMBERS.items()}
+    assert joints["human"] == {"1": "anna"}
+    assert joints["object"] == {str(number): name for name, number in list(NUMBERS.items())[1:]}

@@ -31,6 +31,15 @@ def decode_image(encoded: NDArray[np.uint8] | bytes) -> NDArray[np.uint8]:
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
+def decode_alpha(encoded: NDArray[np.uint8] | bytes) -> NDArray[np.uint8] | None:
+    """(H, W) how opaque each pixel is of an image that :func:`decode_image` reads; None if all of it is."""
+    image = cv2.imdecode(np.frombuffer(bytes(encoded), np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None or image.ndim != 3 or image.shape[2] != 4:
+        return None
+    alpha = image[..., 3] if image.dtype == np.uint8 else image[..., 3] // 257
+    return None if (alpha == 255).all() else np.ascontiguousarray(alpha, dtype=np.uint8)
+
+
 def encode_image(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Bytes (N,) of a PNG file of an image (H, W, 3) sRGB."""
     done, encoded = cv2.imencode(".png", image[..., ::-1])

@@ -146,7 +146,7 @@ def test_a_photograph_covers_what_is_endlessly_far_away(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "photo.png"), photo[..., ::-1])
     (tmp_path / "tiles.glb").write_bytes(two_tiles())
     text = EYE.replace("fov_deg: 60}", "fov_deg: 60, background: photo.png}") + PLAIN
-    (tmp_path / "scene.yaml").write_text(text + "world: {meshes: [{file: tiles.glb, position: [3, -1, 0]}]}")
+    (tmp_path / "scene.yaml").write_text(text + "world: {meshes: [{file: tiles.glb, position: [3, 1, 0]}]}")
     scene = Scene.load(tmp_path / "scene.yaml")
     simulation = Simulation(scene, ("rgb", "depth"))
     view = simulation.frame(0).views["eye"]

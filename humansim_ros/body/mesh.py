@@ -8,6 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.finish import Finish
 from humansim_ros.errors import MeshError
 from humansim_ros.rotations import Array
 
@@ -21,8 +22,9 @@ class Mesh:
     ``vertices``: (V, 3). ``faces``: (F, 4) vertex indices, triangles padded with -1. ``uv``: (T, 2) texture
     coordinates, v up, or None; ``uv_faces``: (F, 4) indices into them. ``colors``: (V, 3) uint8 sRGB or None.
     ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. ``skin``: (H, W) uint8 of the same, how much
-    of each texel is skin, the rest being cloth and hair; None where nobody knows. Raises MeshError where
-    indices or numbers are impossible.
+    of each texel is skin, the rest being cloth and hair; None where nobody knows. ``finish``: what else is
+    known of its material, which what stands in the world shows; matt if None. Raises MeshError where indices
+    or numbers are impossible.
     """
 
     vertices: Array
@@ -32,6 +34,7 @@ class Mesh:
     colors: NDArray[np.uint8] | None = None
     texture: NDArray[np.uint8] | None = None
     skin: NDArray[np.uint8] | None = None
+    finish: Finish | None = None
 
     def __post_init__(self) -> None:
         if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or len(self.vertices) == 0:

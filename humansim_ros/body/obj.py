@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from humansim_ros.body.atlas import PLAIN, plain_tile, textured
+from humansim_ros.body.finish import without_maps
 from humansim_ros.body.mesh import Indices, Mesh
+from humansim_ros.body.mtl import Statements, finish_of, numbers, read_mtl, tile_of
 from humansim_ros.errors import MeshError, warn_of
-from humansim_ros.files import inside, read_bytes, read_text
-from humansim_ros.images import decode_image
+from humansim_ros.files import inside, read_text
 from humansim_ros.rotations import Array
 
 
@@ -74,7 +74,9 @@ class _Obj:
     path: str
 
     def surfaces(self) -> list[Mesh]:
-        known = _known_materials(self.libraries, self.path)
+        materials = _known_materials(self.libraries, self.path)
+        tiles = {name: tile_of(*material) for name, material in materials.items()}
+        finishes = {name: finish_of(*material) for name, material in materials.items()}
         laid = [bool(has) for has in self.uv_faces[:, :3].min(axis=1) >= 0]
         numbers: dict[tuple[str, bool], int] = {}
         number = np.array(
@@ -86,13 +88,15 @@ class _Obj:
             used, corners = np.unique(self.faces[chosen], return_inverse=True)
             first = int(used[0] < 0)  # -1, that pads triangles
             faces = (corners.reshape(-1, 4) - first).astype(np.int32)
-            tile = known.get(name, plain_tile((0.6, 0.6, 0.6)) if known else plain_tile((1, 1, 1)))
+            tile = tiles.get(name, plain_tile((0.6, 0.6, 0.6)) if tiles else plain_tile((1, 1, 1)))
             vertices = self.points[used[first:]]
             if has:
-                made.append(Mesh(vertices, faces, self.uv, self.uv_faces[chosen], texture=tile))
+                laid_on = self.uv, self.uv_faces[chosen]
+                made.append(Mesh(vertices, faces, *laid_on, texture=tile, finish=finishes.get(name)))
                 continue
             color = tile.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
-            made.append(Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1))))
+            finish = without_maps(finishes.get(name), self.path, name)
+            made.append(Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1)), finish=finish))
         return made
 
 
@@ -140,8 +144,8 @@ def _parse(text: str, path: str) -> _Obj:
         raise MeshError("no vertices ('v' lines): not a Wavefront OBJ mesh, or an empty one", path=path)
     if not faces:
         raise MeshError("no faces ('f' lines): a cloud of points cannot be skinned or rendered", path=path)
-    points = _numbers(vertices, vertex_lines, 3, "v", path)
-    texture = _numbers(uv, uv_lines, 2, "vt", path) if uv else None
+    points = numbers(vertices, vertex_lines, 3, "v", path)
+    texture = numbers(uv, uv_lines, 2, "vt", path) if uv else None
     corners, texture_corners, worn = [], [], []
     for words, number, (n_vertices, n_uv), name in zip(faces, face_lines, counts, materials, strict=True):
         if len(words) < 3:
@@ -164,23 +168,24 @@ def _parse(text: str, path: str) -> _Obj:
     return _Obj(points, corner_array, texture, texture_array, worn, libraries, path)
 
 
-def _known_materials(libraries: list[str], path: str) -> dict[str, NDArray[np.uint8]]:
-    """Textures by the names of materials; a library that is missing is told."""
-    known: dict[str, NDArray[np.uint8]] = {}
-    for name in libraries:
-        file = inside(Path(path).resolve().parent, name)
+def _known_materials(libraries: list[str], path: str) -> dict[str, tuple[Path, str, Statements]]:
+    """By the names of materials, their file, name and what it says; a library that is missing is told."""
+    known: dict[str, tuple[Path, str, Statements]] = {}
+    for library in libraries:
+        file = inside(Path(path).resolve().parent, library)
         if file is None or not file.is_file():
-            warn_of(path, f"its materials {name[:60]!r} are not beside it: it has none of their colours")
+            warn_of(path, f"its materials {library[:60]!r} are not beside it: it has none of their colours")
         else:
-            known |= _read_materials(file)
+            known |= {name: (file, name, said) for name, said in read_mtl(file).items()}
     return known
 
 
 def _colored(obj: _Obj) -> Mesh | None:
     """The mesh with its materials, None if it has none; those that are missing are left grey."""
-    known = _known_materials(obj.libraries, obj.path)
-    if not known:
+    materials = _known_materials(obj.libraries, obj.path)
+    if not materials:
         return None
+    known = {name: tile_of(*material) for name, material in materials.items()}
     uv, uv_faces, worn, faces = obj.uv, obj.uv_faces, obj.worn, obj.faces
     names = list(dict.fromkeys(worn))
     tiles = [known.get(name, plain_tile((0.6, 0.6, 0.6))) for name in names]
@@ -191,56 +196,6 @@ def _colored(obj: _Obj) -> Mesh | None:
     if len(tiles) == 1 and plain[0]:
         coordinates, uv_faces = np.zeros((1, 2)), np.where(faces < 0, -1, 0).astype(np.int32)
     return textured(obj.points, faces, coordinates, uv_faces, material, tiles)
-
-
-def _read_materials(path: Path) -> dict[str, NDArray[np.uint8]]:
-    """Textures (H, W, 3) of the materials of an .mtl file: ``map_Kd``, else the plain colour ``Kd``."""
-    tiles: dict[str, NDArray[np.uint8]] = {}
-    textured_ones: set[str] = set()
-    name = ""
-    for number, line in enumerate(read_text(path, MeshError, "material").splitlines(), 1):
-        words = line.partition("#")[0].split()
-        if not words:
-            continue
-        if words[0] == "newmtl":
-            name = " ".join(words[1:])
-            tiles[name] = plain_tile((0.8, 0.8, 0.8))
-        elif words[0] == "Kd" and name not in textured_ones:
-            (color,) = _numbers([words[1:4]], [number], 3, "Kd", str(path))
-            tiles[name] = plain_tile(color)
-        elif words[0] == "map_Kd" and len(words) > 1:
-            # options such as "-s 1 1 1" stand before the file's name
-            file = inside(path.parent, words[-1].replace("\\", "/"))
-            if file is None or not file.is_file():
-                warn_of(path, f"the texture {words[-1][:60]!r} is not beside it: its colour is used")
-                continue
-            try:
-                tiles[name] = decode_image(read_bytes(file, MeshError, "texture"))
-            except MeshError as error:
-                raise MeshError(error.message, path=file) from None
-            textured_ones.add(name)
-    return tiles
-
-
-def _numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, path: str) -> Array:
-    try:
-        values = np.array(rows, dtype=float)
-    except ValueError:
-        values = np.empty((0, width))
-    if values.shape == (len(rows), width) and np.isfinite(values).all():
-        return values
-    for row, number in zip(rows, lines, strict=True):
-        try:
-            good = len(row) == width and bool(np.isfinite([float(word) for word in row]).all())
-        except ValueError:
-            good = False
-        if not good:
-            raise MeshError(
-                f"'{keyword}' needs {width} finite numbers, not {' '.join(row)[:40]!r}",
-                path=path,
-                line=number,
-            )
-    raise MeshError(f"'{keyword}' lines cannot be read", path=path)
 
 
 def _index(word: str, so_far: int, total: int, what: str, path: str, line: int) -> int:

@@ -119,25 +119,46 @@ class Node(_Part):
     scale: Vector = (1.0, 1.0, 1.0)
 
 
-class _TextureInfo(_Part):
+class TextureInfo(_Part):
+    """A texture and the texture coordinates it is laid on by; ``scale`` of normal maps."""
+
     index: Index
     texCoord: Index = 0
+    scale: float = 1.0
+    extensions: dict[str, Any] = {}
 
 
 class _Pbr(_Part):
     baseColorFactor: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
-    baseColorTexture: _TextureInfo | None = None
+    baseColorTexture: TextureInfo | None = None
+    metallicFactor: float = 1.0
+    roughnessFactor: float = 1.0
+    metallicRoughnessTexture: TextureInfo | None = None
 
 
 class Material(_Part):
-    """Base colour (linear factors) and its texture."""
+    """How a surface looks; colours are linear factors."""
 
     name: str = ""
     pbrMetallicRoughness: _Pbr = _Pbr()
+    normalTexture: TextureInfo | None = None
+    occlusionTexture: TextureInfo | None = None
+    emissiveTexture: TextureInfo | None = None
+    emissiveFactor: Vector = (0.0, 0.0, 0.0)
+    alphaMode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"
+    alphaCutoff: float = 0.5
+    doubleSided: bool = False
+    extensions: dict[str, Any] = {}
+
+
+class _Wrap(_Part):
+    wrapS: Literal[33071, 33648, 10497] = 10497
+    wrapT: Literal[33071, 33648, 10497] = 10497
 
 
 class _Texture(_Part):
     source: Index | None = None
+    sampler: Index | None = None
 
 
 class _Image(_Part):
@@ -184,6 +205,7 @@ class _Document(_Part):
     nodes: tuple[Node, ...] = ()
     materials: tuple[Material, ...] = ()
     textures: tuple[_Texture, ...] = ()
+    samplers: tuple[_Wrap, ...] = ()
     images: tuple[_Image, ...] = ()
     animations: tuple[Animation, ...] = ()
 
@@ -363,6 +385,14 @@ class Gltf:
     def texture_image(self, number: int) -> int | None:
         """The image of a texture."""
         return self._item(self.document.textures, number, f"textures.{number}").source
+
+    def wraps(self, number: int) -> tuple[int, int]:
+        """How a texture goes on to the right and down: 10497 it repeats, 33071 its edge, 33648 mirrored."""
+        sampler = self._item(self.document.textures, number, f"textures.{number}").sampler
+        if sampler is None:
+            return 10497, 10497
+        wrap = self._item(self.document.samplers, sampler, f"samplers.{sampler}")
+        return wrap.wrapS, wrap.wrapT
 
     def material(self, number: int | None) -> Material:
         """A material; the default one for None."""

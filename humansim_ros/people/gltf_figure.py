@@ -14,8 +14,8 @@ from humansim_ros.body.mesh import Indices, Mesh
 from humansim_ros.body.skinning import normalise_weights
 from humansim_ros.errors import MeshError, warn_of
 from humansim_ros.gltf import Gltf, GltfSkeleton, Primitive
-from humansim_ros.images import decode_image
 from humansim_ros.people.figure import Figure
+from humansim_ros.people.gltf_finish import read_finish, read_image
 from humansim_ros.rotations import Array
 
 _MOST_VERTICES = 5_000_000
@@ -23,13 +23,16 @@ _MOST_VERTICES = 5_000_000
 
 @dataclass(frozen=True)
 class _Piece:
-    """A drawn piece in the common space: ``vertices`` (V, 3), ``triangles`` (N, 3), ``uv`` (V, 2), v down."""
+    """A drawn piece in the common space: ``vertices`` (V, 3), ``triangles`` (N, 3), ``uv`` (V, 2), v down,
+    ``colors`` (V, 3) linear.
+    """
 
     vertices: Array
     triangles: NDArray[np.int64]
     uv: Array | None
     material: int | None
     weights: csr_matrix | None
+    colors: Array | None
 
 
 def read_gltf_mesh(path: str | os.PathLike[str]) -> Mesh | Figure:
@@ -81,11 +84,14 @@ def _one_surface(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     faces: Indices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
     texture = _tile(gltf, pieces[0].material)
     coordinates = [piece.uv for piece in pieces if piece.uv is not None]
+    finish = read_finish(gltf, pieces[0].material, laid=bool(coordinates))
+    painted = np.concatenate([np.ones_like(p.vertices) if p.colors is None else p.colors for p in pieces])
     if not coordinates:  # of a texture that nothing says how to lay on, its mean is left
-        color = texture.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
-        return Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1)))
+        painted = _srgb(painted) * texture.reshape(-1, 3).mean(axis=0)
+        return Mesh(vertices, faces, colors=np.rint(painted).astype(np.uint8), finish=finish)
     uv = np.concatenate(coordinates) * [1, -1] + [0, 1]
-    return Mesh(vertices, faces, uv, faces, texture=texture)
+    colors = None if (painted == 1).all() else np.rint(255 * _srgb(painted)).astype(np.uint8)
+    return Mesh(vertices, faces, uv, faces, colors, texture, finish=finish)
 
 
 def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> list[_Piece]:
@@ -149,6 +155,13 @@ def _piece(
     if name in primitive.attributes:
         uv = gltf.accessor(primitive.attributes[name], ["VEC2"], "texture coordinates").astype(float)
         _same_length(gltf, uv, points, key)
+    colors: Array | None = None
+    if "COLOR_0" in primitive.attributes:
+        colors = gltf.accessor(primitive.attributes["COLOR_0"], ["VEC3", "VEC4"], "colours").astype(float)
+        _same_length(gltf, colors, points, key)
+        if colors.shape[1] == 4 and (colors[:, 3] < 1).any():
+            warn_of(gltf.path, f"{key}: how opaque its vertices are is not shown")
+        colors = np.clip(colors[:, :3], 0.0, 1.0)
     weights: csr_matrix | None = None
     if joints is not None:
         weights = _weights(gltf, primitive, key, joints, len(points), n_joints)
@@ -156,7 +169,7 @@ def _piece(
         ones = np.ones(len(points))
         columns = np.full(len(points), carrier)
         weights = csr_matrix((ones, columns, np.arange(len(points) + 1)), shape=(len(points), n_joints))
-    return _Piece(vertices, triangles, uv, primitive.material, weights)
+    return _Piece(vertices, triangles, uv, primitive.material, weights, colors)
 
 
 def _weights(
@@ -239,14 +252,15 @@ def _tile(gltf: Gltf, number: int | None) -> NDArray[np.uint8]:
     """The texture (H, W, 3) of a material times its colour; a small plain one if it has none."""
     pbr = gltf.material(number).pbrMetallicRoughness
     factor = np.clip(np.array(pbr.baseColorFactor[:3]), 0.0, 1.0)
-    srgb = np.where(factor <= 0.0031308, 12.92 * factor, 1.055 * factor ** (1 / 2.4) - 0.055)
-    source = None if pbr.baseColorTexture is None else gltf.texture_image(pbr.baseColorTexture.index)
-    if source is None:
+    srgb = _srgb(factor)
+    image = None if pbr.baseColorTexture is None else read_image(gltf, pbr.baseColorTexture)
+    if image is None:
         return plain_tile(srgb)
-    try:
-        image = decode_image(gltf.image(source))
-    except MeshError as error:
-        raise MeshError(error.message, path=gltf.path, key=f"images.{source}") from None
     if (factor < 1).any():
         image = np.rint(image * srgb).astype(np.uint8)
     return image
+
+
+def _srgb(linear: Array) -> Array:
+    """The sRGB curve, 0 to 1."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)

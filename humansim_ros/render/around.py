@@ -57,7 +57,10 @@ class Surroundings:
         self._draw_maps(still)
 
     def _draw_maps(self, still: StillScene) -> None:
-        depths = self._ctx.program(vertex_shader=shader(["sun.vert"]), fragment_shader=shader(["sun.frag"]))
+        depths = self._ctx.program(
+            vertex_shader=shader(["sun.vert"], still.switches),
+            fragment_shader=shader(["sun.frag"], still.switches),
+        )
         framebuffer = self._ctx.framebuffer(depth_attachment=self._map)
         framebuffer.use()
         framebuffer.clear(depth=1.0)
@@ -67,7 +70,7 @@ class Surroundings:
             row, column = divmod(number, _SIDE)
             framebuffer.viewport = column * _TEXELS, row * _TEXELS, _TEXELS, _TEXELS
             set_uniform(depths, "clip", columns(self._clip(direction)))
-            still.draw_alone(depths)
+            still.whole.draw(depths)
         self._ctx.cull_face = "back"
         framebuffer.release()
 

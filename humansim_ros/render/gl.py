@@ -58,6 +58,8 @@ _COARSER = {_STATIC_SUPERSAMPLING: 2, _PASSING_SUPERSAMPLING: 4}
 _MAX_LAYERS = 32
 #: Pieces along a side of a shadow that a lens may bend.
 _SHADOW_GRID = 32
+#: How what is not opaque blends with what is there, whose alpha stays.
+_OVER = (moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA, moderngl.ZERO, moderngl.ONE)
 
 
 class GLRenderer:
@@ -96,8 +98,8 @@ class GLRenderer:
         still, moving = (["STILL"], ["STILL", "MOVING"]) if soft else ([], [])
         self._lit = link(self._ctx, "lit.vert", "lit.frag", (*looks, *moving, *people))
         occluded = light.ambient_occlusion and light.mode == "lit" and self._still.box is not None
-        looks += ["AROUND"] if occluded else []
-        self._lit_still = link(self._ctx, "lit.vert", "lit.frag", (*looks, *still))
+        looks += [*(["AROUND"] if occluded else []), *self._still.switches]
+        self._lit_still = self._solid_and_over((*looks, *still))
         self._truth = link(self._ctx, "truth.vert", "truth.frag")
         self._shadow = link(self._ctx, "shadow.vert", "shadow.frag")
         self._shadow_quad, self._shadow_grid = (
@@ -105,15 +107,21 @@ class GLRenderer:
             for cells in (1, _SHADOW_GRID)
         )
         self._shadow_texture = self._ctx.texture((CELLS, CELLS), 1, alignment=1)
-        self._shine(self._lit)
-        self._shine(self._lit_still)
-        self._sunless = link(self._ctx, "lit.vert", "lit.frag", looks) if soft else self._lit_still
+        for program in (self._lit, *self._lit_still):
+            self._shine(program)
+        self._sunless = self._solid_and_over(looks) if soft else self._lit_still
         if soft:
-            self._shine(self._sunless, sun=False)
+            for program in self._sunless:
+                self._shine(program, sun=False)
         self._surroundings = Surroundings(self._ctx, self._still) if occluded else None
         self._sunlight = None
         if soft:
-            self._sunlight = Sunlight(self._ctx, self._still, light, (self._lit, self._lit_still))
+            self._sunlight = Sunlight(self._ctx, self._still, light, (self._lit, *self._lit_still))
+
+    def _solid_and_over(self, switches: Sequence[str]) -> tuple[moderngl.Program, ...]:
+        """A program for what is solid of the still scene, and one for what lets through what is behind."""
+        over = [(*switches, "OVER")] if self._still.blends else []
+        return tuple(link(self._ctx, "lit.vert", "lit.frag", names) for names in (switches, *over))
 
     def _shine(self, program: moderngl.Program, sun: bool = True) -> None:
         """Light what a program draws, with the sun or without."""
@@ -122,6 +130,8 @@ class GLRenderer:
         set_uniform(program, "sun_color", light.brightness(light.sun_color) if sun else (0.0, 0.0, 0.0))
         set_uniform(program, "sky_color", light.brightness(light.sky_color))
         set_uniform(program, "ground_color", light.brightness(light.ground_color))
+        set_uniform(program, "brightness", light.brightness((1.0, 1.0, 1.0))[0])
+        set_uniform(program, "sharpest", np.radians(light.sun_size_deg) / 4)
 
     @property
     def device(self) -> str:
@@ -333,20 +343,32 @@ class GLRenderer:
                 use_camera(self._ctx, program, camera)
                 still.draw(program)
 
+            def picture(programs: Sequence[moderngl.Program]) -> NDArray[np.uint8]:
+                draw(fine, programs[0])
+                if len(programs) == 1:
+                    return self._averaged(fine, camera, behind)
+                if behind is not None:
+                    fine.fill(behind)
+                fine.use_colour()
+                self._ctx.enable_only(moderngl.DEPTH_TEST | moderngl.BLEND)
+                self._ctx.blend_func = _OVER  # type: ignore[assignment]  # it may be four
+                use_camera(self._ctx, programs[1], camera)
+                still.draw_over(programs[1], camera.center)
+                return self._averaged(fine, camera, None)
+
             if self._surroundings is not None:
                 seen = self._surroundings.seen_by(camera, still, _COARSER[supersampling])
                 seen.use(UNIT)
-                for program in (self._lit_still, self._sunless):
+                for program in (*self._lit_still, *self._sunless):
                     set_uniform(program, "seen", UNIT)
                     set_uniform(program, "coarser", (seen.width / fine.size[0], seen.height / fine.size[1]))
-            draw(fine, self._lit_still)
-            rgb = self._averaged(fine, camera, behind)
+            rgb = picture(self._lit_still)
             sunny, sunless = None, None
             if self._sunlight is not None:
                 sunny = cv2.resize(fine.read("rgba", lit=True), camera.size, interpolation=cv2.INTER_AREA)
-                draw(fine, self._sunless)
-                sunless = self._averaged(fine, camera, behind)
-            draw(target, self._truth)
+                sunless = picture(self._sunless)
+            # what is cut out of surfaces is not in the truth either
+            draw(target, self._lit_still[0] if self._still.switches else self._truth)
             if self._surroundings is not None:
                 seen.release()
         target.take(rgb, None if sunny is None else np.asarray(sunny[..., 3], dtype=np.uint8))

@@ -37,6 +37,7 @@ def link(ctx: moderngl.Context, vertex: str, fragment: str, switches: Sequence[s
     """A program of two files. ``switches``: names that are defined in both shaders."""
     lit = fragment == "lit.frag"
     before = [*(["develop.glsl"] if lit else []), *(["sunshine.glsl"] if "STILL" in switches else [])]
+    before += ["finish.glsl"] if "FINISH" in switches else []
     answers = ["people.glsl"] if "PEOPLE" in switches else []
     return ctx.program(
         vertex_shader=shader(["lens.glsl", *answers, vertex], switches),

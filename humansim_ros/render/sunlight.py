@@ -40,10 +40,12 @@ class Sunlight:
         self._bodies: list[Body] = []
         self._ends: list[Floats] = []
         if self._box is not None:
+            depths = ctx.program(
+                vertex_shader=shader(["sun.vert"], still.switches),
+                fragment_shader=shader(["sun.frag"], still.switches),
+            )
             with still.facing(lighting.direction) as facing:
-                self._still.draw(
-                    self._box, lighting.direction, self._depths, lambda: facing.draw_alone(self._depths)
-                )
+                self._still.draw(self._box, lighting.direction, depths, lambda: facing.draw(depths))
         for program in self._programs:
             self._still.use(program)
             self._moving.use(program)

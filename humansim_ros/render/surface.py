@@ -15,7 +15,7 @@ from humansim_ros.render.posed import Floats, Posed, Topology
 from humansim_ros.render.refine import NEAR, LensView, Refined
 from humansim_ros.render.renderer import Body
 from humansim_ros.render.shadow import REACH, ContactShadow
-from humansim_ros.render.still import Expanded, Pieces, texture
+from humansim_ros.render.still import Expanded, Look, Pieces
 from humansim_ros.render.target import Rectangle
 from humansim_ros.rotations import Array
 
@@ -44,7 +44,7 @@ class Surface:
         self._source, self._corners = self._expanded.source, self._expanded.corners
         looks = self._expanded.looks
         self.dressed = mesh.texture is not None and mesh.skin is not None
-        self._texture = texture(ctx, mesh.texture, mesh.skin)
+        self._look = Look(ctx, mesh)
         self._positions, self._normals = (ctx.buffer(reserve=len(looks) * 12, dynamic=True) for _ in range(2))
         self._looks = ctx.buffer(looks.tobytes())
         self._index = ctx.buffer(self._corners.tobytes(), dynamic=True)
@@ -97,7 +97,7 @@ class Surface:
             return
         self._index.orphan()
         self._index.write(corners)
-        self._texture.use(0)
+        self._look.texture.use(0)
         (self._lit if lit else self._truth).render(moderngl.TRIANGLES, vertices=corners.size)
 
     def draw_depths(self, program: moderngl.Program) -> None:
@@ -126,7 +126,7 @@ class Surface:
     def draw_refined(self, program: moderngl.Program, refined: Refined) -> None:
         """Draw triangles cut to pieces."""
         with Pieces(self._ctx, refined.attributes, refined.triangles) as pieces:
-            pieces.draw(program, [self._texture], [len(refined.triangles)])
+            pieces.draw(program, [self._look], [len(refined.triangles)])
 
     def _upload(self, buffer: moderngl.Buffer, values: Floats) -> None:
         buffer.orphan()

@@ -111,6 +111,13 @@ class Target:
         last = np.full(rgb.shape[:2], 255, np.uint8) if alpha is None else alpha
         self._textures[2].write(np.dstack([rgb, last]).tobytes())
 
+    def fill(self, picture: NDArray[np.uint8]) -> None:
+        """Show a picture, of which this one is some times as large, where nothing is drawn."""
+        times = self.size[0] // picture.shape[1]
+        larger = picture.repeat(times, axis=0).repeat(times, axis=1)
+        rgba, empty = self.read("rgba", lit=True), self.read("depth", lit=True) == 0
+        self.take(np.where(empty[..., None], larger, rgba[..., :3]), rgba[..., 3])
+
     @property
     def depth(self) -> moderngl.Texture:
         return self._textures[0]

@@ -2,7 +2,7 @@
 // Lit colour, and the truth with it. Light is added in linear space; x * x and sqrt(x) stand for the sRGB curve and its
 // inverse. A face seen from behind is lit as its front would be if it looked that way. What not every scene asks for is
 // switched on by name: SHADELESS, FILMIC, the shadows of what is still (STILL) and of what moves (MOVING), PEOPLE of
-// skin and cloth.
+// skin and cloth, AROUND which not all light reaches, FINISH of materials, OVER what is there, which they blend with.
 in vec4 v_normal;
 in vec2 v_uv;
 in vec3 v_color;
@@ -12,10 +12,14 @@ uniform vec3 sun_color;
 uniform vec3 sky_color;  // from above
 uniform vec3 ground_color;
 uniform uint first_label;
+#ifdef OVER
+out vec4 rgb;
+#else
 layout(location = 0) out float depth;
 layout(location = 1) out uint label;
 layout(location = 2) out vec4 rgb;
-#ifdef STILL
+#endif
+#if defined(STILL) || defined(FINISH)
 in vec3 v_world;
 #endif
 #ifdef PEOPLE
@@ -49,6 +53,12 @@ vec2 surroundings(float z) {
 #endif
 void main() {
     vec3 n = normalize(gl_FrontFacing ? v_normal.xyz : -v_normal.xyz);
+#ifdef FINISH
+    float opaque = opaqueness(v_uv);
+    vec3 flat_n = n;
+    n = bumped(n, v_world, v_uv);
+    if ((one_sided && !gl_FrontFacing) || (masked && opaque < cutoff)) discard;
+#endif
     vec4 texel = texture(surface, v_uv);
     vec3 albedo = texel.rgb * v_color;
 #ifdef SHADELESS
@@ -71,7 +81,12 @@ void main() {
     where += sun * (skin * THROUGH);
 #endif
     bool lit = direct.r > 0.0;
-    sunlit = lit ? sunshine(still_shadows, still_depths, still_map, where, n) : 0.0;
+#ifdef FINISH
+    vec3 off = flat_n;  // what a normal map says is no place
+#else
+    vec3 off = n;
+#endif
+    sunlit = lit ? sunshine(still_shadows, still_depths, still_map, where, off) : 0.0;
     unshadowed = sunlit;
 #ifdef MOVING
     float left = lit ? sunshine(moving_shadows, moving_depths, moving_map, where, n) : 0.0;
@@ -88,6 +103,9 @@ void main() {
     around *= 1.0 + SENT_ON * (hidden.x + hidden.y);
 #endif
     vec3 light = albedo * (around + sun_color * sunlit * direct);
+#ifdef FINISH
+    if (shines > 0.0) light = finished(albedo, n, v_world, v_uv, around, sky_color, ground_color, sun, sun_color * sunlit);
+#endif
 #ifdef PEOPLE
     light *= mix(vec3(1.0 - 0.1 * FUZZ * dressed), 0.92 * TINT, skin);  // what shines does not go in
     light += skin * (around * (0.01 + 0.15 * v_answer.y) + sun_color * (sunlit * facing * v_answer.x));
@@ -95,6 +113,10 @@ void main() {
 #endif
     rgb = vec4(developed(light), unshadowed);
 #endif
+#ifdef OVER
+    rgb.a = opaque;
+#else
     depth = v_normal.w;
     label = first_label + uint(gl_PrimitiveID);
+#endif
 }

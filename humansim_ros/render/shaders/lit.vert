@@ -8,7 +8,7 @@ uniform vec4 optical_z;  // third row of the world-to-optical transform
 out vec4 v_normal;       // and the depth, to have one vector less to interpolate
 out vec2 v_uv;
 out vec3 v_color;
-#ifdef STILL
+#if defined(STILL) || defined(FINISH)
 out vec3 v_world;
 #endif
 #ifdef PEOPLE
@@ -21,7 +21,7 @@ void main() {
     v_normal = vec4(normal, dot(optical_z, vec4(position, 1.0)));
     v_uv = uv;
     v_color = color;
-#ifdef STILL
+#if defined(STILL) || defined(FINISH)
     v_world = position;
 #endif
 #ifdef PEOPLE

@@ -23,7 +23,7 @@ import time
 from collections import defaultdict
 from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,8 @@ CASES = {
     "rgb as JPEG": (4, ("image_raw/compressed",)),
 }
 KINDS = {"camera_info": CameraInfo, "image_raw/compressed": CompressedImage}
+#: Nanoseconds after which no frame of a run is awaited any more.
+STRAGGLERS = 300_000_000
 #: What is said of a run, and how.
 COLUMNS = {
     "lowest_hz": ("Hz", "6.1f"),
@@ -113,11 +115,12 @@ def with_cameras(scene: Path, number: int, folder: Path) -> Path:
 
 
 def measure(
-    scene: Path, kinds: tuple[str, ...], seconds: float, processes: int | None, executor: Any, nice: int
+    scene: Path, kinds: tuple[str, ...], processes: int | None, executor: Any, options: argparse.Namespace
 ) -> dict[str, Any]:
     cameras = list(Scene.load(scene).cameras)
     node = rclpy.create_node("live_benchmark")
     executor.add_node(node)
+    player = {} if options.lead is None else {"lead": options.lead}
     arrived: dict[str, dict[int, float]] = defaultdict(dict)
     said: dict[str, list[float]] = defaultdict(list)
 
@@ -144,10 +147,16 @@ def measure(
     node.create_subscription(MultiDOFJointState, "/humans/walker/motion", keeper("motion"), DATA, raw=True)
     node.create_subscription(DiagnosticArray, "/diagnostics", keep_said, DATA)
     topics = [f"/{camera}/{kind}" for camera in cameras for kind in kinds]
-    with Supervisor(scene_processes(scene, processes)) as nodes:
+    started = [
+        replace(process, parameters={**process.parameters, **player})
+        if process.executable == "motion_player"
+        else process
+        for process in scene_processes(scene, processes)
+    ]
+    with Supervisor(started) as nodes:
         running = {"subscriber": os.getpid(), **nodes.pids}
-        if nice:
-            prefer(running.values(), nice)
+        if options.nice:
+            prefer(running.values(), options.nice)
         limit = time.monotonic() + 60
         while any(len(arrived[topic]) < 30 for topic in topics):
             executor.spin_once(timeout_sec=0.05)
@@ -155,14 +164,17 @@ def measure(
                 raise SystemExit(
                     f"no images on {[t for t in topics if not arrived[t]]}; dead node: {nodes.dead()}"
                 )
-        arrived.clear()
         said.clear()
-        begin, before = time.monotonic(), Times.now(running)
-        while time.monotonic() < begin + seconds:
+        begin, before = time.time_ns(), Times.now(running)
+        end = begin + round(1e9 * options.seconds)
+        while time.time_ns() < end:
             executor.spin_once(timeout_sec=0.05)
-        taken, after = time.monotonic() - begin, Times.now(running)
+        after = Times.now(running)
+        while time.time_ns() < end + STRAGGLERS:
+            executor.spin_once(timeout_sec=0.05)
     executor.shutdown()
     node.destroy_node()
+    arrived = {topic: {s: ms for s, ms in at.items() if begin <= s < end} for topic, at in arrived.items()}
     played = max(1, len(arrived["motion"]))
     counts = {topic: len(arrived[topic]) for topic in topics}
     whole = set.intersection(*(set(arrived[topic]) for topic in topics))
@@ -170,13 +182,13 @@ def measure(
     ours = {name: after.ours[name] - before.ours[name] for name in running}
     stages = {"motion": arrived["motion"], **{name: arrived[f"/{name}/{kinds[0]}"] for name in cameras}}
     return {
-        "lowest_hz": min(counts.values()) / taken,
+        "lowest_hz": min(counts.values()) / options.seconds,
         "received": min(counts.values()) / played,
         "whole_frames": len(whole) / played,
         "latency_ms_median": float(np.median(late)),
         "latency_ms_p99": float(np.percentile(late, 99)),
         "cpu_ms_per_frame": 1e3 * sum(ours.values()) / played,
-        "cores_of_others": (after.all - before.all - sum(ours.values())) / taken,
+        "cores_of_others": (after.all - before.all - sum(ours.values())) / options.seconds,
         "cpu_ms": {name: 1e3 * used / played for name, used in ours.items()},
         "after_stamp_ms": {
             **{name: float(np.median(times)) for name, times in said.items()},
@@ -208,6 +220,7 @@ def main() -> None:
         action="store_true",
         help="the subscriber spins as rclpy.spin does, not told of events",
     )
+    parser.add_argument("--lead", type=float, help="the player's, seconds; as it is by default if absent")
     parser.add_argument("--nice", type=int, default=0, help="how nice all are to others; below 0 needs root")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -224,9 +237,7 @@ def main() -> None:
                     number, kinds = CASES[name]
                     scene = with_cameras(resource_path(DEMO_SCENE), number, Path(folder))
                     shared = min(number, processes or cores())
-                    runs[name, shared].append(
-                        measure(scene, kinds, arguments.seconds, processes, make(), arguments.nice)
-                    )
+                    runs[name, shared].append(measure(scene, kinds, processes, make(), arguments))
                     print(row(name, shared, runs[name, shared][-1]), flush=True)
     rclpy.try_shutdown()
     print(f"\nmedians of {arguments.repeat}")

@@ -2,8 +2,9 @@
 
 Publishes ``humans/<id>/motion``, latched ``humans/<id>/motion/legend``, ``objects/<name>/marker`` and
 ``twist`` of every object that moves, and ``<camera>/pose`` and ``twist`` of every camera with a trajectory.
-Frame k leaves at start + round(k * period) on the wall clock and carries that stamp; a player that is late
-skips to the newest frame and reports the drop.
+Frame k has the stamp start + round(k * period) and leaves ``lead`` before it on the wall clock, so that what
+follows from it can be there at its stamp; a player that is late skips to the newest frame and reports the
+drop.
 
 Parameters can be set while it plays, services ``~/pause``, ``~/step`` and ``~/restart`` steer it
 (docs/playing.md). What cannot be played is refused with the reason, and the old motion goes on.
@@ -41,6 +42,8 @@ from humansim_ros.scene.live import Source
 from humansim_ros.scene.playback import Change, Clock, Playback, Tick
 
 T = TypeVar("T")
+#: Most seconds that frames may leave before their stamps.
+LONGEST_LEAD = 0.1
 
 
 class MotionPlayer(SceneNode):
@@ -54,6 +57,8 @@ class MotionPlayer(SceneNode):
         )
         speed = declare("speed", 1.0, "Seconds of the scene per second", (0.0, 10.0))
         seek = declare("seek", 0.0, "Setting it goes to this second of the scene", (0.0, LONGEST))
+        what = "Seconds before their stamps at which motions leave, so that bodies are there at their stamps"
+        self._lead = round(1e9 * self.number_parameter("lead", 0.01, 0.0, LONGEST_LEAD, what))
         self._playback = Playback(self.scene)
         self._scene_clock = Clock(rate, speed, seek)
         self._playback.elapsed = self._scene_clock.elapsed
@@ -98,8 +103,12 @@ class MotionPlayer(SceneNode):
 
     # --- frames
 
+    def _ahead(self) -> int:
+        """The time that frames are sent for, nanoseconds."""
+        return self.now() + self._lead
+
     def _tick(self) -> None:
-        now = self.now()
+        now = self._ahead()
         tick = self._scene_clock.due(now)
         if tick is None:
             return
@@ -124,7 +133,7 @@ class MotionPlayer(SceneNode):
             self._poses[name].publish(pose_message(pose, tick.stamp))
         self.count("drops", tick.dropped)
         self.count("frames")
-        self.report_lateness(tick.stamp)
+        self.report_lateness(tick.stamp - self._lead)
 
     def _publish_at_once(self, tick: Tick) -> None:
         """A frame out of turn; the timer goes on from here, as the clock does."""
@@ -169,7 +178,7 @@ class MotionPlayer(SceneNode):
         if "speed" in values:
             self._scene_clock.set_speed(values["speed"])
         if "rate" in values:
-            tick = self._scene_clock.set_rate(values["rate"], self.now())
+            tick = self._scene_clock.set_rate(values["rate"], self._ahead())
             if "seek" not in values:
                 self._publish_at_once(tick)
         if "seek" in values:
@@ -178,7 +187,7 @@ class MotionPlayer(SceneNode):
     def _go_to(self, seconds: float) -> None:
         """Show a second of the scene as if all had done from its start what they do now."""
         self._playback.rewind()
-        self._publish_at_once(self._scene_clock.seek(seconds, self.now()))
+        self._publish_at_once(self._scene_clock.seek(seconds, self._ahead()))
 
     # --- services
 
@@ -191,7 +200,7 @@ class MotionPlayer(SceneNode):
     def _on_step(self, _: Any, response: Any) -> Any:
         response.success = self._scene_clock.paused
         if self._scene_clock.paused:
-            self._publish_at_once(self._scene_clock.step(self.now()))
+            self._publish_at_once(self._scene_clock.step(self._ahead()))
             response.message = self._place()
         else:
             response.message = "only a paused player steps: call ~/pause first"

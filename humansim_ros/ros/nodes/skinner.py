@@ -9,6 +9,7 @@ same stamp, and latched ``humans/<id>/mesh``.
 from __future__ import annotations
 
 import sys
+import time
 from typing import Any
 
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
@@ -27,6 +28,7 @@ from humansim_ros.ros.messages import (
     vertices_message,
 )
 from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.nodes.motion_player import LONGEST_LEAD
 from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene.live import Follower
@@ -86,14 +88,24 @@ class Skinner(SceneNode):
             self.get_logger().info(f"following {self._told or 'the motion that the player names'}")
             if (senders := self.count_publishers(self._heard.topic_name)) > 1:
                 self.get_logger().warn(f"{senders} nodes send {self._heard.topic_name}: stop all but one")
-        self._joints.publish(joints_message(state, stamp))
+        joints, vertices = joints_message(state, stamp), vertices_message(state.vertices, stamp)
+        self._wait_for(stamp)
+        self._joints.publish(joints)
         if self._vertices.get_subscription_count():
-            self._vertices.publish(vertices_message(state.vertices, stamp))
+            self._vertices.publish(vertices)
         if self._markers.get_subscription_count() and stamp >= self._next_marker:
             self._next_marker = stamp + self._marker_period
             self._markers.publish(self._make_markers(self._actor.name, self._actor.instance, state, stamp))
         self.count("frames")
         self.report_lateness(stamp)
+
+    def _wait_for(self, stamp: int) -> None:
+        """Nothing is told of a body before its stamp: players send its motion ahead. A stamp that is farther
+        ahead is of another clock.
+        """
+        wait = (stamp - self.now()) * 1e-9
+        if 0 < wait <= LONGEST_LEAD:
+            time.sleep(wait)
 
     def _on_legend(self, message: String) -> None:
         try:

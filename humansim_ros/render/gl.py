@@ -9,6 +9,7 @@ cannot show are not sent at all.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from contextlib import ExitStack
 from functools import cached_property
 
 import cv2
@@ -48,12 +49,15 @@ from humansim_ros.render.uniforms import set_uniform
 #: The static scene is drawn this many times finer and averaged: it is drawn once, so quality costs nothing.
 _STATIC_SUPERSAMPLING = 4
 _MAX_STATIC_SIDE = 8192
-#: The same for a camera that is elsewhere in the next frame.
-_PASSING_SUPERSAMPLING = 2
+#: For a camera that is elsewhere in the next frame it is drawn with some samples a pixel, which takes half
+#: the time; or finer, if before a photograph: what shows it has to be known.
+_SAMPLES, _PASSING_SUPERSAMPLING = 4, 2
 #: Pixels of pictures that are kept, as the next frame may be asked for again when this one's flow is known.
 _MOST_KEPT = 4 << 20
-#: Pixels of a picture along a side of one that looks for ambient occlusion, by its supersampling.
-_COARSER = {_STATIC_SUPERSAMPLING: 2, _PASSING_SUPERSAMPLING: 4}
+#: Pixels of a picture along a side of one of what is around: of a picture that stays, and of one that passes.
+_COARSER = {False: 2, True: 4}
+#: Pixels that it has along each side if the picture has.
+_LEAST_AROUND = 120
 #: Cameras whose static scene is kept.
 _MAX_LAYERS = 32
 #: Pieces along a side of a shadow that a lens may bend.
@@ -81,6 +85,7 @@ class GLRenderer:
         self._topologies: dict[int, Topology] = {}
         self._surfaces: dict[tuple[int, int], Surface] = {}
         self._targets: dict[tuple[int, int], Target] = {}
+        self._sampled: dict[tuple[int, int], Target] = {}
         self._layers: dict[bytes, StaticLayer] = {}
         self._passing: StaticLayer | None = None
         self._drawn: dict[tuple[object, ...], Drawn] = {}
@@ -98,7 +103,7 @@ class GLRenderer:
         still, moving = (["STILL"], ["STILL", "MOVING"]) if soft else ([], [])
         self._lit = link(self._ctx, "lit.vert", "lit.frag", (*looks, *moving, *people))
         occluded = light.ambient_occlusion and light.mode == "lit" and self._still.box is not None
-        looks += [*(["AROUND"] if occluded else []), *self._still.switches]
+        looks += ["STANDS", *(["AROUND"] if occluded else []), *self._still.switches]
         self._lit_still = self._solid_and_over((*looks, *still))
         self._truth = link(self._ctx, "truth.vert", "truth.frag")
         self._shadow = link(self._ctx, "shadow.vert", "shadow.frag")
@@ -316,37 +321,35 @@ class GLRenderer:
         if passing:
             if self._passing is not None:
                 self._passing.release()
-            self._passing = self._draw_static(camera, _PASSING_SUPERSAMPLING, VISIBLE, backdrop)
+            self._passing = self._draw_static(camera, True, backdrop)
             return self._passing
         key = _camera_key(camera) + str(id(backdrop)).encode()
         if key not in self._layers:
             if len(self._layers) >= _MAX_LAYERS:
                 self._layers.pop(next(iter(self._layers))).release()
-            self._layers[key] = self._draw_static(camera, _STATIC_SUPERSAMPLING, TOLERANCE, backdrop)
+            self._layers[key] = self._draw_static(camera, False, backdrop)
         return self._layers[key]
 
-    def _draw_static(
-        self, camera: Camera, supersampling: int, tolerance: float, backdrop: Backdrop | None
-    ) -> StaticLayer:
-        width, height = camera.size
-        factor = max(1, min(supersampling, _MAX_STATIC_SIDE // max(width, height)))
-        # the same window, only finer: clip coordinates do not know how many pixels there are
-        fine = self._target((width * factor, height * factor))
-        target = Target(self._ctx, camera.size)
+    def _draw_static(self, camera: Camera, passing: bool, backdrop: Backdrop | None) -> StaticLayer:
         behind = None if backdrop is None else backdrop.picture(camera)
-        with self._still.seen_by(camera, tolerance) as still:
+        target = Target(self._ctx, camera.size)
+        # the same window, only finer: clip coordinates do not know how many pixels there are
+        fine = self._fine(camera.size, passing, behind is not None)
+        with self._still.seen_by(camera, VISIBLE if passing else TOLERANCE) as still, ExitStack() as stack:
 
             def draw(into: Target, program: moderngl.Program) -> None:
                 into.clear(self._lighting.background if behind is None else (0, 0, 0))
                 into.use(program is not self._truth)
                 self._ctx.enable_only(moderngl.DEPTH_TEST)
                 use_camera(self._ctx, program, camera)
+                # a pixel's samples see one texel: one as fine as if each saw its own
+                set_uniform(program, "blur", -0.5 * np.log2(max(into.samples, 1)))
                 still.draw(program)
 
-            def picture(programs: Sequence[moderngl.Program]) -> NDArray[np.uint8]:
+            def look(programs: Sequence[moderngl.Program]) -> NDArray[np.uint8]:
                 draw(fine, programs[0])
                 if len(programs) == 1:
-                    return self._averaged(fine, camera, behind)
+                    return _completed(self._averaged(fine, target), fine, camera, behind)
                 if behind is not None:
                     fine.fill(behind)
                 fine.use_colour()
@@ -354,37 +357,56 @@ class GLRenderer:
                 self._ctx.blend_func = _OVER  # type: ignore[assignment]  # it may be four
                 use_camera(self._ctx, programs[1], camera)
                 still.draw_over(programs[1], camera.center)
-                return self._averaged(fine, camera, None)
+                return _completed(self._averaged(fine, target), fine, camera, None)
 
             if self._surroundings is not None:
-                seen = self._surroundings.seen_by(camera, still, _COARSER[supersampling])
+                coarser = min(_COARSER[passing], max(1, min(camera.size) // _LEAST_AROUND))
+                seen = self._surroundings.seen_by(camera, still, coarser)
+                stack.callback(seen.release)
                 seen.use(UNIT)
                 for program in (*self._lit_still, *self._sunless):
                     set_uniform(program, "seen", UNIT)
                     set_uniform(program, "coarser", (seen.width / fine.size[0], seen.height / fine.size[1]))
-            rgb = picture(self._lit_still)
-            sunny, sunless = None, None
-            if self._sunlight is not None:
-                sunny = cv2.resize(fine.read("rgba", lit=True), camera.size, interpolation=cv2.INTER_AREA)
-                sunless = picture(self._sunless)
+            sunny = look(self._lit_still)
+            sunless = None if self._sunlight is None else look(self._sunless)
             # what is cut out of surfaces is not in the truth either
             draw(target, self._lit_still[0] if self._still.switches else self._truth)
-            if self._surroundings is not None:
-                seen.release()
-        target.take(rgb, None if sunny is None else np.asarray(sunny[..., 3], dtype=np.uint8))
-        shades = None if sunless is None else Shades(self._ctx, camera, sunless)
+        if self._sunlight is None:
+            sunny[..., 3] = 255
+        target.take(sunny)
+        shades = None if sunless is None else Shades(self._ctx, camera, sunless[..., :3])
         return StaticLayer(target, backdrop, shades)
 
-    def _averaged(self, fine: Target, camera: Camera, behind: NDArray[np.uint8] | None) -> NDArray[np.uint8]:
-        """A picture (H, W, 3) of one that is drawn finer, before what is behind it."""
-        rgb = cv2.resize(fine.read("rgb", lit=True), camera.size, interpolation=cv2.INTER_AREA)
-        if behind is not None:
-            empty = np.where(fine.read("depth", lit=True) > 0, np.uint8(0), np.uint8(255))
-            share = cv2.resize(empty, camera.size, interpolation=cv2.INTER_AREA)[..., None] / 255
-            rgb = np.rint(rgb + share * behind)
-        if camera.distorted and LensView(camera).partly_dark:
-            rgb = np.where(_lit_pixels(camera)[..., None], rgb, 0)
-        return np.ascontiguousarray(rgb, dtype=np.uint8)
+    def _fine(self, size: tuple[int, int], passing: bool, before_picture: bool) -> Target:
+        """Where a still scene is drawn: finer than the picture, or what passes with some samples a pixel."""
+        if passing and not before_picture:
+            if size not in self._sampled:
+                self._sampled[size] = Target(self._ctx, size, _SAMPLES)
+            return self._sampled[size]
+        wished = _PASSING_SUPERSAMPLING if passing else _STATIC_SUPERSAMPLING
+        factor = max(1, min(wished, _MAX_STATIC_SIDE // max(size)))
+        return self._target((size[0] * factor, size[1] * factor))
+
+    def _averaged(self, fine: Target, target: Target) -> NDArray[np.uint8]:
+        """(H, W, 4) of a picture that is drawn finer. ``target``: one of the size that it is to have."""
+        if fine.samples:
+            target.average(fine)
+            return target.read("rgba", lit=True).copy()
+        fine_picture = fine.read("rgba", lit=True)
+        return np.asarray(cv2.resize(fine_picture, target.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _completed(
+    rgba: NDArray[np.uint8], fine: Target, camera: Camera, behind: NDArray[np.uint8] | None
+) -> NDArray[np.uint8]:
+    """A picture (H, W, 4) before what is behind it, dark where the lens is."""
+    if behind is not None:
+        empty = np.where(fine.read("depth", lit=True) > 0, np.uint8(0), np.uint8(255))
+        share = cv2.resize(empty, camera.size, interpolation=cv2.INTER_AREA)[..., None] / 255
+        rgba[..., :3] = np.rint(rgba[..., :3] + share * behind)
+    if camera.distorted and LensView(camera).partly_dark:
+        rgba[..., :3][~_lit_pixels(camera)] = 0
+    return rgba
 
 
 def _camera_key(camera: Camera) -> bytes:

@@ -58,17 +58,18 @@ class Rectangle:
 class Target:
     """What one picture is drawn into: colour, depth in metres, triangle number; and OpenGL's depth buffer.
 
-    Without ``lit`` the colour is left out. Where nothing was drawn depth and number are 0.
+    Without ``lit`` the colour is left out. Where nothing was drawn depth and number are 0. With ``samples`` a
+    pixel has so many, to be averaged into another target.
     """
 
-    def __init__(self, ctx: moderngl.Context, size: tuple[int, int]) -> None:
-        self._ctx, self.size = ctx, size
+    def __init__(self, ctx: moderngl.Context, size: tuple[int, int], samples: int = 0) -> None:
+        self._ctx, self.size, self.samples = ctx, size, samples
         self._textures = [
-            ctx.texture(size, 1, dtype="f4"),
-            ctx.texture(size, 1, dtype="u4"),
-            ctx.texture(size, 4),
+            ctx.texture(size, 1, dtype="f4", samples=samples),
+            ctx.texture(size, 1, dtype="u4", samples=samples),
+            ctx.texture(size, 4, samples=samples),
         ]
-        self._buffer = ctx.depth_texture(size)
+        self._buffer = ctx.depth_texture(size, samples=samples)
         self._framebuffers = {
             lit: ctx.framebuffer(self._textures[: 2 + lit], self._buffer) for lit in (False, True)
         }
@@ -106,17 +107,21 @@ class Target:
         red, green, blue = (c / 255 for c in colour)
         self._colour.clear(red, green, blue, 1.0)
 
-    def take(self, rgb: NDArray[np.uint8], alpha: NDArray[np.uint8] | None = None) -> None:
-        """Take over a picture (H, W, 3), and what its alpha (H, W) is if not 255."""
-        last = np.full(rgb.shape[:2], 255, np.uint8) if alpha is None else alpha
-        self._textures[2].write(np.dstack([rgb, last]).tobytes())
+    def average(self, fine: Target) -> None:
+        """Take over the means of another target's samples as colour."""
+        self._ctx.copy_framebuffer(self._colour, fine._colour)
+
+    def take(self, rgba: NDArray[np.uint8]) -> None:
+        """Take over a picture (H, W, 4)."""
+        self._textures[2].write(rgba.tobytes())
 
     def fill(self, picture: NDArray[np.uint8]) -> None:
         """Show a picture, of which this one is some times as large, where nothing is drawn."""
         times = self.size[0] // picture.shape[1]
         larger = picture.repeat(times, axis=0).repeat(times, axis=1)
-        rgba, empty = self.read("rgba", lit=True), self.read("depth", lit=True) == 0
-        self.take(np.where(empty[..., None], larger, rgba[..., :3]), rgba[..., 3])
+        rgba, empty = self.read("rgba", lit=True).copy(), self.read("depth", lit=True) == 0
+        rgba[empty, :3] = larger[empty]
+        self.take(rgba)
 
     @property
     def depth(self) -> moderngl.Texture:

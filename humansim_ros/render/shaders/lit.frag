@@ -2,11 +2,15 @@
 // Lit colour, and the truth with it. Light is added in linear space; x * x and sqrt(x) stand for the sRGB curve and its
 // inverse. A face seen from behind is lit as its front would be if it looked that way. What not every scene asks for is
 // switched on by name: SHADELESS, FILMIC, the shadows of what is still (STILL) and of what moves (MOVING), PEOPLE of
-// skin and cloth, AROUND which not all light reaches, FINISH of materials, OVER what is there, which they blend with.
+// skin and cloth, AROUND which not all light reaches, FINISH of materials, OVER what is there, which they blend with, and
+// STANDS for all that is still.
 in vec4 v_normal;
 in vec2 v_uv;
 in vec3 v_color;
 uniform sampler2D surface;  // alpha: of people, 0 is skin and 1 cloth
+#ifdef STANDS
+uniform float blur;  // levels of detail by which textures are coarser than usual
+#endif
 uniform vec3 sun;        // direction to the light
 uniform vec3 sun_color;
 uniform vec3 sky_color;  // from above
@@ -59,7 +63,11 @@ void main() {
     n = bumped(n, v_world, v_uv);
     if ((one_sided && !gl_FrontFacing) || (masked && opaque < cutoff)) discard;
 #endif
+#ifdef STANDS
+    vec4 texel = texture(surface, v_uv, blur);
+#else
     vec4 texel = texture(surface, v_uv);
+#endif
     vec3 albedo = texel.rgb * v_color;
 #ifdef SHADELESS
     rgb = vec4(albedo, 1.0);

@@ -91,6 +91,14 @@ class Drawn:
         np.copyto(whole[self.rectangle.slices], self.depth, where=self.depth > 0)
         return whole
 
+    @property
+    def nbytes(self) -> int:
+        """About how much memory it takes."""
+        pixels = self.camera.size[0] * self.camera.size[1]
+        known = {"whole_depth": 4 * pixels, "_detail": 64 * self.labels.size}
+        masks = 0 if self.alone is None else pixels * len(self.alone)
+        return 12 * self.labels.size + masks + sum(size for name, size in known.items() if name in vars(self))
+
     @cached_property
     def _detail(self) -> Detail:
         there = np.flatnonzero(self.labels > 0)

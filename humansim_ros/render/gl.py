@@ -52,8 +52,8 @@ _MAX_STATIC_SIDE = 8192
 #: For a camera that is elsewhere in the next frame it is drawn with some samples a pixel, which takes half
 #: the time; or finer, if before a photograph: what shows it has to be known.
 _SAMPLES, _PASSING_SUPERSAMPLING = 4, 2
-#: Pixels of pictures that are kept, as the next frame may be asked for again when this one's flow is known.
-_MOST_KEPT = 4 << 20
+#: Pictures, and their bytes, that are kept: with flow a frame is seen as itself and as two others' neighbour.
+_MOST_KEPT, _MOST_BYTES = 48, 256 << 20
 #: Pixels of a picture along a side of one of what is around: of a picture that stays, and of one that passes.
 _COARSER = {False: 2, True: 4}
 #: Pixels that it has along each side if the picture has.
@@ -189,7 +189,9 @@ class GLRenderer:
         if drawn is None or not drawn.asked.covers(asked):
             drawn = self._draw(bodies, camera, asked, passing, backdrop)
         self._drawn[key] = drawn  # with its bodies, so that their ids stay their own
-        if len(self._drawn) > 3 and sum(kept.labels.size for kept in self._drawn.values()) > _MOST_KEPT:
+        while len(self._drawn) > _MOST_KEPT or (
+            len(self._drawn) > 3 and sum(kept.nbytes for kept in self._drawn.values()) > _MOST_BYTES
+        ):
             del self._drawn[next(iter(self._drawn))]
         return drawn
 

@@ -17,12 +17,15 @@ _SPEC.loader.exec_module(fuzz)
 
 @pytest.mark.parametrize("name", list(fuzz.READERS))
 def test_damaged_files_give_a_result_or_our_error(name: str) -> None:
-    inputs = {"bvh": 1500, "keyframes": 1500}.get(name, 300)
+    inputs = {"bvh": 1500, "keyframes": 1500, "scene": 60}.get(name, 300)
     outcome = fuzz.fuzz(name, fuzz.corpus_of(name), inputs, seed=7)
     assert outcome.findings == []
     # the damage is neither always harmless nor always fatal
     assert 0.01 * inputs < outcome.kinds["read"] < 0.99 * inputs
-    assert sum(outcome.kinds[kind] for kind in ("MotionError", "MeshError", "CameraError")) > 0.01 * inputs
+    assert (
+        sum(outcome.kinds[kind] for kind in ("MotionError", "MeshError", "CameraError", "SceneError"))
+        > 0.01 * inputs
+    )
 
 
 def test_the_fuzzer_finds_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,8 +6,8 @@ Each input is a file of the corpus (ours, and the FILEs given) with some mutatio
 repeated or inserted, digits and white space changed, tokens dropped, doubled or replaced by extremes, lines
 moved and doubled, hierarchies made deep; archives (.npz) and .glb files are unpacked, damaged inside and
 packed again, so that the damage gets past the check sums. A reader may return, or raise HumansimError;
-anything else, more than a second per 100 kB, memory beyond the limit, or a warning that is not ours is a
-finding: it is written to the folder ``fuzz`` and the exit code is 1.
+anything else, more than a second per 100 kB (five for scenes), memory beyond the limit, or a warning that is
+not ours is a finding: it is written to the folder ``fuzz`` and the exit code is 1.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ from pathlib import Path
 from types import FrameType
 from typing import get_args
 
+import cv2
 import numpy as np
 
 ROOT = Path(__file__).parent.parent
@@ -54,10 +55,14 @@ from humansim_ros.motion import read_bvh, read_motion  # noqa: E402
 from humansim_ros.motion.keyframes import read_keyframes  # noqa: E402
 from humansim_ros.people import make_human  # noqa: E402
 from humansim_ros.people.description import read_description  # noqa: E402
+from humansim_ros.scene import Scene  # noqa: E402
+from humansim_ros.scene.meshes import read_world_mesh  # noqa: E402
 
 _MEMORY = 4 << 30
 #: Seconds that a file of any size may take, and seconds per byte beyond.
 _SECONDS, _SECONDS_PER_BYTE = 1.0, 1e-5
+#: The same for a scene, which names other files and may have a hundred people drawn.
+_SECONDS_OF_SCENES = 5.0
 #: What is not back after so many seconds hangs.
 _HANG = 30
 _LONGEST = 60_000
@@ -138,6 +143,27 @@ def reading_trajectory(path: Path) -> None:
             assert all(np.isfinite(part).all() for part in trajectory.pose(seconds))
 
 
+def reading_scene(path: Path) -> None:
+    """A scene with all that it names, as it stands at two times."""
+    for name, data in BESIDE_SCENES.items():
+        path.with_name(name).write_bytes(data)
+    scene = Scene.load(path)
+    for seconds in (0.0, 0.7):
+        for actor in list(scene.actors.values())[:5]:
+            assert np.isfinite(actor.at(seconds).vertices).all()
+        for camera in list(scene.moving_cameras.values())[:5]:
+            assert np.isfinite(camera.at(camera.pose(seconds)).P).all()
+    # (not the room, which takes a second to paint)
+    standing = [thing.standing() for thing in scene.objects.values()]
+    assert all(np.isfinite(mesh.vertices).all() for mesh in (*scene.world.placed, *standing))
+
+
+def reading_world(path: Path) -> None:
+    """A mesh file of a scene's world."""
+    for mesh in read_world_mesh(path, None):
+        assert np.isfinite(mesh.vertices).all()
+
+
 READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "bvh": (reading_bvh, "*.bvh"),
     "keyframes": (read_keyframes, "*.xml"),
@@ -150,6 +176,9 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "calibration": (reading_calibration, "*.calib"),
     "colmap": (reading_colmap, "images.txt"),
     "trajectory": (reading_trajectory, "*.tum"),
+    "scene": (reading_scene, "*.yaml"),
+    "world obj": (reading_world, "*.obj"),
+    "world glb": (reading_world, "*.glb"),
 }
 
 BVH = b"""HIERARCHY
@@ -264,7 +293,55 @@ TRAJECTORY = b"""# timestamp tx ty tz qx qy qz qw
 1.25 2.5e0 2 1.75 -0.5 0.5 -0.5 0.5
 """
 
+SCENE = b"""rate: 25
+room: null
+humans:
+  anna: &anna
+    body: child
+    motion: {file: walk, position: [0.5, 0], yaw_deg: 30, loop: continue, start: 0.1, end: 2.0, speed: 1.2}
+  ben:
+    <<: *anna
+    keyframes: {file: moves.xml, object: anna}
+    skinning: dual_quaternion
+variety: {count: 2, seed: 7, area: [-2, -2, 2, 2], spacing: 0.5, motions: [wave, walk], speed: [0.8, 1.1]}
+objects:
+  box:
+    size: [0.3, 0.3, 0.3]
+    position: [1, 0, 0.2]
+    rotation_deg: [0, 0, 20]
+    color: [1, 2, 3]
+    keyframes: {file: moves.xml, object: anna}
+  ball: {mesh: sphere}
+rig: {file: rig.json, size: [640, 480], binning: [2, 2], background: "{name}.png"}
+cameras:
+  a: {size: [320, 240], position: [3, 2, 1.5], look_at: [0, 0, 1], fov_deg: 60, distortion: [-0.2, 0.05]}
+  b:
+    K: [[300, 0, 160], [0, 300, 120], [0, 0, 1]]
+    trajectory: {file: way.txt, end: ping_pong, offset: 1, speed: 0.5}
+    roi: {x: 10, y: 10, width: 100, height: 90}
+    sensor: {exposure_time: 0.01, noise: {}, encoding: bayer_rggb8, vignetting: {}}
+    background: left.png
+world: {meshes: [{file: mesh.obj, position: [0, 1, 0], scale: 0.5}], background: left.png}
+light: {mode: lit, sun: [0.4, 0.3, 0.8], strength: 1.2, shadows: soft, sun_size_deg: 5, tone_mapping: filmic}
+randomise:
+  {seed: 4, light: true, colours: true, textures: true, clutter: 3, camera_jitter: {position: 0.2}}
+"""
+PICTURE = cv2.imencode(".png", np.zeros((6, 8, 3), np.uint8))[1].tobytes()
+#: What the scenes name.
+BESIDE_SCENES = {
+    "moves.xml": XML,
+    "moving_objects.xml": (ROOT / "config" / "scenes" / "moving_objects.xml").read_bytes(),
+    "way.txt": TRAJECTORY,
+    "rig.json": CALIBRATIONS["panoptic"],
+    "left.png": PICTURE,
+    "right.png": PICTURE,
+    "mesh.obj": OBJ.replace(b"mtllib none.mtl\n", b""),
+}
+
 SEEDS = {
+    "scene": [SCENE],
+    "world obj": [OBJ],
+    "world glb": [figures.glb(*figures.gltf())],
     "bvh": [BVH],
     "keyframes": [XML],
     "obj": [OBJ],
@@ -553,7 +630,8 @@ def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
             signal.alarm(0)
             took = time.process_time() - start
             outcome.slowest = max(outcome.slowest, took)
-            if took > _SECONDS + _SECONDS_PER_BYTE * len(data):
+            allowed = _SECONDS_OF_SCENES if name == "scene" else _SECONDS
+            if took > allowed + _SECONDS_PER_BYTE * len(data):
                 kind = "finding: slow"
                 outcome.findings.append((f"took {took:.1f} s for {len(data)} bytes", data))
             outcome.inputs += 1

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from render_scenes import renderer_or_skip
 from ros_support import Client, rclpy
 from scipy.spatial.transform import Rotation
 
@@ -678,6 +679,22 @@ def test_a_frame_is_smeared_as_the_camera_moves_not_by_where_it_was_before(
         pictures.append(pixels(one.heard("one/image_raw")[stamp]))
     np.testing.assert_array_equal(pictures[0], pictures[2])
     assert not np.array_equal(pictures[0], pictures[1])
+
+
+def test_through_pyrender_there_are_the_topics_that_it_draws(make: Callable[[str, str], Set]) -> None:
+    """Who asks for another, as a recorder of everything does, takes none away from the others."""
+    from sensor_msgs.msg import Image, PointCloud2
+
+    renderer_or_skip(name="pyrender").close()
+    scene = f"renderer: pyrender\nroom: null\nhumans: {{anna: {{}}}}\ncameras: {{left: {{{PLACE}}}}}"
+    one = make("other", scene)
+    one.add(CameraNode)
+    images = ("left/image_raw", "left/depth/image", "left/amodal/anna/image")
+    one.hear(Image, *images, "left/face/image", "left/alpha/anna/image", "left/flow/image")
+    one.hear(PointCloud2, "left/boxes", "left/joints", "left/visible_vertices")
+    one.next(*images, "left/boxes", "left/joints", "left/visible_vertices")
+    for topic in ("face/image", "alpha/anna/image", "flow/image", "shadow/image"):
+        assert one.client.node.count_publishers(f"/other/left/{topic}") == 0
 
 
 def test_depth_alone_is_rendered_once_a_frame_whatever_the_sensor(

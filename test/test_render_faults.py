@@ -11,13 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from render_scenes import RENDERERS, along_x, body, cast, inner, renderer_or_skip, walkers, wall
+from render_scenes import RENDERERS, along_x, body, box, cast, inner, renderer_or_skip, walkers, wall
 
 from humansim_ros.body import read_mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError, HumansimError, HumansimWarning, RenderError
-from humansim_ros.render import Body, Lighting, Renderer, RendererName, make_renderer
+from humansim_ros.render import Body, Lighting, Neighbour, Renderer, RendererName, make_renderer
 from humansim_ros.scene import Scene
+from humansim_ros.truth.boxes import view_boxes
+from humansim_ros.truth.vertices import visible_vertices
 
 
 @pytest.fixture(scope="module", params=RENDERERS)
@@ -77,6 +79,40 @@ def test_a_human_around_the_camera_is_cut_by_the_near_plane_not_folded(
     wrong = (view.instance == 1) != (first == 0)
     assert np.count_nonzero(wrong & sure) <= 8
     assert np.isposinf(view.depth[view.instance == 0]).all() and (view.depth > 0.049).all()
+
+
+HARD = {
+    "behind": ((3, 0, 1), (6, 0, 1)),
+    "far beyond": ((1e6, 0, 1), (0, 0, 1)),
+    "in the trunk": ((0, 0, 1.2), (0.2, 0.1, 2.2)),
+    "among the limbs": ((0.12, 0, 1.0), (-1, 0, 0.8)),
+    "in a box": ((2, 2, 1), (0, 0, 1)),
+}
+BENT = {"distortion": (0.0, 0.0, 0.0, 0.0), "model": "equidistant"}
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("place", HARD)
+def test_every_channel_is_drawn_from_wherever_a_camera_is(
+    name: RendererName, person: Body, place: str
+) -> None:
+    renderer = renderer_or_skip([box((2, 2, 1), 0.5)], name=name)
+    for size, lens in (((64, 48), {}), ((64, 48), BENT), ((1, 1), {}), ((1, 1), BENT)):
+        if lens and name == "pyrender":
+            continue
+        camera = replace(Camera.look_at(*HARD[place], size, np.radians(80)), **lens)
+        beside = Neighbour([replace(person)], camera)
+        view = renderer.render([person], camera, renderer.channels, after=beside, before=beside)
+        mine = view.instance == 1
+        assert not (mine & ~view.amodal[1]).any()
+        assert len(view_boxes(camera, [person], view)) == len(visible_vertices(camera, [person], view)) == 1
+        if name == "moderngl":
+            assert np.array_equal(view.face > 0, mine)
+            np.testing.assert_allclose(np.linalg.norm(view.normal[mine], axis=-1), 1, atol=1e-5)
+            assert (np.abs(view.flow[mine & (view.flow_hidden == 0)]) < 1e-2).all(), "nothing moves"
+        if place in ("behind", "far beyond"):
+            assert not mine.any()
+    renderer.close()
 
 
 # images nobody can draw

@@ -48,7 +48,8 @@ def current(ctx: moderngl.Context) -> Iterator[None]:
             ctx.buffer(reserve=4).release()
         except moderngl.Error:
             raise RenderError(
-                "the OpenGL context was lost, as when a GPU is reset or taken away: make a new renderer"
+                "the OpenGL context was lost, as when a GPU is reset or taken away: make a new renderer, or "
+                "start this node again"
             ) from None
         try:
             yield

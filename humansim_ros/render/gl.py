@@ -30,6 +30,7 @@ from humansim_ros.render.posed import Topology
 from humansim_ros.render.programs import link, unit_square, use_camera
 from humansim_ros.render.refine import TOLERANCE, VISIBLE, LensView
 from humansim_ros.render.renderer import (
+    ALL_CHANNELS,
     CHANNELS,
     FLOWS,
     Backdrop,
@@ -71,6 +72,8 @@ class GLRenderer:
 
     Use it from one thread. Raises RenderError, naming the system packages, where no OpenGL can be had.
     """
+
+    channels = ALL_CHANNELS
 
     def __init__(
         self, static: Sequence[Mesh] = (), lighting: Lighting | None = None, device: int | None = None

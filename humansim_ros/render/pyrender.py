@@ -32,8 +32,6 @@ from humansim_ros.rotations import Array
 
 _FAR = 200.0
 _TRIANGLES = 4
-#: What it draws.
-_CHANNELS = (*CHANNELS, "amodal")
 #: Times as large as the picture that colour is drawn, of pictures of at most so many pixels a side. With the
 #: four samples of a pixel alone the middle of small things is up to 0.08 pixels off, so 0.03.
 _FINER, _FINER_UP_TO = 2, 2048
@@ -42,11 +40,13 @@ _FINER, _FINER_UP_TO = 2, 2048
 class PyrenderRenderer:
     """Renders bodies in a static scene of meshes (world coordinates) with pyrender.
 
-    Channels are those of :data:`CHANNELS`, and ``amodal``; cameras may have skew but no distortion. It has an
-    OpenGL context of its own, which others in the process do not notice. Use it from one thread.
+    Cameras may have skew but no distortion. It has an OpenGL context of its own, which others in the process
+    do not notice. Use it from one thread.
     ``device``: see :func:`humansim_ros.render.context.create_context`. Raises RenderError where OpenGL or
     pyrender is missing.
     """
+
+    channels = (*CHANNELS, "amodal")
 
     def __init__(
         self, static: Sequence[Mesh] = (), lighting: Lighting | None = None, device: int | None = None
@@ -104,7 +104,7 @@ class PyrenderRenderer:
         that only the default renderer has.
         """
         check_request(bodies, channels)
-        if others := sorted(set(channels) - set(_CHANNELS)):
+        if others := sorted(set(channels) - set(self.channels)):
             raise RenderError(f"pyrender does not draw {', '.join(others)}; the renderer moderngl does")
         if camera.distorted:
             raise RenderError(

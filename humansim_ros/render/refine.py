@@ -83,7 +83,7 @@ class LensView:
         ``high``: their length over their distance.
         """
         bends = self._field.bends
-        cells = (np.array(self.camera.size) - 1) / (_GRID - 1)
+        cells = np.maximum(np.array(self.camera.size) - 1, 1) / (_GRID - 1)
         x0, y0 = np.clip(np.floor(low / cells), 0, _GRID - 1).astype(int)
         x1, y1 = np.clip(np.ceil(high / cells), 0, _GRID - 1).astype(int) + 1
         bend = float(bends[y0:y1, x0:x1].max())

@@ -100,7 +100,10 @@ class Backdrop(Protocol):
 
 
 class Renderer(Protocol):
-    """Draws bodies in a static scene as a camera sees them."""
+    """Draws bodies in a static scene as a camera sees them. ``channels``: those that it can be asked for."""
+
+    @property
+    def channels(self) -> Collection[str]: ...
 
     def render(
         self,

@@ -39,14 +39,19 @@ BY_LABEL = ("alpha", "amodal")
 
 
 class Outlets:
-    """Publishers of a camera's images. ``labels``: instance labels by name."""
+    """Publishers of a camera's images. ``labels``: instance labels by name; ``drawn``: the channels that its
+    renderer can draw, others have no topic.
+    """
 
-    def __init__(self, node: SceneNode, camera: str, encoding: str, labels: Mapping[str, int]) -> None:
+    def __init__(
+        self, node: SceneNode, camera: str, encoding: str, labels: Mapping[str, int], drawn: Collection[str]
+    ) -> None:
         self._frame = messages.optical_frame(camera)
         self._encodings = {**messages.ENCODINGS, "rgb": encoding}
         self._images = {
             channel: node.create_publisher(Image, f"{camera}/{topic}", DATA)
             for channel, topic in TOPICS.items()
+            if channel in drawn
         }
         self._compressed: dict[str, CompressedOutlet | CompressedDepthOutlet] = {
             "rgb": CompressedOutlet(node, camera, TOPICS["rgb"], encoding),
@@ -58,6 +63,7 @@ class Outlets:
                 for name, instance in labels.items()
             }
             for channel in BY_LABEL
+            if channel in drawn
         }
 
     def wanted(self) -> set[str]:

@@ -51,7 +51,8 @@ class CameraNode(SceneNode):
         self._frame = messages.optical_frame(name)
         self._shared = renderer is not None
         self._renderer = renderer if self._shared else self.make_renderer()
-        self._outlets = Outlets(self, name, self._camera.encoding, self.scene.labels)
+        drawn = self._renderer.channels
+        self._outlets = Outlets(self, name, self._camera.encoding, self.scene.labels, drawn)
         self._before: tuple[int, Shot] | None = None
         self._rect = None
         if self._camera.rectified is not None:

@@ -176,11 +176,14 @@ def test_cameras_are_spread_evenly_over_as_many_processes_as_there_are_cores(
     assert spread(4) == [("camera_rig_1", ["a", "e"]), *((f"camera_{c}", c) for c in "bcd")]
     assert spread(1) == [("camera_rig_1", ["a", "b", "c", "d", "e"])]
     assert spread(9) == [(f"camera_{c}", c) for c in "abcde"]
-    monkeypatch.delenv("LP_NUM_THREADS", raising=False)
-    assert processes.rasterizer_threads(scene_processes(path, 1)) == {"LP_NUM_THREADS": "2"}
-    assert processes.rasterizer_threads(scene_processes(path, 5)) == {"LP_NUM_THREADS": "0"}
+    names = ("LP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
+    for name in names:
+        monkeypatch.delenv(name, raising=False)
+    for number, threads in ((1, ("2", "2")), (5, ("0", "1"))):
+        shared = processes.drawing_threads(scene_processes(path, number))
+        assert shared == dict(zip(names, threads, strict=True))
     monkeypatch.setenv("LP_NUM_THREADS", "7")
-    assert processes.rasterizer_threads(scene_processes(path)) == {}
+    assert processes.drawing_threads(scene_processes(path, 5)) == {"OPENCV_FOR_THREADS_NUM": "1"}
 
 
 def test_parameters_reach_a_node_as_strings(tmp_path: Path) -> None:

@@ -78,16 +78,19 @@ def _camera_processes(
             yield NodeProcess("camera_rig", f"camera_rig_{i + 1}", {**scene, "cameras": own})
 
 
-def rasterizer_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
-    """Environment in which processes that draw without a GPU share the cores: Mesa would give each as many
-    threads as there are cores. Nothing where the user has said how many.
+def drawing_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
+    """Environment in which processes that draw share the cores: Mesa without a GPU, and OpenCV, would give
+    each as many threads as there are cores. Nothing where the user has said how many.
     """
-    if "LP_NUM_THREADS" in os.environ:
-        return {}
     drawing = sum(process.executable in ("camera", "camera_rig") for process in processes)
-    share = cores() // max(1, drawing)
-    # 0: no thread but the one that asks. To wait for a single other one costs a tenth more
-    return {"LP_NUM_THREADS": str(share if share > 1 else 0)}
+    share = max(1, cores() // max(1, drawing))
+    threads = {
+        # 0: no thread but the one that asks. To wait for a single other one costs a tenth more
+        "LP_NUM_THREADS": str(share if share > 1 else 0),
+        # a second one waits with its part of the work until it gets a core
+        "OPENCV_FOR_THREADS_NUM": str(share),
+    }
+    return {name: number for name, number in threads.items() if name not in os.environ}
 
 
 def _drawn(content: Mapping[str, Any], path: Path) -> list[str]:

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from types import TracebackType
 
-from humansim_ros.ros.processes import TOLD, NodeProcess, rasterizer_threads
+from humansim_ros.ros.processes import TOLD, NodeProcess, drawing_threads
 
 _PR_SET_PDEATHSIG = 1
 #: Seconds a node gets to stop after SIGINT, and again after SIGTERM.
@@ -30,7 +30,7 @@ class Supervisor:
         self, processes: Sequence[NodeProcess], environment: Mapping[str, str] | None = None
     ) -> None:
         self._processes = list(processes)
-        threads = rasterizer_threads(processes)
+        threads = drawing_threads(processes)
         self._environment = {**os.environ, **threads, TOLD: "1", **(environment or {})}
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 

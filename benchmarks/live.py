@@ -1,13 +1,14 @@
 """How many images a second arrive, live: all nodes of the demo scene as processes, and one subscriber.
 
-    python benchmarks/live.py [--seconds 10] [--repeat 5] [--processes 1 2 4] [--json FILE]
+    python benchmarks/live.py [--seconds 10] [--repeat 5] [--processes 1 2 4] [--table] [--json FILE]
 
 For each set of topics: the lowest rate at which a topic reached the subscriber's callback, the share of the
 player's frames that did, how many frames came whole (all topics of all cameras with one stamp), the time from
 a frame's stamp to the callback of image_raw, what nodes and subscriber took of the CPU per frame, and how
 many cores others were using meanwhile: with those, the rest means little. Below it, who took that CPU time,
 and when after its stamp a frame left each node, was whole at the cameras, and reached the subscriber from
-each camera (medians). With ``--repeat``, the medians of several runs.
+each camera (medians). With ``--repeat``, the medians of several runs. Frames that come until 0.3 s after a
+run are its, too.
 
 The subscriber has the executor that our nodes have; with ``--plain-spin`` rclpy's default one, which takes
 4 to 6 ms more of the CPU per frame.
@@ -57,6 +58,8 @@ CASES = {
     "rgb as JPEG": (4, ("image_raw/compressed",)),
 }
 KINDS = {"camera_info": CameraInfo, "image_raw/compressed": CompressedImage}
+#: Frames of every topic that come before a run: scenes are drawn, and cameras find the pace they can keep.
+WARM_UP = 100
 #: Nanoseconds after which no frame of a run is awaited any more.
 STRAGGLERS = 300_000_000
 #: What is said of a run, and how.
@@ -69,6 +72,37 @@ COLUMNS = {
     "cpu_ms_per_frame": ("CPU ms", "8.1f"),
     "cores_of_others": ("others", "7.2f"),
 }
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What is subscribed to, over how many processes cameras are spread, and what else is not as it is by
+    default.
+    """
+
+    case: str
+    processes: int
+    lead: float | None = None
+    plain_spin: bool = False
+
+    @property
+    def name(self) -> str:
+        lead = "" if self.lead is None else f", lead {self.lead:g} s"
+        return self.case + lead + (", rclpy.spin" if self.plain_spin else "")
+
+
+#: The settings of docs/performance.md.
+ALL_FOUR = "rgb + info + depth + part"
+TABLE = (
+    Setting("rgb", cores()),
+    Setting(ALL_FOUR, cores()),
+    Setting(ALL_FOUR, cores(), lead=0.0),
+    Setting(ALL_FOUR, cores(), plain_spin=True),
+    Setting(ALL_FOUR, 4),
+    Setting(ALL_FOUR, 1),
+    Setting("rgb as JPEG", cores()),
+    Setting("rgb, 8 cameras", cores()),
+)
 
 
 @dataclass(frozen=True)
@@ -114,13 +148,14 @@ def with_cameras(scene: Path, number: int, folder: Path) -> Path:
     return changed
 
 
-def measure(
-    scene: Path, kinds: tuple[str, ...], processes: int | None, executor: Any, options: argparse.Namespace
-) -> dict[str, Any]:
+def measure(setting: Setting, folder: Path, seconds: float, nice: int) -> dict[str, Any]:
+    number, kinds = CASES[setting.case]
+    scene = with_cameras(resource_path(DEMO_SCENE), number, folder)
     cameras = list(Scene.load(scene).cameras)
+    executor = SingleThreadedExecutor() if setting.plain_spin else make_executor()
     node = rclpy.create_node("live_benchmark")
     executor.add_node(node)
-    player = {} if options.lead is None else {"lead": options.lead}
+    player: dict[str, Any] = {} if setting.lead is None else {"lead": setting.lead}
     arrived: dict[str, dict[int, float]] = defaultdict(dict)
     said: dict[str, list[float]] = defaultdict(list)
 
@@ -151,14 +186,14 @@ def measure(
         replace(process, parameters={**process.parameters, **player})
         if process.executable == "motion_player"
         else process
-        for process in scene_processes(scene, processes)
+        for process in scene_processes(scene, setting.processes)
     ]
     with Supervisor(started) as nodes:
         running = {"subscriber": os.getpid(), **nodes.pids}
-        if options.nice:
-            prefer(running.values(), options.nice)
+        if nice:
+            prefer(running.values(), nice)
         limit = time.monotonic() + 60
-        while any(len(arrived[topic]) < 30 for topic in topics):
+        while any(len(arrived[topic]) < WARM_UP for topic in topics):
             executor.spin_once(timeout_sec=0.05)
             if nodes.dead() or time.monotonic() > limit:
                 raise SystemExit(
@@ -166,7 +201,7 @@ def measure(
                 )
         said.clear()
         begin, before = time.time_ns(), Times.now(running)
-        end = begin + round(1e9 * options.seconds)
+        end = begin + round(1e9 * seconds)
         while time.time_ns() < end:
             executor.spin_once(timeout_sec=0.05)
         after = Times.now(running)
@@ -182,13 +217,13 @@ def measure(
     ours = {name: after.ours[name] - before.ours[name] for name in running}
     stages = {"motion": arrived["motion"], **{name: arrived[f"/{name}/{kinds[0]}"] for name in cameras}}
     return {
-        "lowest_hz": min(counts.values()) / options.seconds,
+        "lowest_hz": min(counts.values()) / seconds,
         "received": min(counts.values()) / played,
         "whole_frames": len(whole) / played,
         "latency_ms_median": float(np.median(late)),
         "latency_ms_p99": float(np.percentile(late, 99)),
         "cpu_ms_per_frame": 1e3 * sum(ours.values()) / played,
-        "cores_of_others": (after.all - before.all - sum(ours.values())) / options.seconds,
+        "cores_of_others": (after.all - before.all - sum(ours.values())) / seconds,
         "cpu_ms": {name: 1e3 * used / played for name, used in ours.items()},
         "after_stamp_ms": {
             **{name: float(np.median(times)) for name, times in said.items()},
@@ -212,7 +247,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--repeat", type=int, default=1, help="runs of each case, turn and turn about")
+    parser.add_argument("--repeat", type=int, default=1, help="runs of each setting, turn and turn about")
     parser.add_argument("--processes", type=int, nargs="+", help="share the cameras; one per core if absent")
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument(
@@ -221,33 +256,41 @@ def main() -> None:
         help="the subscriber spins as rclpy.spin does, not told of events",
     )
     parser.add_argument("--lead", type=float, help="the player's, seconds; as it is by default if absent")
+    parser.add_argument(
+        "--table", action="store_true", help="the settings of docs/performance.md, and its table"
+    )
     parser.add_argument("--nice", type=int, default=0, help="how nice all are to others; below 0 needs root")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
-    make = SingleThreadedExecutor if arguments.plain_spin else make_executor
+    settings = [
+        Setting(case, processes or cores(), arguments.lead, arguments.plain_spin)
+        for processes in arguments.processes or [None]
+        for case in arguments.cases
+    ]
     prepare_transport()
     rclpy.init()
-    runs: dict[tuple[str, int], list[dict[str, Any]]] = defaultdict(list)
+    runs: dict[Setting, list[dict[str, Any]]] = defaultdict(list)
     print(f"{cores()} cores, demo scene at 640x480, 30 Hz, {arguments.seconds:g} s each")
-    print(f"{'subscribed, per camera':27} processes", *(heading(*c) for c in COLUMNS.values()))
+    print(f"{'subscribed, per camera':42} processes", *(heading(*c) for c in COLUMNS.values()))
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(arguments.repeat):
-            for processes in arguments.processes or [None]:
-                for name in arguments.cases:
-                    number, kinds = CASES[name]
-                    scene = with_cameras(resource_path(DEMO_SCENE), number, Path(folder))
-                    shared = min(number, processes or cores())
-                    runs[name, shared].append(measure(scene, kinds, processes, make(), arguments))
-                    print(row(name, shared, runs[name, shared][-1]), flush=True)
+            for setting in TABLE if arguments.table else settings:
+                runs[setting].append(measure(setting, Path(folder), arguments.seconds, arguments.nice))
+                print(row(setting, runs[setting][-1]), flush=True)
     rclpy.try_shutdown()
     print(f"\nmedians of {arguments.repeat}")
-    results = {case: medians(of_case) for case, of_case in runs.items()}
-    for case, result in results.items():
-        print(row(*case, result))
+    results = {setting: medians(of_setting) for setting, of_setting in runs.items()}
+    for setting, result in results.items():
+        print(row(setting, result))
         for what in ("cpu_ms", "after_stamp_ms"):
             print(f"    {what}:", ", ".join(f"{name} {ms:.1f}" for name, ms in result[what].items()))
+    if arguments.table:
+        print("\n| subscribed, per camera | processes | Hz | received | whole | median | p99 | CPU a frame |")
+        print("|---|---|---|---|---|---|---|---|")
+        for setting, result in results.items():
+            print(table_row(setting, result))
     if arguments.json:
-        named = {f"{name}, {shared} processes": result for (name, shared), result in results.items()}
+        named = {f"{setting.name}, {setting.processes} processes": r for setting, r in results.items()}
         arguments.json.write_text(json.dumps(named, indent=2))
 
 
@@ -255,9 +298,17 @@ def heading(name: str, form: str) -> str:
     return f"{name:>{form.split('.')[0]}}"
 
 
-def row(name: str, processes: int, result: dict[str, Any]) -> str:
+def row(setting: Setting, result: dict[str, Any]) -> str:
     numbers = " ".join(f"{result[key]:{form}}" for key, (_, form) in COLUMNS.items())
-    return f"{name:27} {processes:9} {numbers}"
+    return f"{setting.name:42} {setting.processes:9} {numbers}"
+
+
+def table_row(setting: Setting, r: dict[str, Any]) -> str:
+    return (
+        f"| {setting.name} | {setting.processes} | {r['lowest_hz']:.1f} | {r['received']:.1%} "
+        f"| {r['whole_frames']:.1%} | {r['latency_ms_median']:.0f} ms | {r['latency_ms_p99']:.0f} ms "
+        f"| {r['cpu_ms_per_frame']:.1f} ms |"
+    ).replace("%", " %")
 
 
 if __name__ == "__main__":

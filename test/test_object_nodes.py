@@ -83,7 +83,8 @@ def test_people_and_things_of_a_frame_have_the_same_stamp(flow: Any) -> None:
     played = set(flow.received["/lift/objects/box/marker"])
     assert len(flow.stamps) >= 8
     for topic, by_stamp in flow.received.items():
-        assert {stamp for stamp in by_stamp if stamp >= flow.stamps[0]} <= played, topic
+        # what is heard last may be half of a frame
+        assert {s for s in by_stamp if flow.stamps[0] <= s <= flow.stamps[-1]} <= played, topic
 
 
 def test_things_say_how_they_move(flow: Any) -> None:

@@ -32,10 +32,13 @@ RENDERERS: tuple[RendererName, ...] = ("moderngl", "pyrender")
 
 
 def renderer_or_skip(
-    static: Iterable[Mesh] = (), lighting: Lighting | None = None, name: RendererName = "moderngl"
+    static: Iterable[Mesh] = (),
+    lighting: Lighting | None = None,
+    name: RendererName = "moderngl",
+    standing: Sequence[Body] = (),
 ) -> GLRenderer | PyrenderRenderer:
     try:
-        return make_renderer(name, tuple(static), lighting)
+        return make_renderer(name, tuple(static), lighting, standing=standing)
     except RenderError as reason:
         pytest.skip(str(reason))
 

@@ -9,6 +9,7 @@ from humansim_ros.body.mesh import Mesh
 from humansim_ros.render.gl import GLRenderer
 from humansim_ros.render.light import Lighting
 from humansim_ros.render.pyrender import PyrenderRenderer
+from humansim_ros.render.renderer import Body
 
 RendererName = Literal["moderngl", "pyrender"]
 
@@ -18,8 +19,10 @@ def make_renderer(
     static: Sequence[Mesh] = (),
     lighting: Lighting | None = None,
     device: int | None = None,
+    standing: Sequence[Body] = (),
 ) -> GLRenderer | PyrenderRenderer:
     """The renderer of a name. ``device``: number of the GPU as EGL counts them; the first that works if None.
+    ``standing``: of the bodies that it will be given those that never move and are part of the still scene.
 
     Raises RenderError, saying what to install, where something is missing, and where there is no such device.
     """
@@ -27,4 +30,4 @@ def make_renderer(
         "moderngl": GLRenderer,
         "pyrender": PyrenderRenderer,
     }
-    return kinds[name](static, lighting, device)
+    return kinds[name](static, lighting, device, standing)

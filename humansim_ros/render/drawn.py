@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
+from copy import deepcopy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -17,6 +18,9 @@ from humansim_ros.render.outline import Crossings, blend
 from humansim_ros.render.posed import Floats, Indices
 from humansim_ros.render.renderer import Body, Neighbour, View
 from humansim_ros.render.target import Rectangle, StaticLayer
+
+#: Channels that say which body, and what of it, is where.
+_LABELS = {"instance", "part", "face", "normal", "uv", "alpha", "amodal"}
 
 
 class Asked(NamedTuple):
@@ -69,7 +73,8 @@ class Drawn:
 
     ``labels``: (h, w) of :class:`Seen`. ``depth``: (h, w) metres, 0 where no body is. ``rgba``: (h, w, 4),
     alpha is the share of light that bodies leave; ``outline``: where outlines cross; ``alone``: by instance,
-    (H, W) where a body would be seen if nothing were before it; each if it was ``asked`` for.
+    (H, W) where a body would be seen if nothing were before it; each if it was ``asked`` for. ``standing``:
+    what has labels in the still scene of ``layer``.
     """
 
     asked: Asked
@@ -83,6 +88,7 @@ class Drawn:
     rgba: NDArray[np.uint8] | None
     outline: Crossings | None
     alone: Mapping[int, NDArray[np.bool_]] | None
+    standing: Drawn | None = None
 
     @cached_property
     def whole_depth(self) -> Floats:
@@ -112,19 +118,26 @@ class Drawn:
         """The channels of the whole image. ``others``: the frames after and before that flow needs, and their
         pictures, which what is hidden needs.
         """
-        view: dict[str, Any] = self.layer.view({*channels, "depth"} if self.outline is not None else channels)
+        view = self._still({*channels, "depth"} if self.outline is not None else channels)
         within = self.rectangle.slices
         if "depth" in view:
             np.copyto(view["depth"][within], self.depth, where=self.depth > 0)
         for name in {"instance", "part", "face"} & set(channels):
-            view[name][within] = self.seen.table(name).take(self.labels)
+            labels = self.seen.table(name).take(self.labels)
+            if self.standing is None:
+                view[name][within] = labels
+            else:
+                np.copyto(view[name][within], labels, where=self.labels > 0)
         if self.rgba is not None and "rgb" in view:
             # (many times faster than to assign the first three of four)
             view["rgb"][within] = cv2.cvtColor(self.rgba, cv2.COLOR_RGBA2RGB) if self.rgba.size else 0
         if self.rgba is not None and "shadow" in view:
             view["shadow"][within] = 255 - self.rgba[..., 3]
         if "alpha" in channels:
-            view["alpha"] = self._covered(view.get("instance"))
+            still = view.get("alpha", {})
+            for alpha in still.values():
+                alpha[within][self.labels > 0] = 0
+            view["alpha"] = self._covered(view.get("instance")) | still
         blended = [*([view["rgb"]] if "rgb" in view else []), *view.get("alpha", {}).values()]
         if self.outline is not None and blended:
             blend(blended, view["depth"], self.outline)
@@ -138,8 +151,25 @@ class Drawn:
             name = "flow" if which == "after" else "flow_back"
             view[name], view[f"{name}_hidden"] = flow.flow, flow.hidden
         if "amodal" in channels and self.alone is not None:
-            view["amodal"] = {instance: mask.copy() for instance, mask in self.alone.items()}
+            alone = {instance: mask.copy() for instance, mask in self.alone.items()}
+            view["amodal"] = alone | view.get("amodal", {})
         return View(**{name: view[name] for name in channels})
+
+    def _still(self, channels: Collection[str]) -> dict[str, Any]:
+        """The channels of the whole image without bodies."""
+        view: dict[str, Any] = self.layer.view(channels)
+        return view if self.standing is None else view | self.standing._labels(channels)
+
+    def _labels(self, channels: Collection[str]) -> dict[str, Any]:
+        """Those of the channels that say what bodies are where; worked out once, to be drawn into."""
+        asked = _LABELS & set(channels)
+        for name in asked - self._kept.keys():
+            self._kept[name] = getattr(self.view((name,), {}), name)
+        return {name: deepcopy(self._kept[name]) for name in asked}
+
+    @cached_property
+    def _kept(self) -> dict[str, Any]:
+        return {}
 
     def _covered(self, instances: NDArray[np.uint16] | None) -> dict[int, NDArray[np.uint8]]:
         """By instance, (H, W) 255 where the centre of a pixel shows it."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import cached_property
 
 import cv2
@@ -41,7 +42,7 @@ from humansim_ros.render.renderer import (
     check_request,
 )
 from humansim_ros.render.shadow import CELLS, ContactShadow
-from humansim_ros.render.still import StillScene
+from humansim_ros.render.still import Still, StillScene
 from humansim_ros.render.sunlight import Sunlight
 from humansim_ros.render.surface import Fallen, Surface, contour, straight_angle, touched
 from humansim_ros.render.target import Rectangle, Shades, StaticLayer, Target
@@ -70,13 +71,19 @@ _OVER = (moderngl.SRC_ALPHA, moderngl.ONE_MINUS_SRC_ALPHA, moderngl.ZERO, modern
 class GLRenderer:
     """Renders bodies in a static scene of meshes (world coordinates), with an OpenGL context of its own.
 
-    Use it from one thread. Raises RenderError, naming the system packages, where no OpenGL can be had.
+    ``standing``: those of the bodies that never move. They are drawn with the static scene, once per camera,
+    and so are their labels. Use it from one thread. Raises RenderError, naming the system packages, where no
+    OpenGL can be had.
     """
 
     channels = ALL_CHANNELS
 
     def __init__(
-        self, static: Sequence[Mesh] = (), lighting: Lighting | None = None, device: int | None = None
+        self,
+        static: Sequence[Mesh] = (),
+        lighting: Lighting | None = None,
+        device: int | None = None,
+        standing: Sequence[Body] = (),
     ) -> None:
         keep_image_blocks()
         self._lighting = lighting or Lighting()
@@ -84,7 +91,12 @@ class GLRenderer:
         self._ctx.front_face = (
             "cw"  # the image's rows run down where OpenGL's run up: everything is mirrored once
         )
-        self._still = StillScene(self._ctx, tuple(static))
+        check_request(standing, ())
+        self._standing = tuple(standing)
+        self._unlabelled = self._still = StillScene(self._ctx, tuple(static))
+        if standing:
+            things = (replace(body.mesh, vertices=body.vertices.astype(float)) for body in standing)
+            self._still = StillScene(self._ctx, (*static, *things))
         self._topologies: dict[int, Topology] = {}
         self._surfaces: dict[tuple[int, int], Surface] = {}
         self._targets: dict[tuple[int, int], Target] = {}
@@ -168,6 +180,7 @@ class GLRenderer:
         moments = {"after": after, "before": before}
         check_request(bodies, channels)
         check_neighbours(bodies, channels, moments)
+        bodies = self._that_move(bodies)
         asked = Asked.by(channels)
         with current(self._ctx):
             drawn = self._drawn_of(bodies, camera, asked, passing, backdrop)
@@ -176,12 +189,20 @@ class GLRenderer:
                 flows = {channel for channel in channels if FLOWS.get(channel) == which}
                 if moment is None or not flows:
                     continue
+                moment = replace(moment, bodies=self._that_move(moment.bodies))
                 other = None
                 if any(channel.endswith("_hidden") for channel in flows):
                     # as this one: it will be asked for next
                     other = self._drawn_of(moment.bodies, moment.camera, asked, passing, backdrop)
                 others[which] = moment, other
             return drawn.view(channels, others)
+
+    def _that_move(self, bodies: Sequence[Body]) -> Sequence[Body]:
+        """Bodies without those that stand in the static scene."""
+        if not self._standing:
+            return bodies
+        still = {id(body) for body in self._standing}
+        return [body for body in bodies if id(body) not in still]
 
     def _drawn_of(
         self, bodies: Sequence[Body], camera: Camera, asked: Asked, passing: bool, backdrop: Backdrop | None
@@ -190,7 +211,10 @@ class GLRenderer:
         key = _frame_key(bodies, camera, passing, backdrop)
         drawn = self._drawn.pop(key, None)
         if drawn is None or not drawn.asked.covers(asked):
-            drawn = self._draw(bodies, camera, asked, passing, backdrop)
+            layer = self._layer(camera, passing, backdrop)
+            drawn = self._draw(bodies, camera, asked, layer)
+            if self._standing:
+                drawn = replace(drawn, standing=self._standing_before(camera, asked, passing, layer))
         self._drawn[key] = drawn  # with its bodies, so that their ids stay their own
         while len(self._drawn) > _MOST_KEPT or (
             len(self._drawn) > 3 and sum(kept.nbytes for kept in self._drawn.values()) > _MOST_BYTES
@@ -198,10 +222,7 @@ class GLRenderer:
             del self._drawn[next(iter(self._drawn))]
         return drawn
 
-    def _draw(
-        self, bodies: Sequence[Body], camera: Camera, asked: Asked, passing: bool, backdrop: Backdrop | None
-    ) -> Drawn:
-        layer = self._layer(camera, passing, backdrop)
+    def _draw(self, bodies: Sequence[Body], camera: Camera, asked: Asked, layer: StaticLayer) -> Drawn:
         surfaces = [self._surface(body) for body in bodies]
         shadows: list[ContactShadow] = []
         if asked.lit and self._contact:
@@ -238,6 +259,17 @@ class GLRenderer:
         return Drawn(
             asked, tuple(bodies), camera, layer, rectangle, seen, labels, depth, rgba, outline, alone
         )
+
+    def _standing_before(self, camera: Camera, asked: Asked, passing: bool, layer: StaticLayer) -> Drawn:
+        """What stands in the static scene that a camera sees, with labels: drawn once."""
+        asked = Asked(lit=False, outlined=True, alone=asked.alone)
+        if layer.standing is None or not layer.standing.asked.covers(asked):
+            target = self._target(camera.size)
+            with self._unlabelled.seen_by(camera, VISIBLE if passing else TOLERANCE) as still:
+                self._draw_still(target, still, self._true_still, camera)
+            drawn = self._draw(self._standing, camera, asked, StaticLayer(target, None, None))
+            layer.standing = replace(drawn, layer=layer)
+        return layer.standing
 
     def _alone(self, surface: Surface, fallen: Fallen, camera: Camera) -> NDArray[np.bool_]:
         """(H, W) where a body would be seen if nothing were before it."""
@@ -342,17 +374,9 @@ class GLRenderer:
         fine = self._fine(camera.size, passing, behind is not None)
         with self._still.seen_by(camera, VISIBLE if passing else TOLERANCE) as still, ExitStack() as stack:
 
-            def draw(into: Target, program: moderngl.Program) -> None:
-                into.clear(self._lighting.background if behind is None else (0, 0, 0))
-                into.use(program is not self._truth)
-                self._ctx.enable_only(moderngl.DEPTH_TEST)
-                use_camera(self._ctx, program, camera)
-                # a pixel's samples see one texel: one as fine as if each saw its own
-                set_uniform(program, "blur", -0.5 * np.log2(max(into.samples, 1)))
-                still.draw(program)
-
             def look(programs: Sequence[moderngl.Program]) -> NDArray[np.uint8]:
-                draw(fine, programs[0])
+                colour = self._lighting.background if behind is None else (0, 0, 0)
+                self._draw_still(fine, still, programs[0], camera, colour)
                 if len(programs) == 1:
                     return _completed(self._averaged(fine, target), fine, camera, behind)
                 if behind is not None:
@@ -374,13 +398,34 @@ class GLRenderer:
                     set_uniform(program, "coarser", (seen.width / fine.size[0], seen.height / fine.size[1]))
             sunny = look(self._lit_still)
             sunless = None if self._sunlight is None else look(self._sunless)
-            # what is cut out of surfaces is not in the truth either
-            draw(target, self._lit_still[0] if self._still.switches else self._truth)
+            self._draw_still(target, still, self._true_still, camera)
         if self._sunlight is None:
             sunny[..., 3] = 255
         target.take(sunny)
         shades = None if sunless is None else Shades(self._ctx, camera, sunless[..., :3])
         return StaticLayer(target, backdrop, shades)
+
+    @property
+    def _true_still(self) -> moderngl.Program:
+        """What draws the truth of a still scene: what is cut out of surfaces is not in it either."""
+        return self._lit_still[0] if self._still.switches else self._truth
+
+    def _draw_still(
+        self,
+        into: Target,
+        still: Still,
+        program: moderngl.Program,
+        camera: Camera,
+        colour: Sequence[int] = (0, 0, 0),
+    ) -> None:
+        """Draw what is solid of a still scene, before a colour."""
+        into.clear(colour)
+        into.use(program is not self._truth)
+        self._ctx.enable_only(moderngl.DEPTH_TEST)
+        use_camera(self._ctx, program, camera)
+        # a pixel's samples see one texel: one as fine as if each saw its own
+        set_uniform(program, "blur", -0.5 * np.log2(max(into.samples, 1)))
+        still.draw(program)
 
     def _fine(self, size: tuple[int, int], passing: bool, before_picture: bool) -> Target:
         """Where a still scene is drawn: finer than the picture, or what passes with some samples a pixel."""

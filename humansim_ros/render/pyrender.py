@@ -42,14 +42,18 @@ class PyrenderRenderer:
 
     Cameras may have skew but no distortion. It has an OpenGL context of its own, which others in the process
     do not notice. Use it from one thread.
-    ``device``: see :func:`humansim_ros.render.context.create_context`. Raises RenderError where OpenGL or
-    pyrender is missing.
+    ``device``: see :func:`humansim_ros.render.context.create_context`. ``standing``: those of the bodies that
+    never move; they leave no shadow. Raises RenderError where OpenGL or pyrender is missing.
     """
 
     channels = (*CHANNELS, "amodal")
 
     def __init__(
-        self, static: Sequence[Mesh] = (), lighting: Lighting | None = None, device: int | None = None
+        self,
+        static: Sequence[Mesh] = (),
+        lighting: Lighting | None = None,
+        device: int | None = None,
+        standing: Sequence[Body] = (),
     ) -> None:
         self._lighting = lighting or Lighting()
         if self._lighting.shadow == "soft" or self._lighting.tone_mapping != "none":
@@ -71,9 +75,10 @@ class PyrenderRenderer:
             for m in static
         ]
         self._static = [_Figure(self._library, _Shape(self._library, body), body) for body in whole]
-        self._has_floor = any(
-            (np.abs(mesh.vertices[mesh.triangles][..., 2]) < FLOOR_SLACK).all(axis=1).any() for mesh in static
-        )
+        self._standing = tuple(standing)
+        still = [(mesh.vertices, mesh.triangles) for mesh in static]
+        still += [(body.vertices.astype(float), body.mesh.triangles) for body in standing]
+        self._has_floor = any((np.abs(v[t][..., 2]) < FLOOR_SLACK).all(axis=1).any() for v, t in still)
 
     @property
     def device(self) -> str:
@@ -139,7 +144,8 @@ class PyrenderRenderer:
         nodes = [figure.coloured(light, figure.sides(camera)) for figure in figures]
         shadows = []
         if light.shadow == "contact" and self._has_floor:
-            moving = figures[len(self._static) :]
+            still = {id(body) for body in self._standing}
+            moving = [f for f in figures[len(self._static) :] if id(f.body) not in still]
             shadows = [figure.shadow(0.01 + 1e-4 * number) for number, figure in enumerate(moving)]
         background = np.append(np.array(light.background) / 255, 1.0)
         if backdrop is None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import moderngl
 import numpy as np
@@ -14,6 +14,9 @@ from humansim_ros.camera import Camera
 from humansim_ros.render.detail import ray_grid
 from humansim_ros.render.posed import Floats
 from humansim_ros.render.renderer import Backdrop
+
+if TYPE_CHECKING:
+    from humansim_ros.render.drawn import Drawn
 
 #: What a target is made of: the shaders' location, components read back, their type.
 _ATTACHMENTS = {"depth": (0, 1, "f4"), "label": (1, 1, "u4"), "rgb": (2, 3, "f1"), "rgba": (2, 4, "f1")}
@@ -167,6 +170,8 @@ class StaticLayer:
     def __init__(self, target: Target, backdrop: Backdrop | None, shades: Shades | None) -> None:
         self.target, self.shades = target, shades
         self._backdrop = backdrop  # kept, so that its id stays its own
+        #: what in it has labels, once that is drawn
+        self.standing: Drawn | None = None
         self._rgb, self.rgba, depth = (target.read(name, lit=True) for name in ("rgb", "rgba", "depth"))
         self.hides = target.hides
         self._depth = np.where(depth > 0, depth, np.float32(np.inf))
@@ -187,6 +192,7 @@ class StaticLayer:
         return {name: make[name]() for name in channels if name in make}
 
     def release(self) -> None:
+        self.standing = None  # which has this layer
         self.target.release()
         if self.shades is not None:
             self.shades.release()

@@ -250,7 +250,8 @@ class Scene:
         """A renderer of the kind that the scene asks for, in its static world. ``device``: number of the GPU
         as EGL counts them; the first that works if None. Raises RenderError.
         """
-        return make_renderer(self.config.renderer, self.static_meshes, self.world.lighting, device)
+        light = self.world.lighting
+        return make_renderer(self.config.renderer, self.static_meshes, light, device, self.standing_bodies)
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
@@ -283,13 +284,13 @@ class Scene:
 
     @cached_property
     def static_meshes(self) -> list[Mesh]:
-        """The world that stands still and has no labels: drawn once."""
+        """The world that stands still and has no labels."""
         meshes, standing = self._standing
         return [*meshes, *(mesh for name, mesh in standing.items() if not self.objects[name].instance)]
 
     @cached_property
     def standing_bodies(self) -> list[Body]:
-        """The objects with labels that stand still: drawn with every frame."""
+        """The objects with labels that stand still: always the same bodies."""
         things = ((self.objects[name], mesh) for name, mesh in self._standing[1].items())
         return [thing.standing_body(mesh) for thing, mesh in things if thing.instance]
 

@@ -361,7 +361,7 @@ def stages(shot: Shot, repeat: int) -> list[dict[str, object]]:
     posed = Posed(topology, vertices)
     areas, facing = topology.vertex_areas, posed.facing(camera.center)
     fallen = Fallen(posed.points, camera)
-    edges = [contour(posed, fallen, facing, 0.0)]
+    edges = contour(posed, fallen, facing, 0.0)
     work: dict[str, Callable[[], object]] = {
         "area vectors of the triangles": lambda: Posed(topology, vertices).areas,
         "area vectors and vertex normals": lambda: Posed(topology, vertices).normals,

@@ -142,14 +142,22 @@ class Lens:
                 good &= self._radial(np.einsum("...i,...i->...", n, n))[2] > 0
             return np.asarray(good.all(axis=1))
 
+    def _ratio(self, r2: Array) -> tuple[Array, Array | float]:
+        """Numerator and denominator of the radial part."""
+        k1, k2, _, _, k3, *more = self.coefficients
+        above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        if not more:
+            return above, 1.0
+        k4, k5, k6 = more
+        return above, 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+
     def _radial(self, r2: Array) -> tuple[Array, Array, Array]:
         """Factor of the radial part, its derivative by r squared, and its denominator."""
         k1, k2, _, _, k3, *more = self.coefficients
         k4, k5, k6 = more or (0.0, 0.0, 0.0)
-        above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        below = 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        above, below = self._ratio(r2)
         slope = k1 + r2 * (2 * k2 + r2 * 3 * k3), k4 + r2 * (2 * k5 + r2 * 3 * k6)
-        return above / below, (slope[0] * below - above * slope[1]) / below**2, below
+        return above / below, (slope[0] * below - above * slope[1]) / below**2, below * np.ones_like(r2)
 
     def _angle(self, r: Array) -> tuple[Array, Array]:
         """The equidistant model's distorted angle of rays at a radius, and its derivative by that radius."""
@@ -168,11 +176,12 @@ class Lens:
             factor = np.where(r > 1e-8, self._angle(r)[0] / np.where(r > 1e-8, r, 1.0), 1.0)
             return n * factor[..., None]
         p1, p2 = self.coefficients[2:4]
-        factor = self._radial(r2)[0]
-        tangential = np.stack(
-            [2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y], axis=-1
-        )
-        return n * factor[..., None] + tangential
+        above, below = self._ratio(r2)
+        factor, xy = above / below, 2 * x * y
+        fallen = np.empty_like(n)
+        fallen[..., 0] = x * factor + (p1 * xy + p2 * (r2 + 2 * x * x))
+        fallen[..., 1] = y * factor + (p1 * (r2 + 2 * y * y) + p2 * xy)
+        return fallen
 
     def _jacobian(self, n: Array) -> Array:
         x, y = n[..., 0], n[..., 1]

@@ -247,7 +247,8 @@ class GLRenderer:
             if asked.outlined:
                 angle = straight_angle(camera, rectangle)
                 each = zip(surfaces, fallen, facing, strict=True)
-                outline = crossings([contour(s.posed, f, front, angle) for s, f, front in each], camera.size)
+                edges = [contour(s.posed, f, front, angle) for s, f, front in each]
+                outline = crossings([part for body in edges for part in body], camera.size)
         labels, depth = (target.read(name, asked.lit) for name in ("label", "depth"))
         rgba = target.read("rgba", True) if asked.lit else None
         alone = None

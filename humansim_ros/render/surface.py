@@ -199,28 +199,29 @@ def straight_angle(camera: Camera, rectangle: Rectangle) -> float:
     return LensView(camera).straight_angle(rectangle.low, rectangle.high) if camera.distorted else 0.0
 
 
-def contour(posed: Posed, fallen: Fallen, facing: NDArray[np.bool_], angle: float) -> ImageEdges:
+def contour(posed: Posed, fallen: Fallen, facing: NDArray[np.bool_], angle: float) -> list[ImageEdges]:
     """The edges of a body that all outlines lie on. ``fallen``: where its vertices do; ``facing``: (N,) its
     triangles that face the camera; ``angle``: :func:`straight_angle`.
     """
     starts, ends = posed.contour(facing)
-    camera = fallen.camera
-    if not camera.distorted and not fallen.near:
-        first, second = (
-            [*(x.take(which) for x in fallen.pixels), fallen.depth.take(which)] for which in (starts, ends)
-        )
-        return ImageEdges((first[0], first[1], first[2]), (second[0], second[1], second[2]))
-    edges = posed.vertices.take(starts, axis=0), posed.vertices.take(ends, axis=0)
-    return ImageEdges.of(camera, *(_straightened(*edges, camera, angle) if camera.distorted else edges))
-
-
-def _straightened(starts: Floats, ends: Floats, camera: Camera, angle: float) -> tuple[Floats, Floats]:
-    """Edges (N, 3), those that are seen under more than an angle cut as a lens bends them."""
-    long = _wide(starts, ends, camera, angle)
-    if not long.any():
-        return starts, ends
-    first, second = LensView(camera).divide_edges(starts[long], ends[long])
-    return np.concatenate([starts[~long], first]), np.concatenate([ends[~long], second])
+    camera, vertices = fallen.camera, posed.vertices
+    bent = np.zeros(len(starts), bool)
+    if camera.distorted:
+        bent = _wide(vertices.take(starts, axis=0), vertices.take(ends, axis=0), camera, angle)
+    found = []
+    if bent.any():
+        pieces = LensView(camera).divide_edges(vertices[starts[bent]], vertices[ends[bent]])
+        found.append(ImageEdges.of(camera, *pieces))
+        starts, ends = starts[~bent], ends[~bent]
+    if fallen.near:
+        found.append(ImageEdges.of(camera, vertices.take(starts, axis=0), vertices.take(ends, axis=0)))
+        return found
+    (x, y), z = fallen.pixels, fallen.depth
+    if camera.distorted:
+        seen = np.isfinite(x.take(starts)) & np.isfinite(x.take(ends))
+        starts, ends = starts[seen], ends[seen]
+    found.append(ImageEdges(*((x.take(which), y.take(which), z.take(which)) for which in (starts, ends))))
+    return found
 
 
 def _wide(starts: Floats, ends: Floats, camera: Camera, angle: float) -> NDArray[np.bool_]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 import trimesh
@@ -13,6 +14,7 @@ from render_scenes import EVEN, along_x, body, box, inner, quad, renderer_or_ski
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, GLRenderer, Lighting, View
+from humansim_ros.render.light import Photograph
 from humansim_ros.scene import Scene
 
 SHARP = Lighting(shadows="soft", sun_size_deg=0.2)
@@ -205,3 +207,34 @@ def test_a_moving_camera_sees_the_same_shadows(scene: Scene, people: list[Body])
     kept, passing = (renderer.render(people, camera, ASKED, passing=moves) for moves in (False, True))
     renderer.close()
     assert (np.abs(kept.shadow.astype(int) - passing.shadow) > 8).mean() < 0.002
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_a_photograph_takes_the_shadows_that_a_floor_there_would(people: list[Body], bent: bool) -> None:
+    camera = Camera.look_at((3, 3, 2), (0, 0, 0.6), (320, 240), 1.2)
+    if bent:
+        camera = replace(camera, distortion=(-0.2, 0.04))
+    photo = Photograph(np.full((240, 320, 3), 200, np.uint8))
+    table = box((1.0, -1.2, 0.4), 0.3)
+    for light in (Lighting(ambient_occlusion=False), replace(SHARP, ambient_occlusion=False)):
+        seen = {}
+        for catches, static in ((True, [table]), (False, [table, FLOOR])):
+            renderer = renderer_or_skip(static, replace(light, shadow_catcher=catches))
+            backdrop = photo if catches else None
+            seen[catches] = renderer.render(people, camera, (*ASKED, "alpha"), backdrop=backdrop)
+            if catches:
+                alone = renderer.render([], camera, ASKED, backdrop=photo)
+            renderer.close()
+        caught, real = seen[True], seen[False]
+        ground = np.isinf(caught.depth) & np.isfinite(real.depth)
+        assert ground.sum() > 20000
+        np.testing.assert_array_equal(caught.instance, real.instance)
+        # as dark, and as much darker than where the sun shines, up to the places of blurred edges
+        off = np.abs(caught.shadow.astype(int) - real.shadow)[ground]
+        assert (off > 30).mean() < 0.004 and (caught.shadow[ground] > 20).sum() > 300
+        inner_ground = cv2.erode(ground.astype(np.uint8), np.ones((5, 5))) > 0
+        bright = np.percentile(real.rgb[inner_ground], 95, axis=0)
+        ratio = real.rgb[inner_ground] / bright - caught.rgb[inner_ground] / 200
+        assert (np.abs(ratio) > 0.03).mean() < 0.01
+        still = np.isinf(alone.depth) & (alone.rgb.max(axis=-1) < 190)
+        assert (still.sum() > 100) == (light.shadows == "soft") and not alone.shadow.any()

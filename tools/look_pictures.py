@@ -19,6 +19,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))
 
+from humansim_ros.body.finish import normals_of_heights  # noqa: E402
 from humansim_ros.camera import Camera  # noqa: E402
 from humansim_ros.render import GLRenderer, Lighting  # noqa: E402
 from humansim_ros.scene import Scene, Simulation  # noqa: E402
@@ -36,9 +37,9 @@ SCENES = {
     "shadeless": "light: {mode: shadeless}",
     "contact": "",
     "soft": "light: {shadows: soft}",
-    "world": f"room: null\nlight: {{shadows: soft, tone_mapping: filmic, exposure: 0.6, {LOW_SUN}}}\n"
+    "world": f"room: null\nlight: {{shadows: soft, tone_mapping: filmic, exposure: 0.3, {LOW_SUN}}}\n"
     "world: {meshes: [court.glb], environment: sky.hdr}",
-    "photo": "room: null\nworld: {background: photo.jpg}\nlight: {shadows: soft}",
+    "photo": "room: null\nworld: {background: photo.jpg, shadow_catcher: true}\nlight: {shadows: soft}",
     "hdri": "room: null\nlight: {shadows: soft, sun: [0.5, -0.8, 0.75]}\n"
     "world: {environment: sky.hdr, meshes: [{file: ground.obj}]}",
     **{
@@ -50,7 +51,9 @@ SCENES = {
 
 
 def court() -> bytes:
-    """A courtyard as .glb: paving, a wall with arches on two sides, a few pillars; y is up."""
+    """A courtyard as .glb, y up: paving, pillars and walls of rough stone, a ball of bronze, a pane of glass, a
+    lantern.
+    """
     rng = np.random.default_rng(3)
     stone, paving = (
         np.clip(
@@ -64,9 +67,9 @@ def court() -> bytes:
     for image, step in ((stone, 64), (paving, 128)):
         for line in range(4):
             image[line::step] = image[:, line::step] = (112, 104, 94)
-    quads: dict[int, list] = {0: [], 1: []}
+    quads: dict[int, list] = {0: [], 1: [], 2: [], 3: [], 4: []}
 
-    def box(low, high):
+    def box(low, high, material=1):
         for axis in range(3):
             for sign in (0, 1):
                 u, v = [(1, 2), (2, 0), (0, 1)][axis]
@@ -76,7 +79,15 @@ def court() -> bytes:
                     point[axis] = (low, high)[sign][axis]
                     point[u], point[v] = (low, high)[a][u], (low, high)[b][v]
                     corners.append((point, (point[u], point[v])))
-                quads[1].append(corners)
+                quads[material].append(corners)
+
+    def ball(middle, radius, material):
+        across, up = np.meshgrid(np.linspace(0, 2 * np.pi, 49), np.linspace(-np.pi / 2, np.pi / 2, 25))
+        around = np.stack([np.cos(up) * np.sin(across), np.sin(up), np.cos(up) * np.cos(across)], axis=-1)
+        for i in range(24):
+            for j in range(48):
+                at = [(i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j)]
+                quads[material].append([(middle + radius * around[a], (b / 12, a / 12)) for a, b in at])
 
     quads[0].append([((x, 0.0, z), (x, z)) for x, z in ((-8, 8), (8, 8), (8, -8), (-8, -8))])
     for i in range(-3, 4):
@@ -88,7 +99,10 @@ def court() -> bytes:
     box((-4.0, 2.4, -3.4), (-3.4, 3.1, 3.6))
     box((-4.6, 0.0, -4.6), (3.6, 3.1, -4.5))
     box((-4.6, 0.0, -4.6), (-4.5, 3.1, 3.6))
-    box((-2.0, 0.0, -2.4), (-1.0, 0.5, -2.0))
+    box((-1.75, 0.0, -0.35), (-1.15, 0.4, 0.25))
+    ball(np.array([-1.45, 0.7, -0.05]), 0.3, 2)
+    box((-2.2, 0.0, 0.2), (-2.17, 1.7, 1.6), 3)
+    box((-3.3, 1.9, -0.55), (-3.1, 2.15, -0.35), 4)
 
     blob, views, accessors, primitives = b"", [], [], []
 
@@ -118,16 +132,32 @@ def court() -> bytes:
                 "material": material,
             }
         )
+    rough = normals_of_heights(cv2.GaussianBlur(stone, (0, 0), 1.2)[..., 0], 18)
     images = [
         {"bufferView": add(cv2.imencode(".png", image[..., ::-1])[1].tobytes()), "mimeType": "image/png"}
-        for image in (paving, stone)
+        for image in (paving, stone, rough)
+    ]
+    matt = {"metallicFactor": 0, "roughnessFactor": 0.8}
+    materials = [
+        {"pbrMetallicRoughness": {**matt, "baseColorTexture": {"index": 0}}},
+        {"pbrMetallicRoughness": {**matt, "baseColorTexture": {"index": 1}}, "normalTexture": {"index": 2}},
+        {"pbrMetallicRoughness": {"baseColorFactor": [0.75, 0.48, 0.22, 1], "roughnessFactor": 0.3}},
+        {
+            "pbrMetallicRoughness": {
+                "baseColorFactor": [0.45, 0.62, 0.6, 0.35],
+                "metallicFactor": 0,
+                "roughnessFactor": 0.1,
+            },
+            "alphaMode": "BLEND",
+        },
+        {"emissiveFactor": [0.7, 0.45, 0.12], "pbrMetallicRoughness": matt},
     ]
     document = {
         "asset": {"version": "2.0"},
         "nodes": [{"mesh": 0}],
         "meshes": [{"primitives": primitives}],
-        "materials": [{"pbrMetallicRoughness": {"baseColorTexture": {"index": n}}} for n in (0, 1)],
-        "textures": [{"source": 0}, {"source": 1}],
+        "materials": materials,
+        "textures": [{"source": n} for n in range(len(images))],
         "images": images,
         "accessors": accessors,
         "bufferViews": views,
@@ -171,12 +201,12 @@ def sky(width: int = 4096) -> np.ndarray:
 
 
 def photograph() -> np.ndarray:
-    """A hall, out of focus, as a camera on a wall would see it without anybody in it."""
+    """A hall, a little out of focus, as the scene's camera would see it without anybody in it."""
     renderer = GLRenderer(furnished_room((9.0, 8.0, 3.2), seed=8), Lighting(shadows="soft"))
-    camera = Camera.look_at((4.0, 3.4, 2.1), (-1.2, -0.8, 0.7), (1280, 853), np.radians(66))
+    camera = Camera.look_at((3.0, 2.3, 1.9), (-0.2, 0.2, 0.75), (1280, 960), np.radians(58))
     rgb = renderer.render([], camera, ("rgb",)).rgb
     renderer.close()
-    return cv2.GaussianBlur(rgb, (0, 0), 2.2)
+    return cv2.GaussianBlur(rgb, (0, 0), 1.5)
 
 
 def take(folder: Path, name: str) -> np.ndarray:

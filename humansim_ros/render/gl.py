@@ -353,7 +353,8 @@ class GLRenderer:
     @cached_property
     def _contact(self) -> bool:
         """Whether bodies leave shadows under them: there is a floor that these can lie on."""
-        return self._lighting.shadow == "contact" and self._still.has_floor
+        light = self._lighting
+        return light.shadow == "contact" and (self._still.has_floor or light.shadow_catcher)
 
     def _layer(self, camera: Camera, passing: bool, backdrop: Backdrop | None) -> StaticLayer:
         if passing:
@@ -370,12 +371,20 @@ class GLRenderer:
 
     def _draw_static(self, camera: Camera, passing: bool, backdrop: Backdrop | None) -> StaticLayer:
         behind = None if backdrop is None else backdrop.picture(camera)
+        shaded, left = behind, None
+        if self._sunlight is not None and self._lighting.shadow_catcher:
+            if behind is None:
+                behind = np.full((*camera.size[::-1], 3), self._lighting.background, np.uint8)
+            left = self._sunlight.on_ground(camera)
+            behind, shaded = (self._on_ground(behind, camera, sun) for sun in (left, np.zeros_like(left)))
         target = Target(self._ctx, camera.size)
         # the same window, only finer: clip coordinates do not know how many pixels there are
         fine = self._fine(camera.size, passing, behind is not None)
         with self._still.seen_by(camera, VISIBLE if passing else TOLERANCE) as still, ExitStack() as stack:
 
-            def look(programs: Sequence[moderngl.Program]) -> NDArray[np.uint8]:
+            def look(
+                programs: Sequence[moderngl.Program], behind: NDArray[np.uint8] | None
+            ) -> NDArray[np.uint8]:
                 colour = self._lighting.background if behind is None else (0, 0, 0)
                 self._draw_still(fine, still, programs[0], camera, colour)
                 if len(programs) == 1:
@@ -397,14 +406,25 @@ class GLRenderer:
                 for program in (*self._lit_still, *self._sunless):
                     set_uniform(program, "seen", UNIT)
                     set_uniform(program, "coarser", (seen.width / fine.size[0], seen.height / fine.size[1]))
-            sunny = look(self._lit_still)
-            sunless = None if self._sunlight is None else look(self._sunless)
+            sunny = look(self._lit_still, behind)
+            sunless = None if self._sunlight is None else look(self._sunless, shaded)
             self._draw_still(target, still, self._true_still, camera)
         if self._sunlight is None:
             sunny[..., 3] = 255
+        if left is not None:
+            empty = target.read("depth", lit=True) == 0
+            sunny[..., 3][empty] = np.rint(255 * left[empty]).astype(np.uint8)
         target.take(sunny)
         shades = None if sunless is None else Shades(self._ctx, camera, sunless[..., :3])
         return StaticLayer(target, backdrop, shades)
+
+    def _on_ground(
+        self, behind: NDArray[np.uint8], camera: Camera, left: NDArray[np.floating]
+    ) -> NDArray[np.uint8]:
+        """A picture (H, W, 3) of sunny ground z = 0 where so much of the sun (H, W) is left."""
+        down = (ray_grid(camera) @ camera.R)[..., 2] * camera.center[2] < 0
+        share = np.where(down[..., None], np.sqrt(self._lighting.on_ground(left)), 1.0)
+        return np.rint(behind * share).astype(np.uint8)
 
     @property
     def _true_still(self) -> moderngl.Program:

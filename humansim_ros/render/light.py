@@ -28,7 +28,8 @@ class Lighting:
     the blurrier the larger the sun appears, ``sun_size_deg``. ``tone_mapping``: filmic lets bright colours
     fade to white. ``exposure``: in stops, one is twice as bright. ``materials``: skin and cloth of people
     answer light as such; all is matt otherwise. ``ambient_occlusion``: light from around does not reach where
-    something stands before it. ``background``: sRGB, where nothing is.
+    something stands before it. ``shadow_catcher``: the ground z = 0 takes shadows where nothing is, as if
+    the picture behind it showed it. ``background``: sRGB, where nothing is.
     """
 
     sun: Color = (0.45, 0.3, 0.84)
@@ -44,6 +45,7 @@ class Lighting:
     exposure: float = 0.0
     materials: bool = True
     ambient_occlusion: bool = True
+    shadow_catcher: bool = False
 
     @property
     def shadow(self) -> Literal["contact", "soft", "none"]:
@@ -54,6 +56,12 @@ class Lighting:
     def direction(self) -> Array:
         """(3,) unit vector to the sun."""
         return np.array(self.sun) / np.linalg.norm(self.sun)
+
+    def on_ground(self, left: NDArray[np.floating]) -> Array:
+        """(..., 3) light of level ground that ``left`` (...) of the sun reaches, as a share of all of it."""
+        sun = np.array(self.sun_color) * max(float(self.direction[2]), 0.0)
+        sky = np.array(self.sky_color)
+        return np.asarray((sky + sun * np.asarray(left)[..., None]) / np.maximum(sky + sun, 1e-9))
 
     def brightness(self, color: Color) -> Color:
         """Linear light of that colour that reaches a picture."""

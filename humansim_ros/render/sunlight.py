@@ -15,8 +15,11 @@ from humansim_ros.render.renderer import Body
 from humansim_ros.render.still import StillScene
 from humansim_ros.render.sun import MOVING_SIDE, STILL_SIDE, SunMap, encloses, shadow_ends, spread
 from humansim_ros.render.surface import Surface
-from humansim_ros.render.target import StaticLayer, Target
+from humansim_ros.render.target import Shades, StaticLayer, Target
 from humansim_ros.render.uniforms import columns, set_uniform
+
+#: Metres that shadows go at most on ground that is not drawn.
+_FARTHEST = 30.0
 
 
 class Sunlight:
@@ -30,13 +33,21 @@ class Sunlight:
         self._cast = ctx.program(
             vertex_shader=shader(["whole.vert"]), fragment_shader=shader(["sunshine.glsl", "cast.frag"])
         )
+        self._caught = ctx.program(
+            vertex_shader=shader(["whole.vert"]), fragment_shader=shader(["sunshine.glsl", "caught.frag"])
+        )
+        set_uniform(self._caught, "rays", 8)
+        set_uniform(self._cast, "ground", lighting.shadow_catcher)
+        corners = [(ctx.buffer(unit_square(1)), "2f", "corner")]
+        self._whole_ground = ctx.vertex_array(self._caught, corners)
         self._whole = ctx.vertex_array(self._cast, [(ctx.buffer(unit_square(1)), "2f", "corner")])
         for unit, name in enumerate(("sunny", "sunless", "depths", "rays"), 5):
             set_uniform(self._cast, name, unit)
-        self._programs = (*lit, self._cast)
+        self._programs = (*lit, self._cast, self._caught)
         for program in self._programs:
             set_uniform(program, "spread", spread(lighting))
         self._still, self._moving = SunMap(ctx, "still", STILL_SIDE), SunMap(ctx, "moving", MOVING_SIDE)
+        self._lowest, self._farthest = self._reach()
         self._bodies: list[Body] = []
         self._ends: list[Floats] = []
         if self._box is not None:
@@ -49,6 +60,13 @@ class Sunlight:
         for program in self._programs:
             self._still.use(program)
             self._moving.use(program)
+
+    def _reach(self) -> tuple[float | None, float]:
+        """The height of the lowest that shadows fall on, and how far they may; None if there is nothing."""
+        if self._box is None:
+            return (0.0, _FARTHEST) if self._lighting.shadow_catcher else (None, 0.0)
+        lowest, size = float(self._box[2].min()), float(np.linalg.norm(np.ptp(self._box, axis=1)))
+        return (min(lowest, 0.0), max(size, _FARTHEST)) if self._lighting.shadow_catcher else (lowest, size)
 
     def shine_on(self, surfaces: Sequence[Surface]) -> list[Floats]:
         """Look at surfaces from the sun, once for all cameras: where their shadows end, (3, N) each."""
@@ -67,10 +85,25 @@ class Sunlight:
         for program in self._programs:
             self._moving.use(program)
         self._bodies, self._ends = bodies, []
-        if self._box is not None:
-            lowest, farthest = float(self._box[2].min()), float(np.linalg.norm(np.ptp(self._box, axis=1)))
+        if self._lowest is not None:
+            lowest, farthest = self._lowest, self._farthest
             self._ends = [shadow_ends(points, self._lighting, lowest, farthest) for points in clouds]
         return self._ends
+
+    def on_ground(self, camera: Camera) -> Floats:
+        """(H, W) how much of the sun the still scene leaves to the ground z = 0 that each pixel would see."""
+        shades = Shades(self._ctx, camera, np.zeros((*camera.size[::-1], 3), np.uint8))
+        picture = self._ctx.texture(camera.size, 1, dtype="f4")
+        framebuffer = self._ctx.framebuffer([picture])
+        framebuffer.use()
+        self._ctx.enable_only(moderngl.NOTHING)
+        shades.rays.use(8)
+        set_uniform(self._caught, "world", columns(camera.world_from_optical))
+        self._whole_ground.render(moderngl.TRIANGLES)
+        left = np.frombuffer(framebuffer.read(components=1, dtype="f4"), np.float32)
+        for thing in (framebuffer, picture, shades):
+            thing.release()
+        return left.reshape(camera.size[::-1])
 
     def shade(self, layer: StaticLayer, target: Target, camera: Camera) -> None:
         """Let the shadows of what moves fall on a picture of the still scene."""

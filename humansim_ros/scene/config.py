@@ -393,6 +393,9 @@ class WorldConfig(_Section):
     environment: str | None = Field(
         default=None, description="a panorama (.hdr) endlessly far away; its light is sky and ground light"
     )
+    shadow_catcher: bool = Field(
+        default=False, description="the ground z = 0 takes shadows where nothing is but a picture behind it"
+    )
     environment_yaw_deg: Bounded = Field(
         default=0.0, description="turns the panorama to the left; at 0 its middle is along +x"
     )

@@ -43,7 +43,7 @@ class World:
             meshes += _placed(mesh, scene, f"world.meshes.{number}")
         random = config.randomise is not None and config.randomise.light
         light = random_light(config.light, config.randomise) if random and config.randomise else config.light
-        lighting = _lighting(light)
+        lighting = replace(_lighting(light), shadow_catcher=world.shadow_catcher)
         backdrop: Backdrop | None = None
         if world.environment is not None:
             radiance = radiance_of(world.environment, scene, "world.environment")

@@ -29,6 +29,11 @@ cameras:
   corner: {size: [560, 420], position: [3.0, 2.3, 1.9], look_at: [-0.2, 0.2, 0.75], fov_deg: 58}
 light: {shadows: soft%s}
 """
+#: What is compared; the last is shown.
+LOOKS = {
+    "matt, without ambient occlusion": ", materials: false, ambient_occlusion: false",
+    "as by default": "",
+}
 
 
 def ours(folder: Path, light: str = "") -> tuple[np.ndarray, np.ndarray]:
@@ -201,12 +206,14 @@ def main() -> None:
 
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        left = ours(folder)[..., ::-1]
+        seen = {what: ours(folder, light) for what, light in LOOKS.items()}
         files = [str(folder / "scene.npz"), str(folder / "blender.png")]
         subprocess.run([arguments.blender, __file__, "--render", *files], check=True)
         right = cv2.imread(files[1])
-    difference = np.abs(left.astype(int) - right).mean()
-    print(f"mean difference {difference:.1f} of 255")
+    for what, (rgb, people) in seen.items():
+        left = rgb[..., ::-1]
+        off = np.abs(left.astype(int) - right).mean(axis=2)
+        print(f"{what}: mean difference {off.mean():.1f} of 255, people {off[people].mean():.1f}")
     cv2.imwrite(str(arguments.output), np.hstack([left, right]), [cv2.IMWRITE_JPEG_QUALITY, 88])
 
 

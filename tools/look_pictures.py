@@ -51,9 +51,7 @@ SCENES = {
 
 
 def court() -> bytes:
-    """A courtyard as .glb, y up: paving, pillars and walls of rough stone, a ball of bronze, a pane of glass, a
-    lantern.
-    """
+    """A courtyard as .glb, y up: paving, pillars of rough stone, a ball of bronze, glass, a lantern."""
     rng = np.random.default_rng(3)
     stone, paving = (
         np.clip(

@@ -271,6 +271,27 @@ def test_markers_come_when_somebody_asks(flow: Any) -> None:
     assert {marker.header.frame_id for marker in array.markers} == {"map"}
 
 
+def test_diagnostics_tell_when_frames_come_and_leave(flow: Any) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    said: dict[str, dict[str, float]] = {}
+
+    def keep(message: DiagnosticArray) -> None:
+        for status in message.status:
+            said[status.name] = {item.key: float(item.value) for item in status.values}
+
+    subscription = flow.client.node.create_subscription(DiagnosticArray, "/diagnostics", keep, 20)
+    names = {node.get_fully_qualified_name() for node in flow.nodes}
+    assert flow.client.spin_until(
+        lambda: names <= set(said) and all(said[name].get("frames") for name in names)
+    )
+    flow.client.node.destroy_subscription(subscription)
+    for name in names:
+        assert said[name]["lateness_median_ms"] <= said[name]["lateness_ms"]
+    for name in (node.get_fully_qualified_name() for node in flow.nodes if isinstance(node, CameraNode)):
+        assert 0 <= said[name]["arrival_median_ms"] <= said[name]["lateness_median_ms"]
+
+
 def test_publishers_are_as_rep_2003_has_them(flow: Any, late: Any) -> None:
     from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 

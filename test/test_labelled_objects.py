@@ -19,7 +19,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.pictures import color_labels
-from humansim_ros.render import ALL_CHANNELS, Body, RendererName
+from humansim_ros.render import ALL_CHANNELS, CHANNELS, Body, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
 from humansim_ros.truth.joints import NOTHING, OCCLUDED, PERSON, SELF, THING
@@ -151,8 +151,10 @@ def test_masks_of_objects_are_where_rays_meet_them(
     view = frame.views["front"]
     if renderer == "pyrender":
         other = renderer_or_skip(scene.static_meshes, name="pyrender", standing=scene.standing_bodies)
-        view = other.render(frame.bodies, scene.cameras["front"])
+        masks = view.amodal
+        view = other.render(frame.bodies, scene.cameras["front"], (*CHANNELS, "amodal"))
         other.close()
+        assert all(np.count_nonzero(view.amodal[n] != mask) <= 8 for n, mask in masks.items())
     bodies = expected_bodies(simulation, frame)
     assert_agrees(view, bodies, [], scene.cameras["front"])
     assert set(np.unique(view.instance)) == {0, *NUMBERS.values()}

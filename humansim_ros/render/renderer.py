@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
@@ -136,7 +137,7 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
     if unknown:
         known = ", ".join(ALL_CHANNELS)
         raise RenderError(f"no such channel: {', '.join(sorted(unknown))}; there are {known}")
-    labels = [body.instance for body in bodies if body.instance]
+    labels = Counter(body.instance for body in bodies if body.instance)
     things = [id(body.mesh) for body in bodies if not body.instance]
     if len(set(things)) < len(things):
         raise RenderError("two bodies without a label cannot share a mesh")
@@ -149,7 +150,7 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
             raise RenderError(f"a vertex of body {body.instance} is not finite (NaN or infinity)")
         if not 0 <= body.instance < 65536:
             raise RenderError(f"an instance label must be 0 to 65535, not {body.instance}")
-        if labels.count(body.instance) > 1:
+        if labels[body.instance] > 1:
             raise RenderError(f"two bodies cannot be told apart: instance label {body.instance} twice")
         if body.parts.shape != (len(body.mesh.triangles),):
             n = len(body.mesh.triangles)

@@ -34,7 +34,6 @@ _ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
     "rgb8": (np.uint8, (3,)),
     "32FC1": (np.float32, ()),
     "mono8": (np.uint8, ()),
-    "mono16": (np.uint16, ()),
 }
 
 
@@ -128,7 +127,7 @@ class _Listener:
             topics.append((f"/humans/{human}/vertices", PointCloud2))
         self._sheet_topics = []
         for camera in scene.cameras:
-            images = [f"/{camera}/{kind}" for kind in _shown(scene)]
+            images = [f"/{camera}/{kind}" for kind in ("image_raw", "depth/image", "part/image")]
             topics += [(topic, Image) for topic in images]
             topics += [(f"/{camera}/camera_info", CameraInfo), (f"/{camera}/joints", PointCloud2)]
             self._sheet_topics += [*images, f"/{camera}/joints"]
@@ -220,9 +219,9 @@ def _contact_sheet(scene: Scene, listener: _Listener) -> pictures.Image:
         )
     rows = []
     for camera in scene.cameras:
-        image, depth, *labels = (
+        image, depth, part = (
             listener.image(topic, listener.sheet[topic])
-            for topic in (f"/{camera}/{kind}" for kind in _shown(scene))
+            for topic in (f"/{camera}/{kind}" for kind in ("image_raw", "depth/image", "part/image"))
         )
         joints = f"/{camera}/joints"
         points = read_joint_view(listener.message(joints, listener.sheet[joints]))
@@ -235,16 +234,16 @@ def _contact_sheet(scene: Scene, listener: _Listener) -> pictures.Image:
             parents += [skeleton.names[bone] for bone in skeleton.leaves]
             pixels = np.stack([own["u"], own["v"]], axis=-1)
             drawn = pictures.draw_joints(drawn, pixels, own["visible"], names, parents)
-        rows.append([image, drawn, pictures.color_depth(depth), *map(pictures.color_labels, labels)])
-    first, *others = _shown(scene)
-    titles = (first, f"{first} with joints", *others)
+        rows.append(
+            [
+                image,
+                drawn,
+                pictures.color_depth(depth),
+                pictures.color_labels(part),
+            ]
+        )
+    titles = ("image_raw", "image_raw with joints", "depth/image", "part/image")
     return pictures.contact_sheet(rows, titles, list(scene.cameras))
-
-
-def _shown(scene: Scene) -> list[str]:
-    """What the sheet shows of each camera; of objects with labels, those too."""
-    shown = ["image_raw", "depth/image", "part/image"]
-    return [*shown, "instance/image"] if scene.object_labels else shown
 
 
 def _video(scene: Scene, listener: _Listener) -> Iterator[pictures.Image]:

@@ -14,6 +14,7 @@ import yaml
 
 from humansim_ros import __version__, cli_camera_rig, cli_human, cli_motion
 from humansim_ros.errors import HumansimError, tell_warnings
+from humansim_ros.files import expanded, is_there
 from humansim_ros.resources import resource_path
 
 app = typer.Typer(
@@ -157,14 +158,14 @@ def _made_absolute(value: Any, base: Path) -> Any:
         return value
     there = base / value.split("#")[0]
     # a folder may have the name of something built in
-    known = there.is_file() or (there.is_dir() and "/" in value) or "{name}" in value
+    known = (is_there(there) and (there.is_file() or "/" in value)) or "{name}" in value
     return str(base / value) if known else value
 
 
 def _absolute(name: str) -> str:
     """A path made absolute; a bare name is left for the built-ins."""
-    path = Path(name).expanduser()
-    return str(path.resolve()) if path.suffix or path.exists() else name
+    path = expanded(name)
+    return str(path.resolve()) if path.suffix or is_there(path) else name
 
 
 def _describe(scene: Any) -> None:

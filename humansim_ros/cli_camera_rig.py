@@ -182,9 +182,9 @@ def plot(
 
 
 def _make_folder(folder: Path) -> None:
-    if folder.exists() and not folder.is_dir():
-        raise HumansimError("this is a file: name a folder", path=folder)
     with written(folder):
+        if folder.exists() and not folder.is_dir():
+            raise HumansimError("this is a file: name a folder", path=folder)
         folder.mkdir(parents=True, exist_ok=True)
 
 

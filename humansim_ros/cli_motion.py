@@ -14,6 +14,7 @@ import yaml
 
 from humansim_ros.cli_output import check_folder, progress_bar, say, to_json, warn, written
 from humansim_ros.errors import HumansimError, MotionError
+from humansim_ros.files import expanded
 from humansim_ros.resources import resource_path
 
 if TYPE_CHECKING:
@@ -271,8 +272,8 @@ def built_in_motions() -> dict[str, dict[str, Any]]:
 
 def _path(file: str) -> Path:
     """A built-in motion by name, or a path."""
-    built_in = resource_path("assets/motions") / f"{file}.bvh"
-    return built_in if built_in.is_file() else Path(file).expanduser()
+    built_in = {path.stem: path for path in resource_path("assets/motions").glob("*.bvh")}
+    return built_in.get(file) or expanded(file)
 
 
 def _read(file: str, positions: Positions) -> Motion:

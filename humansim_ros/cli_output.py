@@ -16,10 +16,11 @@ from humansim_ros.errors import HumansimError
 
 def check_folder(output: Path) -> None:
     """Said before the work, not after it."""
-    if output.is_dir():
-        raise HumansimError("this is a folder: name a file in it", path=output)
-    if not output.resolve().parent.is_dir():
-        raise HumansimError("there is no such folder to write to", path=output)
+    with written(output):
+        if output.is_dir():
+            raise HumansimError("this is a folder: name a file in it", path=output)
+        if not output.resolve().parent.is_dir():
+            raise HumansimError("there is no such folder to write to", path=output)
 
 
 @contextmanager

@@ -14,6 +14,8 @@ from humansim_ros.errors import HumansimError
 @contextmanager
 def explained(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Iterator[None]:
     """Turns what opening and reading a file raises into ``error``, which names the path and the reason."""
+    if "\0" in os.fspath(path):
+        raise error("no file can have this name: there is a NUL in it", path=path)
     try:
         yield
     except FileNotFoundError:
@@ -50,6 +52,28 @@ def read_text(
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+def expanded(name: str) -> Path:
+    """A path as people write it; ``~`` is their home."""
+    try:
+        return Path(name).expanduser()
+    except RuntimeError:  # of somebody who is not known here
+        return Path(name)
+
+
+def is_there(path: Path) -> bool:
+    """Whether a file or folder is there; also of names that none can have."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # too long for the file system, or a NUL in it
+        return False
+
+
+def beside(file: str | os.PathLike[str], name: str) -> tuple[Path, bool]:
+    """A file or folder that another file names from its own folder, and whether it is there."""
+    path = Path(file).resolve().parent / expanded(name)
+    return path, is_there(path)
 
 
 def inside(folder: Path, name: str) -> Path | None:

@@ -39,6 +39,15 @@ def shown(*arguments: str | Path) -> dict[str, Any]:
     return dict(json.loads(result.stdout))
 
 
+@pytest.mark.parametrize(
+    "words", [["show", "{}"], ["convert", "{}", "-o", "a.yaml"], ["rig", "--ring", "3", "-o", "{}"]]
+)
+def test_a_name_that_no_file_can_have_is_refused(words: list[str]) -> None:
+    result = humansim(*(word.format("x" * 300) for word in words))
+    assert result.returncode == 2
+    assert "File name too long" in result.stderr
+
+
 def test_show_says_all_there_is_of_a_camera(shared_data: Path) -> None:
     path = shared_data / "calib" / "usb_cam_camera_info.yaml"
     facts = shown(path)

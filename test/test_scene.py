@@ -308,6 +308,21 @@ WRONG: list[tuple[str, str, int | None, str | None, str]] = [
 ]
 
 
+@pytest.mark.parametrize("name", ["x" * 5000, "a\\0b", "~nobody_of_this_name/x"])
+def test_names_that_no_file_can_have_are_refused(write: Write, name: str) -> None:
+    quoted = f'"{name}"'
+    for text in (
+        GOOD.replace("adult_man", quoted),
+        GOOD.replace("file: walk", f"file: {quoted}"),
+        GOOD.replace("file: walk", f"joint_names: {quoted}"),
+        GOOD.replace("room: null", f"room: null\nobjects: {{a: {{mesh: {quoted}}}}}"),
+        GOOD.replace("room: null", f"room: null\nworld: {{meshes: [{quoted}], background: {quoted}}}"),
+        GOOD.replace("position: [3, 0, 1.5]\n    look_at: [0, 0, 1]", f"trajectory: {quoted}"),
+    ):
+        with pytest.raises(HumansimError):
+            Scene.load(write(text))
+
+
 @pytest.mark.parametrize(
     ("text", "line", "key", "message"), [w[1:] for w in WRONG], ids=[w[0] for w in WRONG]
 )

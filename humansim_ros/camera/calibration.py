@@ -24,7 +24,7 @@ from humansim_ros.camera.formats.colmap import MOST_BYTES as MOST_BYTES_COLMAP
 from humansim_ros.camera.formats.containers import container_of, parsed
 from humansim_ros.camera.sizes import Size, image_size, likely_size
 from humansim_ros.errors import CameraError, HumansimWarning, ResourceError, warn_of
-from humansim_ros.files import atomic_path, read_text
+from humansim_ros.files import atomic_path, is_there, read_text
 from humansim_ros.resources import resource_root
 from humansim_ros.rotations import Array
 
@@ -106,9 +106,9 @@ def load_calibration(
         message = f"the image size must be 1 to {MAX_SIZE} pixels, not {size[0]}x{size[1]}"
         raise CameraError(message, key="size")
     file = resolve_url(path) if isinstance(path, str) and "://" in path else Path(path)
-    if file.is_dir() and (file / CAMERAS).is_file():
+    if is_there(file) and file.is_dir() and (file / CAMERAS).is_file():
         file = file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
-    if file.is_dir():
+    if is_there(file) and file.is_dir():
         return _folder(file, size, unit, up)
     most = MOST_BYTES_COLMAP if file.name in (CAMERAS, IMAGES) else _MOST_BYTES
     text = read_text(file, CameraError, "calibration", most)

@@ -17,7 +17,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
-from humansim_ros.files import atomic_path
+from humansim_ros.files import atomic_path, is_there
 from humansim_ros.motion.bvh import Motion
 from humansim_ros.resources import resource_path
 from humansim_ros.yaml_files import invalid, read_yaml
@@ -349,7 +349,7 @@ def _candidates(
     if table is None:
         return tables
     named = [t for t in tables if t.name == os.fspath(table)]
-    if not named and not Path(table).is_file():
+    if not named and not is_there(Path(table)):
         known = ", ".join(t.name for t in tables)
         raise MotionError(
             f"no joint table {os.fspath(table)!r}: give a YAML file or one of {known}", path=path

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
@@ -96,8 +95,3 @@ def read_description(path: str | os.PathLike[str]) -> MeshHuman | ParametricHuma
     except ValidationError as reason:
         known = f"; known here: {', '.join(model.model_fields)}"
         raise invalid(reason, tree, MeshError, path, lambda keys: known if len(keys) == 1 else "") from None
-
-
-def beside(path: str | os.PathLike[str], name: str) -> Path:
-    """A file that a description names, from the folder of the description."""
-    return Path(path).resolve().parent / Path(name).expanduser()

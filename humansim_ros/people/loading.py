@@ -20,7 +20,7 @@ from humansim_ros.body.obj import material_files, read_mesh
 from humansim_ros.body.rigging import dominant_bones, rig
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
-from humansim_ros.files import read_bytes
+from humansim_ros.files import beside, read_bytes
 from humansim_ros.gltf import Gltf
 from humansim_ros.images import decode_image, encode_image
 from humansim_ros.makehuman import build, find_data
@@ -30,7 +30,6 @@ from humansim_ros.people.description import (
     Clothes,
     MeshHuman,
     ParametricHuman,
-    beside,
     read_description,
 )
 from humansim_ros.people.figure import Figure, adopt
@@ -112,17 +111,17 @@ def _described(path: Path) -> Human:
             return _from_arrays(arrays, description, path)
 
         return kept(key, path.stem, made)
-    mesh = beside(path, description.mesh)
+    mesh, there = beside(path, description.mesh)
     if mesh.suffix.lower() not in SUFFIXES or mesh.suffix.lower() in (".yaml", ".yml"):
         raise MeshError("a mesh is .obj, .gltf, .glb or an SMPL model (.npz)", path=path, key="mesh")
-    if not mesh.is_file():
+    if not there or not mesh.is_file():
         raise MeshError(f"no such file {str(mesh)!r}", path=path, key="mesh")
     options = description.model_copy(
         update={
             "outfits": {
                 name: clothes
                 if clothes.texture is None
-                else clothes.model_copy(update={"texture": str(beside(path, clothes.texture))})
+                else clothes.model_copy(update={"texture": str(beside(path, clothes.texture)[0])})
                 for name, clothes in description.outfits.items()
             }
         }

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
 from humansim_ros.errors import SceneError
+from humansim_ros.files import beside
 from humansim_ros.render.choose import RendererName
 from humansim_ros.render.light import Lighting
 from humansim_ros.resources import resource_path
@@ -498,23 +499,13 @@ def find_human(name: str, scene: Path, key: str) -> Path:
     return find_file(name, "humans", ".npz", scene, key)
 
 
-def beside(scene: Path, name: str) -> tuple[Path, bool]:
-    """A file or folder that a scene names from its own folder, and whether it is there."""
-    path = scene.resolve().parent / Path(name).expanduser()
-    try:
-        return path, path.exists()
-    except (OSError, ValueError):  # a name too long for the file system, or a NUL in it
-        return path, False
-
-
 def find_file(name: str, folder: str, suffix: str, scene: Path, key: str) -> Path:
     """A file named in a scene: a built-in of ``assets/<folder>``, or a path from the scene's folder.
 
     Raises SceneError naming the scene file and ``key`` if there is no such file.
     """
-    built_in = resource_path(f"assets/{folder}")
-    if (built_in / f"{name}{suffix}").is_file():
-        return built_in / f"{name}{suffix}"
+    if name in built_in_names(folder, suffix):
+        return resource_path(f"assets/{folder}") / f"{name}{suffix}"
     path, there = beside(scene, name)
     if not there:
         known = ", ".join(built_in_names(folder, suffix))

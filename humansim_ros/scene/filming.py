@@ -18,11 +18,12 @@ from humansim_ros.camera.idealize import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import CameraError, SceneError, warn_of
+from humansim_ros.files import beside
 from humansim_ros.motion.world import VELOCITY_STEP, Velocity
 from humansim_ros.render import Body, Neighbour, Renderer, View
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
-from humansim_ros.scene.config import CameraConfig, RigConfig, SceneConfig, beside, line_of_key
+from humansim_ros.scene.config import CameraConfig, RigConfig, SceneConfig, line_of_key
 from humansim_ros.scene.pictures import photograph_of
 from humansim_ros.sensor import Sensor
 

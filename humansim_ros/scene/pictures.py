@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimError, MeshError, SceneError
-from humansim_ros.files import read_bytes
+from humansim_ros.files import beside, read_bytes
 from humansim_ros.images import MOST_PIXELS, decode_image, stated_size
 from humansim_ros.render.light import Photograph
-from humansim_ros.scene.config import beside, line_of_key
+from humansim_ros.scene.config import line_of_key
 
 _RADIANCE = re.compile(rb"^#\?(RADIANCE|RGBE)\b.*?\n\s*?\n-Y (\d{1,6}) \+X (\d{1,6})\n", re.DOTALL)
 _EXR = b"\x76\x2f\x31\x01"

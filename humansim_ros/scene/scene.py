@@ -15,6 +15,7 @@ from humansim_ros.body import Human
 from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError
+from humansim_ros.files import beside
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.files import read_motion, split_name
 from humansim_ros.motion.joint_names import match_motion
@@ -111,8 +112,9 @@ class Actor:
             path = find_file(file, "motions", ".bvh", scene, f"humans.{name}.motion.file")
             motion = read_motion(path if animation is None else f"{path}#{animation}", config.positions)
         table = config.joint_names
-        if table is not None and (scene.resolve().parent / table).is_file():
-            table = str(scene.resolve().parent / table)
+        if table is not None:
+            own, there = beside(scene, table)
+            table = str(own) if there and own.is_file() else table
         match = match_motion(motion, table).with_own(human.skeleton.names, motion.joint_names)
         world = WorldMotion(
             motion,

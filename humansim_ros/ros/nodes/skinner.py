@@ -17,6 +17,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.files import beside
 from humansim_ros.motion.joint_names import built_in_tables, load_table
 from humansim_ros.ros.messages import (
     MarkerMaker,
@@ -70,8 +71,8 @@ class Skinner(SceneNode):
         """A joint table that is there, beside the scene file or as it is named; None if none is."""
         if not name:
             return None
-        beside = self.scene.path.resolve().parent / name
-        path = str(beside) if beside.is_file() else name
+        own, there = beside(self.scene.path, name)
+        path = str(own) if there and own.is_file() else name
         if not any(table.name == path for table in built_in_tables()):
             load_table(path)
         return path

@@ -58,7 +58,7 @@ class MotionPlayer(SceneNode):
         speed = declare("speed", 1.0, "Seconds of the scene per second", (0.0, 10.0))
         seek = declare("seek", 0.0, "Setting it goes to this second of the scene", (0.0, LONGEST))
         what = "Seconds before their stamps at which motions leave, so that bodies are there at their stamps"
-        self._lead = round(1e9 * self.number_parameter("lead", 0.01, 0.0, LONGEST_LEAD, what))
+        self._asked_lead = 1e9 * self.number_parameter("lead", 0.01, 0.0, LONGEST_LEAD, what)
         self._playback = Playback(self.scene)
         self._scene_clock = Clock(rate, speed, seek)
         self._playback.elapsed = self._scene_clock.elapsed
@@ -102,6 +102,11 @@ class MotionPlayer(SceneNode):
         self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {self.scene.path}")
 
     # --- frames
+
+    @property
+    def _lead(self) -> int:
+        """Nanoseconds; at most a period, so that motions do not queue up before skinners."""
+        return round(min(self._asked_lead, self._scene_clock.period))
 
     def _ahead(self) -> int:
         """The time that frames are sent for, nanoseconds."""

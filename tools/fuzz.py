@@ -164,6 +164,14 @@ def reading_world(path: Path) -> None:
         assert np.isfinite(mesh.vertices).all()
 
 
+def reading_materials(path: Path) -> None:
+    """The materials of an OBJ."""
+    (path.parent / "picture.png").write_bytes(PICTURE)
+    mesh = path.with_name("mesh.obj")
+    mesh.write_bytes(OBJ.replace(b"none.mtl", path.name.encode()))
+    reading_world(mesh)
+
+
 READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "bvh": (reading_bvh, "*.bvh"),
     "keyframes": (read_keyframes, "*.xml"),
@@ -179,6 +187,7 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "scene": (reading_scene, "*.yaml"),
     "world obj": (reading_world, "*.obj"),
     "world glb": (reading_world, "*.glb"),
+    "mtl": (reading_materials, "*.mtl"),
 }
 
 BVH = b"""HIERARCHY
@@ -326,6 +335,44 @@ light: {mode: lit, sun: [0.4, 0.3, 0.8], strength: 1.2, shadows: soft, sun_size_
 randomise:
   {seed: 4, light: true, colours: true, textures: true, clutter: 3, camera_jitter: {position: 0.2}}
 """
+MATERIALS = b"""newmtl skin
+Kd 0.8 0.7 0.6
+Ks 0.5 0.5 0.5
+Ke 0 0.1 0
+Ns 250
+d 0.9
+illum 2
+Pr 0.4
+Pm 0.1
+map_Kd picture.png
+map_Ke picture.png
+map_d picture.png
+map_Bump -bm 0.3 picture.png
+newmtl other
+Tr 0.2
+norm picture.png
+"""
+#: Every material property that world meshes show.
+SHINY = {
+    "materials": [
+        {
+            "pbrMetallicRoughness": {
+                "baseColorFactor": [0.5, 0.6, 0.7, 0.8],
+                "baseColorTexture": {"index": 0},
+                "metallicFactor": 0.3,
+                "roughnessFactor": 0.4,
+                "metallicRoughnessTexture": {"index": 0},
+            },
+            "normalTexture": {"index": 0, "scale": 0.7},
+            "emissiveTexture": {"index": 0},
+            "emissiveFactor": [0.1, 0.2, 0.3],
+            "alphaMode": "MASK",
+            "alphaCutoff": 0.4,
+            "doubleSided": True,
+            "extensions": {"KHR_materials_emissive_strength": {"emissiveStrength": 2.0}},
+        }
+    ]
+}
 PICTURE = cv2.imencode(".png", np.zeros((6, 8, 3), np.uint8))[1].tobytes()
 #: What the scenes name.
 BESIDE_SCENES = {
@@ -341,7 +388,8 @@ BESIDE_SCENES = {
 SEEDS = {
     "scene": [SCENE],
     "world obj": [OBJ],
-    "world glb": [figures.glb(*figures.gltf())],
+    "world glb": [figures.glb(*figures.gltf()), figures.glb(*figures.gltf(**SHINY))],
+    "mtl": [MATERIALS],
     "bvh": [BVH],
     "keyframes": [XML],
     "obj": [OBJ],

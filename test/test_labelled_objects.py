@@ -19,7 +19,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.pictures import color_labels
-from humansim_ros.render import ALL_CHANNELS, CHANNELS, Body, RendererName
+from humansim_ros.render import ALL_CHANNELS, CHANNELS, Body, Neighbour, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
 from humansim_ros.truth.joints import NOTHING, OCCLUDED, PERSON, SELF, THING
@@ -369,6 +369,20 @@ def test_more_labels_than_there_are_numbers_are_refused() -> None:
 def test_an_object_without_a_label_may_be_called_as_a_human(tmp_path: Path) -> None:
     scene = Scene.load(written(tmp_path, SCENE.replace("  post:", "  anna:")))
     assert scene.labels == NUMBERS
+
+
+def test_every_channel_is_there_where_nobody_is() -> None:
+    """Neither people nor things that move: nothing at all, and one thing that stands."""
+    camera = oblique((3, 0.5, 1), (0, 0, 0.2))
+    thing = replace(body(box((0, 0, 0.2), 0.2), 6, 0), kind="object")
+    for standing in ((), (thing,)):
+        renderer, moment = renderer_or_skip(standing=standing), Neighbour(standing, camera)
+        view = renderer.render(standing, camera, ALL_CHANNELS, after=moment, before=moment)
+        renderer.close()
+        assert np.unique(view.instance).tolist() == [0, *(b.instance for b in standing)]
+        assert (view.face > 0).sum() == (view.instance > 0).sum() == (view.normal[..., 2] < 0).sum()
+        assert list(view.amodal) == list(view.alpha) == [b.instance for b in standing]
+        assert np.array_equal(np.isnan(view.flow[..., 0]), np.isinf(view.depth))
 
 
 def test_two_bodies_of_one_label_are_refused_whatever_they_are() -> None:

@@ -60,7 +60,7 @@ class Detail:
 
     def _posed(self, bodies: Sequence[Body], camera: Camera) -> Array:
         """(3, 3, T) corners of the triangles that are seen, x, y and z of each, optical frame of a camera."""
-        points = np.concatenate([camera.to_optical(body.vertices) for body in bodies])
+        points = np.concatenate([np.zeros((0, 3)), *(camera.to_optical(body.vertices) for body in bodies)])
         x_y_z = np.ascontiguousarray(points.T)
         return np.stack([x_y_z.take(corner, axis=1) for corner in self._corners])
 

@@ -44,6 +44,7 @@ EXTRAS = {
         "embreex",
         "hypothesis",
         "mypy",
+        "OpenEXR>=3.3",
         "pyrender==0.1.45",
         "pytest",
         "rosbags>=0.10.6",
@@ -54,6 +55,8 @@ EXTRAS = {
         "types-PyYAML",
         "types-defusedxml",
     ],
+    # panoramas of that kind
+    "exr": ["OpenEXR>=3.3"],
     # the other renderer
     "pyrender": ["pyrender==0.1.45"],
     "bench": ["pyrender==0.1.45", "trimesh>=4.0"],

@@ -17,6 +17,7 @@ from humansim_ros.errors import HumansimError, HumansimWarning, MeshError, Scene
 from humansim_ros.render import Lighting
 from humansim_ros.render.light import Panorama, Photograph, ambient, developed
 from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene.pictures import radiance_of
 
 EYE = "cameras:\n  eye: {size: [160, 120], position: [0, 0, 1], look_at: [3, 0, 1], fov_deg: 60}\n"
 PLAIN = "room: null\nlight: {mode: shadeless}\n"
@@ -298,7 +299,7 @@ BAD = {
         ("world: {environment: text.hdr}", "world.environment", "text.hdr.*no panorama"),
         ("world: {environment: large.hdr}", "world.environment", "too large"),
         ("world: {environment: cut.hdr}", "world.environment", "cut.hdr.*damaged"),
-        ("world: {environment: image.exr}", "world.environment", r"image.exr.*(no OpenEXR|damaged)"),
+        ("world: {environment: image.exr}", "world.environment", r"image.exr.*(pip install OpenEXR|damaged)"),
         ("world: {environment: square.png}", "world.environment", "twice as wide"),
         ("world: {meshes: [gone.glb]}", "world.meshes.0.file", "no such file"),
         ("world: {meshes: [{file: a.obj, scale: 0}]}", "world.meshes.0.scale", "greater than 0"),
@@ -347,3 +348,19 @@ def _write_bad(folder: Path) -> None:
     for name, content in BAD.items():
         if content is not None:
             (folder / name).write_bytes(content)
+
+
+def test_an_openexr_panorama_is_that_of_the_same_light(tmp_path: Path) -> None:
+    openexr = pytest.importorskip("OpenEXR", reason="pip install OpenEXR")
+    light = np.random.default_rng(2).random((32, 64, 3)).astype(np.float32) * 3
+    light[3, 5], light[4, 6, 1] = np.inf, np.nan
+    with openexr.File({"compression": openexr.ZIP_COMPRESSION}, {"RGB": light}) as file:
+        file.write(str(tmp_path / "sky.exr"))
+    grey = {"type": openexr.scanlineimage}
+    with openexr.File(grey, {"Y": np.ones((32, 64), np.float32)}) as file:
+        file.write(str(tmp_path / "grey.exr"))
+    read = radiance_of("sky.exr", tmp_path / "scene.yaml", "world.environment")
+    expected = np.where(np.isnan(light), 0, np.minimum(light, 65504))
+    np.testing.assert_array_equal(read, expected)
+    with pytest.raises(SceneError, match="no channel R; there are Y"):
+        radiance_of("grey.exr", tmp_path / "scene.yaml", "world.environment")

@@ -32,11 +32,15 @@ humans:
 cameras:
   corner: {size: [640, 480], position: [3.0, 2.3, 1.9], look_at: [-0.2, 0.2, 0.75], fov_deg: 58}
 """
+FAR = "[3.0, 2.3, 1.9], look_at: [-0.2, 0.2, 0.75], fov_deg: 58"
+NEAR = "[1.25, 2.0, 1.6], look_at: [-0.15, 0.6, 1.3], fov_deg: 52"
 LOW_SUN = "sun: [0.5, -0.8, 0.75], sun_color: [1.5, 1.3, 1.0]"
 SCENES = {
     "shadeless": "light: {mode: shadeless}",
     "contact": "",
     "soft": "light: {shadows: soft}",
+    "matt": "light: {shadows: soft, materials: false}",
+    "skin": "light: {shadows: soft}",
     "world": f"room: null\nlight: {{shadows: soft, tone_mapping: filmic, exposure: 0.3, {LOW_SUN}}}\n"
     "world: {meshes: [court.glb], environment: sky.hdr}",
     "photo": "room: null\nworld: {background: photo.jpg, shadow_catcher: true}\nlight: {shadows: soft}",
@@ -85,7 +89,7 @@ def court() -> bytes:
         for i in range(24):
             for j in range(48):
                 at = [(i, j), (i, j + 1), (i + 1, j + 1), (i + 1, j)]
-                quads[material].append([(middle + radius * around[a], (b / 12, a / 12)) for a, b in at])
+                quads[material].append([(middle + radius * around[a, b], (b / 12, a / 12)) for a, b in at])
 
     quads[0].append([((x, 0.0, z), (x, z)) for x, z in ((-8, 8), (8, 8), (8, -8), (-8, -8))])
     for i in range(-3, 4):
@@ -112,10 +116,15 @@ def court() -> bytes:
         return len(views) - 1
 
     for material, faces in quads.items():
+        rows = np.array([[*p, *uv] for quad in faces for p, uv in quad], "<f4")
+        corners = np.arange(len(rows))
+        if material == 2:  # what is round is of one surface
+            rows, corners = np.unique(rows.round(5), axis=0, return_inverse=True)
+        corners = corners.reshape(-1, 4)[:, [0, 1, 2, 0, 2, 3]]
         arrays = [
-            ("VEC3", 5126, np.array([p for quad in faces for p, _ in quad], "<f4")),
-            ("VEC2", 5126, np.array([uv for quad in faces for _, uv in quad], "<f4") / 2),
-            ("SCALAR", 5125, (4 * np.arange(len(faces))[:, None] + [0, 1, 2, 0, 2, 3]).ravel().astype("<u4")),
+            ("VEC3", 5126, np.ascontiguousarray(rows[:, :3])),
+            ("VEC2", 5126, rows[:, 3:] / 2),
+            ("SCALAR", 5125, corners.ravel().astype("<u4")),
         ]
         for kind, component, array in arrays:
             view = add(array.tobytes())
@@ -130,7 +139,7 @@ def court() -> bytes:
                 "material": material,
             }
         )
-    rough = normals_of_heights(cv2.GaussianBlur(stone, (0, 0), 1.2)[..., 0], 18)
+    rough = normals_of_heights(cv2.GaussianBlur(stone, (0, 0), 1.2)[..., 0], 10)
     images = [
         {"bufferView": add(cv2.imencode(".png", image[..., ::-1])[1].tobytes()), "mimeType": "image/png"}
         for image in (paving, stone, rough)
@@ -148,7 +157,10 @@ def court() -> bytes:
             },
             "alphaMode": "BLEND",
         },
-        {"emissiveFactor": [0.7, 0.45, 0.12], "pbrMetallicRoughness": matt},
+        {
+            "emissiveFactor": [0.7, 0.45, 0.12],
+            "pbrMetallicRoughness": {**matt, "baseColorFactor": [0, 0, 0, 1]},
+        },
     ]
     document = {
         "asset": {"version": "2.0"},
@@ -210,7 +222,8 @@ def photograph() -> np.ndarray:
 def take(folder: Path, name: str) -> np.ndarray:
     """The picture (480, 640, 3), BGR, of one of the scenes."""
     path = folder / f"{name}.yaml"
-    path.write_text(PEOPLE + SCENES[name] + "\n")
+    people = PEOPLE.replace(FAR, NEAR) if name in ("matt", "skin") else PEOPLE
+    path.write_text(people + SCENES[name] + "\n")
     simulation = Simulation(Scene.load(path), ("rgb",))
     rgb = simulation.frame(20).views["corner"].rgb
     simulation.close()
@@ -231,7 +244,10 @@ def main() -> None:
         cv2.imwrite(str(folder / "sky.hdr"), sky()[..., ::-1])
         cv2.imwrite(str(folder / "photo.jpg"), photograph()[..., ::-1])
         seen = {name: take(folder, name) for name in SCENES}
-    pictures = {name: seen[name] for name in ("shadeless", "contact", "soft", "world", "photo", "hdri")}
+    pictures = {
+        name: seen[name]
+        for name in ("shadeless", "contact", "soft", "matt", "skin", "world", "photo", "hdri")
+    }
     random = [image for name, image in seen.items() if name.startswith("random")]
     pictures["randomised"] = cv2.resize(
         np.vstack([np.hstack(random[:2]), np.hstack(random[2:])]), (960, 720), interpolation=cv2.INTER_AREA

@@ -39,12 +39,13 @@ def photograph_of(name: str, scene: Path, key: str) -> Photograph:
 
 
 def radiance_of(name: str, scene: Path, key: str) -> NDArray[np.float32]:
-    """(H, W, 3) linear light of a panorama: Radiance .hdr; OpenEXR where OpenCV reads it; PNG or JPEG, with 1
-    as its white. SceneError with the scene's key and the file if it cannot be read.
+    """(H, W, 3) linear light of a panorama: Radiance .hdr; OpenEXR where its package is installed; PNG or
+    JPEG, with 1 as its white. SceneError with the scene's key and the file if it cannot be read.
     """
     path = scene_file(name, scene, key)
     try:
-        radiance = _decoded(read_bytes(path, SceneError, "panorama"))
+        data = read_bytes(path, SceneError, "panorama")
+        radiance = _light(_read_exr(path) if data[:4] == _EXR else _decoded(data))
     except HumansimError as error:
         raise _unreadable(path, error, scene, key) from None
     height, width = radiance.shape[:2]
@@ -61,20 +62,52 @@ def _decoded(data: bytes) -> NDArray[np.float32]:
     if stated_size(data) is not None:
         return np.asarray((decode_image(data) / np.float32(255)) ** 2, dtype=np.float32)
     header = _RADIANCE.match(data[:65536])
-    exr = data[:4] == _EXR
-    if header is None and not exr:
-        raise SceneError("this is no panorama: neither Radiance (.hdr), nor PNG or JPEG")
-    if header is not None and not 0 < int(header[2]) * int(header[3]) <= MOST_PIXELS:
-        raise SceneError(f"a panorama of {int(header[3])} x {int(header[2])} pixels is too large")
+    if header is None:
+        raise SceneError("this is no panorama: neither Radiance (.hdr) nor OpenEXR, PNG or JPEG")
+    _check_size(int(header[3]), int(header[2]))
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     except cv2.error:
         image = None
-    if image is None and exr:
-        raise SceneError("this OpenCV reads no OpenEXR: save it as Radiance (.hdr)")
     if image is None or image.dtype != np.float32:
         raise SceneError("the panorama cannot be decoded: it is damaged")
-    light = np.nan_to_num(image[..., ::-1], nan=0.0, posinf=65504.0)
+    return np.asarray(image[..., ::-1])
+
+
+def _read_exr(path: Path) -> NDArray[np.float32]:
+    """(H, W, 3) the first part of an OpenEXR file."""
+    try:
+        import OpenEXR
+    except ImportError:
+        message = (
+            "OpenEXR is read by a package of its own: pip install OpenEXR; or save it as Radiance (.hdr)"
+        )
+        raise SceneError(message) from None
+    try:
+        with OpenEXR.File(str(path), header_only=True) as file:
+            low, high = (np.asarray(corner, dtype=int) for corner in file.header()["dataWindow"])
+        width, height = (high - low + 1).tolist()
+        _check_size(width, height)
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            pixels = {name: np.asarray(channel.pixels) for name, channel in file.channels().items()}
+    except (RuntimeError, ValueError, TypeError, KeyError):
+        raise SceneError("the panorama cannot be decoded: it is damaged") from None
+    missing = [name for name in "RGB" if name not in pixels]
+    if missing:
+        raise SceneError(f"the panorama has no channel {missing[0]}; there are {', '.join(pixels) or 'none'}")
+    if any(pixels[name].shape != (height, width) for name in "RGB"):
+        raise SceneError("the panorama's channels are not of one size")
+    return np.stack([pixels[name] for name in "RGB"], axis=-1).astype(np.float32)
+
+
+def _check_size(width: int, height: int) -> None:
+    if not 0 < width * height <= MOST_PIXELS:
+        raise SceneError(f"a panorama of {width} x {height} pixels is too large")
+
+
+def _light(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """What can be light of an image."""
+    light = np.nan_to_num(image, nan=0.0, posinf=65504.0)
     return np.ascontiguousarray(np.clip(light, 0.0, 65504.0), dtype=np.float32)
 
 

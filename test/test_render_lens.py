@@ -103,12 +103,14 @@ def test_a_body_before_large_walls_is_what_rays_hit(scene: Scene, name: str) -> 
     renderer.close()
 
 
+@pytest.mark.parametrize("size", [1.0, 5000.0])
 @pytest.mark.parametrize("name", LENSES)
-def test_a_moving_thing_of_two_triangles_is_bent_too(name: str) -> None:
+def test_a_moving_thing_of_two_triangles_is_bent_too(name: str, size: float) -> None:
     camera = with_lens(LENSES[name], (2.3, 1.6, 1.4))
     renderer = renderer_or_skip(lighting=EVEN)
     board = quad([(0, -1.4, 0.1), (0, 1.4, 0.1), (-0.4, 1.4, 2.2), (-0.4, -1.4, 2.2)])
-    body = Body(board, board.vertices.astype(np.float32), np.array([3, 7], np.uint8), 5)
+    mesh = replace(board, vertices=board.vertices / size)  # a body may be larger than its mesh
+    body = Body(mesh, board.vertices.astype(np.float32), np.array([3, 7], np.uint8), 5, "object")
     view = renderer.render([body], camera)
     surfaces: list[Surface] = [(board.vertices, board.triangles)]
     depth, first, face = cast(camera, surfaces)

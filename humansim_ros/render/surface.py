@@ -116,7 +116,11 @@ class Surface:
         away = self.posed.points - camera.center.astype(np.float32)[:, None]
         closest = float(np.sqrt(np.einsum("ij,ij->j", away, away).min()))
         vertices = self.posed.vertices
-        starts, ends = (vertices[which] for which in self.topology.edges_longer(angle * closest).T)
+        # objects may be sized as one likes
+        edges = self.topology.edges
+        if self.body.kind == "human":
+            edges = self.topology.edges_longer(angle * closest)
+        starts, ends = vertices[edges.T]
         wide = _wide(starts, ends, camera, angle)
         view = LensView(camera)
         if not view.bent(camera.to_optical(starts[wide]), camera.to_optical(ends[wide])).any():

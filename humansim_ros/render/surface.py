@@ -209,7 +209,7 @@ def contour(posed: Posed, fallen: Fallen, facing: NDArray[np.bool_], angle: floa
     """
     starts, ends = posed.contour(facing)
     camera, vertices = fallen.camera, posed.vertices
-    bent = np.zeros(len(starts), bool)
+    bent: NDArray[np.bool_] = np.zeros(len(starts), bool)
     if camera.distorted:
         bent = _wide(vertices.take(starts, axis=0), vertices.take(ends, axis=0), camera, angle)
     found = []

@@ -91,7 +91,7 @@ HARD = {
 BENT = {"distortion": (0.0, 0.0, 0.0, 0.0), "model": "equidistant"}
 
 
-@pytest.mark.filterwarnings("error")
+@pytest.mark.filterwarnings("error::RuntimeWarning", "error::humansim_ros.errors.HumansimWarning")
 @pytest.mark.parametrize("place", HARD)
 def test_every_channel_is_drawn_from_wherever_a_camera_is(
     name: RendererName, person: Body, place: str

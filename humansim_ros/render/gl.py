@@ -253,10 +253,8 @@ class GLRenderer:
         rgba = target.read("rgba", True) if asked.lit else None
         alone = None
         if asked.alone:
-            alone = {
-                s.body.instance: self._alone(s, f, camera) for s, f in zip(surfaces, fallen, strict=True)
-            }
-            alone.pop(0, None)
+            labelled = [(s, f) for s, f in zip(surfaces, fallen, strict=True) if s.body.instance]
+            alone = {s.body.instance: self._alone(s, f, camera) for s, f in labelled}
         return Drawn(
             asked, tuple(bodies), camera, layer, rectangle, seen, labels, depth, rgba, outline, alone
         )

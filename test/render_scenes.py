@@ -26,7 +26,20 @@ from humansim_ros.scene import Scene
 #: Even light: a white surface is white whichever way it looks.
 EVEN = Lighting(sun_color=(0, 0, 0), sky_color=(1, 1, 1), ground_color=(1, 1, 1), background=(0, 0, 0))
 
-
+#: Keyframes of a screen that passes and of a ball that grows and turns as it flies.
+MOVES = """\
+<animation startframe="0" endframe="20" rate="10">
+  <object name="screen">
+    <frame number="0"><position x="0" y="-1.5" z="0"/></frame>
+    <frame number="20"><position x="0" y="1.5" z="0"/></frame>
+  </object>
+  <object name="ball">
+    <frame number="0"><position x="1" y="-0.6" z="1.2"/></frame>
+    <frame number="20"><position x="1" y="0.9" z="0.8"/><rotation x="90" y="30" z="200"/>
+      <size x="1.5" y="1" z="2"/></frame>
+  </object>
+</animation>
+"""
 #: The renderers that have to pass one test-suite.
 RENDERERS: tuple[RendererName, ...] = ("moderngl", "pyrender")
 

@@ -12,7 +12,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from opencv_support import opencv_pixels
-from render_scenes import RENDERERS, assert_agrees, body, box, cast, inner, oblique, renderer_or_skip
+from render_scenes import MOVES, RENDERERS, assert_agrees, body, box, cast, inner, oblique, renderer_or_skip
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
@@ -44,19 +44,6 @@ cameras:
   bent:
     {size: [320, 240], position: [3, -1.2, 1.8], look_at: [0, 0, 0.8], fov_deg: 60, distortion: [-0.2, 0.05]}
   flying: {size: [320, 240], fov_deg: 60, distortion: [-0.2, 0.05], trajectory: way.txt}
-"""
-MOVES = """\
-<animation startframe="0" endframe="20" rate="10">
-  <object name="screen">
-    <frame number="0"><position x="0" y="-1.5" z="0"/></frame>
-    <frame number="20"><position x="0" y="1.5" z="0"/></frame>
-  </object>
-  <object name="ball">
-    <frame number="0"><position x="1" y="-0.6" z="1.2"/></frame>
-    <frame number="20"><position x="1" y="0.9" z="0.8"/><rotation x="90" y="30" z="200"/>
-      <size x="1.5" y="1" z="2"/></frame>
-  </object>
-</animation>
 """
 WEDGE = """\
 v 0 0 0

@@ -10,7 +10,7 @@ import pytest
 import trimesh
 from conftest import ROOT
 from numpy.typing import NDArray
-from render_scenes import assert_agrees, renderer_or_skip
+from render_scenes import MOVES, assert_agrees, renderer_or_skip
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
@@ -32,19 +32,6 @@ objects:
   post: {mesh: cylinder, size: [0.2, 0.2, 1.5], position: [-1, 0.6, 0.75], rotation_deg: [20, 0, 0]}
 cameras:
   front: {size: [320, 240], position: [4, 0.2, 1.4], look_at: [0, 0, 0.9], fov_deg: 50}
-"""
-MOVES = """\
-<animation startframe="0" endframe="20" rate="10">
-  <object name="screen">
-    <frame number="0"><position x="0" y="-1.5" z="0"/></frame>
-    <frame number="20"><position x="0" y="1.5" z="0"/></frame>
-  </object>
-  <object name="ball">
-    <frame number="0"><position x="1" y="-0.6" z="1.2"/></frame>
-    <frame number="20"><position x="1" y="0.9" z="0.8"/><rotation x="90" y="30" z="200"/>
-      <size x="1.5" y="1" z="2"/></frame>
-  </object>
-</animation>
 """
 
 

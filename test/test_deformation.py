@@ -1,4 +1,4 @@
-"""The figures of how bodies bend (tools/deformation_figures.py), where they are known."""
+"""The figures of how bodies bend (tools/figures/deformation_figures.py), where they are known."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from humansim_ros.body import Human
 from humansim_ros.body.skinning import skin
 
 ROOT = Path(__file__).parent.parent
-_SPEC = importlib.util.spec_from_file_location("deformation", ROOT / "tools" / "deformation_figures.py")
+_SPEC = importlib.util.spec_from_file_location(
+    "deformation", ROOT / "tools" / "figures" / "deformation_figures.py"
+)
 assert _SPEC is not None and _SPEC.loader is not None
 figures = importlib.util.module_from_spec(_SPEC)
 sys.modules["deformation"] = figures

@@ -102,7 +102,7 @@ def test_a_figure_moves_as_its_own_animation_has_it(tmp_path: Path) -> None:
 def test_shared_figures_move_as_blender_moves_them(
     shared_data: Path, figure: str, first: float, worst: float
 ) -> None:
-    """Vertices of the files' own animations; tools/blender_gltf.py made the numbers."""
+    """Vertices of the files' own animations; tools/blender/gltf_vertices.py made the numbers."""
     path = shared_data / "mesh" / figure
     human = Human.load(path)
     assert 1.4 < np.ptp(human.mesh.vertices[:, 1]) < 1.6

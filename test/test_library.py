@@ -50,7 +50,7 @@ def test_the_list_names_every_file() -> None:
 
 
 def test_the_files_are_what_the_script_makes(tmp_path: Path) -> None:
-    script = ROOT / "tools" / "make_motions.py"
+    script = ROOT / "tools" / "assets" / "make_motions.py"
     subprocess.run([sys.executable, str(script), "--folder", str(tmp_path)], check=True, timeout=120)
     for name in MADE:
         again = read_bvh(tmp_path / f"{name}.bvh")

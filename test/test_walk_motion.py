@@ -1,4 +1,4 @@
-"""The committed walk (tools/make_walk.py) plants its feet, keeps above the floor and closes its loop."""
+"""The built-in walk (tools/assets/make_walk.py) plants its feet, is above the floor and closes its loop."""
 
 from __future__ import annotations
 

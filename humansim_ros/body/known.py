@@ -19,7 +19,7 @@ def known_joints(mesh: Mesh) -> dict[str, Array] | None:
 
     It is one if its first 13380 vertices are joined by MakeHuman's faces (eyes, clothes and helpers may
     follow). Each joint is a combination of skin vertices around it that holds for any shape and any pose of
-    the arms and legs (tools/fit_joint_places.py).
+    the arms and legs (tools/assets/fit_joint_places.py).
     """
     known: dict[str, Any] = joint_file()["makehuman"]
     count: int = known["vertices"]

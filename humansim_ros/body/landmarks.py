@@ -185,7 +185,7 @@ def joint_places(measures: Measures) -> dict[str, Array]:
 
 @functools.cache
 def joint_file() -> Mapping[str, Any]:
-    """config/body_joints.json, which tools/fit_joint_places.py makes."""
+    """config/body_joints.json, which tools/assets/fit_joint_places.py makes."""
     loaded: Mapping[str, Any] = json.loads(resource_path("config/body_joints.json").read_text("utf-8"))
     return loaded
 

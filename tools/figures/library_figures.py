@@ -15,7 +15,7 @@ from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter, sole_heights
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def main() -> int:

@@ -1,7 +1,7 @@
 """Picture of each effect of a sensor (docs/images/sensors.jpg), and how far constant velocity is off.
 
-python tools/sensor_figures.py picture OUTPUT
-python tools/sensor_figures.py velocity [MILLISECONDS ...]
+python tools/figures/sensor_figures.py picture OUTPUT
+python tools/figures/sensor_figures.py velocity [MILLISECONDS ...]
 """
 
 from __future__ import annotations

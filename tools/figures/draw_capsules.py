@@ -1,6 +1,6 @@
 """Picture of a body with the capsules that self-penetration is measured by (docs/images/capsules.jpg).
 
-    python tools/draw_capsules.py OUTPUT
+    python tools/figures/draw_capsules.py OUTPUT
 
 Left: the start of a stride, right: a hand in the belly; capsules that are in each other are red.
 """

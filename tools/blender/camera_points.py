@@ -1,6 +1,6 @@
 """Where Blender sees points with the cameras of the thesis' .cam files (test/data/README.md).
 
-blender/bin/python tools/blender_cam.py test/data/blender_cam.json
+blender/bin/python tools/blender/camera_points.py test/data/blender_cam.json
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Figures of how motion files come out on the general skeleton, as a Markdown table (docs/motion.md).
 
-    python tools/motion_figures.py FOLDER
+    python tools/figures/motion_figures.py FOLDER
 
 Directions: largest angle between a limb bone and its joint link. Twist: largest turn about the bone between
 what its joint has turned since rest (from the file's channels, by SciPy) and what the bone has. Bend axes:

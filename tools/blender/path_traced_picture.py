@@ -2,7 +2,7 @@
 """The same scene by our renderer and by Blender's path tracer, side by side (docs/look.md).
 
     python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
-    python tools/blender_cycles.py --blender blender/bin/python [-o docs/images/cycles.jpg]
+    python tools/blender/path_traced_picture.py --blender blender/bin/python [-o docs/images/cycles.jpg]
 
 Blender gets the meshes where they stand, their textures as base colours, the camera, a sun of the same
 direction, size and irradiance, and a sky and ground that shine evenly. Where our people have skin it has
@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 SIZE, SAMPLES = (560, 420), 96
 SCENE = """\
 humans:
@@ -81,7 +81,7 @@ def ours(folder: Path, light: str = "") -> tuple[np.ndarray, np.ndarray]:
 def render(scene_file: Path, picture: Path) -> None:
     """What Blender makes of it. Runs in Blender's Python."""
     import bpy
-    from blender_masks import set_camera
+    from masks import set_camera
     from mathutils import Vector
 
     data = np.load(scene_file)

@@ -2,7 +2,7 @@
 """Joint positions of BVH files as Blender sees them, for the tests of `read_bvh`.
 
     python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
-    blender/bin/python tools/blender_fk.py DIR -o test/data/blender_fk.npz
+    blender/bin/python tools/blender/joint_positions.py DIR -o test/data/blender_fk.npz
 
 Imports every BVH file with Blender's own importer, keeping the file's axes and units, and writes for some
 frames of each file (`<stem>` is the file name without suffix)

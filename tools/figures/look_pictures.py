@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Pictures of docs/look.md: light and shadows, worlds, backgrounds, looks drawn at random.
 
-    python tools/look_pictures.py [-o docs/images]
+    python tools/figures/look_pictures.py [-o docs/images]
 
 What the scenes are made of (a courtyard as .glb, a sky as .hdr, a photograph) is made here, by rule.
 """
@@ -16,7 +16,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.body.finish import normals_of_heights  # noqa: E402

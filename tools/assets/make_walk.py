@@ -5,8 +5,8 @@ the feet are planned (on the heel, flat, over the toes, each about a point that 
 follow by inverse kinematics, and the free parameters of the plan (how the pelvis bobs, how the foot rolls and
 swings) are fitted so that hips, knees and ankles follow the curves as closely as planted feet allow.
 
-    python tools/make_walk.py          the committed walk: 2 s, two strides, a quarter circle to the left
-    python tools/make_walk.py --turn 0 --output assets/motions/walk_straight.bvh
+    python tools/assets/make_walk.py       the committed walk: 2 s, two strides, a quarter circle to the left
+    python tools/assets/make_walk.py --turn 0 --output assets/motions/walk_straight.bvh
 
 Everything is in body space: metres (the file: centimetres), y up, z forward, x to the person's left,
 floor at 0.
@@ -27,7 +27,7 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 FRAME_RATE = 60
 STRIDE_TIME = 1.0

@@ -1,7 +1,7 @@
 """Make the motions of ``assets/motions`` other than the walks: running, sitting down and standing up, waving,
 turning in place, picking something up, T pose to A pose.
 
-    python tools/make_motions.py [NAME ...] [--folder assets/motions]
+    python tools/assets/make_motions.py [NAME ...] [--folder assets/motions]
 
 Nobody was recorded. Pelvis, trunk, feet and hands follow key poses and published figures; legs and arms
 follow by two-bone inverse kinematics from feet that stay where they are put. Everything is in body space as

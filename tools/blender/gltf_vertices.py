@@ -1,6 +1,6 @@
 """What Blender makes of an animated glTF figure: its vertices in some frames, for test/data/blender_gltf.npz.
 
-    BLENDER_PYTHON tools/blender_gltf.py OUT.npz FILE ...
+    BLENDER_PYTHON tools/blender/gltf_vertices.py OUT.npz FILE ...
 
 Run with a Python that has bpy 4.5.15. Of each file: the names of objects and every so many of the vertices of
 its skinned meshes, in the scene's axes of glTF (y up), metres, at some seconds of its first animation.

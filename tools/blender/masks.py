@@ -2,7 +2,7 @@
 """Masks and depth of a mesh seen by Blender's cameras, for the tests of the renderer.
 
     python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
-    blender/bin/python tools/blender_masks.py INPUT.npz -o test/data/blender_masks.npz
+    blender/bin/python tools/blender/masks.py INPUT.npz -o test/data/blender_masks.npz
 
 INPUT holds, in metres (an earlier output will do),
 

@@ -2,9 +2,9 @@
 """Bone matrices, skinned vertices, normals and tangents in Blender, for the tests of `body`.
 
     python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
-    blender/bin/python tools/blender_skinning.py -o test/data/blender_skinning.npz
-    python tools/skinning_inputs.py inputs.npz
-    blender/bin/python tools/blender_skinning.py --bodies inputs.npz -o test/data/blender_bodies.npz
+    blender/bin/python tools/blender/skinned_vertices.py -o test/data/blender_skinning.npz
+    python tools/blender/skinning_inputs.py inputs.npz
+    blender/bin/python tools/blender/skinned_vertices.py --bodies inputs.npz -o test/data/blender_bodies.npz
 
 Builds the 22 bones twice, with roll 0 and with other rolls, turns all bones at random, deforms a cloud of
 vertices around the bones with an armature modifier, and writes (`B` bones, `V` vertices, `P` poses)

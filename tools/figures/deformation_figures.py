@@ -1,6 +1,6 @@
 """How well bodies bend: volume at the joints, flipped triangles, stretched edges, as Markdown tables.
 
-    python tools/deformation_figures.py [HUMAN ...] [--motions walk sit_stand wave]
+    python tools/figures/deformation_figures.py [HUMAN ...] [--motions walk sit_stand wave]
 
 Without HUMAN: all built-in ones. See docs/skinning.md for what the figures mean.
 """
@@ -27,7 +27,7 @@ from humansim_ros.motion.info import world_of
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.rotations import Array
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 MOTIONS = ("walk", "sit_stand", "wave")
 #: Rows of the table of volumes: what turns, about which body axis (x left, y up, z front), degrees.
 BENDS = {

@@ -1,6 +1,6 @@
-"""Bodies, poses and a surface for tools/blender_skinning.py --bodies (test/data/README.md).
+"""Bodies, poses and a surface for tools/blender/skinned_vertices.py --bodies (test/data/README.md).
 
-    python tools/skinning_inputs.py inputs.npz [--data ../shared/data]
+    python tools/blender/skinning_inputs.py inputs.npz [--data ../shared/data]
 
 `man`: the default human in two poses of each built-in motion. `artist`: MakeHuman's body in its own mesh and
 31 bones, with all weights that artists gave it, turned at random up to 60 degrees in every joint. `surface`:
@@ -24,7 +24,7 @@ from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.info import world_of
 from humansim_ros.motion.retarget import Retargeter
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 SEED = 20080814
 SAMPLE = 250
 POSES = 4

@@ -28,7 +28,7 @@ from humansim_ros.makehuman.skeleton import Bones, bone_weights, make_bones, t_p
 from humansim_ros.makehuman.skeleton import landmarks as makehuman_landmarks
 from humansim_ros.rotations import Array
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 #: Body vertices that give a joint, out of so many nearest ones.
 RING, NEAR = 48, 1500
 LEAVES = ("vt3", "l_ankle", "r_ankle", "l_wrist", "r_wrist")

@@ -1,6 +1,6 @@
 """Bodies through motions, to be looked at: a row for each body, columns at rest, walking, sitting, waving.
 
-    python tools/body_sheet.py OUT.jpg [BODY ...]
+    python tools/figures/body_sheet.py OUT.jpg [BODY ...]
 
 A BODY is a built-in human or any file that one is loaded from; all built-in ones if none is named.
 """
@@ -13,7 +13,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-ROOT = Path(__file__).parents[1]
+ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.body import Human  # noqa: E402

@@ -1,6 +1,6 @@
 """A contact sheet of the people in a folder of BVH files: each in the middle of its motion, on the floor.
 
-python tools/motion_sheet.py FOLDER -o sheet.jpg
+python tools/figures/motion_sheet.py FOLDER -o sheet.jpg
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.motion.info import read_quietly, world_of
 from humansim_ros.motion_pictures import Skinned
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def main() -> int:

@@ -1,6 +1,6 @@
 """The demo scene through four lenses, with the joints where the truth puts them (docs/images/lenses.jpg).
 
-python tools/lens_picture.py OUTPUT
+python tools/figures/lens_picture.py OUTPUT
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.camera import Camera  # noqa: E402

@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parent
 BUILDS_WHEEL = not {"bdist_wheel", "editable_wheel"}.isdisjoint(sys.argv)
 
 COMMANDS = [
-    "humansim = humansim_ros.cli:main",
+    "humansim = humansim_ros.cli.main:main",
     "motion_player = humansim_ros.ros.nodes.motion_player:main",
     "skinner = humansim_ros.ros.nodes.skinner:main",
     "camera = humansim_ros.ros.nodes.camera:main",

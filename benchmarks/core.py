@@ -32,11 +32,11 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, Body, GLRenderer, Neighbour
+from humansim_ros.render.body_buffers import Fallen, contour
+from humansim_ros.render.contact_shadow import contact_shadow
 from humansim_ros.render.context import create_context
-from humansim_ros.render.outline import crossings
-from humansim_ros.render.posed import Posed, Topology
-from humansim_ros.render.shadow import contact_shadow
-from humansim_ros.render.surface import Fallen, contour
+from humansim_ros.render.edge_antialiasing import crossings
+from humansim_ros.render.posed_mesh import Posed, Topology
 from humansim_ros.scene import Scene
 from humansim_ros.scene.objects import SHAPES, ObjectPose
 

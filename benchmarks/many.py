@@ -22,8 +22,8 @@ import numpy as np
 ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.body import Human  # noqa: E402
-from humansim_ros.cli_human import built_in_humans  # noqa: E402
+from humansim_ros.cli.human import built_in_humans  # noqa: E402
+from humansim_ros.humans.human import Human  # noqa: E402
 from humansim_ros.resources import resource_path  # noqa: E402
 from humansim_ros.scene import Scene, Simulation  # noqa: E402
 

@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from humansim_ros.body import Human
     from humansim_ros.camera import Camera
+    from humansim_ros.humans.human import Human
 
 ROOT = Path(__file__).parent.parent
 JOINTS = {
@@ -70,14 +70,14 @@ def draw_people(folder: Path, all_outfits: bool) -> dict[str, list[list[float]]]
     """Images of all people from all sides in a folder; where their joints are (12, 2), by image."""
     import numpy as np
 
-    from humansim_ros.body import Human
-    from humansim_ros.cli_human import built_in_humans
-    from humansim_ros.pictures import write_png
+    from humansim_ros.cli.human import built_in_humans
+    from humansim_ros.drawing.canvas import write_png
+    from humansim_ros.humans.human import Human
     from humansim_ros.render import GLRenderer
     from humansim_ros.resources import resource_path
+    from humansim_ros.scene.actor import Actor
     from humansim_ros.scene.config import MotionConfig
     from humansim_ros.scene.room import furnished_room
-    from humansim_ros.scene.scene import Actor
 
     truth = {}
     renderer = GLRenderer(furnished_room((14.0, 14.0, 2.8)))

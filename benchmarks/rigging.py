@@ -20,7 +20,9 @@ import numpy as np
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.body import Human, Mesh, Skeleton, fit_skeleton, rig  # noqa: E402
+from humansim_ros.body import Skeleton, fit_skeleton, rig  # noqa: E402
+from humansim_ros.humans.human import Human  # noqa: E402
+from humansim_ros.mesh.mesh import Mesh  # noqa: E402
 from humansim_ros.rotations import Array  # noqa: E402
 
 LOOPED = 300

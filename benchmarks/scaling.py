@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from humansim_ros.camera import Camera
-from humansim_ros.pictures import write_png
+from humansim_ros.drawing.canvas import write_png
 from humansim_ros.render import CHANNELS, Body, GLRenderer
 from humansim_ros.scene import Scene
 

@@ -45,8 +45,8 @@ Contestants = dict[str, tuple[Callable[[Floats], object], str]]
 def ours(arrays: dict[str, NDArray[np.floating]]) -> Contestants:
     from scipy.sparse import csr_matrix
 
-    from humansim_ros.body.normals import SurfaceNormals, SurfaceTangents
     from humansim_ros.body.skinning import DualQuaternion, LinearBlend
+    from humansim_ros.mesh.normals import SurfaceNormals, SurfaceTangents
 
     vertices, dense = arrays["vertices"], arrays["weights"]
     weights = csr_matrix(dense)
@@ -216,9 +216,9 @@ class Guest:
 
 def body(path: Path) -> dict[str, NDArray[np.floating]]:
     """The arrays that all contestants get, and the right results in double precision."""
-    from humansim_ros.body import Human
-    from humansim_ros.body.normals import SurfaceNormals
     from humansim_ros.body.skinning import skin
+    from humansim_ros.humans.human import Human
+    from humansim_ros.mesh.normals import SurfaceNormals
     from humansim_ros.motion import read_bvh
     from humansim_ros.motion.info import world_of
     from humansim_ros.motion.retarget import Retargeter

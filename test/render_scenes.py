@@ -9,9 +9,9 @@ import pytest
 import trimesh
 from numpy.typing import ArrayLike, NDArray
 
-from humansim_ros.body import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import (
     Body,
     GLRenderer,

@@ -43,20 +43,20 @@ sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 
 import figures  # noqa: E402
 
-from humansim_ros.body import read_mesh  # noqa: E402
-from humansim_ros.body.human import read_human  # noqa: E402
 from humansim_ros.camera import Camera, read_calibration, write_calibration  # noqa: E402
 from humansim_ros.camera.formats import FORMS  # noqa: E402
 from humansim_ros.camera.trajectory import End, Trajectory  # noqa: E402
-from humansim_ros.cli_camera import describe_camera  # noqa: E402
-from humansim_ros.cli_output import to_json  # noqa: E402
+from humansim_ros.cli.camera import describe_camera  # noqa: E402
+from humansim_ros.cli.output import to_json  # noqa: E402
 from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
+from humansim_ros.humans.description import read_description  # noqa: E402
+from humansim_ros.humans.human import read_human  # noqa: E402
+from humansim_ros.humans.loading import make_human  # noqa: E402
+from humansim_ros.mesh.obj import read_mesh  # noqa: E402
 from humansim_ros.motion import read_bvh, read_motion  # noqa: E402
 from humansim_ros.motion.keyframes import read_keyframes  # noqa: E402
-from humansim_ros.people import make_human  # noqa: E402
-from humansim_ros.people.description import read_description  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
-from humansim_ros.scene.meshes import read_world_mesh  # noqa: E402
+from humansim_ros.scene.mesh_files import read_world_mesh  # noqa: E402
 
 _MEMORY = 4 << 30
 #: Seconds that a file of any size may take, and seconds per byte beyond.

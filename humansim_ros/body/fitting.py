@@ -11,10 +11,10 @@ import numpy as np
 
 from humansim_ros.body.known import known_joints
 from humansim_ros.body.landmarks import joint_places, measure
-from humansim_ros.body.mesh import Mesh
 from humansim_ros.body.orientation import body_from_file, check_one_person, surface_samples, used_vertices
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.rotations import Array
 
 #: Whose joints: found in the mesh, or the general skeleton's.

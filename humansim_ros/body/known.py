@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.landmarks import joint_file
-from humansim_ros.body.mesh import Mesh
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.rotations import Array
 
 

@@ -16,9 +16,9 @@ from scipy import ndimage
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
-from humansim_ros.body.mesh import Mesh
 from humansim_ros.body.volume import Volume, solid
 from humansim_ros.errors import MeshError, warn_of
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.resources import resource_path
 from humansim_ros.rotations import Array
 

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from humansim_ros.body.mesh import Mesh
 from humansim_ros.errors import MeshError
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.rotations import Array
 
 #: Points that stand for a surface: mean distance 1 % of a person's height.

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from humansim_ros.body.heat import heat_weights
-from humansim_ros.body.mesh import Mesh
+from humansim_ros.body.heat_weights import heat_weights
 from humansim_ros.body.skeleton import Skeleton, side_of
 from humansim_ros.errors import MeshError
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.rotations import Array, angle_between
 
 RigRule = Literal["heat", "thesis", "thesis-printed"]
@@ -23,7 +23,7 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
     """Skinning weights (V, B) of a mesh that stands in the skeleton's rest pose; rows sum to one.
 
     ``rule``: ``heat`` lets warmth of the bones spread over the skin, smoothly, over at most four bones
-    (:func:`humansim_ros.body.heat.heat_weights`). ``thesis``: a vertex goes to the bone that it sees under
+    (:mod:`humansim_ros.body.heat_weights`). ``thesis``: a vertex goes to the bone that it sees under
     the largest angle head-vertex-tail; bones on the other side of the body do not count; near the bone's head
     it is shared with the parent. The share is where the thesis disagrees with itself. Its pseudo-code gives
     the bone ``angle / 60`` of the vertex, with the angle between (vertex - head) and (tail - head): zero for

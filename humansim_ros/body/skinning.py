@@ -36,7 +36,7 @@ class Skinner(Protocol):
         """Unit directions (..., V, 3) at the vertices, carried along by the bones from ``rest`` (V, 3).
 
         Normals and tangents, quickly: those of the bent surface differ somewhat near joints
-        (docs/skinning.md); :class:`humansim_ros.body.normals.SurfaceNormals` works them out anew.
+        (docs/skinning.md); :class:`humansim_ros.mesh.normals.SurfaceNormals` works them out anew.
         """
 
 

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from humansim_ros.body.mesh import Mesh
 from humansim_ros.errors import MeshError
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.rotations import Array
 
 #: Cubes at most; a person of 160 cubes' height has a twentieth of it.

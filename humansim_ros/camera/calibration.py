@@ -17,14 +17,14 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.camera import MAX_SIZE, Camera
-from humansim_ros.camera.doubts import doubts_of_size
+from humansim_ros.camera.checks import doubts_of_size
 from humansim_ros.camera.formats import FORMS, Form, Place, RawCamera, Source
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MOST_BYTES as MOST_BYTES_COLMAP
 from humansim_ros.camera.formats.containers import container_of, parsed
-from humansim_ros.camera.sizes import Size, image_size, likely_size
+from humansim_ros.camera.image_size import Size, image_size, likely_size
 from humansim_ros.errors import CameraError, HumansimWarning, ResourceError, warn_of
-from humansim_ros.files import atomic_path, is_there, read_text
+from humansim_ros.io.files import atomic_path, is_there, read_text
 from humansim_ros.resources import resource_root
 from humansim_ros.rotations import Array
 

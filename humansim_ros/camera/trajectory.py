@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError, warn_of
-from humansim_ros.files import atomic_path, read_text
+from humansim_ros.io.files import atomic_path, read_text
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
 
 #: What follows the last pose: it stays, the first comes again, or the way goes back.

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from humansim_ros.errors import MotionError
-from humansim_ros.files import atomic_path, explained
+from humansim_ros.io.files import atomic_path, explained
 from humansim_ros.motion.bvh_parser import FRAME_TIMES, LARGEST, LONGEST_NAME, Parser, warn
 from humansim_ros.motion.kinematics import CHANNEL_NAMES, Motion
 

@@ -16,17 +16,12 @@ from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion.bvh import Motion, Positions
 from humansim_ros.motion.contacts import find_stances, slides
 from humansim_ros.motion.files import read_motion
-from humansim_ros.motion.joint_names import JointMatch, match_motion
+from humansim_ros.motion.joint_matching import match_motion
+from humansim_ros.motion.joint_tables import JointMatch
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world import (
-    JointPoses,
-    WorldMotion,
-    axis_vector,
-    floor_height,
-    understand,
-)
+from humansim_ros.motion.world_motion import JointPoses, WorldMotion, axis_vector, floor_height, understand
 from humansim_ros.rotations import Array, quaternion_to_matrix
 
 #: Frames, all over the motion, that are looked at for where it is; more would tell the same.

@@ -22,8 +22,8 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError
-from humansim_ros.files import atomic_path, read_bytes
-from humansim_ros.motion.world import VELOCITY_STEP, JointPoses, central_difference
+from humansim_ros.io.files import atomic_path, read_bytes
+from humansim_ros.motion.world_motion import VELOCITY_STEP, JointPoses, central_difference
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix
 
 Loop = Literal["none", "repeat"]

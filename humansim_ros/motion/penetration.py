@@ -8,10 +8,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.human import Human
 from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
+from humansim_ros.humans.human import Human
 from humansim_ros.rotations import Array
 
 #: Radius, and for the trunk half its width, by the height of the person: those of assets/humans/adult_man.

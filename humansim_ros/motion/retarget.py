@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.joint_names import JointMatch
+from humansim_ros.motion.joint_tables import JointMatch
 from humansim_ros.motion.limits import JointLimits, load_limits
-from humansim_ros.motion.world import JointPoses, WorldMotion, floor_height
+from humansim_ros.motion.world_motion import JointPoses, WorldMotion, floor_height
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
     Array,

@@ -1,8 +1,8 @@
 """Pictures and per-pixel ground truth of meshes as cameras see them."""
 
-from humansim_ros.render.choose import RendererName, make_renderer
 from humansim_ros.render.gl import GLRenderer
-from humansim_ros.render.light import Lighting
+from humansim_ros.render.lighting import Lighting
+from humansim_ros.render.make import RendererName, make_renderer
 from humansim_ros.render.pyrender import PyrenderRenderer
 from humansim_ros.render.renderer import ALL_CHANNELS, CHANNELS, Body, Neighbour, Renderer, View
 

@@ -18,18 +18,20 @@ import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
-from humansim_ros.memory import keep_image_blocks
-from humansim_ros.render.around import UNIT, Surroundings
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.render.ambient_occlusion import UNIT, Surroundings
+from humansim_ros.render.body_buffers import Fallen, Surface, contour, straight_angle, touched
+from humansim_ros.render.contact_shadow import CELLS, ContactShadow
 from humansim_ros.render.context import create_context, current
-from humansim_ros.render.detail import ray_grid
-from humansim_ros.render.drawn import Asked, Drawn, Seen
-from humansim_ros.render.light import Lighting
-from humansim_ros.render.outline import crossings
-from humansim_ros.render.posed import Topology
+from humansim_ros.render.edge_antialiasing import crossings
+from humansim_ros.render.lens_tessellation import TOLERANCE, VISIBLE, LensView
+from humansim_ros.render.lighting import Lighting
+from humansim_ros.render.memory import keep_image_blocks
+from humansim_ros.render.pixel_geometry import ray_grid
+from humansim_ros.render.posed_mesh import Topology
 from humansim_ros.render.programs import link, unit_square, use_camera
-from humansim_ros.render.refine import TOLERANCE, VISIBLE, LensView
+from humansim_ros.render.rendered_frame import Asked, Drawn, Seen
 from humansim_ros.render.renderer import (
     ALL_CHANNELS,
     CHANNELS,
@@ -41,10 +43,8 @@ from humansim_ros.render.renderer import (
     check_neighbours,
     check_request,
 )
-from humansim_ros.render.shadow import CELLS, ContactShadow
-from humansim_ros.render.still import Still, StillScene
-from humansim_ros.render.sunlight import Sunlight
-from humansim_ros.render.surface import Fallen, Surface, contour, straight_angle, touched
+from humansim_ros.render.static_scene import Still, StillScene
+from humansim_ros.render.sun_shadows import Sunlight
 from humansim_ros.render.target import Rectangle, Shades, StaticLayer, Target
 from humansim_ros.render.uniforms import set_uniform
 

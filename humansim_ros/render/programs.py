@@ -9,7 +9,7 @@ import moderngl
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.render.refine import nearest
+from humansim_ros.render.lens_tessellation import nearest
 from humansim_ros.render.uniforms import columns, set_uniform
 
 #: Metres along the axis beyond which nothing is drawn.

@@ -18,16 +18,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimWarning, RenderError
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.render.contact_shadow import ContactShadow
 from humansim_ros.render.context import create_context, current
-from humansim_ros.render.light import Lighting
-from humansim_ros.render.posed import Floats, Posed, Topology
-from humansim_ros.render.refine import NEAR
+from humansim_ros.render.lens_tessellation import NEAR
+from humansim_ros.render.lighting import Lighting
+from humansim_ros.render.posed_mesh import Floats, Posed, Topology
 from humansim_ros.render.renderer import CHANNELS, Backdrop, Body, Neighbour, View, check_request
-from humansim_ros.render.shadow import ContactShadow
-from humansim_ros.render.still import FLOOR_SLACK, Expanded
+from humansim_ros.render.static_scene import FLOOR_SLACK, Expanded
 from humansim_ros.rotations import Array
 
 _FAR = 200.0

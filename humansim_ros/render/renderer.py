@@ -10,9 +10,9 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.mesh import Mesh
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
+from humansim_ros.mesh.mesh import Mesh
 
 #: What is rendered unless one says otherwise.
 CHANNELS = ("rgb", "depth", "instance", "part")

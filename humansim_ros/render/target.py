@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.render.detail import ray_grid
-from humansim_ros.render.posed import Floats
+from humansim_ros.render.pixel_geometry import ray_grid
+from humansim_ros.render.posed_mesh import Floats
 from humansim_ros.render.renderer import Backdrop
 
 if TYPE_CHECKING:
-    from humansim_ros.render.drawn import Drawn
+    from humansim_ros.render.rendered_frame import Drawn
 
 #: What a target is made of: the shaders' location, components read back, their type.
 _ATTACHMENTS = {"depth": (0, 1, "f4"), "label": (1, 1, "u4"), "rgb": (2, 3, "f1"), "rgba": (2, 4, "f1")}

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from humansim_ros import pictures
+from humansim_ros.drawing import canvas, views
 from humansim_ros.errors import HumansimError
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.runtime import prepare_transport
@@ -55,9 +55,9 @@ def record_demo(scene_path: Path, output: Path, duration: float) -> bool:
         return False
     with _progress(console) as progress:
         task = progress.add_task("writing pictures", total=2)
-        pictures.write_png(output / "contact_sheet.png", _contact_sheet(scene, listener))
+        canvas.write_png(output / "contact_sheet.png", _contact_sheet(scene, listener))
         progress.advance(task)
-        pictures.write_mp4(output / "walk.mp4", _video(scene, listener), scene.config.rate)
+        canvas.write_mp4(output / "walk.mp4", _video(scene, listener), scene.config.rate)
         progress.advance(task)
     console.print(_table(listener, seconds))
     whole, any_camera = listener.equal_stamps()
@@ -210,7 +210,7 @@ class _Listener:
             del self._waiting[old]
 
 
-def _contact_sheet(scene: Scene, listener: _Listener) -> pictures.Image:
+def _contact_sheet(scene: Scene, listener: _Listener) -> canvas.Image:
     from humansim_ros.ros.messages import read_joint_view
 
     if not listener.sheet:
@@ -233,20 +233,20 @@ def _contact_sheet(scene: Scene, listener: _Listener) -> pictures.Image:
             parents = [None if p < 0 else skeleton.names[p] for p in skeleton.parents]
             parents += [skeleton.names[bone] for bone in skeleton.leaves]
             pixels = np.stack([own["u"], own["v"]], axis=-1)
-            drawn = pictures.draw_joints(drawn, pixels, own["visible"], names, parents)
+            drawn = views.draw_joints(drawn, pixels, own["visible"], names, parents)
         rows.append(
             [
                 image,
                 drawn,
-                pictures.color_depth(depth),
-                pictures.color_labels(part),
+                views.color_depth(depth),
+                views.color_labels(part),
             ]
         )
     titles = ("image_raw", "image_raw with joints", "depth/image", "part/image")
-    return pictures.contact_sheet(rows, titles, list(scene.cameras))
+    return views.contact_sheet(rows, titles, list(scene.cameras))
 
 
-def _video(scene: Scene, listener: _Listener) -> Iterator[pictures.Image]:
+def _video(scene: Scene, listener: _Listener) -> Iterator[canvas.Image]:
     """Frames with every camera at the same stamp, two cameras a row; each stands until the next is due."""
     names = list(scene.cameras)
     whole = [stamp for stamp in sorted(listener.small) if len(listener.small[stamp]) == len(names)]

@@ -33,17 +33,19 @@ from shape_msgs.msg import MeshTriangle
 from std_msgs.msg import ColorRGBA, Float64MultiArray, Header, MultiArrayDimension, String
 from visualization_msgs.msg import Marker, MarkerArray
 
-from humansim_ros.body import Human, Mesh, Skeleton
+from humansim_ros.body import Skeleton
 from humansim_ros.camera import Camera
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import RosError
-from humansim_ros.motion.world import JointPoses, Velocity
+from humansim_ros.humans.human import Human
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.motion.world_motion import JointPoses, Velocity
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.scene import HumanState
-from humansim_ros.scene.filming import CameraPose
-from humansim_ros.scene.instant import JointMotion
+from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.live import Source
 from humansim_ros.scene.objects import ObjectPose, SceneObject
+from humansim_ros.scene.state import JointMotion
 from humansim_ros.truth.boxes import BodyBox
 from humansim_ros.truth.joints import (
     NOTHING,

@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from humansim_ros.errors import SceneError
-from humansim_ros.names import variety_names
-from humansim_ros.yaml_files import read_yaml
+from humansim_ros.io.yaml import read_yaml
+from humansim_ros.scene.names import variety_names
 
 #: In the environment of nodes whose scene has been loaded before, and its warnings told.
 TOLD = "HUMANSIM_SCENE_TOLD"
@@ -107,7 +107,7 @@ def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
     if not content.get("rig"):
         return []
     from humansim_ros.scene.config import load_config  # only now, since it needs much more
-    from humansim_ros.scene.filming import rig_cameras
+    from humansim_ros.scene.rig import rig_cameras
 
     return list(rig_cameras(load_config(path).rig, path))
 

@@ -12,7 +12,7 @@ from contextlib import suppress
 from typing import Any
 
 from humansim_ros.errors import HumansimError, RosError, tell_warnings
-from humansim_ros.memory import keep_image_blocks
+from humansim_ros.render.memory import keep_image_blocks
 from humansim_ros.resources import resource_path
 
 #: Whoever sets one of these has configured Fast DDS's transports.

@@ -9,12 +9,12 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
 from humansim_ros.errors import SceneError
-from humansim_ros.files import beside
-from humansim_ros.render.choose import RendererName
-from humansim_ros.render.light import Lighting
+from humansim_ros.io.files import beside
+from humansim_ros.io.yaml import invalid, line_of, read_yaml
+from humansim_ros.render.lighting import Lighting
+from humansim_ros.render.make import RendererName
 from humansim_ros.resources import resource_path
 from humansim_ros.sensor.config import SensorConfig
-from humansim_ros.yaml_files import invalid, line_of, read_yaml
 
 Vector3 = tuple[float, float, float]
 Row4 = tuple[float, float, float, float]

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.joint_names import JointMatch, find_match
+from humansim_ros.motion.joint_matching import find_match
+from humansim_ros.motion.joint_tables import JointMatch
 from humansim_ros.motion.keyframes import SPACE_JOINTS, take_back
 from humansim_ros.motion.retarget import Retargeter, has_turns
-from humansim_ros.motion.world import JointPoses
+from humansim_ros.motion.world_motion import JointPoses
 from humansim_ros.rotations import Array, quaternion_to_matrix
-from humansim_ros.scene.scene import Actor, HumanState
+from humansim_ros.scene.actor import Actor, HumanState
 
 #: The links that tell people, and conventions of rotations, from each other.
 _LIMBS = tuple(f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow", "hip", "knee"))

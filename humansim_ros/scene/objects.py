@@ -14,15 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.mesh import Mesh
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
-from humansim_ros.files import beside
+from humansim_ros.io.files import beside
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
-from humansim_ros.motion.world import Velocity
+from humansim_ros.motion.world_motion import Velocity
 from humansim_ros.render import Body
 from humansim_ros.rotations import Array, quaternion_to_matrix
 from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig
-from humansim_ros.scene.meshes import read_thing
+from humansim_ros.scene.mesh_files import read_thing
 
 #: Segments around a sphere or a cylinder.
 _ROUND = 48

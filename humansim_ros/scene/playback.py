@@ -13,11 +13,12 @@ import numpy as np
 from pydantic import ValidationError
 
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.world import JointPoses, Velocity, WorldMotion
+from humansim_ros.motion.world_motion import JointPoses, Velocity, WorldMotion
+from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
-from humansim_ros.scene.filming import CameraPose
 from humansim_ros.scene.objects import ObjectPose
-from humansim_ros.scene.scene import Actor, Scene
+from humansim_ros.scene.scene import Scene
 
 #: What is said of a motion's file, and does not hold for another.
 _OF_THE_FILE = ("joint_names", "unit", "up", "facing", "positions", "start", "end")

@@ -19,17 +19,17 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body.mesh import Mesh
 from humansim_ros.errors import HumansimWarning, SceneError
-from humansim_ros.render.posed import Posed, Topology
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.render.posed_mesh import Posed, Topology
 from humansim_ros.rotations import Array
 from humansim_ros.scene.config import LightConfig, ObjectConfig, RandomiseConfig, SceneConfig
 from humansim_ros.scene.room import pattern
 
 if TYPE_CHECKING:
-    from humansim_ros.scene.filming import SceneCamera
+    from humansim_ros.scene.actor import Actor
+    from humansim_ros.scene.camera import SceneCamera
     from humansim_ros.scene.objects import SceneObject
-    from humansim_ros.scene.scene import Actor
 
 Image = NDArray[np.uint8]
 #: Seconds from the start of the scene in which clutter keeps out of people's way, and between looks.

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body.mesh import Mesh
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.rotations import Array
 
 Image = NDArray[np.uint8]

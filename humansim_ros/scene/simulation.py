@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.renderer import FLOWS
-from humansim_ros.scene.filming import SceneCamera, photograph
-from humansim_ros.scene.instant import Instant, JointMotion
+from humansim_ros.scene.actor import Actor, HumanState
+from humansim_ros.scene.camera import SceneCamera
+from humansim_ros.scene.capture import photograph
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Moment, Playback
-from humansim_ros.scene.scene import Actor, HumanState, Scene
+from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.state import Instant, JointMotion
 from humansim_ros.truth.boxes import BodyBox, view_boxes
 from humansim_ros.truth.joints import JointView, joint_surfaces, view_joints
 from humansim_ros.truth.vertices import visible_vertices

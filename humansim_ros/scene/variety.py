@@ -8,9 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TypeVar
 
-from humansim_ros.body import Human
 from humansim_ros.errors import SceneError
-from humansim_ros.names import variety_names
+from humansim_ros.humans.human import Human
 from humansim_ros.scene.config import (
     HumanConfig,
     MotionConfig,
@@ -19,6 +18,7 @@ from humansim_ros.scene.config import (
     built_in_names,
     find_human,
 )
+from humansim_ros.scene.names import variety_names
 
 #: Motions of the package that look right when they begin again and again.
 MOTIONS = ("walk", "run", "wave", "pick_up", "sit_stand", "turn_in_place")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
-from humansim_ros.render.refine import nearest
+from humansim_ros.render.lens_tessellation import nearest
 from humansim_ros.render.renderer import Kind
 from humansim_ros.rotations import Array
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.body import Human
 from humansim_ros.camera import Camera
+from humansim_ros.humans.human import Human
 from humansim_ros.render import View
 from humansim_ros.rotations import Array
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
-from humansim_ros.render.detail import Detail, Shown
+from humansim_ros.render.pixel_geometry import Detail, Shown
 
 Floats = NDArray[np.float32]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
-from humansim_ros.render.refine import NEAR, nearest
+from humansim_ros.render.lens_tessellation import NEAR, nearest
 from humansim_ros.rotations import Array
 from humansim_ros.truth.joints import nearest_pixels
 

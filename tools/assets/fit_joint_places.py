@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 from humansim_ros.body import landmarks
 from humansim_ros.body.known import topology
 from humansim_ros.body.landmarks import Measures, measure
-from humansim_ros.body.mesh import Mesh
-from humansim_ros.makehuman import MakeHumanConfig, find_data
-from humansim_ros.makehuman.data import Base, Source, read_base
-from humansim_ros.makehuman.shape import target_strengths
-from humansim_ros.makehuman.skeleton import Bones, bone_weights, make_bones, t_pose, unskin
-from humansim_ros.makehuman.skeleton import landmarks as makehuman_landmarks
+from humansim_ros.humans.makehuman.data import Base, Source, find_data, read_base
+from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths
+from humansim_ros.humans.makehuman.skeleton import Bones, bone_weights, make_bones, t_pose, unskin
+from humansim_ros.humans.makehuman.skeleton import landmarks as makehuman_landmarks
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.rotations import Array
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -16,13 +16,13 @@ import numpy as np
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.body import Human  # noqa: E402
-from humansim_ros.cli_human import built_in_humans  # noqa: E402
-from humansim_ros.human_pictures import HumanArtist  # noqa: E402
+from humansim_ros.cli.human import built_in_humans  # noqa: E402
+from humansim_ros.drawing.canvas import Image  # noqa: E402
+from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
+from humansim_ros.drawing.motions import Skinned  # noqa: E402
+from humansim_ros.humans.human import Human  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
 from humansim_ros.motion.info import world_of  # noqa: E402
-from humansim_ros.motion_pictures import Skinned  # noqa: E402
-from humansim_ros.pictures import Image  # noqa: E402
 from humansim_ros.scene.config import find_human  # noqa: E402
 
 SIZE = (230, 300)

@@ -23,8 +23,8 @@ sys.path.insert(0, str(ROOT))
 
 from humansim_ros.camera import Camera  # noqa: E402
 from humansim_ros.camera.calibration import load_calibration  # noqa: E402
+from humansim_ros.drawing.canvas import Image  # noqa: E402
 from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
-from humansim_ros.pictures import Image  # noqa: E402
 from humansim_ros.render import Body, GLRenderer  # noqa: E402
 from humansim_ros.resources import resource_path  # noqa: E402
 from humansim_ros.rotations import Array  # noqa: E402

@@ -19,9 +19,9 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body import Human
-from humansim_ros.body.normals import SurfaceNormals
 from humansim_ros.body.skinning import SKINNERS, make_skinner, skin
+from humansim_ros.humans.human import Human
+from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.info import world_of
 from humansim_ros.motion.retarget import Retargeter

@@ -16,8 +16,9 @@ import trimesh
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.body import Human, Mesh
 from humansim_ros.camera import Camera
+from humansim_ros.humans.human import Human
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.penetration import Capsules, capsules, self_penetration
 from humansim_ros.render import Body, GLRenderer
 from humansim_ros.resources import resource_path

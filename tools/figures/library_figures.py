@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.body import Human
+from humansim_ros.humans.human import Human
 from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.contacts import find_stances, slides
 from humansim_ros.motion.info import world_of

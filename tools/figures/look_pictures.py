@@ -19,8 +19,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.body.finish import normals_of_heights  # noqa: E402
 from humansim_ros.camera import Camera  # noqa: E402
+from humansim_ros.mesh.material import normals_of_heights  # noqa: E402
 from humansim_ros.render import GLRenderer, Lighting  # noqa: E402
 from humansim_ros.scene import Scene, Simulation  # noqa: E402
 from humansim_ros.scene.room import furnished_room  # noqa: E402

@@ -24,9 +24,9 @@ from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimError
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.contacts import FootContacts, find_stances, slides
-from humansim_ros.motion.joint_names import match_motion
+from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.retarget import Mode, Retargeter, sole_heights
-from humansim_ros.motion.world import WorldMotion, understand
+from humansim_ros.motion.world_motion import WorldMotion, understand
 from humansim_ros.rotations import WORLD_FROM_BODY, Array
 
 SKELETON = hanim_skeleton()

@@ -12,10 +12,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from humansim_ros.body import Human
+from humansim_ros.drawing.motions import Skinned
 from humansim_ros.errors import HumansimError
+from humansim_ros.humans.human import Human
 from humansim_ros.motion.info import read_quietly, world_of
-from humansim_ros.motion_pictures import Skinned
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -22,17 +22,20 @@ from scipy.sparse import csr_matrix
 ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tools" / "assets")]
 
-from humansim_ros.body import Human, Mesh, Skeleton, fit_skeleton, read_mesh, rig  # noqa: E402
+from humansim_ros.body import Skeleton, fit_skeleton, rig  # noqa: E402
 from humansim_ros.body.rigging import RigRule  # noqa: E402
 from humansim_ros.body.skinning import LinearBlend  # noqa: E402
 from humansim_ros.body.weights import limit_bones  # noqa: E402
+from humansim_ros.drawing.canvas import Image  # noqa: E402
+from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
+from humansim_ros.drawing.motions import Skinned  # noqa: E402
 from humansim_ros.errors import MeshError  # noqa: E402
-from humansim_ros.human_pictures import HumanArtist  # noqa: E402
+from humansim_ros.humans.human import Human  # noqa: E402
+from humansim_ros.mesh.mesh import Mesh  # noqa: E402
+from humansim_ros.mesh.obj import read_mesh  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
 from humansim_ros.motion.info import world_of  # noqa: E402
 from humansim_ros.motion.retarget import Retargeter  # noqa: E402
-from humansim_ros.motion_pictures import Skinned  # noqa: E402
-from humansim_ros.pictures import Image  # noqa: E402
 from humansim_ros.rotations import Array  # noqa: E402
 
 SHARED = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shared" / "data") / "mesh"
@@ -127,8 +130,7 @@ def show_joints() -> None:
         _row(name, *(f"{e:.0f}" for e in errors), f"{errors.mean():.0f}")
     from fit_joint_places import body_faces, random_people
 
-    from humansim_ros.makehuman import find_data
-    from humansim_ros.makehuman.data import read_base
+    from humansim_ros.humans.makehuman.data import find_data, read_base
 
     source = find_data()
     faces = body_faces(read_base(source, {}))

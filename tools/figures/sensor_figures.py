@@ -14,13 +14,14 @@ import cv2
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.pictures import Image
+from humansim_ros.drawing.canvas import Image
 from humansim_ros.render import GLRenderer
 from humansim_ros.resources import resource_path
 from humansim_ros.rotations import moved
 from humansim_ros.scene import Scene
+from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import SceneConfig, built_in_names, load_config
-from humansim_ros.scene.scene import DEMO_SCENE, Actor
+from humansim_ros.scene.scene import DEMO_SCENE
 from humansim_ros.sensor import Sensor, SensorConfig
 
 _SIZE = (400, 300)

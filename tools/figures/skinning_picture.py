@@ -12,10 +12,11 @@ import cv2
 import numpy as np
 from deformation_figures import BENDS, ROOT, bent, volume_change
 
-from humansim_ros.body import Human, Mesh
 from humansim_ros.body.skinning import SKINNERS, make_skinner
 from humansim_ros.camera import Camera
-from humansim_ros.pictures import Image
+from humansim_ros.drawing.canvas import Image
+from humansim_ros.humans.human import Human
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Body, GLRenderer, Lighting
 from humansim_ros.rotations import WORLD_FROM_BODY
 

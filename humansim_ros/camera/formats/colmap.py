@@ -22,7 +22,7 @@ from humansim_ros.camera.formats.base import (
     without_suffix,
 )
 from humansim_ros.errors import CameraError
-from humansim_ros.files import read_text
+from humansim_ros.io.files import read_text
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 CAMERAS, IMAGES, POINTS = "cameras.txt", "images.txt", "points3D.txt"

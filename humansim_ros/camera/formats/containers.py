@@ -16,7 +16,7 @@ from defusedxml.common import DefusedXmlException
 
 from humansim_ros.camera.formats.base import Source
 from humansim_ros.errors import CameraError
-from humansim_ros.yaml_files import Loader, parse_yaml
+from humansim_ros.io.yaml import Loader, parse_yaml
 
 #: Characters of a text; YAML is slow to read. Hundreds of cameras take much less.
 _MOST = {"yaml": 1 << 19, "json": 8 << 20, "xml": 4 << 20}

@@ -20,7 +20,7 @@ from humansim_ros.camera.formats.base import (
     row,
     without_suffix,
 )
-from humansim_ros.camera.sizes import size_of_image
+from humansim_ros.camera.image_size import size_of_image
 from humansim_ros.errors import CameraError
 
 

@@ -19,16 +19,17 @@ from sensor_msgs.msg import CameraInfo, Image
 from humansim_ros.errors import CameraError, SceneError
 from humansim_ros.render import Neighbour
 from humansim_ros.ros import messages
-from humansim_ros.ros.calibration import PublishedCalibration, calibration_of
-from humansim_ros.ros.joiner import FrameJoiner
+from humansim_ros.ros.camera_calibration import PublishedCalibration, calibration_of
+from humansim_ros.ros.camera_pose import Whereabouts
+from humansim_ros.ros.camera_publishers import Outlets, PeopleOutlets, needed
+from humansim_ros.ros.frame_synchronizer import FrameJoiner
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.outlets import Outlets, PeopleOutlets, needed
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import run_node
-from humansim_ros.ros.whereabouts import Whereabouts
 from humansim_ros.scene import Scene
-from humansim_ros.scene.filming import SceneCamera, Shot, photograph
-from humansim_ros.scene.instant import Instant
+from humansim_ros.scene.camera import SceneCamera
+from humansim_ros.scene.capture import Shot, photograph
+from humansim_ros.scene.state import Instant
 
 #: Channels that are known only when the next frame is.
 _FORWARD = {"flow", "flow_hidden"}

@@ -14,11 +14,11 @@ from typing import Any
 from rclpy.parameter import Parameter
 
 from humansim_ros.errors import HumansimError, SceneError
-from humansim_ros.ros.joiner import FrameJoiner
+from humansim_ros.ros.frame_synchronizer import FrameJoiner
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene.instant import Instant
+from humansim_ros.scene.state import Instant
 
 
 class CameraRig(SceneNode):

@@ -17,8 +17,8 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from humansim_ros.errors import HumansimError, SceneError
-from humansim_ros.files import beside
-from humansim_ros.motion.joint_names import built_in_tables, load_table
+from humansim_ros.io.files import beside
+from humansim_ros.motion.joint_tables import built_in_tables, load_table
 from humansim_ros.ros.messages import (
     MarkerMaker,
     joints_message,

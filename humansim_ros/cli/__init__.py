@@ -1,0 +1,1 @@
+"""The ``humansim`` command line."""

@@ -1,0 +1,198 @@
+"""Figures that bring a skeleton of their own (glTF, SMPL): its joints take our names, whatever theirs are."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import csr_matrix
+
+from humansim_ros.body.rigging import dominant_bones
+from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
+from humansim_ros.body.weights import limit_bones
+from humansim_ros.errors import MeshError, MotionError, warn_of
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.skinned import Figure
+from humansim_ros.motion.joint_matching import match_motion
+from humansim_ros.motion.joint_tables import JointMatch
+from humansim_ros.motion.world_motion import understand
+from humansim_ros.rotations import Array
+
+#: Statures (metres) of people, a baby's to a giant's: a figure that is no such size is in another unit.
+PLAUSIBLE_STATURE = (0.4, 2.6)
+#: Length of bones that end nowhere, metres.
+_STUB = 0.03
+
+
+def adopt(
+    figure: Figure, unit: float | None = None, up: str | None = None, facing: str | None = None
+) -> tuple[Mesh, Skeleton, csr_matrix]:
+    """A figure in body space (metres, y up, facing +z, soles at height 0), its skeleton, its weights (V, B).
+
+    The joints that are those of our skeleton take its names, by their own names and kinship, or by the shape
+    of the skeleton; all others stay under theirs and follow. Joints that we have and the figure has not are
+    put in between, without skin. ``unit``: metres per file unit. Raises MeshError if it is no person.
+    """
+    rest = figure.at_rest()
+    try:
+        match = match_motion(rest)
+        frame = understand(rest, match, unit, up, facing)
+    except MotionError as error:
+        raise MeshError(f"its skeleton is no person's: {error.message}") from None
+    if frame.rest_from_body.ndim != 2:
+        raise MeshError("the figure does not stand upright in its rest pose: export it in a T or A pose")
+    stature = float(np.ptp(figure.mesh.vertices @ frame.rest_from_body[:, 1]))
+    scale = 1.0 if unit is None else unit
+    if unit is None and not PLAUSIBLE_STATURE[0] <= stature <= PLAUSIBLE_STATURE[1]:
+        scale = frame.unit
+        person = f"a person of {stature * scale:.2f} m"
+        warn_of(figure.name, f"{stature:.3g} units tall: taken as {frame.unit_name}, {person}")
+    vertices = scale * figure.mesh.vertices @ frame.rest_from_body
+    joints = scale * figure.joints @ frame.rest_from_body
+    hips = joints[[match.roles["LeftHip"], match.roles["RightHip"]]].mean(0)
+    origin = np.array([hips[0], vertices[:, 1].min(), hips[2]])
+    vertices, joints = vertices - origin, joints - origin
+    skeleton, bones = _skeleton(figure, match, joints, vertices)
+    columns = np.array(bones)
+    weights = csr_matrix(
+        (figure.weights.data, columns[figure.weights.indices], figure.weights.indptr),
+        shape=(len(vertices), len(skeleton)),
+    )
+    return replace(figure.mesh, vertices=vertices), skeleton, limit_bones(weights)
+
+
+def own_joints(match: JointMatch) -> dict[str, int]:
+    """The joint that each of our bones turns about; each joint once, for the bone nearest the root."""
+    skeleton = hanim_skeleton()
+    own: dict[str, int] = {}
+    for bone in skeleton.names:
+        joint = match.parallel[bone][0] if bone in match.parallel else match.difference.get(bone)
+        if joint is not None and joint not in own.values():
+            own[bone] = joint
+    return own
+
+
+def _skeleton(
+    figure: Figure, match: JointMatch, joints: Array, vertices: Array
+) -> tuple[Skeleton, list[int]]:
+    """The figure's skeleton under our names, and the bone of each of its joints."""
+    general = hanim_skeleton()
+    parent_of = {
+        n: general.names[p] if p >= 0 else None for n, p in zip(general.names, general.parents, strict=True)
+    }
+    own = own_joints(match)
+    bone_of = {joint: bone for bone, joint in own.items()}
+    taken = set(general.names)
+    names: list[str] = []
+    parents: list[str | None] = []
+    heads: list[Array] = []
+    name_of: dict[int, str] = {}
+
+    def add(name: str, parent: str | None, head: Array) -> None:
+        names.append(name)
+        parents.append(parent)
+        heads.append(np.asarray(head))
+
+    for joint in range(len(joints)):
+        above = name_of[int(figure.parents[joint])] if figure.parents[joint] >= 0 else None
+        bone = bone_of.get(joint)
+        if bone is None:
+            bone = _free_name(figure.joint_names[joint], taken)
+            add(bone, above, joints[joint])
+        else:
+            # our bones that lead to this one and that no joint of the figure stands for
+            chain: list[str] = []
+            lead = parent_of[bone]
+            while lead is not None and lead not in own and lead not in names:
+                chain.insert(0, lead)
+                lead = parent_of[lead]
+            start = heads[names.index(above)] if above is not None else joints[joint] - [0.0, _STUB, 0.0]
+            for step, name in enumerate(chain):
+                share = step / len(chain)
+                add(name, above, (1 - share) * start + share * joints[joint])
+                above = name
+            add(bone, above, joints[joint])
+        name_of[joint] = bone
+    for name in general.names:  # what is left ends nowhere
+        if name not in names:
+            lead = parent_of[name]
+            add(name, lead, heads[names.index(lead)] if lead is not None else joints[0])
+    tails = _tails(figure, match, names, parents, heads, name_of, joints, vertices)
+    skeleton = Skeleton(
+        tuple(names),
+        np.array([-1 if p is None else names.index(p) for p in parents], dtype=np.intp),
+        np.array(heads),
+        tails,
+        np.zeros(len(names)),
+    )
+    return skeleton, [names.index(name_of[joint]) for joint in range(len(joints))]
+
+
+def _tails(
+    figure: Figure,
+    match: JointMatch,
+    names: list[str],
+    parents: list[str | None],
+    heads: list[Array],
+    name_of: Mapping[int, str],
+    joints: Array,
+    vertices: Array,
+) -> Array:
+    """Where each bone ends: at the end of its link, where its only child (or its next of our bones) begins,
+    or at the end of its skin.
+    """
+    general = hanim_skeleton()
+    joint_of = {name: joint for joint, name in name_of.items()}
+    heaviest = dominant_bones(figure.weights)
+    tails = np.array(heads)
+    for number, name in enumerate(names):
+        children = [i for i, parent in enumerate(parents) if parent == name]
+        ours = [i for i in children if names[i] in general.names]
+        head = heads[number]
+        if name in match.parallel and joint_of.get(name) == match.parallel[name][0]:
+            goal = joints[match.parallel[name][1]]
+        elif len(ours) == 1 or (ours and len(children) == 1):
+            goal = heads[ours[0]]
+        elif ours:  # the trunk branches: up along the middle
+            middle = [i for i in ours if "_" not in names[i]]
+            goal = heads[middle[0]] if middle else np.mean([heads[i] for i in ours], axis=0)
+        elif children:
+            goal = np.mean([heads[i] for i in children], axis=0)
+        else:
+            goal = head
+        if np.linalg.norm(goal - head) < 1e-3:
+            along = _along(number, names, parents, heads)
+            skin = vertices[heaviest == joint_of[name]] if name in joint_of else vertices[:0]
+            reach = (skin - head) @ along
+            far = skin[reach >= 0.9 * reach.max(initial=0.0)]
+            goal = far.mean(0) if reach.max(initial=0.0) > _STUB else head + _STUB * along
+        tails[number] = goal
+    return tails
+
+
+def _along(number: int, names: list[str], parents: list[str | None], heads: list[Array]) -> Array:
+    """Unit direction (3,) in which a bone without a next one goes on: that of its parent; feet forwards."""
+    if names[number] in ("l_ankle", "r_ankle"):
+        return np.array([0.0, 0.0, 1.0])
+    if names[number] == "vt3":
+        return np.array([0.0, 1.0, 0.0])
+    parent = parents[number]
+    while parent is not None:
+        step = heads[number] - heads[names.index(parent)]
+        length = float(np.linalg.norm(step))
+        if length > 1e-3:
+            return np.asarray(step / length)
+        parent = parents[names.index(parent)]
+    return np.array([0.0, 1.0, 0.0])
+
+
+def _free_name(name: str, taken: set[str]) -> str:
+    """A bone's name that no other bone has."""
+    plain = name or "joint"
+    free, number = plain, 0
+    while free in taken:
+        number += 1
+        free = f"{plain}.{number:03d}"
+    taken.add(free)
+    return free

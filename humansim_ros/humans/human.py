@@ -1,0 +1,223 @@
+"""A human ready to be posed: surface, skeleton and the weights that tie them; and its file."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from humansim_ros.body.rigging import triangle_parts
+from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.body.skinning import Skinner, make_skinner, normalise_weights
+from humansim_ros.errors import MeshError
+from humansim_ros.io.images import decode_image
+from humansim_ros.io.npz import read_npz, write_npz
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.rotations import Array
+
+#: The outfit of a human that has one look only.
+PLAIN = "default"
+#: How skin follows bones.
+Skinning = Literal["linear", "dual_quaternion"]
+_LOOK = "texture_"
+
+
+@dataclass(frozen=True)
+class Human:
+    """A body at rest in body space (metres, y up, faces +z).
+
+    ``weights``: (V, B), rows sum to one. ``looks``: what it can wear, by name: (N,) bytes of a PNG or JPEG
+    texture, or (V, 3) colours of the vertices, uint8 sRGB; ``outfit`` is the one that ``mesh`` wears.
+    ``notes``: where it is from (``license``, ``source``).
+    """
+
+    name: str
+    mesh: Mesh
+    skeleton: Skeleton
+    weights: csr_matrix
+    looks: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)
+    outfit: str = PLAIN
+    skinning: Skinning = "linear"
+    notes: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def load(
+        cls,
+        path: str | os.PathLike[str],
+        outfit: str | None = None,
+        skinning: Skinning | None = None,
+    ) -> Human:
+        """Load a human from a file: built (.npz), described (.yaml), a mesh (.obj, .gltf, .glb), which is
+        rigged where it is not, or an SMPL model (.npz).
+
+        What takes long is kept in a cache (docs/humans.md). Raises MeshError with the file and the reason.
+        """
+        from humansim_ros.humans.loading import load_human
+
+        return load_human(path, outfit, skinning)
+
+    @property
+    def outfits(self) -> tuple[str, ...]:
+        """Names of what it can wear, the first is what it wears by itself."""
+        return tuple(self.looks) or (self.outfit,)
+
+    def wearing(self, outfit: str) -> Human:
+        """The same human in another outfit. MeshError if there is none of that name."""
+        if outfit == self.outfit and (self.mesh.texture is not None or self.mesh.colors is not None):
+            return self
+        if outfit not in self.looks:
+            known = ", ".join(self.outfits)
+            raise MeshError(f"{self.name} has no outfit {outfit!r}; there are {known}")
+        look = self.looks[outfit]
+        if look.ndim == 1:
+            mesh = replace(self.mesh, texture=decode_image(look), colors=None)
+        else:
+            mesh = replace(self.mesh, texture=None, colors=look)
+        return replace(self, mesh=mesh, outfit=outfit)
+
+    @cached_property
+    def triangle_parts(self) -> NDArray[np.uint8]:
+        """(N,) label of each triangle: 1 + the bone it follows most."""
+        return triangle_parts(self.mesh.triangles, self.weights) + np.uint8(1)
+
+    @cached_property
+    def skinner(self) -> Skinner:
+        """The skinning function of this body, single precision."""
+        return make_skinner(self.skinning, self.mesh.vertices, self.weights)
+
+    def pose(self, posed: Array) -> NDArray[np.float32]:
+        """Vertices (V, 3) float32 from posed bone frames (B, 4, 4), in the space of those frames."""
+        return np.asarray(self.skinner(posed @ self.skeleton.rest_inverse), dtype=np.float32)
+
+
+#: Most bones of a human: their number is a label of 8 bits.
+MOST_BONES = 255
+_SKELETON = ("bone_names", "bone_parents", "bone_heads", "bone_tails", "bone_rolls")
+_NEEDED = ("vertices", "faces", *_SKELETON, "weight_bones", "weight_values")
+
+
+def read_human(path: str | os.PathLike[str]) -> Human:
+    """Read a built human (docs/humans.md lists the arrays). Raises MeshError with the file and the array."""
+    arrays = read_npz(path, MeshError, "human")
+    missing = [key for key in _NEEDED if key not in arrays]
+    if missing:
+        raise MeshError("not a human file: an array is missing", path=path, key=missing[0])
+    try:
+        return human_of_arrays(arrays, Path(path).stem)
+    except KeyError as reason:
+        raise MeshError("not a human file: an array is missing", path=path, key=str(reason.args[0])) from None
+    except (ValueError, TypeError, IndexError, OverflowError) as reason:
+        raise MeshError(f"an array has the wrong shape or type: {reason}", path=path) from None
+    except MeshError as error:
+        raise MeshError(error.message, path=path, key=error.key) from None
+
+
+def write_human(path: str | os.PathLike[str], human: Human) -> None:
+    """Write a built human; the same human gives the same bytes. The file appears whole or not at all."""
+    mesh, skeleton = human.mesh, human.skeleton
+    counts = np.diff(human.weights.indptr)
+    width = int(counts.max())
+    bones = np.zeros((len(counts), width), dtype=np.int16)
+    values = np.zeros((len(counts), width))
+    used = np.arange(width) < counts[:, None]
+    bones[used], values[used] = human.weights.indices, human.weights.data
+    arrays: dict[str, NDArray[Any]] = {
+        "vertices": mesh.vertices.astype(np.float32),
+        "faces": mesh.faces.astype(np.int32),
+        "bone_names": np.array(skeleton.names),
+        "bone_parents": skeleton.parents.astype(np.int32),
+        "bone_heads": skeleton.heads,
+        "bone_tails": skeleton.tails,
+        "bone_rolls": skeleton.rolls,
+        "weight_bones": bones,
+        "weight_values": values.astype(np.float32),
+    }
+    if mesh.uv is not None and mesh.uv_faces is not None:
+        arrays |= {"uv": mesh.uv.astype(np.float32), "uv_faces": mesh.uv_faces.astype(np.int32)}
+    if human.looks:
+        arrays["outfits"] = np.array(human.outfits)
+        arrays |= {f"{_LOOK}{name}": np.asarray(look) for name, look in human.looks.items()}
+    elif mesh.colors is not None:
+        arrays["colors"] = mesh.colors
+    if mesh.skin is not None:
+        arrays["skin"] = mesh.skin
+    arrays |= {key: np.array(text) for key, text in {"name": human.name, **human.notes}.items()}
+    if human.skinning != "linear":
+        arrays["skinning"] = np.array(human.skinning)
+    write_npz(path, arrays)
+
+
+def human_of_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
+    """The human that a file with these arrays holds; MeshError, KeyError or ValueError if it holds none."""
+    vertices = arrays["vertices"].astype(float)
+    uv = arrays.get("uv")
+    mesh = Mesh(
+        vertices=vertices,
+        faces=arrays["faces"].astype(np.int32),
+        uv=None if uv is None else uv.astype(float),
+        uv_faces=None if uv is None else arrays["uv_faces"].astype(np.int32),
+        colors=arrays.get("colors"),
+        skin=_skin(arrays),
+    )
+    skeleton = Skeleton(
+        names=tuple(str(n) for n in arrays["bone_names"]),
+        parents=arrays["bone_parents"].astype(np.intp),
+        heads=arrays["bone_heads"].astype(float),
+        tails=arrays["bone_tails"].astype(float),
+        rolls=arrays["bone_rolls"].astype(float),
+    )
+    if len(skeleton) > MOST_BONES:
+        raise MeshError(f"{len(skeleton)} bones; at most {MOST_BONES}", key="bone_names")
+    bones, values = arrays["weight_bones"].astype(int), arrays["weight_values"].astype(float)
+    if (
+        bones.ndim != 2
+        or bones.shape != values.shape
+        or len(bones) != len(vertices)
+        or bones.min() < 0
+        or bones.max() >= len(skeleton)
+    ):
+        raise MeshError("the weights do not fit the vertices and bones", key="weight_bones")
+    used = values != 0
+    starts = np.concatenate([[0], np.cumsum(used.sum(axis=1))])
+    weights = csr_matrix((values[used], bones[used], starts), shape=(len(vertices), len(skeleton)))
+    weights.sum_duplicates()
+    looks = _looks(arrays, len(vertices))
+    notes: dict[str, str] = {key: str(arrays[key]) for key in ("license", "source") if key in arrays}
+    skinning = str(arrays.get("skinning", "linear"))
+    if skinning not in ("linear", "dual_quaternion"):
+        raise MeshError(f"{skinning[:30]!r} is no way of skinning", key="skinning")
+    known: Skinning = "linear" if skinning == "linear" else "dual_quaternion"
+    human = Human(name, mesh, skeleton, normalise_weights(weights), looks, skinning=known, notes=notes)
+    return human.wearing(human.outfits[0]) if looks else human
+
+
+def _skin(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
+    """Where the textures of a file show skin."""
+    skin = arrays.get("skin")
+    if skin is not None and (skin.dtype != np.uint8 or skin.ndim != 2):
+        raise MeshError(f"it is (H, W), uint8, not {skin.shape} {skin.dtype}", key="skin")
+    return skin
+
+
+def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArray[np.uint8]]:
+    """The outfits of a file."""
+    if "outfits" in arrays:
+        looks = {str(name): arrays[f"{_LOOK}{name}"] for name in arrays["outfits"].ravel()}
+    else:
+        looks = {PLAIN: arrays["texture"]} if "texture" in arrays else {}
+    for name, look in looks.items():
+        if look.dtype != np.uint8 or (look.ndim != 1 and look.shape != (n_vertices, 3)):
+            raise MeshError(
+                f"an outfit is image bytes (N,) or colours (V, 3), uint8, not {look.shape} {look.dtype}",
+                key=f"{_LOOK}{name}",
+            )
+        if look.ndim == 1 and "uv" not in arrays:
+            raise MeshError("a texture needs texture coordinates", key="uv")
+    return looks

@@ -1,0 +1,223 @@
+"""Any file with a person in it as a human: built ones, descriptions, meshes, rigged figures, SMPL models."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from humansim_ros.body.fitting import fit_skeleton
+from humansim_ros.body.rigging import dominant_bones, rig
+from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
+from humansim_ros.errors import MeshError
+from humansim_ros.humans.cache import content_key, kept
+from humansim_ros.humans.description import DRESSED, Clothes, MeshHuman, ParametricHuman, read_description
+from humansim_ros.humans.figure import adopt
+from humansim_ros.humans.human import MOST_BONES, Human, Skinning, human_of_arrays, read_human
+from humansim_ros.humans.makehuman.building import build
+from humansim_ros.humans.makehuman.data import find_data
+from humansim_ros.humans.smpl import is_smpl, read_smpl
+from humansim_ros.io.files import beside, read_bytes
+from humansim_ros.io.images import decode_image, encode_image
+from humansim_ros.mesh.gltf_document import Gltf
+from humansim_ros.mesh.gltf_mesh import read_gltf_mesh
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.obj import material_files, read_mesh
+from humansim_ros.mesh.skinned import Figure
+
+#: Files that a human is loaded from.
+SUFFIXES = (".npz", ".yaml", ".yml", ".obj", ".gltf", ".glb")
+_GLTF = (".gltf", ".glb")
+_SKIN_BONES = ("vt3", "l_wrist", "r_wrist", "l_elbow", "r_elbow")
+_SHOE_BONES = ("l_ankle", "r_ankle")
+_TROUSER_BONES = (
+    *("HumanoidRoot", "HumanoidRoot_to_l_hip", "HumanoidRoot_to_r_hip"),
+    *("l_hip", "r_hip", "l_knee", "r_knee"),
+)
+
+
+def load_human(
+    path: str | os.PathLike[str], outfit: str | None = None, skinning: Skinning | None = None
+) -> Human:
+    """What :meth:`humansim_ros.body.Human.load` does."""
+    try:
+        human = _load(Path(path))
+        if outfit is not None:
+            human = human.wearing(outfit)
+    except MeshError as error:
+        if error.path is None:
+            raise MeshError(error.message, path=path, line=error.line, key=error.key) from None
+        raise
+    return human if skinning is None else replace(human, skinning=skinning)
+
+
+def make_human(path: str | os.PathLike[str], options: MeshHuman | None = None) -> Human:
+    """A human made of a mesh, figure or SMPL model, without the cache. Raises MeshError."""
+    options = options or MeshHuman()
+    suffix = Path(path).suffix.lower()
+    made: Mesh | Figure
+    if suffix == ".npz":
+        made = read_smpl(path, options.betas)
+    elif suffix in _GLTF:
+        made = read_gltf_mesh(path)
+    else:
+        made = read_mesh(path)
+    if isinstance(made, Figure):
+        mesh, skeleton, weights = adopt(made, options.unit, options.up, options.facing)
+        if options.stature is not None:
+            mesh, skeleton = _resized(mesh, skeleton, options.stature)
+    else:
+        mesh, skeleton, weights = _rigged(made, options)
+    if len(skeleton) > MOST_BONES:
+        raise MeshError(f"{len(skeleton)} bones; at most {MOST_BONES}", path=path)
+    human = Human(Path(path).stem, mesh, skeleton, weights, skinning=options.skinning or "linear")
+    looks = _looks(human, options.outfits, Path(path))
+    return replace(human, looks=looks).wearing(next(iter(looks)))
+
+
+def _load(path: Path) -> Human:
+    suffix = path.suffix.lower()
+    if suffix == ".npz" and not is_smpl(_array_names(path)):
+        return read_human(path)
+    if suffix in (".yaml", ".yml"):
+        return _described(path)
+    if suffix not in SUFFIXES:
+        raise MeshError(
+            f"a human is one of {', '.join(SUFFIXES)}, not {suffix or 'a file without suffix'}", path=path
+        )
+    options = MeshHuman()
+    return kept(content_key(_content(path, options)), path.stem, lambda: make_human(path, options))
+
+
+def _described(path: Path) -> Human:
+    description = read_description(path)
+    if isinstance(description, ParametricHuman):
+        source = find_data()
+        key = content_key([b"makehuman", repr(description).encode(), source.version.encode()])
+
+        def made() -> Human:
+            arrays = build(source, description.makehuman, description.outfits)
+            return _from_arrays(arrays, description, path)
+
+        return kept(key, path.stem, made)
+    mesh, there = beside(path, description.mesh)
+    if mesh.suffix.lower() not in SUFFIXES or mesh.suffix.lower() in (".yaml", ".yml"):
+        raise MeshError("a mesh is .obj, .gltf, .glb or an SMPL model (.npz)", path=path, key="mesh")
+    if not there or not mesh.is_file():
+        raise MeshError(f"no such file {str(mesh)!r}", path=path, key="mesh")
+    options = description.model_copy(
+        update={
+            "outfits": {
+                name: clothes
+                if clothes.texture is None
+                else clothes.model_copy(update={"texture": str(beside(path, clothes.texture)[0])})
+                for name, clothes in description.outfits.items()
+            }
+        }
+    )
+    key = content_key(_content(mesh, options))
+    return kept(key, path.stem, lambda: replace(make_human(mesh, options), name=path.stem))
+
+
+def _array_names(path: Path) -> list[str]:
+    """Names of the arrays of an archive, none if it is no archive."""
+    data = read_bytes(path, MeshError, "human")
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            return [name.removesuffix(".npy") for name in archive.namelist()]
+    except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError):
+        return []
+
+
+def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
+    """All that a human is made of."""
+    yield options.model_dump_json().encode()
+    yield read_bytes(path, MeshError, "mesh")
+    if path.suffix.lower() in _GLTF:
+        yield from Gltf.read(path).further()
+    elif path.suffix.lower() == ".obj":
+        for file in material_files(path):
+            yield read_bytes(file, MeshError, "material")
+    for clothes in options.outfits.values():
+        if clothes.texture is not None:
+            yield read_bytes(clothes.texture, MeshError, "texture")
+
+
+def _rigged(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton, csr_matrix]:
+    """A bare mesh fitted and rigged."""
+    fitted, skeleton = fit_skeleton(
+        mesh,
+        options.skeleton,
+        up=options.up,
+        facing=options.facing,
+        unit=options.unit,
+        stature=options.stature,
+    )
+    return fitted, skeleton, rig(fitted, skeleton, options.rigging)
+
+
+def _resized(mesh: Mesh, skeleton: Skeleton, stature: float) -> tuple[Mesh, Skeleton]:
+    factor = stature / float(np.ptp(mesh.vertices[:, 1]))
+    larger = replace(skeleton, heads=factor * skeleton.heads, tails=factor * skeleton.tails)
+    return replace(mesh, vertices=factor * mesh.vertices), larger
+
+
+def _looks(human: Human, outfits: Mapping[str, Clothes], path: Path) -> dict[str, NDArray[np.uint8]]:
+    """What a mesh wears: what is asked for, else its own texture, else colours by body part."""
+    mesh = human.mesh
+    if not outfits and mesh.texture is not None:
+        return {"default": encode_image(mesh.texture)}
+    looks = {}
+    for name, clothes in (outfits or DRESSED).items():
+        if clothes.texture is None:
+            looks[name] = _dressed(human, clothes)
+            continue
+        key = f"outfits.{name}.texture"
+        if mesh.uv is None:
+            raise MeshError("the mesh has no texture coordinates: give colours", path=path, key=key)
+        data = read_bytes(clothes.texture, MeshError, "texture")
+        decode_image(data)  # so that a wrong one is told now
+        looks[name] = np.frombuffer(data, np.uint8)
+    return looks
+
+
+def _dressed(human: Human, clothes: Clothes) -> NDArray[np.uint8]:
+    """Colours (V, 3) by the bone that a vertex follows most, or the nearest of ours above it."""
+    skeleton, general = human.skeleton, set(hanim_skeleton().names)
+    palette = np.empty((len(skeleton), 3), np.uint8)
+    for bone, parent in enumerate(skeleton.parents):
+        name = skeleton.names[bone]
+        if name in _SKIN_BONES:
+            palette[bone] = clothes.skin
+        elif name in _SHOE_BONES:
+            palette[bone] = clothes.shoes
+        elif name in _TROUSER_BONES:
+            palette[bone] = clothes.trousers
+        elif name in general or parent < 0:
+            palette[bone] = clothes.shirt
+        else:
+            palette[bone] = palette[parent]
+    colors = palette[dominant_bones(human.weights)]
+    # the head is about an eighth of the height; hair grows on the top and the back of it
+    vertices = human.mesh.vertices
+    tall = float(np.ptp(vertices[:, 1]))
+    up = 1 + (vertices[:, 1] - vertices[:, 1].max()) / (0.13 * tall)  # 0 at the chin, 1 on top
+    middle = vertices[up > 0.5, 2]
+    ahead = (vertices[:, 2] - (middle.min() + middle.max()) / 2) / (0.13 * tall)
+    hair = (up > 0.40) & (up - 0.75 * ahead > 0.54)
+    colors[hair & (colors == np.array(clothes.skin, np.uint8)).all(1)] = clothes.hair
+    return colors
+
+
+def _from_arrays(
+    arrays: Mapping[str, NDArray[np.generic]], description: ParametricHuman, path: Path
+) -> Human:
+    human = human_of_arrays(dict(arrays), path.stem)
+    return replace(human, skinning=description.skinning or "linear")

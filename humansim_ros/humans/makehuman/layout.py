@@ -1,0 +1,110 @@
+"""The texture: where each part of the body has its texels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from humansim_ros.humans.makehuman.data import Array, Index
+
+TEXTURE_SIZE = 1024
+# MakeHuman's layout gives the face a sixth of the width. Clothes need less, the face needs more:
+# old -> new coordinates, (u from the left, h = 1 - v from the top), monotone so that no island folds.
+NARROW_U = ((0.0, 0.76), (0.0, 0.608))
+HEAD_U = ((0.63, 0.80, 0.97, 1.0), (0.615, 0.735, 0.985, 0.998))
+HEAD_H = ((0.17, 0.43, 0.60, 0.86), (0.008, 0.205, 0.585, 0.79))
+HANDS_SHIFT = -0.064
+EYE_BOX = 0.06
+
+
+def uv_islands(uv_faces: Index, count: int) -> Index:
+    """The island number (T,) of each texture coordinate."""
+    edges = np.concatenate([uv_faces[:, [k, (k + 1) % 4]] for k in range(4)])
+    graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
+    return csgraph.connected_components(graph, directed=False)[1]
+
+
+def relay_uv(uv: Array, uv_faces: Index, is_eye: NDArray[np.bool_]) -> Array:
+    """Give the face and the eyes more texels. uv (T, 2), uv_faces (F, 4), is_eye (F,) -> uv (T, 2)."""
+    u, h = uv[:, 0].copy(), 1 - uv[:, 1]
+    island = uv_islands(uv_faces, len(uv))
+    new_u, new_h = u.copy(), h.copy()
+    eyes = np.unique(island[uv_faces[is_eye]])
+    for number in np.unique(island):
+        rows = island == number
+        centre_u, centre_h = u[rows].mean(), h[rows].mean()
+        if number in eyes:
+            k = int(np.searchsorted(eyes, number))
+            size = max(np.ptp(u[rows]), np.ptp(h[rows]))
+            new_u[rows] = 0.73 + 0.065 * k + (u[rows] - u[rows].min()) / size * EYE_BOX
+            new_h[rows] = 0.90 + (h[rows] - h[rows].min()) / size * EYE_BOX
+        elif centre_u > 0.7 and centre_h < 0.85:  # head
+            new_u[rows], new_h[rows] = np.interp(u[rows], *HEAD_U), np.interp(h[rows], *HEAD_H)
+        elif centre_u > 0.75 and centre_h > 0.85:  # inside of the mouth, hardly seen
+            new_u[rows] = 0.74 + 0.2 * (u[rows] - u[rows].min())
+            new_h[rows] = 0.965 + 0.2 * (h[rows] - h[rows].min())
+        elif centre_u > 0.4 and centre_h > 0.85:  # hands
+            new_u[rows] = u[rows] + HANDS_SHIFT
+        else:
+            new_u[rows] = np.interp(u[rows], *NARROW_U)
+    return np.c_[new_u, 1 - new_h]
+
+
+@dataclass(frozen=True)
+class Texels:
+    """The texels under faces: row, column, face (N,), corners of the triangle (N, 3), barycentrics (N, 3)."""
+
+    row: Index
+    column: Index
+    face: Index
+    vertices: Index
+    uv: Index
+    weights: Array
+
+    def mix(self, values: Array) -> Array:
+        """Vertex values (V, ...) interpolated at the texels (N, ...)."""
+        return np.einsum("nk,nk...->n...", self.weights, values[self.vertices])
+
+
+def rasterise(faces: Index, uv: Array, uv_faces: Index, size: int) -> Texels:
+    """Which triangle lies under the centre of each texel of a size x size texture."""
+    fan = ([0, 1, 2], [0, 2, 3])
+    triangles = np.concatenate([faces[:, c] for c in fan])
+    uv_triangles = np.concatenate([uv_faces[:, c] for c in fan])
+    corners = uv[uv_triangles] * [size, -size] + [-0.5, size - 0.5]  # texel centres at integers
+    owner = np.full((size, size), -1)
+    bary = np.zeros((size, size, 3))
+    low = np.maximum(np.ceil(corners.min(axis=1) - 1e-6).astype(int), 0)
+    high = np.minimum(np.floor(corners.max(axis=1) + 1e-6).astype(int), size - 1)
+    for t, ((a, b, c), (c0, r0), (c1, r1)) in enumerate(zip(corners, low, high, strict=True)):
+        if c1 < c0 or r1 < r0:
+            continue
+        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if area == 0:
+            continue
+        x, y = np.arange(c0, c1 + 1)[None, :], np.arange(r0, r1 + 1)[:, None]
+        wb = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
+        wc = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
+        inside = (wb >= -1e-9) & (wc >= -1e-9) & (wb + wc <= 1 + 1e-9)
+        owner[r0 : r1 + 1, c0 : c1 + 1][inside] = t
+        bary[r0 : r1 + 1, c0 : c1 + 1][inside] = np.stack([1 - wb - wc, wb, wc], axis=-1)[inside]
+    row, column = np.nonzero(owner >= 0)
+    found = owner[row, column]
+    return Texels(row, column, found % len(faces), triangles[found], uv_triangles[found], bary[row, column])
+
+
+def downsample(texels: Texels, colour: Array) -> NDArray[np.uint8]:
+    """Texel colours (N, 3) as an image of half the raster's size, gaps filled from the nearest texel."""
+    size = 2 * TEXTURE_SIZE
+    empty = np.ones((size, size), np.uint8)
+    empty[texels.row, texels.column] = 0
+    _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    nearest = np.zeros((int(labels.max()) + 1, 3))
+    nearest[labels[texels.row, texels.column]] = colour
+    half = nearest[labels].reshape(TEXTURE_SIZE, 2, TEXTURE_SIZE, 2, 3).mean(axis=(1, 3))
+    return np.clip(np.rint(half), 0, 255).astype(np.uint8)

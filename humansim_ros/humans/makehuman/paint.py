@@ -1,0 +1,427 @@
+"""Colours: skin, face, hair and cloth painted where they are on the body."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Annotated, Literal
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from humansim_ros.humans.makehuman.clothes import Tailor
+from humansim_ros.humans.makehuman.data import Array, Index, Source
+from humansim_ros.humans.makehuman.layout import Texels
+from humansim_ros.humans.makehuman.surface import (
+    NONE,
+    SHIRT,
+    SHOES,
+    TROUSERS,
+    Mesh,
+    noise,
+    ramp,
+    sample,
+    vertex_normals,
+)
+
+AO_DIRECTIONS = 96
+AO_REACH = 0.25
+_PERIOD = 0.036  # metres, of checks; other patterns go into it
+_CELL = 0.008  # metres, of the height maps that occlusion is found with
+
+Byte = Annotated[int, Field(ge=0, le=255)]
+Color = tuple[Byte, Byte, Byte]
+Fabric = Literal["plain", "knit", "twill", "denim", "stripes", "checks", "dots", "flowers"]
+
+
+class Outfit(BaseModel):
+    """Colours as sRGB 0..255, and what the cloth is like."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    skin: Color = (214, 166, 138)
+    hair: Color = (62, 44, 32)
+    iris: Color = (88, 110, 118)
+    shirt: Color = (152, 44, 46)
+    shirt_fabric: Fabric = "knit"
+    shirt_second: Color = Field(default=(232, 228, 218), description="of stripes, checks, dots and flowers")
+    trousers: Color = (52, 66, 96)
+    trousers_fabric: Fabric = "denim"
+    trousers_second: Color = Field(default=(150, 152, 156), description="of stripes, checks, dots, flowers")
+    belt: Color = (62, 40, 26)
+    shoes: Color = (58, 46, 40)
+    soles: Color = (176, 168, 154)
+    stubble: float = Field(default=0.0, ge=0, le=1, description="how much of a shaved beard shows")
+    wrinkles: float = Field(default=0.0, ge=0, le=1, description="how old the face is")
+    lips: float = Field(default=0.0, ge=0, le=1, description="how much lipstick")
+
+
+def openness(vertices: Array, faces: Index) -> Array:
+    """Ambient occlusion (V,): 1 where a vertex sees nothing within AO_REACH of the hemisphere above it.
+
+    From each of many directions the surface is splatted into a height map; what stands higher in a vertex's
+    cell hides that direction from it.
+    """
+    normals = vertex_normals(vertices, faces)
+    middles = np.concatenate([vertices, vertices[faces].mean(axis=1)])
+    k = np.arange(AO_DIRECTIONS) + 0.5
+    z, turn = 1 - 2 * k / AO_DIRECTIONS, np.pi * (1 + 5**0.5) * k
+    sphere = np.c_[np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z]
+    total, light = np.zeros(len(vertices)), np.zeros(len(vertices))
+    kernel = np.ones((3, 3), np.uint8)
+    for direction in sphere:
+        across = np.cross(direction, [0.0, 1.0, 0.0] if abs(direction[1]) < 0.9 else [1.0, 0.0, 0.0])
+        across /= np.linalg.norm(across)
+        axes = np.stack([across, np.cross(direction, across)])
+        flat = middles @ axes.T
+        cells = ((flat - flat.min(axis=0)) / _CELL).astype(int) + 2
+        height = middles @ direction
+        top = np.full(cells.max(axis=0) + 3, -1e3, np.float32)
+        np.maximum.at(top, (cells[:, 0], cells[:, 1]), height.astype(np.float32))
+        top = np.asarray(cv2.dilate(top, kernel))
+        own = cells[: len(vertices)]
+        above = top[own[:, 0], own[:, 1]] - height[: len(vertices)]
+        weight = np.maximum(normals @ direction, 0.0)
+        # what is hardly higher is the surface itself, more so where it is seen at a slant
+        bias = 0.010 + 0.016 * np.sqrt(1 - np.minimum(weight, 1.0) ** 2)
+        total += weight
+        light += weight * np.where(above > bias, ramp(above, 0.0, AO_REACH), 1.0)
+    return np.asarray(light / np.maximum(total, 1e-9))
+
+
+def blend(colour: Array, new: Array | tuple[float, ...], amount: Array) -> Array:
+    """Colours (N, 3) with `amount` (N,) in 0..1 of a new colour."""
+    return colour + amount[:, None] * (np.asarray(new, float) - colour)
+
+
+def line(distance: Array, width: float) -> Array:
+    """1 (N,) where |distance| < width / 2, with soft edges of a millimetre."""
+    return ramp(np.abs(distance), width / 2 + 0.001, width / 2)
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """What is known of each texel (N): place on the naked adult man, place as worn by who it is, UV of the
+    base mesh. ``tailor`` knows the adult man, ``own`` this body.
+    """
+
+    body: Array
+    worn: Array
+    uv: Array
+    tailor: Tailor
+    own: Tailor
+    source: Source
+
+    def mask(self, name: str) -> Array:
+        return sample(self.source.mask(name), self.uv)
+
+    def at(self, rows: NDArray[np.intp]) -> Canvas:
+        """Some of the texels."""
+        return replace(self, body=self.body[rows], worn=self.worn[rows], uv=self.uv[rows])
+
+
+def paint_skin(c: Canvas, outfit: Outfit) -> Array:
+    p, eye = c.body, c.tailor.eye
+    skin = np.array(outfit.skin, float)
+    mottle = 1 + 0.025 * noise(p, 0.012, 2) + 0.02 * noise(p, 0.004, 3) + 0.02 * noise(p, 0.05, 4)
+    colour = skin * mottle[:, None]
+    side = np.abs(p[:, 0])
+    on_face = ramp(p[:, 2], eye[2] - 0.03, eye[2]) * ramp(p[:, 1], eye[1] - 0.15, eye[1] - 0.12)
+    red = skin * [1.02, 0.80, 0.76]
+    cheek = np.exp(-(((side - 0.042) / 0.022) ** 2) - ((p[:, 1] - eye[1] + 0.042) / 0.022) ** 2)
+    nose = np.exp(-((side / 0.014) ** 2) - ((p[:, 1] - eye[1] + 0.045) / 0.014) ** 2)
+    colour = blend(colour, red, on_face * np.clip(0.30 * cheek + 0.25 * nose, 0, 1))
+    colour = blend(colour, red, 0.30 * c.mask("ears"))
+    hand = ramp(side, 0.70, 0.74) * (p[:, 1] > 1.0)
+    colour = blend(colour, red, 0.25 * hand * ramp(noise(p, 0.015, 5), -0.3, 0.6))
+    # Where a shaved beard shows through: jaw, chin and upper lip.
+    jaw = ramp(p[:, 1], eye[1] - 0.052, eye[1] - 0.068) * ramp(p[:, 1], eye[1] - 0.150, eye[1] - 0.125)
+    jaw *= ramp(p[:, 2], c.tailor.ear[2] + 0.005, c.tailor.ear[2] + 0.03)
+    stubble = 0.20 + 0.10 * noise(p, 0.0025, 6)
+    colour = blend(colour, 0.62 * np.array(outfit.hair) + 0.3 * skin, jaw * stubble * outfit.stubble)
+    if outfit.wrinkles > 0:
+        colour = blend(colour, skin * [0.70, 0.58, 0.52], outfit.wrinkles * _wrinkles(c))
+    lips = np.clip(c.mask("lips") * 1.2 - 0.1, 0, 1)
+    red = skin * [0.84, 0.62, 0.62] + outfit.lips * (
+        np.array([168.0, 44.0, 58.0]) - skin * [0.84, 0.62, 0.62]
+    )
+    colour = blend(colour, red, (0.65 + 0.3 * outfit.lips) * lips)
+    colour = blend(colour, skin * [1.06, 1.02, 1.02], 0.6 * c.mask("fingernails"))
+    colour = blend(colour, (70, 26, 26), c.mask("inside-mouth"))
+    return paint_brows_and_lids(c, outfit, colour)
+
+
+def _wrinkles(c: Canvas) -> Array:
+    """How much of an old face's lines (N,) there is: forehead, eyes' corners, from the nose to the mouth."""
+    p, eye = c.body, c.tailor.eye
+    side, up = np.abs(p[:, 0]), p[:, 1] - eye[1]
+    face = ramp(p[:, 2], eye[2] - 0.03, eye[2])
+    bent = up + 0.003 * noise(p * [1, 0.2, 1], 0.02, 31)
+    forehead = line((bent % 0.011) - 0.0055, 0.0012) * ramp(up, 0.030, 0.036) * ramp(up, 0.062, 0.056)
+    forehead *= ramp(side, 0.045, 0.035)
+    fan = np.arctan2(up + 0.002, side - 0.046)
+    corner = (
+        line(((fan * 0.02) % 0.007) - 0.0035, 0.001) * ramp(side, 0.049, 0.052) * ramp(side, 0.070, 0.060)
+    )
+    corner *= ramp(np.abs(up), 0.022, 0.014)
+    fold = line(side - 0.020 - 0.45 * (-up - 0.045).clip(0, 0.035), 0.0022)
+    fold *= ramp(up, -0.043, -0.047) * ramp(up, -0.085, -0.078)
+    pouch = line(np.hypot(side - 0.032, 1.6 * (up + 0.004)) - 0.024, 0.002) * (up < -0.012)
+    spots = 0.25 * ramp(noise(p, 0.009, 32), 0.45, 0.7)
+    return np.asarray(face * np.clip(forehead + corner + fold + 0.7 * pouch, 0, 1) * 0.6 + spots * 0.4)
+
+
+def paint_brows_and_lids(c: Canvas, outfit: Outfit, colour: Array) -> Array:
+    p, eye = c.body, c.tailor.eye
+    side = np.abs(p[:, 0])
+    along = (side - 0.014) / 0.040  # 0 at the inner end of the brow, 1 at the outer
+    middle = eye[1] + 0.0205 + 0.008 * np.sin(np.clip(along, 0, 1) * 2.3) - 0.004 * np.clip(along, 0, 1)
+    half = 0.0048 * ramp(along, -0.06, 0.10) * (1 - 0.65 * np.clip(along, 0, 1) ** 2) + 1e-4
+    strands = noise(p * [1, 2.5, 1] + p[:, [1, 0, 2]] * [0.8, 0, 0], 0.003, 7)
+    brow = ramp(np.abs(p[:, 1] - middle) / half, 1.25 + 0.25 * strands, 0.55)
+    brow *= ramp(along, -0.08, 0.04) * ramp(along, 1.05, 0.9) * (p[:, 2] > eye[2] - 0.02)
+    colour = blend(colour, 0.85 * np.array(outfit.hair), np.clip(brow, 0, 1) * (0.82 + 0.15 * strands))
+    mirrored = np.c_[side, p[:, 1:]]
+    rim = np.linalg.norm(mirrored - eye, axis=1) - c.tailor.eye_radius
+    lash = ramp(rim, 0.0027, 0.0012) * (p[:, 2] > eye[2])
+    upper = ramp(p[:, 1] - eye[1], -0.002, 0.003)
+    colour = blend(colour, np.array(outfit.skin) * [0.82, 0.68, 0.64], 0.4 * lash)
+    return blend(colour, 0.45 * np.array(outfit.hair, float), 0.9 * lash * upper)
+
+
+def paint_eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
+    ray = c.body - centre
+    angle = np.arccos(np.clip(ray @ axis / np.linalg.norm(ray, axis=1), -1, 1))
+    colour = np.tile([226.0, 221.0, 214.0], (len(ray), 1))
+    colour = blend(colour, (196, 140, 128), 0.6 * ramp(angle, 0.75, 1.35))
+    rays = 1 + 0.25 * noise(ray / np.linalg.norm(ray, axis=1, keepdims=True) * [1, 1, 0.2], 0.12, 8)
+    iris = np.array(outfit.iris) * rays[:, None]
+    iris = blend(iris, 0.35 * np.array(outfit.iris), ramp(angle, 0.42, 0.52))
+    colour = blend(colour, iris, ramp(angle, 0.55, 0.51))
+    colour = blend(colour, (14, 12, 12), ramp(angle, 0.22, 0.19))
+    shade = 1 - 0.45 * ramp(ray[:, 1], 0.001, 0.007)  # of the upper lid and its lashes
+    return colour * shade[:, None]
+
+
+def paint_head_and_hands(c: Canvas, outfit: Outfit) -> Array:
+    """Skin, and hair above the hairline."""
+    colour = paint_skin(c, outfit)
+    rows, amount = hair_on(c)
+    colour[rows] = blend(colour[rows], paint_hair(c.at(rows), outfit), amount)
+    return colour
+
+
+def hair_on(c: Canvas) -> tuple[NDArray[np.intp], Array]:
+    """Which texels (M,) hair is on, and how much of it (M,)."""
+    p = c.body
+    hairline = c.tailor.hair(p) + 0.004 * noise(p, 0.006, 22) + 0.003 * noise(p, 0.002, 23)
+    rows = np.flatnonzero(hairline > -0.004)
+    amount = ramp(hairline[rows], -0.004, 0.005)
+    if c.tailor.hair_style == "short":
+        amount *= 1 - c.at(rows).mask("ears")
+    return rows, amount
+
+
+def paint_hair(c: Canvas, outfit: Outfit) -> Array:
+    # long hair covers the ears, which only what is worn knows
+    p, t = (c.body, c.tailor) if c.tailor.hair_style == "short" else (c.worn, c.own)
+    crown = np.array([0, t.skull_top - 0.09, t.ear[2] - 0.03])
+    ray = p - crown
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    around = ray * [1, 0, 1] / np.maximum(np.linalg.norm(ray[:, [0, 2]], axis=1, keepdims=True), 1e-3)
+    along = around + [[0, 0.06, 0]] * ray[:, [1, 1, 1]]
+    strands = 0.6 * noise(along, 0.035, 9) + 0.4 * noise(along, 0.016, 10) + 0.25 * noise(p, 0.02, 11)
+    shade = 1 + 0.38 * strands
+    if c.tailor.hair_style == "long":  # it lies in its own shadow below
+        shade *= 1 - 0.40 * ramp(c.body[:, 1], c.tailor.ear[1] + 0.05, c.tailor.hair_end)
+    return np.array(outfit.hair) * shade[:, None]
+
+
+def weave(
+    p: Array, along: Array, around: Array, fabric: Fabric, first: Color, second: Color, seed: int
+) -> Array:
+    """Cloth (N, 3) at points (N, 3) of the body; `along` (N,) runs down the trunk and the limbs, `around`
+    (N,) round them, metres.
+    """
+    base, other = np.array(first, float), np.array(second, float)
+    shade = 0.05 * noise(p, 0.003, seed) + 0.03 * noise(p, 0.010, seed + 1)
+    colour = np.tile(base, (len(p), 1))
+    if fabric == "knit":
+        rib = np.sin(2 * np.pi * around / 0.009) * (0.6 + 0.4 * np.sin(2 * np.pi * along / 0.007))
+        shade = shade + 0.13 * rib + 0.10 * noise(p, 0.012, seed + 2)
+        # flecks of other yarn, large enough to be seen from across a room
+        colour = blend(colour, 0.5 * base + 110, 0.75 * _spots(p, 0.030, 0.0065, seed + 12))
+        colour = blend(colour, 0.45 * base, 0.75 * _spots(p, 0.026, 0.0060, seed + 16))
+    elif fabric == "twill":
+        shade = shade + 0.04 * noise(p * [1, 0.5, 1], 0.003, seed + 3) + 0.05 * noise(p, 0.05, seed + 4)
+        shade = shade + 0.06 * ramp(np.abs(noise(p * [1, 0.6, 1], 0.022, seed + 5)), 0.10, 0.02)  # creases
+    elif fabric == "denim":
+        slant = np.sin(2 * np.pi * (p[:, 0] + p[:, 1] + p[:, 2]) / 0.0075)
+        streaks = noise(p * [1, 0.12, 1], 0.004, seed + 5)
+        shade = shade + 0.07 * slant + 0.12 * streaks + 0.06 * noise(p, 0.03, seed + 6)
+        worn = ramp(noise(p * [1, 0.7, 1], 0.017, seed + 7), 0.30, 0.55)  # washed out
+        colour = blend(colour, 0.75 * base + 62, 0.25 * worn)
+    elif fabric == "stripes":
+        colour = blend(colour, other, _wave(along, 0.032, 0.40))
+        colour = blend(colour, 0.5 * base, 0.8 * _wave(along + 0.012, 0.032, 0.10))
+    elif fabric == "checks":
+        lines = 0.5 * _wave(along, _PERIOD, 0.45) + 0.5 * _wave(around, _PERIOD, 0.45)
+        colour = blend(colour, other, lines)
+        thin = np.maximum(_wave(along + 0.009, _PERIOD, 0.08), _wave(around + 0.009, _PERIOD, 0.08))
+        colour = blend(colour, 0.35 * base, 0.8 * thin)
+    elif fabric == "dots":
+        colour = blend(colour, other, _spots(p, 0.026, 0.0075, seed + 7))
+        colour = blend(colour, 0.6 * base, 0.8 * _spots(p, 0.020, 0.0035, seed + 8))
+    elif fabric == "flowers":
+        petals = noise(p, 0.022, seed + 9) + 0.5 * noise(p, 0.009, seed + 10)
+        colour = blend(colour, other, ramp(petals, 0.28, 0.36))
+        colour = blend(colour, 0.5 * other + 0.25 * base[::-1], ramp(petals, 0.55, 0.62))
+        leaves = noise(p, 0.017, seed + 11)
+        colour = blend(colour, base * [0.55, 0.75, 0.5], 0.8 * ramp(leaves, 0.45, 0.52) * (petals < 0.25))
+    return colour * (1 + shade)[:, None]
+
+
+def _girth(radii: Array) -> float:
+    """What is round a limb of these radii (N,), metres: a whole number of periods."""
+    return max(round(2 * np.pi * float(np.median(radii)) / _PERIOD), 1) * _PERIOD
+
+
+def _wave(x: Array, period: float, share: float) -> Array:
+    """1 (N,) on stripes that take a share of each period, with soft edges of a millimetre."""
+    off = np.abs((x / period) % 1.0 - 0.5) * period
+    return ramp(off, share * period / 2 + 0.0006, share * period / 2 - 0.0006)
+
+
+def _spots(p: Array, spacing: float, radius: float, seed: int) -> Array:
+    """1 (N,) in balls scattered in space, one to a cell."""
+    cell = np.floor(p / spacing)
+    inside = np.zeros(len(p))
+    shift = np.stack([noise(cell * 7.0 + 0.5, 1.0, seed + axis) for axis in range(3)], axis=1)
+    centre = (cell + 0.5 + np.clip(0.9 * shift, -0.28, 0.28)) * spacing
+    distance = np.linalg.norm(p - centre, axis=1)
+    size = radius * (1.15 + 0.35 * np.clip(shift[:, 0], -1, 1))
+    return np.maximum(inside, ramp(distance, size + 0.0006, size - 0.0006))
+
+
+def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
+    p, t = c.body, c.tailor
+    # cloth is the same on everybody, so its pattern is laid out on who wears it
+    q, own = c.worn, c.own
+    on_trunk = np.abs(p[:, 0]) < 0.22
+    beyond = np.maximum(np.abs(q[:, 0]) - own.shoulder_x, 0.0)
+    along = np.where(np.abs(p[:, 0]) > t.shoulder_x, own.shoulder_y + beyond, q[:, 1])
+    forward = q[:, 2] - float(np.median(q[on_trunk, 2]))
+    girth = _girth(np.hypot(q[:, 0], forward)[on_trunk])
+    around = girth * np.arctan2(q[:, 0], forward) / (2 * np.pi)
+    # over the shoulders it is cut flat, front and back
+    cut = np.where(forward > 0, q[:, 0], np.sign(q[:, 0]) * girth / 2 - q[:, 0])
+    flat = ramp(p[:, 1], t.shoulder_y - 0.12, t.shoulder_y - 0.02)
+    around = np.where(on_trunk, around + flat * (cut - around), q[:, 2])
+    colour = weave(q, along, around, outfit.shirt_fabric, outfit.shirt, outfit.shirt_second, 12)
+    colour *= (1 + 0.05 * noise(p * [1, 0.5, 1], 0.06, 14))[:, None]  # folds
+    collar = -t.above_neckline(p)
+    colour *= 1 - 0.16 * ramp(collar, 0.020, 0.018)[:, None]
+    from_cuff = t.sleeve_end - np.abs(p[:, 0])
+    seams = np.maximum.reduce(
+        [line(collar - 0.020, 0.002), line(from_cuff - 0.022, 0.002), ramp(from_cuff, 0.003, 0.001)]
+    )
+    armhole = line(np.abs(p[:, 0]) - t.shoulder_x + 0.012 + 0.10 * (t.shoulder_y - p[:, 1]).clip(0), 0.002)
+    armhole *= ramp(p[:, 1], t.shoulder_y - 0.09, t.shoulder_y - 0.04)
+    return np.asarray(colour * (1 - 0.28 * np.maximum(seams, 0.6 * armhole))[:, None])
+
+
+def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
+    p, t = c.body, c.tailor
+    q, own = c.worn, c.own
+    outward, ahead = np.abs(q[:, 0]) - own.leg_x(q), q[:, 2] - own.leg_z(q)
+    girth = _girth(np.hypot(outward, ahead)[q[:, 1] < own.knee_y])
+    leg = girth * np.arctan2(outward, ahead) / (2 * np.pi)
+    colour = weave(q, q[:, 1], leg, outfit.trousers_fabric, outfit.trousers, outfit.trousers_second, 15)
+    from_leg, front = np.abs(p[:, 0]) - t.leg_x(p), p[:, 2] - t.leg_z(p)
+    worn_out = np.exp(-((from_leg / 0.05) ** 2)) * ramp(front, 0.0, 0.05)
+    worn_out *= np.exp(-(((p[:, 1] - 0.62) / 0.17) ** 2))
+    colour = blend(colour, np.array(outfit.trousers) * 1.25 + 24, 0.45 * worn_out)
+    below = -t.above_belt(p)
+    seam = line(front, 0.003) * (below > 0.05)  # down both sides of each leg
+    fly = line(p[:, 0] - 0.018, 0.0025) * ramp(below, 0.14, 0.135) * (front > 0)
+    hem = line(p[:, 1] - t.hem_height - 0.02, 0.003)
+    pocket = (
+        line(below - 0.06 - 1.1 * (from_leg - 0.02), 0.003)
+        * (from_leg > -0.035)
+        * (from_leg < 0.075)
+        * (front > 0)
+    )
+    across, down = np.abs(np.abs(p[:, 0]) - 0.085) - 0.055, np.abs(below - 0.155) - 0.06
+    back_pocket = line(np.maximum(across, down + 0.25 * across), 0.003) * (front < -0.03)
+    stitches = np.maximum.reduce([fly, hem, pocket, back_pocket])
+    colour = blend(colour, np.array(outfit.trousers) * 0.55, np.maximum(0.7 * seam, 0.75 * stitches))
+    belt = ramp(below, 0.036, 0.034)
+    leather = (
+        np.array(outfit.belt) * (1 + 0.08 * noise(p, 0.006, 18) - 0.35 * line(below - 0.035, 0.004))[:, None]
+    )
+    colour = blend(colour, leather, belt)
+    buckle = np.maximum(np.abs(p[:, 0]) - 0.022, np.abs(below - 0.017) - 0.018)
+    return blend(colour, (168, 160, 144), ramp(np.abs(buckle + 0.003), 0.0035, 0.0025) * (p[:, 2] > 0))
+
+
+def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
+    size = c.own.foot_length / c.tailor.foot_length
+    q = c.worn / size
+    grain = 1 + 0.07 * noise(q, 0.005, 19) + 0.06 * noise(q, 0.02, 20)
+    colour = np.array(outfit.shoes) * grain[:, None]
+    height = q[:, 1] - q[:, 1].min()
+    heel, toe = (point / size for point in c.own.foot)
+    forward = q[:, 2] - heel[2] - 0.6 * (toe[2] - heel[2])  # from the ball of the foot
+    across = np.abs(q[:, 0]) - np.interp(q[:, 2], [heel[2], toe[2]], [heel[0], toe[0]])
+    cap = line(forward - 0.030 + 8 * across**2, 0.003)
+    laces = np.clip(np.sin(forward / 0.013 * np.pi) * 3 - 1.5, 0, 1) * (forward < -0.002) * (forward > -0.085)
+    laces *= ramp(np.abs(across), 0.022, 0.020) * (height > 0.038)
+    colour *= (
+        1
+        - 0.35
+        * np.maximum(cap, line(np.abs(across) - 0.024, 0.003) * (height > 0.038) * (forward < 0))[:, None]
+    )
+    colour = blend(colour, (210, 204, 192), laces)
+    sole = np.array(outfit.soles) * (1 + 0.04 * noise(q, 0.006, 21))[:, None]
+    colour = blend(colour, sole, ramp(height, 0.0235, 0.0215))
+    colour *= 1 - 0.4 * line(height - 0.0235, 0.0025)[:, None]
+    tread = (height < 0.003) * ramp(np.sin(q[:, 2] / 0.012 * 2 * np.pi), 0.2, 0.6)
+    return colour * (1 - 0.25 * tread)[:, None]
+
+
+def paint(mesh: Mesh, texels: Texels, canvas: Canvas, light: Array, outfit: Outfit, gaze: Array) -> Array:
+    """Colours (N, 3) of the texels. ``light`` (N,): how much reaches them; ``gaze`` (2, 3): where the adult
+    man's eyes look.
+    """
+    garment = mesh.face_garment[texels.face]
+    part = mesh.part[texels.vertices[:, 0]]
+    colour = np.zeros((len(part), 3))
+
+    def fill(chosen: NDArray[np.bool_], painter: Callable[[Canvas], Array]) -> None:
+        rows = np.flatnonzero(chosen)
+        colour[rows] = painter(canvas.at(rows))
+
+    fill((garment == NONE) & (part == 0), lambda c: paint_head_and_hands(c, outfit))
+    fill(garment == SHIRT, lambda c: paint_shirt(c, outfit))
+    fill(garment == TROUSERS, lambda c: paint_trousers(c, outfit))
+    fill(garment == SHOES, lambda c: paint_shoes(c, outfit))
+    for number in (1, 2):
+        vertices = mesh.canonical[mesh.part == number]
+        centre = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
+        axis = gaze[number - 1] - centre
+        axis /= np.linalg.norm(axis)
+        fill(part == number, functools.partial(paint_eye, outfit=outfit, centre=centre, axis=axis))
+    return np.asarray(colour * light[:, None])
+
+
+def bare(mesh: Mesh, texels: Texels, canvas: Canvas) -> Array:
+    """How much of each texel (N,) is skin or eyes: neither cloth nor leather nor hair."""
+    naked = mesh.face_garment[texels.face] == NONE
+    skin = naked.astype(float)
+    head = np.flatnonzero(naked & (mesh.part[texels.vertices[:, 0]] == 0))
+    rows, amount = hair_on(canvas.at(head))
+    skin[head[rows]] = 1 - amount
+    return skin

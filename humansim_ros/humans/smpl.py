@@ -1,0 +1,105 @@
+"""SMPL, SMPL+H and SMPL-X models (.npz), which their users have a licence for and bring along.
+
+Loper et al., SMPL: A Skinned Multi-Person Linear Model, 2015: the rest shape is the template plus shape
+directions times betas; joints are a linear function of it. Pose-dependent corrections are not applied.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+
+from humansim_ros.body.skinning import normalise_weights
+from humansim_ros.body.weights import limit_bones
+from humansim_ros.errors import MeshError
+from humansim_ros.io.npz import read_npz
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.skinned import Figure
+
+_WANTED = ("v_template", "f", "weights", "kintree_table", "J_regressor", "J", "shapedirs", "vt", "ft")
+_BODY = (
+    *("pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle"),
+    *("right_ankle", "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head"),
+    *("left_shoulder", "right_shoulder", "left_elbow", "right_elbow", "left_wrist", "right_wrist"),
+)
+_FINGERS = tuple(
+    f"{side}_{finger}{number}"
+    for side in ("left", "right")
+    for finger in ("index", "middle", "pinky", "ring", "thumb")
+    for number in (1, 2, 3)
+)
+#: Names of the joints by their number: SMPL, SMPL+H, SMPL-X.
+_NAMES = {
+    24: (*_BODY, "left_hand", "right_hand"),
+    52: (*_BODY, *_FINGERS),
+    55: (*_BODY, "jaw", "left_eye_smplhf", "right_eye_smplhf", *_FINGERS),
+}
+
+
+def is_smpl(names: Sequence[str]) -> bool:
+    """Whether arrays of these names make an SMPL model."""
+    return {"v_template", "kintree_table", "weights"} <= set(names)
+
+
+def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Figure:
+    """A model's body at rest with the shape ``betas``. Raises MeshError naming the file and the array."""
+    arrays = read_npz(path, MeshError, "SMPL", _WANTED)
+
+    def get(name: str, *shape: int | None) -> NDArray[Any]:
+        if name not in arrays:
+            raise MeshError("not an SMPL model: an array is missing", path=path, key=name)
+        array = arrays[name]
+        fits = array.ndim == len(shape) and all(
+            n in (None, m) for n, m in zip(shape, array.shape, strict=True)
+        )
+        if not fits or array.dtype.kind not in "fiu":
+            wanted = ", ".join("?" if n is None else str(n) for n in shape)
+            raise MeshError(
+                f"must be numbers ({wanted}), not {array.shape} {array.dtype}", path=path, key=name
+            )
+        if array.dtype.kind == "f" and not np.isfinite(array).all():
+            raise MeshError("a number is not finite (NaN or infinity)", path=path, key=name)
+        return array
+
+    vertices = get("v_template", None, 3).astype(float)
+    if len(betas):
+        directions = get("shapedirs", len(vertices), 3, None)
+        if len(betas) > directions.shape[2]:
+            raise MeshError(
+                f"{len(betas)} betas, the model has {directions.shape[2]}", path=path, key="betas"
+            )
+        vertices = vertices + directions[:, :, : len(betas)] @ np.asarray(betas, dtype=float)
+    weights = get("weights", len(vertices), None).astype(float)
+    n = weights.shape[1]
+    table = get("kintree_table", 2, n).astype(np.int64)
+    # the root's parent is -1, written as such or as the largest number of its type
+    parents = np.where((table[0] < 0) | (table[0] >= n), -1, table[0]).astype(np.intp)
+    if n not in _NAMES:
+        raise MeshError(f"{n} joints; SMPL has 24, SMPL+H 52, SMPL-X 55", path=path, key="kintree_table")
+    if not (parents < np.arange(n)).all() or (parents < 0).sum() != 1:
+        raise MeshError("a joint's parent must come before it", path=path, key="kintree_table")
+    # the joints of the shape, or, where the file has them only, of the template
+    by_shape = "J_regressor" in arrays and arrays["J_regressor"].ndim == 2
+    joints = get("J_regressor", n, len(vertices)) @ vertices if by_shape else get("J", n, 3)
+    if not by_shape and len(betas):
+        raise MeshError("betas need the joint regressor as a plain array", path=path, key="J_regressor")
+    faces = get("f", None, 3).astype(np.int64)
+    if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
+        raise MeshError(f"a face uses a vertex outside 0..{len(vertices) - 1}", path=path, key="f")
+    quads = np.column_stack([faces, np.full(len(faces), -1)]).astype(np.int32)
+    mesh = Mesh(vertices, quads)
+    if "vt" in arrays and "ft" in arrays:
+        uv, corners = get("vt", None, 2).astype(float), get("ft", len(faces), 3)
+        uv_faces = np.column_stack([corners, np.full(len(faces), -1)]).astype(np.int32)
+        mesh = Mesh(vertices, quads, uv, uv_faces)
+    try:
+        limited = limit_bones(normalise_weights(csr_matrix(weights)))
+    except MeshError as error:
+        raise MeshError(error.message, path=path, key="weights") from None
+    return Figure(Path(path).stem, mesh, _NAMES[n], parents, joints.astype(float), limited)

@@ -1,0 +1,1 @@
+"""Read untrusted files, write files whole or not at all: text, YAML, NumPy archives, images."""

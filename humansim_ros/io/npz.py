@@ -1,0 +1,99 @@
+"""NumPy archives (.npz) from anywhere: arrays only, never pickled objects, and no more than they can hold."""
+
+from __future__ import annotations
+
+import io
+import os
+import zipfile
+import zlib
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import HumansimError
+from humansim_ros.io.files import atomic_path, read_bytes
+
+#: Bytes of all arrays together that are read from one file.
+MOST_BYTES = 1 << 30
+
+
+def read_npz(
+    path: str | os.PathLike[str],
+    error: type[HumansimError],
+    what: str,
+    wanted: Collection[str] | None = None,
+) -> dict[str, NDArray[Any]]:
+    """Arrays of an archive by name; only those ``wanted``, if given, are unpacked; others may be anything.
+
+    Raises ``error`` with the file and the array where something is no archive, damaged, holds pickled
+    objects, or is larger than MOST_BYTES.
+    """
+    data = read_bytes(path, error, what)
+    if not data.startswith(b"PK"):
+        raise error(f"not a {what} file: it is no .npz archive", path=path)
+    arrays: dict[str, NDArray[Any]] = {}
+    room = MOST_BYTES
+    try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            for entry in archive.infolist():
+                name = entry.filename.removesuffix(".npy")
+                if name == entry.filename or (wanted is not None and name not in wanted):
+                    continue
+                if entry.file_size > room:
+                    raise error(f"it unpacks to more than {MOST_BYTES >> 20} MB", path=path, key=name)
+                room -= entry.file_size
+                with archive.open(entry) as member:
+                    content = member.read(entry.file_size + 1)
+                try:
+                    arrays[name] = _array(content)
+                except ValueError as reason:
+                    raise error(str(reason), path=path, key=name) from None
+    except (
+        ValueError,
+        OSError,
+        EOFError,
+        KeyError,
+        zipfile.BadZipFile,
+        zlib.error,
+        NotImplementedError,
+        RuntimeError,  # an encrypted member
+    ) as reason:
+        raise error(f"not a {what} file, or a damaged one: {reason}", path=path) from None
+    return arrays
+
+
+def _array(content: bytes) -> NDArray[Any]:
+    """The array of a .npy file; ValueError if it is none, or not wholly there."""
+    stream = io.BytesIO(content)
+    version = np.lib.format.read_magic(stream)
+    readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+    if version not in readers:
+        raise ValueError(f"an array file of version {version}")
+    shape, fortran, dtype = readers[version](stream)
+    if dtype.hasobject:
+        raise ValueError("a pickled object, which is never unpacked: it could run anything")
+    count = 1
+    for length in shape:
+        count *= int(length)
+    start = stream.tell()
+    if dtype.itemsize == 0 or count < 0 or count * dtype.itemsize != len(content) - start:
+        raise ValueError(f"{count} values are promised, but not there")
+    values = np.frombuffer(content, dtype, count, start)
+    return values.reshape(shape[::-1]).T if fortran else values.reshape(shape)
+
+
+def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write arrays, whole or not at all; equal arrays give equal bytes. Images, which are packed already, are
+    stored as they are.
+    """
+    with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        for name, array in arrays.items():
+            data = io.BytesIO()
+            np.lib.format.write_array(data, np.asarray(array), allow_pickle=False)
+            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
+            packed = array.dtype == np.uint8 and array.ndim == 1
+            entry.compress_type = zipfile.ZIP_STORED if packed else zipfile.ZIP_DEFLATED
+            archive.writestr(entry, data.getvalue(), compresslevel=None if packed else 9)

@@ -1,0 +1,548 @@
+"""glTF 2.0 files (.gltf, .glb): nodes, meshes, skins, materials and animations, as the file has them.
+
+Everything a file says is checked before it is used: sizes against the data that is there, indices against
+what they point at, the node tree for cycles, and addresses of further files, which must lie in the folder of
+the file or below it. Nothing is fetched from a network. https://registry.khronos.org/glTF/specs/2.0/
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import os
+import struct
+import urllib.parse
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from humansim_ros.errors import MeshError
+from humansim_ros.hierarchy import levels
+from humansim_ros.io.files import inside, read_bytes
+from humansim_ros.rotations import Array, quaternion_to_matrix
+
+#: Numbers that a file may hold in all, and bytes of a file; beyond is no human.
+MOST_VALUES, MOST_BYTES = 100_000_000, 1 << 30
+_TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
+_WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
+_COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu")
+
+Index = Annotated[int, Field(ge=0)]
+Vector = tuple[float, float, float]
+Item = TypeVar("Item")
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+class _Buffer(_Part):
+    byteLength: Annotated[int, Field(ge=1)]
+    uri: str | None = None
+
+
+class _BufferView(_Part):
+    buffer: Index
+    byteOffset: Index = 0
+    byteLength: Annotated[int, Field(ge=1)]
+    byteStride: Annotated[int, Field(ge=4, le=252)] | None = None
+
+
+class _SparseIndices(_Part):
+    bufferView: Index
+    byteOffset: Index = 0
+    componentType: Literal[5121, 5123, 5125]
+
+
+class _SparseValues(_Part):
+    bufferView: Index
+    byteOffset: Index = 0
+
+
+class _Sparse(_Part):
+    count: Annotated[int, Field(ge=1)]
+    indices: _SparseIndices
+    values: _SparseValues
+
+
+class _Accessor(_Part):
+    bufferView: Index | None = None
+    byteOffset: Index = 0
+    componentType: Literal[5120, 5121, 5122, 5123, 5125, 5126]
+    normalized: bool = False
+    count: Annotated[int, Field(ge=1)]
+    type: Literal["SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"]
+    sparse: _Sparse | None = None
+
+
+class Primitive(_Part):
+    """One drawn piece of a mesh; ``mode`` 4, 5, 6: triangles, strip, fan."""
+
+    attributes: dict[str, Index]
+    indices: Index | None = None
+    material: Index | None = None
+    mode: Annotated[int, Field(ge=0, le=6)] = 4
+
+
+class GltfMesh(_Part):
+    """Pieces that one node draws."""
+
+    name: str = ""
+    primitives: tuple[Primitive, ...]
+
+
+class Skin(_Part):
+    """Joints (node indices), and the accessor of their inverse bind matrices."""
+
+    name: str = ""
+    joints: Annotated[tuple[Index, ...], Field(min_length=1)]
+    inverseBindMatrices: Index | None = None
+
+
+class Node(_Part):
+    """A node of the tree with its transform in its parent."""
+
+    name: str = ""
+    children: tuple[Index, ...] = ()
+    mesh: Index | None = None
+    skin: Index | None = None
+    matrix: Annotated[tuple[float, ...], Field(min_length=16, max_length=16)] | None = None
+    translation: Vector = (0.0, 0.0, 0.0)
+    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+    scale: Vector = (1.0, 1.0, 1.0)
+
+
+class TextureInfo(_Part):
+    """A texture and the texture coordinates it is laid on by; ``scale`` of normal maps."""
+
+    index: Index
+    texCoord: Index = 0
+    scale: float = 1.0
+    extensions: dict[str, Any] = {}
+
+
+class _Pbr(_Part):
+    baseColorFactor: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    baseColorTexture: TextureInfo | None = None
+    metallicFactor: float = 1.0
+    roughnessFactor: float = 1.0
+    metallicRoughnessTexture: TextureInfo | None = None
+
+
+class Material(_Part):
+    """How a surface looks; colours are linear factors."""
+
+    name: str = ""
+    pbrMetallicRoughness: _Pbr = _Pbr()
+    normalTexture: TextureInfo | None = None
+    occlusionTexture: TextureInfo | None = None
+    emissiveTexture: TextureInfo | None = None
+    emissiveFactor: Vector = (0.0, 0.0, 0.0)
+    alphaMode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"
+    alphaCutoff: float = 0.5
+    doubleSided: bool = False
+    extensions: dict[str, Any] = {}
+
+
+class _Wrap(_Part):
+    wrapS: Literal[33071, 33648, 10497] = 10497
+    wrapT: Literal[33071, 33648, 10497] = 10497
+
+
+class _Texture(_Part):
+    source: Index | None = None
+    sampler: Index | None = None
+
+
+class _Image(_Part):
+    uri: str | None = None
+    bufferView: Index | None = None
+
+
+class _Target(_Part):
+    node: Index | None = None
+    path: str
+
+
+class _Channel(_Part):
+    sampler: Index
+    target: _Target
+
+
+class _Sampler(_Part):
+    input: Index
+    output: Index
+    interpolation: Literal["LINEAR", "STEP", "CUBICSPLINE"] = "LINEAR"
+
+
+class Animation(_Part):
+    """Channels, each a sampler's values for one property of one node."""
+
+    name: str = ""
+    channels: tuple[_Channel, ...]
+    samplers: tuple[_Sampler, ...]
+
+
+class _Asset(_Part):
+    version: str
+
+
+class _Document(_Part):
+    asset: _Asset
+    extensionsRequired: tuple[str, ...] = ()
+    buffers: tuple[_Buffer, ...] = ()
+    bufferViews: tuple[_BufferView, ...] = ()
+    accessors: tuple[_Accessor, ...] = ()
+    meshes: tuple[GltfMesh, ...] = ()
+    skins: tuple[Skin, ...] = ()
+    nodes: tuple[Node, ...] = ()
+    materials: tuple[Material, ...] = ()
+    textures: tuple[_Texture, ...] = ()
+    samplers: tuple[_Wrap, ...] = ()
+    images: tuple[_Image, ...] = ()
+    animations: tuple[Animation, ...] = ()
+
+
+@dataclass(frozen=True)
+class Gltf:
+    """A glTF file. Everything it raises on a wrong file is a MeshError."""
+
+    path: Path
+    document: _Document
+    embedded: bytes | None
+
+    @classmethod
+    def read(cls, path: str | os.PathLike[str]) -> Gltf:
+        """Read a .gltf or .glb file; which it is, its first bytes say."""
+        data = read_bytes(path, MeshError, "glTF")
+        if len(data) > MOST_BYTES:
+            raise MeshError(f"{len(data) >> 20} MB are too much for a human", path=path)
+        text, embedded = _glb_chunks(data, path) if data[:4] == b"glTF" else (data, None)
+        try:
+            content = json.loads(text)
+        except (ValueError, RecursionError) as reason:
+            raise MeshError(f"not a glTF file: {reason}", path=path) from None
+        try:
+            document = _Document.model_validate(content)
+        except ValidationError as reason:
+            first = reason.errors()[0]
+            key = ".".join(map(str, first["loc"])) or None
+            raise MeshError(f"not a glTF 2 file: {first['msg']}", path=path, key=key) from None
+        if not document.asset.version.startswith("2."):
+            version = document.asset.version
+            raise MeshError(
+                f"glTF {version[:20]!r} is not 2.0: export it again", path=path, key="asset.version"
+            )
+        packed = [name for name in document.extensionsRequired if name in _COMPRESSED]
+        if packed:
+            raise MeshError(f"it needs {packed[0]}: export it without compression", path=path)
+        gltf = cls(Path(path), document, embedded)
+        gltf._check_tree()
+        return gltf
+
+    # --- the tree of nodes
+
+    def _check_tree(self) -> None:
+        """A wrong tree is told before anything is made of it."""
+        _ = self.parents
+
+    @property
+    def nodes(self) -> tuple[Node, ...]:
+        return self.document.nodes
+
+    @cached_property
+    def parents(self) -> NDArray[np.intp]:
+        """(N,) parent of each node, -1 for none."""
+        parents = np.full(len(self.nodes), -1, dtype=np.intp)
+        for number, node in enumerate(self.nodes):
+            for child in node.children:
+                self._item(self.nodes, child, f"nodes.{number}.children")
+                if parents[child] >= 0:
+                    raise self._error(f"node {child} has two parents", f"nodes.{number}.children")
+                parents[child] = number
+        seen = np.zeros(len(parents), dtype=bool)
+        pending = [int(root) for root in np.flatnonzero(parents < 0)]
+        while pending:
+            node_number = pending.pop()
+            seen[node_number] = True
+            pending += self.nodes[node_number].children
+        if not seen.all():
+            raise self._error("the nodes go round in a circle", f"nodes.{int(np.argmin(seen))}")
+        return parents
+
+    def local(self, properties: dict[tuple[int, str], Array] | None = None) -> Array:
+        """Transforms (..., N, 4, 4) of the nodes in their parents; ``properties`` of some nodes, such as
+        ``(3, "rotation"): (..., 4)``, in place of the file's.
+        """
+        properties = properties or {}
+        shape = next((value.shape[:-1] for value in properties.values()), ())
+        out = np.broadcast_to(np.eye(4), (*shape, len(self.nodes), 4, 4)).copy()
+        for number, node in enumerate(self.nodes):
+            if node.matrix is not None:
+                out[..., number, :, :] = np.reshape(node.matrix, (4, 4)).T
+                continue
+            t, r, s = (
+                properties.get((number, name), np.array(getattr(node, name)))
+                for name in ("translation", "rotation", "scale")
+            )
+            size = np.linalg.norm(r, axis=-1, keepdims=True)
+            if (size < 1e-6).any():
+                raise self._error("a rotation is no unit quaternion", f"nodes.{number}.rotation")
+            out[..., number, :3, :3] = quaternion_to_matrix(r / size) * s[..., None, :]
+            out[..., number, :3, 3] = t
+        return out
+
+    def world(self, local: Array | None = None) -> Array:
+        """Transforms (..., N, 4, 4) of the nodes in the scene."""
+        local = self.local() if local is None else local
+        out = np.array(local)
+        order = self.order
+        rank = np.argsort(order)
+        in_order = np.where(self.parents[order] < 0, -1, rank[self.parents[order]])
+        for bones in levels(in_order)[1:]:
+            nodes = order[bones]
+            out[..., nodes, :, :] = out[..., self.parents[nodes], :, :] @ local[..., nodes, :, :]
+        return out
+
+    @cached_property
+    def at_rest(self) -> Array:
+        """Transforms (N, 4, 4) of the nodes in the scene as the file has them."""
+        return self.world()
+
+    @cached_property
+    def order(self) -> NDArray[np.intp]:
+        """(N,) the nodes, parents before children, otherwise as in the file."""
+        order: list[int] = []
+        pending = [int(root) for root in np.flatnonzero(self.parents < 0)[::-1]]
+        while pending:
+            number = pending.pop()
+            order.append(number)
+            pending += reversed(self.nodes[number].children)
+        return np.array(order, dtype=np.intp)
+
+    # --- the data
+
+    def accessor(self, number: int, kinds: Sequence[str], what: str) -> NDArray[Any]:
+        """Values (count,) or (count, width), floats if normalised; matrices (count, n, n).
+
+        ``kinds``: the types that are right for ``what``.
+        """
+        key = f"accessors.{number}"
+        accessor = self._item(self.document.accessors, number, key)
+        if accessor.type not in kinds:
+            raise self._error(f"{what} must be {' or '.join(kinds)}, not {accessor.type}", key)
+        width = _WIDTHS[accessor.type]
+        if accessor.count * width > MOST_VALUES:
+            raise self._error(f"{accessor.count} values are promised: too many for a human", key)
+        dtype = np.dtype(_TYPES[accessor.componentType])
+        if accessor.bufferView is None:
+            values = np.zeros((accessor.count, width), dtype)
+        else:
+            values = self._read(accessor.bufferView, accessor.byteOffset, accessor.count, width, dtype, key)
+        if accessor.sparse is not None:
+            sparse, n = accessor.sparse, accessor.sparse.count
+            if n > accessor.count:
+                raise self._error("more values are replaced than there are", key)
+            rows = self._read(
+                sparse.indices.bufferView,
+                sparse.indices.byteOffset,
+                n,
+                1,
+                np.dtype(_TYPES[sparse.indices.componentType]),
+                key,
+            )[:, 0]
+            if rows.max() >= accessor.count:
+                raise self._error(f"value {int(rows.max())} is replaced but does not exist", key)
+            values = values.copy()
+            values[rows] = self._read(
+                sparse.values.bufferView, sparse.values.byteOffset, n, width, dtype, key
+            )
+        if accessor.normalized and dtype.kind in "iu":
+            values = np.maximum(values / np.iinfo(dtype).max, -1.0)
+        if dtype.kind == "f" and not np.isfinite(values).all():
+            raise self._error(f"{what}: a number is not finite (NaN or infinity)", key)
+        if accessor.type.startswith("MAT"):
+            n = int(np.sqrt(width))
+            return np.swapaxes(values.reshape(-1, n, n), -1, -2)  # the file has columns
+        return values[:, 0] if width == 1 else values
+
+    def image(self, number: int) -> bytes:
+        """The bytes of an image file."""
+        image = self._item(self.document.images, number, f"images.{number}")
+        if image.bufferView is not None:
+            return bytes(self._view(image.bufferView, f"images.{number}.bufferView"))
+        if image.uri is None:
+            raise self._error("the image has no data", f"images.{number}")
+        return self._fetch(image.uri, f"images.{number}.uri")
+
+    def texture_image(self, number: int) -> int | None:
+        """The image of a texture."""
+        return self._item(self.document.textures, number, f"textures.{number}").source
+
+    def wraps(self, number: int) -> tuple[int, int]:
+        """How a texture goes on to the right and down: 10497 it repeats, 33071 its edge, 33648 mirrored."""
+        sampler = self._item(self.document.textures, number, f"textures.{number}").sampler
+        if sampler is None:
+            return 10497, 10497
+        wrap = self._item(self.document.samplers, sampler, f"samplers.{sampler}")
+        return wrap.wrapS, wrap.wrapT
+
+    def material(self, number: int | None) -> Material:
+        """A material; the default one for None."""
+        if number is None:
+            return Material()
+        return self._item(self.document.materials, number, f"materials.{number}")
+
+    def mesh(self, number: int) -> GltfMesh:
+        return self._item(self.document.meshes, number, f"meshes.{number}")
+
+    def skin(self, number: int) -> Skin:
+        """A skin whose joints are nodes of the file, each once."""
+        key = f"skins.{number}.joints"
+        skin = self._item(self.document.skins, number, key)
+        for joint in skin.joints:
+            self._item(self.nodes, joint, key)
+        if len(set(skin.joints)) < len(skin.joints):
+            raise self._error("a joint is there twice", key)
+        return skin
+
+    def bind_matrices(self, number: int) -> Array:
+        """Transforms (J, 4, 4) of the joints of a skin in the space of its mesh, at bind time."""
+        skin = self.skin(number)
+        if skin.inverseBindMatrices is None:
+            return np.broadcast_to(np.eye(4), (len(skin.joints), 4, 4)).copy()
+        key = f"accessors.{skin.inverseBindMatrices}"
+        inverse = self.accessor(skin.inverseBindMatrices, ["MAT4"], "inverse bind matrices").astype(float)
+        if len(inverse) < len(skin.joints):
+            raise self._error(f"{len(inverse)} matrices for {len(skin.joints)} joints", key)
+        inverse = inverse[: len(skin.joints)]
+        inverse[:, 3] = [0.0, 0.0, 0.0, 1.0]
+        size = np.linalg.svd(inverse[:, :3, :3], compute_uv=False)
+        if size.min() < 1e-9 or np.abs(inverse).max() > 1e9:
+            raise self._error("an inverse bind matrix has no inverse", key)
+        return np.asarray(np.linalg.inv(inverse))
+
+    def keys(self, animation: Animation, channel: int) -> tuple[Array, Array, str]:
+        """Times (K,), values (K, width), of cubic splines (K, 3, width), and how they are interpolated."""
+        sampler = self._item(animation.samplers, animation.channels[channel].sampler, "animations.samplers")
+        times = self.accessor(sampler.input, ["SCALAR"], "times").astype(float)
+        values = self.accessor(sampler.output, ["SCALAR", "VEC3", "VEC4"], "animated values").astype(float)
+        if (np.diff(times) <= 0).any() or times[0] < 0:
+            raise self._error("times of keys must rise from 0 on", f"accessors.{sampler.input}")
+        per_key = 3 if sampler.interpolation == "CUBICSPLINE" else 1
+        if len(values) != per_key * len(times):
+            raise self._error(f"{len(values)} values for {len(times)} keys", f"accessors.{sampler.output}")
+        if per_key == 3:
+            values = values.reshape(len(times), 3, -1)
+        return times, values, sampler.interpolation
+
+    def _read(
+        self, view: int, offset: int, count: int, width: int, dtype: np.dtype[Any], key: str
+    ) -> NDArray[Any]:
+        data = self._view(view, key)
+        size = width * dtype.itemsize
+        stride = self.document.bufferViews[view].byteStride or size
+        if stride < size or offset + stride * (count - 1) + size > len(data):
+            raise self._error(f"{count} values are promised, but the buffer view is too short for them", key)
+        last = offset + stride * (count - 1) + size
+        raw = np.frombuffer(data[offset:last], np.uint8)
+        rows = np.lib.stride_tricks.as_strided(raw, (count, size), (stride, 1))
+        return np.ascontiguousarray(rows).view(dtype)
+
+    def _view(self, number: int, key: str) -> memoryview:
+        view = self._item(self.document.bufferViews, number, key)
+        data = self._buffer(view.buffer, key)
+        if view.byteOffset + view.byteLength > len(data):
+            raise self._error("the buffer view goes beyond its buffer", f"bufferViews.{number}")
+        return memoryview(data)[view.byteOffset : view.byteOffset + view.byteLength]
+
+    def _buffer(self, number: int, key: str) -> bytes:
+        self._item(self.document.buffers, number, key)
+        if number not in self._buffers:
+            buffer, key = self.document.buffers[number], f"buffers.{number}"
+            if buffer.uri is None:
+                if self.embedded is None or number:
+                    raise self._error("the buffer has no data", key)
+                data = self.embedded
+            else:
+                data = self._fetch(buffer.uri, f"{key}.uri")
+            if len(data) < buffer.byteLength:
+                raise self._error(f"{buffer.byteLength} bytes are promised, {len(data)} are there", key)
+            self._buffers[number] = data
+        return self._buffers[number]
+
+    @cached_property
+    def _buffers(self) -> dict[int, bytes]:
+        return {}
+
+    def _fetch(self, uri: str, key: str) -> bytes:
+        """Content of a data: address, or of a file beside this one or below; anything else is refused."""
+        if uri.startswith("data:"):
+            head, comma, body = uri.partition(",")
+            if not comma or not head.endswith(";base64"):
+                raise self._error("embedded data must be base64", key)
+            try:
+                return base64.b64decode(body, validate=True)
+            except (binascii.Error, ValueError) as reason:
+                raise self._error(f"embedded data cannot be decoded: {reason}", key) from None
+        if ":" in uri:
+            raise self._error(
+                f"{uri[:60]!r} is not beside the file; put it there (nothing is fetched from elsewhere)", key
+            )
+        name = urllib.parse.unquote(uri)
+        target = inside(self.path.parent, name)
+        if target is None:
+            raise self._error(f"{uri[:60]!r} lies outside the folder of the file: refused", key)
+        try:
+            if target.stat().st_size > MOST_BYTES:
+                raise self._error(f"{uri[:60]!r} is too large", key)
+            return target.read_bytes()
+        except OSError as reason:
+            raise self._error(f"cannot read {uri[:60]!r}: {reason.strerror or reason}", key) from None
+
+    def further(self) -> list[bytes]:
+        """Contents of the further files that this one is made of."""
+        addresses = {f"buffers.{n}.uri": buffer.uri for n, buffer in enumerate(self.document.buffers)}
+        addresses |= {f"images.{n}.uri": image.uri for n, image in enumerate(self.document.images)}
+        return [
+            self._fetch(uri, key)
+            for key, uri in addresses.items()
+            if uri is not None and not uri.startswith("data:")
+        ]
+
+    def _item(self, items: Sequence[Item], number: int, key: str) -> Item:
+        if not 0 <= number < len(items):
+            raise self._error(f"number {number} does not exist: there are {len(items)}", key)
+        return items[number]
+
+    def _error(self, message: str, key: str) -> MeshError:
+        return MeshError(message, path=self.path, key=key)
+
+
+def _glb_chunks(data: bytes, path: str | os.PathLike[str]) -> tuple[bytes, bytes | None]:
+    """The JSON text and the binary data of a .glb file."""
+    text: bytes | None = None
+    embedded: bytes | None = None
+    if len(data) >= 12 and struct.unpack_from("<I", data, 4)[0] != 2:
+        raise MeshError("a .glb file of another version than 2: export it again", path=path)
+    place = 12
+    while place + 8 <= len(data):
+        length, kind = struct.unpack_from("<I4s", data, place)
+        chunk = data[place + 8 : place + 8 + length]
+        if len(chunk) < length:
+            raise MeshError(f"the .glb file ends {length - len(chunk)} bytes too early", path=path)
+        if kind == b"JSON" and text is None:
+            text = chunk
+        elif kind == b"BIN\0" and embedded is None:
+            embedded = chunk
+        place += 8 + length
+    if text is None:
+        raise MeshError("a .glb file without its JSON part", path=path)
+    return text, embedded

@@ -1,0 +1,267 @@
+"""People in glTF files: their skin in one space and one mesh with one texture, and their animations."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_matrix, vstack
+
+from humansim_ros.body.skinning import normalise_weights
+from humansim_ros.errors import MeshError, warn_of
+from humansim_ros.mesh.atlas import PLAIN, plain_tile, textured
+from humansim_ros.mesh.gltf_document import Gltf, Primitive
+from humansim_ros.mesh.gltf_material import read_finish, read_image
+from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
+from humansim_ros.mesh.mesh import Indices, Mesh
+from humansim_ros.mesh.skinned import Figure
+from humansim_ros.rotations import Array
+
+_MOST_VERTICES = 5_000_000
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A drawn piece in the common space: ``vertices`` (V, 3), ``triangles`` (N, 3), ``uv`` (V, 2), v down,
+    ``colors`` (V, 3) linear.
+    """
+
+    vertices: Array
+    triangles: NDArray[np.int64]
+    uv: Array | None
+    material: int | None
+    weights: csr_matrix | None
+    colors: Array | None
+
+
+def read_gltf_mesh(path: str | os.PathLike[str]) -> Mesh | Figure:
+    """A figure with its own skeleton, or the bare surface where the file has no skin. MeshError otherwise."""
+    gltf = Gltf.read(path)
+    skeleton = GltfSkeleton.of(gltf)
+    pieces = [piece for number in gltf.order for piece in _pieces(gltf, int(number), skeleton)]
+    if not pieces:
+        raise MeshError("the file has no triangles", path=path)
+    total = sum(len(piece.vertices) for piece in pieces)
+    if total > _MOST_VERTICES:
+        raise MeshError(f"{total} vertices are too many", path=path)
+    mesh = _one_mesh(gltf, pieces)
+    if skeleton is None:
+        return mesh
+    weights = vstack([piece.weights for piece in pieces], format="csr")
+    return Figure(
+        gltf.path.stem,
+        mesh,
+        skeleton.names,
+        skeleton.parents,
+        skeleton.bind[:, :3, 3],
+        normalise_weights(weights),
+    )
+
+
+def read_gltf_surfaces(path: str | os.PathLike[str]) -> list[Mesh]:
+    """What a file shows as it stands, one mesh for each material, whose textures may repeat. MeshError where
+    it is wrong or shows nothing.
+    """
+    gltf = Gltf.read(path)
+    pieces = [piece for number in gltf.order for piece in _pieces(gltf, int(number), None)]
+    if not pieces:
+        raise MeshError("the file has no triangles", path=path)
+    if sum(len(piece.vertices) for piece in pieces) > _MOST_VERTICES:
+        raise MeshError(f"more than {_MOST_VERTICES} vertices are too many", path=path)
+    materials = dict.fromkeys((piece.material, piece.uv is not None) for piece in pieces)
+    return [
+        _one_surface(gltf, [p for p in pieces if (p.material, p.uv is not None) == kind])
+        for kind in materials
+    ]
+
+
+def _one_surface(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
+    """Pieces of one material."""
+    starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
+    triangles = np.concatenate([p.triangles + start for p, start in zip(pieces, starts, strict=False)])
+    vertices = np.concatenate([p.vertices for p in pieces])
+    faces: Indices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
+    texture = _tile(gltf, pieces[0].material)
+    coordinates = [piece.uv for piece in pieces if piece.uv is not None]
+    finish = read_finish(gltf, pieces[0].material, laid=bool(coordinates))
+    painted = np.concatenate([np.ones_like(p.vertices) if p.colors is None else p.colors for p in pieces])
+    if not coordinates:  # of a texture that nothing says how to lay on, its mean is left
+        painted = _srgb(painted) * texture.reshape(-1, 3).mean(axis=0)
+        return Mesh(vertices, faces, colors=np.rint(painted).astype(np.uint8), finish=finish)
+    uv = np.concatenate(coordinates) * [1, -1] + [0, 1]
+    colors = None if (painted == 1).all() else np.rint(255 * _srgb(painted)).astype(np.uint8)
+    return Mesh(vertices, faces, uv, faces, colors, texture, finish=finish)
+
+
+def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> list[_Piece]:
+    """The pieces that a node draws."""
+    node = gltf.nodes[number]
+    if node.mesh is None:
+        return []
+    joints: Array | None = None
+    if skeleton is None:
+        to_common = gltf.at_rest[number]
+        carrier = None
+    elif node.skin is not None:
+        to_common, carrier = skeleton.from_skin[node.skin], None
+        place = {int(n): joint for joint, n in enumerate(skeleton.nodes)}
+        joints = np.array([place[joint] for joint in gltf.skin(node.skin).joints])
+    else:
+        carrier = skeleton.joint_of(gltf, number)
+        if carrier is None:
+            warn_of(gltf.path, f"{node.name or f'node {number}'!r} hangs on no joint and is left out")
+            return []
+        # a thing without skin, a hat or a watch, goes along with its joint
+        world = gltf.at_rest
+        to_joint = np.linalg.inv(world[skeleton.nodes[carrier]]) @ world[number]
+        to_common = skeleton.bind[carrier] @ to_joint
+    mesh = gltf.mesh(node.mesh)
+    n_joints = 0 if skeleton is None else len(skeleton.nodes)
+    made = (
+        _piece(gltf, primitive, f"meshes.{node.mesh}", to_common, joints, carrier, n_joints)
+        for primitive in mesh.primitives
+    )
+    return [piece for piece in made if piece is not None]
+
+
+def _piece(
+    gltf: Gltf,
+    primitive: Primitive,
+    key: str,
+    to_common: Array,
+    joints: Array | None,
+    carrier: int | None,
+    n_joints: int,
+) -> _Piece | None:
+    if primitive.mode < 4 or "POSITION" not in primitive.attributes:
+        return None  # points and lines have no surface
+    points = gltf.accessor(primitive.attributes["POSITION"], ["VEC3"], "positions").astype(float)
+    if primitive.indices is None:
+        corners: NDArray[np.int64] = np.arange(len(points), dtype=np.int64)
+    else:
+        corners = gltf.accessor(primitive.indices, ["SCALAR"], "indices").astype(np.int64)
+    if corners.max() >= len(points) or corners.min() < 0:
+        raise MeshError(f"a face uses vertex {corners.max()} of {len(points)}", path=gltf.path, key=key)
+    triangles = _triangles(corners, primitive.mode)
+    if not len(triangles):
+        return None
+    vertices = points @ to_common[:3, :3].T + to_common[:3, 3]
+    if np.linalg.det(to_common[:3, :3]) < 0:
+        triangles = triangles[:, ::-1]
+    info = gltf.material(primitive.material).pbrMetallicRoughness.baseColorTexture
+    uv = None
+    name = f"TEXCOORD_{info.texCoord}" if info else "TEXCOORD_0"
+    if name in primitive.attributes:
+        uv = gltf.accessor(primitive.attributes[name], ["VEC2"], "texture coordinates").astype(float)
+        _same_length(gltf, uv, points, key)
+    colors: Array | None = None
+    if "COLOR_0" in primitive.attributes:
+        colors = gltf.accessor(primitive.attributes["COLOR_0"], ["VEC3", "VEC4"], "colours").astype(float)
+        _same_length(gltf, colors, points, key)
+        if colors.shape[1] == 4 and (colors[:, 3] < 1).any():
+            warn_of(gltf.path, f"{key}: how opaque its vertices are is not shown")
+        colors = np.clip(colors[:, :3], 0.0, 1.0)
+    weights: csr_matrix | None = None
+    if joints is not None:
+        weights = _weights(gltf, primitive, key, joints, len(points), n_joints)
+    elif carrier is not None:
+        ones = np.ones(len(points))
+        columns = np.full(len(points), carrier)
+        weights = csr_matrix((ones, columns, np.arange(len(points) + 1)), shape=(len(points), n_joints))
+    return _Piece(vertices, triangles, uv, primitive.material, weights, colors)
+
+
+def _weights(
+    gltf: Gltf, primitive: Primitive, key: str, joints: Array, n_vertices: int, n_joints: int
+) -> csr_matrix:
+    """Weights (V, J) of all sets of four that a piece has."""
+    total = csr_matrix((n_vertices, n_joints))
+    sets = 0
+    while f"JOINTS_{sets}" in primitive.attributes and f"WEIGHTS_{sets}" in primitive.attributes:
+        bones = gltf.accessor(primitive.attributes[f"JOINTS_{sets}"], ["VEC4"], "joints").astype(np.int64)
+        values = gltf.accessor(primitive.attributes[f"WEIGHTS_{sets}"], ["VEC4"], "weights").astype(float)
+        for array in (bones, values):
+            _same_length(gltf, array, np.empty(n_vertices), key)
+        if bones.max() >= len(joints) and (values[bones >= len(joints)] > 0).any():
+            raise MeshError(f"a weight is for joint {bones.max()} of {len(joints)}", path=gltf.path, key=key)
+        if (values < 0).any():
+            raise MeshError("a weight is negative", path=gltf.path, key=key)
+        columns = joints[np.minimum(bones, len(joints) - 1)]
+        rows = np.repeat(np.arange(n_vertices), 4)
+        total = total + csr_matrix((values.ravel(), (rows, columns.ravel())), shape=(n_vertices, n_joints))
+        sets += 1
+    if not sets:
+        raise MeshError("a skinned mesh without joints and weights", path=gltf.path, key=key)
+    lost = np.flatnonzero(np.asarray(total.sum(axis=1)).ravel() <= 0)
+    if len(lost):
+        raise MeshError(
+            f"vertex {lost[0]} follows no joint: its weights sum to zero", path=gltf.path, key=key
+        )
+    return total
+
+
+def _same_length(gltf: Gltf, values: NDArray[np.generic], points: NDArray[np.generic], key: str) -> None:
+    if len(values) != len(points):
+        raise MeshError(f"{len(values)} values for {len(points)} vertices", path=gltf.path, key=key)
+
+
+def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
+    """Triangles (N, 3) of a list, strip or fan of corners, without those that have a corner twice."""
+    out: NDArray[np.int64]
+    if mode == 4:
+        out = corners[: len(corners) // 3 * 3].reshape(-1, 3)
+    elif mode == 5:
+        out = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+        out[1::2] = out[1::2, ::-1]
+    else:
+        middle = np.broadcast_to(corners[:1], max(len(corners) - 2, 0))
+        out = np.stack([middle, corners[1:-1], corners[2:]], axis=1)
+    a, b, c = out.T
+    return out[(a != b) & (b != c) & (c != a)]
+
+
+# --- one mesh with one texture
+
+
+def _one_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
+    """All pieces as one mesh; the textures of their materials side by side in one."""
+    starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
+    triangles = np.concatenate([p.triangles + start for p, start in zip(pieces, starts, strict=False)])
+    vertices = np.concatenate([p.vertices for p in pieces])
+    faces: Indices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
+    materials = [piece.material for piece in pieces]
+    known = list(dict.fromkeys(materials))
+    if known == [None]:
+        return Mesh(vertices, faces)  # nobody has said how it looks
+    uv = np.concatenate([np.zeros((len(p.vertices), 2)) if p.uv is None else p.uv for p in pieces])
+    uv[:, 1] = 1 - uv[:, 1]
+    counts = [len(piece.triangles) for piece in pieces]
+    has_uv = np.repeat([piece.uv is not None for piece in pieces], counts)
+    tiles = [_tile(gltf, number) for number in known]
+    plain = np.array([tile.shape[0] == PLAIN for tile in tiles])
+    material = np.repeat([known.index(number) for number in materials], counts)
+    # without coordinates any place of a plain tile will do
+    uv_faces = np.where((has_uv & ~plain[material])[:, None], faces, -1).astype(np.int32)
+    if len(tiles) == 1 and plain[0]:
+        uv_faces = faces
+    return textured(vertices, faces, uv, uv_faces, material, tiles)
+
+
+def _tile(gltf: Gltf, number: int | None) -> NDArray[np.uint8]:
+    """The texture (H, W, 3) of a material times its colour; a small plain one if it has none."""
+    pbr = gltf.material(number).pbrMetallicRoughness
+    factor = np.clip(np.array(pbr.baseColorFactor[:3]), 0.0, 1.0)
+    srgb = _srgb(factor)
+    image = None if pbr.baseColorTexture is None else read_image(gltf, pbr.baseColorTexture)
+    if image is None:
+        return plain_tile(srgb)
+    if (factor < 1).any():
+        image = np.rint(image * srgb).astype(np.uint8)
+    return image
+
+
+def _srgb(linear: Array) -> Array:
+    """The sRGB curve, 0 to 1."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)

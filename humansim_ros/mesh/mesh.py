@@ -1,0 +1,91 @@
+"""Surface meshes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import MeshError
+from humansim_ros.mesh.material import Finish
+from humansim_ros.rotations import Array
+
+Indices = NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A surface of triangles and quads.
+
+    ``vertices``: (V, 3). ``faces``: (F, 4) vertex indices, triangles padded with -1. ``uv``: (T, 2) texture
+    coordinates, v up, or None; ``uv_faces``: (F, 4) indices into them. ``colors``: (V, 3) uint8 sRGB or None.
+    ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. ``skin``: (H, W) uint8 of the same, how much
+    of each texel is skin, the rest being cloth and hair; None where nobody knows. ``finish``: what else is
+    known of its material, which what stands in the world shows; matt if None. Raises MeshError where indices
+    or numbers are impossible.
+    """
+
+    vertices: Array
+    faces: Indices
+    uv: Array | None = None
+    uv_faces: Indices | None = None
+    colors: NDArray[np.uint8] | None = None
+    texture: NDArray[np.uint8] | None = None
+    skin: NDArray[np.uint8] | None = None
+    finish: Finish | None = None
+
+    def __post_init__(self) -> None:
+        if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or len(self.vertices) == 0:
+            raise MeshError(f"a mesh needs vertices of shape (V, 3), not {self.vertices.shape}")
+        if self.faces.ndim != 2 or self.faces.shape[1] != 4 or len(self.faces) == 0:
+            raise MeshError("the mesh has no faces")
+        if not np.isfinite(self.vertices).all():
+            raise MeshError("a vertex is not finite (NaN or infinity)")
+        if self.faces[:, :3].min() < 0 or self.faces.min() < -1 or self.faces.max() >= len(self.vertices):
+            raise MeshError(f"a face uses a vertex outside 0..{len(self.vertices) - 1}")
+        if (self.uv is None) != (self.uv_faces is None):
+            raise MeshError("texture coordinates and their faces must come together")
+        if self.uv is not None and self.uv_faces is not None:
+            used = self.uv_faces[self.faces >= 0]
+            if self.uv_faces.shape != self.faces.shape or used.min() < 0 or used.max() >= len(self.uv):
+                raise MeshError("a face uses a texture coordinate that does not exist")
+        if self.texture is not None and self.skin is not None and self.skin.shape != self.texture.shape[:2]:
+            raise MeshError(f"skin of {self.skin.shape} does not fit a texture of {self.texture.shape[:2]}")
+
+    @cached_property
+    def triangles(self) -> Indices:
+        """(N, 3) vertex indices: each quad a b c d as a b c and a c d."""
+        return self._split(self.faces)
+
+    @cached_property
+    def uv_triangles(self) -> Indices | None:
+        """(N, 3) indices into ``uv`` of the same triangles."""
+        return None if self.uv_faces is None else self._split(self.uv_faces)
+
+    @cached_property
+    def triangle_faces(self) -> Indices:
+        """(N,) the face that each triangle is a part of."""
+        quads = self.faces[:, 3] >= 0
+        return np.repeat(np.arange(len(self.faces), dtype=np.int32), 1 + quads)
+
+    @cached_property
+    def closed(self) -> bool:
+        """Whether the surface has an inside: every edge has two faces that run along it in opposite ways,
+        facing out.
+
+        Seen from outside, the back faces of a closed surface never show, and need not be drawn.
+        """
+        edges = self.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
+        forth = edges[:, 0] * len(self.vertices) + edges[:, 1]
+        back = edges[:, 1] * len(self.vertices) + edges[:, 0]
+        if len(np.unique(forth)) < len(forth) or not np.array_equal(np.sort(forth), np.sort(back)):
+            return False
+        a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
+        return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0
+
+    def _split(self, faces: Indices) -> Indices:
+        both = faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 2, 3)
+        keep = np.stack([np.ones(len(faces), dtype=bool), self.faces[:, 3] >= 0], axis=1)
+        return np.ascontiguousarray(both[keep])

@@ -1,0 +1,183 @@
+"""A picture as it was drawn, and every channel that follows from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.render.edge_antialiasing import Crossings, blend
+from humansim_ros.render.pixel_geometry import Detail, Shown, optical_flow
+from humansim_ros.render.posed_mesh import Floats, Indices
+from humansim_ros.render.renderer import Body, Neighbour, View
+from humansim_ros.render.target import Rectangle, StaticLayer
+
+#: Channels that say which body, and what of it, is where.
+_LABELS = {"instance", "part", "face", "normal", "uv", "alpha", "amodal"}
+
+
+class Asked(NamedTuple):
+    """What a picture is drawn for besides depth and labels: colour, outlines, each body as if alone."""
+
+    lit: bool
+    outlined: bool
+    alone: bool
+
+    @classmethod
+    def by(cls, channels: Collection[str]) -> Asked:
+        """What channels follow from."""
+        asked = set(channels)
+        return cls(bool(asked & {"rgb", "shadow"}), bool(asked & {"rgb", "alpha"}), "amodal" in asked)
+
+    def covers(self, other: Asked) -> bool:
+        """Whether what was drawn for this serves the other."""
+        return all(has or not wants for has, wants in zip(self, other, strict=True))
+
+
+class Seen:
+    """The triangles drawn of one picture's bodies: label 0 is no body, label n the n-th triangle drawn."""
+
+    def __init__(self) -> None:
+        self.count = 1
+        self._drawn: list[tuple[Body, Indices]] = []
+
+    def add(self, body: Body, drawn: Indices) -> None:
+        """The triangles ``drawn`` (M,) of the next body."""
+        self.count += len(drawn)
+        self._drawn.append((body, drawn))
+
+    def table(self, channel: str) -> NDArray[Any]:
+        """What each label is in a channel, or as ``owner`` and ``triangle``."""
+        make: dict[str, Callable[[int, Body, Indices], NDArray[Any]]] = {
+            "instance": lambda _, body, drawn: np.full(len(drawn), body.instance, np.uint16),
+            "part": lambda _, body, drawn: body.parts[drawn],
+            "owner": lambda number, _, drawn: np.full(len(drawn), number, np.intp),
+            "triangle": lambda _, __, drawn: drawn,
+            "face": lambda _, body, drawn: ((drawn + 1) * (body.instance > 0)).astype(np.int32),
+        }
+        kind = {"instance": np.uint16, "part": np.uint8, "face": np.int32}.get(channel, np.intp)
+        found = (make[channel](number, *one) for number, one in enumerate(self._drawn))
+        return np.concatenate([np.zeros(1, kind), *found])
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """Bodies as they were drawn before a camera, within the rectangle that they can touch.
+
+    ``labels``: (h, w) of :class:`Seen`. ``depth``: (h, w) metres, 0 where no body is. ``rgba``: (h, w, 4),
+    alpha is the share of light that bodies leave; ``outline``: where outlines cross; ``alone``: by instance,
+    (H, W) where a body would be seen if nothing were before it; each if it was ``asked`` for. ``standing``:
+    what has labels in the still scene of ``layer``.
+    """
+
+    asked: Asked
+    bodies: Sequence[Body]
+    camera: Camera
+    layer: StaticLayer
+    rectangle: Rectangle
+    seen: Seen
+    labels: NDArray[np.uint32]
+    depth: Floats
+    rgba: NDArray[np.uint8] | None
+    outline: Crossings | None
+    alone: Mapping[int, NDArray[np.bool_]] | None
+    standing: Drawn | None = None
+
+    @cached_property
+    def whole_depth(self) -> Floats:
+        """(H, W) metres, of what is still as well; infinite where nothing is; not to be changed."""
+        whole: Floats = self.layer.view(("depth",))["depth"]
+        np.copyto(whole[self.rectangle.slices], self.depth, where=self.depth > 0)
+        return whole
+
+    @property
+    def nbytes(self) -> int:
+        """About how much memory it takes."""
+        pixels = self.camera.size[0] * self.camera.size[1]
+        known = {"whole_depth": 4 * pixels, "_detail": 64 * self.labels.size}
+        masks = 0 if self.alone is None else pixels * len(self.alone)
+        return 12 * self.labels.size + masks + sum(size for name, size in known.items() if name in vars(self))
+
+    @cached_property
+    def _detail(self) -> Detail:
+        there = np.flatnonzero(self.labels > 0)
+        label = self.labels.ravel().take(there)
+        row, column = np.divmod(there, max(self.rectangle.shape[1], 1))
+        pixels = (row + self.rectangle.y0) * self.camera.size[0] + column + self.rectangle.x0
+        owner, triangle = (self.seen.table(name).take(label) for name in ("owner", "triangle"))
+        return Detail(self.camera, self.bodies, Shown(pixels, owner, triangle))
+
+    def view(self, channels: Collection[str], others: Mapping[str, tuple[Neighbour, Drawn | None]]) -> View:
+        """The channels of the whole image. ``others``: the frames after and before that flow needs, and their
+        pictures, which what is hidden needs.
+        """
+        view = self._still({*channels, "depth"} if self.outline is not None else channels)
+        within = self.rectangle.slices
+        if "depth" in view:
+            np.copyto(view["depth"][within], self.depth, where=self.depth > 0)
+        for name in {"instance", "part", "face"} & set(channels):
+            labels = self.seen.table(name).take(self.labels)
+            if self.standing is None:
+                view[name][within] = labels
+            else:
+                np.copyto(view[name][within], labels, where=self.labels > 0)
+        if self.rgba is not None and "rgb" in view:
+            # (many times faster than to assign the first three of four)
+            view["rgb"][within] = cv2.cvtColor(self.rgba, cv2.COLOR_RGBA2RGB) if self.rgba.size else 0
+        if self.rgba is not None and "shadow" in view:
+            view["shadow"][within] = 255 - self.rgba[..., 3]
+        if "alpha" in channels:
+            still = view.get("alpha", {})
+            for alpha in still.values():
+                alpha[within][self.labels > 0] = 0
+            view["alpha"] = self._covered(view.get("instance")) | still
+        blended = [*([view["rgb"]] if "rgb" in view else []), *view.get("alpha", {}).values()]
+        if self.outline is not None and blended:
+            blend(blended, view["depth"], self.outline)
+        if "normal" in view:
+            view["normal"].reshape(-1, 3)[self._detail.shown.pixels] = self._detail.normals()
+        if "uv" in view:
+            view["uv"].reshape(-1, 2)[self._detail.shown.pixels] = self._detail.texture_coordinates()
+        for which, (moment, other) in others.items():
+            depth, touched = (None, within) if other is None else (other.whole_depth, other.rectangle.slices)
+            flow = optical_flow(self.camera, self._detail, self.whole_depth, moment, depth, touched)
+            name = "flow" if which == "after" else "flow_back"
+            view[name], view[f"{name}_hidden"] = flow.flow, flow.hidden
+        if "amodal" in channels and self.alone is not None:
+            alone = {instance: mask.copy() for instance, mask in self.alone.items()}
+            view["amodal"] = alone | view.get("amodal", {})
+        return View(**{name: view[name] for name in channels})
+
+    def _still(self, channels: Collection[str]) -> dict[str, Any]:
+        """The channels of the whole image without bodies."""
+        view: dict[str, Any] = self.layer.view(channels)
+        return view if self.standing is None else view | self.standing._labels(channels)
+
+    def _labels(self, channels: Collection[str]) -> dict[str, Any]:
+        """Those of the channels that say what bodies are where; worked out once, to be drawn into."""
+        asked = _LABELS & set(channels)
+        for name in asked - self._kept.keys():
+            self._kept[name] = getattr(self.view((name,), {}), name)
+        return {name: deepcopy(self._kept[name]) for name in asked}
+
+    @cached_property
+    def _kept(self) -> dict[str, Any]:
+        return {}
+
+    def _covered(self, instances: NDArray[np.uint16] | None) -> dict[int, NDArray[np.uint8]]:
+        """By instance, (H, W) 255 where the centre of a pixel shows it."""
+        if instances is None:
+            instances = self.layer.view(("instance",))["instance"]
+            instances[self.rectangle.slices] = self.seen.table("instance").take(self.labels)
+        return {
+            b.instance: (instances == b.instance).view(np.uint8) * np.uint8(255)
+            for b in self.bodies
+            if b.instance
+        }

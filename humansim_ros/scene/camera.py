@@ -1,0 +1,228 @@
+"""How the cameras of a scene take pictures: where they are, what their sensors make of what is drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.camera import Camera
+from humansim_ros.camera.idealize import Ideal, rectify
+from humansim_ros.camera.region import Region
+from humansim_ros.camera.trajectory import Trajectory
+from humansim_ros.errors import CameraError, warn_of
+from humansim_ros.io.files import beside
+from humansim_ros.motion.world_motion import VELOCITY_STEP, Velocity
+from humansim_ros.render.renderer import Backdrop
+from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
+from humansim_ros.scene.backdrops import photograph_of
+from humansim_ros.scene.config import CameraConfig, RigConfig, line_of_key
+from humansim_ros.sensor import Sensor
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where an optical frame is: ``R`` (3, 3) and ``t`` (3,), world to optical, metres. ``velocity``: how it
+    moves; None if that is not known.
+    """
+
+    R: Array
+    t: Array
+    velocity: Velocity | None = None
+
+    @classmethod
+    def of(cls, camera: Camera) -> CameraPose:
+        return cls(camera.R, camera.t)
+
+    def moved(self, seconds: float) -> CameraPose:
+        """Where it is some time later, or before, as it moves now."""
+        if self.velocity is None or seconds == 0:
+            return self
+        r = self.R @ Rotation.from_rotvec(-seconds * self.velocity.angular).as_matrix()
+        return CameraPose(r, -r @ (seconds * self.velocity.linear - self.R.T @ self.t), self.velocity)
+
+    def toward(self, other: CameraPose, share: float) -> CameraPose:
+        """A share of the way from here (0) to another pose (1), or beyond: straight, at an even turn."""
+        if share == 0 or (np.array_equal(self.R, other.R) and np.array_equal(self.t, other.t)):
+            return self
+        start, end = matrix_to_quaternion(self.R.T), matrix_to_quaternion(other.R.T)
+        turned = quaternion_to_matrix(slerp(start, end, np.asarray(share)))
+        centre = (1 - share) * (-self.R.T @ self.t) + share * (-other.R.T @ other.t)
+        return CameraPose(turned.T, -turned.T @ centre)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneCamera:
+    """A camera of a scene. ``whole``: all of its sensor, as it stands at the start. ``path``: what moves it,
+    ``speed`` times as fast as it says and ``offset`` seconds ahead. ``backdrop``: what it sees where nothing
+    is; a plain colour if None.
+    """
+
+    name: str
+    whole: Camera
+    region: Region
+    sensor: Sensor
+    path: Trajectory | None = None
+    offset: float = 0.0
+    speed: float = 1.0
+    backdrop: Backdrop | None = None
+
+    @classmethod
+    def build(cls, name: str, config: CameraConfig, scene: Path) -> SceneCamera:
+        """A camera of a scene file. Raises CameraError or SceneError naming what is wrong with it."""
+        path = None
+        if config.trajectory is not None:
+            path = Trajectory.read(
+                _found(config.trajectory.file, scene, "trajectory.file"), config.trajectory.end
+            )
+        whole = _camera(config, scene)
+        offset, speed = 0.0, 1.0
+        if path is not None and config.trajectory is not None:
+            offset, speed = config.trajectory.offset, config.trajectory.speed
+            r, t = path.pose(speed * offset)
+            whole = replace(whole, R=r, t=t)
+        roi = config.roi
+        region = Region(None if roi is None else (roi.x, roi.y, roi.width, roi.height), config.binning)
+        sensor = Sensor(config.sensor, region.of(whole), name)
+        key = f"cameras.{name}.background"
+        backdrop = None if config.background is None else photograph_of(config.background, scene, key)
+        return cls(name, whole, region, sensor, path, offset, speed, backdrop)
+
+    def with_calibration(self, calibrated: Camera) -> SceneCamera:
+        """The same camera at the same place with the lens, K and size of another."""
+        whole = replace(calibrated, R=self.whole.R, t=self.whole.t)
+        sensor = Sensor(self.sensor.config, self.region.of(whole), self.name)
+        return replace(self, whole=whole, sensor=sensor)
+
+    @cached_property
+    def camera(self) -> Camera:
+        """The camera of image_raw, as it stands at the start."""
+        return self.region.of(self.whole)
+
+    @property
+    def moves(self) -> bool:
+        """Whether the scene says so. Any camera can also be moved from outside."""
+        return self.path is not None
+
+    def pose(self, seconds: float) -> CameraPose:
+        """Where it is at a time since the start of the scene, and how it moves."""
+        if self.path is None:
+            return CameraPose.of(self.camera)
+        time = self.speed * (seconds + self.offset)
+        early, late = self.path.around(time, VELOCITY_STEP * max(self.speed, 1e-6))
+        beside = [self.path.pose(early), self.path.pose(late)]
+        positions = np.array([-r.T @ t for r, t in beside])
+        rotations = matrix_to_quaternion(np.array([r.T for r, _ in beside]))
+        velocity = Velocity.between(positions, rotations, late - early).paced(self.speed)
+        return CameraPose(*self.path.pose(time), velocity)
+
+    def at(self, pose: CameraPose) -> Camera:
+        """The camera of image_raw at a pose."""
+        if pose.R is self.camera.R and pose.t is self.camera.t:
+            return self.camera
+        return replace(self.camera, R=pose.R, t=pose.t)
+
+    @cached_property
+    def rectified(self) -> Ideal | None:
+        """What image_rect shows, None where image_raw is ideal already."""
+        ideal = rectify(self.camera)
+        return None if ideal.camera is ideal.real else ideal
+
+    @property
+    def encoding(self) -> str:
+        """Encoding of image_raw."""
+        return self.sensor.config.encoding
+
+    def rectify(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """image_rect of image_raw, in colour where that is a Bayer mosaic."""
+        if self.encoding == "bayer_rggb8":
+            image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BayerBG2RGB), dtype=np.uint8)
+        return image if self.rectified is None else self.rectified.to_ideal(image)
+
+
+def _camera(config: CameraConfig, scene: Path) -> Camera:
+    """What a scene file says of a camera; at the origin where its place comes from elsewhere."""
+    if config.calibration is not None:
+        camera = _calibrated(config, scene)
+    elif config.P is not None:
+        camera = Camera.from_projection_matrix(config.P, config.size or _SIZE)
+    else:
+        size = config.size or _SIZE
+        k = _intrinsics(config.fov_deg, size) if config.K is None else np.array(config.K)
+        stereo = (np.array(m) if m is not None else None for m in (config.rectification, config.rectified))
+        lens = (config.distortion, config.distortion_model)
+        camera = Camera(size, k, np.eye(3), np.zeros(3), *lens, *stereo)
+    if config.R is not None and config.t is not None:
+        return replace(camera, R=np.array(config.R), t=np.array(config.t))
+    if config.position is not None and config.look_at is not None:
+        there = Camera.look_at(config.position, config.look_at, camera.size, up=config.up)
+        return replace(camera, R=there.R, t=there.t)
+    nowhere = np.array_equal(camera.R, np.eye(3)) and not camera.t.any()
+    if nowhere and config.calibration is not None and config.trajectory is None:
+        warn_of(scene, f"{config.calibration} says no place: its camera is at the origin and looks up")
+    return camera
+
+
+def _calibrated(config: CameraConfig, scene: Path) -> Camera:
+    """A camera of a calibration file."""
+    assert config.calibration is not None
+    file = config.calibration
+    cameras = _read(file, "calibration", scene, config)
+    if config.camera is None and len(cameras) > 1:
+        raise CameraError(
+            f"{file} has {len(cameras)} cameras ({', '.join(cameras)}): say which", key="camera"
+        )
+    if config.camera is not None and config.camera not in cameras:
+        known = ", ".join(cameras)
+        raise CameraError(f"no camera {config.camera!r} in {file}; there are {known}", key="camera")
+    return next(iter(cameras.values())) if config.camera is None else cameras[config.camera]
+
+
+def _read(file: str, key: str, scene: Path, config: CameraConfig | RigConfig) -> dict[str, Camera]:
+    from humansim_ros.camera.calibration import load_calibration
+
+    read = load_calibration(_found(file, scene, key), size=config.size, unit=config.unit, up=config.up_axis)
+    for name, (width, height) in read.sizes.items():
+        if config.size not in (None, (width, height)):
+            raise CameraError(f"camera {name} of {file} has images of {width}x{height} pixels", key="size")
+    return read.cameras
+
+
+def _found(file: str, scene: Path, key: str) -> Path:
+    """A file or URL of a scene; CameraError with the key that says it where there is none."""
+    from humansim_ros.camera.calibration import resolve_url
+
+    if "://" not in file:
+        path, there = beside(scene, file)
+    else:
+        try:
+            path = resolve_url(file)
+        except CameraError as error:
+            raise CameraError(f"{file}: {error.message}", key=key) from None
+        there = path.exists()
+    if not there:
+        raise CameraError(f"no such file {str(path)!r}", key=key)
+    return path
+
+
+def _placed(error: CameraError, scene: Path, section: str) -> CameraError:
+    """An error of a camera with its place in the scene file, but that of another file."""
+    if error.path is not None:
+        return error
+    key = section + (f".{_SCENE_KEYS.get(error.key, error.key)}" if error.key else "")
+    return CameraError(error.message, path=scene, line=line_of_key(scene, key), key=key)
+
+
+#: What parts of a camera are called in scene files.
+_SCENE_KEYS = {"model": "distortion_model", "fov": "fov_deg"}
+_SIZE = (640, 480)
+
+
+def _intrinsics(fov_deg: float | None, size: tuple[int, int]) -> Array:
+    fov = float(np.radians(60.0 if fov_deg is None else fov_deg))
+    return Camera.look_at((0, 0, 0), (1, 0, 0), size, fov).K

@@ -1,0 +1,88 @@
+"""One instant of a scene: everything that moves, as it stands, and as it stands a moment before or after.
+
+What a shutter sees while it is open follows from what is known at the instant itself: people go on at the
+velocities of their joints, objects and cameras at their own. Frames before it do not matter: time may have
+jumped since.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.render import Body
+from humansim_ros.rotations import Array
+from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.camera import CameraPose, SceneCamera
+from humansim_ros.scene.capture import Shot
+from humansim_ros.scene.objects import ObjectPose
+from humansim_ros.scene.scene import Scene
+
+
+@dataclass(frozen=True)
+class JointMotion:
+    """Joints of a human in ``map``: poses (J, 4, 4), velocities (J, 3) in m/s and rad/s, or None."""
+
+    joints: Array
+    linear: Array | None
+    angular: Array | None
+
+    @property
+    def positions(self) -> Array:
+        """(J, 3) metres."""
+        return self.joints[:, :3, 3]
+
+
+@dataclass(frozen=True, eq=False)
+class Instant:
+    """All humans, moving objects and moving cameras of a scene at one stamp (nanoseconds).
+
+    ``vertices``: (V, 3) float32 by human; ``joints_of``: a human's joints, asked for only where they matter.
+    """
+
+    stamp: int
+    scene: Scene
+    actors: Mapping[str, Actor]
+    vertices: Mapping[str, NDArray[np.float32]]
+    joints_of: Callable[[str], JointMotion]
+    objects: Mapping[str, ObjectPose]
+    cameras: Mapping[str, CameraPose] = field(default_factory=dict)
+    _moved: dict[float, Sequence[Body]] = field(init=False, default_factory=dict)
+
+    @cached_property
+    def bodies(self) -> Sequence[Body]:
+        """What is to be drawn."""
+        bodies = [actor.body(self.vertices[name]) for name, actor in self.actors.items()]
+        bodies += [thing.body(self.objects[name]) for name, thing in self.scene.moving_objects.items()]
+        return bodies + self.scene.standing_bodies
+
+    def shot(self, camera: SceneCamera) -> Shot:
+        """What there is to be seen by a camera."""
+        return Shot(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), camera.moves)
+
+    def _bodies_at(self, seconds: float) -> Sequence[Body]:
+        """What is to be drawn so many seconds later: once for all cameras that expose alike."""
+        if seconds == 0:
+            return self.bodies
+        if seconds not in self._moved:
+            self._moved[seconds] = self._bodies_moved(seconds)
+        return self._moved[seconds]
+
+    def _bodies_moved(self, seconds: float) -> Sequence[Body]:
+        bodies = [actor.body(self._vertices_at(name, seconds)) for name, actor in self.actors.items()]
+        for name, thing in self.scene.moving_objects.items():
+            bodies.append(thing.body(self.objects[name].moved(seconds)))
+        return bodies + self.scene.standing_bodies
+
+    def _vertices_at(self, name: str, seconds: float) -> NDArray[np.float32]:
+        motion = self.joints_of(name)
+        if motion.linear is None or motion.angular is None:
+            return self.vertices[name]
+        return self.actors[name].moved(motion.joints, motion.linear, motion.angular, seconds)
+
+    def _pose_at(self, camera: SceneCamera, seconds: float) -> CameraPose:
+        return self.cameras.get(camera.name, CameraPose.of(camera.camera)).moved(seconds)

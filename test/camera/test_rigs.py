@@ -1,0 +1,293 @@
+"""Rigs: where the cameras stand, what they see, and stereo pairs as OpenCV and ROS understand them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import ROOT
+from scipy.spatial import SphericalVoronoi
+from scipy.spatial.distance import pdist, squareform
+
+from humansim_ros.camera import Camera
+from humansim_ros.camera.calibration import read_calibration
+from humansim_ros.camera.rigs import Optics, dome, grid, ring, stereo
+from humansim_ros.cli import camera_rig as cli_camera_rig
+from humansim_ros.drawing.rigs import coverage, coverage_picture, rig_picture
+from humansim_ros.errors import CameraError, HumansimError
+from humansim_ros.scene import Scene
+
+TARGET = np.array([0.5, -1.0, 1.1])
+OPTICS = Optics((640, 480), np.radians(50))
+BARREL = Optics((640, 480), np.radians(80), (-0.25, 0.08, 0.0, 0.0, -0.01))
+FISHEYE = Optics((640, 480), np.radians(170), (0.02, -0.005, 0.001, 0.0), "equidistant")
+
+
+def centers(cameras: dict[str, Camera]) -> np.ndarray:
+    return np.array([camera.center for camera in cameras.values()])
+
+
+@pytest.mark.parametrize("optics", [OPTICS, BARREL, FISHEYE], ids=["ideal", "barrel", "fisheye"])
+def test_all_cameras_see_the_target_in_the_middle_and_stand_upright(optics: Optics) -> None:
+    rigs = (
+        ring(8, 4, 1.8, TARGET, optics, 0.3),
+        grid(3, 4, 0.6, 4, 1.8, TARGET, optics, 0.3),
+        dome(30, 4, TARGET, optics, 0.3),
+    )
+    for cameras in rigs:
+        assert list(cameras) == [f"camera_{number}" for number in range(1, len(cameras) + 1)]
+        for camera in cameras.values():
+            np.testing.assert_allclose(camera.project(TARGET[None])[0], [[319.5, 239.5]], atol=1e-6)
+            assert camera.R[1, 2] < 0 == pytest.approx(camera.R[0, 2], abs=1e-12)
+
+
+def test_the_field_of_view_is_that_through_the_lens() -> None:
+    for optics in (OPTICS, BARREL, FISHEYE):
+        camera = optics.camera((0, 0, 1), (1, 0, 1))
+        edges = [[-0.5, 239.5], [639.5, 239.5]]
+        if camera.model == "equidistant":
+            rays = cv2.fisheye.undistortPoints(
+                np.array([edges]), camera.K, np.array(camera.distortion)
+            ).reshape(-1, 2)
+        else:
+            rays = cv2.undistortPoints(np.array([edges]), camera.K, np.array(camera.distortion)).reshape(
+                -1, 2
+            )
+        seen = np.arctan(rays[:, 0])
+        assert seen[1] - seen[0] == pytest.approx(optics.fov, abs=2e-3)  # OpenCV stops early
+        assert camera.K[0, 0] == camera.K[1, 1]
+
+
+def test_a_ring_is_round_and_even() -> None:
+    places = centers(ring(8, 4, 1.8, TARGET, OPTICS, np.pi / 2)) - TARGET
+    np.testing.assert_allclose(places[0], [0, 4, 0.7], atol=1e-12)
+    np.testing.assert_allclose(places[2], [-4, 0, 0.7], atol=1e-12)  # to the left
+    np.testing.assert_allclose(np.hypot(places[:, 0], places[:, 1]), 4)
+    neighbours = np.linalg.norm(places - np.roll(places, 1, axis=0), axis=1)
+    np.testing.assert_allclose(neighbours, neighbours[0])
+
+
+def test_a_grid_is_a_wall_of_rows_and_columns() -> None:
+    places = centers(grid(2, 3, 0.5, 4, 1.8, TARGET, OPTICS)).reshape(2, 3, 3)
+    np.testing.assert_allclose(places[0, 0], [4.5, -0.5, 2.05])  # seen from the target: top, left
+    np.testing.assert_allclose(places[0, 1] - places[0, 0], [0, -0.5, 0], atol=1e-12)
+    np.testing.assert_allclose(places[1, 0] - places[0, 0], [0, 0, -0.5], atol=1e-12)
+    np.testing.assert_allclose(places.mean((0, 1)), [4.5, -1, 1.8])
+
+
+def test_a_dome_gives_every_camera_the_same_share_of_the_half_sphere() -> None:
+    directions = (centers(dome(60, 3, TARGET, OPTICS)) - TARGET) / 3
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1)
+    assert (directions[:, 2] > 0).all()
+    # with its mirror image below, a whole sphere
+    areas = SphericalVoronoi(np.vstack([directions, -directions])).calculate_areas()
+    assert areas.sum() == pytest.approx(4 * np.pi)
+    assert np.abs(areas[:60] / areas.mean() - 1).max() < 0.35
+    nearest = (squareform(pdist(directions)) + 9 * np.eye(60)).min(axis=1)
+    assert nearest.min() > 0.7 * np.sqrt(2 * np.pi / 60)
+
+
+@pytest.mark.parametrize("optics", [OPTICS, BARREL], ids=["ideal", "barrel"])
+def test_a_stereo_pair_gives_back_depth_as_ros_computes_it(optics: Optics) -> None:
+    cameras = stereo(0.2, 4, 1.5, TARGET, optics, 0.7)
+    left, right = cameras["left"], cameras["right"]
+    np.testing.assert_allclose(left.R, right.R)
+    np.testing.assert_allclose(left.R @ (right.center - left.center), [0.2, 0, 0], atol=1e-12)
+    np.testing.assert_allclose(
+        (left.center + right.center)[:2] / 2, TARGET[:2] + 4 * np.array([np.cos(0.7), np.sin(0.7)])
+    )
+    p_left, p_right = left.rectified_projection, right.rectified_projection
+    fx = p_left[0, 0]
+    assert p_right[0, 3] == pytest.approx(-fx * 0.2)
+    assert not p_left[:, 3].any()
+    np.testing.assert_array_equal(p_left[:, :3], p_right[:, :3])
+
+    points = TARGET + np.random.default_rng(3).uniform(-0.8, 0.8, (50, 3))
+    rectified = []
+    for camera, p in ((left, p_left), (right, p_right)):
+        raw, _ = camera.project(points)
+        np.testing.assert_array_equal(camera.rectification_matrix, np.eye(3))
+        undistorted = cv2.fisheye if camera.model == "equidistant" else cv2
+        done = undistorted.undistortPoints(
+            raw[:, None], camera.K, np.array(camera.distortion), R=np.eye(3), P=p[:, :3]
+        )
+        rectified.append(done[:, 0])
+    # both see a point in the same row, and disparity is fx baseline / depth in the left frame
+    np.testing.assert_allclose(rectified[0][:, 1], rectified[1][:, 1], atol=0.05)
+    disparity = rectified[0][:, 0] - rectified[1][:, 0]
+    depth = left.to_optical(points)[:, 2]
+    np.testing.assert_allclose(-p_right[0, 3] / disparity, depth, rtol=2e-3)
+    # P of the right one takes points of the left frame to the right image
+    image = p_right @ np.column_stack([left.to_optical(points), np.ones(50)]).T
+    np.testing.assert_allclose((image[:2] / image[2]).T, rectified[1], atol=0.05)
+
+
+def test_the_pair_of_opencvs_own_rectification_is_the_same() -> None:
+    cameras = stereo(0.2, 4, 1.5, TARGET, OPTICS)
+    left, right = cameras["left"], cameras["right"]
+    none = np.zeros(5)
+    turn, shift = right.R @ left.R.T, right.t - right.R @ left.R.T @ left.t
+    r1, r2, _, p2, *_ = cv2.stereoRectify(left.K, none, right.K, none, (640, 480), turn, shift[:, None])
+    np.testing.assert_allclose(r1, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(r2, np.eye(3), atol=1e-9)
+    assert p2[0, 3] / p2[0, 0] == pytest.approx(right.rectified_projection[0, 3] / right.K[0, 0])
+
+
+@pytest.mark.parametrize(
+    ("make", "key"),
+    [
+        (lambda: ring(0, 4, 1.8, TARGET, OPTICS), None),
+        (lambda: ring(10**9, 4, 1.8, TARGET, OPTICS), None),
+        (lambda: ring(4, -1, 1.8, TARGET, OPTICS), "radius"),
+        (lambda: ring(4, np.nan, 1.8, TARGET, OPTICS), "radius"),
+        (lambda: ring(4, 4, np.inf, TARGET, OPTICS), "position"),
+        (lambda: ring(4, 4, 1.8, (0, 0), OPTICS), "look_at"),
+        (lambda: grid(-2, -3, 0.5, 4, 1.8, TARGET, OPTICS), None),
+        (lambda: grid(2, 3, 0, 4, 1.8, TARGET, OPTICS), "spacing"),
+        (lambda: stereo(-0.1, 4, 1.8, TARGET, OPTICS), "baseline"),
+        (lambda: stereo(9.0, 4, 1.8, TARGET, OPTICS), None),  # the target is in neither image
+        (lambda: dome(4, 4, TARGET, Optics(fov=np.radians(200))), "fov"),
+        (lambda: dome(4, 4, TARGET, Optics(fov=np.radians(150), distortion=(-0.4, 0, 0, 0))), "fov"),
+        (lambda: dome(4, 4, TARGET, Optics(size=(0, 5))), "size"),
+        (lambda: dome(4, 4, TARGET, Optics(model="pinhole")), "model"),
+        (lambda: dome(4, 4, TARGET, Optics(distortion=(np.nan,))), "distortion"),
+    ],
+)  # fmt: skip
+def test_impossible_rigs_are_refused(make, key: str | None) -> None:
+    with pytest.raises(CameraError) as caught:
+        make()
+    assert caught.value.key == key
+
+
+# -- pictures
+
+
+def seen_by(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Whether points (N, 3) are in the image, with OpenCV's projection."""
+    pixels, _ = cv2.projectPoints(
+        points, cv2.Rodrigues(camera.R)[0], camera.t, camera.K, np.array(camera.distortion)
+    )
+    ahead = (points @ camera.R.T + camera.t)[:, 2] > 0
+    return ahead & ((pixels[:, 0] > -0.5) & (pixels[:, 0] < np.array(camera.size) - 0.5)).all(axis=1)
+
+
+def test_coverage_counts_the_cameras_that_see_a_point_or_all_of_a_person() -> None:
+    cameras = ring(5, 3, 2.2, TARGET, OPTICS) | {"side": OPTICS.camera((3, 3, 1), (0, 0, 1))}
+    x, y = np.linspace(-3, 4, 15), np.linspace(-4, 2, 13)
+    chest, whole = coverage(cameras, x, y, 1.2), coverage(cameras, x, y, 0.0, 1.8)
+    heights = np.linspace(0, 1.8, 7)
+    for row, column in np.ndindex(13, 15):
+        upright = np.column_stack([np.tile([x[column], y[row]], (7, 1)), heights])
+        point = np.array([[x[column], y[row], 1.2]])
+        assert chest.counts[row, column] == sum(seen_by(camera, point)[0] for camera in cameras.values())
+        assert whole.counts[row, column] == sum(seen_by(camera, upright).all() for camera in cameras.values())
+    assert 0 < whole.counts.sum() < chest.counts.sum()
+    assert chest.area(0, 6) == pytest.approx(15 * 13 * 0.5 * 0.5)
+    with pytest.raises(CameraError, match="two places"):
+        coverage(cameras, [0.0], y, 1.2)
+    assert chest.area(6, 6) == (chest.counts == 6).sum() * 0.25
+
+
+def test_cameras_are_drawn_where_they_stand() -> None:
+    cameras = ring(5, 3, 2.2, TARGET, OPTICS) | {"inner": OPTICS.camera((1, 0, 1), (0, 0, 1))}
+    above = rig_picture(cameras)[60:, 44:620].astype(int)
+    colored = (np.ptp(above, axis=-1) > 50).astype(np.uint8)
+    count, _, _, dots = cv2.connectedComponentsWithStats(cv2.erode(colored, np.ones((5, 5), np.uint8)))
+    assert count == 1 + 6
+    places = centers(cameras)[:, :2] * [1, -1]
+    # one scale and one shift take all cameras to their dots
+    scale = np.ptp(dots[1:], axis=0) / np.ptp(places, axis=0)
+    assert scale[0] == pytest.approx(scale[1], rel=0.01)
+    drawn = (places - places.min(0)) * scale + dots[1:].min(0)
+    for place in drawn:
+        assert np.linalg.norm(dots[1:] - place, axis=1).min() < 1
+
+
+def test_one_camera_many_cameras_and_cameras_far_out_are_drawn() -> None:
+    far = OPTICS.camera((500, -300, 2), (499, -300, 1))
+    for cameras in (
+        {"far": far},
+        {"far": far, "near": OPTICS.camera((1, 0, 1), (0, 0, 1))},
+        dome(40, 4, TARGET, FISHEYE),
+    ):
+        assert np.ptp(rig_picture(cameras)[60:, :1200]) > 100
+    assert coverage_picture({"far": far}).shape[1] == 2 * 770
+    with pytest.raises(CameraError, match="no cameras"):
+        rig_picture({})
+    with pytest.raises(CameraError, match="in metres"):
+        rig_picture({"lost": OPTICS.camera((5e6, 0, 0), (0, 0, 0))})
+    for area in ((0, 0, 0, 1), (0, 0, np.nan, 1), (0, 0, 1e9, 1)):
+        with pytest.raises(CameraError) as caught:
+            coverage_picture({"far": far}, area=area)
+        assert caught.value.key == "area"
+
+
+# -- commands
+
+
+def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "humansim_ros.cli.main", "camera", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
+
+
+def test_a_rig_is_a_scene_and_camera_info_files_and_can_be_drawn(tmp_path: Path) -> None:
+    done = humansim(
+        "rig",
+        "--stereo",
+        0.2,
+        "--distortion",
+        "-0.3 0.1 0 0",
+        "--look-at",
+        0.5,
+        -1,
+        1.1,
+        "-o",
+        tmp_path / "rig",
+    )
+    assert done.returncode == 0, done.stderr
+    optics = Optics(distortion=(-0.3, 0.1, 0, 0))
+    wanted = stereo(0.2, 4, 1.8, TARGET, optics)
+    scene = Scene.load(tmp_path / "rig" / "scene.yaml")
+    for name, camera in wanted.items():
+        info = read_calibration(tmp_path / "rig" / "camera_info" / f"{name}.yaml")[name]
+        for found in (scene.cameras[name], read_calibration(tmp_path / "rig")[name]):
+            np.testing.assert_allclose(found.P, camera.P, atol=1e-9)
+            for part in (found, info):
+                assert (part.size, part.distortion, part.model) == (
+                    camera.size,
+                    camera.distortion,
+                    camera.model,
+                )
+                np.testing.assert_allclose(part.rectified_projection, camera.rectified_projection, atol=1e-9)
+    # nothing of the room is in the way of the cameras
+    assert scene.config.room is not None
+    assert scene.config.room.size[0] / 2 > 4.5 + 1
+
+    for option in ((), ("--coverage", "--area", -2, -2, 2, 2)):
+        drawn = humansim("plot", tmp_path / "rig", "-o", tmp_path / "rig.png", *option)
+        assert drawn.returncode == 0, drawn.stderr
+    assert cv2.imread(str(tmp_path / "rig.png")).shape[1] == 2 * 770
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--ring", 8, "--dome", 3], "--ring and --dome"),
+        ([], "say one of --ring"),
+        (["--grid", "2by3"], "such as 2x4"),
+        (["--dome", 8, "--height", 2], "--height"),
+        (["--ring", 8, "--distortion", "strong"], "needs numbers"),
+        (["--ring", 8, "--radius", "nan"], "not nan"),
+        (["--ring", 8, "--radius", -1], "radius: must be above zero"),
+    ],
+)
+def test_options_that_make_no_rig_are_explained(options: list, said: str, tmp_path: Path) -> None:
+    with pytest.raises(HumansimError, match=said):
+        cli_camera_rig.app(["rig", *map(str, options), "-o", str(tmp_path / "rig")], standalone_mode=False)
+    assert not (tmp_path / "rig").exists()

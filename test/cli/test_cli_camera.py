@@ -1,0 +1,216 @@
+"""The ``humansim camera`` commands show and convert."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+import warnings
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from humansim_ros.camera import Camera, read_calibration, write_calibration
+from humansim_ros.camera.checks import doubts, doubts_of_rig, field_of_view
+from humansim_ros.camera.formats import FORMS
+from humansim_ros.cli.camera import Form, describe_camera
+from humansim_ros.cli.main import main
+
+
+def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
+    """The command in this process, which is faster than one of its own."""
+    out, err = io.StringIO(), io.StringIO()
+    words = ["humansim", "camera", *map(str, arguments)]
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.setattr(sys, "argv", words)
+        patch.setattr(warnings, "showwarning", warnings.showwarning)  # main() puts its own there
+        code = main()
+    return subprocess.CompletedProcess(words, code, out.getvalue(), err.getvalue())
+
+
+def shown(*arguments: str | Path) -> dict[str, Any]:
+    result = humansim("show", *arguments, "--json")
+    assert result.returncode == 0, result.stderr
+    return dict(json.loads(result.stdout))
+
+
+@pytest.mark.parametrize(
+    "words", [["show", "{}"], ["convert", "{}", "-o", "a.yaml"], ["rig", "--ring", "3", "-o", "{}"]]
+)
+def test_a_name_that_no_file_can_have_is_refused(words: list[str]) -> None:
+    result = humansim(*(word.format("x" * 300) for word in words))
+    assert result.returncode == 2
+    assert "File name too long" in result.stderr
+
+
+def test_show_says_all_there_is_of_a_camera(shared_data: Path) -> None:
+    path = shared_data / "calib" / "usb_cam_camera_info.yaml"
+    facts = shown(path)
+    (camera,) = facts["cameras"]
+    assert (facts["form"], facts["unit"], facts["up"], facts["warnings"]) == ("camera_info", 1.0, "z", [])
+    assert (camera["name"], camera["size"], camera["model"]) == ("test_camera", [640, 480], "plumb_bob")
+    assert camera["distortion"] == [-0.361976, 0.11051, 0.001014, 0.000505, 0]
+    assert camera["K"][0] == [438.783367, 0, 305.593336] and camera["rectified"][0][0] == 393.6538
+    assert camera["center"] == [0, 0, 0] and camera["baseline"] == 0
+    assert 87 < camera["fov_deg"]["horizontal"] < camera["fov_deg"]["diagonal"] < 105
+    assert camera["warnings"] == []
+    text = humansim("show", path).stdout
+    for part in ("640x480", "438.783", "-0.361976", "87.5° across"):
+        assert part in text
+
+
+def test_show_says_which_size_a_mislabelled_k_is_of(shared_data: Path) -> None:
+    path = shared_data / "calib" / "raspicam_camerav2_1640x1232.yaml"
+    (camera,) = shown(path)["cameras"]
+    assert (
+        "39% and 39% of a 1640x1232 image: this K is of an image of about 1280x960" in camera["warnings"][0]
+    )
+    assert shown(path, "--size", "1280x960")["cameras"][0]["warnings"] == []
+    for name in ("raspicam_camerav1_1280x720.yaml", "raspicam_camerav2_410x308.yaml"):
+        assert shown(shared_data / "calib" / name)["cameras"][0]["warnings"] == []
+
+
+def test_show_takes_sizes_units_axes_and_names(tmp_path: Path, shared_data: Path) -> None:
+    facts = shown(shared_data / "calib" / "human36m_camera-parameters.json", "--camera", "S9_*")
+    assert [camera["name"] for camera in facts["cameras"]] == [
+        f"S9_{n}" for n in (54138969, 55011271, 58860488, 60457274)
+    ]
+    assert facts["unit"] == 0.001
+    path = shared_data / "calib" / "shelf_voxelpose.json"
+    facts = shown(path, "--size", "1032x776", "--unit", "1", "--up", "-z", "--camera", "0")
+    assert_allclose(facts["cameras"][0]["center"], [-1586.4496078, 2109.46905869, -1104.209800652])
+    said = humansim("show", path, "--camera", "9")
+    assert said.returncode == 2 and "no camera is named 9; there is 0, 1, 2" in said.stderr
+    said = humansim("show", path, "--size", "large")
+    assert said.returncode == 2 and "--size: needs width and height" in said.stderr
+
+
+def test_convert_goes_from_form_to_form(tmp_path: Path, shared_data: Path) -> None:
+    path = shared_data / "calib" / "shelf_voxelpose.json"
+    steps = [
+        ("colmap", tmp_path / "model"),
+        ("kalibr", tmp_path / "chain.yaml"),
+        ("opencv", tmp_path / "rig.yml"),
+        ("scene", tmp_path / "rig.yaml"),
+        ("panoptic", tmp_path / "rig.json"),
+        ("p", tmp_path / "rig.txt"),
+    ]
+    source, size = path, ["--size", "1032x776"]
+    for form, target in steps:
+        result = humansim("convert", source, "-o", target, "--to", form, *size)
+        assert result.returncode == 0, result.stderr
+        assert f"wrote {target}" in result.stdout
+        source, size = target, []
+    first, last = read_calibration(path, size=(1032, 776)), read_calibration(source)
+    for camera, other in zip(first.values(), last.values(), strict=True):
+        assert camera.size == other.size
+        assert_allclose(other.P, camera.P, rtol=1e-12, atol=1e-9)
+
+
+def test_convert_puts_files_together_and_takes_rigs_apart(tmp_path: Path, shared_data: Path) -> None:
+    files = [shared_data / "calib" / f"image_common_calib{n}.ini" for n in (5, 8)]
+    result = humansim("convert", *files, "-o", tmp_path / "both.xml", "--to", "opencv_xml")
+    assert result.returncode == 0 and "several cameras mono_left" in result.stderr
+    result = humansim("convert", tmp_path / "both.xml", "-o", tmp_path / "rig", "--to", "camera_info")
+    assert sorted(f.name for f in (tmp_path / "rig").iterdir()) == [f"{file.stem}.yaml" for file in files]
+    for file in files:
+        (camera,) = read_calibration(file).values()
+        (other,) = read_calibration(tmp_path / "rig" / f"{file.stem}.yaml").values()
+        assert (other.distortion, other.model) == (camera.distortion, camera.model)
+        assert np.array_equal(other.rectified_projection, camera.rectified_projection)
+
+
+def test_convert_says_what_is_lost_or_refuses(tmp_path: Path, shared_data: Path) -> None:
+    shelf = shared_data / "calib" / "shelf_voxelpose.json"
+    result = humansim("convert", shelf, "-o", tmp_path / "rig", "--to", "camera_info")
+    assert result.returncode == 0 and "R and t of 0, 1, 2, 3 and 1 more are left out" in result.stderr
+    result = humansim("convert", shared_data / "calib/usb_cam_camera_info.yaml", "-o", tmp_path / "p.txt")
+    assert result.returncode == 2 and "cannot hold plumb_bob distortion: idealize" in result.stderr
+    assert not (tmp_path / "p.txt").exists()
+
+
+def test_every_form_can_be_asked_for() -> None:
+    assert [form.value for form in Form] == [form.name for form in FORMS]
+
+
+# -- what looks wrong
+
+K = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
+GOOD = Camera.look_at((3, 2, 1.5), (0, 0, 1))
+
+
+def camera(**parts: Any) -> Camera:
+    given = {"size": (640, 480), "K": K, "R": GOOD.R, "t": GOOD.t, **parts}
+    return Camera(**given)
+
+
+def ring(scale: float = 1.0, up: tuple[float, float, float] = (0, 0, 1)) -> dict[str, Camera]:
+    basis = {(0, 0, 1): np.eye(3), (0, -1, 0): np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])}[up]
+    places = [(3, 0, 1), (0, 3, 1), (-3, 0, 1)]
+    return {
+        str(i): Camera.look_at(basis @ np.array(place) * scale, basis @ np.array([0, 0, scale]), up=up)
+        for i, place in enumerate(places)
+    }
+
+
+def test_good_cameras_are_not_doubted() -> None:
+    assert doubts(GOOD) == doubts(camera(distortion=(-0.3, 0.1, 0, 0))) == doubts_of_rig(ring()) == []
+
+
+@pytest.mark.parametrize(
+    ("odd", "said"),
+    [
+        (camera(K=[[600, 0, 380], [0, 600, 239.5], [0, 0, 1]]), "was the image cropped?"),
+        (camera(K=[[600, 0, 320], [0, 1200, 240], [0, 0, 1]]), "the pixels are not square: fx / fy is 0.500"),
+        (camera(K=[[600, 30, 320], [0, 600, 240], [0, 0, 1]]), "a skew of 30, 5.0% of the focal length"),
+        (camera(K=[[0.9, 0, 320], [0, 0.9, 240], [0, 0, 1]]), "is K in pixels?"),
+        (camera(distortion=(-0.9, 0, 0, 0)), "of the image sees nothing: this lens model folds"),
+        (camera(rectified=[[2400, 0, 320, 0], [0, 2400, 240, 0], [0, 0, 1, 0]]), "4 and 4 times those of K"),
+        (camera(rectified=[[600, 0, -20, 0], [0, 600, 240, 0], [0, 0, 1, 0]]), "is outside the image"),
+        (camera(rectified=[[600, 0, 320, -72000], [0, 600, 240, 0], [0, 0, 1, 0]]), "a baseline of 120 m"),
+        (Camera.look_at((0, 0, 1), (0.1, 0, 5)), "looks straight up"),
+        (Camera.look_at((3, 2, 1.5), (0, 0, 1), up=(0, 0, -1)), "is upside down"),
+        (Camera.look_at((3, 2, -1.5), (0, 0, 1)), "is below the floor, at z = -1.50 m"),
+        (Camera.look_at((3000, 2000, 1500), (0, 0, 1)), "3.91e+03 m from the origin"),
+    ],
+)
+def test_what_looks_wrong_is_said(odd: Camera, said: str) -> None:
+    (message,) = doubts(odd)
+    assert said in message
+
+
+def test_rigs_in_other_units_or_axes_are_doubted() -> None:
+    for scale in (1000, 0.001):
+        (message,) = doubts_of_rig(ring(scale))
+        assert "is this the file's unit?" in message
+    (message,) = doubts_of_rig(ring(up=(0, -1, 0)))
+    assert "to most of the cameras -y is up, not z" in message
+
+
+def test_the_field_of_view_is_that_of_the_lens() -> None:
+    ideal = field_of_view(camera())
+    assert ideal.horizontal == pytest.approx(2 * np.arctan(320 / 600))
+    assert ideal.vertical == pytest.approx(2 * np.arctan(240 / 600))
+    assert ideal.diagonal == pytest.approx(2 * np.arctan(400 / 600))
+    fisheye = camera(model="equidistant")  # an angle of r / f at r pixels from the middle
+    assert field_of_view(fisheye).diagonal == pytest.approx(2 * 400 / 600)
+    # pincushion sees less, barrel more
+    assert field_of_view(camera(distortion=(0.2,))).diagonal < ideal.diagonal
+    assert field_of_view(camera(distortion=(-0.2,))).diagonal > ideal.diagonal
+    assert describe_camera("a", camera(distortion=(-0.9,)))["fov_deg"]["diagonal"] is None
+
+
+def test_a_mirrored_rig_is_refused(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "rig.yaml", {"a": GOOD}, "scene")
+    text = (tmp_path / "rig.yaml").read_text()
+    flipped = GOOD.R * [[-1], [1], [1]]
+    rows = ", ".join(str(values) for values in flipped.tolist())
+    start = text.index("    R: ")
+    (tmp_path / "rig.yaml").write_text(text[:start] + f"    R: [{rows}]\n" + text[text.index("    t: ") :])
+    result = humansim("show", tmp_path / "rig.yaml")
+    assert result.returncode == 2 and "cameras.a.R: R mirrors (its determinant is -1)" in result.stderr

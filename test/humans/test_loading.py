@@ -1,0 +1,336 @@
+"""People from files: SMPL models, descriptions, materials, the cache, archives that mean harm."""
+
+from __future__ import annotations
+
+import io
+import os
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import cv2
+import figures
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from humansim_ros.errors import HumansimWarning, MeshError
+from humansim_ros.humans.human import Human, read_human, write_human
+from humansim_ros.humans.smpl import read_smpl
+from humansim_ros.io.npz import read_npz
+from humansim_ros.mesh.obj import read_mesh
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("HUMANSIM_CACHE", str(folder))
+    return folder
+
+
+@pytest.fixture
+def model() -> dict[str, Any]:
+    return figures.smpl(figures.SMPL_NAMES, figures.SMPL_PARENTS)
+
+
+def saved(folder: Path, arrays: dict[str, Any], **changes: Any) -> Path:
+    path = folder / "model.npz"
+    np.savez(path, **{key: value for key, value in (arrays | changes).items() if value is not None})
+    return path
+
+
+@pytest.fixture
+def figure(tmp_path: Path) -> Path:
+    path = tmp_path / "figure.glb"
+    path.write_bytes(figures.glb(*figures.gltf()))
+    return path
+
+
+# SMPL
+
+
+def test_a_model_in_the_layout_of_smpl_is_a_human(tmp_path: Path, model: dict[str, Any]) -> None:
+    human = Human.load(saved(tmp_path, model))
+    skeleton = human.skeleton
+    shift = human.mesh.vertices[0] - model["v_template"][0]
+    for ours, theirs in (("l_knee", "LeftLeg"), ("r_shoulder", "RightArm"), ("vl5", "Spine2")):
+        place = figures.PLACES[figures.NAMES.index(theirs)] + shift
+        np.testing.assert_allclose(skeleton.heads[skeleton.bone(ours)], place, atol=1e-4)
+    np.testing.assert_allclose(human.pose(skeleton.rest), human.mesh.vertices, atol=1e-6)
+    assert len(human.outfits) >= 3
+
+
+def test_betas_shape_the_body_and_its_joints(tmp_path: Path, model: dict[str, Any]) -> None:
+    path = saved(tmp_path, model)
+    plain, tall = read_smpl(path), read_smpl(path, [2.0])  # the first direction makes all 10 % larger
+    np.testing.assert_allclose(tall.mesh.vertices, 1.2 * plain.mesh.vertices, atol=1e-9)
+    np.testing.assert_allclose(tall.joints, 1.2 * plain.joints, atol=1e-3)
+    with pytest.raises(MeshError, match="3 betas, the model has 2"):
+        read_smpl(path, [1.0, 2.0, 3.0])
+
+
+def test_what_a_model_holds_beside_its_arrays_is_never_unpickled(
+    tmp_path: Path, model: dict[str, Any]
+) -> None:
+    """SMPL-X files carry pickled dictionaries; unpacking one could run anything."""
+    trap = np.array([Trap(tmp_path / "run")], dtype=object)
+    assert Human.load(saved(tmp_path, model, part2num=trap)).name == "model"
+    with pytest.raises(MeshError, match="never unpacked") as caught:
+        Human.load(saved(tmp_path, model, weights=trap))
+    assert caught.value.key == "weights"
+    assert not (tmp_path / "run").exists()
+
+
+class Trap:
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return os.mkdir, (str(self.path),)
+
+
+def test_the_trap_would_have_worked(tmp_path: Path) -> None:
+    pickle.loads(pickle.dumps(Trap(tmp_path / "run")))
+    assert (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("f", None, "an array is missing"),
+        ("f", np.array([[0, 1, 99999]]), "outside"),
+        ("v_template", np.full((184, 3), np.nan), "not finite"),
+        ("v_template", np.zeros((5, 2)), "must be numbers"),
+        ("weights", np.zeros((184, 24)), "sum to zero"),
+        ("weights", np.ones((184, 23)), "must be numbers"),
+        ("kintree_table", np.array([[1] * 24, range(24)]), "come before"),
+    ],
+)
+def test_a_broken_model_is_refused(
+    tmp_path: Path, model: dict[str, Any], key: str, value: Any, message: str
+) -> None:
+    with pytest.raises(MeshError, match=message) as caught:
+        Human.load(saved(tmp_path, model, **{key: value}))
+    assert caught.value.path is not None
+
+
+# archives
+
+
+def test_an_archive_that_unpacks_to_too_much_is_refused_before_it_does(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("humansim_ros.io.npz.MOST_BYTES", 10 << 20)
+    path = tmp_path / "bomb.npz"
+    np.savez_compressed(path, a=np.zeros(9 << 20, np.uint8), b=np.zeros(2 << 20, np.uint8))
+    assert path.stat().st_size < 1 << 20
+    assert len(read_npz(path, MeshError, "human", ["b"])) == 1
+    with pytest.raises(MeshError, match="unpacks to more than 10 MB"):
+        read_npz(path, MeshError, "human")
+
+
+def test_an_array_that_promises_more_than_there_is_is_refused(tmp_path: Path) -> None:
+    data = io.BytesIO()
+    np.lib.format.write_array_header_1_0(data, {"shape": (10**12,), "fortran_order": False, "descr": "<f8"})
+    path = tmp_path / "promise.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("vertices.npy", data.getvalue() + bytes(64))
+    with pytest.raises(MeshError, match="promised, but not there"):
+        read_npz(path, MeshError, "human")
+
+
+# human files
+
+
+def test_a_written_human_is_read_back_the_same(tmp_path: Path, figure: Path) -> None:
+    human = Human.load(figure)
+    write_human(tmp_path / "a.npz", human)
+    write_human(tmp_path / "b.npz", human)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+    copy = read_human(tmp_path / "a.npz")
+    np.testing.assert_allclose(copy.mesh.vertices, human.mesh.vertices, atol=1e-7)
+    np.testing.assert_array_equal(copy.mesh.faces, human.mesh.faces)
+    assert abs(copy.weights - human.weights).max() < 1e-6
+    assert copy.skeleton.names == human.skeleton.names
+    assert copy.outfits == human.outfits
+
+
+def test_a_human_changes_its_outfit(tmp_path: Path) -> None:
+    man = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    assert len(man.outfits) >= 3
+    other = man.wearing(man.outfits[1])
+    assert other.mesh.texture is not None
+    assert man.mesh.texture is not None
+    assert (other.mesh.texture != man.mesh.texture).mean() > 0.3
+    assert other.mesh.vertices is man.mesh.vertices
+    with pytest.raises(MeshError, match="no outfit 'armour'; there are red"):
+        man.wearing("armour")
+
+
+# descriptions
+
+
+def described(folder: Path, text: str) -> Path:
+    path = folder / "someone.yaml"
+    path.write_text(text)
+    return path
+
+
+def test_a_description_gives_a_mesh_its_size_and_looks(tmp_path: Path, figure: Path) -> None:
+    path = described(
+        tmp_path,
+        f"mesh: {figure.name}\nstature: 1.2\nskinning: dual_quaternion\n"
+        "outfits:\n  plain: {shirt: [1, 2, 3]}\n  other: {}\n",
+    )
+    human = Human.load(path)
+    assert human.name == "someone"
+    assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(1.2, abs=1e-6)
+    assert human.outfits == ("plain", "other")
+    assert human.skinning == "dual_quaternion"
+    assert human.mesh.colors is not None
+    assert (human.mesh.colors == (1, 2, 3)).all(1).any()
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "message"),
+    [
+        ("mesh: nobody.obj", "mesh", "no such file"),
+        ("mesh: figure.stl", "mesh", ".obj, .gltf, .glb"),
+        ("rigging: heat", None, "'mesh' or by 'makehuman'"),
+        ("mesh: figure.glb\nstature: -1", "stature", "greater than or equal"),
+        ("mesh: figure.glb\nstature: 1\nunit: 1", None, "not both"),
+        ("mesh: figure.glb\ncolour: red", "colour", "unknown key; known here: mesh"),
+        ("mesh: figure.glb\nmesh: figure.glb", "mesh", "second time"),
+        ("mesh: figure.glb\nup: w", "up", "pattern"),
+        ("mesh: figure.glb\noutfits: {a: {texture: none.png}}", None, "no such texture file"),
+        ("mesh: figure.glb\noutfits: {a: {shirt: [300, 0, 0]}}", "outfits.a.shirt.0", "255"),
+        ("makehuman: {gender: 2}\noutfits: {a: {}}", "makehuman.gender", "less than or equal"),
+        ("makehuman: {age: 200}\noutfits: {a: {}}", "makehuman.age", "less than or equal"),
+        ("makehuman: {}\noutfits: {}", "outfits", "at least 1"),
+        ("makehuman: {}\noutfits: {a: {shirt_fabric: silk}}", "outfits.a.shirt_fabric", "'knit'"),
+        ("mesh: [", None, "not valid YAML"),
+        ("mesh: !!python/object/apply:os.mkdir [run]", None, "not valid YAML"),
+    ],
+)
+def test_a_wrong_description_is_refused_with_its_key(
+    tmp_path: Path, figure: Path, text: str, key: str | None, message: str
+) -> None:
+    with pytest.raises(MeshError, match=message) as caught:
+        Human.load(described(tmp_path, text))
+    assert caught.value.key == key
+    assert not (tmp_path / "run").exists()
+
+
+# materials of OBJ files
+
+OBJ = """mtllib colours.mtl
+v 0 0 0
+v 1 0 0
+v 1 1 0
+v 0 1 0
+vt 0 0
+vt 1 0
+vt 1 1
+vt 0 1
+usemtl photo
+f 1/1 2/2 3/3
+usemtl red
+f 1 3 4
+"""
+
+
+def test_materials_become_one_texture(tmp_path: Path) -> None:
+    (tmp_path / "m.obj").write_text(OBJ)
+    (tmp_path / "colours.mtl").write_text("newmtl photo\nmap_Kd photo.png\nnewmtl red\nKd 1 0 0\n")
+    photo = np.zeros((32, 32, 3), np.uint8)
+    photo[:16, 16:] = (0, 200, 0)  # at the top right
+    cv2.imwrite(str(tmp_path / "photo.png"), photo)
+    mesh = read_mesh(tmp_path / "m.obj")
+    assert mesh.texture is not None
+    assert mesh.uv is not None
+    assert mesh.uv_triangles is not None
+    size = np.array(mesh.texture.shape[1::-1])
+
+    def color(triangle: int, *shares: float) -> list[int]:
+        assert mesh.uv is not None
+        assert mesh.uv_triangles is not None
+        assert mesh.texture is not None
+        u, v = np.array(shares) @ mesh.uv[mesh.uv_triangles[triangle]]
+        return [int(c) for c in mesh.texture[int((1 - v) * size[1]), int(u * size[0])]]
+
+    assert color(0, 0.1, 0.1, 0.8) == [0, 200, 0]
+    assert color(0, 0.8, 0.1, 0.1) == [0, 0, 0]
+    assert color(1, 0.3, 0.3, 0.4) == [255, 0, 0]
+
+
+@pytest.mark.parametrize("name", ["../colours.mtl", "/etc/passwd", "none.mtl"])
+def test_materials_elsewhere_are_left_alone_with_a_warning(tmp_path: Path, name: str) -> None:
+    (tmp_path / "colours.mtl").write_text("newmtl red\nKd 1 0 0\n")
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    (folder / "m.obj").write_text(OBJ.replace("colours.mtl", name))
+    with pytest.warns(HumansimWarning, match="not beside it"):
+        assert read_mesh(folder / "m.obj").texture is None
+
+
+# the cache
+
+
+def test_what_is_made_is_kept_and_found_by_content(cache: Path, figure: Path, tmp_path: Path) -> None:
+    first = Human.load(figure)
+    (kept,) = cache.glob("*.npz")
+    before = kept.stat().st_ino
+    again = Human.load(figure)
+    np.testing.assert_array_equal(first.mesh.vertices, again.mesh.vertices)
+    assert [path.stat().st_ino for path in cache.glob("*.npz")] == [before]
+    # other content under the same name
+    document, binary = figures.gltf()
+    document["nodes"].append({"name": "armature", "scale": [0.9, 0.9, 0.9], "children": [0]})
+    figure.write_bytes(figures.glb(document, binary))
+    assert np.ptp(Human.load(figure).mesh.vertices[:, 1]) == pytest.approx(
+        0.9 * np.ptp(first.mesh.vertices[:, 1]), rel=1e-4
+    )
+    assert len(list(cache.glob("*.npz"))) == 2
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_a_kept_file_cut_short_is_made_again(cache: Path, figure: Path, share: float) -> None:
+    first = Human.load(figure)
+    (kept,) = cache.glob("*.npz")
+    content = kept.read_bytes()
+    kept.write_bytes(content[: int(share * len(content))])
+    np.testing.assert_array_equal(Human.load(figure).mesh.vertices, first.mesh.vertices)
+    assert kept.read_bytes() == content
+
+
+def test_a_crash_while_writing_leaves_nothing_that_is_read(
+    cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def crash(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("numpy.lib.format.write_array", crash)
+        with pytest.raises(KeyboardInterrupt):
+            Human.load(figure)
+    assert list(cache.glob("*.npz")) == []
+    assert len(Human.load(figure).mesh.vertices) == len(figures.boxes()[0])
+
+
+def test_where_nothing_can_be_written_humans_load_all_the_same(
+    figure: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("HUMANSIM_CACHE", str(tmp_path / "file"))
+    assert len(Human.load(figure).mesh.vertices) == len(figures.boxes()[0])
+
+
+def test_only_so_many_humans_are_kept(
+    cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("humansim_ros.humans.cache.MOST_HUMANS", 2)
+    for number in range(4):
+        described(tmp_path, f"mesh: figure.glb\nstature: {1 + number / 10}\n")
+        Human.load(tmp_path / "someone.yaml")
+    assert len(list(cache.glob("*.npz"))) == 2

@@ -1,0 +1,57 @@
+"""What every reader of YAML files refuses."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from humansim_ros.camera import read_calibration
+from humansim_ros.errors import HumansimError
+from humansim_ros.humans.description import read_description
+from humansim_ros.motion.joint_tables import load_table
+from humansim_ros.motion.limits import load_limits
+from humansim_ros.ros.processes import scene_processes
+from humansim_ros.scene.config import load_config
+
+
+def laughs(how: str) -> str:
+    """Nine keys, each of which repeats the one before ten times."""
+    keys = ["a0: &a0 {b: 1, c: 2}"]
+    keys += [f"a{n}: &a{n} {how.format(', '.join([f'*a{n - 1}'] * 10))}" for n in range(1, 10)]
+    return "\n".join(keys) + "\n"
+
+
+CHAIN = "a0: &a0 [0]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}]\n" for n in range(1, 60))
+HOSTILE = {
+    "aliases": (laughs("[{}]"), 6, "*a4 repeats more than"),
+    "merge keys": (laughs("{{<<: [{}]}}"), 6, "*a4 repeats more than"),
+    "itself": ("a: &a\n  b: [*a]\n", 2, "*a is within itself"),
+    "a chain": (CHAIN, 49, "nested too deeply"),
+    "a great many": ("a: [" + "0," * 150_000 + "]", 1, "more than 100000 keys and values"),
+}
+READERS = (load_config, scene_processes, read_description, read_calibration, load_table, load_limits)
+
+
+@pytest.mark.parametrize("read", READERS)
+@pytest.mark.parametrize(("text", "line", "message"), HOSTILE.values(), ids=HOSTILE)
+def test_no_file_multiplies_without_end(
+    tmp_path: Path, read: Callable[[Path], object], text: str, line: int, message: str
+) -> None:
+    path = tmp_path / "hostile.yaml"
+    path.write_text(text)
+    start = time.process_time()
+    with pytest.raises(HumansimError) as caught:
+        read(path)
+    assert message in caught.value.message
+    assert (caught.value.path, caught.value.line) == (str(path), line)
+    assert time.process_time() - start < 5
+
+
+def test_a_file_that_is_far_too_large_is_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "huge.yaml"
+    path.write_text("#" * (1 << 21))
+    with pytest.raises(HumansimError, match="too large for a scene file: more than 1 MB"):
+        load_config(path)

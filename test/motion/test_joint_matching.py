@@ -1,0 +1,271 @@
+"""Joint tables: which joint of a motion drives which bone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from humansim_ros.body import hanim_skeleton
+from humansim_ros.errors import MotionError
+from humansim_ros.motion import read_bvh
+from humansim_ros.motion.joint_matching import find_match, match_table
+from humansim_ros.motion.joint_tables import JointTable, built_in_tables, load_table, other_side, plain_name
+
+LIMBS = ("l_hip", "l_knee", "l_shoulder", "l_elbow", "r_hip", "r_knee", "r_shoulder", "r_elbow")
+
+
+def table(name: str) -> JointTable:
+    return next(t for t in built_in_tables() if t.name == name)
+
+
+def edited(tmp_path: Path, **changes: object) -> Path:
+    """The Biovision table with some of its parts replaced, as a user would write it."""
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump(table("biovision").model_dump(mode="json") | {"name": "mine"} | changes))
+    return path
+
+
+def test_every_built_in_table_says_something_of_every_bone() -> None:
+    for one in built_in_tables():
+        assert {*one.parallel, *one.difference} == set(hanim_skeleton().names), one.name
+        assert not set(one.parallel) & set(one.difference), one.name
+
+
+@pytest.mark.parametrize(
+    ("stem", "expected"),
+    [
+        ("bvhio_example", "biovision"),
+        ("mocapbank_bvhpython", "xsens"),
+        ("aitviewer_sample", "xsens"),
+        ("mixamo_freebvh", "mixamo"),
+        ("bvhtoolbox_walk01", "humanik"),
+        ("animdraw_rokoko_jesse_dance", "rokoko"),
+        ("pybvh_cmu_12_01_walk", "cmu"),
+        ("animdraw_cmu1_jumping_jacks", "cmu_max"),
+        ("assimp_Boxing_Toes", "biovision"),
+        ("pybvh_test1", "humanik"),
+        ("makehuman_walk1", "makehuman"),
+        ("makehuman_tpose", "makehuman"),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
+def test_real_motions_find_their_table(shared_data: Path, stem: str, expected: str) -> None:
+    motion = read_bvh(shared_data / "bvh" / f"{stem}.bvh")
+    match = find_match(motion.joint_names)
+    assert match.table == expected
+    assert match.complete
+    assert match.missing == ()
+
+
+@pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
+def test_limbs_run_from_parent_to_child_in_every_matched_file(shared_data: Path) -> None:
+    """A clavicle taken for an upper arm, or a left for a right, would break the chain."""
+    matched = 0
+    for path in sorted((shared_data / "bvh").glob("*.bvh")):
+        try:
+            motion = read_bvh(path)
+            match = find_match(motion.joint_names)
+        except MotionError:
+            continue
+        matched += 1
+        for bone in LIMBS:
+            start, above = match.parallel[bone]
+            links = 0
+            while above != start and links < 3:  # with bones for twist between them
+                above, links = int(motion.parents[above]), links + 1
+            assert above == start, (path.stem, bone)
+        for lower, upper in (("knee", "hip"), ("elbow", "shoulder")):
+            for side in "lr":
+                assert match.parallel[f"{side}_{lower}"][0] == match.parallel[f"{side}_{upper}"][1], path.stem
+        for side, words in (("l", ("left", ".l", "_l")), ("r", ("right", ".r", "_r"))):
+            for bone in LIMBS:
+                if bone.startswith(side):
+                    name = motion.joint_names[match.parallel[bone][0]].lower()
+                    assert any(word in name for word in words)
+    assert matched == 12
+
+
+@pytest.mark.parametrize(
+    ("joint", "plain"),
+    [
+        ("mixamorig:Hips", "Hips"),
+        ("mixamorig1:Hips", "Hips"),
+        ("mixamorigHips", "Hips"),
+        ("Character:Ctrl:Hips", "Hips"),
+        ("Hips", "Hips"),
+        ("mixamorig", "mixamorig"),
+    ],
+)
+def test_namespaces_are_left_out(joint: str, plain: str) -> None:
+    assert plain_name(joint) == plain
+
+
+def test_an_end_role_is_the_end_site_of_whatever_joint_has_the_role() -> None:
+    names = ["Hips", "Head", "Head_end", "LeftHand", "LeftHand_end"]
+    match = match_table(table("biovision"), names)
+    assert match.parallel["vt3"] == (1, 2)
+    assert match.parallel["l_wrist"] == (3, 4)
+    assert "l_elbow" in match.missing
+
+
+def test_no_fitting_table_is_said_with_what_is_lacking() -> None:
+    names = ["Hips", "Chest", "Neck", "LeftHip", "LeftKnee", "LeftAnkle", "tail1", "tail2"]
+    with pytest.raises(MotionError) as caught:
+        find_match(names, path="cat.bvh")
+    message = str(caught.value)
+    assert message.startswith("cat.bvh: ")
+    assert "no joint table fits" in message
+    assert "Hips, Chest, Neck" in message
+    for bone in ("l_shoulder", "r_hip", "r_knee"):
+        assert bone in message
+
+
+def test_a_named_table_is_used_even_if_another_fits_better() -> None:
+    names = [names[0] for names in table("biovision").joints.values()]
+    with pytest.raises(MotionError, match="'cmu'"):
+        find_match(names, "cmu")
+    assert find_match(names).table == "biovision"
+
+
+def test_a_users_table_is_read_from_a_file(tmp_path: Path) -> None:
+    joints = {role: [f"my{role}"] for role in table("biovision").joints}
+    match = find_match([f"my{role}" for role in joints], edited(tmp_path, joints=joints))
+    assert match.table == "mine"
+    assert match.complete
+
+
+def test_an_unknown_table_is_answered_with_the_known_ones() -> None:
+    with pytest.raises(MotionError, match=r"no joint table 'vicon'.*biovision.*cmu.*mixamo"):
+        find_match(["Hips"], "vicon")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"joints": {"Hips": "Hips"}}, r"joints\.Hips: "),
+        ({"joints": {"Hips": ["Hips"]}}, "role 'LeftHip' is missing"),
+        ({"parallel": {"l_hipp": ["LeftHip", "LeftKnee"]}}, "no bone 'l_hipp'"),
+        ({"parallel": {"l_hip": ["LeftHip", "LeftNee"]}}, "no role 'LeftNee'"),
+        ({"difference": {"l_hip": "Foot"}}, "no role 'Foot'"),
+        ({"parallel": {"l_hip": ["LeftHip"]}}, r"parallel\.l_hip"),
+        ({"paralel": {}}, "paralel"),
+    ],
+)
+def test_a_wrong_table_is_refused_with_file_and_reason(
+    tmp_path: Path, changes: dict[str, object], message: str
+) -> None:
+    path = edited(tmp_path, **changes)
+    with pytest.raises(MotionError, match=message) as caught:
+        load_table(path)
+    assert caught.value.path == str(path)
+
+
+@pytest.mark.parametrize("text", ["joints: [", "", "- a\n- b\n", "7", "\0"])
+def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "t.yaml").write_text(text)
+    with pytest.raises(MotionError, match=r"t\.yaml"):
+        load_table(tmp_path / "t.yaml")
+
+
+# Families: joint names and kinship as the programs and datasets have them, `child<parent` where it is not the
+# joint before; right sides are spelt as the left ones.
+
+FAMILIES = {
+    "lafan1": "Hips LeftUpLeg LeftLeg LeftFoot LeftToe Spine<Hips Spine1 Spine2 Neck Head "
+    "LeftShoulder<Spine2 LeftArm LeftForeArm LeftHand",
+    "bandai_namco": "joint_Root Hips Spine Chest Neck Head Shoulder_L<Chest UpperArm_L LowerArm_L Hand_L "
+    "UpperLeg_L<Hips LowerLeg_L Foot_L Toes_L",
+    "100style": "Hips Chest Chest2 Chest3 Chest4 Neck Head LeftCollar<Chest4 LeftShoulder LeftElbow "
+    "LeftWrist LeftHip<Hips LeftKnee LeftAnkle LeftToe",
+    "mvn": "Pelvis L5 L3 T12 T8 Neck Head LeftShoulder<T8 LeftUpperArm LeftForeArm LeftHand "
+    "LeftUpperLeg<Pelvis LeftLowerLeg LeftFoot LeftToe",
+    "perception_neuron": "Hips LeftUpLeg LeftLeg LeftFoot Spine<Hips Spine1 Spine2 Spine3 Neck Head "
+    "LeftShoulder<Spine3 LeftArm LeftForeArm LeftHand LeftHandThumb1 LeftInHandMiddle<LeftHand",
+    "optitrack": "Hip Ab Chest Neck Head LShoulder<Chest LUArm LFArm LHand LThigh<Hip LShin LFoot LToe",
+    "cmu_daz": "hip abdomen chest neck head lCollar<chest lShldr lForeArm lHand lButtock<hip lThigh lShin "
+    "lFoot",
+    "hanim": "HumanoidRoot sacroiliac l_hip l_knee l_ankle vl5<HumanoidRoot vt4 vc7 skullbase "
+    "l_sternoclavicular<vt4 l_shoulder l_elbow l_wrist",
+    "hanim 2": "humanoid_root sacroiliac l_hip l_knee l_talocrural vl5<humanoid_root vt4 vc7 skullbase "
+    "l_sternoclavicular<vt4 l_acromioclavicular l_shoulder l_elbow l_radiocarpal",
+    "biped": "Bip01 Bip01_Pelvis Bip01_Spine Bip01_Spine1 Bip01_Neck Bip01_Head "
+    "Bip01_L_Clavicle<Bip01_Neck Bip01_L_UpperArm Bip01_L_Forearm Bip01_L_Hand "
+    "Bip01_L_Thigh<Bip01_Pelvis Bip01_L_Calf Bip01_L_Foot",
+    "unreal": "root pelvis spine_01 spine_02 spine_03 neck_01 head clavicle_l<spine_03 upperarm_l "
+    "lowerarm_l hand_l thigh_l<pelvis calf_l foot_l ball_l",
+    "unity": "hips spine chest upperChest neck head leftShoulder<upperChest leftUpperArm leftLowerArm "
+    "leftHand leftUpperLeg<hips leftLowerLeg leftFoot leftToes",
+    "smpl": "Pelvis L_Hip L_Knee L_Ankle L_Foot Spine1<Pelvis Spine2 Spine3 Neck Head L_Collar<Spine3 "
+    "L_Shoulder L_Elbow L_Wrist L_Hand",
+    "rokoko": "Hips Spine1 Spine2 Spine3 Spine4 Neck Head LeftShoulder<Spine4 LeftArm LeftForeArm "
+    "LeftHand LeftThigh<Hips LeftShin LeftFoot LeftToe",
+    "mixamo": "mixamorig:Hips mixamorig:Spine mixamorig:Spine1 mixamorig:Spine2 mixamorig:Neck "
+    "mixamorig:Head mixamorig:HeadTop_End mixamorig:LeftShoulder<mixamorig:Spine2 "
+    "mixamorig:LeftArm mixamorig:LeftForeArm mixamorig:LeftHand "
+    "mixamorig:LeftUpLeg<mixamorig:Hips mixamorig:LeftLeg mixamorig:LeftFoot "
+    "mixamorig:LeftToeBase",
+}
+#: The joint that is the left upper arm, and that which is the shin, in each.
+ARM_AND_SHIN = {
+    "lafan1": "LeftArm LeftLeg", "bandai_namco": "UpperArm_L LowerLeg_L", "100style": "LeftShoulder LeftKnee",
+    "mvn": "LeftUpperArm LeftLowerLeg", "perception_neuron": "LeftArm LeftLeg", "optitrack": "LUArm LShin",
+    "cmu_daz": "lShldr lShin", "hanim": "l_shoulder l_knee", "hanim 2": "l_shoulder l_knee",
+    "biped": "Bip01_L_UpperArm Bip01_L_Calf", "unreal": "upperarm_l calf_l",
+    "unity": "leftUpperArm leftLowerLeg", "smpl": "L_Shoulder L_Knee", "rokoko": "LeftArm LeftShin",
+    "mixamo": "mixamorig:LeftArm mixamorig:LeftLeg",
+}  # fmt: skip
+
+
+def skeleton_of(family: str) -> tuple[list[str], np.ndarray]:
+    """Names and parents (J,), both sides."""
+    names, parents = [], []
+    words = FAMILIES[family].split()
+    for word in words + [w for w in words if other_side(w.split("<")[0])]:
+        name, _, parent = word.partition("<")
+        if name in names:  # its right side
+            name = other_side(name)
+            before = next(n for n in words if other_side(n.split("<")[0]) == name).partition("<")[2]
+            parent = other_side(before) or before if before else ""
+            if not parent:
+                left = parents[
+                    names.index(next(n.split("<")[0] for n in words if other_side(n.split("<")[0]) == name))
+                ]
+                parent = other_side(names[left]) or names[left]
+        names.append(name)
+        parents.append(names.index(parent) if parent else len(names) - 2)
+    return names, np.array(parents)
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_family_is_known_by_its_names_and_kinship(family: str) -> None:
+    names, parents = skeleton_of(family)
+    for kin in (parents, None):
+        match = find_match(names, parents=kin)
+        assert match.complete
+        if family != "100style":  # as Xsens, whose suit it was
+            assert match.table == family.split()[0]
+        arm, shin = (names.index(name) for name in ARM_AND_SHIN[family].split())
+        assert match.parallel["l_shoulder"][0] == arm
+        assert match.parallel["l_knee"][0] == shin
+        for bone, (start, end) in match.parallel.items():
+            twin = {"l": "r", "r": "l"}[bone[0]] + bone[1:] if bone[1] == "_" else None
+            if twin is not None and bone[0] == "l":
+                pair = tuple(names.index(other_side(names[j]) or "") for j in (start, end))
+                assert match.parallel[twin] == pair
+
+
+def test_joints_of_right_names_in_wrong_places_are_not_taken() -> None:
+    """LeftShoulder with LeftArm below it is the clavicle; with LeftElbow below it, the upper arm."""
+    limbs = ["Shoulder", "Elbow", "Wrist"], ["Hip", "Knee", "Ankle"]
+    names = ["Hips", "Chest", "Neck", "Head"]
+    names += [f"{side}{part}" for limb in limbs for side in ("Left", "Right") for part in limb]
+    right = np.array([-1, 0, 1, 2, 1, 4, 5, 1, 7, 8, 0, 10, 11, 0, 13, 14])
+    assert find_match(names, parents=right).complete
+    wrong = right.copy()
+    wrong[names.index("LeftElbow")] = names.index("RightShoulder")
+    with pytest.raises(MotionError, match=r"l_elbow|l_shoulder"):
+        find_match(names, parents=wrong)
+    assert find_match(names).complete  # names alone cannot know

@@ -1,0 +1,143 @@
+"""People found by the shape of their skeletons alone."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT, SHARED_DATA, needs_shared_data
+
+from humansim_ros.errors import HumansimWarning, MotionError
+from humansim_ros.motion import Motion, read_bvh
+from humansim_ros.motion.joint_matching import match_motion, write_table
+from humansim_ros.motion.joint_tables import load_table
+from humansim_ros.motion.skeleton_matching import match_shape
+
+#: Files of people, and the roles that shape gets otherwise than names: makehuman's twist bones and thumbs.
+PEOPLE: dict[str, set[str]] = {
+    "aitviewer_sample": set(),
+    "animdraw_cmu1_jumping_jacks": set(),
+    "animdraw_rokoko_jesse_dance": set(),
+    "assimp_Boxing_Toes": set(),
+    "bvhio_example": set(),
+    "bvhtoolbox_walk01": set(),
+    "makehuman_tpose": {"Shoulder", "Wrist"},
+    "makehuman_walk1": {"Shoulder", "Wrist"},
+    "mixamo_freebvh": set(),
+    "mocapbank_bvhpython": set(),
+    "pybvh_cmu_12_01_walk": {"Wrist"},
+    "pybvh_test1": set(),
+    "walk": set(),
+}
+LIMBS = [f"{side}{part}" for side in ("Left", "Right") for part in
+         ("Hip", "Knee", "Ankle", "Shoulder", "Elbow", "Wrist")]  # fmt: skip
+
+
+def read(stem: str) -> Motion:
+    path = ROOT / "assets" / "motions" / "walk.bvh" if stem == "walk" else SHARED_DATA / "bvh" / f"{stem}.bvh"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HumansimWarning)
+        return read_bvh(path)
+
+
+def nameless(motion: Motion) -> Motion:
+    return replace(motion, joint_names=tuple(f"j{number}" for number in range(motion.n_joints)))
+
+
+def shuffled(motion: Motion, seed: int) -> tuple[Motion, list[int]]:
+    """Children in another order; and the old index of each new joint."""
+    rng = np.random.default_rng(seed)
+    children: dict[int, list[int]] = {}
+    for joint, parent in enumerate(motion.parents):
+        children.setdefault(int(parent), []).append(joint)
+    order: list[int] = []
+    stack = list(rng.permutation(children[-1]))
+    while stack:
+        joint = int(stack.pop())
+        order.append(joint)
+        stack += list(rng.permutation(children.get(joint, [])))
+    columns = np.concatenate([motion._columns[j] + np.arange(len(motion.channels[j])) for j in order]).astype(
+        int
+    )
+    new = {-1: -1, **{joint: number for number, joint in enumerate(order)}}
+    return replace(
+        motion,
+        joint_names=tuple(motion.joint_names[j] for j in order),
+        parents=np.array([new[int(motion.parents[j])] for j in order]),
+        offsets=motion.offsets[order],
+        channels=tuple(motion.channels[j] for j in order),
+        values=motion.values[:, columns],
+    ), order
+
+
+@pytest.mark.parametrize(
+    "stem", [stem if stem == "walk" else pytest.param(stem, marks=needs_shared_data) for stem in PEOPLE]
+)
+def test_a_person_without_names_has_the_same_limbs(stem: str) -> None:
+    motion = read(stem)
+    named = match_motion(motion)
+    assert named.by == "names"
+    mixed, order = shuffled(nameless(motion), 3)
+    for found, back in ((match_shape(nameless(motion)), None), (match_shape(mixed), order)):
+        assert found is not None
+        assert found.by == "shape"
+        assert 0.1 < found.confidence < 0.8
+        for role in LIMBS:
+            joint = found.roles[role] if back is None else back[found.roles[role]]
+            if role.removeprefix("Left").removeprefix("Right") not in PEOPLE[stem]:
+                # a joint of the same place, where some have no length between them
+                way = np.abs(motion.world_positions(0)[joint] - motion.world_positions(0)[named.roles[role]])
+                assert way.max() < 0.02 * np.ptp(motion.rest_positions()), role
+
+
+def test_names_that_tell_only_the_sides_are_used() -> None:
+    motion = read("walk")
+    words = [
+        f"{'left' if 'Left' in name else 'right' if 'Right' in name else 'mid'}_{number}"
+        for number, name in enumerate(motion.joint_names)
+    ]
+    crossed = [word.replace("left", "?").replace("right", "left").replace("?", "right") for word in words]
+    sure = match_shape(replace(motion, joint_names=tuple(words)))
+    other = match_shape(replace(motion, joint_names=tuple(crossed)))
+    guess = match_shape(nameless(motion))
+    assert sure is not None and other is not None and guess is not None
+    assert sure.confidence > guess.confidence
+    assert sure.roles["LeftKnee"] == other.roles["RightKnee"] == guess.roles["LeftKnee"]
+
+
+@needs_shared_data
+@pytest.mark.parametrize("stem", ["firepal_vr", "fairmotion_sinusoidal", "pybvh_rotation_first_root"])
+def test_what_is_no_person_is_none(stem: str) -> None:
+    assert match_shape(read(stem)) is None
+    with pytest.raises(MotionError, match="shape of a person"):
+        match_motion(read(stem))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_other_proportions_are_found_too(seed: int) -> None:
+    """Each link up to 6 % longer or shorter on both sides."""
+    motion = read("walk")
+    rng = np.random.default_rng(seed)
+    factors = {
+        name.replace("Left", "").replace("Right", ""): rng.uniform(0.94, 1.06) for name in motion.joint_names
+    }
+    scale = [factors[name.replace("Left", "").replace("Right", "")] for name in motion.joint_names]
+    changed = nameless(replace(motion, offsets=motion.offsets * np.array(scale)[:, None]))
+    found, named = match_shape(changed), match_motion(motion)
+    assert found is not None
+    assert {role: found.roles[role] for role in LIMBS} == {role: named.roles[role] for role in LIMBS}
+
+
+def test_a_skeleton_of_unknown_names_is_matched_by_shape_saved_and_passed_back(tmp_path: Path) -> None:
+    motion = nameless(read("walk"))
+    match = match_motion(motion)
+    assert match.by == "shape"
+    write_table(match, motion, tmp_path / "mine.yaml")
+    again = match_motion(motion, tmp_path / "mine.yaml")
+    assert again.by == "given"
+    assert (again.parallel, again.difference, again.roles) == (match.parallel, match.difference, match.roles)
+    assert "confidence" in (tmp_path / "mine.yaml").read_text().splitlines()[0]
+    assert load_table(tmp_path / "mine.yaml").name == "shape"

@@ -1,0 +1,268 @@
+"""Several cameras in one process: the pictures of Simulation by one renderer; none holds up another."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_support import SMALL_SCENE, Client, rclpy, write_scene
+
+from humansim_ros.errors import RenderError, SceneError
+from humansim_ros.render import GLRenderer
+from humansim_ros.render.posed_mesh import Posed
+from humansim_ros.ros import messages
+from humansim_ros.ros.nodes.camera_rig import CameraRig
+from humansim_ros.ros.processes import scene_processes
+from humansim_ros.ros.runtime import make_executor
+from humansim_ros.scene import Scene, Simulation
+
+START = 7_000_000_000
+CAMERAS = ("left", "right")
+#: Number type and shape at the end of every channel that has one image.
+CHANNELS: dict[str, tuple[str, Any, tuple[int, ...]]] = {
+    "rgb": ("image_raw", np.uint8, (3,)),
+    "depth": ("depth/image", np.float32, ()),
+    "instance": ("instance/image", np.uint16, ()),
+    "part": ("part/image", np.uint8, ()),
+    "face": ("face/image", np.int32, ()),
+    "normal": ("normal/image", np.float32, (3,)),
+    "uv": ("uv/image", np.float32, (2,)),
+    "flow_back": ("flow_back/image", np.float32, (2,)),
+    "flow_back_hidden": ("flow_back/hidden", np.uint8, ()),
+}
+HUMANS = ("first", "second")
+
+
+class Stage:
+    """A rig, and a client that sends it what skinners would and hears its cameras."""
+
+    def __init__(self, namespace: str, scene: Path, **parameters: Any) -> None:
+        from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+
+        values = {"scene": str(scene), **parameters}
+        overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in values.items()]
+        self.namespace = namespace
+        self.rig = CameraRig(parameter_overrides=overrides, namespace=namespace)
+        self.client = Client(f"{namespace}_client", make_executor())  # the one that processes have
+        for node in self.rig.members:
+            self.client.executor.add_node(node)
+        self.senders = {
+            (human, kind): self.client.node.create_publisher(
+                message, f"/{namespace}/humans/{human}/{kind}", 5
+            )
+            for human in self.rig.scene.actors
+            for kind, message in (("vertices", PointCloud2), ("joints", MultiDOFJointState))
+        }
+        matched = lambda: all(sender.get_subscription_count() for sender in self.senders.values())  # noqa: E731
+        assert self.client.spin_until(matched)
+
+    def hear(self, kind: Any, *topics: str) -> None:
+        full = [f"/{self.namespace}/{topic}" for topic in topics]
+        self.client.subscribe(kind, full)
+        count = self.client.node.count_publishers
+        assert self.client.spin_until(lambda: all(count(topic) == 1 for topic in full))
+
+    def heard(self, topic: str) -> dict[int, Any]:
+        return self.client.received[f"/{self.namespace}/{topic}"]
+
+    def send(self, frame: Any) -> None:
+        for human, state in frame.humans.items():
+            self.senders[human, "joints"].publish(messages.joints_message(state, frame.stamp))
+            self.senders[human, "vertices"].publish(messages.vertices_message(state.vertices, frame.stamp))
+
+    def close(self) -> None:
+        self.rig.close()
+        self.rig.destroy_node()
+        self.client.close()
+
+
+@pytest.fixture(scope="module")
+def scene_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_scene(tmp_path_factory.mktemp("rig"))
+
+
+@pytest.fixture(scope="module")
+def played(ros: None, scene_path: Path) -> Iterator[Any]:
+    """Some frames of Simulation, sent to a rig that is watched while it draws them."""
+    from sensor_msgs.msg import Image, PointCloud2
+
+    channels = (*CHANNELS, "alpha", "amodal")
+    simulation = Simulation(Scene.load(scene_path), channels, start=START)
+    stage = Stage("rig", scene_path)
+    topics = [f"{camera}/{topic}" for camera in CAMERAS for topic, _, _ in CHANNELS.values()]
+    topics += [
+        f"{camera}/{kind}/{human}/image"
+        for camera in CAMERAS
+        for kind in ("alpha", "amodal")
+        for human in HUMANS
+    ]
+    stage.hear(Image, *topics)
+    stage.hear(PointCloud2, *(f"{camera}/joints" for camera in CAMERAS))
+    frames = {}
+    for index in range(3, 7):
+        frame = frames[START + simulation.scene.frame_time(index)] = simulation.frame(index)
+        stage.send(frame)
+        # the first has no frame before it
+        awaited = [t for t in topics if index > 3 or "flow_back" not in t]
+        done = stage.client.spin_until(lambda s=frame.stamp, a=awaited: all(s in stage.heard(t) for t in a))
+        assert done, [t for t in awaited if frame.stamp not in stage.heard(t)]
+    yield SimpleNamespace(stage=stage, frames=frames, scene=simulation.scene)
+    stage.close()
+    simulation.close()
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_the_pictures_of_a_rig_are_those_of_simulation_to_the_byte(played: Any, camera: str) -> None:
+    for stamp, frame in list(played.frames.items())[1:]:
+        view = frame.views[camera]
+        for channel, (topic, kind, end) in CHANNELS.items():
+            message = played.stage.heard(f"{camera}/{topic}")[stamp]
+            image = np.frombuffer(message.data, kind).reshape(message.height, message.width, *end)
+            assert np.array_equal(image, getattr(view, channel), equal_nan=kind == np.float32), channel
+            assert message.header.frame_id == f"{camera}_optical_frame"
+        for channel in ("alpha", "amodal"):
+            for human in HUMANS:
+                data = played.stage.heard(f"{camera}/{channel}/{human}/image")[stamp].data
+                wanted = getattr(view, channel)[played.scene.actors[human].instance]
+                full = 255 if channel == "amodal" else 1
+                assert bytes(data) == (wanted * np.uint8(full)).astype(np.uint8).tobytes(), channel
+
+
+def test_what_is_worked_out_of_a_body_serves_all_cameras(
+    ros: None, scene_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from sensor_msgs.msg import Image
+
+    stage = Stage("once", scene_path)
+    simulation = Simulation(stage.rig.scene, ("depth",), start=START)
+    topics = [f"{camera}/{topic}" for camera in CAMERAS for topic in ("image_raw", "depth/image")]
+    stage.hear(Image, *topics)
+    frames = [simulation.frame(index) for index in (0, 1)]
+    worked_out = 0
+    make = Posed.__init__
+
+    def count(self: Any, *rest: Any) -> None:
+        nonlocal worked_out
+        worked_out += 1
+        make(self, *rest)
+
+    for frame in frames:
+        if frame is frames[1]:  # the first one has more to do
+            monkeypatch.setattr(Posed, "__init__", count)
+        stage.send(frame)
+        assert stage.client.spin_until(lambda s=frame.stamp: all(s in stage.heard(t) for t in topics))
+    assert worked_out == len(HUMANS)
+    stage.close()
+    simulation.close()
+
+
+def test_every_human_is_heard_once_and_every_camera_is_a_node(played: Any) -> None:
+    node = played.stage.client.node
+    for human in HUMANS:
+        for kind in ("vertices", "joints"):
+            (listener,) = node.get_subscriptions_info_by_topic(f"/rig/humans/{human}/{kind}")
+            assert listener.node_name == "camera_rig"
+    names = {name for name, namespace in node.get_node_names_and_namespaces() if namespace == "/rig"}
+    assert {"camera_rig", "camera_left", "camera_right"} <= names
+    for camera in CAMERAS:
+        (speaker,) = node.get_publishers_info_by_topic(f"/rig/{camera}/image_raw")
+        assert speaker.node_name == f"camera_{camera}"
+
+
+def test_a_frame_with_a_vertex_that_is_no_number_is_skipped_and_said_and_the_next_one_shows(
+    played: Any, capfd: pytest.CaptureFixture[str]
+) -> None:
+    stage = played.stage
+    last = max(played.frames)
+    frame = played.frames[last]
+    capfd.readouterr()
+    for step, poison in ((1, np.nan), (2, np.inf), (3, 0.0)):
+        stamp = last + step * 50_000_000
+        for human, state in frame.humans.items():
+            vertices = state.vertices.copy()
+            vertices[7, 1] += poison
+            stage.senders[human, "joints"].publish(messages.joints_message(state, stamp))
+            stage.senders[human, "vertices"].publish(messages.vertices_message(vertices, stamp))
+        end = time.monotonic() + 0.3
+        stage.client.spin_until(lambda e=end: time.monotonic() > e)
+    assert stage.client.spin_until(lambda: all(stamp in stage.heard(f"{c}/image_raw") for c in CAMERAS))
+    for camera in CAMERAS:
+        assert not {last + 50_000_000, last + 100_000_000} & set(stage.heard(f"{camera}/image_raw"))
+    said = capfd.readouterr().err
+    assert "frame skipped" in said and "not finite" in said
+
+
+def test_a_camera_that_fails_does_not_hold_up_the_others(
+    ros: None, scene_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    from sensor_msgs.msg import Image
+
+    stage = Stage("half", scene_path)
+    simulation = Simulation(stage.rig.scene, ("depth",), start=START)
+    stage.hear(Image, "left/depth/image", "right/depth/image")
+    frame = simulation.frame(0)
+    render = GLRenderer.render
+
+    def fail(self: Any, bodies: Any, camera: Any, *rest: Any, **named: Any) -> Any:
+        if camera.size == (160, 120):
+            raise RenderError("the left one is broken")
+        return render(self, bodies, camera, *rest, **named)
+
+    monkeypatch.setattr(GLRenderer, "render", fail)
+    stage.send(frame)
+    assert stage.client.spin_until(lambda: frame.stamp in stage.heard("right/depth/image"))
+    assert not stage.heard("left/depth/image")
+    assert "[half.camera_left]: frame skipped: the left one is broken" in capfd.readouterr().err
+    stage.close()
+    simulation.close()
+
+
+def test_a_rig_has_the_cameras_it_is_told(ros: None, scene_path: Path) -> None:
+    def made(*cameras: str) -> list[str]:
+        values = {"scene": str(scene_path), **({"cameras": list(cameras)} if cameras else {})}
+        overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in values.items()]
+        rig = CameraRig(parameter_overrides=overrides, namespace="told")
+        names = [node.get_name() for node in rig.cameras]
+        rig.close()
+        rig.destroy_node()
+        return names
+
+    assert made() == ["camera_left", "camera_right"]
+    assert made("right") == ["camera_right"]
+    assert made("right", "left", "right") == ["camera_right", "camera_left"]
+    with pytest.raises(SceneError, match="no camera 'middle'; the scene has left, right"):
+        made("left", "middle")
+
+
+def test_a_process_with_a_name_and_a_list_of_cameras(ros: None, tmp_path: Path) -> None:
+    """As humansim run and launch start it; a camera is called as YAML calls what is not so."""
+    scene = write_scene(tmp_path, SMALL_SCENE.replace("  left:", "  'off':"))
+    (process,) = [p for p in scene_processes(scene, 1) if p.executable == "camera_rig"]
+    command = [sys.executable, "-m", "humansim_ros.ros.nodes", process.executable, *process.ros_arguments]
+    running = subprocess.Popen(
+        command,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    client = Client("onlooker")
+
+    def names() -> list[str]:
+        found = client.node.get_node_names_and_namespaces()
+        return sorted(name for name, namespace in found if namespace == "/" and name.startswith("camera"))
+
+    try:
+        wanted = ["camera_off", "camera_rig_1", "camera_right"]
+        assert client.spin_until(lambda: names() == wanted), names()
+    finally:
+        running.send_signal(signal.SIGINT)
+        said = running.communicate(timeout=20)[1]
+        client.close()
+    assert running.returncode == 0 and "Traceback" not in said, said

@@ -1,0 +1,116 @@
+"""The topics of everything that a pixel shows carry what Simulation has, on the same stamp."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_support import whole_flow, write_scene
+
+from humansim_ros.render import ALL_CHANNELS, CHANNELS
+from humansim_ros.ros import messages
+from humansim_ros.ros.camera_publishers import TOPICS
+from humansim_ros.scene import Scene, Simulation
+
+SCENE = """
+rate: 4
+humans:
+  anna: {body: child, motion: {file: walk, position: [0.0, -1], loop: continue}}
+objects:
+  box: {size: [0.3, 0.3, 0.3], position: [0, 0, 0.2], keyframes: moves.xml}
+cameras:
+  left: {size: [120, 90], position: [3.2, 0.6, 1.4], look_at: [0, 0, 0.8], fov_deg: 70}
+"""
+MOVES = """<animation startframe="0" endframe="4000" rate="10">
+  <object name="box">
+    <frame number="0"><position x="1" y="-1" z="0"/></frame>
+    <frame number="4000"><position x="1" y="399" z="0"/></frame>
+  </object>
+</animation>
+"""
+DTYPES = {"32SC1": np.int32, "32FC1": np.float32, "32FC2": np.float32, "32FC3": np.float32, "mono8": np.uint8}
+#: Channel, topic and what of the view it is.
+DETAILS = [c for c in ALL_CHANNELS if c not in CHANNELS]
+
+#: Topics on the people that a camera sees.
+CLOUDS = ("joints", "boxes", "visible_vertices")
+
+
+@pytest.fixture(scope="module")
+def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
+    from sensor_msgs.msg import Image, PointCloud2
+    from visualization_msgs.msg import Marker
+
+    folder = tmp_path_factory.mktemp("detail")
+    (folder / "moves.xml").write_text(MOVES)
+    scene = write_scene(folder, SCENE)
+    topics = {c: f"/detail/left/{TOPICS[c]}" for c in DETAILS if c in TOPICS}
+    topics |= {c: f"/detail/left/{c}/anna/image" for c in ("alpha", "amodal")}
+    wanted = {
+        Marker: ["/detail/objects/box/marker"],
+        Image: list(topics.values()),
+        PointCloud2: [f"/detail/left/{kind}" for kind in CLOUDS],
+    }
+    with whole_flow(scene, "detail", wanted, frames=4) as client:
+        simulation = Simulation(Scene.load(scene), ALL_CHANNELS)
+        yield SimpleNamespace(
+            received=client.received, stamps=client.common_stamps(), topics=topics, simulation=simulation
+        )
+        simulation.close()
+
+
+def index_of(flow: Any, stamp: int) -> float:
+    """Which frame of the scene has a stamp: the box goes a metre a second. -1 before the scene plays."""
+    marker = flow.received["/detail/objects/box/marker"].get(stamp)
+    return -1.0 if marker is None else float((messages.read_object(marker).position[1] + 1) * 4)
+
+
+@pytest.mark.parametrize("channel", DETAILS)
+def test_a_topic_has_what_simulation_has(flow: Any, channel: str) -> None:
+    whole = 0
+    shown = flow.received[flow.topics["alpha"]]
+    indices = {round(index_of(flow, stamp)) for stamp in shown if stamp >= flow.stamps[0] - 300_000_000}
+    for stamp in flow.stamps:
+        index = index_of(flow, stamp)
+        assert index == pytest.approx(round(index), abs=1e-4)
+        frame = flow.simulation.frame(round(index))
+        truth = getattr(frame.views["left"], channel)
+        if isinstance(truth, dict):
+            (truth,) = truth.values()
+            truth = truth if truth.dtype == np.uint8 else truth * np.uint8(255)
+        message = flow.received[flow.topics[channel]][stamp]
+        assert message.encoding == messages.ENCODINGS[channel]
+        assert message.step == message.width * truth.itemsize * (truth.shape[2] if truth.ndim == 3 else 1)
+        image = np.frombuffer(message.data, DTYPES[message.encoding]).reshape(truth.shape)
+        # vertices may differ in their last bit, and with them a pixel on an edge
+        same = np.isclose(image, truth, atol=2e-3, equal_nan=True)
+        beside = index + (-1 if "back" in channel else 1)
+        if channel.startswith("flow") and round(beside) not in indices:
+            continue  # the frame beside it was left out, or the scene stood still before
+        whole += 1
+        assert same.mean() > 0.995
+        assert len(np.unique(np.nan_to_num(truth))) > 1, "somebody is there"
+    assert whole > 0
+
+
+def test_what_is_said_of_people_is_what_simulation_says(flow: Any) -> None:
+    for stamp in flow.stamps:
+        frame = flow.simulation.frame(round(index_of(flow, stamp)))
+        joints, boxes, vertices = (flow.received[f"/detail/left/{kind}"][stamp] for kind in CLOUDS)
+        said, seen = messages.read_joint_view(joints), frame.joints["left"]["anna"]
+        assert np.mean((said["visible"] == seen.visible) & (said["occluder"] == seen.occluder)) > 0.9
+        assert np.median(np.abs(said["behind"] - seen.behind)) < 1e-4
+        (box,) = messages.read_boxes(boxes)
+        truth = frame.boxes["left"]["anna"]
+        assert (box["instance"], box["kind"]) == (1, messages.KINDS["human"])
+        whole = [box[f"whole_{side}"] for side in ("left", "top", "right", "bottom")]
+        np.testing.assert_allclose(whole, truth.whole, atol=1e-3)
+        assert box["pixels"] == pytest.approx(truth.pixels, rel=0.01)
+        assert box["visible_fraction"] == pytest.approx(truth.visible_fraction, abs=0.01)
+        heard = np.zeros(len(frame.humans["anna"].vertices), bool)
+        heard[messages.read_visible_vertices(vertices)["vertex"]] = True
+        assert np.mean(heard == frame.visible_vertices("left")["anna"]) > 0.99
+        assert heard.any()

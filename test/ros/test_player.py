@@ -1,0 +1,578 @@
+"""A player that is steered while it plays: parameters, services, and what is refused."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from ros_support import Client, write_scene
+
+from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.motion import read_bvh
+from humansim_ros.motion.world_motion import JointPoses
+from humansim_ros.ros import messages
+from humansim_ros.ros.nodes.motion_player import MotionPlayer
+from humansim_ros.ros.nodes.skinner import Skinner
+from humansim_ros.ros.qos import LATCHED
+from humansim_ros.ros.runtime import make_executor
+from humansim_ros.scene import Scene
+from humansim_ros.scene.config import MotionConfig
+from humansim_ros.scene.playback import Clock, Playback, Tick
+
+HUMANS = ("first", "second")
+SECOND = 1_000_000_000
+WALK = ROOT / "assets" / "motions" / "walk.bvh"
+
+
+# The clock, without ROS
+
+
+def due(clock: Clock, seconds: float) -> Tick:
+    tick = clock.due(round(seconds * SECOND))
+    assert tick is not None
+    return tick
+
+
+def test_frames_leave_at_start_plus_round_k_periods() -> None:
+    clock = Clock(rate=30)
+    start = due(clock, 5.0).stamp
+    for frame in range(1, 100):
+        tick = due(clock, 5.0 + frame / 30)
+        assert (tick.stamp, tick.dropped) == (start + round(frame * SECOND / 30), 0)
+        assert tick.elapsed == tick.stamp - start
+    assert clock.due(tick.stamp + 1_000_000) is None
+    assert due(clock, 5.0 + 110 / 30).dropped == 10
+
+
+def test_the_scene_stands_while_paused_and_goes_on_without_a_jump() -> None:
+    clock = Clock(rate=10)
+    due(clock, 1.0), due(clock, 1.1)
+    clock.pause(True)
+    still = [due(clock, 1.2), due(clock, 1.3)]
+    assert {(tick.elapsed, tick.pace) for tick in still} == {(SECOND // 10, 0.0)}
+    clock.pause(False)
+    clock.set_speed(0.5)
+    assert due(clock, 1.4).elapsed == 0.15 * SECOND
+    assert (due(clock, 1.5).elapsed, clock.speed) == (0.2 * SECOND, 0.5)
+    clock.set_speed(0.0)
+    assert (due(clock, 1.6).elapsed, due(clock, 1.7).elapsed) == (0.2 * SECOND, 0.2 * SECOND)
+
+
+def test_steps_are_frames_of_the_scene_at_once_and_their_stamps_do_not_run_ahead() -> None:
+    clock = Clock(rate=30)
+    due(clock, 1.0)
+    clock.pause(True)
+    stamps = []
+    for step in range(1, 61):
+        now = SECOND + 1000 * step
+        tick = clock.step(now)
+        assert tick.elapsed == round(step * SECOND / 30)
+        stamps.append(tick.stamp)
+        assert tick.stamp == now
+    assert due(clock, 1.04).elapsed == tick.elapsed
+    assert np.all(np.diff(stamps) > 0)
+
+
+def test_seeking_shows_that_time_at_once_and_goes_on_from_there() -> None:
+    clock = Clock(rate=20, seconds=3.0)
+    assert due(clock, 9.0).elapsed == 3 * SECOND
+    tick = clock.seek(7.25, round(9.01 * SECOND))
+    assert (tick.stamp, tick.elapsed) == (9.01 * SECOND, 7.25 * SECOND)
+    assert due(clock, 9.06).elapsed == 7.3 * SECOND
+
+
+@pytest.mark.parametrize(("before", "after"), [(30.0, 0.1), (0.1, 1000.0), (20.0, 20.0)])
+def test_stamps_rise_and_time_runs_on_when_the_rate_changes(before: float, after: float) -> None:
+    clock = Clock(before)
+    first = due(clock, 1.0)
+    early = first.stamp - 5  # a frame may leave a little before its time
+    tick = clock.set_rate(after, early)
+    assert tick.stamp == first.stamp + 1
+    assert tick.elapsed == first.elapsed + 1
+    assert due(clock, 1.0 + 1 / after).stamp == tick.stamp + round(SECOND / after)
+
+
+def test_a_clock_that_is_set_back_is_followed_and_the_scene_goes_on() -> None:
+    clock = Clock(rate=10)
+    assert clock.due(0) is None  # simulated time that has not begun
+    due(clock, 100.0), due(clock, 100.1)
+    tick = due(clock, 3.0)
+    assert (tick.stamp, tick.elapsed, tick.dropped) == (3 * SECOND, SECOND // 10, 0)
+    assert due(clock, 3.1).elapsed == SECOND // 5
+
+
+def test_a_slow_clock_sends_frames_when_they_are_due() -> None:
+    clock = Clock(rate=0.1)
+    due(clock, 100.0)
+    assert clock.due(109 * SECOND) is None
+    assert due(clock, 109.999).stamp == 110 * SECOND
+    assert clock.due(round(110.1 * SECOND)) is None
+
+
+# What plays, without ROS
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return Scene.load(write_scene(tmp_path_factory.mktemp("played")))
+
+
+def hips(poses: JointPoses) -> np.ndarray:
+    return poses.positions[0, 0]
+
+
+def test_unchanged_the_scene_is_played_as_it_is(scene: Scene) -> None:
+    playback = Playback(scene)
+    for frame in (300, 0, 7):
+        elapsed = scene.frame_time(frame)
+        for name, poses in playback.show(elapsed).poses.items():
+            expected = scene.actors[name].joint_poses(elapsed * 1e-9)
+            np.testing.assert_array_equal(poses.positions, expected.positions)
+            np.testing.assert_array_equal(poses.linear, expected.linear)
+
+
+def test_velocities_are_per_second_of_the_wall(scene: Scene) -> None:
+    playback = Playback(scene)
+    plain, fast, still = (playback.show(SECOND // 2, pace).poses["first"] for pace in (1.0, 2.5, 0.0))
+    assert plain.linear is not None and plain.angular is not None
+    np.testing.assert_array_equal(fast.linear, 2.5 * plain.linear)
+    np.testing.assert_array_equal(fast.angular, 2.5 * plain.angular)
+    np.testing.assert_array_equal(still.linear, 0 * plain.linear)
+    np.testing.assert_array_equal(still.positions, plain.positions)
+
+
+@pytest.mark.parametrize("speeds", [(3.0, 0.25), (0.0, 2.0)])
+def test_at_another_speed_a_motion_goes_on_from_where_it_is(scene: Scene, speeds: tuple[float, ...]) -> None:
+    """Through a standstill, too; and what the other human does is its own affair."""
+    playback, elapsed = Playback(scene), 7 * SECOND // 10
+    played = 0.7
+    for speed in speeds:
+        before = playback.show(elapsed).poses
+        playback.change("first", speed=speed)
+        after = playback.show(elapsed).poses
+        np.testing.assert_allclose(after["first"].positions, before["first"].positions, atol=1e-9)
+        np.testing.assert_array_equal(after["second"].positions, before["second"].positions)
+        elapsed += SECOND
+        played += speed
+        expected = scene.actors["first"].joint_poses(played).positions
+        np.testing.assert_allclose(playback.show(elapsed).poses["first"].positions, expected, atol=1e-9)
+
+
+def test_another_motion_starts_at_its_start_and_after_rewinding_is_as_in_the_scene_file(scene: Scene) -> None:
+    """For "second", whose offset of half a second counts from the start of the scene only."""
+    playback = Playback(scene)
+    config = MotionConfig(
+        file="walk", loop="none", position=(-0.5, 0.8), yaw_deg=-20, anchor="center", offset=0.5
+    )
+    expected = scene.actors["second"].with_motion(config, scene.path)
+    playback.show(3 * SECOND // 2)
+    playback.change("second", file="walk", loop="none")
+    assert playback.settings["second"] == config
+    for later in (0.0, 0.4):
+        now = playback.show(round((1.5 + later) * SECOND)).poses["second"]
+        np.testing.assert_allclose(now.positions, expected.motion.sample(later).positions, atol=1e-9)
+    playback.rewind()
+    again = playback.show(3 * SECOND // 10).poses["second"]
+    np.testing.assert_array_equal(again.positions, expected.joint_poses(0.3).positions)
+
+
+def test_looping_otherwise_keeps_the_place_in_the_round(scene: Scene) -> None:
+    """A walk goes once round in two seconds; in its third round it is to walk on the spot."""
+    playback = Playback(scene)
+    playback.show(round(4.9 * SECOND))
+    playback.change("first", loop="repeat")
+    shown = playback.show(round(4.9 * SECOND)).poses["first"].positions
+    np.testing.assert_allclose(shown, scene.actors["first"].joint_poses(0.9).positions, atol=1e-9)
+
+
+def test_what_is_said_of_one_file_does_not_hold_for_another_but_comes_back_with_it(tmp_path: Path) -> None:
+    text = "humans: {giant: {motion: {file: walk, unit: 0.02, start: 0.5, speed: 2.0}}}\n"
+    text += "cameras: {c: {position: [3, 0, 1], look_at: [0, 0, 1]}}\n"
+    playback = Playback(Scene.load(write_scene(tmp_path, text)))
+
+    def height() -> float:
+        return float(np.ptp(playback.show(0).poses["giant"].positions[0, :, 2]))
+
+    assert 3.0 < height() < 3.6
+    playback.change("giant", file="walk_straight")
+    assert playback.settings["giant"] == MotionConfig(file="walk_straight", speed=2.0)
+    assert 1.5 < height() < 1.8
+    playback.change("giant", file="walk")
+    assert playback.settings["giant"] == playback.scene.config.humans["giant"].motion
+    assert 3.0 < height() < 3.6
+
+
+# With ROS
+
+
+class Steered:
+    """A player with a client that hears its motions, sets its parameters and calls its services."""
+
+    def __init__(self, folder: Path, namespace: str, skinner: bool = False) -> None:
+        from rclpy.parameter import Parameter
+        from rclpy.parameter_client import AsyncParameterClient
+        from sensor_msgs.msg import MultiDOFJointState
+        from std_msgs.msg import String
+
+        scene = [Parameter("scene", value=str(write_scene(folder)))]
+        self.player = MotionPlayer(parameter_overrides=scene, namespace=namespace)
+        self.nodes = [self.player]
+        if skinner:
+            self.nodes.append(Skinner(parameter_overrides=scene, namespace=namespace))
+        self.client = Client(f"{namespace}_client", make_executor())  # the one that processes have
+        for node in self.nodes:
+            self.client.executor.add_node(node)
+        self.namespace = namespace
+        self.parameters = AsyncParameterClient(self.client.node, f"/{namespace}/motion_player")
+        topics = [f"/{namespace}/humans/{human}/{kind}" for human in HUMANS for kind in ("motion", "joints")]
+        self.client.subscribe(MultiDOFJointState, topics, 500)
+        self.client.subscribe(String, [f"/{namespace}/humans/first/motion/legend"], LATCHED)
+        self.frames(2)
+
+    def heard(self, human: str = "first", kind: str = "motion") -> dict[int, Any]:
+        return self.client.received[f"/{self.namespace}/humans/{human}/{kind}"]
+
+    def frames(self, count: int, human: str = "first", kind: str = "motion") -> list[tuple[int, JointPoses]]:
+        """The next so many frames."""
+        before = len(self.heard(human, kind))
+        assert self.client.spin_until(lambda: len(self.heard(human, kind)) >= before + count), (
+            "no frames come"
+        )
+        items = sorted(self.heard(human, kind).items())[-count:]
+        return [(stamp, messages.read_joints(message)) for stamp, message in items]
+
+    def of_stamp(self, stamp: int, human: str = "first", kind: str = "motion") -> JointPoses:
+        assert self.client.spin_until(lambda: stamp in self.heard(human, kind))
+        return messages.read_joints(self.heard(human, kind)[stamp])
+
+    def wait(self, future: Any) -> Any:
+        assert self.client.spin_until(future.done)
+        return future.result()
+
+    def set(self, together: bool = True, **values: Any) -> str:
+        """Set parameters through the service, as ``ros2 param set`` does; the reason of a refusal, or ""."""
+        from rclpy.parameter import Parameter
+
+        named = [Parameter(name.replace("__", "."), value=value) for name, value in values.items()]
+        assert self.client.spin_until(self.parameters.services_are_ready)
+        result = self.wait(self.parameters.set_parameters_atomically(named)).result
+        assert result.successful == (not result.reason)
+        return str(result.reason)
+
+    def get(self, *names: str) -> list[Any]:
+        from rclpy.parameter import parameter_value_to_python
+
+        return [parameter_value_to_python(v) for v in self.wait(self.parameters.get_parameters(names)).values]
+
+    def call(self, service: str, kind: Any, **fields: Any) -> Any:
+        caller = self.client.node.create_client(kind, f"/{self.namespace}/motion_player/{service}")
+        assert self.client.spin_until(caller.service_is_ready)
+        answer = self.wait(caller.call_async(kind.Request(**fields)))
+        self.client.node.destroy_client(caller)
+        return answer
+
+    def close(self) -> None:
+        for node in self.nodes:
+            node.destroy_node()
+        self.client.close()
+
+
+@pytest.fixture(scope="module")
+def steered(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Steered]:
+    one = Steered(tmp_path_factory.mktemp("player"), "steer", skinner=True)
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def player(steered: Steered) -> Iterator[Steered]:
+    """The player, left as the scene has it."""
+    from std_srvs.srv import SetBool
+
+    yield steered
+    steered.call("pause", SetBool, data=False)
+    assert steered.set(motion="walk", mirror=False, first__loop="continue", first__speed=1.0) == ""
+    assert steered.set(second__motion="walk_straight", second__loop="repeat") == ""
+    assert steered.set(rate=20.0, speed=1.0, seek=0.0) == ""
+
+
+def stamp_of(answer: Any) -> int:
+    """The stamp that a service's answer tells."""
+    seconds, nanoseconds = answer.message.rsplit(" ", 1)[1].split(".")
+    return int(seconds) * SECOND + int(nanoseconds)
+
+
+def moves(frames: list[tuple[int, JointPoses]]) -> bool:
+    return bool(np.abs(frames[0][1].positions - frames[-1][1].positions).max() > 1e-3)
+
+
+def test_a_paused_player_shows_the_same_pose_with_new_stamps_and_steps_by_frames(player: Steered) -> None:
+    from std_srvs.srv import SetBool, Trigger
+
+    paused = player.call("pause", SetBool, data=True)
+    assert paused.success
+    player.frames(1)
+    still = player.frames(4)
+    assert not moves(still)
+    assert np.all(np.diff([stamp for stamp, _ in still]) > 0)
+    assert still[-1][1].linear is not None
+    assert np.abs(still[-1][1].linear).max() == 0
+    start = player.player._scene_clock.elapsed
+    for step in (1, 2, 3):
+        answer = player.call("step", Trigger)
+        assert answer.success
+        shown = player.of_stamp(stamp_of(answer), "second")
+        expected = player.player.scene.actors["second"].joint_poses((start + 50_000_000 * step) * 1e-9)
+        np.testing.assert_allclose(shown.positions, expected.positions, atol=1e-9)
+    player.call("pause", SetBool, data=False)
+    assert moves(player.frames(4))
+    answer = player.call("step", Trigger)
+    assert not answer.success
+    assert "pause" in answer.message
+
+
+@pytest.mark.parametrize("paused", [True, False])
+def test_restart_and_seek_show_that_second_of_the_scene_at_once(player: Steered, paused: bool) -> None:
+    from std_srvs.srv import SetBool, Trigger
+
+    player.call("pause", SetBool, data=paused)
+    actors = player.player.scene.actors
+
+    def is_shown(seconds: float, stamp: int) -> bool:
+        shown = {human: player.of_stamp(stamp, human).positions for human in HUMANS}
+        expected = {human: actors[human].joint_poses(seconds).positions for human in HUMANS}
+        return all(np.allclose(shown[human], expected[human], rtol=0, atol=1e-9) for human in HUMANS)
+
+    before = max(player.heard())
+    assert player.set(seek=1.25) == ""
+    player.frames(1)
+    assert sum(is_shown(1.25, stamp) for stamp in sorted(player.heard()) if stamp > before) >= 1
+    assert is_shown(0.0, stamp_of(player.call("restart", Trigger)))
+
+
+def test_the_rate_changes_and_frames_are_a_period_apart_to_the_nanosecond(player: Steered) -> None:
+    player.frames(2)
+    assert player.set(rate=40) == ""  # an integer, as people type it
+    player.frames(1)
+    stamps = [stamp for stamp, _ in player.frames(6)]
+    steps = np.diff(stamps) / 25_000_000
+    assert np.array_equal(steps, np.round(steps))
+    assert np.all(np.diff(sorted(player.heard())) > 0)
+
+
+def test_speeds_of_the_clock_and_of_one_human(player: Steered) -> None:
+    assert player.set(speed=0.0) == ""
+    player.frames(2)
+    assert not moves(player.frames(3))
+    assert player.set(speed=4.0) == ""
+    player.frames(1)
+    ((_, poses),) = player.frames(1)
+    assert poses.linear is not None
+    assert np.linalg.norm(poses.linear[0, 0]) > 2.5  # the hips of somebody who walks four times as fast
+    assert player.set(first__speed=0.0) == ""
+    player.frames(2)
+    assert not moves(player.frames(3))
+    assert moves(player.frames(4, "second"))
+
+
+def test_what_is_set_for_all_is_set_for_each_and_the_parameters_say_what_holds(player: Steered) -> None:
+    assert player.set(second__start=0.25, second__end=1.0) == ""
+    assert player.set(motion="walk") == ""
+    # another file plays from its start to its end
+    names = ("motion", "first.motion", "second.motion", "second.start", "second.end")
+    assert player.get(*names) == ["walk", "walk", "walk", 0.0, 0.0]
+    assert player.set(loop="none", mirror=True) == ""
+    assert (
+        player.get("first.loop", "second.loop", "first.mirror", "second.mirror") == ["none"] * 2 + [True] * 2
+    )
+    assert player.set(first__loop="repeat") == ""
+    assert player.set(second__loop="repeat") == ""
+    assert player.get("loop") == ["repeat"]
+
+
+def test_one_human_is_left_to_another_source(player: Steered) -> None:
+    assert player.set(second__play=False) == ""
+    player.frames(1)
+    last = max(player.heard("second"))
+    player.frames(4)
+    assert max(player.heard("second")) == last
+    assert player.set(second__play=True) == ""
+    player.frames(2, "second")
+
+
+def test_part_loop_and_mirror_change_what_is_sent(player: Steered) -> None:
+    assert player.set(start=0.5, end=1.0, loop="none", speed=5.0) == ""
+    end = read_bvh(WALK).world_positions(60)  # second 1, where it stands
+
+    def stands() -> bool:
+        poses = player.frames(1)[0][1].positions[0]
+        heights = poses[:, 2] - poses[0, 2]
+        return bool(np.abs(heights - (end[:, 1] - end[0, 1]) * 0.01).max() < 1e-6)
+
+    assert player.client.spin_until(stands)
+    before = player.frames(1)[0][1]
+    assert player.set(first__mirror=True) == ""
+    player.frames(1)
+    after = player.frames(1)[0][1]
+    twins = [before.names.index(n.replace("Left", "?").replace("Right", "Left").replace("?", "Right"))
+             for n in before.names]  # fmt: skip
+    position = np.array(player.player.scene.config.humans["first"].motion.position)
+    mirrored = before.positions[0, twins]
+    mirrored[:, 1] = 2 * position[1] - mirrored[:, 1]
+    np.testing.assert_allclose(after.positions[0], mirrored, atol=1e-9)
+
+
+def test_a_changed_motion_gives_the_truth_it_would_have_from_the_scene_file(player: Steered) -> None:
+    """Through the skinner, which hears of it by the legend: joints to the last digits of the JSON."""
+    from std_srvs.srv import SetBool
+
+    assert player.set(first__motion="walk_straight", first__mirror=True) == ""
+    player.call("pause", SetBool, data=True)
+    assert player.set(seek=1.5) == ""
+    player.frames(2)
+    _, body = player.frames(2, kind="joints")[-1]
+    config = MotionConfig(file="walk_straight", mirror=True, position=(0.0, -1.59), loop="continue")
+    actor = player.player.scene.actors["first"].with_motion(config, player.player.scene.path)
+    np.testing.assert_allclose(body.positions[0], actor.at(1.5).positions, atol=1e-9)
+    (legend,) = player.client.received[f"/{player.namespace}/humans/first/motion/legend"].values()
+    assert (
+        json.loads(legend.data)["lift"]
+        == actor.retargeter.lift
+        != player.player.scene.actors["first"].retargeter.lift
+    )
+
+
+def test_what_cannot_be_played_is_refused_and_the_old_goes_on(player: Steered, tmp_path: Path) -> None:
+    """Also a file that is gone: what plays needs it no more."""
+    (tmp_path / "broken.bvh").write_text("HIERARCHY\nROOT a\n{\n")
+    (tmp_path / "chain.bvh").write_text(
+        "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Zrotation\n}\nMOTION\nFrames: 1\nFrame Time: 1\n0\n"
+    )
+    shutil.copy(WALK, tmp_path / "gone.bvh")
+    assert player.set(first__motion=str(tmp_path / "gone.bvh")) == ""
+    (tmp_path / "gone.bvh").unlink()
+    assert player.set(first__mirror=True, first__end=1.5) == ""
+    settings, actors = dict(player.player._playback.settings), dict(player.player._playback.actors)
+    names = ("first.motion", "first.mirror", "first.start", "second.loop", "rate", "seek")
+    told = player.get(*names)
+    for values, reason in (
+        ({"motion": "nothing"}, "no 'nothing'; the built-in motions are"),
+        ({"first.motion": str(tmp_path / "gone.bvh")}, "gone.bvh"),
+        ({"first.motion": str(tmp_path / "broken.bvh")}, "broken.bvh"),
+        ({"motion": str(tmp_path / "chain.bvh")}, "chain.bvh"),
+        ({"first.mirror": True, "second.motion": "nothing"}, "nothing"),
+        ({"loop": "often"}, "'none', 'repeat' or 'continue'"),
+        ({"start": 1.0, "end": 0.5}, "must come after start"),
+        ({"start": 90.0}, "start is 90 s, outside"),
+        ({"first.start": 90.0, "rate": 5.0, "seek": 4.0}, "start is 90 s, outside"),
+        ({"speed": -1.0}, "range"),
+        ({"speed": float("nan")}, "range"),
+        ({"rate": 0.0}, "range"),
+        ({"seek": -1.0}, "range"),
+        ({"motion": 3}, "type"),
+        ({"nobody.motion": "walk"}, "undeclared"),
+    ):
+        assert reason in player.set(**{name.replace(".", "__"): value for name, value in values.items()}), (
+            values
+        )
+        assert player.player._playback.settings == settings, values
+        assert all(player.player._playback.actors[name] is actors[name] for name in actors), values
+    assert player.get(*names) == told
+    assert moves(player.frames(4))
+
+
+def test_frames_go_on_while_a_motion_is_read(player: Steered, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare = Playback.prepare
+
+    def slow(self: Playback, name: str, settings: Any) -> Any:
+        time.sleep(1.0)
+        return prepare(self, name, settings)
+
+    monkeypatch.setattr(Playback, "prepare", slow)
+    start = player.player.now()
+    assert player.set(first__motion="walk_straight") == ""
+    assert player.client.spin_until(lambda: max(player.heard()) > start + SECOND)
+    during = [stamp for stamp in sorted(player.heard()) if start < stamp < start + SECOND]
+    assert len(during) >= 5
+    assert moves([(stamp, messages.read_joints(player.heard()[stamp])) for stamp in during[:5]])
+
+
+def test_parameters_at_the_start_win_over_the_scene(ros: None, tmp_path: Path) -> None:
+    from rclpy.parameter import Parameter
+
+    def made(**given: Any) -> MotionPlayer:
+        given = {"scene": str(write_scene(tmp_path)), **given}
+        return MotionPlayer(
+            parameter_overrides=[Parameter(n.replace("__", "."), value=v) for n, v in given.items()],
+            namespace="given",
+        )
+
+    node = made(motion="walk_straight", second__motion="walk", second__start=0.5, seek=3.0)
+    files = {name: motion.file for name, motion in node._playback.settings.items()}
+    assert files == {"first": "walk_straight", "second": "walk"}
+    expected = node._playback.actors["second"].motion.sample(3.5)  # half a second ahead, from its start
+    shown = node._playback.show(node._scene_clock.cut(5).elapsed).poses["second"]
+    np.testing.assert_array_equal(shown.positions, expected.positions)
+    node.destroy_node()
+    for wrong in ({"rate": 0.0}, {"speed": "fast"}, {"motion": "nothing"}, {"first__loop": "often"}):
+        with pytest.raises(HumansimError, match=r"rate|speed|nothing|loop"):
+            made(**wrong)
+    assert issubclass(RosError, HumansimError)
+
+
+def test_a_motion_leaves_ahead_of_its_stamp_and_nothing_of_its_body_before_it(
+    ros: None, tmp_path: Path
+) -> None:
+    from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+
+    stage = Steered(tmp_path, "early", skinner=True)
+    ahead: dict[str, list[int]] = {"motion": [], "joints": [], "vertices": []}
+
+    def keeper(kind: str) -> Any:
+        def keep(message: Any, info: dict[str, int]) -> None:
+            ahead[kind].append(messages.to_nanoseconds(message.header.stamp) - info["source_timestamp"])
+
+        return keep
+
+    listener = Client("clock_watcher")  # rclpy's other executor fails where a callback asks for times
+    for kind in ahead:
+        what = PointCloud2 if kind == "vertices" else MultiDOFJointState
+        listener.node.create_subscription(what, f"/early/humans/first/{kind}", keeper(kind), 50)
+
+    def heard_enough() -> bool:
+        listener.executor.spin_once(timeout_sec=0.0)
+        return all(len(times) >= 20 for times in ahead.values())
+
+    assert stage.client.spin_until(heard_enough)
+    lead = stage.player.get_parameter("lead").value * SECOND
+    assert 0.2 * lead < np.median(ahead["motion"]) < 1.5 * lead
+    assert max(ahead["joints"]) <= 0 and max(ahead["vertices"]) <= 0
+    stage.close()
+    listener.close()
+
+
+def test_frames_leave_at_their_stamps_however_late_the_first_one_was(
+    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rclpy.executors import SingleThreadedExecutor
+    from rclpy.parameter import Parameter
+
+    overrides = [Parameter("scene", value=str(write_scene(tmp_path))), Parameter("rate", value=5.0)]
+    player = MotionPlayer(parameter_overrides=overrides, namespace="sluggish")
+    lead = round(player.get_parameter("lead").value * SECOND)
+    late: list[int] = []
+    monkeypatch.setattr(player, "_publish", lambda tick: late.append(player.now() + lead - tick.stamp))
+    executor = SingleThreadedExecutor()
+    executor.add_node(player)
+    time.sleep(0.25)  # the timer was due after 0.2 s
+    while len(late) < 6:
+        executor.spin_once(timeout_sec=1.0)
+    player.destroy_node()
+    assert np.median(late) < 0.04 * SECOND

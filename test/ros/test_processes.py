@@ -1,0 +1,274 @@
+"""The nodes as real processes, started and stopped by ``humansim run``, and what the command line refuses."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from ros_support import Client, write_scene
+
+WALK = ROOT / "assets" / "motions" / "walk.bvh"
+HUMANSIM = [sys.executable, "-m", "humansim_ros.cli.main"]
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+CAMERA = "{position: [3, 0, 1], look_at: [0, 0, 1]}"
+
+
+@pytest.fixture
+def running(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
+    with (tmp_path / "output").open("w") as output:
+        process = subprocess.Popen(
+            [*HUMANSIM, "run", str(write_scene(tmp_path)), "--processes", "2"],
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            text=True,
+        )
+        yield process
+        if process.poll() is None:
+            process.kill()
+        process.wait()
+
+
+def children(pid: int) -> dict[int, str]:
+    """Processes started by one, with their command lines."""
+    found = {}
+    for entry in Path("/proc").iterdir():
+        try:
+            parent = int((entry / "stat").read_text().rsplit(")", 1)[1].split()[1])
+            if parent == pid:
+                found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+        except (OSError, ValueError, IndexError):
+            continue
+    return found
+
+
+def wait_for_nodes(process: subprocess.Popen[str], number: int) -> dict[int, str]:
+    end = time.monotonic() + 30
+    while time.monotonic() < end:
+        nodes = {pid: line for pid, line in children(process.pid).items() if "humansim_ros.ros.nodes" in line}
+        if len(nodes) == number:
+            return nodes
+        time.sleep(0.1)
+    raise AssertionError(f"{len(nodes)} of {number} nodes are running")
+
+
+def test_cameras_in_their_own_processes_agree_on_the_stamp(ros: None, running: subprocess.Popen[str]) -> None:
+    from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2
+
+    client = Client("outside")
+    client.subscribe(
+        Image, [f"/{c}/{kind}" for c in ("left", "right") for kind in ("image_raw", "instance/image")]
+    )
+    client.subscribe(CameraInfo, ["/left/camera_info", "/right/camera_info"])
+    client.subscribe(PointCloud2, ["/left/joints", "/right/joints", "/humans/first/vertices"])
+    client.subscribe(MultiDOFJointState, ["/humans/first/joints", "/humans/second/joints"])
+    whole = client.spin_until(lambda: len(client.received) == 11 and len(client.common_stamps()) >= 10, 60)
+    assert whole, f"heard {sorted(client.received)}"
+    stamp = client.common_stamps()[-1]
+    for camera in ("left", "right"):
+        message = client.received[f"/{camera}/instance/image"][stamp]
+        labels = np.frombuffer(message.data, np.uint16)
+        assert {1, 2} <= set(labels.tolist())
+    client.close()
+    running.send_signal(signal.SIGINT)
+    assert running.wait(20) == 0
+
+
+def test_ctrl_c_stops_every_node(running: subprocess.Popen[str], tmp_path: Path) -> None:
+    nodes = wait_for_nodes(running, 5)
+    time.sleep(2.0)
+    running.send_signal(signal.SIGINT)
+    assert running.wait(20) == 0
+    assert "Traceback" not in (tmp_path / "output").read_text()
+    time.sleep(0.2)
+    assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
+
+
+def test_a_node_that_dies_is_named_and_the_others_stop(
+    running: subprocess.Popen[str], tmp_path: Path
+) -> None:
+    nodes = wait_for_nodes(running, 5)
+    (victim,) = [pid for pid, line in nodes.items() if "skinner_second" in line]
+    os.kill(victim, signal.SIGKILL)
+    assert running.wait(30) == 1
+    assert "node skinner_second ended by itself" in (tmp_path / "output").read_text()
+    assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
+
+
+def test_nodes_do_not_outlive_a_run_that_is_killed(running: subprocess.Popen[str]) -> None:
+    nodes = wait_for_nodes(running, 5)
+    time.sleep(2.0)
+    running.kill()
+    running.wait()
+    end = time.monotonic() + 10
+    while time.monotonic() < end and any(Path(f"/proc/{pid}").exists() for pid in nodes):
+        time.sleep(0.1)
+    assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
+
+
+def humansim(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*HUMANSIM, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        env={**os.environ, **environment},
+    )
+
+
+def refused(result: subprocess.CompletedProcess[str], *words: str) -> None:
+    """Exit code 2, one message with these words, no traceback."""
+    assert result.returncode == 2, result.stdout + result.stderr
+    assert "Traceback" not in result.stderr
+    assert result.stderr.startswith("error: ")
+    for word in words:
+        assert word in result.stderr, result.stderr
+
+
+HEADER = "".join(WALK.read_text().partition("MOTION")[:1])
+CHANNELS = 6 + 3 * (HEADER.count("JOINT"))
+
+
+def bvh(rows: str, frames: int = 2) -> str:
+    return f"{HEADER}MOTION\nFrames: {frames}\nFrame Time: 0.033\n{rows}"
+
+
+ROW = " ".join(["1.0"] * CHANNELS) + "\n"
+BROKEN_MOTIONS = {
+    "empty": ("", ["empty"]),
+    "truncated_hierarchy": (HEADER[:400], ["truncated"]),
+    "truncated_row": (bvh(ROW + ROW[: len(ROW) // 2]), ["truncated"]),
+    "too_many_values": (bvh(ROW + ROW.strip() + " 7\n"), [f"needs {CHANNELS}"]),
+    "nan": (bvh(ROW + ROW.replace("1.0", "nan", 1)), ["finite"]),
+    "no_person": (
+        "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Zrotation\n}\nMOTION\nFrames: 1\nFrame Time: 1\n0\n",
+        ["joint table", "shape of a person"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN_MOTIONS)
+def test_a_broken_motion_is_refused_with_its_file(name: str, tmp_path: Path) -> None:
+    text, words = BROKEN_MOTIONS[name]
+    path = tmp_path / f"{name}.bvh"
+    path.write_text(text)
+    refused(humansim("run", "--motion", path), f"{name}.bvh", *words)
+    assert sorted(p.name for p in tmp_path.iterdir()) == [path.name]
+
+
+BROKEN_MESHES = {
+    "no_faces": (TRIANGLE, ["no faces"]),
+    "index_out_of_range": (TRIANGLE + "f 1// 2// 9//\n", [":4", "vertex 9"]),
+    "empty": ("", ["empty"]),
+    "not_a_person": (TRIANGLE + "f 1 2 3\n", ["flat"]),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN_MESHES)
+def test_a_broken_mesh_is_refused_with_its_file_and_line(name: str, tmp_path: Path) -> None:
+    text, words = BROKEN_MESHES[name]
+    path = tmp_path / f"{name}.obj"
+    path.write_text(text)
+    refused(humansim("run", "--mesh", path), f"{name}.obj", *words)
+
+
+BROKEN_SCENES = {
+    "unknown_key": (f"cameras:\n  c: {CAMERA}\nhumens: {{}}\n", ["scene.yaml:3", "humens", "humans"]),
+    "unknown_camera_key": (
+        "cameras:\n  c: {position: [1, 2, 3], lookat: [0, 0, 1]}\n",
+        ["cameras.c.lookat", "look_at"],
+    ),
+    "singular_k": (
+        (
+            "cameras:\n  c:\n    K: [[500, 0, 320], [0, 0, 240], [0, 0, 1]]\n"
+            "    R: [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\n    t: [0, 0, 3]\n"
+        ),
+        ["scene.yaml:3", "cameras.c.K", "singular"],
+    ),
+    "no_cameras": ("humans: {}\n", ["cameras"]),
+    "not_yaml": ("cameras: [\n", ["YAML"]),
+    "missing_motion": (
+        f"humans:\n  h: {{motion: {{file: gone.bvh}}}}\ncameras: {{c: {CAMERA}}}\n",
+        ["gone.bvh"],
+    ),
+    "unknown_body": (f"humans:\n  h: {{body: nobody}}\ncameras: {{c: {CAMERA}}}\n", ["nobody", "adult_man"]),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN_SCENES)
+def test_a_broken_scene_is_refused_with_its_key(name: str, tmp_path: Path) -> None:
+    text, words = BROKEN_SCENES[name]
+    refused(humansim("run", write_scene(tmp_path, text)), *words)
+
+
+def test_a_missing_file_is_refused(tmp_path: Path) -> None:
+    refused(humansim("run", tmp_path / "nothing.yaml"), "nothing.yaml", "no such")
+    refused(humansim("run", "--motion", tmp_path / "nothing.bvh"), "nothing.bvh", "no such")
+    refused(humansim("run", "--mesh", tmp_path / "nothing.obj"), "nothing.obj", "no such")
+    refused(humansim("run", "--joint-names", tmp_path / "nothing.yaml"), "nothing.yaml")
+
+
+def test_a_wrong_option_is_refused() -> None:
+    refused(humansim("run", "--no-such-option"), "--no-such-option")
+    refused(humansim("no-such-command"), "no-such-command")
+
+
+def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    refused(humansim("demo", "-o", tmp_path / "file" / "pictures"), "file/pictures", "folder")
+
+
+def test_without_opengl_the_packages_are_named(tmp_path: Path) -> None:
+    nothing = str(tmp_path / "nothing")
+    without = {"__EGL_VENDOR_LIBRARY_DIRS": nothing, "__EGL_VENDOR_LIBRARY_FILENAMES": nothing}
+    refused(humansim("run", "--duration", "5", **without), "libegl1", "libgl1-mesa-dri")
+    refused(humansim("demo", "-o", tmp_path / "demo", **without), "libegl1", "libgl1-mesa-dri")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_without_ros_the_way_to_install_it_is_named() -> None:
+    hide = "import sys; sys.modules['rclpy'] = None; from humansim_ros.cli.main import main; sys.exit(main())"
+    for command in ("run", "demo"):
+        result = subprocess.run(
+            [sys.executable, "-c", hide, command], capture_output=True, text=True, timeout=60, check=False
+        )
+        refused(result, "ROS 2", "pip install")
+
+
+def test_a_node_refuses_wrong_input_with_exit_code_2(tmp_path: Path) -> None:
+    for node, parameter in (
+        ("camera", "camera:=nobody"),
+        ("skinner", "human:=nobody"),
+        ("motion_player", "scene:=/gone.yaml"),
+    ):
+        result = subprocess.run(
+            [sys.executable, "-m", f"humansim_ros.ros.nodes.{node}", "--ros-args", "-p", parameter],
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+        refused(result)
+
+
+@pytest.mark.slow
+def test_the_demo_writes_its_pictures(tmp_path: Path) -> None:
+    import cv2
+
+    result = humansim("demo", "--duration", "3", "-o", tmp_path / "pictures")
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert "/camera_4/image_raw" in result.stdout
+    assert "equal stamps" in result.stdout
+    sheet = cv2.imread(str(tmp_path / "pictures" / "contact_sheet.png"))
+    assert sheet.shape[0] > 1000
+    assert sheet.std() > 30
+    video = cv2.VideoCapture(str(tmp_path / "pictures" / "walk.mp4"))
+    assert video.get(cv2.CAP_PROP_FRAME_COUNT) >= 1
+    assert sorted(p.name for p in (tmp_path / "pictures").iterdir()) == ["contact_sheet.png", "walk.mp4"]

@@ -31,12 +31,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
-from humansim_ros.render import ALL_CHANNELS, CHANNELS, Body, GLRenderer, Neighbour
-from humansim_ros.render.body_buffers import Fallen, contour
+from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, GLRenderer
+from humansim_ros.render.body_buffers import ProjectedPoints, contour
 from humansim_ros.render.contact_shadow import contact_shadow
 from humansim_ros.render.context import create_context
-from humansim_ros.render.edge_antialiasing import crossings
-from humansim_ros.render.posed_mesh import Posed, Topology
+from humansim_ros.render.edge_antialiasing import edge_crossings
+from humansim_ros.render.posed_mesh import PosedMesh, Topology
 from humansim_ros.scene import Scene
 from humansim_ros.scene.objects import SHAPES, ObjectPose
 
@@ -179,7 +179,7 @@ class Pyrender:
         pose = shot.camera.world_from_optical @ np.diag([1.0, -1.0, -1.0, 1.0])
         nodes = [self.scene.add(camera, pose=pose)]
         positions = shot.body.vertices[self.source]
-        normals = Posed(self.topology, shot.body.vertices).normals[self.source]
+        normals = PosedMesh(self.topology, shot.body.vertices).normals[self.source]
         labels = {}
         for number, triangles in self.parts:
             primitive = pyrender.Primitive(
@@ -202,8 +202,10 @@ def ours(renderer: GLRenderer, channels: Sequence[str]) -> Callable[[Shot], obje
         # does of a frame that was another's neighbour
         if shot.number == 1 or not frames:
             frames[:] = [replace(body) for body in shot.frames]
-        after, before = (Neighbour([frames[shot.number + step]], shot.camera) for step in (1, -1))
-        return renderer.render([frames[shot.number]], shot.camera, channels, after=after, before=before)
+        after, before = (AdjacentFrame([frames[shot.number + step]], shot.camera) for step in (1, -1))
+        return renderer.render(
+            [frames[shot.number]], shot.camera, channels, next_frame=after, previous_frame=before
+        )
 
     return draw
 
@@ -358,17 +360,17 @@ def targets(times: dict[str, list[float]], cpu: dict[str, list[float]]) -> list[
 def stages(shot: Shot, repeat: int) -> list[dict[str, object]]:
     """What the parts of a frame that run on the CPU cost, each on its own."""
     topology, vertices, camera = Topology(shot.body.mesh), shot.body.vertices, shot.camera
-    posed = Posed(topology, vertices)
+    posed = PosedMesh(topology, vertices)
     areas, facing = topology.vertex_areas, posed.facing(camera.center)
-    fallen = Fallen(posed.points, camera)
+    fallen = ProjectedPoints(posed.points, camera)
     edges = contour(posed, fallen, facing, 0.0)
     work: dict[str, Callable[[], object]] = {
-        "area vectors of the triangles": lambda: Posed(topology, vertices).areas,
-        "area vectors and vertex normals": lambda: Posed(topology, vertices).normals,
+        "area vectors of the triangles": lambda: PosedMesh(topology, vertices).areas,
+        "area vectors and vertex normals": lambda: PosedMesh(topology, vertices).normals,
         "contact shadow": lambda: contact_shadow(posed.points, areas),
         "what faces the camera": lambda: posed.facing(camera.center),
         "contour edges": lambda: contour(posed, fallen, facing, 0.0),
-        "crossings of the contour with pixels": lambda: crossings(edges, camera.size),
+        "crossings of the contour with pixels": lambda: edge_crossings(edges, camera.size),
     }
     print(f"\n{'stages on the CPU, ms':<58} {'median':>8} {'best':>8}")
     rows: list[dict[str, object]] = []

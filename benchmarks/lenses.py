@@ -48,7 +48,7 @@ def moving(renderer: GLRenderer, lens: str) -> Draw:
 
     def draw(body: Body, camera: Camera, number: int) -> object:
         there = replace(through(camera, lens), t=camera.t + 0.01 * (number % 20))
-        return renderer.render([replace(body)], there, CHANNELS, passing=True)
+        return renderer.render([replace(body)], there, CHANNELS, moving_camera=True)
 
     return draw
 

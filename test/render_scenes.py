@@ -129,10 +129,10 @@ def block_means(image: NDArray[np.generic], factor: int) -> NDArray[np.float64]:
 # what rays hit
 
 
-Surface = tuple[NDArray[np.floating], NDArray[np.integer]]
+BodyBuffers = tuple[NDArray[np.floating], NDArray[np.integer]]
 
 
-def cast(camera: Camera, surfaces: Sequence[Surface]) -> tuple[NDArray[np.generic], ...]:
+def cast(camera: Camera, surfaces: Sequence[BodyBuffers]) -> tuple[NDArray[np.generic], ...]:
     """What rays through the pixels' centres hit first, (H, W): depth, which surface (-1: none), triangle."""
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
     vertices = np.concatenate([vertices for vertices, _ in surfaces]).astype(float)

@@ -98,12 +98,13 @@ def whole_flow(
     from rclpy.qos import QoSProfile
 
     from humansim_ros.ros.nodes.camera import CameraNode
-    from humansim_ros.ros.nodes.motion_player import MotionPlayer
-    from humansim_ros.ros.nodes.skinner import Skinner
+    from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
+    from humansim_ros.ros.nodes.skinner import SkinnerNode
 
     given = [Parameter("scene", value=str(scene))]
     nodes = [
-        kind(parameter_overrides=given, namespace=namespace) for kind in (MotionPlayer, Skinner, CameraNode)
+        kind(parameter_overrides=given, namespace=namespace)
+        for kind in (MotionPlayerNode, SkinnerNode, CameraNode)
     ]
     client = Client(f"client_of_{namespace}")
     for node in nodes:

@@ -44,7 +44,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 import figures  # noqa: E402
 
 from humansim_ros.camera import Camera, read_calibration, write_calibration  # noqa: E402
-from humansim_ros.camera.formats import FORMS  # noqa: E402
+from humansim_ros.camera.formats import FORMATS  # noqa: E402
 from humansim_ros.camera.trajectory import End, Trajectory  # noqa: E402
 from humansim_ros.cli.camera import describe_camera  # noqa: E402
 from humansim_ros.cli.output import to_json  # noqa: E402
@@ -155,7 +155,7 @@ def reading_scene(path: Path) -> None:
             assert np.isfinite(camera.at(camera.pose(seconds)).P).all()
     # (not the room, which takes a second to paint)
     standing = [thing.standing() for thing in scene.objects.values()]
-    assert all(np.isfinite(mesh.vertices).all() for mesh in (*scene.world.placed, *standing))
+    assert all(np.isfinite(mesh.vertices).all() for mesh in (*scene.environment.placed, *standing))
 
 
 def reading_world(path: Path) -> None:
@@ -286,7 +286,7 @@ def calibrations() -> dict[str, bytes]:
     files: dict[str, bytes] = {}
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("ignore", HumansimWarning)
-        for form in FORMS:
+        for form in FORMATS:
             second = replace(first, t=first.t + 0.5, distortion=lens if form.lenses else ())
             two = {"left": first, "right": second}
             target = Path(folder) / form.name

@@ -20,7 +20,7 @@ from humansim_ros.rotations import Array
 #: Whose joints: found in the mesh, or the general skeleton's.
 Joints = Literal["fitted", "general"]
 #: Vertices of a mesh at most.
-MOST_VERTICES = 2_000_000
+MAX_VERTICES = 2_000_000
 #: Statures (metres) of people; a unit that gives another is wrong.
 _STATURES = (0.3, 3.0)
 #: The ankles' slice of a standing person, as fractions of the height.
@@ -51,9 +51,9 @@ def fit_skeleton(
     """
     general = hanim_skeleton()
     usual = float(general.tails[:, 1].max())
-    if len(mesh.vertices) > MOST_VERTICES:
+    if len(mesh.vertices) > MAX_VERTICES:
         raise MeshError(
-            f"{len(mesh.vertices):,} vertices; at most {MOST_VERTICES:,} are rigged: simplify the mesh first"
+            f"{len(mesh.vertices):,} vertices; at most {MAX_VERTICES:,} are rigged: simplify the mesh first"
         )
     known = known_joints(mesh) if joints == "fitted" else None
     if known is not None and up is None and facing is None:

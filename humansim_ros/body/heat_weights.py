@@ -32,7 +32,7 @@ _PELVIS, _SHARP = 0.01, 0.01
 #: Vertices closer than this are one, so that seams do not stop the warmth.
 _WELD = 1e-5
 #: Of more points than this the warmth flows over a coarser surface, of points so far apart.
-_MOST_POINTS, _COARSE = 100_000, 0.005
+_MAX_POINTS, _COARSE = 100_000, 0.005
 #: A mesh of more points is tangled by this many faces longer than this; how many steps it gets.
 _FINE, _MANY, _LONG, _STEPS = 5000, 100, 0.15, 400
 #: The other side's bones fade out over this much.
@@ -65,7 +65,7 @@ def heat_weights(mesh: Mesh, skeleton: Skeleton) -> sparse.csr_matrix:
     if not height > 0:
         raise MeshError("the mesh has no height: there is nothing to rig")
     points, triangles, number = _welded(mesh, _WELD * height)
-    coarse = len(points) > _MOST_POINTS
+    coarse = len(points) > _MAX_POINTS
     if coarse:
         points, triangles, number = _welded(mesh, _COARSE * height)
     volume = solid(mesh, height / _CUBES)

@@ -1,6 +1,6 @@
 """Skinning: vertices follow their bones, linearly (thesis S13, section 9.6) or by dual quaternions.
 
-Both ways are called alike, see :class:`Skinner`; docs/skinning.md compares them.
+Both ways are called alike, see :class:`SkinningFunction`; docs/skinning.md compares them.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _FRAMES_AT_ONCE = 16
 _RIGID = 1e-4
 
 
-class Skinner(Protocol):
+class SkinningFunction(Protocol):
     """The skin of one body."""
 
     def __call__(self, transforms: Floats) -> Floats:
@@ -42,7 +42,7 @@ class Skinner(Protocol):
 
 def make_skinner(
     method: str, vertices: Floats, weights: csr_matrix, dtype: type[np.floating] = np.float32
-) -> Skinner:
+) -> SkinningFunction:
     """The skin of a body: ``method`` "linear" or "dual_quaternion", vertices (V, 3), weights (V, B).
 
     Raises MeshError on another method, and on shapes and weights that cannot be.
@@ -53,7 +53,7 @@ def make_skinner(
 
 
 def skin(vertices: Floats, weights: csr_matrix, transforms: Floats, method: str = "linear") -> Array:
-    """Posed vertices (..., V, 3) in double precision, by a :class:`Skinner` for once.
+    """Posed vertices (..., V, 3) in double precision, by a :class:`SkinningFunction` for once.
 
     ``vertices``: (V, 3) at rest. ``weights``: (V, B) sparse. ``transforms``: (..., B, 4, 4) from rest to
     posed, that is ``pose[b] rest[b]^-1``. Raises MeshError as :func:`make_skinner` and the skinner do.

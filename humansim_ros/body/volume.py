@@ -13,7 +13,7 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.rotations import Array
 
 #: Cubes at most; a person of 160 cubes' height has a twentieth of it.
-_MOST_CUBES = 20_000_000
+_MAX_CUBES = 20_000_000
 #: Sides of six to which the inside sees the surface.
 _SIDES = 5
 
@@ -48,7 +48,7 @@ def solid(mesh: Mesh, spacing: float) -> Volume:
     points = surface_points(mesh, 0.7 * spacing)
     low = spacing * (np.floor(points.min(0) / spacing) - 2)  # cubes lie alike left and right
     shape = np.ceil((points.max(0) - low) / spacing).astype(np.int64) + 3
-    if np.prod(shape.astype(float)) > _MOST_CUBES:
+    if np.prod(shape.astype(float)) > _MAX_CUBES:
         raise MeshError("the mesh is far wider or deeper than a person of its height")
     surface = np.zeros(tuple(shape), dtype=bool)
     surface[tuple(np.rint((points - low) / spacing).astype(np.intp).T)] = True
@@ -79,7 +79,7 @@ def surface_points(mesh: Mesh, spacing: float) -> Array:
     corners = mesh.vertices[mesh.triangles]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     parts = np.ceil(sides / spacing).astype(np.int64)
-    if (parts.astype(float) ** 2 / 2).sum() > _MOST_CUBES:
+    if (parts.astype(float) ** 2 / 2).sum() > _MAX_CUBES:
         raise MeshError("the mesh has faces far larger than a person's")
     points = [mesh.vertices[np.unique(mesh.triangles)]]
     for count in np.unique(parts[parts > 1]):

@@ -6,10 +6,10 @@ import numpy as np
 from scipy.sparse import csr_matrix
 
 #: Bones that a vertex follows at most, as in every game engine.
-MOST_BONES = 4
+MAX_BONES_PER_VERTEX = 4
 
 
-def limit_bones(weights: csr_matrix, most: int = MOST_BONES) -> csr_matrix:
+def limit_bones(weights: csr_matrix, most: int = MAX_BONES_PER_VERTEX) -> csr_matrix:
     """Weights (V, B) with the largest ``most`` of each row, rows summing to what they summed to."""
     weights = csr_matrix(weights, copy=True)
     weights.sum_duplicates()

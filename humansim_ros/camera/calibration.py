@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.camera import MAX_SIZE, Camera
-from humansim_ros.camera.checks import doubts_of_size
-from humansim_ros.camera.formats import FORMS, Form, Place, RawCamera, Source
+from humansim_ros.camera.checks import check_image_size
+from humansim_ros.camera.formats import FORMATS, CalibrationFormat, CalibrationSource, FilePosition, RawCamera
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
-from humansim_ros.camera.formats.colmap import MOST_BYTES as MOST_BYTES_COLMAP
+from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.camera.formats.containers import container_of, parsed
 from humansim_ros.camera.image_size import Size, image_size, likely_size
 from humansim_ros.errors import CameraError, HumansimWarning, ResourceError, warn_of
@@ -37,7 +37,7 @@ UPRIGHT: Mapping[str, Array] = {
     "x": np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]),
     "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
 }
-_MOST_BYTES = 8 << 20
+_MAX_BYTES = 8 << 20
 #: Files of a folder that can be calibrations.
 _SUFFIXES = (".yaml", ".yml", ".json", ".xml", ".ini", ".txt", ".cam", ".krtd")
 #: Of several principal points, how far those of equal images are from their median.
@@ -55,13 +55,13 @@ class Calibration:
     """
 
     cameras: dict[str, Camera]
-    form: Form | None
+    form: CalibrationFormat | None
     unit: float
     up: str
     sizes: dict[str, Size]
 
 
-class _UnknownForm(CameraError):
+class _UnknownFormat(CameraError):
     """Not wrong in itself, but no calibration."""
 
 
@@ -110,7 +110,7 @@ def load_calibration(
         file = file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
     if is_there(file) and file.is_dir():
         return _folder(file, size, unit, up)
-    most = MOST_BYTES_COLMAP if file.name in (CAMERAS, IMAGES) else _MOST_BYTES
+    most = MAX_BYTES_COLMAP if file.name in (CAMERAS, IMAGES) else _MAX_BYTES
     text = read_text(file, CameraError, "calibration", most)
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
@@ -137,7 +137,7 @@ def _folder(folder: Path, size: Size | None, unit: float | None, up: str | None)
     for file in files:
         try:
             read[file] = load_calibration(file, size=size, unit=unit, up=up)
-        except _UnknownForm:
+        except _UnknownFormat:
             warn_of(file, "no calibration that is known here: left out")
     if not read:
         hint = "its cameras.bin can be read after colmap model_converter --output_type TXT"
@@ -184,22 +184,24 @@ def _own_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
     return names
 
 
-def _recognised(path: str, text: str) -> tuple[Source, Form]:
+def _recognised(path: str, text: str) -> tuple[CalibrationSource, CalibrationFormat]:
     container = container_of(path, text)
     source = parsed(path, text, container)
-    for form in FORMS:
+    for form in FORMATS:
         if form.container == container and form.matches(source):
             return source, form
-    known = ", ".join(form.title for form in FORMS if form.container == container)
+    known = ", ".join(form.title for form in FORMATS if form.container == container)
     found = ""
     if isinstance(source.document, dict):
         keys = ", ".join(str(key)[:30] for key in list(source.document)[:6])
         found = f" It has {keys}." if keys else ""
     kind = "text" if container == "text" else container.upper()
-    raise _UnknownForm(f"no calibration that is known here.{found} Known in {kind}: {known}", path=path)
+    raise _UnknownFormat(f"no calibration that is known here.{found} Known in {kind}: {known}", path=path)
 
 
-def _sizes(path: str, raw: Mapping[str, RawCamera], form: Form, said: Size | None) -> dict[str, Size]:
+def _sizes(
+    path: str, raw: Mapping[str, RawCamera], form: CalibrationFormat, said: Size | None
+) -> dict[str, Size]:
     """Image sizes: as the user says, else as the file does, else as the principal points let one think."""
     sizes = {name: said or camera.size for name, camera in raw.items()}
     unknown = [name for name, size in sizes.items() if size is None]
@@ -235,14 +237,14 @@ def _camera(path: str, name: str, raw: RawCamera, size: Size, unit: float, uprig
             camera = Camera(size, raw.K, raw.R @ upright.T, t * unit, *rest)
         except CameraError as error:
             part = error.key or ""
-            place = raw.places.get(part) or raw.places.get("") or Place()
+            place = raw.places.get(part) or raw.places.get("") or FilePosition()
             key = place.key if part in raw.places and place.key else ".".join(filter(None, (name, part)))
             message = (
                 "R mirrors (its determinant is -1): no camera does" if _mirrors(raw, part) else error.message
             )
             raise CameraError(message, path=place.path or path, line=place.line, key=key) from None
     odd = [str(warning.message) for warning in caught if issubclass(warning.category, HumansimWarning)]
-    for message in (*odd, *doubts_of_size(camera)):
+    for message in (*odd, *check_image_size(camera)):
         warn_of(path, f"{name}: {message}")
     return camera
 
@@ -324,13 +326,13 @@ def write_calibration(
 ) -> list[Path]:
     """Write cameras in a form, whole or not at all.
 
-    ``form``: a name of :data:`FORMS`; by the suffix of ``path`` where that tells. ``path``: a file; a folder
+    ``form``: a name of :data:`FORMATS`; by default from the suffix of ``path``. ``path``: a file; a folder
     for COLMAP, and, without a suffix, for forms of one camera per file. Returns the files. What the form
     cannot hold is refused where it would change what the cameras see, and else told with a HumansimWarning.
     Raises CameraError.
     """
     target = Path(path)
-    chosen = _form_of(target, form, len(cameras))
+    chosen = _format_of(target, form, len(cameras))
     if not cameras:
         raise CameraError("there is no camera to write", path=target)
     fitting = {name: _fitted(target, name, camera, chosen) for name, camera in cameras.items()}
@@ -354,8 +356,8 @@ def write_calibration(
     return list(texts)
 
 
-def _form_of(target: Path, name: str | None, count: int) -> Form:
-    names = {form.name: form for form in FORMS}
+def _format_of(target: Path, name: str | None, count: int) -> CalibrationFormat:
+    names = {form.name: form for form in FORMATS}
     if name is not None:
         if name not in names:
             raise CameraError(f"there is no form {name!r}, only {', '.join(names)}", path=target)
@@ -363,16 +365,16 @@ def _form_of(target: Path, name: str | None, count: int) -> Form:
     suffix = target.suffix.lower()
     if suffix == ".txt" and target.stem.endswith("par"):
         return names["middlebury"]
-    fitting = [form for form in FORMS if form.suffix == suffix and suffix]
+    fitting = [form for form in FORMATS if form.suffix == suffix and suffix]
     if suffix in (".yaml", ".txt", ".yml") and fitting and (count == 1 or fitting[0].several):
         return fitting[0]
     if len(fitting) != 1:
-        several = [form.name for form in fitting or FORMS if form.several or count == 1]
+        several = [form.name for form in fitting or FORMATS if form.several or count == 1]
         raise CameraError(f"say which form is to be written: {', '.join(several)}", path=target)
     return fitting[0]
 
 
-def _fitted(path: Path, name: str, camera: Camera, form: Form) -> Camera:
+def _fitted(path: Path, name: str, camera: Camera, form: CalibrationFormat) -> Camera:
     """The same camera in a lens model that the form has. Raises CameraError where there is none."""
     if not form.holds_skew and abs(camera.K[0, 1]) > _SKEW_SLACK * camera.K[0, 0]:
         raise _cannot(path, name, form, "skew")
@@ -389,12 +391,12 @@ def _fitted(path: Path, name: str, camera: Camera, form: Form) -> Camera:
     return replace(camera, distortion=d, model=model)
 
 
-def _cannot(path: Path, name: str, form: Form, what: str) -> CameraError:
+def _cannot(path: Path, name: str, form: CalibrationFormat, what: str) -> CameraError:
     hint = "idealize the camera first (humansim camera idealize), or take another form"
     return CameraError(f"{form.title} cannot hold {what}: {hint}", path=path, key=name)
 
 
-def _losses(cameras: Mapping[str, Camera], form: Form) -> Iterator[str]:
+def _losses(cameras: Mapping[str, Camera], form: CalibrationFormat) -> Iterator[str]:
     """What a reader of the files will not know."""
     if not form.holds_pose:
         posed = [n for n, c in cameras.items() if not (np.array_equal(c.R, np.eye(3)) and not c.t.any())]
@@ -413,7 +415,7 @@ def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
-def _texts(target: Path, cameras: Mapping[str, Camera], form: Form) -> dict[Path, str]:
+def _texts(target: Path, cameras: Mapping[str, Camera], form: CalibrationFormat) -> dict[Path, str]:
     """Text of each file."""
     try:
         if form.several or (len(cameras) == 1 and target.suffix and not target.is_dir()):

@@ -56,7 +56,7 @@ def field_of_view(camera: Camera) -> FieldOfView:
     return FieldOfView(float(angles[0]), float(angles[1]), float(np.max(angles[2:])))
 
 
-def placed(camera: Camera) -> bool:
+def has_pose(camera: Camera) -> bool:
     """Whether it is told where the camera stands."""
     return bool(camera.t.any() or not np.array_equal(camera.R, np.eye(3)))
 
@@ -66,14 +66,14 @@ def baseline(camera: Camera) -> float:
     return float(-camera.rectified_projection[0, 3] / camera.rectified_projection[0, 0])
 
 
-def doubts(camera: Camera) -> list[str]:
+def check_camera(camera: Camera) -> list[str]:
     """What looks wrong with a camera, for people."""
     return [*_of_matrix(camera), *_of_lens(camera), *_of_rectified(camera), *_of_pose(camera)]
 
 
-def doubts_of_rig(cameras: Mapping[str, Camera]) -> list[str]:
+def check_rig(cameras: Mapping[str, Camera]) -> list[str]:
     """What looks wrong with cameras that belong together."""
-    standing = [camera for camera in cameras.values() if placed(camera)]
+    standing = [camera for camera in cameras.values() if has_pose(camera)]
     if len(standing) < 2:
         return []
     found = []
@@ -90,7 +90,7 @@ def doubts_of_rig(cameras: Mapping[str, Camera]) -> list[str]:
     return found
 
 
-def doubts_of_size(camera: Camera) -> list[str]:
+def check_image_size(camera: Camera) -> list[str]:
     """Whether K seems to be of an image of another size."""
     (width, height), (cx, cy) = camera.size, camera.K[:2, 2]
     share = (camera.K[:2, 2] + 0.5) / camera.size
@@ -107,7 +107,7 @@ def _of_matrix(camera: Camera) -> Iterator[str]:
     width = camera.size[0]
     (fx, skew, cx), (_, fy, cy) = camera.K[:2]
     share = (camera.K[:2, 2] + 0.5) / camera.size
-    of_size = doubts_of_size(camera)
+    of_size = check_image_size(camera)
     yield from of_size
     if not of_size and np.abs(share - 0.5).max() > _OFF_MIDDLE:
         where = f"({cx:.1f}, {cy:.1f}) is at {share[0]:.0%} and {share[1]:.0%} of the image's sides"
@@ -146,7 +146,7 @@ def _of_rectified(camera: Camera) -> Iterator[str]:
 
 
 def _of_pose(camera: Camera) -> Iterator[str]:
-    if not placed(camera):
+    if not has_pose(camera):
         return
     forward, down, center = camera.R[2], camera.R[1], camera.center
     if forward[2] > _STEEP:

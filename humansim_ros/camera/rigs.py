@@ -17,7 +17,7 @@ from humansim_ros.errors import CameraError
 from humansim_ros.rotations import Array
 
 #: Cameras of the largest rig.
-MOST_CAMERAS = 1000
+MAX_CAMERAS = 1000
 #: The turn between neighbours by which a dome spreads its cameras evenly.
 _GOLDEN_ANGLE = np.pi * (3 - np.sqrt(5))
 
@@ -132,8 +132,8 @@ def stereo(
 
 def _checked(count: int, radius: float, look_at: ArrayLike) -> Array:
     """The point that is looked at, if a rig can be set up around it."""
-    if not 0 < count <= MOST_CAMERAS:
-        raise CameraError(f"a rig has 1 to {MOST_CAMERAS} cameras, not {count}")
+    if not 0 < count <= MAX_CAMERAS:
+        raise CameraError(f"a rig has 1 to {MAX_CAMERAS} cameras, not {count}")
     if not 0 < radius < np.inf:
         raise CameraError(f"must be above zero, not {radius:g}", key="radius")
     middle = np.asarray(look_at, dtype=float)

@@ -19,7 +19,7 @@ from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_ma
 End = Literal["clamp", "loop", "ping_pong"]
 
 #: More than a million poses.
-_MOST_BYTES = 1 << 26
+_MAX_BYTES = 1 << 26
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
 #: Metres; what is farther is a mistake.
 _FARTHEST = 1e6
@@ -72,7 +72,7 @@ class Trajectory:
         Each line is ``timestamp tx ty tz qx qy qz qw``: seconds, metres, the optical frame in ``map``; ``#``
         begins a comment. Raises CameraError with path and line.
         """
-        text = read_text(path, CameraError, "trajectory", _MOST_BYTES)
+        text = read_text(path, CameraError, "trajectory", _MAX_BYTES)
         rows: list[list[float]] = []
         careless = False
         for number, line in enumerate(text.splitlines(), 1):

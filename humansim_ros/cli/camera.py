@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 app = typer.Typer(help="Look at calibrations, convert them, make rigs of cameras.", no_args_is_help=True)
 
 
-class Form(Enum):
+class FormatName(Enum):
     camera_info = "camera_info"
     ini = "ini"
     kalibr = "kalibr"
@@ -70,7 +70,7 @@ def show(
     camera: Only = None,
 ) -> None:
     """What a calibration says: K, lens, where cameras stand, how wide they see, and what looks wrong."""
-    from humansim_ros.camera.checks import doubts_of_rig
+    from humansim_ros.camera.checks import check_rig
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -86,7 +86,7 @@ def show(
         "unit": calibration.unit,
         "up": calibration.up,
         "cameras": described,
-        "warnings": [*odd, *doubts_of_rig(cameras)],
+        "warnings": [*odd, *check_rig(cameras)],
     }
     say(to_json(facts) if as_json else "\n".join(_lines(calibration, facts)))
 
@@ -98,7 +98,7 @@ def convert(
         Path, typer.Option("--output", "-o", help="The file, or the folder for forms of one file per camera.")
     ],
     to: Annotated[
-        Form | None, typer.Option(help="Which form; by the suffix of the output if absent.")
+        FormatName | None, typer.Option(help="Which form; by the suffix of the output if absent.")
     ] = None,
     size: Size = None,
     image: Image = None,
@@ -150,7 +150,7 @@ def describe_camera(name: str, camera: Camera) -> dict[str, Any]:
     """What there is to say of a camera, as JSON can hold it."""
     import numpy as np
 
-    from humansim_ros.camera.checks import baseline, doubts, field_of_view
+    from humansim_ros.camera.checks import baseline, check_camera, field_of_view
 
     view = field_of_view(camera)
     angles = {key: math.degrees(value) for key, value in vars(view).items()}
@@ -172,7 +172,7 @@ def describe_camera(name: str, camera: Camera) -> dict[str, Any]:
         "fov_deg": {key: angle if math.isfinite(angle) else None for key, angle in angles.items()},
         "valid_radius": float(reach),
         "valid_angle_deg": float(np.degrees(np.arctan(reach))),
-        "warnings": doubts(camera),
+        "warnings": check_camera(camera),
     }
 
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 app = cli_camera.app
 
 #: Bytes of the largest image file that is read.
-_MOST_BYTES = 1 << 28
+_MAX_BYTES = 1 << 28
 _JPEG = (".jpg", ".jpeg")
 #: Metres between cameras and walls: furniture is less deep.
 _TO_WALLS = 1.3
@@ -238,7 +238,7 @@ def _correct(ideal: Ideal, path: Path, target: Path, nearest: bool) -> None:
     if size != wanted:
         message = f"the image is {size[0]}x{size[1]} pixels, the camera {wanted[0]}x{wanted[1]}"
         raise CameraError(message, path=path, key="size")
-    data = np.frombuffer(read_bytes(path, CameraError, "image", _MOST_BYTES), np.uint8)
+    data = np.frombuffer(read_bytes(path, CameraError, "image", _MAX_BYTES), np.uint8)
     try:
         image: Any = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except cv2.error:

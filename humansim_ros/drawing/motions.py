@@ -47,7 +47,7 @@ _GIF_RATE = 20.0
 
 
 @dataclass(frozen=True)
-class Figure:
+class StickFigure:
     """Something that moves, z up: ``points`` gives (N, P, 3) at N instants (seconds).
 
     ``height``: of it standing; ``floor``: the height it stands on; ``heading``: where it faces (radians, from
@@ -67,7 +67,7 @@ class Artist(Protocol):
     """Draws a figure as it is at an instant, seconds."""
 
     @property
-    def figure(self) -> Figure: ...
+    def figure(self) -> StickFigure: ...
 
     def draw(self, time: float) -> Image: ...
 
@@ -79,7 +79,7 @@ class _Shot:
     seen.
     """
 
-    def __init__(self, figure: Figure, size: tuple[int, int], seen: Seen) -> None:
+    def __init__(self, figure: StickFigure, size: tuple[int, int], seen: Seen) -> None:
         self._figure, self._size = figure, size
         self._around = figure.heading + np.radians(_AROUND[seen])
         count = int(np.clip(figure.seconds / figure.frame_time + 1, 1, _INSTANTS))
@@ -163,7 +163,7 @@ class Sticks:
 
     def __init__(
         self,
-        figure: Figure,
+        figure: StickFigure,
         parents: NDArray[np.intp],
         sides: NDArray[np.intp],
         size: tuple[int, int],
@@ -176,7 +176,7 @@ class Sticks:
     @classmethod
     def of_world(cls, world: WorldMotion, size: tuple[int, int], seen: Seen = "three-quarter") -> Sticks:
         """A person in the world."""
-        figure = Figure(
+        figure = StickFigure(
             lambda times: world.sample(times).positions,
             world.duration,
             world.motion.frame_time,
@@ -205,7 +205,7 @@ class Sticks:
                 "there is nothing to draw: all joints are at one place, or at none", path=motion.path
             )
         points = points / size_
-        figure = Figure(
+        figure = StickFigure(
             lambda times: points[np.rint(times / motion.frame_time).astype(int).clip(0, len(points) - 1)],
             motion.duration,
             motion.frame_time,
@@ -253,7 +253,7 @@ class Skinned:
             tails = posed[..., :3, 3] + posed[..., :3, 1] * skeleton.lengths[:, None]
             return np.concatenate([posed[..., :3, 3], tails], axis=1)
 
-        self.figure = Figure(
+        self.figure = StickFigure(
             points,
             world.duration,
             world.motion.frame_time,
@@ -333,12 +333,12 @@ def video_frames(artists: Sequence[Artist], rate: float, longest: float) -> Iter
         yield np.concatenate(images, axis=1)
 
 
-def frame_count(figure: Figure, rate: float, longest: float) -> int:
+def frame_count(figure: StickFigure, rate: float, longest: float) -> int:
     """How many frames a video has."""
     return max(1, int(min(figure.seconds, longest) * rate + 1e-6))
 
 
-def _label(image: Image, figure: Figure, frame: int) -> None:
+def _label(image: Image, figure: StickFigure, frame: int) -> None:
     text = f"{frame * figure.frame_time:.2f} s, frame {frame}"
     cv2.putText(image, text, (8, 16), cv2.FONT_HERSHEY_SIMPLEX, 0.38, _INK, 1, cv2.LINE_AA)
 

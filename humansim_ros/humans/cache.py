@@ -15,7 +15,7 @@ from humansim_ros.humans.human import Human, read_human, write_human
 from humansim_ros.resources import resource_path
 
 #: Humans that are kept; of more the longest unused go.
-MOST_HUMANS = 100
+MAX_HUMANS = 100
 
 
 def cache_folder() -> Path | None:
@@ -72,7 +72,7 @@ def _named(human: Human, name: str) -> Human:
 
 def _forget_oldest(folder: Path) -> None:
     files = sorted(folder.glob("*.npz"), key=lambda file: file.stat().st_mtime)
-    for file in files[:-MOST_HUMANS]:
+    for file in files[:-MAX_HUMANS]:
         file.unlink(missing_ok=True)
 
 

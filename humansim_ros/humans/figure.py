@@ -13,10 +13,10 @@ from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.body.weights import limit_bones
 from humansim_ros.errors import MeshError, MotionError, warn_of
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.skinned import Figure
+from humansim_ros.mesh.skinned import SkinnedMesh
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_tables import JointMatch
-from humansim_ros.motion.world_motion import understand
+from humansim_ros.motion.world_motion import detect_file_frame
 from humansim_ros.rotations import Array
 
 #: Statures (metres) of people, a baby's to a giant's: a figure that is no such size is in another unit.
@@ -25,8 +25,8 @@ PLAUSIBLE_STATURE = (0.4, 2.6)
 _STUB = 0.03
 
 
-def adopt(
-    figure: Figure, unit: float | None = None, up: str | None = None, facing: str | None = None
+def to_body_space(
+    figure: SkinnedMesh, unit: float | None = None, up: str | None = None, facing: str | None = None
 ) -> tuple[Mesh, Skeleton, csr_matrix]:
     """A figure in body space (metres, y up, facing +z, soles at height 0), its skeleton, its weights (V, B).
 
@@ -37,7 +37,7 @@ def adopt(
     rest = figure.at_rest()
     try:
         match = match_motion(rest)
-        frame = understand(rest, match, unit, up, facing)
+        frame = detect_file_frame(rest, match, unit, up, facing)
     except MotionError as error:
         raise MeshError(f"its skeleton is no person's: {error.message}") from None
     if frame.rest_from_body.ndim != 2:
@@ -74,7 +74,7 @@ def own_joints(match: JointMatch) -> dict[str, int]:
 
 
 def _skeleton(
-    figure: Figure, match: JointMatch, joints: Array, vertices: Array
+    figure: SkinnedMesh, match: JointMatch, joints: Array, vertices: Array
 ) -> tuple[Skeleton, list[int]]:
     """The figure's skeleton under our names, and the bone of each of its joints."""
     general = hanim_skeleton()
@@ -130,7 +130,7 @@ def _skeleton(
 
 
 def _tails(
-    figure: Figure,
+    figure: SkinnedMesh,
     match: JointMatch,
     names: list[str],
     parents: list[str | None],

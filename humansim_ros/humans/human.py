@@ -15,7 +15,7 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.body.rigging import triangle_parts
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.body.skinning import Skinner, make_skinner, normalise_weights
+from humansim_ros.body.skinning import SkinningFunction, make_skinner, normalise_weights
 from humansim_ros.errors import MeshError
 from humansim_ros.io.images import decode_image
 from humansim_ros.io.npz import read_npz, write_npz
@@ -88,7 +88,7 @@ class Human:
         return triangle_parts(self.mesh.triangles, self.weights) + np.uint8(1)
 
     @cached_property
-    def skinner(self) -> Skinner:
+    def skinner(self) -> SkinningFunction:
         """The skinning function of this body, single precision."""
         return make_skinner(self.skinning, self.mesh.vertices, self.weights)
 
@@ -98,7 +98,7 @@ class Human:
 
 
 #: Most bones of a human: their number is a label of 8 bits.
-MOST_BONES = 255
+MAX_BONES = 255
 _SKELETON = ("bone_names", "bone_parents", "bone_heads", "bone_tails", "bone_rolls")
 _NEEDED = ("vertices", "faces", *_SKELETON, "weight_bones", "weight_values")
 
@@ -173,8 +173,8 @@ def human_of_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
         tails=arrays["bone_tails"].astype(float),
         rolls=arrays["bone_rolls"].astype(float),
     )
-    if len(skeleton) > MOST_BONES:
-        raise MeshError(f"{len(skeleton)} bones; at most {MOST_BONES}", key="bone_names")
+    if len(skeleton) > MAX_BONES:
+        raise MeshError(f"{len(skeleton)} bones; at most {MAX_BONES}", key="bone_names")
     bones, values = arrays["weight_bones"].astype(int), arrays["weight_values"].astype(float)
     if (
         bones.ndim != 2

@@ -19,8 +19,8 @@ from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.cache import content_key, kept
 from humansim_ros.humans.description import DRESSED, Clothes, MeshHuman, ParametricHuman, read_description
-from humansim_ros.humans.figure import adopt
-from humansim_ros.humans.human import MOST_BONES, Human, Skinning, human_of_arrays, read_human
+from humansim_ros.humans.figure import to_body_space
+from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_of_arrays, read_human
 from humansim_ros.humans.makehuman.building import build
 from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
@@ -30,7 +30,7 @@ from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_mesh import read_gltf_mesh
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.obj import material_files, read_mesh
-from humansim_ros.mesh.skinned import Figure
+from humansim_ros.mesh.skinned import SkinnedMesh
 
 #: Files that a human is loaded from.
 SUFFIXES = (".npz", ".yaml", ".yml", ".obj", ".gltf", ".glb")
@@ -62,21 +62,21 @@ def make_human(path: str | os.PathLike[str], options: MeshHuman | None = None) -
     """A human made of a mesh, figure or SMPL model, without the cache. Raises MeshError."""
     options = options or MeshHuman()
     suffix = Path(path).suffix.lower()
-    made: Mesh | Figure
+    made: Mesh | SkinnedMesh
     if suffix == ".npz":
         made = read_smpl(path, options.betas)
     elif suffix in _GLTF:
         made = read_gltf_mesh(path)
     else:
         made = read_mesh(path)
-    if isinstance(made, Figure):
-        mesh, skeleton, weights = adopt(made, options.unit, options.up, options.facing)
+    if isinstance(made, SkinnedMesh):
+        mesh, skeleton, weights = to_body_space(made, options.unit, options.up, options.facing)
         if options.stature is not None:
             mesh, skeleton = _resized(mesh, skeleton, options.stature)
     else:
         mesh, skeleton, weights = _rigged(made, options)
-    if len(skeleton) > MOST_BONES:
-        raise MeshError(f"{len(skeleton)} bones; at most {MOST_BONES}", path=path)
+    if len(skeleton) > MAX_BONES:
+        raise MeshError(f"{len(skeleton)} bones; at most {MAX_BONES}", path=path)
     human = Human(Path(path).stem, mesh, skeleton, weights, skinning=options.skinning or "linear")
     looks = _looks(human, options.outfits, Path(path))
     return replace(human, looks=looks).wearing(next(iter(looks)))

@@ -20,7 +20,7 @@ from humansim_ros.body.weights import limit_bones
 from humansim_ros.errors import MeshError
 from humansim_ros.io.npz import read_npz
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.skinned import Figure
+from humansim_ros.mesh.skinned import SkinnedMesh
 
 _WANTED = ("v_template", "f", "weights", "kintree_table", "J_regressor", "J", "shapedirs", "vt", "ft")
 _BODY = (
@@ -47,7 +47,7 @@ def is_smpl(names: Sequence[str]) -> bool:
     return {"v_template", "kintree_table", "weights"} <= set(names)
 
 
-def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Figure:
+def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> SkinnedMesh:
     """A model's body at rest with the shape ``betas``. Raises MeshError naming the file and the array."""
     arrays = read_npz(path, MeshError, "SMPL", _WANTED)
 
@@ -102,4 +102,4 @@ def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Figu
         limited = limit_bones(normalise_weights(csr_matrix(weights)))
     except MeshError as error:
         raise MeshError(error.message, path=path, key="weights") from None
-    return Figure(Path(path).stem, mesh, _NAMES[n], parents, joints.astype(float), limited)
+    return SkinnedMesh(Path(path).stem, mesh, _NAMES[n], parents, joints.astype(float), limited)

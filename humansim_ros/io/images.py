@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from humansim_ros.errors import MeshError
 
 #: Pixels of the largest image that is decoded: 8192 x 8192.
-MOST_PIXELS = 1 << 26
+MAX_PIXELS = 1 << 26
 
 
 def decode_image(encoded: NDArray[np.uint8] | bytes) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 sRGB of a PNG or JPEG file. MeshError where it is none, or larger than MOST_PIXELS."""
+    """(H, W, 3) uint8 sRGB of a PNG or JPEG file. MeshError where it is none, or larger than MAX_PIXELS."""
     data = bytes(encoded)
     size = stated_size(data)
     if size is None:
         raise MeshError("the texture is no PNG or JPEG image")
-    if not 0 < size[0] * size[1] <= MOST_PIXELS:
+    if not 0 < size[0] * size[1] <= MAX_PIXELS:
         raise MeshError(f"a texture of {size[0]} x {size[1]} pixels is too large; at most 8192 x 8192")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)

@@ -17,7 +17,7 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.io.files import atomic_path, read_bytes
 
 #: Bytes of all arrays together that are read from one file.
-MOST_BYTES = 1 << 30
+MAX_BYTES = 1 << 30
 
 
 def read_npz(
@@ -29,13 +29,13 @@ def read_npz(
     """Arrays of an archive by name; only those ``wanted``, if given, are unpacked; others may be anything.
 
     Raises ``error`` with the file and the array where something is no archive, damaged, holds pickled
-    objects, or is larger than MOST_BYTES.
+    objects, or is larger than MAX_BYTES.
     """
     data = read_bytes(path, error, what)
     if not data.startswith(b"PK"):
         raise error(f"not a {what} file: it is no .npz archive", path=path)
     arrays: dict[str, NDArray[Any]] = {}
-    room = MOST_BYTES
+    room = MAX_BYTES
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for entry in archive.infolist():
@@ -43,7 +43,7 @@ def read_npz(
                 if name == entry.filename or (wanted is not None and name not in wanted):
                     continue
                 if entry.file_size > room:
-                    raise error(f"it unpacks to more than {MOST_BYTES >> 20} MB", path=path, key=name)
+                    raise error(f"it unpacks to more than {MAX_BYTES >> 20} MB", path=path, key=name)
                 room -= entry.file_size
                 with archive.open(entry) as member:
                     content = member.read(entry.file_size + 1)

@@ -15,11 +15,11 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 #: Bytes of a file; megabytes take PyYAML many seconds.
-_MOST_BYTES = 1 << 20
+_MAX_BYTES = 1 << 20
 #: Keys and values, those that aliases and merge keys repeat counted each time; a scene of a thousand people
 #: has 40,000.
-_MOST_NODES = 100_000
-_MOST_DEPTH = 50
+_MAX_NODES = 100_000
+_MAX_DEPTH = 50
 #: Characters of a number or date. PyYAML takes 1:1:1:1 … for one number, and more time the longer it is.
 _LONGEST_NUMBER = 1000
 _TEXT = "tag:yaml.org,2002:str"
@@ -61,11 +61,11 @@ class Loader(yaml.SafeLoader):
         return node
 
     def _check(self, event: yaml.Event) -> None:
-        if self._nodes > _MOST_NODES:
+        if self._nodes > _MAX_NODES:
             why = f"*{event.anchor} repeats more than" if isinstance(event, yaml.AliasEvent) else "more than"
-            self._refuse(f"{why} {_MOST_NODES} keys and values can be", event)
-        if self._deepest > _MOST_DEPTH:
-            self._refuse(f"this is nested too deeply, more than {_MOST_DEPTH} levels", event)
+            self._refuse(f"{why} {_MAX_NODES} keys and values can be", event)
+        if self._deepest > _MAX_DEPTH:
+            self._refuse(f"this is nested too deeply, more than {_MAX_DEPTH} levels", event)
 
     def _refuse(self, why: str, event: yaml.Event) -> None:
         mark: Any = event.start_mark
@@ -78,7 +78,7 @@ def read_yaml(
     """The data of a YAML file (``what`` it is: "scene") and its nodes, as :func:`parse_yaml`; ``error`` names
     the path and the reason.
     """
-    return parse_yaml(read_text(path, error, what, _MOST_BYTES), error, path)
+    return parse_yaml(read_text(path, error, what, _MAX_BYTES), error, path)
 
 
 def parse_yaml(

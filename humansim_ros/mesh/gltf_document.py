@@ -29,7 +29,7 @@ from humansim_ros.io.files import inside, read_bytes
 from humansim_ros.rotations import Array, quaternion_to_matrix
 
 #: Numbers that a file may hold in all, and bytes of a file; beyond is no human.
-MOST_VALUES, MOST_BYTES = 100_000_000, 1 << 30
+MAX_VALUES, MAX_BYTES = 100_000_000, 1 << 30
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu")
@@ -136,7 +136,7 @@ class _Pbr(_Part):
     metallicRoughnessTexture: TextureInfo | None = None
 
 
-class Material(_Part):
+class GltfMaterial(_Part):
     """How a surface looks; colours are linear factors."""
 
     name: str = ""
@@ -203,7 +203,7 @@ class _Document(_Part):
     meshes: tuple[GltfMesh, ...] = ()
     skins: tuple[Skin, ...] = ()
     nodes: tuple[Node, ...] = ()
-    materials: tuple[Material, ...] = ()
+    materials: tuple[GltfMaterial, ...] = ()
     textures: tuple[_Texture, ...] = ()
     samplers: tuple[_Wrap, ...] = ()
     images: tuple[_Image, ...] = ()
@@ -222,7 +222,7 @@ class Gltf:
     def read(cls, path: str | os.PathLike[str]) -> Gltf:
         """Read a .gltf or .glb file; which it is, its first bytes say."""
         data = read_bytes(path, MeshError, "glTF")
-        if len(data) > MOST_BYTES:
+        if len(data) > MAX_BYTES:
             raise MeshError(f"{len(data) >> 20} MB are too much for a human", path=path)
         text, embedded = _glb_chunks(data, path) if data[:4] == b"glTF" else (data, None)
         try:
@@ -339,7 +339,7 @@ class Gltf:
         if accessor.type not in kinds:
             raise self._error(f"{what} must be {' or '.join(kinds)}, not {accessor.type}", key)
         width = _WIDTHS[accessor.type]
-        if accessor.count * width > MOST_VALUES:
+        if accessor.count * width > MAX_VALUES:
             raise self._error(f"{accessor.count} values are promised: too many for a human", key)
         dtype = np.dtype(_TYPES[accessor.componentType])
         if accessor.bufferView is None:
@@ -394,10 +394,10 @@ class Gltf:
         wrap = self._item(self.document.samplers, sampler, f"samplers.{sampler}")
         return wrap.wrapS, wrap.wrapT
 
-    def material(self, number: int | None) -> Material:
+    def material(self, number: int | None) -> GltfMaterial:
         """A material; the default one for None."""
         if number is None:
-            return Material()
+            return GltfMaterial()
         return self._item(self.document.materials, number, f"materials.{number}")
 
     def mesh(self, number: int) -> GltfMesh:
@@ -501,7 +501,7 @@ class Gltf:
         if target is None:
             raise self._error(f"{uri[:60]!r} lies outside the folder of the file: refused", key)
         try:
-            if target.stat().st_size > MOST_BYTES:
+            if target.stat().st_size > MAX_BYTES:
                 raise self._error(f"{uri[:60]!r} is too large", key)
             return target.read_bytes()
         except OSError as reason:

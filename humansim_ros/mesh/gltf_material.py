@@ -6,14 +6,14 @@ import numpy as np
 
 from humansim_ros.errors import MeshError, warn_of
 from humansim_ros.io.images import decode_alpha, decode_image
-from humansim_ros.mesh.gltf_document import Gltf, Material, TextureInfo
-from humansim_ros.mesh.material import Finish, Image
+from humansim_ros.mesh.gltf_document import Gltf, GltfMaterial, TextureInfo
+from humansim_ros.mesh.material import Image, Material
 
 _REPEATED, _MIRRORED = 10497, 33648
 _STRENGTH = "KHR_materials_emissive_strength"
 
 
-def read_finish(gltf: Gltf, number: int | None, laid: bool) -> Finish:
+def read_material(gltf: Gltf, number: int | None, laid: bool) -> Material:
     """The material of a number; the default one for None. ``laid``: there are coordinates for its textures.
 
     MeshError where an image is wrong.
@@ -45,24 +45,24 @@ def read_finish(gltf: Gltf, number: int | None, laid: bool) -> Finish:
     for doubt in doubts:
         warn_of(gltf.path, f"material {material.name or number!r}: {doubt}: it is not shown")
     wraps = (_REPEATED, _REPEATED) if leading is None else gltf.wraps(leading.index)
-    glow = float(_number(material.extensions.get(_STRENGTH), "emissiveStrength", 1.0))
-    red, green, blue = np.maximum(np.array(material.emissiveFactor) * glow, 0.0).tolist()
+    emissive_strength = float(_number(material.extensions.get(_STRENGTH), "emissiveStrength", 1.0))
+    red, green, blue = np.maximum(np.array(material.emissiveFactor) * emissive_strength, 0.0).tolist()
     if material.emissiveTexture is not None and "emission" not in images:
         red = green = blue = 0.0
-    return Finish(
+    return Material(
         metallic=_share(pbr.metallicFactor),
         roughness=_share(pbr.roughnessFactor),
         metal_rough=images.get("metal and roughness"),
         normals=images.get("normal map"),
-        bump=1.0 if material.normalTexture is None else material.normalTexture.scale,
+        normal_scale=1.0 if material.normalTexture is None else material.normalTexture.scale,
         emission=(red, green, blue),
-        glow=images.get("emission"),
+        emissive_map=images.get("emission"),
         alpha={"MASK": "mask", "BLEND": "blend"}.get(material.alphaMode, "opaque"),  # type: ignore[arg-type]
         cutoff=material.alphaCutoff,
         opacity=_share(pbr.baseColorFactor[3]),
-        cut=cut,
-        both_sides=material.doubleSided,
-        repeats=(wraps[0] != 33071, wraps[1] != 33071),
+        alpha_map=cut,
+        double_sided=material.doubleSided,
+        wrap=(wraps[0] != 33071, wraps[1] != 33071),
     )
 
 
@@ -77,7 +77,7 @@ def read_image(gltf: Gltf, info: TextureInfo) -> Image | None:
         raise MeshError(error.message, path=gltf.path, key=error.key or f"images.{source}") from None
 
 
-def _doubts(gltf: Gltf, material: Material, leading: TextureInfo | None) -> list[str]:
+def _doubts(gltf: Gltf, material: GltfMaterial, leading: TextureInfo | None) -> list[str]:
     """What a material says that is not shown."""
     doubts = [f"extension {name!r}" for name in material.extensions if name != _STRENGTH]
     if material.occlusionTexture is not None:

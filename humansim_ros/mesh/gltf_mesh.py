@@ -13,13 +13,13 @@ from humansim_ros.body.skinning import normalise_weights
 from humansim_ros.errors import MeshError, warn_of
 from humansim_ros.mesh.atlas import PLAIN, plain_tile, textured
 from humansim_ros.mesh.gltf_document import Gltf, Primitive
-from humansim_ros.mesh.gltf_material import read_finish, read_image
+from humansim_ros.mesh.gltf_material import read_image, read_material
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.mesh.mesh import Indices, Mesh
-from humansim_ros.mesh.skinned import Figure
+from humansim_ros.mesh.skinned import SkinnedMesh
 from humansim_ros.rotations import Array
 
-_MOST_VERTICES = 5_000_000
+_MAX_VERTICES = 5_000_000
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class _Piece:
     colors: Array | None
 
 
-def read_gltf_mesh(path: str | os.PathLike[str]) -> Mesh | Figure:
+def read_gltf_mesh(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
     """A figure with its own skeleton, or the bare surface where the file has no skin. MeshError otherwise."""
     gltf = Gltf.read(path)
     skeleton = GltfSkeleton.of(gltf)
@@ -44,13 +44,13 @@ def read_gltf_mesh(path: str | os.PathLike[str]) -> Mesh | Figure:
     if not pieces:
         raise MeshError("the file has no triangles", path=path)
     total = sum(len(piece.vertices) for piece in pieces)
-    if total > _MOST_VERTICES:
+    if total > _MAX_VERTICES:
         raise MeshError(f"{total} vertices are too many", path=path)
     mesh = _one_mesh(gltf, pieces)
     if skeleton is None:
         return mesh
     weights = vstack([piece.weights for piece in pieces], format="csr")
-    return Figure(
+    return SkinnedMesh(
         gltf.path.stem,
         mesh,
         skeleton.names,
@@ -68,8 +68,8 @@ def read_gltf_surfaces(path: str | os.PathLike[str]) -> list[Mesh]:
     pieces = [piece for number in gltf.order for piece in _pieces(gltf, int(number), None)]
     if not pieces:
         raise MeshError("the file has no triangles", path=path)
-    if sum(len(piece.vertices) for piece in pieces) > _MOST_VERTICES:
-        raise MeshError(f"more than {_MOST_VERTICES} vertices are too many", path=path)
+    if sum(len(piece.vertices) for piece in pieces) > _MAX_VERTICES:
+        raise MeshError(f"more than {_MAX_VERTICES} vertices are too many", path=path)
     materials = dict.fromkeys((piece.material, piece.uv is not None) for piece in pieces)
     return [
         _one_surface(gltf, [p for p in pieces if (p.material, p.uv is not None) == kind])
@@ -85,14 +85,14 @@ def _one_surface(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     faces: Indices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
     texture = _tile(gltf, pieces[0].material)
     coordinates = [piece.uv for piece in pieces if piece.uv is not None]
-    finish = read_finish(gltf, pieces[0].material, laid=bool(coordinates))
+    finish = read_material(gltf, pieces[0].material, laid=bool(coordinates))
     painted = np.concatenate([np.ones_like(p.vertices) if p.colors is None else p.colors for p in pieces])
     if not coordinates:  # of a texture that nothing says how to lay on, its mean is left
         painted = _srgb(painted) * texture.reshape(-1, 3).mean(axis=0)
-        return Mesh(vertices, faces, colors=np.rint(painted).astype(np.uint8), finish=finish)
+        return Mesh(vertices, faces, colors=np.rint(painted).astype(np.uint8), material=finish)
     uv = np.concatenate(coordinates) * [1, -1] + [0, 1]
     colors = None if (painted == 1).all() else np.rint(255 * _srgb(painted)).astype(np.uint8)
-    return Mesh(vertices, faces, uv, faces, colors, texture, finish=finish)
+    return Mesh(vertices, faces, uv, faces, colors, texture, material=finish)
 
 
 def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> list[_Piece]:

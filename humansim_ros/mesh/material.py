@@ -14,35 +14,35 @@ Image = NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
-class Finish:
-    """How a mesh answers light. Images lie on it as its texture does, first row on top, of any size.
+class Material:
+    """A glTF 2.0 metallic-roughness material. Its images use the texture coordinates of the mesh.
 
-    ``metallic``, ``roughness``: 0 to 1, times green (roughness) and blue (metallic) of ``metal_rough``
-    (H, W, 3). ``mirrors``: (3,) what a surface that is no metal throws back straight on, linear. ``normals``:
-    (H, W, 3) normal map, +y up in the image, its x and y times ``bump``. ``emission``: linear light of its
-    own, times ``glow`` (H, W, 3), sRGB. ``alpha``: opaque; mask, which leaves out what is less opaque than
-    ``cutoff``; blend. How opaque it is: ``opacity``, times ``cut`` (H, W). ``both_sides``: its back is seen.
-    ``repeats``: whether images go on to the right and left, and up and down.
+    ``metallic``, ``roughness``: 0 to 1; multiplied by the blue and green channels of ``metal_rough``
+    (H, W, 3). ``specular``: (3,) linear reflectance at normal incidence (F0) of non-metals. ``normals``:
+    (H, W, 3) normal map, +y up in the image; its x and y are multiplied by ``normal_scale``. ``emission``:
+    (3,) emitted linear light, multiplied by ``emissive_map`` (H, W, 3), sRGB. ``alpha``: ``mask`` discards
+    pixels less opaque than ``cutoff``. ``opacity`` is multiplied by ``alpha_map`` (H, W). ``double_sided``:
+    back faces are visible. ``wrap``: whether images repeat along u and v.
     """
 
     metallic: float = 0.0
     roughness: float = 1.0
     metal_rough: Image | None = None
-    mirrors: tuple[float, float, float] = (0.04, 0.04, 0.04)
+    specular: tuple[float, float, float] = (0.04, 0.04, 0.04)
     normals: Image | None = None
-    bump: float = 1.0
+    normal_scale: float = 1.0
     emission: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    glow: Image | None = None
+    emissive_map: Image | None = None
     alpha: Literal["opaque", "mask", "blend"] = "opaque"
     cutoff: float = 0.5
     opacity: float = 1.0
-    cut: Image | None = None
-    both_sides: bool = True
-    repeats: tuple[bool, bool] = (True, True)
+    alpha_map: Image | None = None
+    double_sided: bool = True
+    wrap: tuple[bool, bool] = (True, True)
 
 
 def normals_of_heights(heights: Image, strength: float) -> Image:
-    """A normal map (H, W, 3) of a map of heights (H, W), ``strength`` texels high at 255; it repeats."""
+    """A normal map (H, W, 3) of a map of heights (H, W), ``strength`` texels high at 255; it wrap."""
     height = heights.astype(np.float32) * (strength / 255)
     x = (np.roll(height, 1, axis=1) - np.roll(height, -1, axis=1)) / 2
     y = (np.roll(height, -1, axis=0) - np.roll(height, 1, axis=0)) / 2
@@ -51,18 +51,18 @@ def normals_of_heights(heights: Image, strength: float) -> Image:
     return np.asarray(np.rint(127.5 * (normal + 1)), dtype=np.uint8)
 
 
-def without_maps(finish: Finish | None, path: str, name: str) -> Finish | None:
-    """What is left of a finish where nothing says how its images lie; what is not is told."""
-    if finish is None:
+def without_maps(material: Material | None, path: str, name: str) -> Material | None:
+    """What is left of a material where nothing says how its images lie; what is not is told."""
+    if material is None:
         return None
     images = {
         "metal_rough": "metal and roughness",
         "normals": "normal map",
-        "glow": "emission",
-        "cut": "cut-out",
+        "emissive_map": "emission",
+        "alpha_map": "alpha_map-out",
     }
-    lost = [what for key, what in images.items() if getattr(finish, key) is not None]
+    lost = [what for key, what in images.items() if getattr(material, key) is not None]
     for what in lost:
         warn_of(path, f"material {name!r}: its {what} has no texture coordinates to lie on: it is not shown")
-    dark = (0.0, 0.0, 0.0) if finish.glow is not None else finish.emission
-    return replace(finish, metal_rough=None, normals=None, glow=None, cut=None, emission=dark)
+    dark = (0.0, 0.0, 0.0) if material.emissive_map is not None else material.emission
+    return replace(material, metal_rough=None, normals=None, emissive_map=None, alpha_map=None, emission=dark)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
-from humansim_ros.mesh.material import Finish
+from humansim_ros.mesh.material import Material
 from humansim_ros.rotations import Array
 
 Indices = NDArray[np.int32]
@@ -34,7 +34,7 @@ class Mesh:
     colors: NDArray[np.uint8] | None = None
     texture: NDArray[np.uint8] | None = None
     skin: NDArray[np.uint8] | None = None
-    finish: Finish | None = None
+    material: Material | None = None
 
     def __post_init__(self) -> None:
         if self.vertices.ndim != 2 or self.vertices.shape[1] != 3 or len(self.vertices) == 0:

@@ -12,7 +12,7 @@ from humansim_ros.errors import MeshError, warn_of
 from humansim_ros.io.files import inside, read_bytes, read_text
 from humansim_ros.io.images import decode_alpha, decode_image
 from humansim_ros.mesh.atlas import plain_tile
-from humansim_ros.mesh.material import Finish, Image, normals_of_heights
+from humansim_ros.mesh.material import Image, Material, normals_of_heights
 from humansim_ros.rotations import Array
 
 #: What a material says: by keyword the line and the words after it; of each keyword the last.
@@ -44,7 +44,7 @@ def tile_of(path: Path, name: str, said: Statements) -> Image:
     return plain_tile(_three(path, said, "Kd", 0.8))
 
 
-def finish_of(path: Path, name: str, said: Statements) -> Finish | None:
+def material_of(path: Path, name: str, said: Statements) -> Material | None:
     """How a material answers light besides its colour; None if it is matt. What is not shown is told."""
     doubts = [keyword for keyword in _NOT_SHOWN if keyword in said]
     maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_BUMPS) if key in said]
@@ -66,16 +66,16 @@ def finish_of(path: Path, name: str, said: Statements) -> Finish | None:
         return None
     red, green, blue = np.clip(gloss, 0, 1).tolist()
     own_red, own_green, own_blue = np.clip(emission, 0, 1e4).tolist()
-    return Finish(
+    return Material(
         metallic=min(max(metallic, 0.0), 1.0),
         roughness=min(max(roughness, 0.0), 1.0),
-        mirrors=(red, green, blue),
+        specular=(red, green, blue),
         normals=normals,
         emission=(own_red, own_green, own_blue),
-        glow=glow,
+        emissive_map=glow,
         alpha="blend" if opacity < 1 else "opaque" if cut is None else "mask",
         opacity=min(max(opacity, 0.0), 1.0),
-        cut=cut,
+        alpha_map=cut,
     )
 
 

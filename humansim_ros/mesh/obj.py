@@ -13,7 +13,7 @@ from humansim_ros.io.files import inside, read_text
 from humansim_ros.mesh.atlas import PLAIN, plain_tile, textured
 from humansim_ros.mesh.material import without_maps
 from humansim_ros.mesh.mesh import Indices, Mesh
-from humansim_ros.mesh.mtl import Statements, finish_of, numbers, read_mtl, tile_of
+from humansim_ros.mesh.mtl import Statements, material_of, numbers, read_mtl, tile_of
 from humansim_ros.rotations import Array
 
 
@@ -76,7 +76,7 @@ class _Obj:
     def surfaces(self) -> list[Mesh]:
         materials = _known_materials(self.libraries, self.path)
         tiles = {name: tile_of(*material) for name, material in materials.items()}
-        finishes = {name: finish_of(*material) for name, material in materials.items()}
+        finishes = {name: material_of(*material) for name, material in materials.items()}
         laid = [bool(has) for has in self.uv_faces[:, :3].min(axis=1) >= 0]
         numbers: dict[tuple[str, bool], int] = {}
         number = np.array(
@@ -92,11 +92,11 @@ class _Obj:
             vertices = self.points[used[first:]]
             if has:
                 laid_on = self.uv, self.uv_faces[chosen]
-                made.append(Mesh(vertices, faces, *laid_on, texture=tile, finish=finishes.get(name)))
+                made.append(Mesh(vertices, faces, *laid_on, texture=tile, material=finishes.get(name)))
                 continue
             color = tile.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
             finish = without_maps(finishes.get(name), self.path, name)
-            made.append(Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1)), finish=finish))
+            made.append(Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1)), material=finish))
         return made
 
 

@@ -14,7 +14,7 @@ from humansim_ros.rotations import Array
 
 
 @dataclass(frozen=True)
-class Figure:
+class SkinnedMesh:
     """A skinned figure in the space of its file, as it was bound to its skeleton.
 
     ``joint_names``: J names. ``parents``: (J,), parents first, -1 for a root. ``joints``: (J, 3).

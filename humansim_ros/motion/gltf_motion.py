@@ -18,9 +18,9 @@ from humansim_ros.rotations import Array
 #: Rotation channels of the motion; frames per second that it has at least, and where keys have no rhythm.
 _ORDER, _RATE = "ZXY", 60.0
 #: Most frames of an animation, and how many are worked out at once.
-_MOST_FRAMES, _BLOCK = 100_000, 256
+_MAX_FRAMES, _BLOCK = 100_000, 256
 #: Poses of joints that an animation may have, over all frames: some hundred megabytes.
-_MOST_POSES = 1_000_000
+_MAX_POSES = 1_000_000
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 #: Share of the skeleton's size that a joint may leave its place by before it gets position channels.
 _MOVES = 1e-6
@@ -68,7 +68,7 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
     if not tracks:
         raise MotionError("the animation moves nothing", path=gltf.path)
     times, frame_time = _frame_times(gltf, tracks)
-    if len(times) * len(skeleton.names) > _MOST_POSES:
+    if len(times) * len(skeleton.names) > _MAX_POSES:
         raise MotionError(f"{len(times)} frames of {len(skeleton.names)} joints are too many", path=gltf.path)
     turns, places = [], []
     into = np.linalg.inv(skeleton.space)
@@ -137,7 +137,7 @@ def _frame_times(gltf: Gltf, tracks: dict[tuple[int, str], tuple[Array, Array, s
         step = 1 / _RATE
     step /= np.ceil(step * _RATE - 0.01)  # few keys: what lies between them is worked out here
     count = int(np.rint((end - start) / step)) + 1
-    if count > _MOST_FRAMES:
+    if count > _MAX_FRAMES:
         raise MotionError(f"{count} frames are too many", path=gltf.path, key="animations")
     # so that the last frame is the last key
     step = (end - start) / (count - 1) if count > 1 else step

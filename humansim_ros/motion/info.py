@@ -21,13 +21,19 @@ from humansim_ros.motion.joint_tables import JointMatch
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world_motion import JointPoses, WorldMotion, axis_vector, floor_height, understand
+from humansim_ros.motion.world_motion import (
+    JointPoses,
+    WorldMotion,
+    axis_vector,
+    detect_file_frame,
+    floor_height,
+)
 from humansim_ros.rotations import Array, quaternion_to_matrix
 
 #: Frames, all over the motion, that are looked at for where it is; more would tell the same.
 _SAMPLES = 2000
 #: Frames, one after the other from the first, that feet, limits and limbs are looked at in.
-_MOST_CHECKED = 4000
+_MAX_CHECKED = 4000
 #: Headings of which this little is left when they are averaged have no common direction.
 _COMMON = 0.3
 
@@ -121,7 +127,7 @@ def world_of(
 ) -> WorldMotion:
     """A motion in the world, by what is found or said. ``options``: those of :class:`WorldMotion`."""
     match = match_motion(motion, table)
-    frame = understand(motion, match, unit, up, facing)
+    frame = detect_file_frame(motion, match, unit, up, facing)
     return WorldMotion(motion, match, frame, **{"loop": "none", **options})
 
 
@@ -243,7 +249,7 @@ def _floor(world: WorldMotion) -> float:
 
 def _checked(world: WorldMotion, retargeter: Retargeter) -> dict[str, Any]:
     """What is right or wrong with it on a skeleton."""
-    times = world.frame_times[:_MOST_CHECKED]
+    times = world.frame_times[:_MAX_CHECKED]
     poses = world.sample(times)
     posed = retargeter.pose(poses)
     rotations, _ = retargeter.apply(poses)

@@ -34,9 +34,9 @@ SPACE_JOINTS = ("keyframes", "keyframes_end")
 
 _DEFAULT_RATE = 30.0
 #: Larger files are refused before they are read.
-_MOST_BYTES = 64 * 2**20
+_MAX_BYTES = 64 * 2**20
 #: Frame numbers, metres and degrees beyond these are mistakes.
-_MOST_FRAMES, _MOST = 10**9, 1e6
+_MAX_FRAMES, _MAX = 10**9, 1e6
 _SMALLEST_SIZE = 1e-6
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 #: What XML 1.0 cannot hold, escaped or not.
@@ -58,7 +58,7 @@ _SCHEMA: dict[tuple[str, ...], tuple[tuple[str, ...], tuple[str, ...]]] = {
 
 
 @dataclass(frozen=True)
-class Place:
+class KeyframePose:
     """Where things are at some instants (...): ``position`` (..., 3) in ``map``, metres; ``rotation``
     (..., 3), degrees about x, y and z; ``size`` (..., 3), factors along the thing's own x, y and z.
     """
@@ -75,7 +75,7 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Clock:
+class KeyframeTimeline:
     """Frames ``start`` to ``end`` at ``rate`` per second; ``start`` is at second 0 of the scene.
 
     ``loop`` "none" holds the ends, "repeat" starts over at ``end``.
@@ -106,10 +106,10 @@ class Clock:
 @dataclass(frozen=True)
 class Track:
     """The keys of one object: ``frames`` (K,) rising whole numbers; ``positions``, ``rotations``, ``sizes``
-    (K, 3) as in :class:`Place`. Raises MotionError where they are impossible.
+    (K, 3) as in :class:`KeyframePose`. Raises MotionError where they are impossible.
     """
 
-    clock: Clock
+    clock: KeyframeTimeline
     frames: Array
     positions: Array
     rotations: Array
@@ -128,14 +128,14 @@ class Track:
         if not (self.sizes > 0).all():
             raise MotionError("a size must be above 0")
 
-    def at(self, seconds: ArrayLike) -> Place:
+    def at(self, seconds: ArrayLike) -> KeyframePose:
         """Where it is at times (...), seconds of the scene: linear in position, angles and size between
         keys, held before the first and after the last.
         """
         times = np.asarray(seconds, dtype=float)
         return self._place(self.clock.frames(times, self.clock.rounds(times)))
 
-    def around(self, seconds: float, step: float = VELOCITY_STEP) -> tuple[Array, Place]:
+    def around(self, seconds: float, step: float = VELOCITY_STEP) -> tuple[Array, KeyframePose]:
         """Three times (3,), a step before, at, and a step after ``seconds``, and where it is then.
 
         Where the animation jumps back to its start, they reach no farther.
@@ -174,13 +174,13 @@ class Track:
         names = (*poses.names, *SPACE_JOINTS)
         return JointPoses(names, positions[1:2], rotations[1:2], linear, angular)
 
-    def _place(self, frames: Array) -> Place:
+    def _place(self, frames: Array) -> KeyframePose:
         last = len(self.frames) - 1
         after = np.clip(np.searchsorted(self.frames, frames, side="right"), 0, last)
         before = np.maximum(after - 1, 0)
         span = np.where(after > before, self.frames[after] - self.frames[before], 1.0)
         part = np.clip((frames - self.frames[before]) / span, 0.0, 1.0)[..., None]
-        return Place(
+        return KeyframePose(
             *(
                 (1 - part) * values[before] + part * values[after]
                 for values in (self.positions, self.rotations, self.sizes)
@@ -208,7 +208,7 @@ class Space:
         return carried
 
 
-def take_back(poses: JointPoses) -> tuple[JointPoses, Space | None]:
+def undo_keyframes(poses: JointPoses) -> tuple[JointPoses, Space | None]:
     """What :meth:`Track.carry` made of joints (N instants): as they were, without velocities, and where they
     had been put. Joints that no keyframes have moved are given back as they are, with None.
 
@@ -232,7 +232,7 @@ def take_back(poses: JointPoses) -> tuple[JointPoses, Space | None]:
 class Keyframes:
     """A keyframe animation: a ``clock`` and the ``tracks`` of the objects by name. ``path``: where from."""
 
-    clock: Clock
+    clock: KeyframeTimeline
     tracks: Mapping[str, Track]
     path: str = ""
 
@@ -243,7 +243,7 @@ class Keyframes:
             raise MotionError(f"no object {name[:40]!r}; the file moves {known}", path=self.path)
         return self.tracks[name]
 
-    def at(self, name: str, seconds: ArrayLike) -> Place:
+    def at(self, name: str, seconds: ArrayLike) -> KeyframePose:
         """Where an object is at times (...), seconds of the scene; see :meth:`Track.at`."""
         return self.track(name).at(seconds)
 
@@ -254,11 +254,11 @@ def read_keyframes(path: str | os.PathLike[str]) -> Keyframes:
     Entities, external ones included, and a DOCTYPE are refused. Raises MotionError with file and line.
     """
     try:
-        large = Path(path).stat().st_size > _MOST_BYTES
+        large = Path(path).stat().st_size > _MAX_BYTES
     except OSError:
         large = False  # read_bytes says what is wrong
     if large:
-        raise MotionError(f"a keyframe file of more than {_MOST_BYTES >> 20} MiB is not read", path=path)
+        raise MotionError(f"a keyframe file of more than {_MAX_BYTES >> 20} MiB is not read", path=path)
     data = read_bytes(path, MotionError, "keyframe")
     reader = _Reader(os.fspath(path))
     try:
@@ -319,7 +319,7 @@ class _Reader(ContentHandler):
         self._path = path
         self._locator: Any = None
         self._open: list[_Element] = []
-        self._clock: Clock | None = None
+        self._clock: KeyframeTimeline | None = None
         self._root_line = 1
         # object -> its keys: frame number, line, parts
         self._keys: dict[str, list[tuple[int, int, dict[str, list[float]]]]] = {}
@@ -431,11 +431,11 @@ class _Reader(ContentHandler):
         return element.values[key]
 
     def _frame(self, word: str, line: int, what: str = "number") -> int:
-        if not re.fullmatch("[+-]?[0-9]{1,10}", word) or abs(int(word)) > _MOST_FRAMES:
+        if not re.fullmatch("[+-]?[0-9]{1,10}", word) or abs(int(word)) > _MAX_FRAMES:
             raise self._error(f"{what} is {word[:40]!r}: a whole number is needed", line)
         return int(word)
 
-    def _clock_of(self, element: _Element) -> Clock:
+    def _clock_of(self, element: _Element) -> KeyframeTimeline:
         line = element.line
         start, end = (self._frame(self._value(element, key), line, key) for key in ("startframe", "endframe"))
         if end < start:
@@ -448,7 +448,7 @@ class _Reader(ContentHandler):
         loop = element.values.get("loop", "none")
         if loop not in ("none", "repeat"):
             raise self._error(f"loop is {loop[:40]!r}: none or repeat", line)
-        return Clock(start, end, rate, cast(Loop, loop))
+        return KeyframeTimeline(start, end, rate, cast(Loop, loop))
 
     def _vector(self, element: _Element) -> list[float]:
         line, text = element.line, "".join(element.text).split()
@@ -470,8 +470,8 @@ class _Reader(ContentHandler):
         if not _NUMBER.fullmatch(word):
             raise self._error(f"{what} is {word[:40]!r}: a finite number is needed", line)
         value = float(word)
-        if not abs(value) <= _MOST:
-            raise self._error(f"{what} is {word[:40]}: more than {_MOST:g} is a mistake", line)
+        if not abs(value) <= _MAX:
+            raise self._error(f"{what} is {word[:40]}: more than {_MAX:g} is a mistake", line)
         return value
 
     def _unknown(self, name: str, where: tuple[str, ...]) -> MotionError:
@@ -483,7 +483,7 @@ class _Reader(ContentHandler):
         return MotionError(message, path=self._path, line=self.line if line is None else line)
 
 
-def _track(clock: Clock, keys: list[tuple[int, dict[str, list[float]]]]) -> Track:
+def _track(clock: KeyframeTimeline, keys: list[tuple[int, dict[str, list[float]]]]) -> Track:
     """What a key leaves out is as in the key before."""
     last = {part: [default] * 3 for part, default in _PARTS.items()}
     columns: dict[str, list[list[float]]] = {part: [] for part in _PARTS}

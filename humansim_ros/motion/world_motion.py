@@ -116,7 +116,7 @@ class Placement:
 
 @dataclass(frozen=True)
 class FileFrame:
-    """How a file's space lies in the world: found from skeleton and data by :func:`understand`.
+    """How a file's space lies in the world: found from skeleton and data by :func:`detect_file_frame`.
 
     ``up``: file axis that points up ("x", "y", "z", or "-y" where y points down). ``unit``: metres per file
     unit, ``unit_name``: its name, or "unknown" where no known unit gives a person's height and 1.7 m is
@@ -148,7 +148,7 @@ class FileFrame:
         return self.ankle_to_head * (1 + _ANKLE_SHARE) * self.unit
 
 
-def understand(
+def detect_file_frame(
     motion: Motion,
     match: JointMatch,
     unit: float | None = None,

@@ -4,15 +4,15 @@ from humansim_ros.render.gl import GLRenderer
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.make import RendererName, make_renderer
 from humansim_ros.render.pyrender import PyrenderRenderer
-from humansim_ros.render.renderer import ALL_CHANNELS, CHANNELS, Body, Neighbour, Renderer, View
+from humansim_ros.render.renderer import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, Renderer, View
 
 __all__ = [
     "ALL_CHANNELS",
     "CHANNELS",
+    "AdjacentFrame",
     "Body",
     "GLRenderer",
     "Lighting",
-    "Neighbour",
     "PyrenderRenderer",
     "Renderer",
     "RendererName",

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.render.posed_mesh import Floats
 from humansim_ros.render.programs import shader, use_camera
-from humansim_ros.render.static_scene import Still, StillScene
+from humansim_ros.render.static_scene import StaticDraw, StaticScene
 from humansim_ros.render.uniforms import columns, set_uniform
 from humansim_ros.rotations import Array
 
@@ -28,10 +28,10 @@ _MARGIN = 0.1
 UNIT = 5
 
 
-class Surroundings:
+class AmbientOcclusion:
     """What stands around the points of a still scene."""
 
-    def __init__(self, ctx: moderngl.Context, still: StillScene) -> None:
+    def __init__(self, ctx: moderngl.Context, still: StaticScene) -> None:
         self._ctx = ctx
         box = still.box
         assert box is not None
@@ -56,7 +56,7 @@ class Surroundings:
         set_uniform(self._program, "maps", UNIT)
         self._draw_maps(still)
 
-    def _draw_maps(self, still: StillScene) -> None:
+    def _draw_maps(self, still: StaticScene) -> None:
         depths = self._ctx.program(
             vertex_shader=shader(["sun.vert"], still.switches),
             fragment_shader=shader(["sun.frag"], still.switches),
@@ -84,7 +84,7 @@ class Surroundings:
         clip[:3, :3], clip[:3, 3] = axes, -axes @ self._centre
         return clip
 
-    def seen_by(self, camera: Camera, still: Still, coarser: int) -> moderngl.Texture:
+    def seen_by(self, camera: Camera, still: StaticDraw, coarser: int) -> moderngl.Texture:
         """What is found of the points that a camera sees, at a size so many times coarser: see packed."""
         size = -(-camera.size[0] // coarser), -(-camera.size[1] // coarser)
         seen, depth = self._ctx.texture(size, 4, dtype="f4"), self._ctx.texture(size, 1, dtype="f4")

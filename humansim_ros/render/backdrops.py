@@ -18,7 +18,7 @@ _WRAP = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Photograph:
+class ImageBackdrop:
     """A photograph ``image`` (H, W, 3) uint8 behind the scene, as large as to cover the camera's image."""
 
     image: NDArray[np.uint8]

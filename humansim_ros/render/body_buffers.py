@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.render.contact_shadow import REACH, ContactShadow
 from humansim_ros.render.edge_antialiasing import ImageEdges
-from humansim_ros.render.lens_tessellation import NEAR, LensView, Refined
-from humansim_ros.render.posed_mesh import Floats, Posed, Topology
+from humansim_ros.render.lens_tessellation import NEAR, LensView, TessellatedMesh
+from humansim_ros.render.posed_mesh import Floats, PosedMesh, Topology
 from humansim_ros.render.renderer import Body
-from humansim_ros.render.static_scene import Expanded, Look, Pieces
+from humansim_ros.render.static_scene import ExpandedMesh, MaterialBuffers, TriangleBuffers
 from humansim_ros.render.target import Rectangle
 from humansim_ros.rotations import Array
 
@@ -23,10 +23,10 @@ from humansim_ros.rotations import Array
 #: in single precision, here and on the device, which rounds them to 1/256 of a pixel.
 _SURELY = np.float32(1 / 64)
 #: Poses of a body of which is kept what was worked out: those of some frames, and of an exposure.
-_MOST_POSES = 12
+_MAX_POSES = 12
 
 
-class Surface:
+class BodyBuffers:
     """A mesh on the device. Vertices on texture seams are there twice, once per texture coordinate."""
 
     def __init__(
@@ -40,11 +40,11 @@ class Surface:
         self._ctx = ctx
         self.topology = topology
         mesh = topology.mesh
-        self._expanded = Expanded(mesh)
+        self._expanded = ExpandedMesh(mesh)
         self._source, self._corners = self._expanded.source, self._expanded.corners
         looks = self._expanded.looks
         self.dressed = mesh.texture is not None and mesh.skin is not None
-        self._look = Look(ctx, mesh)
+        self._look = MaterialBuffers(ctx, mesh)
         self._positions, self._normals = (ctx.buffer(reserve=len(looks) * 12, dynamic=True) for _ in range(2))
         self._looks = ctx.buffer(looks.tobytes())
         self._index = ctx.buffer(self._corners.tobytes(), dynamic=True)
@@ -60,7 +60,7 @@ class Surface:
         )
         self._truth = ctx.vertex_array(truth, [(self._positions, "3f", "position")], index_buffer=self._index)
         self._depths: moderngl.VertexArray | None = None
-        self._kept: dict[int, tuple[Body, Posed]] = {}
+        self._kept: dict[int, tuple[Body, PosedMesh]] = {}
         self._pose(body)
 
     @property
@@ -80,12 +80,12 @@ class Surface:
 
     def _pose(self, body: Body) -> None:
         kept = self._kept.pop(id(body), None)
-        self.body, self.posed = body, Posed(self.topology, body.vertices) if kept is None else kept[1]
+        self.body, self.posed = body, PosedMesh(self.topology, body.vertices) if kept is None else kept[1]
         self._kept[id(body)] = body, self.posed  # with the body, so that its id stays its own
-        if len(self._kept) > _MOST_POSES:
+        if len(self._kept) > _MAX_POSES:
             self._kept.pop(next(iter(self._kept)))
         self._upload(self._positions, body.vertices)
-        self._normals_of: Posed | None = None
+        self._normals_of: PosedMesh | None = None
 
     def draw(self, lit: bool, shown: NDArray[np.intp]) -> None:
         """Draw the triangles of the numbers ``shown`` (M,)."""
@@ -109,7 +109,7 @@ class Surface:
             )
         self._depths.render(moderngl.TRIANGLES)
 
-    def refined(self, camera: Camera, angle: float) -> Refined | None:
+    def refined(self, camera: Camera, angle: float) -> TessellatedMesh | None:
         """What is to be drawn where a lens bends edges, which are seen under more than an angle, visibly; or
         None.
         """
@@ -127,9 +127,9 @@ class Surface:
             return None
         return view.refine(self._expanded.attributes(self.posed).astype(float), self._corners.astype(np.intp))
 
-    def draw_refined(self, program: moderngl.Program, refined: Refined) -> None:
+    def draw_refined(self, program: moderngl.Program, refined: TessellatedMesh) -> None:
         """Draw triangles cut to pieces."""
-        with Pieces(self._ctx, refined.attributes, refined.triangles) as pieces:
+        with TriangleBuffers(self._ctx, refined.attributes, refined.triangles) as pieces:
             pieces.draw(program, [self._look], [len(refined.triangles)])
 
     def _upload(self, buffer: moderngl.Buffer, values: Floats) -> None:
@@ -137,7 +137,7 @@ class Surface:
         buffer.write(values.take(self._source, axis=0))
 
 
-class Fallen:
+class ProjectedPoints:
     """Where points (3, N) of the world fall before a camera.
 
     ``near``: some of them are so near that the camera may be inside what they span; ``behind``: none of them
@@ -177,7 +177,7 @@ class Fallen:
         return covering
 
 
-def touched(clouds: Sequence[Fallen], camera: Camera) -> Rectangle:
+def touched(clouds: Sequence[ProjectedPoints], camera: Camera) -> Rectangle:
     """The pixels that surfaces spanned by points can touch: the whole image if one comes too near."""
     width, height = camera.size
     low: Array = np.full(2, np.inf)
@@ -203,7 +203,9 @@ def straight_angle(camera: Camera, rectangle: Rectangle) -> float:
     return LensView(camera).straight_angle(rectangle.low, rectangle.high) if camera.distorted else 0.0
 
 
-def contour(posed: Posed, fallen: Fallen, facing: NDArray[np.bool_], angle: float) -> list[ImageEdges]:
+def contour(
+    posed: PosedMesh, fallen: ProjectedPoints, facing: NDArray[np.bool_], angle: float
+) -> list[ImageEdges]:
     """The edges of a body that all outlines lie on. ``fallen``: where its vertices do; ``facing``: (N,) its
     triangles that face the camera; ``angle``: :func:`straight_angle`.
     """

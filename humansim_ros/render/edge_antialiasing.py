@@ -24,7 +24,7 @@ _SNAP = 1 / 128
 
 
 @dataclass(frozen=True)
-class Crossings:
+class EdgeCrossings:
     """Where outlines cross between pixel centres: ``pixel`` takes ``share`` of the colour of ``neighbour``.
 
     All are (N,); pixels are flat indices into the image. ``depth``: metres of the outline there.
@@ -53,7 +53,7 @@ class ImageEdges(NamedTuple):
         return cls((px, py, near[good]), (qx, qy, far[good]))
 
 
-def crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> Crossings:
+def edge_crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> EdgeCrossings:
     """Where edges cross columns and rows of pixel centres of an image of a width and a height."""
     (px, py, near), (qx, qy, far) = (
         [np.concatenate(values, dtype=float) for values in zip(*side, strict=True)]
@@ -97,7 +97,7 @@ def crossings(edges: Sequence[ImageEdges], size: tuple[int, int]) -> Crossings:
     both = np.flatnonzero(distance + slope / 2 > 0.5)
     # right on a centre either neighbour may be the one on the other side
     tie = np.flatnonzero((distance < _SNAP) & (centre - side >= 0) & (centre - side < limit))
-    return Crossings(
+    return EdgeCrossings(
         np.concatenate([nearer, farther[both], nearer[tie]]),
         np.concatenate([farther, nearer[both], 2 * nearer[tie] - farther[tie]]),
         np.concatenate(
@@ -114,7 +114,7 @@ def _share(distance: Array, slope: Array) -> Array:
     return np.where(distance + slope / 2 > 0.5, corner**2 / np.maximum(2 * slope, 1e-9), 0.5 - distance)
 
 
-def blend(images: Sequence[NDArray[np.uint8]], depth: NDArray[np.float32], outline: Crossings) -> None:
+def blend(images: Sequence[NDArray[np.uint8]], depth: NDArray[np.float32], outline: EdgeCrossings) -> None:
     """Blend the outlines that are seen into images (H, W) or (H, W, C) with their depth (H, W), in place."""
     z, z_neighbour = depth.ravel()[outline.pixel], depth.ravel()[outline.neighbour]
     # what lies in front is the outlined surface, not something that hides it; and something lies behind

@@ -20,32 +20,32 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.ambient_occlusion import UNIT, Surroundings
-from humansim_ros.render.body_buffers import Fallen, Surface, contour, straight_angle, touched
+from humansim_ros.render.ambient_occlusion import UNIT, AmbientOcclusion
+from humansim_ros.render.body_buffers import BodyBuffers, ProjectedPoints, contour, straight_angle, touched
 from humansim_ros.render.contact_shadow import CELLS, ContactShadow
 from humansim_ros.render.context import create_context, current
-from humansim_ros.render.edge_antialiasing import crossings
+from humansim_ros.render.edge_antialiasing import edge_crossings
 from humansim_ros.render.lens_tessellation import TOLERANCE, VISIBLE, LensView
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.memory import keep_image_blocks
 from humansim_ros.render.pixel_geometry import ray_grid
 from humansim_ros.render.posed_mesh import Topology
 from humansim_ros.render.programs import link, unit_square, use_camera
-from humansim_ros.render.rendered_frame import Asked, Drawn, Seen
+from humansim_ros.render.rendered_frame import Passes, RenderedFrame, TriangleIds
 from humansim_ros.render.renderer import (
     ALL_CHANNELS,
     CHANNELS,
     FLOWS,
+    AdjacentFrame,
     Backdrop,
     Body,
-    Neighbour,
     View,
-    check_neighbours,
+    check_adjacent_frames,
     check_request,
 )
-from humansim_ros.render.static_scene import Still, StillScene
-from humansim_ros.render.sun_shadows import Sunlight
-from humansim_ros.render.target import Rectangle, Shades, StaticLayer, Target
+from humansim_ros.render.static_scene import StaticDraw, StaticScene
+from humansim_ros.render.sun_shadows import SunShadows
+from humansim_ros.render.target import Rectangle, RenderTarget, ShadowTarget, StaticLayer
 from humansim_ros.render.uniforms import set_uniform
 
 #: The static scene is drawn this many times finer and averaged: it is drawn once, so quality costs nothing.
@@ -55,7 +55,7 @@ _MAX_STATIC_SIDE = 8192
 #: the time; or finer, if before a photograph: what shows it has to be known.
 _SAMPLES, _PASSING_SUPERSAMPLING = 4, 2
 #: Pictures, and their bytes, that are kept: with flow a frame is seen as itself and as two others' neighbour.
-_MOST_KEPT, _MOST_BYTES = 48, 256 << 20
+_MAX_KEPT, _MAX_BYTES = 48, 256 << 20
 #: Pixels of a picture along a side of one of what is around: of a picture that stays, and of one that passes.
 _COARSER = {False: 2, True: 4}
 #: Pixels that it has along each side if the picture has.
@@ -93,17 +93,17 @@ class GLRenderer:
         )
         check_request(standing, ())
         self._standing = tuple(standing)
-        self._unlabelled = self._still = StillScene(self._ctx, tuple(static))
+        self._unlabelled = self._still = StaticScene(self._ctx, tuple(static))
         if standing:
             things = (replace(body.mesh, vertices=body.vertices.astype(float)) for body in standing)
-            self._still = StillScene(self._ctx, (*static, *things))
+            self._still = StaticScene(self._ctx, (*static, *things))
         self._topologies: dict[int, Topology] = {}
-        self._surfaces: dict[tuple[int, int], Surface] = {}
-        self._targets: dict[tuple[int, int], Target] = {}
-        self._sampled: dict[tuple[int, int], Target] = {}
+        self._surfaces: dict[tuple[int, int], BodyBuffers] = {}
+        self._targets: dict[tuple[int, int], RenderTarget] = {}
+        self._sampled: dict[tuple[int, int], RenderTarget] = {}
         self._layers: dict[bytes, StaticLayer] = {}
         self._passing: StaticLayer | None = None
-        self._drawn: dict[tuple[object, ...], Drawn] = {}
+        self._drawn: dict[tuple[object, ...], RenderedFrame] = {}
         light = self._lighting
         looks = [
             name
@@ -133,10 +133,10 @@ class GLRenderer:
         if soft:
             for program in self._sunless:
                 self._shine(program, sun=False)
-        self._surroundings = Surroundings(self._ctx, self._still) if occluded else None
+        self._surroundings = AmbientOcclusion(self._ctx, self._still) if occluded else None
         self._sunlight = None
         if soft:
-            self._sunlight = Sunlight(self._ctx, self._still, light, (self._lit, *self._lit_still))
+            self._sunlight = SunShadows(self._ctx, self._still, light, (self._lit, *self._lit_still))
 
     def _solid_and_over(self, switches: Sequence[str]) -> tuple[moderngl.Program, ...]:
         """A program for what is solid of the still scene, and one for what lets through what is behind."""
@@ -168,23 +168,23 @@ class GLRenderer:
         bodies: Sequence[Body],
         camera: Camera,
         channels: Collection[str] = CHANNELS,
-        passing: bool = False,
-        after: Neighbour | None = None,
-        before: Neighbour | None = None,
+        moving_camera: bool = False,
+        next_frame: AdjacentFrame | None = None,
+        previous_frame: AdjacentFrame | None = None,
         backdrop: Backdrop | None = None,
     ) -> View:
         """See :class:`humansim_ros.render.Renderer`.
 
         What was worked out of a body for one camera serves the next, as long as it is the same Body object.
         """
-        moments = {"after": after, "before": before}
+        moments = {"next_frame": next_frame, "previous_frame": previous_frame}
         check_request(bodies, channels)
-        check_neighbours(bodies, channels, moments)
+        check_adjacent_frames(bodies, channels, moments)
         bodies = self._that_move(bodies)
-        asked = Asked.by(channels)
+        asked = Passes.by(channels)
         with current(self._ctx):
-            drawn = self._drawn_of(bodies, camera, asked, passing, backdrop)
-            others: dict[str, tuple[Neighbour, Drawn | None]] = {}
+            drawn = self._drawn_of(bodies, camera, asked, moving_camera, backdrop)
+            others: dict[str, tuple[AdjacentFrame, RenderedFrame | None]] = {}
             for which, moment in moments.items():
                 flows = {channel for channel in channels if FLOWS.get(channel) == which}
                 if moment is None or not flows:
@@ -193,7 +193,7 @@ class GLRenderer:
                 other = None
                 if any(channel.endswith("_hidden") for channel in flows):
                     # as this one: it will be asked for next
-                    other = self._drawn_of(moment.bodies, moment.camera, asked, passing, backdrop)
+                    other = self._drawn_of(moment.bodies, moment.camera, asked, moving_camera, backdrop)
                 others[which] = moment, other
             return drawn.view(channels, others)
 
@@ -205,24 +205,31 @@ class GLRenderer:
         return [body for body in bodies if id(body) not in still]
 
     def _drawn_of(
-        self, bodies: Sequence[Body], camera: Camera, asked: Asked, passing: bool, backdrop: Backdrop | None
-    ) -> Drawn:
+        self,
+        bodies: Sequence[Body],
+        camera: Camera,
+        asked: Passes,
+        moving_camera: bool,
+        backdrop: Backdrop | None,
+    ) -> RenderedFrame:
         """The picture of a frame, drawn now unless it has been."""
-        key = _frame_key(bodies, camera, passing, backdrop)
+        key = _frame_key(bodies, camera, moving_camera, backdrop)
         drawn = self._drawn.pop(key, None)
         if drawn is None or not drawn.asked.covers(asked):
-            layer = self._layer(camera, passing, backdrop)
+            layer = self._layer(camera, moving_camera, backdrop)
             drawn = self._draw(bodies, camera, asked, layer)
             if self._standing:
-                drawn = replace(drawn, standing=self._standing_before(camera, asked, passing, layer))
+                drawn = replace(drawn, standing=self._standing_before(camera, asked, moving_camera, layer))
         self._drawn[key] = drawn  # with its bodies, so that their ids stay their own
-        while len(self._drawn) > _MOST_KEPT or (
-            len(self._drawn) > 3 and sum(kept.nbytes for kept in self._drawn.values()) > _MOST_BYTES
+        while len(self._drawn) > _MAX_KEPT or (
+            len(self._drawn) > 3 and sum(kept.nbytes for kept in self._drawn.values()) > _MAX_BYTES
         ):
             del self._drawn[next(iter(self._drawn))]
         return drawn
 
-    def _draw(self, bodies: Sequence[Body], camera: Camera, asked: Asked, layer: StaticLayer) -> Drawn:
+    def _draw(
+        self, bodies: Sequence[Body], camera: Camera, asked: Passes, layer: StaticLayer
+    ) -> RenderedFrame:
         surfaces = [self._surface(body) for body in bodies]
         shadows: list[ContactShadow] = []
         if asked.lit and self._contact:
@@ -231,11 +238,11 @@ class GLRenderer:
         sunlight = self._sunlight if asked.lit else None
         if sunlight is not None and surfaces:
             around += sunlight.shine_on(surfaces)
-        fallen = [Fallen(surface.posed.points, camera) for surface in surfaces]
-        rectangle = touched([*fallen, *(Fallen(points, camera) for points in around)], camera)
+        fallen = [ProjectedPoints(surface.posed.points, camera) for surface in surfaces]
+        rectangle = touched([*fallen, *(ProjectedPoints(points, camera) for points in around)], camera)
         target = self._target(camera.size)
         target.start(rectangle, layer)
-        seen, outline = Seen(), None
+        seen, outline = TriangleIds(), None
         if not rectangle.empty:
             if shadows:
                 self._draw_shadows(shadows, camera)
@@ -248,29 +255,31 @@ class GLRenderer:
                 angle = straight_angle(camera, rectangle)
                 each = zip(surfaces, fallen, facing, strict=True)
                 edges = [contour(s.posed, f, front, angle) for s, f, front in each]
-                outline = crossings([part for body in edges for part in body], camera.size)
+                outline = edge_crossings([part for body in edges for part in body], camera.size)
         labels, depth = (target.read(name, asked.lit) for name in ("label", "depth"))
         rgba = target.read("rgba", True) if asked.lit else None
         alone = None
         if asked.alone:
             labelled = [(s, f) for s, f in zip(surfaces, fallen, strict=True) if s.body.instance]
             alone = {s.body.instance: self._alone(s, f, camera) for s, f in labelled}
-        return Drawn(
+        return RenderedFrame(
             asked, tuple(bodies), camera, layer, rectangle, seen, labels, depth, rgba, outline, alone
         )
 
-    def _standing_before(self, camera: Camera, asked: Asked, passing: bool, layer: StaticLayer) -> Drawn:
+    def _standing_before(
+        self, camera: Camera, asked: Passes, moving_camera: bool, layer: StaticLayer
+    ) -> RenderedFrame:
         """What stands in the static scene that a camera sees, with labels: drawn once."""
-        asked = Asked(lit=False, outlined=True, alone=asked.alone)
+        asked = Passes(lit=False, outlined=True, alone=asked.alone)
         if layer.standing is None or not layer.standing.asked.covers(asked):
             target = self._target(camera.size)
-            with self._unlabelled.seen_by(camera, VISIBLE if passing else TOLERANCE) as still:
+            with self._unlabelled.seen_by(camera, VISIBLE if moving_camera else TOLERANCE) as still:
                 self._draw_still(target, still, self._true_still, camera)
             drawn = self._draw(self._standing, camera, asked, StaticLayer(target, None, None))
             layer.standing = replace(drawn, layer=layer)
         return layer.standing
 
-    def _alone(self, surface: Surface, fallen: Fallen, camera: Camera) -> NDArray[np.bool_]:
+    def _alone(self, surface: BodyBuffers, fallen: ProjectedPoints, camera: Camera) -> NDArray[np.bool_]:
         """(H, W) where a body would be seen if nothing were before it."""
         mask = np.zeros(camera.size[::-1], bool)
         rectangle = touched([fallen], camera)
@@ -285,18 +294,18 @@ class GLRenderer:
 
     def _draw_bodies(
         self,
-        surfaces: Sequence[Surface],
-        fallen: Sequence[Fallen],
+        surfaces: Sequence[BodyBuffers],
+        fallen: Sequence[ProjectedPoints],
         facing: Sequence[NDArray[np.bool_]],
         camera: Camera,
         rectangle: Rectangle,
         lit: bool,
-    ) -> Seen:
+    ) -> TriangleIds:
         """Draw what can be seen, every triangle with a number of its own, counted on from body to body."""
         program = self._lit if lit else self._truth
         use_camera(self._ctx, program, camera)
         self._ctx.enable_only(moderngl.DEPTH_TEST)
-        seen = Seen()
+        seen = TriangleIds()
         straight = straight_angle(camera, rectangle)
         for surface, places, front in zip(surfaces, fallen, facing, strict=True):
             set_uniform(program, "first_label", seen.count)
@@ -332,7 +341,7 @@ class GLRenderer:
             set_uniform(self._shadow, "place", (*shadow.corner, shadow.side, shadow.side))
             square.render(moderngl.TRIANGLES)
 
-    def _surface(self, body: Body) -> Surface:
+    def _surface(self, body: Body) -> BodyBuffers:
         """The body on the device, standing as it should. Two bodies may share a mesh, but not a surface."""
         key = id(body.mesh), body.instance
         if key in self._surfaces:
@@ -340,12 +349,12 @@ class GLRenderer:
         else:
             # kept with its mesh, so that the id stays its own
             topology = self._topologies.setdefault(id(body.mesh), Topology(body.mesh))
-            self._surfaces[key] = Surface(self._ctx, topology, body, self._lit, self._truth)
+            self._surfaces[key] = BodyBuffers(self._ctx, topology, body, self._lit, self._truth)
         return self._surfaces[key]
 
-    def _target(self, size: tuple[int, int]) -> Target:
+    def _target(self, size: tuple[int, int]) -> RenderTarget:
         if size not in self._targets:
-            self._targets[size] = Target(self._ctx, size)
+            self._targets[size] = RenderTarget(self._ctx, size)
         return self._targets[size]
 
     @cached_property
@@ -354,8 +363,8 @@ class GLRenderer:
         light = self._lighting
         return light.shadow == "contact" and (self._still.has_floor or light.shadow_catcher)
 
-    def _layer(self, camera: Camera, passing: bool, backdrop: Backdrop | None) -> StaticLayer:
-        if passing:
+    def _layer(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None) -> StaticLayer:
+        if moving_camera:
             if self._passing is not None:
                 self._passing.release()
             self._passing = self._draw_static(camera, True, backdrop)
@@ -367,7 +376,7 @@ class GLRenderer:
             self._layers[key] = self._draw_static(camera, False, backdrop)
         return self._layers[key]
 
-    def _draw_static(self, camera: Camera, passing: bool, backdrop: Backdrop | None) -> StaticLayer:
+    def _draw_static(self, camera: Camera, moving_camera: bool, backdrop: Backdrop | None) -> StaticLayer:
         behind = None if backdrop is None else backdrop.picture(camera)
         shaded, left = behind, None
         if self._sunlight is not None and self._lighting.shadow_catcher:
@@ -375,10 +384,13 @@ class GLRenderer:
                 behind = np.full((*camera.size[::-1], 3), self._lighting.background, np.uint8)
             left = self._sunlight.on_ground(camera)
             behind, shaded = (self._on_ground(behind, camera, sun) for sun in (left, np.zeros_like(left)))
-        target = Target(self._ctx, camera.size)
+        target = RenderTarget(self._ctx, camera.size)
         # the same window, only finer: clip coordinates do not know how many pixels there are
-        fine = self._fine(camera.size, passing, behind is not None)
-        with self._still.seen_by(camera, VISIBLE if passing else TOLERANCE) as still, ExitStack() as stack:
+        fine = self._fine(camera.size, moving_camera, behind is not None)
+        with (
+            self._still.seen_by(camera, VISIBLE if moving_camera else TOLERANCE) as still,
+            ExitStack() as stack,
+        ):
 
             def look(
                 programs: Sequence[moderngl.Program], behind: NDArray[np.uint8] | None
@@ -397,7 +409,7 @@ class GLRenderer:
                 return _completed(self._averaged(fine, target), fine, camera, None)
 
             if self._surroundings is not None:
-                coarser = min(_COARSER[passing], max(1, min(camera.size) // _LEAST_AROUND))
+                coarser = min(_COARSER[moving_camera], max(1, min(camera.size) // _LEAST_AROUND))
                 seen = self._surroundings.seen_by(camera, still, coarser)
                 stack.callback(seen.release)
                 seen.use(UNIT)
@@ -413,7 +425,7 @@ class GLRenderer:
             empty = target.read("depth", lit=True) == 0
             sunny[..., 3][empty] = np.rint(255 * left[empty]).astype(np.uint8)
         target.take(sunny)
-        shades = None if sunless is None else Shades(self._ctx, camera, sunless[..., :3])
+        shades = None if sunless is None else ShadowTarget(self._ctx, camera, sunless[..., :3])
         return StaticLayer(target, backdrop, shades)
 
     def _on_ground(
@@ -431,8 +443,8 @@ class GLRenderer:
 
     def _draw_still(
         self,
-        into: Target,
-        still: Still,
+        into: RenderTarget,
+        still: StaticDraw,
         program: moderngl.Program,
         camera: Camera,
         colour: Sequence[int] = (0, 0, 0),
@@ -446,17 +458,17 @@ class GLRenderer:
         set_uniform(program, "blur", -0.5 * np.log2(max(into.samples, 1)))
         still.draw(program)
 
-    def _fine(self, size: tuple[int, int], passing: bool, before_picture: bool) -> Target:
+    def _fine(self, size: tuple[int, int], moving_camera: bool, before_picture: bool) -> RenderTarget:
         """Where a still scene is drawn: finer than the picture, or what passes with some samples a pixel."""
-        if passing and not before_picture:
+        if moving_camera and not before_picture:
             if size not in self._sampled:
-                self._sampled[size] = Target(self._ctx, size, _SAMPLES)
+                self._sampled[size] = RenderTarget(self._ctx, size, _SAMPLES)
             return self._sampled[size]
-        wished = _PASSING_SUPERSAMPLING if passing else _STATIC_SUPERSAMPLING
+        wished = _PASSING_SUPERSAMPLING if moving_camera else _STATIC_SUPERSAMPLING
         factor = max(1, min(wished, _MAX_STATIC_SIDE // max(size)))
         return self._target((size[0] * factor, size[1] * factor))
 
-    def _averaged(self, fine: Target, target: Target) -> NDArray[np.uint8]:
+    def _averaged(self, fine: RenderTarget, target: RenderTarget) -> NDArray[np.uint8]:
         """(H, W, 4) of a picture that is drawn finer. ``target``: one of the size that it is to have."""
         if fine.samples:
             target.average(fine)
@@ -466,7 +478,7 @@ class GLRenderer:
 
 
 def _completed(
-    rgba: NDArray[np.uint8], fine: Target, camera: Camera, behind: NDArray[np.uint8] | None
+    rgba: NDArray[np.uint8], fine: RenderTarget, camera: Camera, behind: NDArray[np.uint8] | None
 ) -> NDArray[np.uint8]:
     """A picture (H, W, 4) before what is behind it, dark where the lens is."""
     if behind is not None:
@@ -485,10 +497,10 @@ def _camera_key(camera: Camera) -> bytes:
 
 
 def _frame_key(
-    bodies: Sequence[Body], camera: Camera, passing: bool, backdrop: Backdrop | None
+    bodies: Sequence[Body], camera: Camera, moving_camera: bool, backdrop: Backdrop | None
 ) -> tuple[object, ...]:
     """The same for what is the same before the same camera."""
-    return tuple(id(body) for body in bodies), _camera_key(camera), passing, id(backdrop)
+    return tuple(id(body) for body in bodies), _camera_key(camera), moving_camera, id(backdrop)
 
 
 def _lit_pixels(camera: Camera) -> NDArray[np.bool_]:

@@ -34,7 +34,7 @@ _FAR_OFF = 4.0
 _RIM, _BEYOND = 0.01, 0.1
 #: Points along each side of the image at which the lens is looked at.
 _GRID = 65
-_ROUNDS, _MOST_TRIANGLES = 14, 4_000_000
+_ROUNDS, _MAX_TRIANGLES = 14, 4_000_000
 #: Metres along the axis within which nothing is drawn; and for lenses that see farther off the axis than this
 #: tangent: what is beside a camera is far away, and yet its depth is small.
 NEAR, _NEAR_BESIDE, _BESIDE_FROM = 0.05, 0.005, 5.0
@@ -43,7 +43,7 @@ Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)
-class Refined:
+class TessellatedMesh:
     """``attributes`` (V, k), ``triangles`` (N, 3) of them, ``parents`` (N,): what these are parts of."""
 
     attributes: Array
@@ -142,7 +142,7 @@ class LensView:
             bent = np.where(seen_a & seen_b, bent, np.where(seen_a | seen_b, rim, beyond))
         return bent, enough
 
-    def refine(self, attributes: Array, triangles: Indices, tolerance: float = TOLERANCE) -> Refined:
+    def refine(self, attributes: Array, triangles: Indices, tolerance: float = TOLERANCE) -> TessellatedMesh:
         """Cut triangles (N, 3) of ``attributes`` (V, 3 + k), which begin with a position in the world, until
         no edge is off by more than a tolerance, in pixels.
 
@@ -166,7 +166,7 @@ class LensView:
             kept &= ~straight
             corners, edges, parents = corners[kept], edges[kept], parents[kept]
             count += len(corners)
-            if not len(corners) or count > _MOST_TRIANGLES:
+            if not len(corners) or count > _MAX_TRIANGLES:
                 break
             used = np.zeros(len(ends) + 1, bool)
             used[edges] = True
@@ -195,7 +195,7 @@ class LensView:
             )
             corners, edges, parents = pieces.corners, pieces.edges, parents[pieces.parts]
         done.append((corners, parents))
-        return Refined(attributes, *(np.concatenate(parts) for parts in zip(*done, strict=True)))
+        return TessellatedMesh(attributes, *(np.concatenate(parts) for parts in zip(*done, strict=True)))
 
     def divide_edges(
         self, starts: NDArray[np.floating], ends: NDArray[np.floating]
@@ -209,7 +209,7 @@ class LensView:
             done_starts.append(starts[~halved])
             done_ends.append(ends[~halved])
             starts, ends = starts[halved], ends[halved]
-            if not len(starts) or len(starts) > _MOST_TRIANGLES:
+            if not len(starts) or len(starts) > _MAX_TRIANGLES:
                 break
             middles = (starts + ends) / 2
             starts, ends = np.concatenate([starts, middles]), np.concatenate([middles, ends])

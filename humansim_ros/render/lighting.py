@@ -63,7 +63,7 @@ class Lighting:
         return (color[0] * factor, color[1] * factor, color[2] * factor)
 
 
-def developed(radiance: NDArray[np.floating], lighting: Lighting) -> NDArray[np.uint8]:
+def tone_mapped(radiance: NDArray[np.floating], lighting: Lighting) -> NDArray[np.uint8]:
     """(..., 3) uint8 sRGB of linear light as the shader makes it: exposure, tone mapping, and a square root
     for the sRGB curve.
     """

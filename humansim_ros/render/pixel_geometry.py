@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.lens import Lens
-from humansim_ros.render.renderer import Body, Neighbour
+from humansim_ros.render.renderer import AdjacentFrame, Body
 from humansim_ros.rotations import Array
 
 Floats = NDArray[np.float32]
@@ -28,7 +28,7 @@ _SLACK, _SLANT = 0.01, 0.01
 
 
 @dataclass(frozen=True)
-class Shown:
+class VisiblePixels:
     """The pixels of an image that show bodies. ``pixels``: (M,) flat indices. ``owner``: (M,) which of the
     bodies; ``triangle``: (M,) which of its triangles.
     """
@@ -38,10 +38,10 @@ class Shown:
     triangle: NDArray[np.intp]
 
 
-class Detail:
+class PixelGeometry:
     """The points of bodies' surfaces that the pixels of a camera show."""
 
-    def __init__(self, camera: Camera, bodies: Sequence[Body], shown: Shown) -> None:
+    def __init__(self, camera: Camera, bodies: Sequence[Body], shown: VisiblePixels) -> None:
         self.camera = camera
         self.shown = shown
         # which vertices each pixel's triangle has, of those of all bodies one after the other
@@ -99,7 +99,7 @@ class Detail:
                 uv[:, :, mine] = mesh.uv[mesh.uv_triangles[self._triangle[mine]]].transpose(1, 2, 0)
         return np.asarray(self._of_corners(uv).T, dtype=np.float32)
 
-    def where(self, other: Neighbour) -> tuple[Array, Array]:
+    def where(self, other: AdjacentFrame) -> tuple[Array, Array]:
         """Pixels (M, 2) and depths (M,) of the same points of the surfaces at another moment."""
         return other.camera.project_optical(self._of_corners(self._posed(other.bodies, other.camera)).T)
 
@@ -125,9 +125,9 @@ class Flow:
 
 def optical_flow(
     camera: Camera,
-    detail: Detail,
+    detail: PixelGeometry,
     depth: Floats,
-    other: Neighbour,
+    other: AdjacentFrame,
     other_depth: Floats | None,
     touched: tuple[slice, slice],
 ) -> Flow:

@@ -14,7 +14,7 @@ from humansim_ros.render.contact_shadow import ContactShadow, contact_shadow
 #: How much longer than at rest skin may get.
 _STRETCH = 2.0
 #: Metres between points of things whose shadows are looked for, and the most of them along an edge.
-_SAMPLE, _MOST_PIECES = 0.04, 48
+_SAMPLE, _MAX_PIECES = 0.04, 48
 
 Floats = NDArray[np.float32]
 Indices = NDArray[np.intp]
@@ -67,11 +67,11 @@ class Topology:
     @cached_property
     def vertex_areas(self) -> Floats:
         """(V,) surface area that each vertex stands for at rest, square metres."""
-        area = np.linalg.norm(Posed(self, self.mesh.vertices.astype(np.float32)).areas, axis=0)
+        area = np.linalg.norm(PosedMesh(self, self.mesh.vertices.astype(np.float32)).areas, axis=0)
         return np.asarray(self.around @ area / 3, dtype=np.float32)
 
 
-class Posed:
+class PosedMesh:
     """Vertices (V, 3) float32 of a topology. Arrays here have the coordinates first: (3, V), (3, N)."""
 
     def __init__(self, topology: Topology, vertices: Floats) -> None:
@@ -123,7 +123,7 @@ class Posed:
         corners = np.stack([self.points.take(corner, axis=1) for corner in self.topology.corners])
         area = np.linalg.norm(self.areas, axis=0)
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max(axis=0)
-        pieces = np.clip(np.ceil(longest / _SAMPLE), 1, _MOST_PIECES).astype(np.intp)
+        pieces = np.clip(np.ceil(longest / _SAMPLE), 1, _MAX_PIECES).astype(np.intp)
         points, areas = [], []
         for n in np.unique(pieces).tolist():
             chosen = np.flatnonzero(pieces == n)

@@ -25,9 +25,9 @@ from humansim_ros.render.contact_shadow import ContactShadow
 from humansim_ros.render.context import create_context, current
 from humansim_ros.render.lens_tessellation import NEAR
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.render.posed_mesh import Floats, Posed, Topology
-from humansim_ros.render.renderer import CHANNELS, Backdrop, Body, Neighbour, View, check_request
-from humansim_ros.render.static_scene import FLOOR_SLACK, Expanded
+from humansim_ros.render.posed_mesh import Floats, PosedMesh, Topology
+from humansim_ros.render.renderer import CHANNELS, AdjacentFrame, Backdrop, Body, View, check_request
+from humansim_ros.render.static_scene import FLOOR_SLACK, ExpandedMesh
 from humansim_ros.rotations import Array
 
 _FAR = 200.0
@@ -100,9 +100,9 @@ class PyrenderRenderer:
         bodies: Sequence[Body],
         camera: Camera,
         channels: Collection[str] = CHANNELS,
-        passing: bool = False,
-        after: Neighbour | None = None,
-        before: Neighbour | None = None,
+        moving_camera: bool = False,
+        next_frame: AdjacentFrame | None = None,
+        previous_frame: AdjacentFrame | None = None,
         backdrop: Backdrop | None = None,
     ) -> View:
         """See :class:`humansim_ros.render.Renderer`. RenderError for a camera that distorts, and for channels
@@ -215,7 +215,7 @@ class _Shape:
     def __init__(self, library: Any, body: Body) -> None:
         self.parts = body.parts
         self.topology = Topology(body.mesh)
-        self.expanded = Expanded(body.mesh)
+        self.expanded = ExpandedMesh(body.mesh)
         triangles = body.mesh.triangles
         self.by_part = [(int(n), *_compact(triangles[body.parts == n])) for n in np.unique(body.parts)]
         self.whole = _compact(triangles)
@@ -231,7 +231,7 @@ class _Figure:
 
     def __init__(self, library: Any, shape: _Shape, body: Body) -> None:
         self.body, self._shape, self._library = body, shape, library
-        self._posed = Posed(shape.topology, body.vertices)
+        self._posed = PosedMesh(shape.topology, body.vertices)
         self._low, self._high = body.vertices.min(0) - 2 * NEAR, body.vertices.max(0) + 2 * NEAR
         self._made: dict[Any, Any] = {}
 

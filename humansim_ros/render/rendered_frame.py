@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.render.edge_antialiasing import Crossings, blend
-from humansim_ros.render.pixel_geometry import Detail, Shown, optical_flow
+from humansim_ros.render.edge_antialiasing import EdgeCrossings, blend
+from humansim_ros.render.pixel_geometry import PixelGeometry, VisiblePixels, optical_flow
 from humansim_ros.render.posed_mesh import Floats, Indices
-from humansim_ros.render.renderer import Body, Neighbour, View
+from humansim_ros.render.renderer import AdjacentFrame, Body, View
 from humansim_ros.render.target import Rectangle, StaticLayer
 
 #: Channels that say which body, and what of it, is where.
 _LABELS = {"instance", "part", "face", "normal", "uv", "alpha", "amodal"}
 
 
-class Asked(NamedTuple):
+class Passes(NamedTuple):
     """What a picture is drawn for besides depth and labels: colour, outlines, each body as if alone."""
 
     lit: bool
@@ -31,17 +31,17 @@ class Asked(NamedTuple):
     alone: bool
 
     @classmethod
-    def by(cls, channels: Collection[str]) -> Asked:
+    def by(cls, channels: Collection[str]) -> Passes:
         """What channels follow from."""
         asked = set(channels)
         return cls(bool(asked & {"rgb", "shadow"}), bool(asked & {"rgb", "alpha"}), "amodal" in asked)
 
-    def covers(self, other: Asked) -> bool:
+    def covers(self, other: Passes) -> bool:
         """Whether what was drawn for this serves the other."""
         return all(has or not wants for has, wants in zip(self, other, strict=True))
 
 
-class Seen:
+class TriangleIds:
     """The triangles drawn of one picture's bodies: label 0 is no body, label n the n-th triangle drawn."""
 
     def __init__(self) -> None:
@@ -68,27 +68,27 @@ class Seen:
 
 
 @dataclass(frozen=True, eq=False)
-class Drawn:
+class RenderedFrame:
     """Bodies as they were drawn before a camera, within the rectangle that they can touch.
 
-    ``labels``: (h, w) of :class:`Seen`. ``depth``: (h, w) metres, 0 where no body is. ``rgba``: (h, w, 4),
-    alpha is the share of light that bodies leave; ``outline``: where outlines cross; ``alone``: by instance,
-    (H, W) where a body would be seen if nothing were before it; each if it was ``asked`` for. ``standing``:
-    what has labels in the still scene of ``layer``.
+    ``labels``: (h, w), see :class:`TriangleIds`. ``depth``: (h, w) metres, 0 where no body is. ``rgba``:
+    (h, w, 4), alpha is the share of light that bodies leave. ``outline``: where outlines cross pixels.
+    ``alone``: by instance, (H, W) mask of the body without occluders. Each is None unless it is in ``asked``.
+    ``standing``: the labelled part of the static scene of ``layer``.
     """
 
-    asked: Asked
+    asked: Passes
     bodies: Sequence[Body]
     camera: Camera
     layer: StaticLayer
     rectangle: Rectangle
-    seen: Seen
+    seen: TriangleIds
     labels: NDArray[np.uint32]
     depth: Floats
     rgba: NDArray[np.uint8] | None
-    outline: Crossings | None
+    outline: EdgeCrossings | None
     alone: Mapping[int, NDArray[np.bool_]] | None
-    standing: Drawn | None = None
+    standing: RenderedFrame | None = None
 
     @cached_property
     def whole_depth(self) -> Floats:
@@ -106,15 +106,17 @@ class Drawn:
         return 12 * self.labels.size + masks + sum(size for name, size in known.items() if name in vars(self))
 
     @cached_property
-    def _detail(self) -> Detail:
+    def _detail(self) -> PixelGeometry:
         there = np.flatnonzero(self.labels > 0)
         label = self.labels.ravel().take(there)
         row, column = np.divmod(there, max(self.rectangle.shape[1], 1))
         pixels = (row + self.rectangle.y0) * self.camera.size[0] + column + self.rectangle.x0
         owner, triangle = (self.seen.table(name).take(label) for name in ("owner", "triangle"))
-        return Detail(self.camera, self.bodies, Shown(pixels, owner, triangle))
+        return PixelGeometry(self.camera, self.bodies, VisiblePixels(pixels, owner, triangle))
 
-    def view(self, channels: Collection[str], others: Mapping[str, tuple[Neighbour, Drawn | None]]) -> View:
+    def view(
+        self, channels: Collection[str], others: Mapping[str, tuple[AdjacentFrame, RenderedFrame | None]]
+    ) -> View:
         """The channels of the whole image. ``others``: the frames after and before that flow needs, and their
         pictures, which what is hidden needs.
         """
@@ -148,7 +150,7 @@ class Drawn:
         for which, (moment, other) in others.items():
             depth, touched = (None, within) if other is None else (other.whole_depth, other.rectangle.slices)
             flow = optical_flow(self.camera, self._detail, self.whole_depth, moment, depth, touched)
-            name = "flow" if which == "after" else "flow_back"
+            name = "flow" if which == "next_frame" else "flow_back"
             view[name], view[f"{name}_hidden"] = flow.flow, flow.hidden
         if "amodal" in channels and self.alone is not None:
             alone = {instance: mask.copy() for instance, mask in self.alone.items()}

@@ -19,7 +19,13 @@ CHANNELS = ("rgb", "depth", "instance", "part")
 #: Channels that follow from the triangle each pixel shows.
 DETAILS = ("face", "normal", "uv")
 #: Channels that need to know what stands where in the next frame, and in the one before.
-FLOWS = {"flow": "after", "flow_hidden": "after", "flow_back": "before", "flow_back_hidden": "before"}
+FLOWS = {
+    "flow": "next_frame",
+    "flow_hidden": "next_frame",
+    "flow_back": "previous_frame",
+    "flow_back_hidden": "previous_frame",
+}
+_WHEN = {"next_frame": "after", "previous_frame": "before"}
 #: Channels with one image for each labelled body.
 PER_BODY = ("alpha", "amodal")
 #: Every channel a renderer can be asked for; docs/ground_truth.md defines each.
@@ -48,7 +54,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Neighbour:
+class AdjacentFrame:
     """What a camera has before it at another moment: the same bodies, in the same order."""
 
     bodies: Sequence[Body]
@@ -111,16 +117,15 @@ class Renderer(Protocol):
         bodies: Sequence[Body],
         camera: Camera,
         channels: Collection[str] = CHANNELS,
-        passing: bool = False,
-        after: Neighbour | None = None,
-        before: Neighbour | None = None,
+        moving_camera: bool = False,
+        next_frame: AdjacentFrame | None = None,
+        previous_frame: AdjacentFrame | None = None,
         backdrop: Backdrop | None = None,
     ) -> View:
         """The asked channels of one view.
 
-        ``passing``: the camera moves on, nothing is kept for it. ``after``, ``before``: the next and the
-        previous frame, for the channels of flow. ``backdrop``: what is behind everything; a plain colour if
-        None.
+        ``moving_camera``: the static scene is redrawn, not cached. ``next_frame``, ``previous_frame``: for
+        the channels of flow. ``backdrop``: the image behind everything; a plain colour if None.
 
         Raises RenderError if a channel is unknown, lacks what it needs, or vertices are not finite.
         """
@@ -157,15 +162,15 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
             raise RenderError(f"part labels of shape {body.parts.shape} do not fit a mesh of {n} triangles")
 
 
-def check_neighbours(
-    bodies: Sequence[Body], channels: Collection[str], moments: Mapping[str, Neighbour | None]
+def check_adjacent_frames(
+    bodies: Sequence[Body], channels: Collection[str], moments: Mapping[str, AdjacentFrame | None]
 ) -> None:
     """RenderError where a channel of flow lacks the frame it needs, or that frame has other bodies."""
     for channel in set(channels) & set(FLOWS):
         which = FLOWS[channel]
         moment = moments[which]
         if moment is None:
-            raise RenderError(f"{channel} needs the frame {which} this one")
+            raise RenderError(f"{channel} needs the frame {_WHEN[which]} this one")
         if [body.vertices.shape for body in moment.bodies] != [body.vertices.shape for body in bodies]:
-            raise RenderError(f"the frame {which} this one has other bodies")
+            raise RenderError(f"the frame {_WHEN[which]} this one has other bodies")
         check_request(moment.bodies, ())

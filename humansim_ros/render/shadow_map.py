@@ -31,7 +31,7 @@ _UNITS = {"still": (1, 2), "moving": (3, 4)}
 
 
 @dataclass(frozen=True)
-class SunView:
+class ShadowView:
     """What a map of the sun covers. ``place``: (4, 4) from the world to x and y from 0 to 1, z in metres away
     from the sun. ``size``: (3,) metres. ``texel``: metres.
     """
@@ -41,7 +41,7 @@ class SunView:
     texel: float
 
     @classmethod
-    def of(cls, points: NDArray[np.floating], direction: Array, side: int) -> SunView:
+    def of(cls, points: NDArray[np.floating], direction: Array, side: int) -> ShadowView:
         """A view of points (3, N) against the ``direction`` (3,) to the sun, in a map of ``side`` texels."""
         helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
         x = np.cross(helper, direction)
@@ -64,7 +64,7 @@ class SunView:
         return to_clip @ self.place
 
 
-class SunMap:
+class ShadowMap:
     """Depths as the sun sees them, on the device. ``name``: what its uniforms begin with."""
 
     def __init__(self, ctx: moderngl.Context, name: str, side: int) -> None:
@@ -77,7 +77,7 @@ class SunMap:
             ctx.sampler(False, False, filter=(linear, linear), compare_func="<=", texture=self._texture),
             ctx.sampler(False, False, filter=(nearest, nearest), texture=self._texture),
         )
-        self._view = SunView.of(np.zeros((3, 1)), np.array([0.0, 0.0, 1.0]), side)
+        self._view = ShadowView.of(np.zeros((3, 1)), np.array([0.0, 0.0, 1.0]), side)
         self._framebuffer.clear(depth=1.0)
 
     def draw(
@@ -88,7 +88,7 @@ class SunMap:
         draw: Callable[[], None],
     ) -> None:
         """Look at what ``draw`` draws, which lies within points (3, N)."""
-        self._view = SunView.of(points, direction, self._side)
+        self._view = ShadowView.of(points, direction, self._side)
         self._framebuffer.use()
         self._framebuffer.clear(depth=1.0)
         self._ctx.enable_only(moderngl.DEPTH_TEST)

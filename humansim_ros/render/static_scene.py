@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.mesh.material import Finish
+from humansim_ros.mesh.material import Material
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.lens_tessellation import LensView
-from humansim_ros.render.posed_mesh import Floats, Indices, Posed, Topology
+from humansim_ros.render.posed_mesh import Floats, Indices, PosedMesh, Topology
 from humansim_ros.render.shadow_map import encloses
 from humansim_ros.render.uniforms import set_uniform
 from humansim_ros.rotations import Array
@@ -29,7 +29,7 @@ _LAYOUT = (("position", 3), ("normal", 3), ("uv", 2), ("color", 3))
 _FLOATS = sum(n for _, n in _LAYOUT)
 
 
-class Expanded:
+class ExpandedMesh:
     """The vertices of a mesh as they are drawn: those on texture seams are there once per texture coordinate.
 
     ``source``: (E,) the mesh's vertex of each. ``corners``: (N, 3) of the triangles. ``looks``: (E, 5)
@@ -52,13 +52,13 @@ class Expanded:
         self.looks: Floats = np.concatenate([uv, colors[self.source] / 255.0], axis=1).astype("f4")
         self.corners = np.ascontiguousarray(corners, dtype=np.int32)
 
-    def attributes(self, posed: Posed) -> Floats:
+    def attributes(self, posed: PosedMesh) -> Floats:
         """(E, 11) what shaders know of each vertex as a body stands: position, normal, uv and colour."""
         both = np.concatenate([posed.vertices, posed.normals], axis=1).take(self.source, axis=0)
         return np.concatenate([both, self.looks], axis=1)
 
 
-class Pieces:
+class TriangleBuffers:
     """Triangles (N, 3) of vertices with attributes (V, 11) on the device, for as long as ``with`` lasts."""
 
     def __init__(self, ctx: moderngl.Context, attributes: NDArray[Any], triangles: NDArray[Any]) -> None:
@@ -68,7 +68,7 @@ class Pieces:
             self._vertices = ctx.buffer(attributes.astype("f4").tobytes())
             self._index = ctx.buffer(np.ascontiguousarray(triangles, dtype=np.int32).tobytes())
 
-    def __enter__(self) -> Pieces:
+    def __enter__(self) -> TriangleBuffers:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -82,7 +82,7 @@ class Pieces:
     def draw(
         self,
         program: moderngl.Program,
-        looks: Sequence[Look],
+        looks: Sequence[MaterialBuffers],
         counts: Sequence[int],
         chosen: Sequence[bool] | None = None,
         eye: Array | None = None,
@@ -111,8 +111,8 @@ class Pieces:
             index.release()
 
     def _farthest_first(
-        self, runs: Sequence[tuple[Look, int, int]], eye: Array
-    ) -> tuple[moderngl.Buffer, list[tuple[Look, int, int]]]:
+        self, runs: Sequence[tuple[MaterialBuffers, int, int]], eye: Array
+    ) -> tuple[moderngl.Buffer, list[tuple[MaterialBuffers, int, int]]]:
         """The triangles of some runs in a new order, and runs of those that follow each other in one look."""
         corners = np.frombuffer(self._index.read(), np.int32).reshape(-1, 3)
         places = np.frombuffer(self._vertices.read(), np.float32).reshape(-1, _FLOATS)[:, :3]
@@ -130,68 +130,72 @@ class Pieces:
         return self._ctx.buffer(np.ascontiguousarray(corners[chosen]).tobytes()), new
 
 
-class Look:
+class MaterialBuffers:
     """What a mesh looks like, on the device."""
 
     def __init__(self, ctx: moderngl.Context, mesh: Mesh) -> None:
-        self.finish = mesh.finish
+        self.material = mesh.material
         self.texture = texture(ctx, mesh.texture, mesh.skin)
         self._maps: dict[str, moderngl.Texture] = {}
-        finish = mesh.finish
+        finish = mesh.material
         if finish is not None:
             images = {
                 "metal_rough": finish.metal_rough,
                 "normal_map": finish.normals,
-                "glow": finish.glow,
-                "cut": None if finish.cut is None else np.repeat(finish.cut[..., None], 3, axis=2),
+                "glow": finish.emissive_map,
+                "cut": None
+                if finish.alpha_map is None
+                else np.repeat(finish.alpha_map[..., None], 3, axis=2),
             }
             plain = {"normal_map": b"\x80\x80\xff"}
             for name, image in images.items():
                 self._maps[name] = texture(ctx, image, plain=plain.get(name, _WHITE))
             for one in (self.texture, *self._maps.values()):
-                one.repeat_x, one.repeat_y = finish.repeats
+                one.repeat_x, one.repeat_y = finish.wrap
 
     @property
     def blends(self) -> bool:
         """Whether it lets through what is behind."""
-        return self.finish is not None and self.finish.alpha == "blend"
+        return self.material is not None and self.material.alpha == "blend"
 
     def use(self, program: moderngl.Program) -> None:
         """Let a program draw with it."""
         self.texture.use(0)
-        finish = self.finish or Finish()
-        set_uniform(program, "shines", float(self.finish is not None))
+        finish = self.material or Material()
+        set_uniform(program, "shines", float(self.material is not None))
         set_uniform(program, "masked", finish.alpha == "mask")
         set_uniform(program, "opacity", 1.0 if finish.alpha == "opaque" else finish.opacity)
         set_uniform(program, "cutoff", finish.cutoff)
-        set_uniform(program, "one_sided", not finish.both_sides)
-        for name in ("metallic", "roughness", "mirrors", "emission"):
+        set_uniform(program, "one_sided", not finish.double_sided)
+        for name in ("metallic", "roughness", "specular", "emission"):
             set_uniform(program, name, getattr(finish, name))
-        set_uniform(program, "bump", finish.bump if finish.normals is not None else 0.0)
+        set_uniform(program, "bump", finish.normal_scale if finish.normals is not None else 0.0)
         for unit, (name, image) in enumerate(self._maps.items(), _FIRST_MAP):
             image.use(unit)
             set_uniform(program, name, unit)
 
 
-class StillScene:
+class StaticScene:
     """Meshes in world coordinates, with their textures on the device."""
 
     def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> None:
         self._ctx = ctx
-        self._looks = [Look(ctx, mesh) for mesh in meshes]
+        self._looks = [MaterialBuffers(ctx, mesh) for mesh in meshes]
         attributes: list[Floats] = [np.zeros((0, 11), np.float32)]
         corners: list[NDArray[Any]] = [np.zeros((0, 3), np.int32)]
         first = 0
         for mesh in meshes:
-            expanded = Expanded(mesh)
-            attributes.append(expanded.attributes(Posed(Topology(mesh), mesh.vertices.astype(np.float32))))
+            expanded = ExpandedMesh(mesh)
+            attributes.append(
+                expanded.attributes(PosedMesh(Topology(mesh), mesh.vertices.astype(np.float32)))
+            )
             corners.append(expanded.corners + np.int32(first))
             first += len(attributes[-1])
         self._attributes, self._corners = np.concatenate(attributes), np.concatenate(corners)
         # up to which triangle each mesh goes
         self._ends = np.cumsum([len(mesh.triangles) for mesh in meshes], dtype=np.intp)
         self._counts = [len(mesh.triangles) for mesh in meshes]
-        self._whole = Pieces(ctx, self._attributes, self._corners)
+        self._whole = TriangleBuffers(ctx, self._attributes, self._corners)
 
     @property
     def box(self) -> Floats | None:
@@ -203,31 +207,31 @@ class StillScene:
         """Whether some of it lies level on the ground, z = 0."""
         return bool((np.abs(self._attributes[self._corners, 2]) < FLOOR_SLACK).all(axis=1).any())
 
-    def facing(self, direction: Array) -> Still:
+    def facing(self, direction: Array) -> StaticDraw:
         """Its triangles that turn their outside to a direction."""
         a, b, c = (self._attributes[self._corners[:, i], :3] for i in range(3))
         towards = np.einsum("ij,j->i", np.cross(b - a, c - a), direction) > 0
         owner = np.repeat(np.arange(len(self._counts)), self._counts)[towards]
         counts = np.bincount(owner, minlength=len(self._counts)).tolist()
-        pieces = Pieces(self._ctx, self._attributes, self._corners[towards])
-        return Still(pieces, self._looks, counts, kept=False)
+        pieces = TriangleBuffers(self._ctx, self._attributes, self._corners[towards])
+        return StaticDraw(pieces, self._looks, counts, kept=False)
 
     @property
-    def whole(self) -> Still:
+    def whole(self) -> StaticDraw:
         """All of it."""
-        return Still(self._whole, self._looks, self._counts, kept=True)
+        return StaticDraw(self._whole, self._looks, self._counts, kept=True)
 
     @property
     def switches(self) -> list[str]:
         """What programs that draw it have to know: whether some of it is not simply matt."""
-        return ["FINISH"] if any(look.finish is not None for look in self._looks) else []
+        return ["FINISH"] if any(look.material is not None for look in self._looks) else []
 
     @property
     def blends(self) -> bool:
         """Whether some of it lets through what is behind."""
         return any(look.blends for look in self._looks)
 
-    def seen_by(self, camera: Camera, tolerance: float) -> Still:
+    def seen_by(self, camera: Camera, tolerance: float) -> StaticDraw:
         """What is to be drawn for a camera: cut to pieces where its lens bends them, that no line is off by
         more than a tolerance, in pixels.
         """
@@ -238,17 +242,19 @@ class StillScene:
         owner: Indices = np.searchsorted(self._ends, refined.parents, side="right")
         order = np.argsort(owner, kind="stable")
         counts = np.bincount(owner, minlength=len(self._looks)).tolist()
-        pieces = Pieces(self._ctx, refined.attributes, refined.triangles[order])
-        return Still(pieces, self._looks, counts, kept=False)
+        pieces = TriangleBuffers(self._ctx, refined.attributes, refined.triangles[order])
+        return StaticDraw(pieces, self._looks, counts, kept=False)
 
 
-class Still:
+class StaticDraw:
     """A still scene as one camera needs it, for as long as ``with`` lasts."""
 
-    def __init__(self, pieces: Pieces, looks: Sequence[Look], counts: Sequence[int], kept: bool) -> None:
+    def __init__(
+        self, pieces: TriangleBuffers, looks: Sequence[MaterialBuffers], counts: Sequence[int], kept: bool
+    ) -> None:
         self._pieces, self._looks, self._counts, self._kept = pieces, looks, counts, kept
 
-    def __enter__(self) -> Still:
+    def __enter__(self) -> StaticDraw:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -8,25 +8,25 @@ import moderngl
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.render.body_buffers import Surface
+from humansim_ros.render.body_buffers import BodyBuffers
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.posed_mesh import Floats
 from humansim_ros.render.programs import shader, unit_square
 from humansim_ros.render.renderer import Body
-from humansim_ros.render.shadow_map import MOVING_SIDE, STILL_SIDE, SunMap, encloses, shadow_ends, spread
-from humansim_ros.render.static_scene import StillScene
-from humansim_ros.render.target import Shades, StaticLayer, Target
+from humansim_ros.render.shadow_map import MOVING_SIDE, STILL_SIDE, ShadowMap, encloses, shadow_ends, spread
+from humansim_ros.render.static_scene import StaticScene
+from humansim_ros.render.target import RenderTarget, ShadowTarget, StaticLayer
 from humansim_ros.render.uniforms import columns, set_uniform
 
 #: Metres that shadows go at most on ground that is not drawn.
 _FARTHEST = 30.0
 
 
-class Sunlight:
+class SunShadows:
     """The soft shadows of a renderer's scene."""
 
     def __init__(
-        self, ctx: moderngl.Context, still: StillScene, lighting: Lighting, lit: Sequence[moderngl.Program]
+        self, ctx: moderngl.Context, still: StaticScene, lighting: Lighting, lit: Sequence[moderngl.Program]
     ) -> None:
         self._ctx, self._lighting, self._box = ctx, lighting, still.box
         self._depths = ctx.program(vertex_shader=shader(["sun.vert"]), fragment_shader=shader(["sun.frag"]))
@@ -46,7 +46,7 @@ class Sunlight:
         self._programs = (*lit, self._cast, self._caught)
         for program in self._programs:
             set_uniform(program, "spread", spread(lighting))
-        self._still, self._moving = SunMap(ctx, "still", STILL_SIDE), SunMap(ctx, "moving", MOVING_SIDE)
+        self._still, self._moving = ShadowMap(ctx, "still", STILL_SIDE), ShadowMap(ctx, "moving", MOVING_SIDE)
         self._lowest, self._farthest = self._reach()
         self._bodies: list[Body] = []
         self._ends: list[Floats] = []
@@ -68,7 +68,7 @@ class Sunlight:
         lowest, size = float(self._box[2].min()), float(np.linalg.norm(np.ptp(self._box, axis=1)))
         return (min(lowest, 0.0), max(size, _FARTHEST)) if self._lighting.shadow_catcher else (lowest, size)
 
-    def shine_on(self, surfaces: Sequence[Surface]) -> list[Floats]:
+    def shine_on(self, surfaces: Sequence[BodyBuffers]) -> list[Floats]:
         """Look at surfaces from the sun, once for all cameras: where their shadows end, (3, N) each."""
         bodies = [surface.body for surface in surfaces]
         if len(bodies) == len(self._bodies) and all(
@@ -92,7 +92,7 @@ class Sunlight:
 
     def on_ground(self, camera: Camera) -> Floats:
         """(H, W) how much of the sun the still scene leaves to the ground z = 0 that each pixel would see."""
-        shades = Shades(self._ctx, camera, np.zeros((*camera.size[::-1], 3), np.uint8))
+        shades = ShadowTarget(self._ctx, camera, np.zeros((*camera.size[::-1], 3), np.uint8))
         picture = self._ctx.texture(camera.size, 1, dtype="f4")
         framebuffer = self._ctx.framebuffer([picture])
         framebuffer.use()
@@ -105,7 +105,7 @@ class Sunlight:
             thing.release()
         return left.reshape(camera.size[::-1])
 
-    def shade(self, layer: StaticLayer, target: Target, camera: Camera) -> None:
+    def shade(self, layer: StaticLayer, target: RenderTarget, camera: Camera) -> None:
         """Let the shadows of what moves fall on a picture of the still scene."""
         if layer.shades is None:
             return

@@ -16,7 +16,7 @@ from humansim_ros.render.posed_mesh import Floats
 from humansim_ros.render.renderer import Backdrop
 
 if TYPE_CHECKING:
-    from humansim_ros.render.rendered_frame import Drawn
+    from humansim_ros.render.rendered_frame import RenderedFrame
 
 #: What a target is made of: the shaders' location, components read back, their type.
 _ATTACHMENTS = {"depth": (0, 1, "f4"), "label": (1, 1, "u4"), "rgb": (2, 3, "f1"), "rgba": (2, 4, "f1")}
@@ -58,7 +58,7 @@ class Rectangle:
         return slice(self.y0, self.y1), slice(self.x0, self.x1)
 
 
-class Target:
+class RenderTarget:
     """What one picture is drawn into: colour, depth in metres, triangle number; and OpenGL's depth buffer.
 
     Without ``lit`` the colour is left out. Where nothing was drawn depth and number are 0. With ``samples`` a
@@ -110,7 +110,7 @@ class Target:
         red, green, blue = (c / 255 for c in colour)
         self._colour.clear(red, green, blue, 1.0)
 
-    def average(self, fine: Target) -> None:
+    def average(self, fine: RenderTarget) -> None:
         """Take over the means of another target's samples as colour."""
         self._ctx.copy_framebuffer(self._colour, fine._colour)
 
@@ -167,11 +167,11 @@ class Target:
 class StaticLayer:
     """The static scene as one camera sees it, kept on the device and as arrays."""
 
-    def __init__(self, target: Target, backdrop: Backdrop | None, shades: Shades | None) -> None:
+    def __init__(self, target: RenderTarget, backdrop: Backdrop | None, shades: ShadowTarget | None) -> None:
         self.target, self.shades = target, shades
         self._backdrop = backdrop  # kept, so that its id stays its own
         #: what in it has labels, once that is drawn
-        self.standing: Drawn | None = None
+        self.standing: RenderedFrame | None = None
         self._rgb, self.rgba, depth = (target.read(name, lit=True) for name in ("rgb", "rgba", "depth"))
         self.hides = target.hides
         self._depth = np.where(depth > 0, depth, np.float32(np.inf))
@@ -198,7 +198,7 @@ class StaticLayer:
             self.shades.release()
 
 
-class Shades:
+class ShadowTarget:
     """What a still scene looks like in the shade: as one camera sees it without the sun, and the rays it
     sees along.
     """

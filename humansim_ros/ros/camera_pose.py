@@ -13,8 +13,8 @@ from humansim_ros.ros import messages
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
 from humansim_ros.scene.camera import CameraPose, SceneCamera
-from humansim_ros.scene.capture import Shot
-from humansim_ros.scene.state import Instant
+from humansim_ros.scene.capture import Exposure
+from humansim_ros.scene.state import SceneState
 
 try:
     from tf2_msgs.msg import TFMessage
@@ -27,7 +27,7 @@ _REMEMBERED = 200
 _RESTLESS = 1_000_000_000
 
 
-class Whereabouts:
+class CameraPosePublisher:
     """Publishes ``<camera>/extrinsics`` and ``projection``, latched, and tf: once of a camera that nothing
     moves, with every frame's stamp of others.
 
@@ -53,7 +53,7 @@ class Whereabouts:
                 self._tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
                 self._tf_static.publish(TFMessage(transforms=[transform]))
 
-    def shot(self, instant: Instant) -> Shot:
+    def shot(self, instant: SceneState) -> Exposure:
         """What there is to be seen of an instant from where the camera is then. Says where that is."""
         shot = instant.shot(self._camera)
         if self._poses:

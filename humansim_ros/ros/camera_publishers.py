@@ -11,10 +11,10 @@ from sensor_msgs.msg import Image, PointCloud2
 from humansim_ros.camera import Camera
 from humansim_ros.render import View
 from humansim_ros.ros import messages
-from humansim_ros.ros.compressed import CompressedDepthOutlet, CompressedOutlet
+from humansim_ros.ros.compressed import CompressedDepthPublisher, CompressedImagePublisher
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
-from humansim_ros.scene.state import Instant
+from humansim_ros.scene.state import SceneState
 from humansim_ros.truth.boxes import view_boxes
 from humansim_ros.truth.joints import joint_surfaces, view_joints
 from humansim_ros.truth.vertices import visible_vertices
@@ -38,7 +38,7 @@ TOPICS = {
 BY_LABEL = ("alpha", "amodal")
 
 
-class Outlets:
+class ImagePublishers:
     """Publishers of a camera's images. ``labels``: instance labels by name; ``drawn``: the channels that its
     renderer can draw, others have no topic.
     """
@@ -53,9 +53,9 @@ class Outlets:
             for channel, topic in TOPICS.items()
             if channel in drawn
         }
-        self._compressed: dict[str, CompressedOutlet | CompressedDepthOutlet] = {
-            "rgb": CompressedOutlet(node, camera, TOPICS["rgb"], encoding),
-            "depth": CompressedDepthOutlet(node, camera, TOPICS["depth"]),
+        self._compressed: dict[str, CompressedImagePublisher | CompressedDepthPublisher] = {
+            "rgb": CompressedImagePublisher(node, camera, TOPICS["rgb"], encoding),
+            "depth": CompressedDepthPublisher(node, camera, TOPICS["depth"]),
         }
         self._by_label = {
             channel: {
@@ -98,7 +98,7 @@ class Outlets:
         publisher.publish(messages.image_message(image, self._encodings[channel], stamp, self._frame))
 
 
-class PeopleOutlets:
+class TruthPublishers:
     """Publishers of what a camera knows of each person: joints, boxes, and which vertices it sees; the last
     two of labelled objects, too.
     """
@@ -115,13 +115,13 @@ class PeopleOutlets:
         """The topics that somebody subscribes to."""
         return {topic for topic, publisher in self._topics.items() if publisher.get_subscription_count()}
 
-    def send(self, topics: Collection[str], instant: Instant, view: View, camera: Camera) -> None:
+    def send(self, topics: Collection[str], instant: SceneState, view: View, camera: Camera) -> None:
         """Publish some topics of an instant, as the camera where it stands sees it."""
         make = {"joints": self._joints, "boxes": self._boxes, "visible_vertices": self._vertices}
         for topic in topics:
             self._topics[topic].publish(make[topic](instant, view, camera))
 
-    def _joints(self, instant: Instant, view: View, camera: Camera) -> PointCloud2:
+    def _joints(self, instant: SceneState, view: View, camera: Camera) -> PointCloud2:
         seen = []
         for name, actor in self._actors.items():
             positions = instant.joints_of(name).positions
@@ -130,11 +130,11 @@ class PeopleOutlets:
             seen.append((actor.instance, joints))
         return messages.joint_view_message(seen, instant.stamp, self._frame)
 
-    def _boxes(self, instant: Instant, view: View, camera: Camera) -> PointCloud2:
+    def _boxes(self, instant: SceneState, view: View, camera: Camera) -> PointCloud2:
         boxes = view_boxes(camera, instant.bodies, view)
         return messages.boxes_message(list(boxes.items()), instant.stamp, self._frame)
 
-    def _vertices(self, instant: Instant, view: View, camera: Camera) -> PointCloud2:
+    def _vertices(self, instant: SceneState, view: View, camera: Camera) -> PointCloud2:
         seen = visible_vertices(camera, instant.bodies, view)
         return messages.visible_vertices_message(list(seen.items()), instant.stamp, self._frame)
 

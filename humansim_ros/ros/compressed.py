@@ -26,7 +26,7 @@ _COLOUR = ("rgb8", "bgr8")
 #: The plugin's ``INV_DEPTH``, and its header: format, then the two numbers that depth is restored by.
 _INVERSE_DEPTH = 0
 _CONFIG_HEADER = struct.Struct("<iff")
-_MOST = 65535
+_MAX = 65535
 
 
 def encode_image(
@@ -56,7 +56,7 @@ def encode_depth(
     b = np.float32(1 - a / np.float32(depth_max))
     inverse = np.divide(a, depth) + b
     np.rint(inverse, out=inverse)
-    levels = np.where(depth < depth_max, np.clip(inverse, 1, _MOST), 0).astype(np.uint16)
+    levels = np.where(depth < depth_max, np.clip(inverse, 1, _MAX), 0).astype(np.uint16)
     png = _coded(levels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, png_level])
     head = np.frombuffer(_CONFIG_HEADER.pack(_INVERSE_DEPTH, a, b), dtype=np.uint8)
     return "32FC1; compressedDepth png", np.concatenate([head, png])
@@ -110,7 +110,7 @@ class _Compressed:
         self._publisher.publish(message)
 
 
-class CompressedOutlet(_Compressed):
+class CompressedImagePublisher(_Compressed):
     """``<camera>/image_raw/compressed``, for images of one encoding."""
 
     def __init__(self, node: SceneNode, camera: str, topic: str, encoding: str) -> None:
@@ -127,7 +127,7 @@ class CompressedOutlet(_Compressed):
         self._publish(*encode_image(image, self._encoding, *settings), stamp)
 
 
-class CompressedDepthOutlet(_Compressed):
+class CompressedDepthPublisher(_Compressed):
     """``<camera>/depth/image/compressedDepth``."""
 
     def __init__(self, node: SceneNode, camera: str, topic: str) -> None:

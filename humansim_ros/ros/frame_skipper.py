@@ -7,11 +7,11 @@ _WINDOW = 1.0
 _LOST = 0.2
 #: Less than this share of the time at work: twice as fast may do.
 _IDLE = 0.46
-_MOST = 8
+_MAX = 8
 _FIRST_WAIT, _LONGEST_WAIT = 2.0, 16.0
 
 
-class Pace:
+class FrameSkipper:
     """Keeps every frame, or every second, fourth or eighth, counted by stamp.
 
     Nodes that are late together so leave out the same frames, and several cameras still show the same
@@ -47,7 +47,7 @@ class Pace:
         span = end - self._since
         if span < _WINDOW:
             return
-        if self._lost > _LOST * (self._kept + self._lost) and self.stride < _MOST:
+        if self._lost > _LOST * (self._kept + self._lost) and self.stride < _MAX:
             self.stride *= 2
             self._next_try = end + self._wait
             self._wait = min(2 * self._wait, _LONGEST_WAIT)  # each failed try makes the next one rarer

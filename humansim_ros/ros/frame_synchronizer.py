@@ -20,15 +20,15 @@ from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.ros import messages
-from humansim_ros.ros.frame_skipper import Pace
+from humansim_ros.ros.frame_skipper import FrameSkipper
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import NEWEST
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.objects import ObjectPose
-from humansim_ros.scene.state import Instant, JointMotion
+from humansim_ros.scene.state import JointMotion, SceneState
 
 #: Frames that may wait for a human's message before they are given up.
-_MOST_WAITING = 8
+_MAX_WAITING = 8
 #: Frames that the time between frames is known by.
 _GAPS = 5
 #: Periods that a frame may be behind the newest before it is skipped.
@@ -46,7 +46,7 @@ _NEW_TIME = 1_000_000_000
 _Parts = tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]]
 
 
-class FrameJoiner:
+class FrameSynchronizer:
     """Subscribes to every human's vertices and joints, every moving object's marker, the pose of some
     ``cameras``, and how both move, and hands over whole instants, the newest where it is late.
 
@@ -54,12 +54,14 @@ class FrameJoiner:
     something.
     """
 
-    def __init__(self, node: SceneNode, show: Callable[[Instant], None], cameras: Sequence[str] = ()) -> None:
+    def __init__(
+        self, node: SceneNode, show: Callable[[SceneState], None], cameras: Sequence[str] = ()
+    ) -> None:
         self._node = node
         self._scene = node.scene
         self._show = show
         self._period = self._scene.period * 1e9
-        self._pace = Pace(self._period)
+        self._pace = FrameSkipper(self._period)
         actors, objects = list(self._scene.actors), list(self._scene.moving_objects)
         twists = [*(f"objects/{name}" for name in objects), *cameras]
         self._expected = (actors, actors, objects, list(cameras), twists)
@@ -117,7 +119,7 @@ class FrameJoiner:
         self._waiting.setdefault(stamp, ({}, {}, {}, {}, {}))[kind][name] = part
         if self._is_whole(stamp):
             self._hand_over_soon()
-        elif len(self._waiting) > _MOST_WAITING:
+        elif len(self._waiting) > _MAX_WAITING:
             self._give_up()
 
     def _is_whole(self, stamp: int) -> bool:
@@ -204,7 +206,7 @@ class FrameJoiner:
                 self._node.skipped(f"{name}: {wrong}")
                 return
         try:
-            self._show(Instant(stamp, self._scene, actors, vertices, joints_of, objects, cameras))
+            self._show(SceneState(stamp, self._scene, actors, vertices, joints_of, objects, cameras))
         except HumansimError as error:
             self._node.skipped(str(error))
 

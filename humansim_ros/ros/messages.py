@@ -43,7 +43,7 @@ from humansim_ros.motion.world_motion import JointPoses, Velocity
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.scene import HumanState
 from humansim_ros.scene.camera import CameraPose
-from humansim_ros.scene.live import Source
+from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 from humansim_ros.scene.state import JointMotion
 from humansim_ros.truth.boxes import BodyBox
@@ -543,7 +543,7 @@ def _read_points(message: PointCloud2, needed: Sequence[str]) -> NDArray[Any]:
 # ----------------------------------------------------------------------------------------------------
 
 
-def motion_legend(source: Source) -> String:
+def motion_legend(source: JointSource) -> String:
     """``humans/<id>/motion/legend``: how the joints of the motion are put onto the human's skeleton."""
     return _legend(source.to_dict())
 

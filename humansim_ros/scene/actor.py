@@ -13,7 +13,7 @@ from humansim_ros.io.files import beside
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.files import read_motion, split_name
 from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.keyframes import SPACE_JOINTS, Track, take_back
+from humansim_ros.motion.keyframes import SPACE_JOINTS, Track, undo_keyframes
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import (
@@ -22,7 +22,7 @@ from humansim_ros.motion.world_motion import (
     Placement,
     WorldMotion,
     central_difference,
-    understand,
+    detect_file_frame,
 )
 from humansim_ros.render import Body
 from humansim_ros.rotations import Array, matrix_to_quaternion, moved
@@ -99,7 +99,7 @@ class Actor:
         world = WorldMotion(
             motion,
             match,
-            understand(motion, match, config.unit, config.up, config.facing),
+            detect_file_frame(motion, match, config.unit, config.up, config.facing),
             Placement(config.position, float(np.radians(config.yaw_deg)), config.anchor),
             config.loop,
             config.start,
@@ -173,7 +173,7 @@ class Actor:
 
     def _joints(self, poses: JointPoses) -> tuple[Array, Array]:
         """Frames (N, J, 4, 4) of the ground-truth joints, and how large the body is (N,)."""
-        own, space = take_back(poses)
+        own, space = undo_keyframes(poses)
         joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own))
         return (joints, np.ones(len(joints))) if space is None else (space.carry(joints), space.size)
 

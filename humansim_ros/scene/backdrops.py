@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimError, MeshError, SceneError
 from humansim_ros.io.files import beside, read_bytes
-from humansim_ros.io.images import MOST_PIXELS, decode_image, stated_size
-from humansim_ros.render.backdrops import Photograph
+from humansim_ros.io.images import MAX_PIXELS, decode_image, stated_size
+from humansim_ros.render.backdrops import ImageBackdrop
 from humansim_ros.scene.config import line_of_key
 
 _RADIANCE = re.compile(rb"^#\?(RADIANCE|RGBE)\b.*?\n\s*?\n-Y (\d{1,6}) \+X (\d{1,6})\n", re.DOTALL)
@@ -29,16 +29,16 @@ def scene_file(name: str, scene: Path, key: str) -> Path:
     return path
 
 
-def photograph_of(name: str, scene: Path, key: str) -> Photograph:
+def load_backdrop(name: str, scene: Path, key: str) -> ImageBackdrop:
     """A photograph (PNG or JPEG). SceneError with the scene's key and the file if it cannot be read."""
     path = scene_file(name, scene, key)
     try:
-        return Photograph(decode_image(read_bytes(path, SceneError, "photograph")))
+        return ImageBackdrop(decode_image(read_bytes(path, SceneError, "photograph")))
     except HumansimError as error:
         raise _unreadable(path, error, scene, key) from None
 
 
-def radiance_of(name: str, scene: Path, key: str) -> NDArray[np.float32]:
+def load_panorama(name: str, scene: Path, key: str) -> NDArray[np.float32]:
     """(H, W, 3) linear light of a panorama: Radiance .hdr; OpenEXR where its package is installed; PNG or
     JPEG, with 1 as its white. SceneError with the scene's key and the file if it cannot be read.
     """
@@ -101,7 +101,7 @@ def _read_exr(path: Path) -> NDArray[np.float32]:
 
 
 def _check_size(width: int, height: int) -> None:
-    if not 0 < width * height <= MOST_PIXELS:
+    if not 0 < width * height <= MAX_PIXELS:
         raise SceneError(f"a panorama of {width} x {height} pixels is too large")
 
 

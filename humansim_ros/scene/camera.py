@@ -20,7 +20,7 @@ from humansim_ros.io.files import beside
 from humansim_ros.motion.world_motion import VELOCITY_STEP, Velocity
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
-from humansim_ros.scene.backdrops import photograph_of
+from humansim_ros.scene.backdrops import load_backdrop
 from humansim_ros.scene.config import CameraConfig, RigConfig, line_of_key
 from humansim_ros.sensor import Sensor
 
@@ -90,7 +90,7 @@ class SceneCamera:
         region = Region(None if roi is None else (roi.x, roi.y, roi.width, roi.height), config.binning)
         sensor = Sensor(config.sensor, region.of(whole), name)
         key = f"cameras.{name}.background"
-        backdrop = None if config.background is None else photograph_of(config.background, scene, key)
+        backdrop = None if config.background is None else load_backdrop(config.background, scene, key)
         return cls(name, whole, region, sensor, path, offset, speed, backdrop)
 
     def with_calibration(self, calibrated: Camera) -> SceneCamera:

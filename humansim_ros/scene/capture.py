@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.render import Body, Neighbour, Renderer, View
+from humansim_ros.render import AdjacentFrame, Body, Renderer, View
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 
 
 @dataclass(frozen=True)
-class Shot:
+class Exposure:
     """All there is to be seen around one instant. ``bodies_at``: as they stand so many seconds after it;
     ``pose_at``: where the camera is then. ``moving``: whether the camera may be elsewhere in the next frame.
     ``after``, ``before``: the next and the previous frame, where channels need them.
@@ -22,16 +22,16 @@ class Shot:
     bodies_at: Callable[[float], Sequence[Body]]
     pose_at: Callable[[float], CameraPose]
     moving: bool = False
-    after: Neighbour | None = None
-    before: Neighbour | None = None
+    next_frame: AdjacentFrame | None = None
+    previous_frame: AdjacentFrame | None = None
 
-    def neighbour(self, camera: SceneCamera) -> Neighbour:
+    def neighbour(self, camera: SceneCamera) -> AdjacentFrame:
         """Its instant as one that another frame is compared with."""
-        return Neighbour(self.bodies_at(0.0), camera.at(self.pose_at(0.0)))
+        return AdjacentFrame(self.bodies_at(0.0), camera.at(self.pose_at(0.0)))
 
 
-def photograph(
-    renderer: Renderer, camera: SceneCamera, shot: Shot, channels: Collection[str], stamp: int
+def capture(
+    renderer: Renderer, camera: SceneCamera, shot: Exposure, channels: Collection[str], stamp: int
 ) -> View:
     """What a camera sees of a shot: the truth of its instant, the middle of the exposure, and the picture
     that the sensor makes. ``stamp``: nanoseconds; the sensor's noise depends on it.
@@ -42,7 +42,9 @@ def photograph(
     drawn = [channel for channel in channels if at_once or channel != "rgb"]
     view = View()
     if drawn:
-        view = renderer.render(bodies, here, drawn, shot.moving, shot.after, shot.before, camera.backdrop)
+        view = renderer.render(
+            bodies, here, drawn, shot.moving, shot.next_frame, shot.previous_frame, camera.backdrop
+        )
     if "rgb" not in channels or not camera.sensor.active:
         return view
     if at_once:
@@ -53,7 +55,7 @@ def photograph(
         for time in times.tolist():
             there = camera.at(shot.pose_at(time))
             seen = renderer.render(
-                shot.bodies_at(time), there, ("rgb",), passing=shot.moving, backdrop=camera.backdrop
+                shot.bodies_at(time), there, ("rgb",), moving_camera=shot.moving, backdrop=camera.backdrop
             )
             assert seen.rgb is not None
             yield seen.rgb

@@ -13,9 +13,9 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.errors import MeshError, warn_of
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.backdrops import Panorama, ambient
-from humansim_ros.render.lighting import Lighting, developed
+from humansim_ros.render.lighting import Lighting, tone_mapped
 from humansim_ros.render.renderer import Backdrop
-from humansim_ros.scene.backdrops import photograph_of, radiance_of, scene_file
+from humansim_ros.scene.backdrops import load_backdrop, load_panorama, scene_file
 from humansim_ros.scene.config import LightConfig, RoomConfig, SceneConfig, WorldMeshConfig
 from humansim_ros.scene.mesh_files import read_world_mesh
 from humansim_ros.scene.randomise import random_light
@@ -26,7 +26,7 @@ _LARGE, _SMALL = 1000.0, 0.02
 
 
 @dataclass(frozen=True)
-class World:
+class Environment:
     """What stands still whatever people do. ``placed``: its mesh files. ``backdrop``: what cameras see where
     nothing is.
     """
@@ -37,7 +37,7 @@ class World:
     backdrop: Backdrop | None = None
 
     @classmethod
-    def load(cls, config: SceneConfig, scene: Path) -> World:
+    def load(cls, config: SceneConfig, scene: Path) -> Environment:
         """The world of a scene file. Raises SceneError with its key, or MeshError with the mesh's file."""
         world, meshes = config.world, list[Mesh]()
         for number, mesh in enumerate(world.meshes):
@@ -47,15 +47,15 @@ class World:
         lighting = replace(_lighting(light), shadow_catcher=world.shadow_catcher)
         backdrop: Backdrop | None = None
         if world.environment is not None:
-            radiance = radiance_of(world.environment, scene, "world.environment")
-            backdrop = Panorama(developed(radiance, lighting), math.radians(world.environment_yaw_deg))
+            radiance = load_panorama(world.environment, scene, "world.environment")
+            backdrop = Panorama(tone_mapped(radiance, lighting), math.radians(world.environment_yaw_deg))
             sky, ground = ambient(radiance)
             if "sky_color" not in light.model_fields_set:
                 lighting = replace(lighting, sky_color=sky)
             if "ground_color" not in light.model_fields_set:
                 lighting = replace(lighting, ground_color=ground)
         if isinstance(world.background, str):
-            backdrop = photograph_of(world.background, scene, "world.background")
+            backdrop = load_backdrop(world.background, scene, "world.background")
         elif world.background is not None:
             lighting = replace(lighting, background=world.background)
         return cls(tuple(meshes), config.room, lighting, backdrop)

@@ -13,7 +13,7 @@ import numpy as np
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.joint_matching import find_match
 from humansim_ros.motion.joint_tables import JointMatch
-from humansim_ros.motion.keyframes import SPACE_JOINTS, take_back
+from humansim_ros.motion.keyframes import SPACE_JOINTS, undo_keyframes
 from humansim_ros.motion.retarget import Retargeter, has_turns
 from humansim_ros.motion.world_motion import JointPoses
 from humansim_ros.rotations import Array, quaternion_to_matrix
@@ -30,13 +30,13 @@ _NOISE = 0.03
 #: Messages after which a new source has been looked at long enough.
 _LOOKED_AT = 30
 #: Frames in a row that may be broken before they count as another source, at first and at most.
-_PATIENCE, _MOST_PATIENCE = 5, 80
+_PATIENCE, _MAX_PATIENCE = 5, 80
 #: New sources that are remembered.
 _REMEMBERED = 4
 
 
 @dataclass(frozen=True)
-class Source:
+class JointSource:
     """What a body follows: joint names, and how they are put onto its skeleton.
 
     ``links`` (L, 3): the limbs in the axes of the joints that carry them, metres, which are the same in all
@@ -51,7 +51,7 @@ class Source:
     since: int = 0
 
     @classmethod
-    def of_poses(cls, poses: JointPoses, retargeter: Retargeter, since: int = 0) -> Source:
+    def of_poses(cls, poses: JointPoses, retargeter: Retargeter, since: int = 0) -> JointSource:
         """A source of which some poses (N >= 1) are known."""
         seen = _links(poses, retargeter.match)
         links = seen.mean(0)
@@ -64,7 +64,7 @@ class Source:
         return cls(poses.names, retargeter, links, slack, since)
 
     @classmethod
-    def of_actor(cls, actor: Actor, since: int = 0) -> Source:
+    def of_actor(cls, actor: Actor, since: int = 0) -> JointSource:
         """The motion that a human of a scene plays."""
         motion = replace(actor.motion, speed=1.0)
         times = motion.frame_times
@@ -81,7 +81,7 @@ class Source:
         }
 
     @classmethod
-    def from_dict(cls, data: Mapping[str, Any], actor: Actor) -> Source:
+    def from_dict(cls, data: Mapping[str, Any], actor: Actor) -> JointSource:
         """What :meth:`to_dict` wrote, for a human; MotionError if it is something else."""
         try:
             names = tuple(str(name) for name in data["joint_names"])
@@ -126,11 +126,11 @@ class Follower:
     def __init__(self, actor: Actor, table: str | None = None) -> None:
         self._actor = actor
         self._table = table
-        self._scene = Source.of_actor(actor)
+        self._scene = JointSource.of_actor(actor)
         # newest first
-        self._legends: list[Source] = []
-        self._observed: list[Source] = []
-        self._source: Source | None = None
+        self._legends: list[JointSource] = []
+        self._observed: list[JointSource] = []
+        self._source: JointSource | None = None
         self._looked_at: list[JointPoses] = []
         self._odd: list[JointPoses] = []
         self._patience = _PATIENCE
@@ -155,7 +155,7 @@ class Follower:
 
     def hear_legend(self, data: Mapping[str, Any]) -> None:
         """Take what a player says of its motion. MotionError if it is no legend."""
-        self._legends = [Source.from_dict(data, self._actor), *self._legends][:2]
+        self._legends = [JointSource.from_dict(data, self._actor), *self._legends][:2]
 
     def follow(self, poses: JointPoses, stamp: int | None = None) -> HumanState:
         """The body at one instant (N = 1). Raises MotionError where these joints cannot drive it."""
@@ -164,12 +164,12 @@ class Follower:
             raise MotionError(f"joints are there twice: {', '.join(twice[:6])}")
         space = SPACE_JOINTS if set(SPACE_JOINTS) <= set(poses.names) else ()
         own = tuple(name for name in poses.names if name not in space)
-        moved, _ = take_back(_in_order(poses, (*own, *space)))
+        moved, _ = undo_keyframes(_in_order(poses, (*own, *space)))
         self._source = self._find(moved, stamp)
         actor = replace(self._actor, retargeter=self._source.retargeter)
         return actor.state(_in_order(poses, (*self._source.names, *space)))
 
-    def _find(self, poses: JointPoses, stamp: int | None) -> Source:
+    def _find(self, poses: JointPoses, stamp: int | None) -> JointSource:
         """The source that a pose is of: a known one, or one that is seen for the first time."""
         for source in self._candidates(stamp):
             if set(source.names) != set(poses.names):
@@ -189,18 +189,18 @@ class Follower:
             raise MotionError(
                 "the limbs are not as long, or not turned, as before: a bad frame, or another person"
             )
-        self._patience = min(2 * self._patience, _MOST_PATIENCE)
+        self._patience = min(2 * self._patience, _MAX_PATIENCE)
         odd, self._odd = self._odd, []
         return self._observe(odd)
 
-    def _candidates(self, stamp: int | None) -> Iterator[Source]:
+    def _candidates(self, stamp: int | None) -> Iterator[JointSource]:
         """Known sources, the likeliest first. A legend is not meant for what was sent before it."""
         meant = [legend for legend in self._legends if stamp is None or legend.since <= stamp]
         yield from meant or self._legends
         yield self._scene
         yield from self._observed
 
-    def _observe(self, seen: Sequence[JointPoses]) -> Source:
+    def _observe(self, seen: Sequence[JointPoses]) -> JointSource:
         """A source that is seen for the first time."""
         poses = _joined(seen)
         if self._refused is not None and self._refused[0] == poses.names:
@@ -217,7 +217,7 @@ class Follower:
         self._looked_at = list(seen)
         return source
 
-    def _look(self, source: Source, poses: JointPoses) -> Source:
+    def _look(self, source: JointSource, poses: JointPoses) -> JointSource:
         """The source as it is after one more pose of it: a new one is fitted again when enough are known."""
         newest = bool(self._observed) and source is self._observed[0]
         if newest and len(self._looked_at) < _LOOKED_AT:
@@ -227,8 +227,8 @@ class Follower:
                 self._observed[0] = source
         return source
 
-    def _fitted(self, poses: JointPoses, match: JointMatch) -> Source:
-        source = Source.of_poses(poses, Retargeter.observe(poses, match, self._actor.human.skeleton))
+    def _fitted(self, poses: JointPoses, match: JointMatch) -> JointSource:
+        source = JointSource.of_poses(poses, Retargeter.observe(poses, match, self._actor.human.skeleton))
         if len(poses.positions) >= _LOOKED_AT:
             return source
         # how noisy its joints are is not known yet

@@ -45,7 +45,7 @@ class Tick:
     dropped: int = 0
 
 
-class Clock:
+class PlaybackClock:
     """When frames leave, in nanoseconds of a wall clock, and which time of the scene each shows.
 
     Frame k leaves at start + round(k * period); a new start is made by :meth:`cut`. Stamps always rise, but
@@ -128,7 +128,7 @@ class Clock:
 
 
 @dataclass(frozen=True)
-class Moment:
+class ScenePoses:
     """What moves at one time of the scene: the joints of each human's motion (N = 1), and the places of
     objects and of cameras with a trajectory.
     """
@@ -167,7 +167,7 @@ class Playback:
         }
         self.elapsed = 0
 
-    def show(self, elapsed: int, pace: float = 1.0) -> Moment:
+    def show(self, elapsed: int, pace: float = 1.0) -> ScenePoses:
         """What moves at ``elapsed`` nanoseconds of the scene; velocities are per second of the wall, on which
         ``pace`` seconds of the scene pass.
         """
@@ -178,7 +178,7 @@ class Playback:
         objects = {name: replace(place, velocity=_velocity(place, pace)) for name, place in objects.items()}
         cameras = {name: camera.pose(seconds) for name, camera in self.scene.moving_cameras.items()}
         cameras = {name: replace(pose, velocity=_velocity(pose, pace)) for name, pose in cameras.items()}
-        return Moment(poses, objects, cameras)
+        return ScenePoses(poses, objects, cameras)
 
     def change(self, name: str, **settings: Any) -> None:
         """Let a human do something else after what was shown last: keys of a scene file's ``motion``.

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, SceneError
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.posed_mesh import Posed, Topology
+from humansim_ros.render.posed_mesh import PosedMesh, Topology
 from humansim_ros.rotations import Array
 from humansim_ros.scene.config import LightConfig, ObjectConfig, RandomiseConfig, SceneConfig
 from humansim_ros.scene.room import pattern
@@ -148,7 +148,7 @@ class Around:
         eyes = [camera.whole.center[None, :2] for camera in cameras.values()]
         things: list[Array] = [np.zeros((0, 2))]
         for mesh in still:
-            samples = Posed(Topology(mesh), mesh.vertices.astype(np.float32)).samples[0]
+            samples = PosedMesh(Topology(mesh), mesh.vertices.astype(np.float32)).samples[0]
             things.append(samples[:2, (samples[2] > _LOW) & (samples[2] < _HIGH)].T.astype(float))
         for thing in objects.values():
             if thing.moves:

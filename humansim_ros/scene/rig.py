@@ -10,7 +10,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import CameraError, SceneError
 from humansim_ros.render.renderer import Backdrop
-from humansim_ros.scene.backdrops import photograph_of
+from humansim_ros.scene.backdrops import load_backdrop
 from humansim_ros.scene.camera import SceneCamera, _placed, _read
 from humansim_ros.scene.config import RigConfig, SceneConfig, line_of_key
 from humansim_ros.sensor import Sensor
@@ -80,13 +80,13 @@ def _backdrops(rig: RigConfig, names: Sequence[str], scene: Path) -> dict[str, B
     if isinstance(rig.background, str):
         files = {name: rig.background.replace("{name}", name) for name in names}
         # by file: one that all cameras have is kept once
-        read = {file: photograph_of(file, scene, key) for file in dict.fromkeys(files.values())}
+        read = {file: load_backdrop(file, scene, key) for file in dict.fromkeys(files.values())}
         return {name: read[file] for name, file in files.items()}
     files = rig.background or {}
     for name in files.keys() - {*names}:
         key, message = f"{key}.{name}", f"no camera {name!r} in this rig; there are {', '.join(names)}"
         raise SceneError(message, path=scene, line=line_of_key(scene, key), key=key)
-    return {name: photograph_of(file, scene, f"{key}.{name}") for name, file in files.items()}
+    return {name: load_backdrop(file, scene, f"{key}.{name}") for name, file in files.items()}
 
 
 def _topic_name(name: str) -> str:

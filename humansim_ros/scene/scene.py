@@ -25,7 +25,7 @@ from humansim_ros.scene.config import (
     line_of_key,
     load_config,
 )
-from humansim_ros.scene.environment import World
+from humansim_ros.scene.environment import Environment
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import Around, clutter, jittered, restyled
 from humansim_ros.scene.rig import build_cameras
@@ -45,7 +45,7 @@ class Scene:
     actors: dict[str, Actor]
     scene_cameras: dict[str, SceneCamera]
     objects: dict[str, SceneObject] = field(default_factory=dict)
-    world: World = field(default_factory=World)
+    environment: Environment = field(default_factory=Environment)
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
@@ -63,15 +63,18 @@ class Scene:
         }
         objects: dict[str, SceneObject] = {}
         _add_objects(objects, config.objects, path, tracks, actors)
-        world = World.load(config, path)
+        environment = Environment.load(config, path)
         cameras = {
-            name: replace(camera, backdrop=camera.backdrop or world.backdrop)
+            name: replace(camera, backdrop=camera.backdrop or environment.backdrop)
             for name, camera in build_cameras(config, path).items()
         }
         if config.randomise is not None:
             cameras = jittered(cameras, config.randomise)
         if config.randomise is not None and config.randomise.clutter:
-            still = [*world.meshes, *(thing.standing() for thing in objects.values() if not thing.moves)]
+            still = [
+                *environment.meshes,
+                *(thing.standing() for thing in objects.values() if not thing.moves),
+            ]
             things = clutter(config, path, Around.of(actors.values(), cameras, objects, still))
             _add_objects(objects, things, path, tracks, actors)
         distorted = [name for name, camera in cameras.items() if camera.camera.distorted]
@@ -82,14 +85,14 @@ class Scene:
                 line=line_of_key(path, "renderer"),
                 key="renderer",
             )
-        return cls(path, config, actors, cameras, objects, world)
+        return cls(path, config, actors, cameras, objects, environment)
 
     def make_renderer(self, device: int | None = None) -> GLRenderer | PyrenderRenderer:
         """A renderer of the kind that the scene asks for, in its static world. ``device``: number of the GPU
         as EGL counts them; the first that works if None. Raises RenderError.
         """
-        light = self.world.lighting
-        return make_renderer(self.config.renderer, self.static_meshes, light, device, self.standing_bodies)
+        light = self.environment.lighting
+        return make_renderer(self.config.renderer, self.static_meshes, light, device, self.static_bodies)
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
@@ -127,7 +130,7 @@ class Scene:
         return [*meshes, *(mesh for name, mesh in standing.items() if not self.objects[name].instance)]
 
     @cached_property
-    def standing_bodies(self) -> list[Body]:
+    def static_bodies(self) -> list[Body]:
         """The objects with labels that stand still: always the same bodies."""
         things = ((self.objects[name], mesh) for name, mesh in self._standing[1].items())
         return [thing.standing_body(mesh) for thing, mesh in things if thing.instance]
@@ -136,10 +139,10 @@ class Scene:
     def _standing(self) -> tuple[list[Mesh], dict[str, Mesh]]:
         """The world, and the objects that stand still by name, in ``map`` with the looks they have."""
         standing = {name: thing.standing() for name, thing in self.objects.items() if not thing.moves}
-        meshes = [*self.world.meshes, *standing.values()]
+        meshes = [*self.environment.meshes, *standing.values()]
         if self.config.randomise is not None:
             meshes = restyled(meshes, self.config.randomise)
-        count = len(self.world.meshes)
+        count = len(self.environment.meshes)
         return meshes[:count], dict(zip(standing, meshes[count:], strict=True))
 
     @cached_property

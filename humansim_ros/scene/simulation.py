@@ -15,17 +15,17 @@ from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.renderer import FLOWS
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.scene.camera import SceneCamera
-from humansim_ros.scene.capture import photograph
+from humansim_ros.scene.capture import capture
 from humansim_ros.scene.objects import ObjectPose
-from humansim_ros.scene.playback import Moment, Playback
+from humansim_ros.scene.playback import Playback, ScenePoses
 from humansim_ros.scene.scene import Scene
-from humansim_ros.scene.state import Instant, JointMotion
+from humansim_ros.scene.state import JointMotion, SceneState
 from humansim_ros.truth.boxes import BodyBox, view_boxes
 from humansim_ros.truth.joints import JointView, joint_surfaces, view_joints
 from humansim_ros.truth.vertices import visible_vertices
 
 #: What there is at one time of the scene.
-_Found = tuple[Moment, dict[str, HumanState], Instant]
+_Found = tuple[ScenePoses, dict[str, HumanState], SceneState]
 
 
 @dataclass(frozen=True)
@@ -92,7 +92,7 @@ class Simulation:
         asked = {FLOWS[channel] for channel in self.channels if channel in FLOWS}
         beside = {
             which: self._at(self.scene.frame_time(index + step))[2]
-            for which, step in (("after", 1), ("before", -1))
+            for which, step in (("next_frame", 1), ("previous_frame", -1))
             if which in asked
         }
         moment, humans, instant = self._at(elapsed)
@@ -122,14 +122,14 @@ class Simulation:
             self.scene.labels,
         )
 
-    def _view(self, camera: SceneCamera, instant: Instant, beside: Mapping[str, Instant]) -> View:
+    def _view(self, camera: SceneCamera, instant: SceneState, beside: Mapping[str, SceneState]) -> View:
         """What a camera sees. ``beside``: the frames after and before, where channels need them."""
         after, before = (
             other.shot(camera).neighbour(camera) if (other := beside.get(which)) else None
-            for which in ("after", "before")
+            for which in ("next_frame", "previous_frame")
         )
-        shot = replace(instant.shot(camera), after=after, before=before)
-        return photograph(self.renderer, camera, shot, self.channels, instant.stamp)
+        shot = replace(instant.shot(camera), next_frame=after, previous_frame=before)
+        return capture(self.renderer, camera, shot, self.channels, instant.stamp)
 
     def _at(self, elapsed: int) -> _Found:
         """All there is at a time of the scene in nanoseconds. The last few are kept: with flow, frames are
@@ -147,13 +147,13 @@ class Simulation:
             self._recent.append((elapsed, actors, found))
         return found
 
-    def _instant(self, elapsed: int, humans: dict[str, HumanState], moment: Moment) -> Instant:
+    def _instant(self, elapsed: int, humans: dict[str, HumanState], moment: ScenePoses) -> SceneState:
         def joints_of(name: str) -> JointMotion:
             return JointMotion(humans[name].joints, humans[name].linear, humans[name].angular)
 
         vertices = {name: state.vertices for name, state in humans.items()}
         stamp, actors = self.start + elapsed, self.playback.actors
-        return Instant(stamp, self.scene, actors, vertices, joints_of, moment.objects, moment.cameras)
+        return SceneState(stamp, self.scene, actors, vertices, joints_of, moment.objects, moment.cameras)
 
     def close(self) -> None:
         """Free the renderer."""

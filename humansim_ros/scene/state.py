@@ -18,7 +18,7 @@ from humansim_ros.render import Body
 from humansim_ros.rotations import Array
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose, SceneCamera
-from humansim_ros.scene.capture import Shot
+from humansim_ros.scene.capture import Exposure
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene
 
@@ -38,7 +38,7 @@ class JointMotion:
 
 
 @dataclass(frozen=True, eq=False)
-class Instant:
+class SceneState:
     """All humans, moving objects and moving cameras of a scene at one stamp (nanoseconds).
 
     ``vertices``: (V, 3) float32 by human; ``joints_of``: a human's joints, asked for only where they matter.
@@ -58,11 +58,11 @@ class Instant:
         """What is to be drawn."""
         bodies = [actor.body(self.vertices[name]) for name, actor in self.actors.items()]
         bodies += [thing.body(self.objects[name]) for name, thing in self.scene.moving_objects.items()]
-        return bodies + self.scene.standing_bodies
+        return bodies + self.scene.static_bodies
 
-    def shot(self, camera: SceneCamera) -> Shot:
+    def shot(self, camera: SceneCamera) -> Exposure:
         """What there is to be seen by a camera."""
-        return Shot(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), camera.moves)
+        return Exposure(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), camera.moves)
 
     def _bodies_at(self, seconds: float) -> Sequence[Body]:
         """What is to be drawn so many seconds later: once for all cameras that expose alike."""
@@ -76,7 +76,7 @@ class Instant:
         bodies = [actor.body(self._vertices_at(name, seconds)) for name, actor in self.actors.items()]
         for name, thing in self.scene.moving_objects.items():
             bodies.append(thing.body(self.objects[name].moved(seconds)))
-        return bodies + self.scene.standing_bodies
+        return bodies + self.scene.static_bodies
 
     def _vertices_at(self, name: str, seconds: float) -> NDArray[np.float32]:
         motion = self.joints_of(name)

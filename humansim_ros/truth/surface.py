@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
-from humansim_ros.render.pixel_geometry import Detail, Shown
+from humansim_ros.render.pixel_geometry import PixelGeometry, VisiblePixels
 
 Floats = NDArray[np.float32]
 
@@ -37,8 +37,10 @@ def rest_points(camera: Camera, bodies: Sequence[Body], view: View) -> Floats:
     owners = np.full(65536, -1)
     owners[[body.instance for body in labelled]] = np.arange(len(labelled))
     pixels = np.flatnonzero(view.instance)
-    shown = Shown(pixels, owners[view.instance.ravel()[pixels]], view.face.ravel()[pixels] - np.intp(1))
-    weights = Detail(camera, labelled, shown).weights.T
+    shown = VisiblePixels(
+        pixels, owners[view.instance.ravel()[pixels]], view.face.ravel()[pixels] - np.intp(1)
+    )
+    weights = PixelGeometry(camera, labelled, shown).weights.T
     points = np.full((*view.instance.shape, 3), np.nan, np.float32)
     for index, body in enumerate(labelled):
         mine = shown.owner == index

@@ -394,7 +394,7 @@ def test_where_a_skirt_hides_the_legs_usual_ratios_are_taken_and_said() -> None:
 
 
 def test_a_mesh_of_too_many_vertices_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(fitting_module, "MOST_VERTICES", 1000)
+    monkeypatch.setattr(fitting_module, "MAX_VERTICES", 1000)
     with pytest.raises(MeshError, match="simplify the mesh"):
         fit_skeleton(figure("child"))
 

@@ -23,7 +23,7 @@ from humansim_ros.mesh.obj import read_mesh
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.joint_matching import find_match
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world_motion import WorldMotion, understand
+from humansim_ros.motion.world_motion import WorldMotion, detect_file_frame
 from humansim_ros.rotations import Array
 
 SKELETON = hanim_skeleton()
@@ -137,7 +137,7 @@ def walking_error(rule: RigRule) -> Array:
     man = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
     motion = read_bvh(ROOT / "assets" / "motions" / "walk.bvh")
     match = find_match(motion.joint_names)
-    world = WorldMotion(motion, match, understand(motion, match), loop="none")
+    world = WorldMotion(motion, match, detect_file_frame(motion, match), loop="none")
     rotations, root = Retargeter.fit(world, man.skeleton).apply(world.sample(np.linspace(0, 1.9, 5)))
     transforms = man.skeleton.pose(rotations, root) @ man.skeleton.rest_inverse
     ours = skin(man.mesh.vertices, rig(man.mesh, man.skeleton, rule), transforms)
@@ -311,7 +311,7 @@ def test_heat_flows_over_a_coarser_surface_where_there_are_very_many_vertices(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     human = person("slim_old_woman")
-    monkeypatch.setattr(heat, "_MOST_POINTS", 5000)
+    monkeypatch.setattr(heat, "_MAX_POINTS", 5000)
     coarse = rig(human.mesh, human.skeleton)
     off = np.asarray(np.abs(coarse - heated(human.name)).sum(1)).ravel() / 2
     assert 0 < off.mean() < 0.03

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from humansim_ros.camera import Camera, read_calibration, write_calibration
-from humansim_ros.camera.formats import FORMS
+from humansim_ros.camera.formats import FORMATS
 from humansim_ros.errors import CameraError, HumansimWarning
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*image size is not in the file")
@@ -525,7 +525,7 @@ def test_a_rotation_that_is_a_little_off_is_mended(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.*does not hold the image size")
-@pytest.mark.parametrize("form", FORMS, ids=lambda form: form.name)
+@pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
 def test_files_cut_off_anywhere_are_refused_or_read(tmp_path: Path, form: Any) -> None:
     camera = Camera(
         (640, 480), np.array([[640.0, 0, 319.5], [0, 640, 239.5], [0, 0, 1]]), np.eye(3), np.zeros(3)

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera, read_calibration, write_calibration
-from humansim_ros.camera.formats import FORMS, Form
+from humansim_ros.camera.formats import FORMATS, CalibrationFormat
 from humansim_ros.errors import CameraError, HumansimWarning
 
 LENSES = {
@@ -21,7 +21,7 @@ LENSES = {
     "rational_polynomial": (0.41, -0.22, 1e-3, -2e-4, 0.03, 0.71, -0.01, 0.02),
     "equidistant": (-0.02, 0.01, 3e-3, -1e-5),
 }
-BY_NAME = {form.name: form for form in FORMS}
+BY_NAME = {form.name: form for form in FORMATS}
 K = np.array([[711.25, 0, 1 / 3 + 310], [0, 690.1, 245.7], [0, 0, 1]])
 #: Forms in which numbers are worked out, and so may change in their last digit.
 COMPUTED = ("p", "colmap", "cam", "kalibr")
@@ -29,7 +29,7 @@ COMPUTED = ("p", "colmap", "cam", "kalibr")
 SIZE = (640, 480)
 
 
-def a_camera(seed: int, form: Form, model: str | None) -> Camera:
+def a_camera(seed: int, form: CalibrationFormat, model: str | None) -> Camera:
     """A camera with all that a form can hold."""
     rng = np.random.default_rng(seed)
     k = K + np.diag([seed, seed, 0])
@@ -48,7 +48,7 @@ def a_camera(seed: int, form: Form, model: str | None) -> Camera:
 
 
 def all_lenses() -> list[tuple[str, str | None]]:
-    return [(form.name, model) for form in FORMS for model in (None, *form.lenses)]
+    return [(form.name, model) for form in FORMATS for model in (None, *form.lenses)]
 
 
 def test_every_form_that_holds_lenses_is_tried_with_all_of_them() -> None:
@@ -84,7 +84,7 @@ def test_what_is_written_is_read_again(tmp_path: Path, name: str, model: str | N
 
 @pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
 def test_opencv_reads_what_is_written_for_it(tmp_path: Path, suffix: str) -> None:
-    form = next(form for form in FORMS if form.name.startswith("opencv") and form.suffix == suffix)
+    form = next(form for form in FORMATS if form.name.startswith("opencv") and form.suffix == suffix)
     cameras = {name: a_camera(i, form, "plumb_bob") for i, name in enumerate(("left", "right"))}
     for path, keys in (
         (tmp_path / f"one{suffix}", ("camera_matrix", "distortion_coefficients", "T")),

@@ -16,9 +16,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from humansim_ros.camera import Camera, read_calibration, write_calibration
-from humansim_ros.camera.checks import doubts, doubts_of_rig, field_of_view
-from humansim_ros.camera.formats import FORMS
-from humansim_ros.cli.camera import Form, describe_camera
+from humansim_ros.camera.checks import check_camera, check_rig, field_of_view
+from humansim_ros.camera.formats import FORMATS
+from humansim_ros.cli.camera import FormatName, describe_camera
 from humansim_ros.cli.main import main
 
 
@@ -135,7 +135,7 @@ def test_convert_says_what_is_lost_or_refuses(tmp_path: Path, shared_data: Path)
 
 
 def test_every_form_can_be_asked_for() -> None:
-    assert [form.value for form in Form] == [form.name for form in FORMS]
+    assert [form.value for form in FormatName] == [form.name for form in FORMATS]
 
 
 # -- what looks wrong
@@ -159,7 +159,7 @@ def ring(scale: float = 1.0, up: tuple[float, float, float] = (0, 0, 1)) -> dict
 
 
 def test_good_cameras_are_not_doubted() -> None:
-    assert doubts(GOOD) == doubts(camera(distortion=(-0.3, 0.1, 0, 0))) == doubts_of_rig(ring()) == []
+    assert check_camera(GOOD) == check_camera(camera(distortion=(-0.3, 0.1, 0, 0))) == check_rig(ring()) == []
 
 
 @pytest.mark.parametrize(
@@ -180,15 +180,15 @@ def test_good_cameras_are_not_doubted() -> None:
     ],
 )
 def test_what_looks_wrong_is_said(odd: Camera, said: str) -> None:
-    (message,) = doubts(odd)
+    (message,) = check_camera(odd)
     assert said in message
 
 
 def test_rigs_in_other_units_or_axes_are_doubted() -> None:
     for scale in (1000, 0.001):
-        (message,) = doubts_of_rig(ring(scale))
+        (message,) = check_rig(ring(scale))
         assert "is this the file's unit?" in message
-    (message,) = doubts_of_rig(ring(up=(0, -1, 0)))
+    (message,) = check_rig(ring(up=(0, -1, 0)))
     assert "to most of the cameras -y is up, not z" in message
 
 

@@ -91,10 +91,10 @@ def test_retargeted_bones_hang_together_upright_on_the_floor(command: Command, m
 
 def test_retargeting_is_placed_turned_and_mirrored(command: Command) -> None:
     plain = command.json("retarget", "walk_straight")
-    placed = command.json("retarget", "walk_straight", "--position", 2, -1, "--yaw-deg", 90)
+    has_pose = command.json("retarget", "walk_straight", "--position", 2, -1, "--yaw-deg", 90)
     for name in ("vt3", "l_knee"):
         x, y, z = plain[name]["head"]
-        np.testing.assert_allclose(placed[name]["head"], [2 - y, -1 + x, z], atol=1e-9)
+        np.testing.assert_allclose(has_pose[name]["head"], [2 - y, -1 + x, z], atol=1e-9)
     mirrored = command.json("retarget", "walk_straight", "--mirror")
     np.testing.assert_allclose(
         mirrored["l_knee"]["tail"], np.array(plain["r_knee"]["tail"]) * [1, -1, 1], atol=0.02

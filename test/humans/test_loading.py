@@ -121,7 +121,7 @@ def test_a_broken_model_is_refused(
 def test_an_archive_that_unpacks_to_too_much_is_refused_before_it_does(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("humansim_ros.io.npz.MOST_BYTES", 10 << 20)
+    monkeypatch.setattr("humansim_ros.io.npz.MAX_BYTES", 10 << 20)
     path = tmp_path / "bomb.npz"
     np.savez_compressed(path, a=np.zeros(9 << 20, np.uint8), b=np.zeros(2 << 20, np.uint8))
     assert path.stat().st_size < 1 << 20
@@ -329,7 +329,7 @@ def test_where_nothing_can_be_written_humans_load_all_the_same(
 def test_only_so_many_humans_are_kept(
     cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr("humansim_ros.humans.cache.MOST_HUMANS", 2)
+    monkeypatch.setattr("humansim_ros.humans.cache.MAX_HUMANS", 2)
     for number in range(4):
         described(tmp_path, f"mesh: figure.glb\nstature: {1 + number / 10}\n")
         Human.load(tmp_path / "someone.yaml")

@@ -20,7 +20,7 @@ from humansim_ros.errors import MeshError
 from humansim_ros.humans.description import ParametricHuman, read_description
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.makehuman.building import build
-from humansim_ros.humans.makehuman.data import Source, find_data, read_base
+from humansim_ros.humans.makehuman.data import MakeHumanData, find_data, read_base
 from humansim_ros.humans.makehuman.paint import Outfit
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
 from humansim_ros.render import Body
@@ -195,11 +195,11 @@ def test_stripes_are_as_wide_on_everybody(name: str) -> None:
 
 
 @pytest.fixture(scope="module")
-def source() -> Source:
+def source() -> MakeHumanData:
     return find_data()
 
 
-def barefoot(source: Source, **sliders: Any) -> tuple[float, float]:
+def barefoot(source: MakeHumanData, **sliders: Any) -> tuple[float, float]:
     """Stature and volume-like bulk (height times the mean section's spread) of a body."""
     config, scale = with_stature(source, MakeHumanConfig(**sliders))
     base = read_base(source, target_strengths(source, config))
@@ -209,7 +209,7 @@ def barefoot(source: Source, **sliders: Any) -> tuple[float, float]:
 
 
 @needs_makehuman
-def test_people_grow_with_age_and_height_and_swell_with_weight(source: Source) -> None:
+def test_people_grow_with_age_and_height_and_swell_with_weight(source: MakeHumanData) -> None:
     ages = [barefoot(source, gender=0.3, age=age)[0] for age in (1, 4, 8, 14, 25)]
     assert ages == sorted(ages)
     assert ages[0] < 0.8 < 1.5 < ages[-1]
@@ -220,7 +220,7 @@ def test_people_grow_with_age_and_height_and_swell_with_weight(source: Source) -
 
 
 @needs_makehuman
-def test_the_strengths_are_the_products_of_the_shares(source: Source) -> None:
+def test_the_strengths_are_the_products_of_the_shares(source: MakeHumanData) -> None:
     config = MakeHumanConfig(gender=0.25, age=40, weight=0.8, race={"asian": 1, "african": 3})
     strengths = target_strengths(source, config)
     old = 15 / 65
@@ -234,20 +234,20 @@ def test_the_strengths_are_the_products_of_the_shares(source: Source) -> None:
 
 @needs_makehuman
 @pytest.mark.parametrize("stature", [0.75, 1.2, 1.65, 2.1])
-def test_a_stature_is_met(source: Source, stature: float) -> None:
+def test_a_stature_is_met(source: MakeHumanData, stature: float) -> None:
     age = 2 if stature < 1 else 9 if stature < 1.5 else 30
     assert barefoot(source, age=age, stature=stature)[0] == pytest.approx(stature, abs=1e-6)
 
 
 @needs_makehuman
-def test_nobody_is_a_giant_at_two(source: Source) -> None:
+def test_nobody_is_a_giant_at_two(source: MakeHumanData) -> None:
     with pytest.raises(MeshError, match="no such person is 2 m tall"):
         with_stature(source, MakeHumanConfig(age=2, stature=2.0))
 
 
 @needs_makehuman
 @pytest.mark.slow
-def test_a_person_of_sliders_is_whole_and_the_same_every_time(source: Source) -> None:
+def test_a_person_of_sliders_is_whole_and_the_same_every_time(source: MakeHumanData) -> None:
     config = MakeHumanConfig(gender=0.0, age=60, weight=0.9, muscle=0.2, hair="long", sleeves="long")
     arrays = build(source, config, {"a": Outfit(shirt_fabric="dots")})
     again = build(source, config, {"a": Outfit(shirt_fabric="dots")})
@@ -261,7 +261,7 @@ def test_a_person_of_sliders_is_whole_and_the_same_every_time(source: Source) ->
 
 @needs_makehuman
 @pytest.mark.slow
-def test_a_shirt_hangs_over_a_large_bust_instead_of_clinging(source: Source) -> None:
+def test_a_shirt_hangs_over_a_large_bust_instead_of_clinging(source: MakeHumanData) -> None:
     config = MakeHumanConfig(gender=0.0, age=85, weight=0.9, cup_size=1.0, firmness=0.0)
     naked = read_base(source, target_strengths(source, config))
     skin = naked.vertices[naked.vertex_groups["body"]]
@@ -283,7 +283,7 @@ def test_a_shirt_hangs_over_a_large_bust_instead_of_clinging(source: Source) -> 
 
 
 @needs_makehuman
-def test_an_unknown_target_is_refused(source: Source) -> None:
+def test_an_unknown_target_is_refused(source: MakeHumanData) -> None:
     config = MakeHumanConfig(targets={"nose/nose-of-pinocchio": 1.0})
     with pytest.raises(MeshError, match="no such target") as caught:
         target_strengths(source, config)

@@ -14,7 +14,7 @@ from humansim_ros.body import fit_to_skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.obj import read_mesh
-from humansim_ros.render.posed_mesh import Floats, Posed, Topology
+from humansim_ros.render.posed_mesh import Floats, PosedMesh, Topology
 from humansim_ros.rotations import Array
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
@@ -182,7 +182,7 @@ def as_mesh(theirs: trimesh.Trimesh) -> Mesh:
 
 def normals_of(mesh: Mesh) -> Floats:
     """The normals that the renderer lights a mesh with."""
-    return Posed(Topology(mesh), mesh.vertices.astype(np.float32)).normals
+    return PosedMesh(Topology(mesh), mesh.vertices.astype(np.float32)).normals
 
 
 def test_normals_are_trimeshs() -> None:

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
-from humansim_ros.motion.keyframes import Clock, Keyframes, Track, read_keyframes, write_keyframes
+from humansim_ros.motion.keyframes import Keyframes, KeyframeTimeline, Track, read_keyframes, write_keyframes
 from humansim_ros.scene import Actor, Scene
 
 GOOD = """\
@@ -127,7 +127,7 @@ numbers = st.floats(-1e6, 1e6)
 @st.composite
 def animations(draw: Any) -> Keyframes:
     start = draw(st.integers(-1000, 1000))
-    clock = Clock(
+    clock = KeyframeTimeline(
         start,
         start + draw(st.integers(0, 2000)),
         draw(st.floats(1e-3, 1e4)),
@@ -178,13 +178,13 @@ def test_what_is_written_is_read_back_exactly(
 )
 def test_keys_that_cannot_be_are_refused(column: str, values: list[Any], message: str) -> None:
     good = {"frames": np.array([0.0, 9]), **{c: np.ones((2, 3)) for c in ("positions", "rotations", "sizes")}}
-    Track(Clock(0, 9), **good)
+    Track(KeyframeTimeline(0, 9), **good)
     with pytest.raises(MotionError, match=message):
-        Track(Clock(0, 9), **{**good, column: np.array(values, float)})
+        Track(KeyframeTimeline(0, 9), **{**good, column: np.array(values, float)})
 
 
 def test_a_name_that_xml_cannot_hold_is_not_written(tmp_path: Path) -> None:
-    track = Track(Clock(0, 9), np.zeros(1), *np.ones((3, 1, 3)))
+    track = Track(KeyframeTimeline(0, 9), np.zeros(1), *np.ones((3, 1, 3)))
     with pytest.raises(MotionError, match="cannot be a name"):
         write_keyframes(tmp_path / "a.xml", Keyframes(track.clock, {"bell\a": track}))
     assert list(tmp_path.iterdir()) == []

@@ -18,7 +18,14 @@ from humansim_ros.humans.human import Human
 from humansim_ros.motion import Motion, read_bvh
 from humansim_ros.motion.joint_matching import find_match
 from humansim_ros.motion.retarget import Mode, Retargeter
-from humansim_ros.motion.world_motion import FileFrame, JointPoses, Loop, Placement, WorldMotion, understand
+from humansim_ros.motion.world_motion import (
+    FileFrame,
+    JointPoses,
+    Loop,
+    Placement,
+    WorldMotion,
+    detect_file_frame,
+)
 from humansim_ros.rotations import WORLD_FROM_BODY, Array
 
 WALK = ROOT / "assets" / "motions" / "walk.bvh"
@@ -52,7 +59,7 @@ def read(stem: str) -> Motion:
 
 def in_world(motion: Motion, loop: Loop = "none", placement: Placement | None = None) -> WorldMotion:
     match = find_match(motion.joint_names)
-    return WorldMotion(motion, match, understand(motion, match), placement or Placement(), loop)
+    return WorldMotion(motion, match, detect_file_frame(motion, match), placement or Placement(), loop)
 
 
 def some_frames(motion: Motion, count: int = 12) -> Array:
@@ -143,7 +150,7 @@ def test_a_giant_in_no_known_unit_is_taken_for_a_person() -> None:
 
 def test_a_unit_that_is_said_is_not_guessed() -> None:
     motion = read("walk")
-    frame = understand(motion, find_match(motion.joint_names), unit=0.02)
+    frame = detect_file_frame(motion, find_match(motion.joint_names), unit=0.02)
     assert frame.unit == 0.02
     assert frame.stature == pytest.approx(2 * in_world(motion).frame.stature)
 
@@ -518,7 +525,9 @@ def test_a_person_twice_as_tall_covers_the_same_ground_on_our_skeleton() -> None
     placement = Placement(anchor="start")
     big = scaled(motion, 2.0)
     match = find_match(motion.joint_names)
-    worlds = [WorldMotion(m, match, understand(m, match, 0.01), placement, "none") for m in (motion, big)]
+    worlds = [
+        WorldMotion(m, match, detect_file_frame(m, match, 0.01), placement, "none") for m in (motion, big)
+    ]
     paths = []
     for world in worlds:
         rotations, root = Retargeter.fit(world, SKELETON).apply(
@@ -570,7 +579,7 @@ def test_a_skeleton_without_height_is_refused() -> None:
     motion = read("walk")
     flat = replace(motion, offsets=motion.offsets * 0, path="flat.bvh")
     with pytest.raises(MotionError, match=r"flat\.bvh"):
-        understand(flat, find_match(flat.joint_names))
+        detect_file_frame(flat, find_match(flat.joint_names))
 
 
 @pytest.mark.parametrize(

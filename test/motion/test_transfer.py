@@ -31,7 +31,13 @@ from humansim_ros.motion import Motion
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.retarget import Mode, Retargeter
-from humansim_ros.motion.world_motion import JointPoses, Placement, WorldMotion, opposite_joints, understand
+from humansim_ros.motion.world_motion import (
+    JointPoses,
+    Placement,
+    WorldMotion,
+    detect_file_frame,
+    opposite_joints,
+)
 from humansim_ros.rotations import WORLD_FROM_BODY, Array
 
 LIMBS = [f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow", "hip", "knee")]
@@ -302,18 +308,18 @@ def test_opposite_joints_are_found_by_role() -> None:
 def test_up_and_facing_can_be_said() -> None:
     motion = read("walk")
     match = match_motion(motion)
-    found = understand(motion, match)
+    found = detect_file_frame(motion, match)
     assert (found.up, found.facing) == ("y", "z")
-    same = understand(motion, match, up="y", facing="z")
+    same = detect_file_frame(motion, match, up="y", facing="z")
     np.testing.assert_allclose(same.world_from_file, found.world_from_file, atol=1e-12)
-    turned_about = understand(motion, match, facing="x")
+    turned_about = detect_file_frame(motion, match, facing="x")
     np.testing.assert_allclose(turned_about.world_from_file @ [1, 0, 0], [1, 0, 0], atol=1e-12)
     np.testing.assert_allclose(turned_about.world_from_file @ [0, 1, 0], [0, 0, 1], atol=1e-12)
-    lying = understand(motion, match, up="-z")
+    lying = detect_file_frame(motion, match, up="-z")
     np.testing.assert_allclose(lying.world_from_file @ [0, 0, -1], [0, 0, 1], atol=1e-12)
     for wrong in ({"up": "w"}, {"up": "y", "facing": "-y"}, {"facing": "yz"}):
         with pytest.raises(MotionError, match=r"axis|cannot face"):
-            understand(motion, match, **wrong)  # type: ignore[arg-type]
+            detect_file_frame(motion, match, **wrong)  # type: ignore[arg-type]
 
 
 # Live sources

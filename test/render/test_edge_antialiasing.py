@@ -12,7 +12,7 @@ from render_scenes import EVEN, along_x, block_means, body, finer, quad, rendere
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, GLRenderer
 from humansim_ros.render import rendered_frame as drawn
-from humansim_ros.render.posed_mesh import Posed, Topology
+from humansim_ros.render.posed_mesh import PosedMesh, Topology
 from humansim_ros.scene import Scene
 
 
@@ -147,7 +147,7 @@ def test_the_outline_of_an_open_surface_is_its_border() -> None:
     mesh = tilted(0).mesh
     topology = Topology(mesh)
     assert np.count_nonzero(topology.border) == 4 and len(topology.edges) == 5
-    posed = Posed(topology, mesh.vertices.astype(np.float32))
+    posed = PosedMesh(topology, mesh.vertices.astype(np.float32))
     starts, _ = posed.contour(posed.facing(np.zeros(3)))
     assert len(starts) == 4
 
@@ -159,7 +159,7 @@ def test_normals_and_facing_of_a_sphere() -> None:
 
     ball = trimesh.creation.icosphere(3)
     faces = np.column_stack([ball.faces, np.full(len(ball.faces), -1)]).astype(np.int32)
-    posed = Posed(Topology(Mesh(np.array(ball.vertices), faces)), ball.vertices.astype(np.float32))
+    posed = PosedMesh(Topology(Mesh(np.array(ball.vertices), faces)), ball.vertices.astype(np.float32))
     np.testing.assert_allclose(posed.normals, ball.vertices, atol=0.02)
     np.testing.assert_allclose(np.linalg.norm(posed.areas, axis=0).sum(), ball.area, rtol=1e-5)
     eye = np.array([3.0, 1.0, 0.5])

@@ -14,7 +14,7 @@ from render_scenes import EVEN, along_x, body, box, inner, quad, renderer_or_ski
 from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Body, GLRenderer, Lighting, View
-from humansim_ros.render.backdrops import Photograph
+from humansim_ros.render.backdrops import ImageBackdrop
 from humansim_ros.scene import Scene
 
 SHARP = Lighting(shadows="soft", sun_size_deg=0.2)
@@ -204,7 +204,7 @@ def test_exposure_and_tone_mapping_do_what_they_say(tone: str) -> None:
 def test_a_moving_camera_sees_the_same_shadows(scene: Scene, people: list[Body]) -> None:
     renderer: GLRenderer = renderer_or_skip(scene.static_meshes, SHARP)
     camera = scene.cameras["camera_1"]
-    kept, passing = (renderer.render(people, camera, ASKED, passing=moves) for moves in (False, True))
+    kept, passing = (renderer.render(people, camera, ASKED, moving_camera=moves) for moves in (False, True))
     renderer.close()
     assert (np.abs(kept.shadow.astype(int) - passing.shadow) > 8).mean() < 0.002
 
@@ -214,7 +214,7 @@ def test_a_photograph_takes_the_shadows_that_a_floor_there_would(people: list[Bo
     camera = Camera.look_at((3, 3, 2), (0, 0, 0.6), (320, 240), 1.2)
     if bent:
         camera = replace(camera, distortion=(-0.2, 0.04))
-    photo = Photograph(np.full((240, 320, 3), 200, np.uint8))
+    photo = ImageBackdrop(np.full((240, 320, 3), 200, np.uint8))
     table = box((1.0, -1.2, 0.4), 0.3)
     for light in (Lighting(ambient_occlusion=False), replace(SHARP, ambient_occlusion=False)):
         seen = {}

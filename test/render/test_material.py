@@ -18,7 +18,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Lighting, View
-from humansim_ros.render.backdrops import Photograph
+from humansim_ros.render.backdrops import ImageBackdrop
 from humansim_ros.scene.mesh_files import read_world_mesh
 
 Array = NDArray[np.floating]
@@ -209,7 +209,7 @@ EVEN = Lighting(
 @pytest.mark.parametrize("shadows", ["none", "soft"])
 def test_alpha_masks_and_blends(tmp_path: Path, backdrop: bool, shadows: str) -> None:
     light = Lighting(**{**EVEN.__dict__, "shadows": shadows})
-    photo = Photograph(np.full((30, 40, 3), (90, 60, 30), np.uint8)) if backdrop else None
+    photo = ImageBackdrop(np.full((30, 40, 3), (90, 60, 30), np.uint8)) if backdrop else None
     pbr = {"baseColorFactor": [1, 1, 1, 0.8], "baseColorTexture": {"index": 0}, "metallicFactor": 0}
     shown = {}
     for mode in ("OPAQUE", "MASK", "BLEND"):
@@ -304,7 +304,7 @@ def test_shininess_of_an_mtl_is_a_rough_surface_as_glossy(tmp_path: Path) -> Non
     expected = brdf(np.full(3, 0.36), 1, 0.9, np.array([0, -1.0, 0]), np.zeros(3))
     np.testing.assert_allclose(np.sqrt(linear(own)), np.sqrt(expected), atol=0.012)
     (matt,) = obj_tile(tmp_path, "Kd 0.6 0.6 0.6\nKs 0.5 0.5 0.5\nNs 38\nillum 1")
-    assert matt.finish is None
+    assert matt.material is None
 
 
 def test_an_mtl_blends_cuts_out_and_shines_by_itself(tmp_path: Path) -> None:
@@ -396,7 +396,7 @@ def test_a_wrong_mtl_is_told_with_its_file(tmp_path: Path, material: str, words:
     if material == "d":  # says nothing, as some programs write it
         with warnings.catch_warnings():
             warnings.simplefilter("error")
-            assert obj_tile(tmp_path, material)[0].finish is None
+            assert obj_tile(tmp_path, material)[0].material is None
         return
     with pytest.raises(MeshError, match=words):
         obj_tile(tmp_path, material)

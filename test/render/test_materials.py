@@ -151,6 +151,6 @@ def test_where_nothing_stands_before_it_the_light_is_that_without_occlusion() ->
             seen = []
             for on in (True, False):
                 renderer = renderer_or_skip([floor], Lighting(ambient_occlusion=on))
-                seen.append(renderer.render([], bent, ("rgb",), passing=passing).rgb)
+                seen.append(renderer.render([], bent, ("rgb",), moving_camera=passing).rgb)
                 renderer.close()
             assert np.abs(seen[0].astype(int) - seen[1]).max() <= 1

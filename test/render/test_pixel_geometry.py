@@ -28,7 +28,7 @@ from render_scenes import (
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render import ALL_CHANNELS, Body, Neighbour, RendererName
+from humansim_ros.render import ALL_CHANNELS, AdjacentFrame, Body, RendererName
 from humansim_ros.scene import Scene
 
 CAMERA = oblique((2.6, 1.9, 1.7), (0, 0, 0.9))
@@ -114,7 +114,7 @@ def test_flow_is_where_the_point_that_a_ray_hits_goes(scene: Scene, camera: Came
     other = moved(camera) if moving else camera
     renderer = renderer_or_skip(FURNITURE)
     view = renderer.render(
-        now, camera, ["instance", "flow", "flow_hidden", "depth"], after=Neighbour(then, other)
+        now, camera, ["instance", "flow", "flow_hidden", "depth"], next_frame=AdjacentFrame(then, other)
     )
     renderer.close()
     first, face, bary, _ = hit_points(camera, now, FURNITURE)
@@ -167,7 +167,7 @@ def test_a_picture_carried_along_its_flow_is_the_next_picture(scene: Scene) -> N
     now, then = walkers(scene, 0.6, PLACES), walkers(scene, 0.6 + 1 / 30, PLACES)
     renderer = renderer_or_skip(FURNITURE)
     channels = ["rgb", "flow", "flow_hidden", "instance"]
-    view = renderer.render(now, CAMERA, channels, after=Neighbour(then, CAMERA))
+    view = renderer.render(now, CAMERA, channels, next_frame=AdjacentFrame(then, CAMERA))
     following = renderer.render(then, CAMERA, ["rgb"]).rgb
     renderer.close()
     grid = np.stack(np.meshgrid(np.arange(640), np.arange(480)), axis=-1).astype(np.float32)
@@ -182,8 +182,10 @@ def test_a_picture_carried_along_its_flow_is_the_next_picture(scene: Scene) -> N
 def test_flow_there_and_back_ends_where_it_began(scene: Scene) -> None:
     a, b = walkers(scene, 0.6, PLACES), walkers(scene, 0.6 + 1 / 30, PLACES)
     renderer = renderer_or_skip()
-    first = renderer.render(a, CAMERA, ["flow", "flow_hidden", "instance"], after=Neighbour(b, CAMERA))
-    second = renderer.render(b, CAMERA, ["flow_back", "instance"], before=Neighbour(a, CAMERA))
+    first = renderer.render(
+        a, CAMERA, ["flow", "flow_hidden", "instance"], next_frame=AdjacentFrame(b, CAMERA)
+    )
+    second = renderer.render(b, CAMERA, ["flow_back", "instance"], previous_frame=AdjacentFrame(a, CAMERA))
     renderer.close()
     rows, columns = np.nonzero(inner(first.instance.astype(int)) & (first.flow_hidden == 0))
     to = np.stack([columns, rows], axis=1) + first.flow[rows, columns]
@@ -231,7 +233,7 @@ def test_amodal_masks_are_of_each_body_alone(scene: Scene, name: RendererName) -
 def test_every_channel_at_once_is_as_each_alone(scene: Scene) -> None:
     bodies, then = walkers(scene, 0.6, PLACES), walkers(scene, 0.7, PLACES)
     renderer = renderer_or_skip(FURNITURE)
-    moments = {"after": Neighbour(then, CAMERA), "before": Neighbour(then, CAMERA)}
+    moments = {"next_frame": AdjacentFrame(then, CAMERA), "previous_frame": AdjacentFrame(then, CAMERA)}
     together = renderer.render(bodies, CAMERA, ALL_CHANNELS, **moments)
     for channel in ALL_CHANNELS:
         alone = getattr(renderer.render(bodies, CAMERA, [channel], **moments), channel)
@@ -267,5 +269,5 @@ def test_flow_without_the_other_frame_is_refused(scene: Scene) -> None:
     with pytest.raises(RenderError, match="flow needs the frame after"):
         renderer.render(bodies, CAMERA, ["flow"])
     with pytest.raises(RenderError, match="other bodies"):
-        renderer.render(bodies, CAMERA, ["flow"], after=Neighbour([], CAMERA))
+        renderer.render(bodies, CAMERA, ["flow"], next_frame=AdjacentFrame([], CAMERA))
     renderer.close()

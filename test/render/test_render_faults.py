@@ -11,12 +11,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import ROOT
 from render_scenes import RENDERERS, along_x, body, box, cast, inner, renderer_or_skip, walkers, wall
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError, HumansimError, HumansimWarning, RenderError
 from humansim_ros.mesh.obj import read_mesh
-from humansim_ros.render import Body, Lighting, Neighbour, Renderer, RendererName, make_renderer
+from humansim_ros.render import AdjacentFrame, Body, Lighting, Renderer, RendererName, make_renderer
 from humansim_ros.scene import Scene
 from humansim_ros.truth.boxes import view_boxes
 from humansim_ros.truth.vertices import visible_vertices
@@ -101,8 +102,8 @@ def test_every_channel_is_drawn_from_wherever_a_camera_is(
         if lens and name == "pyrender":
             continue
         camera = replace(Camera.look_at(*HARD[place], size, np.radians(80)), **lens)
-        beside = Neighbour([replace(person)], camera)
-        view = renderer.render([person], camera, renderer.channels, after=beside, before=beside)
+        beside = AdjacentFrame([replace(person)], camera)
+        view = renderer.render([person], camera, renderer.channels, next_frame=beside, previous_frame=beside)
         mine = view.instance == 1
         assert not (mine & ~view.amodal[1]).any()
         assert len(view_boxes(camera, [person], view)) == len(visible_vertices(camera, [person], view)) == 1
@@ -242,7 +243,7 @@ def test_a_context_that_is_lost_is_an_error_that_says_so(name: RendererName) -> 
     before = f"""
 import ctypes
 import numpy as np
-sys.path.insert(0, {str(Path(__file__).parent)!r})
+sys.path.insert(0, {str(ROOT / "test")!r})
 from render_scenes import along_x, body, wall
 egl = ctypes.CDLL("libEGL.so.1")
 egl.eglGetCurrentDisplay.restype = ctypes.c_void_p

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from opencv_support import opencv_pixels
 from render_scenes import (
     EVEN,
-    Surface,
+    BodyBuffers,
     assert_agrees,
     box,
     cast,
@@ -112,7 +112,7 @@ def test_a_moving_thing_of_two_triangles_is_bent_too(name: str, size: float) -> 
     mesh = replace(board, vertices=board.vertices / size)  # a body may be larger than its mesh
     body = Body(mesh, board.vertices.astype(np.float32), np.array([3, 7], np.uint8), 5, "object")
     view = renderer.render([body], camera)
-    surfaces: list[Surface] = [(board.vertices, board.triangles)]
+    surfaces: list[BodyBuffers] = [(board.vertices, board.triangles)]
     depth, first, face = cast(camera, surfaces)
     assert np.count_nonzero(first == 0) > 20_000
     part = np.where(first == 0, np.where(face == 0, 3, 7), 0)

@@ -25,8 +25,8 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.ros import camera_pose as whereabouts
 from humansim_ros.ros import messages
 from humansim_ros.ros.nodes.camera import CameraNode
-from humansim_ros.ros.nodes.motion_player import MotionPlayer
-from humansim_ros.ros.nodes.skinner import Skinner
+from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
+from humansim_ros.ros.nodes.skinner import SkinnerNode
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Frame, Scene, Simulation
@@ -499,8 +499,8 @@ def test_trajectories_move_all_cameras_at_the_same_stamp_until_the_player_pauses
     from std_srvs.srv import SetBool
 
     move = make("movers", MOVING)
-    player = move.add(MotionPlayer)
-    for kind, values in ((Skinner, {}), (CameraNode, {"camera": "one"}), (CameraNode, {"camera": "two"})):
+    player = move.add(MotionPlayerNode)
+    for kind, values in ((SkinnerNode, {}), (CameraNode, {"camera": "one"}), (CameraNode, {"camera": "two"})):
         move.add(kind, **values)
     cameras = ("one", "two")
     topics = {

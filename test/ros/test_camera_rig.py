@@ -17,9 +17,9 @@ from ros_support import SMALL_SCENE, Client, rclpy, write_scene
 
 from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.render import GLRenderer
-from humansim_ros.render.posed_mesh import Posed
+from humansim_ros.render.posed_mesh import PosedMesh
 from humansim_ros.ros import messages
-from humansim_ros.ros.nodes.camera_rig import CameraRig
+from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.runtime import make_executor
 from humansim_ros.scene import Scene, Simulation
@@ -50,7 +50,7 @@ class Stage:
         values = {"scene": str(scene), **parameters}
         overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in values.items()]
         self.namespace = namespace
-        self.rig = CameraRig(parameter_overrides=overrides, namespace=namespace)
+        self.rig = CameraRigNode(parameter_overrides=overrides, namespace=namespace)
         self.client = Client(f"{namespace}_client", make_executor())  # the one that processes have
         for node in self.rig.members:
             self.client.executor.add_node(node)
@@ -147,7 +147,7 @@ def test_what_is_worked_out_of_a_body_serves_all_cameras(
     stage.hear(Image, *topics)
     frames = [simulation.frame(index) for index in (0, 1)]
     worked_out = 0
-    make = Posed.__init__
+    make = PosedMesh.__init__
 
     def count(self: Any, *rest: Any) -> None:
         nonlocal worked_out
@@ -156,7 +156,7 @@ def test_what_is_worked_out_of_a_body_serves_all_cameras(
 
     for frame in frames:
         if frame is frames[1]:  # the first one has more to do
-            monkeypatch.setattr(Posed, "__init__", count)
+            monkeypatch.setattr(PosedMesh, "__init__", count)
         stage.send(frame)
         assert stage.client.spin_until(lambda s=frame.stamp: all(s in stage.heard(t) for t in topics))
     assert worked_out == len(HUMANS)
@@ -229,7 +229,7 @@ def test_a_rig_has_the_cameras_it_is_told(ros: None, scene_path: Path) -> None:
     def made(*cameras: str) -> list[str]:
         values = {"scene": str(scene_path), **({"cameras": list(cameras)} if cameras else {})}
         overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in values.items()]
-        rig = CameraRig(parameter_overrides=overrides, namespace="told")
+        rig = CameraRigNode(parameter_overrides=overrides, namespace="told")
         names = [node.get_name() for node in rig.cameras]
         rig.close()
         rig.destroy_node()

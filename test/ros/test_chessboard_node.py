@@ -25,7 +25,7 @@ from ros_support import Client
 
 from humansim_ros.camera import Camera
 from humansim_ros.ros.nodes.camera import CameraNode
-from humansim_ros.ros.nodes.motion_player import MotionPlayer
+from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 
 #: Squares as a file of their own, whose outlines are blended, before a white board.
 SCENE = """
@@ -80,7 +80,7 @@ def test_image_raw_calibrates_to_its_camera_info(tmp_path: Path, ros: None) -> N
     (tmp_path / "moves.xml").write_text(animation)
 
     scene = Parameter("scene", value=str(tmp_path / "scene.yaml"))
-    nodes = [kind(parameter_overrides=[scene], namespace="chess") for kind in (MotionPlayer, CameraNode)]
+    nodes = [kind(parameter_overrides=[scene], namespace="chess") for kind in (MotionPlayerNode, CameraNode)]
     client = Client("calibrator")
     for node in nodes:
         client.executor.add_node(node)

@@ -16,7 +16,7 @@ from ros_support import Client, rclpy
 from humansim_ros.errors import RosError
 from humansim_ros.ros import compressed
 from humansim_ros.ros.compressed import encode_depth, encode_image
-from humansim_ros.ros.nodes.camera_rig import CameraRig
+from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 
 PLACE = "size: [96, 64], position: [3, 0.4, 1.4], look_at: [0, 0, 1]"
 ENCODINGS = ("rgb8", "bgr8", "mono8", "bayer_rggb8")
@@ -35,7 +35,7 @@ def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]
     path = tmp_path_factory.mktemp("compressed") / "scene.yaml"
     path.write_text(SCENE)
     scene = rclpy.parameter.Parameter("scene", value=str(path))
-    rig = CameraRig(parameter_overrides=[scene], namespace="packed")
+    rig = CameraRigNode(parameter_overrides=[scene], namespace="packed")
     client = Client("unpacker")
     for node in rig.members:
         client.executor.add_node(node)
@@ -149,7 +149,7 @@ def test_wrong_settings_are_refused_and_named(studio: Any, tmp_path: Path) -> No
     values = {"scene": str(tmp_path / "scene.yaml"), "rgb8.depth.image.compressedDepth.format": "rvl"}
     overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in values.items()]
     with pytest.raises(RosError, match=r"rgb8.depth.image.compressedDepth.format.*rvl.*there are png"):
-        CameraRig(parameter_overrides=overrides, namespace="wrong")
+        CameraRigNode(parameter_overrides=overrides, namespace="wrong")
 
 
 def test_nothing_is_encoded_for_nobody(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -17,8 +17,8 @@ from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.errors import SceneError
 from humansim_ros.ros import messages
 from humansim_ros.ros.nodes.camera import CameraNode
-from humansim_ros.ros.nodes.motion_player import MotionPlayer
-from humansim_ros.ros.nodes.skinner import Skinner
+from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
+from humansim_ros.ros.nodes.skinner import SkinnerNode
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Scene
 
@@ -39,8 +39,8 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
     scene = str(write_scene(tmp_path_factory.mktemp("scene")))
     nodes = [
-        MotionPlayer(**parameters(scene=scene)),
-        *(Skinner(**parameters(scene=scene, human=human)) for human in HUMANS),
+        MotionPlayerNode(**parameters(scene=scene)),
+        *(SkinnerNode(**parameters(scene=scene, human=human)) for human in HUMANS),
         *(CameraNode(**parameters(scene=scene, camera=camera)) for camera in CAMERAS),
     ]
     client = Client()
@@ -362,7 +362,7 @@ def test_a_camera_alone_shows_the_scene_as_it_starts(ros: None, tmp_path: Path) 
 def test_a_skinner_outlives_a_motion_it_cannot_use(ros: None, tmp_path: Path) -> None:
     from sensor_msgs.msg import MultiDOFJointState
 
-    node = Skinner(**parameters(scene=str(write_scene(tmp_path)), human="first"), namespace="outlive")
+    node = SkinnerNode(**parameters(scene=str(write_scene(tmp_path)), human="first"), namespace="outlive")
     client = Client("sender")
     client.executor.add_node(node)
     client.subscribe(MultiDOFJointState, ["/outlive/humans/first/joints"])
@@ -382,7 +382,7 @@ def test_a_skinner_outlives_a_motion_it_cannot_use(ros: None, tmp_path: Path) ->
     client.close()
 
 
-@pytest.mark.parametrize(("node", "key"), [(Skinner, "human"), (CameraNode, "camera")])
+@pytest.mark.parametrize(("node", "key"), [(SkinnerNode, "human"), (CameraNode, "camera")])
 def test_a_name_that_the_scene_lacks_is_refused_with_those_it_has(
     ros: None, tmp_path: Path, node: type, key: str
 ) -> None:

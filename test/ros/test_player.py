@@ -18,13 +18,13 @@ from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.world_motion import JointPoses
 from humansim_ros.ros import messages
-from humansim_ros.ros.nodes.motion_player import MotionPlayer
-from humansim_ros.ros.nodes.skinner import Skinner
+from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
+from humansim_ros.ros.nodes.skinner import SkinnerNode
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.ros.runtime import make_executor
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import MotionConfig
-from humansim_ros.scene.playback import Clock, Playback, Tick
+from humansim_ros.scene.playback import Playback, PlaybackClock, Tick
 
 HUMANS = ("first", "second")
 SECOND = 1_000_000_000
@@ -34,14 +34,14 @@ WALK = ROOT / "assets" / "motions" / "walk.bvh"
 # The clock, without ROS
 
 
-def due(clock: Clock, seconds: float) -> Tick:
+def due(clock: PlaybackClock, seconds: float) -> Tick:
     tick = clock.due(round(seconds * SECOND))
     assert tick is not None
     return tick
 
 
 def test_frames_leave_at_start_plus_round_k_periods() -> None:
-    clock = Clock(rate=30)
+    clock = PlaybackClock(rate=30)
     start = due(clock, 5.0).stamp
     for frame in range(1, 100):
         tick = due(clock, 5.0 + frame / 30)
@@ -52,7 +52,7 @@ def test_frames_leave_at_start_plus_round_k_periods() -> None:
 
 
 def test_the_scene_stands_while_paused_and_goes_on_without_a_jump() -> None:
-    clock = Clock(rate=10)
+    clock = PlaybackClock(rate=10)
     due(clock, 1.0), due(clock, 1.1)
     clock.pause(True)
     still = [due(clock, 1.2), due(clock, 1.3)]
@@ -66,7 +66,7 @@ def test_the_scene_stands_while_paused_and_goes_on_without_a_jump() -> None:
 
 
 def test_steps_are_frames_of_the_scene_at_once_and_their_stamps_do_not_run_ahead() -> None:
-    clock = Clock(rate=30)
+    clock = PlaybackClock(rate=30)
     due(clock, 1.0)
     clock.pause(True)
     stamps = []
@@ -81,7 +81,7 @@ def test_steps_are_frames_of_the_scene_at_once_and_their_stamps_do_not_run_ahead
 
 
 def test_seeking_shows_that_time_at_once_and_goes_on_from_there() -> None:
-    clock = Clock(rate=20, seconds=3.0)
+    clock = PlaybackClock(rate=20, seconds=3.0)
     assert due(clock, 9.0).elapsed == 3 * SECOND
     tick = clock.seek(7.25, round(9.01 * SECOND))
     assert (tick.stamp, tick.elapsed) == (9.01 * SECOND, 7.25 * SECOND)
@@ -90,7 +90,7 @@ def test_seeking_shows_that_time_at_once_and_goes_on_from_there() -> None:
 
 @pytest.mark.parametrize(("before", "after"), [(30.0, 0.1), (0.1, 1000.0), (20.0, 20.0)])
 def test_stamps_rise_and_time_runs_on_when_the_rate_changes(before: float, after: float) -> None:
-    clock = Clock(before)
+    clock = PlaybackClock(before)
     first = due(clock, 1.0)
     early = first.stamp - 5  # a frame may leave a little before its time
     tick = clock.set_rate(after, early)
@@ -100,7 +100,7 @@ def test_stamps_rise_and_time_runs_on_when_the_rate_changes(before: float, after
 
 
 def test_a_clock_that_is_set_back_is_followed_and_the_scene_goes_on() -> None:
-    clock = Clock(rate=10)
+    clock = PlaybackClock(rate=10)
     assert clock.due(0) is None  # simulated time that has not begun
     due(clock, 100.0), due(clock, 100.1)
     tick = due(clock, 3.0)
@@ -109,7 +109,7 @@ def test_a_clock_that_is_set_back_is_followed_and_the_scene_goes_on() -> None:
 
 
 def test_a_slow_clock_sends_frames_when_they_are_due() -> None:
-    clock = Clock(rate=0.1)
+    clock = PlaybackClock(rate=0.1)
     due(clock, 100.0)
     assert clock.due(109 * SECOND) is None
     assert due(clock, 109.999).stamp == 110 * SECOND
@@ -222,10 +222,10 @@ class Steered:
         from std_msgs.msg import String
 
         scene = [Parameter("scene", value=str(write_scene(folder)))]
-        self.player = MotionPlayer(parameter_overrides=scene, namespace=namespace)
+        self.player = MotionPlayerNode(parameter_overrides=scene, namespace=namespace)
         self.nodes = [self.player]
         if skinner:
-            self.nodes.append(Skinner(parameter_overrides=scene, namespace=namespace))
+            self.nodes.append(SkinnerNode(parameter_overrides=scene, namespace=namespace))
         self.client = Client(f"{namespace}_client", make_executor())  # the one that processes have
         for node in self.nodes:
             self.client.executor.add_node(node)
@@ -507,9 +507,9 @@ def test_frames_go_on_while_a_motion_is_read(player: Steered, monkeypatch: pytes
 def test_parameters_at_the_start_win_over_the_scene(ros: None, tmp_path: Path) -> None:
     from rclpy.parameter import Parameter
 
-    def made(**given: Any) -> MotionPlayer:
+    def made(**given: Any) -> MotionPlayerNode:
         given = {"scene": str(write_scene(tmp_path)), **given}
-        return MotionPlayer(
+        return MotionPlayerNode(
             parameter_overrides=[Parameter(n.replace("__", "."), value=v) for n, v in given.items()],
             namespace="given",
         )
@@ -565,7 +565,7 @@ def test_frames_leave_at_their_stamps_however_late_the_first_one_was(
     from rclpy.parameter import Parameter
 
     overrides = [Parameter("scene", value=str(write_scene(tmp_path))), Parameter("rate", value=5.0)]
-    player = MotionPlayer(parameter_overrides=overrides, namespace="sluggish")
+    player = MotionPlayerNode(parameter_overrides=overrides, namespace="sluggish")
     lead = round(player.get_parameter("lead").value * SECOND)
     late: list[int] = []
     monkeypatch.setattr(player, "_publish", lambda tick: late.append(player.now() + lead - tick.stamp))

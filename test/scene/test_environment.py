@@ -15,10 +15,10 @@ from render_scenes import renderer_or_skip
 
 from humansim_ros.errors import HumansimError, HumansimWarning, MeshError, SceneError
 from humansim_ros.render import Lighting
-from humansim_ros.render.backdrops import Panorama, Photograph, ambient
-from humansim_ros.render.lighting import developed
+from humansim_ros.render.backdrops import ImageBackdrop, Panorama, ambient
+from humansim_ros.render.lighting import tone_mapped
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.backdrops import radiance_of
+from humansim_ros.scene.backdrops import load_panorama
 
 EYE = "cameras:\n  eye: {size: [160, 120], position: [0, 0, 1], look_at: [3, 0, 1], fov_deg: 60}\n"
 PLAIN = "room: null\nlight: {mode: shadeless}\n"
@@ -31,7 +31,7 @@ def load(folder: Path, text: str) -> Scene:
 
 
 def picture(scene: Scene) -> NDArray[np.uint8]:
-    renderer = renderer_or_skip(scene.static_meshes, scene.world.lighting)
+    renderer = renderer_or_skip(scene.static_meshes, scene.environment.lighting)
     camera = scene.scene_cameras["eye"]
     rgb = renderer.render([], camera.camera, ("rgb",), backdrop=camera.backdrop).rgb
     renderer.close()
@@ -158,7 +158,7 @@ def test_a_photograph_covers_what_is_endlessly_far_away(tmp_path: Path) -> None:
     empty = cv2.erode(np.isinf(view.depth).astype(np.uint8), np.ones((3, 3))) > 0
     assert 0.5 < empty.mean() < 1
     np.testing.assert_array_equal(view.rgb[empty], expected[empty])
-    small = Photograph(photo).picture(scene.cameras["eye"])
+    small = ImageBackdrop(photo).picture(scene.cameras["eye"])
     assert small.shape == (120, 160, 3)
 
 
@@ -187,14 +187,14 @@ def test_a_panorama_is_seen_by_direction(tmp_path: Path, lens: str) -> None:
     # and what it gives of light: the mean, weighted by how steeply it falls
     steep = np.cos(up) * np.sin(up)
     sky = ((0.5 + up / 4) * steep)[up > 0].sum() / steep[up > 0].sum()
-    assert scene.world.lighting.sky_color == pytest.approx((0.5, sky, 1.0), abs=0.01)
+    assert scene.environment.lighting.sky_color == pytest.approx((0.5, sky, 1.0), abs=0.01)
 
 
 def test_a_panorama_has_no_seam_behind_the_camera() -> None:
     radiance = np.full((64, 128, 3), 0.25, np.float32)
     scene = Scene.load()
     back = scene.cameras["camera_1"]  # it looks along -x
-    picture = Panorama(developed(radiance, Lighting())).picture(back)
+    picture = Panorama(tone_mapped(radiance, Lighting())).picture(back)
     assert (picture == 128).all()
     assert ambient(radiance) == (pytest.approx((0.25,) * 3), pytest.approx((0.25,) * 3))
 
@@ -213,8 +213,8 @@ randomise: {seed: %d, light: true, colours: true, textures: true, clutter: 8,
 
 def test_the_same_seed_draws_the_same_and_another_another(tmp_path: Path) -> None:
     first, again, other = (load(tmp_path, RANDOM % seed) for seed in (3, 3, 4))
-    assert first.world.lighting == again.world.lighting != other.world.lighting
-    assert first.world.lighting.shadows == "soft"
+    assert first.environment.lighting == again.environment.lighting != other.environment.lighting
+    assert first.environment.lighting.shadows == "soft"
     for a, b, c in zip(first.static_meshes, again.static_meshes, other.static_meshes, strict=False):
         np.testing.assert_array_equal(a.vertices, b.vertices)
         for x, y in ((a.texture, b.texture), (a.colors, b.colors)):
@@ -258,7 +258,7 @@ def test_clutter_stands_on_the_floor_and_in_nobodys_way(tmp_path: Path, seed: in
         assert (np.abs(corners[:, :2]).max(0) < (3.5, 3.2)).all()
         assert np.linalg.norm(scene.cameras["eye"].center[:2] - centre) > reach
     # nor in the furniture
-    room = np.concatenate([mesh.vertices for mesh in scene.world.meshes])
+    room = np.concatenate([mesh.vertices for mesh in scene.environment.meshes])
     standing = room[(room[:, 2] > 0.2) & (room[:, 2] < 1.5)][:, :2]
     for thing in things:
         radius = min(thing.stands.size[:2]) / 2
@@ -360,8 +360,8 @@ def test_an_openexr_panorama_is_that_of_the_same_light(tmp_path: Path) -> None:
     grey = {"type": openexr.scanlineimage}
     with openexr.File(grey, {"Y": np.ones((32, 64), np.float32)}) as file:
         file.write(str(tmp_path / "grey.exr"))
-    read = radiance_of("sky.exr", tmp_path / "scene.yaml", "world.environment")
+    read = load_panorama("sky.exr", tmp_path / "scene.yaml", "world.environment")
     expected = np.where(np.isnan(light), 0, np.minimum(light, 65504))
     np.testing.assert_array_equal(read, expected)
     with pytest.raises(SceneError, match="no channel R; there are Y"):
-        radiance_of("grey.exr", tmp_path / "scene.yaml", "world.environment")
+        load_panorama("grey.exr", tmp_path / "scene.yaml", "world.environment")

@@ -25,7 +25,7 @@ from humansim_ros.ros import messages
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import MotionConfig
-from humansim_ros.scene.live import Follower, Source
+from humansim_ros.scene.live import Follower, JointSource
 
 LINKS = {
     "l_elbow": ("LeftForeArm", "LeftHand"),
@@ -118,7 +118,7 @@ def test_missing_or_unknown_joints_are_refused_and_the_old_is_kept(actor: Actor)
 def test_a_table_beside_the_scene_file_tells_names_that_nobody_knows(ros: None, tmp_path: Path) -> None:
     from rclpy.parameter import Parameter
 
-    from humansim_ros.ros.nodes.skinner import Skinner
+    from humansim_ros.ros.nodes.skinner import SkinnerNode
 
     table = yaml.safe_load((ROOT / "config" / "joint_names" / "biovision.yaml").read_text())
     joints = {role: [f"q{name}" for name in names] for role, names in table["joints"].items()}
@@ -126,7 +126,9 @@ def test_a_table_beside_the_scene_file_tells_names_that_nobody_knows(ros: None, 
     scene = Parameter("scene", value=str(write_scene(tmp_path)))
 
     def skinner(names: str) -> Any:
-        return Skinner(parameter_overrides=[scene, Parameter("joint_names", value=names)], namespace="table")
+        return SkinnerNode(
+            parameter_overrides=[scene, Parameter("joint_names", value=names)], namespace="table"
+        )
 
     node = skinner("mine.yaml")
     poses = node._actor.joint_poses(0.4)
@@ -142,7 +144,7 @@ def test_a_legend_gives_the_truth_of_a_changed_motion(actor: Actor, tmp_path: Pa
     config = MotionConfig(file="walk_straight", retarget="thesis", root_scale="height", mirror=True)
     other = actor.with_motion(config, tmp_path / "scene.yaml")
     names = {name: MIXAMO.get(name, name) for name in other.motion.names}
-    legend = Source.of_actor(other).to_dict()
+    legend = JointSource.of_actor(other).to_dict()
     legend["joint_names"] = [names[name] for name in legend["joint_names"]]
     follower = Follower(actor)
     follower.hear_legend(json.loads(json.dumps(legend)))
@@ -159,7 +161,7 @@ def test_a_legend_holds_from_its_stamp_on(actor: Actor) -> None:
     """Frames that were on their way when the motion changed belong to the motion before."""
     higher = replace(actor, retargeter=replace(actor.retargeter, lift=actor.retargeter.lift + 0.5))
     follower = Follower(actor)
-    for source in (Source.of_actor(actor), Source.of_actor(higher, since=1000)):
+    for source in (JointSource.of_actor(actor), JointSource.of_actor(higher, since=1000)):
         follower.hear_legend(json.loads(json.dumps(source.to_dict())))
     poses = actor.joint_poses(0.4)
     for stamp, expected in ((999, actor), (1000, higher), (998, actor), (2000, higher)):
@@ -246,7 +248,7 @@ def test_a_source_is_fitted_better_when_thirty_messages_are_known(actor: Actor) 
     ],
 )
 def test_a_broken_legend_is_refused(actor: Actor, broken: dict[str, Any]) -> None:
-    legend = {**Source.of_actor(actor).to_dict(), **broken} if broken else {}
+    legend = {**JointSource.of_actor(actor).to_dict(), **broken} if broken else {}
     follower = Follower(actor)
     with pytest.raises(MotionError, match=r"legend|constants"):
         follower.hear_legend(legend)
@@ -308,7 +310,7 @@ def test_the_example_drives_a_skinner_in_another_process(ros: None, tmp_path: Pa
     from rclpy.parameter import Parameter
     from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 
-    from humansim_ros.ros.nodes.skinner import Skinner
+    from humansim_ros.ros.nodes.skinner import SkinnerNode
 
     human = f"human_{stem[:6]}"
     scene = tmp_path / "scene.yaml"
@@ -321,7 +323,7 @@ def test_the_example_drives_a_skinner_in_another_process(ros: None, tmp_path: Pa
         text = (ROOT / "assets" / "motions" / "walk.bvh").read_text()
         file = tmp_path / "suit.bvh"
         file.write_text(re.sub(r"(?<=JOINT )\w+", lambda name: f"suit:{MIXAMO.get(name[0], name[0])}", text))
-    skinner = Skinner(parameter_overrides=[Parameter("scene", value=str(scene))])
+    skinner = SkinnerNode(parameter_overrides=[Parameter("scene", value=str(scene))])
     client = Client(f"watcher_{stem[:6]}")
     client.executor.add_node(skinner)
     motion_topic, joints_topic = (f"/humans/{human}/{kind}" for kind in ("motion", "joints"))

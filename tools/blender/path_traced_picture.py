@@ -49,7 +49,7 @@ def ours(folder: Path, light: str = "") -> tuple[np.ndarray, np.ndarray]:
     simulation.close()
     meshes = [(mesh, mesh.vertices) for mesh in scene.static_meshes]
     meshes += [(actor.human.mesh, frame.humans[name].vertices) for name, actor in scene.actors.items()]
-    camera, light = frame.cameras["corner"], scene.world.lighting
+    camera, light = frame.cameras["corner"], scene.environment.lighting
     data = {
         "K": camera.K,
         "R": camera.R,

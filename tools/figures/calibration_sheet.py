@@ -37,7 +37,7 @@ _TILE = (330, 252)
 _COLUMNS = 5
 #: Files in this order, and how many of their cameras are shown; others come first, whole rigs of up to five.
 _SHOWN = {"campus_voxelpose": 3, "shelf_voxelpose": 5, "human36m_camera-parameters": 4, "templeSR_par": 1}
-_MOST = 5
+_MAX = 5
 _ROOM = (7.0, 6.4, 2.8)
 #: Who does what, which way it faces, and where it is from where the cameras look, metres.
 _PEOPLE = {
@@ -103,7 +103,7 @@ def tiles(path: Path, group: list[Body]) -> Iterator[Image]:
     meshes = [replace(mesh, vertices=mesh.vertices + middle) for mesh in furnished_room(size)]
     bodies = [replace(body, vertices=(body.vertices + middle).astype(np.float32)) for body in group]
     renderer = GLRenderer(meshes)
-    for name, camera in list(zip(found.cameras, cameras, strict=True))[: _SHOWN.get(path.stem, _MOST)]:
+    for name, camera in list(zip(found.cameras, cameras, strict=True))[: _SHOWN.get(path.stem, _MAX)]:
         view = renderer.render(bodies, camera, ("rgb",), passing=True)
         assert view.rgb is not None
         title = path.name + (f" {name}" if len(cameras) > 1 else "")

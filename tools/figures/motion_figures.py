@@ -26,7 +26,7 @@ from humansim_ros.motion import read_bvh
 from humansim_ros.motion.contacts import FootContacts, find_stances, slides
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.retarget import Mode, Retargeter, sole_heights
-from humansim_ros.motion.world_motion import WorldMotion, understand
+from humansim_ros.motion.world_motion import WorldMotion, detect_file_frame
 from humansim_ros.rotations import WORLD_FROM_BODY, Array
 
 SKELETON = hanim_skeleton()
@@ -53,7 +53,7 @@ HEADER = (
 def row(path: Path) -> list[str]:
     motion = read_bvh(path)
     match = match_motion(motion)
-    world = WorldMotion(motion, match, understand(motion, match), loop="none")
+    world = WorldMotion(motion, match, detect_file_frame(motion, match), loop="none")
     times = world.frame_times[:3000]
     poses = world.sample(times)
     retargeters: dict[Mode, Retargeter] = {

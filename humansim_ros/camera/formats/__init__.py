@@ -1,9 +1,9 @@
 """The forms that calibration files have, one module per family; calibration.py reads and writes them.
 
-A new one: a :class:`Form` in a module here, and its place in :data:`FORMS`.
+A new one: a :class:`CalibrationFormat` in a module here, and its place in :data:`FORMATS`.
 """
 
-from humansim_ros.camera.formats.base import Form, Place, RawCamera, Source
+from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, FilePosition, RawCamera
 from humansim_ros.camera.formats.colmap import COLMAP
 from humansim_ros.camera.formats.datasets import H36M, PANOPTIC, SHELF
 from humansim_ros.camera.formats.kalibr import KALIBR
@@ -16,11 +16,11 @@ from humansim_ros.camera.formats.scene import SCENE
 from humansim_ros.camera.formats.thesis import CAM
 
 #: In the order in which they are tried: the first that knows a file reads it.
-FORMS: tuple[Form, ...] = (
+FORMATS: tuple[CalibrationFormat, ...] = (
     *(CAMERA_INFO, INI, KALIBR, SCENE),
     *(H36M, PANOPTIC, SHELF),
     *(OPENCV, OPENCV_XML, OPENCV_JSON),
     *(CAM, COLMAP, MIDDLEBURY, KRTD, PROJECTION),
 )
 
-__all__ = ["FORMS", "Form", "Place", "RawCamera", "Source"]
+__all__ = ["FORMATS", "CalibrationFormat", "CalibrationSource", "FilePosition", "RawCamera"]

@@ -28,7 +28,7 @@ LARGEST = 1e15
 #: Characters of a line: one of COLMAP's has a hundred thousand points of an image.
 _LONGEST_LINE = 4 << 20
 #: Rigs are smaller; a file with more is not what it seems.
-MOST_CAMERAS = 10_000
+MAX_CAMERAS = 10_000
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[+-]?\.?(?:nan|inf|infinity)", re.IGNORECASE)
 #: Suffixes of the images that some formats name their cameras by.
@@ -36,7 +36,7 @@ _PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", "
 
 
 @dataclass(frozen=True)
-class Place:
+class FilePosition:
     """Where in a file something is said."""
 
     key: str | None = None
@@ -62,11 +62,11 @@ class RawCamera:
     model: str | None = None
     rectification: Array | None = None
     rectified: Array | None = None
-    places: Mapping[str, Place] = field(default_factory=dict)
+    places: Mapping[str, FilePosition] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class Source:
+class CalibrationSource:
     """A calibration file: its text, and, for YAML, JSON and XML, what is in it.
 
     Keys are paths into ``document``. What is wrong raises CameraError with file, key, and line where known.
@@ -77,8 +77,8 @@ class Source:
     document: Any = None
     tree: yaml.Node | None = None
 
-    def place(self, *keys: Key) -> Place:
-        return Place(".".join(map(str, keys)) or None, line_of(self.tree, keys))
+    def place(self, *keys: Key) -> FilePosition:
+        return FilePosition(".".join(map(str, keys)) or None, line_of(self.tree, keys))
 
     def error(self, message: str, *keys: Key, line: int | None = None) -> CameraError:
         place = self.place(*keys)
@@ -146,8 +146,8 @@ class Source:
         """Put a camera with the others, under a name of its own."""
         if name in cameras:
             raise self.error(f"there are two cameras of the name {name!r}", *keys, line=line)
-        if len(cameras) >= MOST_CAMERAS:
-            raise self.error(f"there are more than {MOST_CAMERAS} cameras", *keys, line=line)
+        if len(cameras) >= MAX_CAMERAS:
+            raise self.error(f"there are more than {MAX_CAMERAS} cameras", *keys, line=line)
         cameras[name] = camera
 
     def lines(self) -> Iterator[tuple[int, str]]:
@@ -174,7 +174,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Form:
+class CalibrationFormat:
     """A kind of calibration file.
 
     ``container``: text, yaml, json or xml. ``matches`` tells it from others of that container.
@@ -187,8 +187,8 @@ class Form:
     title: str
     suffix: str
     container: str
-    matches: Callable[[Source], bool]
-    read: Callable[[Source], dict[str, RawCamera]]
+    matches: Callable[[CalibrationSource], bool]
+    read: Callable[[CalibrationSource], dict[str, RawCamera]]
     write: Callable[[Mapping[str, Camera]], dict[str, str]]
     several: bool = True
     unit: float = 1.0

@@ -13,10 +13,10 @@ import numpy as np
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import (
-    Form,
-    Place,
+    CalibrationFormat,
+    CalibrationSource,
+    FilePosition,
     RawCamera,
-    Source,
     picture_names,
     row,
     without_suffix,
@@ -27,7 +27,7 @@ from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 
 CAMERAS, IMAGES, POINTS = "cameras.txt", "images.txt", "points3D.txt"
 #: Longer ones are of larger scenes than any rig.
-MOST_BYTES = 64 << 20
+MAX_BYTES = 64 << 20
 #: What each parameter of a model is; the names of coefficients are those of :data:`_ORDER`.
 _MODELS = {
     "SIMPLE_PINHOLE": "f cx cy",
@@ -49,24 +49,24 @@ _UNKNOWN = ("FOV", "THIN_PRISM_FISHEYE", "RAD_TAN_THIN_PRISM_FISHEYE")
 _QUATERNION_SLACK = 1e-3
 
 
-def _is_colmap(source: Source) -> bool:
+def _is_colmap(source: CalibrationSource) -> bool:
     if Path(source.path).name in (CAMERAS, IMAGES):
         return True
     words = source.head[0].split() if source.head else []
     return len(words) > 4 and words[1] in (*_MODELS, *_UNKNOWN)
 
 
-def _read(source: Source) -> dict[str, RawCamera]:
+def _read(source: CalibrationSource) -> dict[str, RawCamera]:
     """Of either file, with the other one from the same folder."""
     path = Path(source.path)
     if path.name == IMAGES:
-        text = read_text(path.parent / CAMERAS, CameraError, "COLMAP cameras", MOST_BYTES)
-        inner, images = Source(str(path.parent / CAMERAS), text), source
+        text = read_text(path.parent / CAMERAS, CameraError, "COLMAP cameras", MAX_BYTES)
+        inner, images = CalibrationSource(str(path.parent / CAMERAS), text), source
     else:
         inner, images = source, None
         if path.name == CAMERAS and (path.parent / IMAGES).is_file():
-            text = read_text(path.parent / IMAGES, CameraError, "COLMAP images", MOST_BYTES)
-            images = Source(str(path.parent / IMAGES), text)
+            text = read_text(path.parent / IMAGES, CameraError, "COLMAP images", MAX_BYTES)
+            images = CalibrationSource(str(path.parent / IMAGES), text)
     lenses = _lenses(inner)
     if images is None:
         return lenses
@@ -79,7 +79,7 @@ def _read(source: Source) -> dict[str, RawCamera]:
     return cameras
 
 
-def _lenses(source: Source) -> dict[str, RawCamera]:
+def _lenses(source: CalibrationSource) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     for line, text in source.lines():
         name, *words = text.split()
@@ -96,14 +96,14 @@ def _lenses(source: Source) -> dict[str, RawCamera]:
             message = "width and height must be whole numbers above zero"
             raise CameraError(message, path=source.path, line=line)
         said = dict(zip(names, values[2:], strict=True))
-        lens = _lens(model, said, values, Place(None, line, source.path))
+        lens = _lens(model, said, values, FilePosition(None, line, source.path))
         source.add(cameras, name, lens, line=line)
     if not cameras:
         raise CameraError("there are no cameras in it", path=source.path)
     return cameras
 
 
-def _lens(model: str, said: dict[str, float], values: list[float], place: Place) -> RawCamera:
+def _lens(model: str, said: dict[str, float], values: list[float], place: FilePosition) -> RawCamera:
     fx, fy = said.get("fx", said.get("f", 0.0)), said.get("fy", said.get("f", 0.0))
     ours = "plumb_bob"
     if model.endswith("FISHEYE"):
@@ -119,7 +119,7 @@ def _lens(model: str, said: dict[str, float], values: list[float], place: Place)
     )
 
 
-def _image_lines(source: Source) -> Iterator[tuple[int, list[str]]]:
+def _image_lines(source: CalibrationSource) -> Iterator[tuple[int, list[str]]]:
     """Lines of images; after each comes one of its points, three words each, which may be empty."""
     image = False
     for line, text in source.all_lines():
@@ -133,7 +133,9 @@ def _image_lines(source: Source) -> Iterator[tuple[int, list[str]]]:
             yield line, words
 
 
-def _placed(source: Source, lenses: Mapping[str, RawCamera], line: int, words: list[str]) -> RawCamera:
+def _placed(
+    source: CalibrationSource, lenses: Mapping[str, RawCamera], line: int, words: list[str]
+) -> RawCamera:
     if len(words) < 10:
         message = "needs an id, a quaternion w x y z, a translation x y z, a camera's id and a name"
         raise CameraError(message, path=source.path, line=line)
@@ -153,7 +155,11 @@ def _placed(source: Source, lenses: Mapping[str, RawCamera], line: int, words: l
         size=lens.size,
         distortion=lens.distortion,
         model=lens.model,
-        places={**lens.places, "R": Place(None, line, source.path), "t": Place(None, line, source.path)},
+        places={
+            **lens.places,
+            "R": FilePosition(None, line, source.path),
+            "t": FilePosition(None, line, source.path),
+        },
     )
 
 
@@ -181,7 +187,7 @@ def _model_of(camera: Camera) -> tuple[str, tuple[float, ...]]:
     return "FULL_OPENCV", (*camera.distortion, 0.0, 0.0, 0.0)[:8]
 
 
-COLMAP = Form(
+COLMAP = CalibrationFormat(
     "colmap",
     "COLMAP text model",
     "",

@@ -14,13 +14,13 @@ import defusedxml.ElementTree
 import yaml
 from defusedxml.common import DefusedXmlException
 
-from humansim_ros.camera.formats.base import Source
+from humansim_ros.camera.formats.base import CalibrationSource
 from humansim_ros.errors import CameraError
 from humansim_ros.io.yaml import Loader, parse_yaml
 
 #: Characters of a text; YAML is slow to read. Hundreds of cameras take much less.
-_MOST = {"yaml": 1 << 19, "json": 8 << 20, "xml": 4 << 20}
-_MOST_DEPTH = 20
+_MAX = {"yaml": 1 << 19, "json": 8 << 20, "xml": 4 << 20}
+_MAX_DEPTH = 20
 #: OpenCV's header, which YAML 1.1 does not know.
 _HEADER = re.compile(r"\A\s*%YAML:1\.[0-9]+[^\n]*")
 #: What ``ros2 topic echo`` ends a message with.
@@ -52,25 +52,25 @@ def container_of(path: str, text: str) -> str:
 
 def _first_lines(path: str, text: str) -> list[str]:
     """The first two lines that say something."""
-    lines = (line for _, line in Source(path, text).all_lines() if line)
+    lines = (line for _, line in CalibrationSource(path, text).all_lines() if line)
     return list(islice((line for line in lines if not line.startswith(("#", "---", "%", ";"))), 2))
 
 
-def parsed(path: str, text: str, container: str) -> Source:
+def parsed(path: str, text: str, container: str) -> CalibrationSource:
     """A source with its document. Raises CameraError with the line, or the key."""
-    most = _MOST.get(container, len(text))
+    most = _MAX.get(container, len(text))
     if len(text) > most:
         message = f"this is too large for a calibration in {container.upper()}: more than {most >> 10} kB"
         raise CameraError(message, path=path)
     if container == "yaml":
         text = _END.sub("\n", _HEADER.sub("", text))
         document, tree = parse_yaml(text, CameraError, path, _Loader)
-        return Source(path, text, document, tree)
+        return CalibrationSource(path, text, document, tree)
     if container == "json":
-        return Source(path, text, _parse_json(path, text))
+        return CalibrationSource(path, text, _parse_json(path, text))
     if container == "xml":
-        return Source(path, text, _parse_xml(path, text))
-    return Source(path, text)
+        return CalibrationSource(path, text, _parse_xml(path, text))
+    return CalibrationSource(path, text)
 
 
 class _Loader(Loader):
@@ -123,7 +123,7 @@ def _parse_xml(path: str, text: str) -> Any:
 
 def _value(element: Element, path: str, depth: int = 0) -> Any:
     """OpenCV's XML: elements are keys, elements named _ are items, words of a text are items too."""
-    if depth > _MOST_DEPTH:
+    if depth > _MAX_DEPTH:
         raise CameraError("the elements are nested too deeply", path=path, key=element.tag[:40])
     children = list(element)
     if not children:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import Form, Key, RawCamera, Source, nested
+from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, Key, RawCamera, nested
 from humansim_ros.camera.formats.models import check_count
 from humansim_ros.errors import CameraError
 from humansim_ros.rotations import Array
@@ -28,11 +28,11 @@ _PLACE = re.compile(r"([0-9]{2})_([0-9]{2})")
 _SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
 
 
-def _is_h36m(source: Source) -> bool:
+def _is_h36m(source: CalibrationSource) -> bool:
     return all(isinstance(source.get(key), dict) for key in ("intrinsics", "extrinsics"))
 
 
-def _read_h36m(source: Source) -> dict[str, RawCamera]:
+def _read_h36m(source: CalibrationSource) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     subjects = source.mapping("extrinsics")
     for subject in subjects:
@@ -44,7 +44,7 @@ def _read_h36m(source: Source) -> dict[str, RawCamera]:
     return cameras
 
 
-def _h36m_camera(source: Source, inner: tuple[Key, ...], outer: tuple[Key, ...]) -> RawCamera:
+def _h36m_camera(source: CalibrationSource, inner: tuple[Key, ...], outer: tuple[Key, ...]) -> RawCamera:
     keys = {
         "K": (*inner, "calibration_matrix"),
         "distortion": (*inner, "distortion"),
@@ -86,14 +86,14 @@ def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
 # -- Shelf and Campus: x = R (X - T): T is the camera's centre, in millimetres, z up
 
 
-def _is_shelf(source: Source) -> bool:
+def _is_shelf(source: CalibrationSource) -> bool:
     cameras = source.document
     if not isinstance(cameras, dict) or not cameras:
         return False
     return all(isinstance(c, dict) and {"R", "T"} < set(c) and {"fx", "k"} & set(c) for c in cameras.values())
 
 
-def _read_shelf(source: Source) -> dict[str, RawCamera]:
+def _read_shelf(source: CalibrationSource) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     for name in source.document:
         fx, fy, cx, cy = (float(source.numbers((), name, key)) for key in ("fx", "fy", "cx", "cy"))
@@ -141,12 +141,12 @@ def _write_shelf(cameras: Mapping[str, Camera]) -> dict[str, str]:
 # -- CMU Panoptic: x = R X + t in centimetres, y down
 
 
-def _is_panoptic(source: Source) -> bool:
+def _is_panoptic(source: CalibrationSource) -> bool:
     cameras = source.get("cameras")
     return isinstance(cameras, list) and any(isinstance(c, dict) and "K" in c for c in cameras)
 
 
-def _read_panoptic(source: Source) -> dict[str, RawCamera]:
+def _read_panoptic(source: CalibrationSource) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     for index in range(len(source.need("cameras"))):
         at: tuple[Key, ...] = ("cameras", index)
@@ -204,7 +204,7 @@ def _json(data: Any) -> dict[str, str]:
     return {"": json.dumps(data, indent=1) + "\n"}
 
 
-H36M = Form(
+H36M = CalibrationFormat(
     "human36m",
     "Human3.6M JSON",
     ".json",
@@ -217,7 +217,7 @@ H36M = Form(
     lenses={"plumb_bob": 5},
     sizes=((1000, 1000),),
 )
-SHELF = Form(
+SHELF = CalibrationFormat(
     "shelf",
     "Shelf/Campus JSON",
     ".json",
@@ -231,7 +231,7 @@ SHELF = Form(
     lenses={"plumb_bob": 5},
     sizes=((1032, 776), (360, 288)),
 )
-PANOPTIC = Form(
+PANOPTIC = CalibrationFormat(
     "panoptic",
     "CMU Panoptic JSON",
     ".json",

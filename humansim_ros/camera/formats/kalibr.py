@@ -12,7 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import Form, Key, RawCamera, Source, row
+from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, Key, RawCamera, row
 from humansim_ros.camera.formats.models import check_count
 from humansim_ros.rotations import Array, invert_rigid
 
@@ -20,16 +20,16 @@ _CAMERA = re.compile(r"cam[0-9]+")
 _MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "equi": "equidistant", "none": None}
 
 
-def _names(source: Source) -> list[str]:
+def _names(source: CalibrationSource) -> list[str]:
     keys = source.document if isinstance(source.document, dict) else {}
     return [key for key in keys if isinstance(key, str) and _CAMERA.fullmatch(key)]
 
 
-def _is_camchain(source: Source) -> bool:
+def _is_camchain(source: CalibrationSource) -> bool:
     return any(isinstance(source.get(name, "camera_model"), str) for name in _names(source))
 
 
-def _read(source: Source) -> dict[str, RawCamera]:
+def _read(source: CalibrationSource) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     names = _names(source)
     pose: Array | None = None
@@ -45,14 +45,14 @@ def _read(source: Source) -> dict[str, RawCamera]:
     return cameras
 
 
-def _transform(source: Source, *keys: Key) -> Array:
+def _transform(source: CalibrationSource, *keys: Key) -> Array:
     matrix = source.numbers((4, 4), *keys)
     if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9):
         raise source.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
     return matrix
 
 
-def _camera(source: Source, name: str, pose: Array, said: str) -> RawCamera:
+def _camera(source: CalibrationSource, name: str, pose: Array, said: str) -> RawCamera:
     if source.need(name, "camera_model") != "pinhole":
         message = f"{source.get(name, 'camera_model')!r} cameras are not known here, only pinhole"
         raise source.error(message, name, "camera_model")
@@ -116,7 +116,7 @@ def _matrix_lines(key: str, matrix: Array) -> list[str]:
     return [f"  {key}:", *(f"  - [{row(values, ', ')}]" for values in matrix)]
 
 
-KALIBR = Form(
+KALIBR = CalibrationFormat(
     "kalibr",
     "Kalibr camchain YAML",
     ".yaml",

@@ -12,10 +12,10 @@ import numpy as np
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import (
-    Form,
-    Place,
+    CalibrationFormat,
+    CalibrationSource,
+    FilePosition,
     RawCamera,
-    Source,
     picture_names,
     row,
     without_suffix,
@@ -24,12 +24,12 @@ from humansim_ros.camera.image_size import size_of_image
 from humansim_ros.errors import CameraError
 
 
-def _is_par(source: Source) -> bool:
+def _is_par(source: CalibrationSource) -> bool:
     count, *images = source.head or [""]
     return count.isdecimal() and bool(images) and len(images[0].split()) > 12
 
 
-def _read(source: Source) -> dict[str, RawCamera]:
+def _read(source: CalibrationSource) -> dict[str, RawCamera]:
     lines = source.lines()
     first, count = next(lines)
     cameras: dict[str, RawCamera] = {}
@@ -45,7 +45,7 @@ def _read(source: Source) -> dict[str, RawCamera]:
             values[9:18].reshape(3, 3),
             values[18:],
             size=size_of_image(folder, image),
-            places={"": Place(None, line)},
+            places={"": FilePosition(None, line)},
         )
         source.add(cameras, without_suffix(image), camera, line=line)
     if not 0 < len(cameras) == int(count[:9]):
@@ -63,6 +63,6 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": "\n".join(lines) + "\n"}
 
 
-MIDDLEBURY = Form(
+MIDDLEBURY = CalibrationFormat(
     "middlebury", "Middlebury par.txt", "_par.txt", "text", _is_par, _read, _write, holds_size=False
 )

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros.camera.formats.base import Key, Source
+from humansim_ros.camera.formats.base import CalibrationSource, Key
 from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import warn_of
 from humansim_ros.rotations import Array
@@ -24,7 +24,11 @@ _THERE = ", ".join(MODELS)
 
 
 def lens_of(
-    source: Source, named: Any, distortion: Array, named_at: tuple[Key, ...], given_at: tuple[Key, ...]
+    source: CalibrationSource,
+    named: Any,
+    distortion: Array,
+    named_at: tuple[Key, ...],
+    given_at: tuple[Key, ...],
 ) -> str | None:
     """Our name of the distortion model that a file names, if its coefficients (N,) go with it.
 
@@ -41,7 +45,7 @@ def lens_of(
     return model
 
 
-def check_count(source: Source, model: str, distortion: Array, given_at: tuple[Key, ...]) -> None:
+def check_count(source: CalibrationSource, model: str, distortion: Array, given_at: tuple[Key, ...]) -> None:
     """That there are as many coefficients as the model has."""
     counts = _IN_FILES[model]
     used = len(np.trim_zeros(distortion, "b"))
@@ -51,7 +55,9 @@ def check_count(source: Source, model: str, distortion: Array, given_at: tuple[K
         raise source.error(f"{model} has {count} coefficients, not {len(distortion)}{hint}", *given_at)
 
 
-def _unnamed(source: Source, word: str, distortion: Array, named_at: tuple[Key, ...]) -> str | None:
+def _unnamed(
+    source: CalibrationSource, word: str, distortion: Array, named_at: tuple[Key, ...]
+) -> str | None:
     if not distortion.any():
         return None
     if word:

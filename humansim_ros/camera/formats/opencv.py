@@ -18,7 +18,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import Form, Key, Place, RawCamera, Source, number, row
+from humansim_ros.camera.formats.base import (
+    CalibrationFormat,
+    CalibrationSource,
+    FilePosition,
+    Key,
+    RawCamera,
+    number,
+    row,
+)
 from humansim_ros.camera.formats.containers import container_of, parsed
 from humansim_ros.camera.formats.models import COUNTS, lens_of
 from humansim_ros.errors import CameraError, warn_of
@@ -59,7 +67,7 @@ _PATTERNS = {part: _pattern(names) for part, names in _NAMES.items()}
 class _Said:
     """Where a part of a camera is said."""
 
-    source: Source
+    source: CalibrationSource
     keys: tuple[Key, ...]
 
     @property
@@ -67,9 +75,9 @@ class _Said:
         return self.source.get(*self.keys)
 
     @property
-    def place(self) -> Place:
+    def place(self) -> FilePosition:
         place = self.source.place(*self.keys)
-        return Place(place.key, place.line, self.source.path)
+        return FilePosition(place.key, place.line, self.source.path)
 
     def numbers(self) -> Array:
         return self.source.some_numbers(*self.keys)
@@ -81,12 +89,12 @@ class _Said:
 _Table = dict[str, dict[str, _Said]]
 
 
-def _is_storage(source: Source) -> bool:
+def _is_storage(source: CalibrationSource) -> bool:
     table = _table([source])
     return bool(table["K"]) or (bool(table["R"]) and bool(table["t"]))
 
 
-def _table(sources: Sequence[Source]) -> _Table:
+def _table(sources: Sequence[CalibrationSource]) -> _Table:
     """Part -> suffix of a camera -> where it is said."""
     ranked: dict[str, dict[str, tuple[int, _Said]]] = {part: {} for part in _NAMES}
     for source in sources:
@@ -108,7 +116,7 @@ def _table(sources: Sequence[Source]) -> _Table:
     return {part: {s: said for s, (_, said) in found.items()} for part, found in ranked.items()}
 
 
-def _read(source: Source) -> dict[str, RawCamera]:
+def _read(source: CalibrationSource) -> dict[str, RawCamera]:
     table = _table([source])
     if not table["K"] or not (table["R"] or table["t"] or table["rectified"]):
         other = _other_half(Path(source.path))
@@ -128,7 +136,7 @@ def _read(source: Source) -> dict[str, RawCamera]:
     return cameras
 
 
-def _other_half(path: Path) -> Source | None:
+def _other_half(path: Path) -> CalibrationSource | None:
     """The file with the other half of the calibration."""
     for one, other in (("intri", "extri"), ("extri", "intri")):
         if one in path.name:
@@ -322,8 +330,8 @@ def _write_json(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": json.dumps({key: item(value) for key, value in _entries(cameras).items()}, indent=1) + "\n"}
 
 
-def _form(name: str, title: str, suffix: str, container: str, write: Any) -> Form:
-    return Form(
+def _form(name: str, title: str, suffix: str, container: str, write: Any) -> CalibrationFormat:
+    return CalibrationFormat(
         name, title, suffix, container, _is_storage, _read, write, holds_rectified=True, lenses=COUNTS
     )
 

@@ -14,7 +14,15 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import MOST_CAMERAS, Form, Place, RawCamera, Source, check_words, row
+from humansim_ros.camera.formats.base import (
+    MAX_CAMERAS,
+    CalibrationFormat,
+    CalibrationSource,
+    FilePosition,
+    RawCamera,
+    check_words,
+    row,
+)
 from humansim_ros.errors import CameraError
 
 _SIZE = re.compile(r"([0-9]{1,5})x([0-9]{1,5})")
@@ -22,11 +30,11 @@ _NAMED = re.compile(r"([A-Za-z_][^\s:=]*)\s*[:=]\s*(.*)")
 _Size = tuple[int, int]
 
 
-def _is_projection(source: Source) -> bool:
+def _is_projection(source: CalibrationSource) -> bool:
     return next(_rows(source), None) is not None
 
 
-def _rows(source: Source) -> Iterator[tuple[int, str, list[str]]]:
+def _rows(source: CalibrationSource) -> Iterator[tuple[int, str, list[str]]]:
     """Line, name and words of lines that could be rows of matrices. A name stands on the first row of its
     matrix only; in "# name 640x480" the size stays in it.
     """
@@ -49,7 +57,7 @@ def _rows(source: Source) -> Iterator[tuple[int, str, list[str]]]:
         name = ""
 
 
-def _read(source: Source) -> dict[str, RawCamera]:
+def _read(source: CalibrationSource) -> dict[str, RawCamera]:
     matrices: list[tuple[int, str, list[float]]] = []
     last = 0
     for line, name, words in _rows(source):
@@ -60,8 +68,8 @@ def _read(source: Source) -> dict[str, RawCamera]:
             matrices[-1][2].extend(values)
         elif unfinished:
             raise CameraError("the matrix above has fewer than three rows", path=source.path, line=line)
-        elif len(matrices) == MOST_CAMERAS:
-            raise CameraError(f"there are more than {MOST_CAMERAS} cameras", path=source.path, line=line)
+        elif len(matrices) == MAX_CAMERAS:
+            raise CameraError(f"there are more than {MAX_CAMERAS} cameras", path=source.path, line=line)
         else:
             matrices.append((line, name, values))
     if len(matrices[-1][2]) < 12:
@@ -89,8 +97,8 @@ def _name_and_size(said: str) -> tuple[str, _Size | None]:
     return name, (int(size[1]), int(size[2])) if size else None
 
 
-def _camera(source: Source, values: list[float], line: int, size: _Size | None) -> RawCamera:
-    place = Place("P", line)
+def _camera(source: CalibrationSource, values: list[float], line: int, size: _Size | None) -> RawCamera:
+    place = FilePosition("P", line)
     try:
         # the image's size has no part in taking P apart
         camera = Camera.from_projection_matrix(np.reshape(values, (3, 4)), (1, 1))
@@ -107,4 +115,4 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": "\n".join(lines) + "\n"}
 
 
-PROJECTION = Form("p", "projection matrices", ".txt", "text", _is_projection, _read, _write)
+PROJECTION = CalibrationFormat("p", "projection matrices", ".txt", "text", _is_projection, _read, _write)

@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import Form, Key, Place, RawCamera, Source, row
+from humansim_ros.camera.formats.base import (
+    CalibrationFormat,
+    CalibrationSource,
+    FilePosition,
+    Key,
+    RawCamera,
+    row,
+)
 from humansim_ros.camera.formats.models import COUNTS, lens_of
 from humansim_ros.errors import CameraError, warn_of
 from humansim_ros.rotations import Array
@@ -40,18 +47,18 @@ _IN_MESSAGE = {
 }
 
 
-def _is_camera_info(source: Source) -> bool:
+def _is_camera_info(source: CalibrationSource) -> bool:
     # OpenCV's matrices are read as dictionaries of a type of their own
     of_file = type(source.get("camera_matrix")) is dict and "image_width" in source.document
     return of_file or _is_message(source)
 
 
-def _is_message(source: Source) -> bool:
+def _is_message(source: CalibrationSource) -> bool:
     keys = source.document if isinstance(source.document, dict) else {}
     return {"height", "width", "distortion_model", "k", "p"} <= {str(key).lower() for key in keys}
 
 
-def _read_camera_info(source: Source) -> dict[str, RawCamera]:
+def _read_camera_info(source: CalibrationSource) -> dict[str, RawCamera]:
     if _is_message(source):
         return _read_message(source)
     size = source.size(("image_width",), ("image_height",))
@@ -61,7 +68,7 @@ def _read_camera_info(source: Source) -> dict[str, RawCamera]:
     return {name or Path(source.path).stem: _camera(source, size, _IN_FILE)}
 
 
-def _read_message(source: Source) -> dict[str, RawCamera]:
+def _read_message(source: CalibrationSource) -> dict[str, RawCamera]:
     """What ``ros2 topic echo`` prints; in ROS 1 the names of matrices are in capitals."""
     spelt = {str(key).lower(): key for key in source.document}
     keys: dict[str, tuple[Key, ...]] = {part: (spelt.get(k, k),) for part, k in _IN_MESSAGE.items()}
@@ -74,7 +81,9 @@ def _read_message(source: Source) -> dict[str, RawCamera]:
     return {frame.removesuffix("_optical_frame") or Path(source.path).stem: camera}
 
 
-def _camera(source: Source, size: tuple[int, int], keys: Mapping[str, tuple[Key, ...]]) -> RawCamera:
+def _camera(
+    source: CalibrationSource, size: tuple[int, int], keys: Mapping[str, tuple[Key, ...]]
+) -> RawCamera:
     k = source.numbers((3, 3), *keys["K"])
     if not k.any():
         raise source.error("is all zeros, which is how ROS says 'not calibrated'", *keys["K"])
@@ -91,7 +100,7 @@ def _camera(source: Source, size: tuple[int, int], keys: Mapping[str, tuple[Key,
     )
 
 
-def _matrix(source: Source, shape: tuple[int, ...], keys: tuple[Key, ...]) -> Array | None:
+def _matrix(source: CalibrationSource, shape: tuple[int, ...], keys: tuple[Key, ...]) -> Array | None:
     """A matrix that may be missing, or be all zeros, as from drivers that do not rectify."""
     if source.get(*keys) is None:
         return None
@@ -125,16 +134,16 @@ def _matrix_lines(key: str, matrix: Array) -> list[str]:
 _INI_SHAPES = {"camera matrix": (3, 3), "rectification": (3, 3), "projection": (3, 4)}
 #: Sections that describe no camera. ROS reads and forgets the second.
 _IMAGE, _EXTERNALS = "image", "externals"
-_MOST_NUMBERS = 50
+_MAX_NUMBERS = 50
 _HEADING = re.compile(r"\[(.*)\]")
 
 
-def _is_ini(source: Source) -> bool:
+def _is_ini(source: CalibrationSource) -> bool:
     first = next(iter(source.head), "")
     return _HEADING.fullmatch(first) is not None and any(c.isalpha() for c in first)
 
 
-def _read_ini(source: Source) -> dict[str, RawCamera]:
+def _read_ini(source: CalibrationSource) -> dict[str, RawCamera]:
     sections = _sections(source)
     size = tuple(_whole(source, sections, key) for key in ("width", "height"))
     cameras: dict[str, RawCamera] = {}
@@ -150,7 +159,7 @@ def _read_ini(source: Source) -> dict[str, RawCamera]:
 _Section = dict[str, tuple[int, list[float]]]
 
 
-def _sections(source: Source) -> dict[str, tuple[int, _Section]]:
+def _sections(source: CalibrationSource) -> dict[str, tuple[int, _Section]]:
     """Sections by name: the line of each, and its keys with their lines and numbers."""
     sections: dict[str, tuple[int, _Section]] = {}
     section: _Section = {}
@@ -173,34 +182,34 @@ def _sections(source: Source) -> dict[str, tuple[int, _Section]]:
             raise CameraError("numbers without a key above them", path=source.path, line=number)
         else:
             values += source.row(line.split(), number)
-            if len(values) > _MOST_NUMBERS:
-                raise CameraError(
-                    f"more than {_MOST_NUMBERS} numbers of a key", path=source.path, line=number
-                )
+            if len(values) > _MAX_NUMBERS:
+                raise CameraError(f"more than {_MAX_NUMBERS} numbers of a key", path=source.path, line=number)
     return sections
 
 
-def _whole(source: Source, sections: Mapping[str, tuple[int, _Section]], key: str) -> int:
+def _whole(source: CalibrationSource, sections: Mapping[str, tuple[int, _Section]], key: str) -> int:
     line, values = _found(source, sections.get(_IMAGE, (None, {}))[1], _IMAGE, key)
     if len(values) != 1 or values[0] != int(values[0]) or values[0] <= 0:
         raise CameraError("needs a whole number above zero", path=source.path, line=line, key=key)
     return int(values[0])
 
 
-def _found(source: Source, section: _Section, name: str, key: str) -> tuple[int, list[float]]:
+def _found(source: CalibrationSource, section: _Section, name: str, key: str) -> tuple[int, list[float]]:
     if key not in section:
         raise CameraError(f"is missing in section [{name}]", path=source.path, key=key)
     return section[key]
 
 
-def _ini_camera(source: Source, name: str, line: int, section: _Section, size: tuple[int, int]) -> RawCamera:
-    matrices, places = {}, {"": Place(name, line)}
+def _ini_camera(
+    source: CalibrationSource, name: str, line: int, section: _Section, size: tuple[int, int]
+) -> RawCamera:
+    matrices, places = {}, {"": FilePosition(name, line)}
     for key, shape in _INI_SHAPES.items():
         at, values = _found(source, section, name, key)
         if len(values) != shape[0] * shape[1]:
             message = f"needs {shape[0]} x {shape[1]} numbers, not {len(values)}"
             raise CameraError(message, path=source.path, line=at, key=key)
-        matrices[key], places[key] = np.reshape(values, shape), Place(key, at)
+        matrices[key], places[key] = np.reshape(values, shape), FilePosition(key, at)
     at, distortion = _found(source, section, name, "distortion")
     if len(distortion) not in (4, 5, 8):
         message = f"needs 5 coefficients (plumb_bob) or 8 (rational_polynomial), not {len(distortion)}"
@@ -215,7 +224,7 @@ def _ini_camera(source: Source, name: str, line: int, section: _Section, size: t
         places={
             "": places[""],
             "K": places["camera matrix"],
-            "distortion": Place("distortion", at),
+            "distortion": FilePosition("distortion", at),
             "rectification": places["rectification"],
             "rectified": places["projection"],
         },
@@ -239,7 +248,7 @@ def _write_ini(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": "\n".join(lines) + "\n"}
 
 
-CAMERA_INFO = Form(
+CAMERA_INFO = CalibrationFormat(
     "camera_info",
     "ROS camera_info YAML",
     ".yaml",
@@ -252,7 +261,7 @@ CAMERA_INFO = Form(
     holds_rectified=True,
     lenses=COUNTS,
 )
-INI = Form(
+INI = CalibrationFormat(
     "ini",
     "ROS camera_info INI",
     ".ini",

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import Form, Key, RawCamera, Source, row
+from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, Key, RawCamera, row
 from humansim_ros.camera.formats.models import COUNTS, lens_of
 from humansim_ros.errors import CameraError, warn_of
 from humansim_ros.rotations import Array
@@ -20,11 +20,11 @@ _PARTS = ("K", "R", "t", "size", "distortion", "rectification", "rectified")
 _ELSEWHERE, _LEFT_OUT = ("calibration", "trajectory"), ("binning", "roi", "sensor")
 
 
-def _is_scene(source: Source) -> bool:
+def _is_scene(source: CalibrationSource) -> bool:
     return isinstance(source.get("cameras"), Mapping)
 
 
-def _read(source: Source) -> dict[str, RawCamera]:
+def _read(source: CalibrationSource) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     for name in source.mapping("cameras"):
         source.add(cameras, str(name), _camera(source, name), "cameras", name)
@@ -33,7 +33,7 @@ def _read(source: Source) -> dict[str, RawCamera]:
     return cameras
 
 
-def _camera(source: Source, name: str) -> RawCamera:
+def _camera(source: CalibrationSource, name: str) -> RawCamera:
     at: tuple[Key, ...] = ("cameras", name)
     source.mapping(*at)
     for key in _ELSEWHERE:
@@ -74,7 +74,9 @@ def _camera(source: Source, name: str) -> RawCamera:
     )
 
 
-def _matrices(source: Source, at: tuple[Key, ...], size: tuple[int, int]) -> tuple[Array, Array, Array]:
+def _matrices(
+    source: CalibrationSource, at: tuple[Key, ...], size: tuple[int, int]
+) -> tuple[Array, Array, Array]:
     """K, R and t of any way to say them."""
     try:
         if source.get(*at, "P") is not None:
@@ -95,7 +97,7 @@ def _matrices(source: Source, at: tuple[Key, ...], size: tuple[int, int]) -> tup
     return camera.K if source.get(*at, "K") is None else source.numbers((3, 3), *at, "K"), r, t
 
 
-def _fov(source: Source, at: tuple[Key, ...]) -> float:
+def _fov(source: CalibrationSource, at: tuple[Key, ...]) -> float:
     return _FOV if source.get(*at, "fov_deg") is None else float(source.numbers((), *at, "fov_deg"))
 
 
@@ -122,7 +124,7 @@ def _matrix_lines(matrices: Mapping[str, Array | None]) -> list[str]:
     return lines
 
 
-SCENE = Form(
+SCENE = CalibrationFormat(
     "scene",
     "cameras of a scene file",
     ".yaml",

@@ -7,18 +7,18 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import LARGEST, Form, RawCamera, Source
+from humansim_ros.camera.formats.base import LARGEST, CalibrationFormat, CalibrationSource, RawCamera
 from humansim_ros.camera.thesis_cam import cam_of, camera_of, format_cam, parse_cam
 from humansim_ros.errors import CameraError
 
 _LINE = re.compile(r"(C|f|R|k|size|format)\s*=.*")
 
 
-def _is_cam(source: Source) -> bool:
+def _is_cam(source: CalibrationSource) -> bool:
     return bool(source.head) and _LINE.fullmatch(source.head[0]) is not None
 
 
-def _read(source: Source) -> dict[str, RawCamera]:
+def _read(source: CalibrationSource) -> dict[str, RawCamera]:
     cam = parse_cam(source.text, source.path)
     if max(map(abs, (*cam.center, cam.focal, *cam.euler_deg, *cam.aspect))) > LARGEST:
         raise CameraError(f"a number is above {LARGEST:g}: of no camera", path=source.path)
@@ -31,6 +31,6 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": format_cam(cam_of(camera))}
 
 
-CAM = Form(
+CAM = CalibrationFormat(
     "cam", ".cam of the thesis", ".cam", "text", _is_cam, _read, _write, several=False, holds_skew=False
 )

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.humans.makehuman.clothes import Tailor, cut_clothes, drape, dress
-from humansim_ros.humans.makehuman.data import Array, Base, Index, Mask, Source, read_base
+from humansim_ros.humans.makehuman.data import Array, Base, Index, MakeHumanData, Mask, read_base
 from humansim_ros.humans.makehuman.layout import TEXTURE_SIZE, downsample, rasterise, relay_uv
 from humansim_ros.humans.makehuman.paint import Canvas, Outfit, bare, openness, paint
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
@@ -26,7 +26,7 @@ from humansim_ros.humans.makehuman.skeleton import (
     t_pose,
     unskin,
 )
-from humansim_ros.humans.makehuman.surface import NONE, Mesh, compact, refine, sample
+from humansim_ros.humans.makehuman.surface import NONE, BodySurface, compact, refine, sample
 
 JPEG_QUALITY = 92
 #: How far bones part that both move a vertex, of the height: thighs of somebody who sits down, at the crotch.
@@ -39,7 +39,7 @@ ADULT_MAN = MakeHumanConfig(gender=1.0)
 class _Body:
     """A naked body: in the A pose of the artists (``mesh.vertices``) and in the T pose (``mesh.naked``)."""
 
-    mesh: Mesh
+    mesh: BodySurface
     bones: Bones
     points: Mapping[str, Array]
     motion: Array
@@ -61,7 +61,9 @@ class _Body:
         return np.array([self.points[f"joint-{side}-eye-target"] for side in "lr"]) - self.floor
 
 
-def build(source: Source, config: MakeHumanConfig, outfits: Mapping[str, Outfit]) -> dict[str, NDArray[Any]]:
+def build(
+    source: MakeHumanData, config: MakeHumanConfig, outfits: Mapping[str, Outfit]
+) -> dict[str, NDArray[Any]]:
     """The arrays of a human file (docs/humans.md): a body of MakeHuman's sliders, dressed.
 
     Clothes are cut and painted on the adult man, whose vertices everybody has, and hung over this body. The
@@ -131,7 +133,7 @@ def _scaled(base: Base, scale: float) -> Base:
     return base if scale == 1.0 else replace(base, vertices=base.vertices * scale)
 
 
-def _naked(source: Source, base: Base) -> _Body:
+def _naked(source: MakeHumanData, base: Base) -> _Body:
     """The body and its eyes without the other helpers, bare soles at height 0 in the T pose."""
     points = landmarks(base)
     bones_a = make_bones(points)
@@ -150,7 +152,7 @@ def _naked(source: Source, base: Base) -> _Body:
     floor = np.array([0, float(naked[part == 0, 1].min()), 0])
     naked = naked - floor
     bare, bare_faces = np.full(len(rows), NONE), np.full(len(faces), NONE)
-    mesh = Mesh(
+    mesh = BodySurface(
         vertices,
         faces,
         base.uv[uv_rows],
@@ -167,7 +169,7 @@ def _naked(source: Source, base: Base) -> _Body:
     return _Body(mesh, bones, points, motion, floor)
 
 
-def _at_vertices(mesh: Mesh, mask: Mask) -> Array:
+def _at_vertices(mesh: BodySurface, mask: Mask) -> Array:
     """A painted mask's values (V,) at the vertices."""
     uv = np.zeros((len(mesh.vertices), 2))
     corners: Index = mesh.faces

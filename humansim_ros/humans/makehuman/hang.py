@@ -10,7 +10,7 @@ from scipy import sparse
 from humansim_ros.humans.makehuman.data import Array
 from humansim_ros.humans.makehuman.outline import Outline, around, averaging, drawn_taut, neighbours
 from humansim_ros.humans.makehuman.skeleton import Bones
-from humansim_ros.humans.makehuman.surface import Mesh, ramp
+from humansim_ros.humans.makehuman.surface import BodySurface, ramp
 
 _ROUNDS = 400
 #: Metres: cloth follows hollows that are less deep, and spans those that are deeper.
@@ -29,7 +29,7 @@ class Trunk(Protocol):
     def above_belt(self, p: Array) -> Array: ...
 
 
-def hang(mesh: Mesh, trunk: Trunk, vertices: Array) -> Array:
+def hang(mesh: BodySurface, trunk: Trunk, vertices: Array) -> Array:
     """Steps (V, 3) from `vertices` (V, 3), this body in the T pose, to a shirt that is taut over it.
 
     Exactly zero for bodies without hollows that are deeper than cloth follows.

@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from humansim_ros.humans.makehuman.clothes import Tailor
-from humansim_ros.humans.makehuman.data import Array, Index, Source
+from humansim_ros.humans.makehuman.data import Array, Index, MakeHumanData
 from humansim_ros.humans.makehuman.layout import Texels
 from humansim_ros.humans.makehuman.surface import (
     NONE,
     SHIRT,
     SHOES,
     TROUSERS,
-    Mesh,
+    BodySurface,
     noise,
     ramp,
     sample,
@@ -113,7 +113,7 @@ class Canvas:
     uv: Array
     tailor: Tailor
     own: Tailor
-    source: Source
+    source: MakeHumanData
 
     def mask(self, name: str) -> Array:
         return sample(self.source.mask(name), self.uv)
@@ -392,7 +392,9 @@ def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
     return colour * (1 - 0.25 * tread)[:, None]
 
 
-def paint(mesh: Mesh, texels: Texels, canvas: Canvas, light: Array, outfit: Outfit, gaze: Array) -> Array:
+def paint(
+    mesh: BodySurface, texels: Texels, canvas: Canvas, light: Array, outfit: Outfit, gaze: Array
+) -> Array:
     """Colours (N, 3) of the texels. ``light`` (N,): how much reaches them; ``gaze`` (2, 3): where the adult
     man's eyes look.
     """
@@ -417,7 +419,7 @@ def paint(mesh: Mesh, texels: Texels, canvas: Canvas, light: Array, outfit: Outf
     return np.asarray(colour * light[:, None])
 
 
-def bare(mesh: Mesh, texels: Texels, canvas: Canvas) -> Array:
+def bare(mesh: BodySurface, texels: Texels, canvas: Canvas) -> Array:
     """How much of each texel (N,) is skin or eyes: neither cloth nor leather nor hair."""
     naked = mesh.face_garment[texels.face] == NONE
     skin = naked.astype(float)

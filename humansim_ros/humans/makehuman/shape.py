@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.makehuman.data import Array, Source, read_base
+from humansim_ros.humans.makehuman.data import Array, MakeHumanData, read_base
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Race = Literal["african", "asian", "caucasian"]
@@ -76,7 +76,7 @@ class MakeHumanConfig(BaseModel):
         return race
 
 
-def target_strengths(source: Source, config: MakeHumanConfig) -> dict[str, float]:
+def target_strengths(source: MakeHumanData, config: MakeHumanConfig) -> dict[str, float]:
     """Targets by name and strength. MeshError for one that MakeHuman has not."""
     shares: dict[str, dict[str, float]] = {"race": _race_shares(config)}
     for slider in _ENDS:
@@ -100,7 +100,7 @@ def target_strengths(source: Source, config: MakeHumanConfig) -> dict[str, float
     return strengths
 
 
-def with_stature(source: Source, config: MakeHumanConfig) -> tuple[MakeHumanConfig, float]:
+def with_stature(source: MakeHumanData, config: MakeHumanConfig) -> tuple[MakeHumanConfig, float]:
     """The person with the height slider at what its ``stature`` needs, and the scale for the rest."""
     if config.stature is None:
         return config, 1.0
@@ -121,7 +121,7 @@ def with_stature(source: Source, config: MakeHumanConfig) -> tuple[MakeHumanConf
     return found, scale
 
 
-def _barefoot(source: Source, config: MakeHumanConfig) -> float:
+def _barefoot(source: MakeHumanData, config: MakeHumanConfig) -> float:
     """Height (metres) of a naked body."""
     base = read_base(source, target_strengths(source, config))
     return float(np.ptp(base.vertices[base.vertex_groups["body"], 1]))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.humans.makehuman.data import Array, Base, Index, Source
+from humansim_ros.humans.makehuman.data import Array, Base, Index, MakeHumanData
 
 BONES_PER_VERTEX = 4
 
@@ -101,7 +101,7 @@ def make_bones(points: Mapping[str, Array]) -> Bones:
     )
 
 
-def bone_weights(source: Source, bones: Bones, vertex_count: int) -> Array:
+def bone_weights(source: MakeHumanData, bones: Bones, vertex_count: int) -> Array:
     """The artist's weights summed onto our bones, dense (N, B); at most four per vertex, rows sum to 1."""
     weights = np.zeros((vertex_count, len(bones.names)))
     for name, pairs in source.json("rigs/standard/weights.default.json")["weights"].items():

@@ -15,7 +15,7 @@ NONE, SHOES, TROUSERS, SHIRT = range(4)  # the later hangs over the earlier
 
 
 @dataclass(frozen=True)
-class Mesh:
+class BodySurface:
     """The part of the base mesh that is kept. A triangle is a quad whose last corner is there twice.
 
     vertices (V, 3), faces (F, 4), uv (T, 2) in the base mesh's layout, uv_faces (F, 4), weights (V, B).
@@ -120,7 +120,7 @@ def outline(points: Array, grow: float) -> Array:
     return rounded[ConvexHull(rounded).vertices]
 
 
-def refine(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
+def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> BodySurface:
     """Cut the chosen quads (F,) in four and their neighbours to fit, and round the new surface."""
     # A new vertex is the mean of the old ones of its row.
     rows: list[list[int]] = [[i] for i in range(len(mesh.vertices))]
@@ -175,7 +175,7 @@ def refine(mesh: Mesh, chosen: NDArray[np.bool_]) -> Mesh:
     scalp[len(mesh.vertices) :] = 1.0
     scalp[np.unique(mesh.faces[~chosen])] = 0.0  # the rim stays on the face
     bare, bare_faces = np.full(len(vertices), NONE), np.full(len(new_faces), NONE)
-    return Mesh(
+    return BodySurface(
         vertices=smooth(vertices, new_faces, 0.5 * scalp, 4),
         faces=new_faces,
         uv=means(mesh.uv, uv_rows),

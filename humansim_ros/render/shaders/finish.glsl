@@ -3,7 +3,7 @@
 uniform vec3 eye;
 uniform float shines;      // 0: matt, and all below means nothing
 uniform float metallic, roughness, bump, cutoff, opacity;
-uniform vec3 mirrors;      // what a surface that is no metal throws back straight on
+uniform vec3 specular;      // reflectance of non-metals at normal incidence (F0)
 uniform vec3 emission;
 uniform float brightness;  // of a light of 1
 uniform bool one_sided, masked;
@@ -32,18 +32,18 @@ vec2 mirrored_of_even(float rough, float nv) {
 vec3 finished(vec3 albedo, vec3 n, vec3 place, vec2 uv, vec3 around, vec3 sky, vec3 ground, vec3 sun, vec3 sunlight) {
     vec3 v = normalize(eye - place), h = normalize(v + sun), given = texture(metal_rough, uv).rgb;
     float rough = clamp(roughness * given.g, 0.0, 1.0), metal = clamp(metallic * given.b, 0.0, 1.0);
-    vec3 inside = albedo * (1.0 - metal), straight = mix(mirrors, albedo, metal);
+    vec3 inside = albedo * (1.0 - metal), straight = mix(specular, albedo, metal);
     float nv = max(dot(n, v), 1e-3), nl = max(dot(n, sun), 0.0), nh = max(dot(n, h), 0.0);
     float a = max(rough * rough, sharpest), a2 = a * a, d = nh * nh * (a2 - 1.0) + 1.0;
     vec3 f = fresnel(straight, max(dot(v, h), 0.0));
     float seen = 0.5 / max(nl * sqrt(nv * nv * (1.0 - a2) + a2) + nv * sqrt(nl * nl * (1.0 - a2) + a2), 1e-6);
-    vec3 light = sunlight * nl * ((1.0 - fresnel(mirrors, max(dot(v, h), 0.0))) * inside + f * (a2 / (d * d) * seen));
+    vec3 light = sunlight * nl * ((1.0 - fresnel(specular, max(dot(v, h), 0.0))) * inside + f * (a2 / (d * d) * seen));
     // of sky and ground, the rougher the wider apart they blend into each other
     float up = reflect(-v, n).z, width = mix(0.05, 1.0, rough);
     vec2 even = mirrored_of_even(rough, nv);
     vec3 thrown = straight * even.x + even.y, open = mix(ground, sky, 0.5 + 0.5 * n.z);
     vec3 hidden = around / max(open, 1e-6);
-    light += inside * (1.0 - mirrors * even.x - even.y) * around;
+    light += inside * (1.0 - specular * even.x - even.y) * around;
     light += thrown * mix(ground, sky, clamp(0.5 + 0.5 * up / width, 0.0, 1.0)) * hidden;
     vec3 own = texture(glow, uv).rgb;
     return light + brightness * emission * own * own;

@@ -17,19 +17,19 @@ from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 from humansim_ros.errors import CameraError, SceneError
-from humansim_ros.render import Neighbour
+from humansim_ros.render import AdjacentFrame
 from humansim_ros.ros import messages
 from humansim_ros.ros.camera_calibration import PublishedCalibration, calibration_of
-from humansim_ros.ros.camera_pose import Whereabouts
-from humansim_ros.ros.camera_publishers import Outlets, PeopleOutlets, needed
-from humansim_ros.ros.frame_synchronizer import FrameJoiner
+from humansim_ros.ros.camera_pose import CameraPosePublisher
+from humansim_ros.ros.camera_publishers import ImagePublishers, TruthPublishers, needed
+from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import SceneCamera
-from humansim_ros.scene.capture import Shot, photograph
-from humansim_ros.scene.state import Instant
+from humansim_ros.scene.capture import Exposure, capture
+from humansim_ros.scene.state import SceneState
 
 #: Channels that are known only when the next frame is.
 _FORWARD = {"flow", "flow_hidden"}
@@ -53,13 +53,13 @@ class CameraNode(SceneNode):
         self._shared = renderer is not None
         self._renderer = renderer if self._shared else self.make_renderer()
         drawn = self._renderer.channels
-        self._outlets = Outlets(self, name, self._camera.encoding, self.scene.labels, drawn)
-        self._before: tuple[int, Shot] | None = None
+        self._outlets = ImagePublishers(self, name, self._camera.encoding, self.scene.labels, drawn)
+        self._before: tuple[int, Exposure] | None = None
         self._rect = None
         if self._camera.rectified is not None:
             self._rect = self.create_publisher(Image, f"{name}/image_rect", DATA)
         self._info = self.create_publisher(CameraInfo, f"{name}/camera_info", DATA)
-        self._people = PeopleOutlets(self, name)
+        self._people = TruthPublishers(self, name)
         self._calibration = PublishedCalibration(self, name, self._camera.whole, self._camera.region)
         if url := self.text_parameter(
             "published_info_url",
@@ -67,10 +67,10 @@ class CameraNode(SceneNode):
             "Calibration file that camera_info says, whatever the lens; empty: the truth",
         ):
             self._calibration.say(calibration_of(url, name), url)
-        self._where = Whereabouts(self, self._camera)
+        self._where = CameraPosePublisher(self, self._camera)
         self._publish_legends()
         if not self._shared:
-            self._joiner = FrameJoiner(self, self.show, [name] if self._camera.moves else [])
+            self._joiner = FrameSynchronizer(self, self.show, [name] if self._camera.moves else [])
         width, height = self._camera.camera.size
         self.get_logger().info(f"{name}: {width}x{height} on {self._renderer.device}")
 
@@ -107,7 +107,7 @@ class CameraNode(SceneNode):
         legend = messages.joints_legend(joints, self.scene.object_labels)
         self.publish_latched(legend, f"{name}/joints/legend")
 
-    def show(self, instant: Instant) -> None:
+    def show(self, instant: SceneState) -> None:
         """Render what somebody wants of this instant, and where the frame before has gone, and send it."""
         stamp = instant.stamp
         shot = self._where.shot(instant)
@@ -117,10 +117,10 @@ class CameraNode(SceneNode):
             self._send_instant(instant, shot, channels - _FORWARD - _BACKWARD)
             return
         here, there = shot.neighbour(self._camera), before[1].neighbour(self._camera)
-        self._send_instant(instant, replace(shot, before=there), channels - _FORWARD)
+        self._send_instant(instant, replace(shot, previous_frame=there), channels - _FORWARD)
         self._send_forward_flow(channels & _FORWARD, *before, here)
 
-    def _send_instant(self, instant: Instant, shot: Shot, channels: set[str]) -> None:
+    def _send_instant(self, instant: SceneState, shot: Exposure, channels: set[str]) -> None:
         stamp = instant.stamp
         wanted = set(channels)
         of_people = self._people.wanted()
@@ -132,7 +132,7 @@ class CameraNode(SceneNode):
             self._info.publish(self._calibration.message(stamp))
         if not wanted:
             return
-        view = photograph(self._renderer, self._camera, shot, wanted, stamp)
+        view = capture(self._renderer, self._camera, shot, wanted, stamp)
         self._outlets.send(view, channels, stamp)
         if self._rect is not None and wants_rect and view.rgb is not None:
             encoding = self._camera.encoding.replace("bayer_rggb8", "rgb8")
@@ -141,10 +141,14 @@ class CameraNode(SceneNode):
         self.count("frames")
         self.report_lateness(stamp)
 
-    def _send_forward_flow(self, channels: set[str], stamp: int, shot: Shot, after: Neighbour) -> None:
+    def _send_forward_flow(
+        self, channels: set[str], stamp: int, shot: Exposure, next_frame: AdjacentFrame
+    ) -> None:
         """Send where everything of the frame before has gone, with that frame's stamp."""
         if channels:
-            view = photograph(self._renderer, self._camera, replace(shot, after=after), channels, stamp)
+            view = capture(
+                self._renderer, self._camera, replace(shot, next_frame=next_frame), channels, stamp
+            )
             self._outlets.send(view, channels, stamp)
 
     def _send(self, publisher: Any, image: NDArray[Any], encoding: str, stamp: int) -> None:

@@ -14,14 +14,14 @@ from typing import Any
 from rclpy.parameter import Parameter
 
 from humansim_ros.errors import HumansimError, SceneError
-from humansim_ros.ros.frame_synchronizer import FrameJoiner
+from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene.state import Instant
+from humansim_ros.scene.state import SceneState
 
 
-class CameraRig(SceneNode):
+class CameraRigNode(SceneNode):
     """Hears whole frames, and has each of its cameras show them in turn."""
 
     def __init__(self, **options: Any) -> None:
@@ -40,7 +40,7 @@ class CameraRig(SceneNode):
             for name in names
         ]
         moving = [name for name in names if name in self.scene.moving_cameras]
-        self._joiner = FrameJoiner(self, self.show, moving)
+        self._joiner = FrameSynchronizer(self, self.show, moving)
 
     def _chosen(self) -> Sequence[str]:
         """The cameras of parameter ``cameras``. Raises SceneError where the scene has no such camera."""
@@ -58,7 +58,7 @@ class CameraRig(SceneNode):
     def members(self) -> Sequence[SceneNode]:
         return [self, *self.cameras]
 
-    def show(self, instant: Instant) -> None:
+    def show(self, instant: SceneState) -> None:
         """Have every camera render what somebody wants of this instant."""
         for camera in self.cameras:
             try:
@@ -76,7 +76,7 @@ class CameraRig(SceneNode):
 
 
 def main() -> int:
-    return run_node(CameraRig)
+    return run_node(CameraRigNode)
 
 
 if __name__ == "__main__":

@@ -38,15 +38,15 @@ from humansim_ros.ros.motion_parameters import LONGEST, MotionParameters
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene.live import Source
-from humansim_ros.scene.playback import Change, Clock, Playback, Tick
+from humansim_ros.scene.live import JointSource
+from humansim_ros.scene.playback import Change, Playback, PlaybackClock, Tick
 
 T = TypeVar("T")
 #: Most seconds that frames may leave before their stamps.
 LONGEST_LEAD = 0.1
 
 
-class MotionPlayer(SceneNode):
+class MotionPlayerNode(SceneNode):
     """Publishes where the joints of every motion are, frame by frame."""
 
     def __init__(self, **options: Any) -> None:
@@ -60,9 +60,9 @@ class MotionPlayer(SceneNode):
         what = "Seconds before their stamps at which motions leave, so that bodies are there at their stamps"
         self._asked_lead = 1e9 * self.number_parameter("lead", 0.01, 0.0, LONGEST_LEAD, what)
         self._playback = Playback(self.scene)
-        self._scene_clock = Clock(rate, speed, seek)
+        self._scene_clock = PlaybackClock(rate, speed, seek)
         self._playback.elapsed = self._scene_clock.elapsed
-        self._changes: list[tuple[Change, Source]] = []
+        self._changes: list[tuple[Change, JointSource]] = []
         self._parameters_of_motions = MotionParameters(self, self._playback)
         for name in self.scene.actors:
             what = (
@@ -91,7 +91,7 @@ class MotionPlayer(SceneNode):
             for name in self.scene.actors
         }
         for name, actor in self._playback.actors.items():
-            self._legends[name].publish(motion_legend(Source.of_actor(actor)))
+            self._legends[name].publish(motion_legend(JointSource.of_actor(actor)))
         self.add_pre_set_parameters_callback(self._parameters_of_motions.complete)
         self.add_on_set_parameters_callback(self._prepare)
         self.add_post_set_parameters_callback(self._apply)
@@ -159,10 +159,10 @@ class MotionPlayer(SceneNode):
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
 
-    def _ready(self, human: str, settings: Mapping[str, Any]) -> tuple[Change, Source]:
+    def _ready(self, human: str, settings: Mapping[str, Any]) -> tuple[Change, JointSource]:
         """A change, and what its legend says."""
         change = self._playback.prepare(human, settings)
-        return change, Source.of_actor(change.actor)
+        return change, JointSource.of_actor(change.actor)
 
     def _meanwhile(self, work: Callable[[], T]) -> T:
         """Do something slow while frames go on."""
@@ -223,7 +223,7 @@ class MotionPlayer(SceneNode):
 
 
 def main() -> int:
-    return run_node(MotionPlayer)
+    return run_node(MotionPlayerNode)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene.live import Follower
 
 
-class Skinner(SceneNode):
+class SkinnerNode(SceneNode):
     """Turns a motion's joints into a body's joints and vertices."""
 
     def __init__(self, **options: Any) -> None:
@@ -116,7 +116,7 @@ class Skinner(SceneNode):
 
 
 def main() -> int:
-    return run_node(Skinner)
+    return run_node(SkinnerNode)
 
 
 if __name__ == "__main__":

@@ -47,6 +47,7 @@ EXTRAS = {
         "OpenEXR>=3.3",
         "pyrender==0.1.45",
         "pytest",
+        "pytest-xdist",
         "rosbags>=0.10.6",
         "ruff",
         # 70.1 builds wheels on its own; colcon needs an older one than 80
@@ -87,11 +88,24 @@ def shims() -> tuple[str, list[str]]:
 
 setup(
     name=NAME,
-    version="0.1.0",
+    # equal to package.xml; catkin_prepare_release needs the literal and raises both (docs/releasing.md)
+    version="0.2.0",
     description="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2",
-    license="Apache-2.0",
+    long_description=(ROOT / "README.md").read_text(encoding="utf-8"),
+    long_description_content_type="text/markdown",
+    license="Apache-2.0 AND CC0-1.0",
+    license_files=["LICENSE", "LICENSES/*.txt"],
     maintainer="humansim_ros maintainers",
     maintainer_email="humansim-ros@example.org",
+    classifiers=[
+        "Development Status :: 4 - Beta",
+        "Intended Audience :: Science/Research",
+        "Operating System :: POSIX :: Linux",
+        "Programming Language :: Python :: 3",
+        *(f"Programming Language :: Python :: 3.{minor}" for minor in (10, 11, 12, 13)),
+        "Topic :: Scientific/Engineering :: Image Recognition",
+        "Typing :: Typed",
+    ],
     python_requires=">=3.10",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={

@@ -11,6 +11,7 @@ import functools
 import importlib.metadata
 import os
 import sys
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -27,6 +28,12 @@ def resource_path(relative: str | os.PathLike[str]) -> Path:
     if not path.exists():
         raise ResourceError(f"humansim_ros has no such file{_suggestion(path)}", path=path)
     return path
+
+
+@functools.cache
+def package_version() -> str:
+    """Version of the package from ``package.xml``, which comes with every kind of installation."""
+    return ElementTree.parse(resource_path("package.xml")).getroot().findtext("version", "unknown")
 
 
 @functools.cache

@@ -25,8 +25,16 @@ from humansim_ros.ros.processes import NodeProcess, scene_processes
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")
 EXECUTABLES = {"humansim", "motion_player", "skinner", "camera", "camera_rig"}
-SOURCES = ("humansim_ros", "resource", *SHARED_FOLDERS)
-SOURCE_FILES = ("LICENSE", "MANIFEST.in", "package.xml", "pyproject.toml", "setup.cfg", "setup.py")
+SOURCES = ("LICENSES", "humansim_ros", "resource", *SHARED_FOLDERS)
+SOURCE_FILES = (
+    "LICENSE",
+    "MANIFEST.in",
+    "README.md",
+    "package.xml",
+    "pyproject.toml",
+    "setup.cfg",
+    "setup.py",
+)
 PRINT_ROOT = "from humansim_ros.resources import resource_root; print(resource_root())"
 
 
@@ -74,8 +82,16 @@ def test_package_xml_passes_the_checks_of_ros() -> None:
 
 
 def test_versions_agree() -> None:
+    """package.xml has the version; setup.py repeats it because ROS's release tool needs both."""
     package = ElementTree.parse(ROOT / "package.xml").getroot()
     assert setup_constants()["version"] == package.findtext("version") == humansim_ros.__version__
+
+
+def test_changelog_describes_this_version_in_the_form_of_rep_132() -> None:
+    changelog = pytest.importorskip("catkin_pkg.changelog", reason="comes with colcon")
+    versions = [version for version, _, _ in changelog.get_changelog(str(ROOT)).foreach_version()]
+    assert humansim_ros.__version__ in versions
+    assert versions == sorted(versions, key=lambda v: tuple(map(int, v.split("."))), reverse=True)
 
 
 def test_colcon_requirements_agree_with_setup() -> None:

@@ -1,4 +1,4 @@
-"""Checks in environments of their own: `pip install nox`, then `nox --list`, `nox -s lint`, `nox -s tests -p 3.12`.
+"""Checks in environments of their own: `pip install nox`, then `nox --list`, `nox -s lint` and so on.
 
 The workflow of .github/workflows/ci.yml runs these sessions. Arguments after `--` go to pytest:
 `nox -s "tests(python='3.11', numpy='1.26')" -- -k lens`.

@@ -2,6 +2,7 @@
 # make test    format, lint, types and tests, as CI runs them
 # make lint    the first three of these
 # make bench   every benchmark, one after the other
+# make dist    wheel and sdist in dist/, checked, installed and run in fresh environments (docs/releasing.md)
 # make clean   remove what these have made
 VENV ?= .venv
 BIN := $(VENV)/bin
@@ -12,7 +13,7 @@ ifdef ROS_DISTRO
 unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH
 endif
 
-.PHONY: demo test lint bench clean env env-test env-bench
+.PHONY: demo test lint bench dist clean env env-test env-bench
 
 demo: env
 	$(BIN)/humansim demo
@@ -27,6 +28,9 @@ lint: env-test
 
 bench: env-bench
 	@set -e; for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python "$$file"; done
+
+dist:
+	@tools/check_dist.sh
 
 env:
 	@tools/setup_env.sh ros

@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT))
 from humansim_ros.body import Skeleton, fit_skeleton, rig  # noqa: E402
 from humansim_ros.humans.human import Human  # noqa: E402
 from humansim_ros.mesh.mesh import Mesh  # noqa: E402
-from humansim_ros.rotations import Array  # noqa: E402
+from humansim_ros.types import Array  # noqa: E402
 
 LOOPED = 300
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-Indices = NDArray[np.intp]
+from humansim_ros.types import Indices
 
 
 def levels(parents: Indices) -> tuple[Indices, ...]:

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
-    Array,
     from_y_axis,
     invert_rigid,
     matrix_to_quaternion,
@@ -21,6 +20,7 @@ from humansim_ros.rotations import (
     slerp,
     transform,
 )
+from humansim_ros.types import Array
 
 modest = settings(deadline=None, max_examples=60)
 #: Half turns about any axis are in here: the components may be zero.

@@ -15,7 +15,7 @@ from humansim_ros.body.orientation import body_from_file, check_one_person, surf
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Whose joints: found in the mesh, or the general skeleton's.
 Joints = Literal["fitted", "general"]

@@ -16,7 +16,8 @@ from humansim_ros.body.volume import Volume, solid
 from humansim_ros.body.weights import limit_bones
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import Array, angle_between
+from humansim_ros.rotations import angle_between
+from humansim_ros.types import Array
 
 #: How fast skin takes the warmth of its bone, by how fast warmth spreads: the larger, the harder the joints.
 CONDUCTION = 3.0

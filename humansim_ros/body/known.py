@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.landmarks import joint_file
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 
 def known_joints(mesh: Mesh) -> dict[str, Array] | None:

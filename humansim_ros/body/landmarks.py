@@ -20,7 +20,7 @@ from humansim_ros.body.volume import Volume, solid
 from humansim_ros.errors import MeshError, warn_of
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.resources import resource_path
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Cubes that a person is tall.
 _CUBES = 160

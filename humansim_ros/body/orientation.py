@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Points that stand for a surface: mean distance 1 % of a person's height.
 _SAMPLES = 12_000

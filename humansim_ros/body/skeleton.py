@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
 from humansim_ros.hierarchy import levels
-from humansim_ros.rotations import Array, from_y_axis, invert_rigid, quaternion_to_matrix, transform
+from humansim_ros.rotations import from_y_axis, invert_rigid, quaternion_to_matrix, transform
+from humansim_ros.types import Array
 
 
 @dataclass(frozen=True)

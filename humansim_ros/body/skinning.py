@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError
-from humansim_ros.rotations import Array, matrix_to_quaternion
-
-Floats = NDArray[np.floating]
+from humansim_ros.rotations import matrix_to_quaternion
+from humansim_ros.types import Array, FloatArray
 
 #: Frames that one sparse product takes: more gain nothing and need memory.
 _FRAMES_AT_ONCE = 16
@@ -26,13 +25,13 @@ _RIGID = 1e-4
 class SkinningFunction(Protocol):
     """The skin of one body."""
 
-    def __call__(self, transforms: Floats) -> Floats:
+    def __call__(self, transforms: FloatArray) -> FloatArray:
         """Posed vertices (..., V, 3) from rest-to-posed transforms (..., B, 4, 4), as precise as the skinner.
 
         Raises MeshError on transforms of another shape, that are not finite, or that cannot be blended.
         """
 
-    def directions(self, transforms: Floats, rest: Floats) -> Floats:
+    def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
         """Unit directions (..., V, 3) at the vertices, carried along by the bones from ``rest`` (V, 3).
 
         Normals and tangents, quickly: those of the bent surface differ somewhat near joints
@@ -41,7 +40,7 @@ class SkinningFunction(Protocol):
 
 
 def make_skinner(
-    method: str, vertices: Floats, weights: csr_matrix, dtype: type[np.floating] = np.float32
+    method: str, vertices: FloatArray, weights: csr_matrix, dtype: type[np.floating] = np.float32
 ) -> SkinningFunction:
     """The skin of a body: ``method`` "linear" or "dual_quaternion", vertices (V, 3), weights (V, B).
 
@@ -52,7 +51,7 @@ def make_skinner(
     return SKINNERS[method](vertices, weights, dtype)
 
 
-def skin(vertices: Floats, weights: csr_matrix, transforms: Floats, method: str = "linear") -> Array:
+def skin(vertices: FloatArray, weights: csr_matrix, transforms: FloatArray, method: str = "linear") -> Array:
     """Posed vertices (..., V, 3) in double precision, by a :class:`SkinningFunction` for once.
 
     ``vertices``: (V, 3) at rest. ``weights``: (V, B) sparse. ``transforms``: (..., B, 4, 4) from rest to
@@ -79,7 +78,9 @@ class LinearBlend:
     matrix: csr_matrix
     weights: csr_matrix
 
-    def __init__(self, vertices: Floats, weights: csr_matrix, dtype: type[np.floating] = np.float32) -> None:
+    def __init__(
+        self, vertices: FloatArray, weights: csr_matrix, dtype: type[np.floating] = np.float32
+    ) -> None:
         vertices, normalised = _checked_body(vertices, weights)
         rows = np.repeat(np.arange(len(vertices)), np.diff(normalised.indptr))
         homogeneous = np.concatenate([vertices, np.ones((len(vertices), 1))], axis=1)
@@ -90,7 +91,7 @@ class LinearBlend:
         object.__setattr__(self, "matrix", matrix)
         object.__setattr__(self, "weights", normalised.astype(dtype))
 
-    def __call__(self, transforms: Floats) -> Floats:
+    def __call__(self, transforms: FloatArray) -> FloatArray:
         """Posed vertices (..., V, 3) from rest-to-posed transforms (..., B, 4, 4)."""
         batch, shape = _checked_transforms(transforms, self.weights.shape[1])
         vertices = np.empty((len(batch), self.matrix.shape[0], 3), dtype=self.matrix.dtype)
@@ -103,7 +104,7 @@ class LinearBlend:
             _points(vertices[start : start + len(some)])[:] = _points(blended.reshape(-1, len(some), 3)).T
         return vertices.reshape(*shape, *vertices.shape[1:])
 
-    def directions(self, transforms: Floats, rest: Floats) -> Floats:
+    def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
         """Unit directions (..., V, 3) at the vertices, carried along by the blended matrices."""
         batch, shape = _checked_transforms(transforms, self.weights.shape[1])
         x, y, z = _checked_directions(rest, self.weights)
@@ -128,13 +129,15 @@ class DualQuaternion:
     bone, a vertex takes the one on the side of its heaviest bone (the first of equals).
     """
 
-    vertices: Floats
+    vertices: FloatArray
     weights: csr_matrix
     used: NDArray[np.intp]
     bones: int
     pairs: NDArray[np.intp]
 
-    def __init__(self, vertices: Floats, weights: csr_matrix, dtype: type[np.floating] = np.float32) -> None:
+    def __init__(
+        self, vertices: FloatArray, weights: csr_matrix, dtype: type[np.floating] = np.float32
+    ) -> None:
         vertices, normalised = _checked_body(vertices, weights)
         normalised.eliminate_zeros()
         used = np.unique(normalised.indices)
@@ -153,7 +156,7 @@ class DualQuaternion:
         object.__setattr__(self, "bones", normalised.shape[1])
         object.__setattr__(self, "pairs", pivots[rows] * len(used) + columns)
 
-    def __call__(self, transforms: Floats) -> Floats:
+    def __call__(self, transforms: FloatArray) -> FloatArray:
         """Posed vertices (..., V, 3) from rest-to-posed transforms (..., B, 4, 4)."""
         batch, shape = _checked_transforms(transforms, self.bones)
         out = np.empty((len(batch), self.vertices.shape[1], 3), dtype=self.vertices.dtype)
@@ -175,7 +178,7 @@ class DualQuaternion:
                 np.add(moved[i], way[i], out=frame[:, i], casting="same_kind")
         return out.reshape(*shape, *out.shape[1:])
 
-    def directions(self, transforms: Floats, rest: Floats) -> Floats:
+    def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
         """Unit directions (..., V, 3) at the vertices, turned by the blended quaternions."""
         batch, shape = _checked_transforms(transforms, self.bones)
         n = _checked_directions(rest, self.weights)
@@ -190,7 +193,7 @@ class DualQuaternion:
             frame[:] = turned.T
         return out.reshape(*shape, *out.shape[1:])
 
-    def _blend(self, quaternions: Array) -> Floats:
+    def _blend(self, quaternions: Array) -> FloatArray:
         """Weighted sums (Q, V) of what (B, Q) begins with the bones' quaternions, their signs made alike."""
         q = quaternions[:, :4]
         signs = np.where(q @ q.T < 0, -1, 1).astype(self.weights.dtype)
@@ -198,7 +201,7 @@ class DualQuaternion:
         if (signs < 0).any():
             data = weights.data * signs.ravel().take(self.pairs)
             weights = csr_matrix((data, weights.indices, weights.indptr), shape=weights.shape)
-        blended: Floats = np.ascontiguousarray((weights @ quaternions.astype(weights.dtype)).T)
+        blended: FloatArray = np.ascontiguousarray((weights @ quaternions.astype(weights.dtype)).T)
         return blended
 
     def _rigid(self, batch: Array) -> tuple[Array, Array, Array]:
@@ -249,7 +252,7 @@ def normalise_weights(weights: csr_matrix) -> csr_matrix:
     return scaled
 
 
-def _checked_body(vertices: Floats, weights: csr_matrix) -> tuple[Array, csr_matrix]:
+def _checked_body(vertices: FloatArray, weights: csr_matrix) -> tuple[Array, csr_matrix]:
     points: Array = np.asarray(vertices, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3:
         raise MeshError(f"vertices to skin are (V, 3), not {points.shape}")
@@ -260,7 +263,7 @@ def _checked_body(vertices: Floats, weights: csr_matrix) -> tuple[Array, csr_mat
     return points, normalised
 
 
-def _checked_transforms(transforms: Floats, bones: int) -> tuple[Array, tuple[int, ...]]:
+def _checked_transforms(transforms: FloatArray, bones: int) -> tuple[Array, tuple[int, ...]]:
     """The transforms as (F, B, 4, 4), and the shape that the F frames had."""
     given: Array = np.asarray(transforms, dtype=float)
     if given.ndim < 3 or given.shape[-3:] != (bones, 4, 4):
@@ -275,7 +278,7 @@ def _checked_transforms(transforms: Floats, bones: int) -> tuple[Array, tuple[in
     return batch, shape
 
 
-def _checked_directions(rest: Floats, weights: csr_matrix) -> Floats:
+def _checked_directions(rest: FloatArray, weights: csr_matrix) -> FloatArray:
     """Coordinates (3, V), each together in memory."""
     rest = np.asarray(rest)
     if rest.shape != (weights.shape[0], 3):
@@ -283,7 +286,7 @@ def _checked_directions(rest: Floats, weights: csr_matrix) -> Floats:
     return np.ascontiguousarray(rest.T, dtype=weights.dtype)
 
 
-def _points(array: Floats) -> NDArray[Any]:
+def _points(array: FloatArray) -> NDArray[Any]:
     """(...,) of an array (..., 3), each point one item: copied three times as fast."""
     return array.view(f"V{3 * array.itemsize}")[..., 0]
 
@@ -297,7 +300,7 @@ def _dual_parts(quaternions: Array, translations: Array) -> Array:
     return out / 2
 
 
-def _cross(a: Floats, b: Floats) -> Floats:
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     """Cross products (3, V), coordinates first."""
     out = np.empty_like(b)
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Cubes at most; a person of 160 cubes' height has a twentieth of it.
 _MAX_CUBES = 20_000_000

@@ -22,11 +22,11 @@ from humansim_ros.camera.formats import FORMATS, CalibrationFormat, CalibrationS
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.camera.formats.containers import container_of, parsed
-from humansim_ros.camera.image_size import Size, image_size, likely_size
+from humansim_ros.camera.image_size import image_size, likely_size
 from humansim_ros.errors import CameraError, HumansimWarning, ResourceError, warn_of
 from humansim_ros.io.files import atomic_path, is_there, read_text
 from humansim_ros.resources import resource_root
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array, ImageSize
 
 #: Turns of a file's world into one whose z is up, by the axis that is up in the file: the shortest ones.
 UPRIGHT: Mapping[str, Array] = {
@@ -58,7 +58,7 @@ class Calibration:
     form: CalibrationFormat | None
     unit: float
     up: str
-    sizes: dict[str, Size]
+    sizes: dict[str, ImageSize]
 
 
 class _UnknownFormat(CameraError):
@@ -68,7 +68,7 @@ class _UnknownFormat(CameraError):
 def read_calibration(
     path: str | os.PathLike[str],
     *,
-    size: Size | None = None,
+    size: ImageSize | None = None,
     unit: float | None = None,
     up: str | None = None,
     image: str | os.PathLike[str] | None = None,
@@ -90,7 +90,7 @@ def read_calibration(
 def load_calibration(
     path: str | os.PathLike[str],
     *,
-    size: Size | None = None,
+    size: ImageSize | None = None,
     unit: float | None = None,
     up: str | None = None,
     image: str | os.PathLike[str] | None = None,
@@ -123,7 +123,7 @@ def load_calibration(
     return Calibration(cameras, form, unit, up, said)
 
 
-def _folder(folder: Path, size: Size | None, unit: float | None, up: str | None) -> Calibration:
+def _folder(folder: Path, size: ImageSize | None, unit: float | None, up: str | None) -> Calibration:
     """All calibrations of a folder."""
     try:
         files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _SUFFIXES and f.is_file())
@@ -200,8 +200,8 @@ def _recognised(path: str, text: str) -> tuple[CalibrationSource, CalibrationFor
 
 
 def _sizes(
-    path: str, raw: Mapping[str, RawCamera], form: CalibrationFormat, said: Size | None
-) -> dict[str, Size]:
+    path: str, raw: Mapping[str, RawCamera], form: CalibrationFormat, said: ImageSize | None
+) -> dict[str, ImageSize]:
     """Image sizes: as the user says, else as the file does, else as the principal points let one think."""
     sizes = {name: said or camera.size for name, camera in raw.items()}
     unknown = [name for name, size in sizes.items() if size is None]
@@ -226,7 +226,7 @@ def _principal_point(raw: RawCamera) -> Array:
         return np.asarray(np.nan_to_num(raw.K[:2, 2] / scale), dtype=float)
 
 
-def _camera(path: str, name: str, raw: RawCamera, size: Size, unit: float, upright: Array) -> Camera:
+def _camera(path: str, name: str, raw: RawCamera, size: ImageSize, unit: float, upright: Array) -> Camera:
     """A camera in metres and ``map``; what is wrong with it is told by file and place."""
     t = raw.t if raw.center is None else -_orthonormal(raw.R) @ raw.center
     rectified = None if raw.rectified is None else raw.rectified * [1, 1, 1, unit]

@@ -19,7 +19,8 @@ from scipy.linalg import rq
 
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, HumansimWarning
-from humansim_ros.rotations import Array, transform
+from humansim_ros.rotations import transform
+from humansim_ros.types import Array
 
 #: How far a given rotation may be from orthonormal before it is refused rather than mended.
 _ROTATION_SLACK = 1e-3

@@ -10,7 +10,8 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.image_size import likely_size
-from humansim_ros.rotations import Array, angle_between
+from humansim_ros.rotations import angle_between
+from humansim_ros.types import Array
 
 #: How far a principal point is from the middle in sound calibrations, as a fraction of the image's side.
 _OFF_MIDDLE = 0.075

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.camera.camera import Camera, ideal_matrix
 from humansim_ros.errors import CameraError
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: How much of the real image the ideal one shows: as much as the focal length says, all of it (with black
 #: borders), or only what fills it.

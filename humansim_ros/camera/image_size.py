@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from humansim_ros.errors import CameraError
 from humansim_ros.io.files import explained, inside
 from humansim_ros.io.images import stated_size
-
-Size = tuple[int, int]
+from humansim_ros.types import ImageSize
 
 #: What cameras and data sets commonly have, landscape.
 COMMON = (
@@ -32,7 +31,7 @@ _OFF_CENTRE = 0.06
 _HEAD = 1 << 20
 
 
-def likely_size(principal_points: ArrayLike, likelier: Sequence[Size] = ()) -> Size:
+def likely_size(principal_points: ArrayLike, likelier: Sequence[ImageSize] = ()) -> ImageSize:
     """The image size that has these principal points (N, 2) in its middle: one of ``likelier``, else a common
     one, where that fits within 6 %, else the one that fits best.
     """
@@ -45,21 +44,23 @@ def likely_size(principal_points: ArrayLike, likelier: Sequence[Size] = ()) -> S
     )
 
 
-def _nearest(wanted: np.ndarray[tuple[int, ...], np.dtype[np.float64]], sizes: Iterable[Size]) -> Size | None:
-    def off(size: Size) -> float:
+def _nearest(
+    wanted: np.ndarray[tuple[int, ...], np.dtype[np.float64]], sizes: Iterable[ImageSize]
+) -> ImageSize | None:
+    def off(size: ImageSize) -> float:
         return float(np.abs(wanted / size - 1).max())
 
     best = min(sizes, key=off, default=None)
     return best if best is not None and off(best) < _OFF_CENTRE else None
 
 
-def size_of_image(folder: Path, name: str) -> Size | None:
+def size_of_image(folder: Path, name: str) -> ImageSize | None:
     """Size of an image that a file in ``folder`` names, if it is there."""
     path = inside(folder, name)
     return _stated(path) if path is not None and path.is_file() else None
 
 
-def image_size(path: str | os.PathLike[str]) -> Size:
+def image_size(path: str | os.PathLike[str]) -> ImageSize:
     """Width and height of a PNG or JPEG file. Raises CameraError."""
     with explained(path, CameraError, "image"):
         size = _stated(Path(path))
@@ -68,6 +69,6 @@ def image_size(path: str | os.PathLike[str]) -> Size:
     return size
 
 
-def _stated(path: Path) -> Size | None:
+def _stated(path: Path) -> ImageSize | None:
     with path.open("rb") as file:
         return stated_size(file.read(_HEAD))

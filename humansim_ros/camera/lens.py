@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from humansim_ros.errors import CameraError
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Coefficients of each model, in CameraInfo's order.
 MODELS = {

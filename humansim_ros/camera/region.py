@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 
 @dataclass(frozen=True)

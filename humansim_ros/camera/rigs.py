@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Cameras of the largest rig.
 MAX_CAMERAS = 1000

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: (9.18) from the axes of Blender's camera (right, up, backward) to the thesis' (up, right, forward).
 BLENDER_TO_CAMERA = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError, warn_of
 from humansim_ros.io.files import atomic_path, read_text
-from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
+from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
+from humansim_ros.types import Array
 
 #: What follows the last pose: it stays, the first comes again, or the way goes back.
 End = Literal["clamp", "loop", "ping_pong"]

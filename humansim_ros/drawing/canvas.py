@@ -9,12 +9,10 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.files import atomic_path
-
-Image = NDArray[np.uint8]
+from humansim_ros.types import Image
 
 
 def write_png(path: str | os.PathLike[str], image: Image) -> None:

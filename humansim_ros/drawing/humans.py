@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import side_of
 from humansim_ros.camera import Camera
-from humansim_ros.drawing.canvas import Image
 from humansim_ros.humans.human import Human
 from humansim_ros.render import Body, GLRenderer, Lighting
-from humansim_ros.rotations import WORLD_FROM_BODY, Array, transform
+from humansim_ros.rotations import WORLD_FROM_BODY, transform
+from humansim_ros.types import Array, Image
 
 _PAPER, _INK = (238, 240, 243), (60, 64, 72)
 _FOV = np.radians(24.0)

@@ -16,7 +16,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
-from humansim_ros.drawing.canvas import Image, write_mp4, write_png
+from humansim_ros.drawing.canvas import write_mp4, write_png
 from humansim_ros.errors import HumansimError
 from humansim_ros.humans.human import Human
 from humansim_ros.io.files import atomic_path
@@ -25,7 +25,7 @@ from humansim_ros.motion.info import headings, mean_heading
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import WorldMotion, axis_vector, floor_height
 from humansim_ros.render import Body, GLRenderer, Lighting
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array, Image
 
 Seen = Literal["side", "front", "three-quarter"]
 #: Shows how far a video is: (frames, how many) -> the frames, while it is drawn.

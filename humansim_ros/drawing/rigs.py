@@ -10,11 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.drawing.canvas import Image
 from humansim_ros.errors import CameraError
-from humansim_ros.rotations import Array
-
-Color = tuple[int, int, int]
+from humansim_ros.types import Array, Color, Image
 
 _PAPER, _INK, _GRID, _SHADE = (238, 240, 243), (60, 64, 72), (205, 209, 215), (168, 172, 180)
 #: x, y and z of map.

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import side_of
-from humansim_ros.drawing.canvas import Image
 from humansim_ros.truth.joints import OUTSIDE, VISIBLE
+from humansim_ros.types import Image
 
 _SEEN, _HIDDEN = (60, 230, 90), (255, 150, 40)
 #: Colours of left, right and trunk.

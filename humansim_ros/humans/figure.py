@@ -17,7 +17,7 @@ from humansim_ros.mesh.skinned import SkinnedMesh
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_tables import JointMatch
 from humansim_ros.motion.world_motion import detect_file_frame
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Statures (metres) of people, a baby's to a giant's: a figure that is no such size is in another unit.
 PLAUSIBLE_STATURE = (0.4, 2.6)

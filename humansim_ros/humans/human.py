@@ -20,7 +20,7 @@ from humansim_ros.errors import MeshError
 from humansim_ros.io.images import decode_image
 from humansim_ros.io.npz import read_npz, write_npz
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: The outfit of a human that has one look only.
 PLAIN = "default"

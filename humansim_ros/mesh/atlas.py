@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.mesh.mesh import Indices, Mesh
-from humansim_ros.rotations import Array
+from humansim_ros.mesh.mesh import FaceIndices, Mesh
+from humansim_ros.types import Array
 
 #: Texels of a side of a plain colour, and the most of a side of the common texture.
 PLAIN, _WIDEST = 8, 4096
@@ -23,9 +23,9 @@ def plain_tile(color: Sequence[float] | Array) -> NDArray[np.uint8]:
 
 def textured(
     vertices: Array,
-    faces: Indices,
+    faces: FaceIndices,
     uv: Array,
-    uv_faces: Indices,
+    uv_faces: FaceIndices,
     face_material: NDArray[np.integer],
     tiles: Sequence[NDArray[np.uint8]],
 ) -> Mesh:

@@ -26,7 +26,8 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from humansim_ros.errors import MeshError
 from humansim_ros.hierarchy import levels
 from humansim_ros.io.files import inside, read_bytes
-from humansim_ros.rotations import Array, quaternion_to_matrix
+from humansim_ros.rotations import quaternion_to_matrix
+from humansim_ros.types import Array
 
 #: Numbers that a file may hold in all, and bytes of a file; beyond is no human.
 MAX_VALUES, MAX_BYTES = 100_000_000, 1 << 30

@@ -7,7 +7,8 @@ import numpy as np
 from humansim_ros.errors import MeshError, warn_of
 from humansim_ros.io.images import decode_alpha, decode_image
 from humansim_ros.mesh.gltf_document import Gltf, GltfMaterial, TextureInfo
-from humansim_ros.mesh.material import Image, Material
+from humansim_ros.mesh.material import Material
+from humansim_ros.types import Image
 
 _REPEATED, _MIRRORED = 10497, 33648
 _STRENGTH = "KHR_materials_emissive_strength"

@@ -15,9 +15,9 @@ from humansim_ros.mesh.atlas import PLAIN, plain_tile, textured
 from humansim_ros.mesh.gltf_document import Gltf, Primitive
 from humansim_ros.mesh.gltf_material import read_image, read_material
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
-from humansim_ros.mesh.mesh import Indices, Mesh
+from humansim_ros.mesh.mesh import FaceIndices, Mesh
 from humansim_ros.mesh.skinned import SkinnedMesh
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 _MAX_VERTICES = 5_000_000
 
@@ -82,7 +82,7 @@ def _one_surface(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
     triangles = np.concatenate([p.triangles + start for p, start in zip(pieces, starts, strict=False)])
     vertices = np.concatenate([p.vertices for p in pieces])
-    faces: Indices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
+    faces: FaceIndices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
     texture = _tile(gltf, pieces[0].material)
     coordinates = [piece.uv for piece in pieces if piece.uv is not None]
     finish = read_material(gltf, pieces[0].material, laid=bool(coordinates))
@@ -230,7 +230,7 @@ def _one_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
     triangles = np.concatenate([p.triangles + start for p, start in zip(pieces, starts, strict=False)])
     vertices = np.concatenate([p.vertices for p in pieces])
-    faces: Indices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
+    faces: FaceIndices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
     materials = [piece.material for piece in pieces]
     known = list(dict.fromkeys(materials))
     if known == [None]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.gltf_document import Gltf
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 
 @dataclass(frozen=True)

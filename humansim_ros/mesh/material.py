@@ -6,11 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from humansim_ros.errors import warn_of
-
-Image = NDArray[np.uint8]
+from humansim_ros.types import Image
 
 
 @dataclass(frozen=True, eq=False)

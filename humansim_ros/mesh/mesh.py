@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.material import Material
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
-Indices = NDArray[np.int32]
+FaceIndices = NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -28,9 +28,9 @@ class Mesh:
     """
 
     vertices: Array
-    faces: Indices
+    faces: FaceIndices
     uv: Array | None = None
-    uv_faces: Indices | None = None
+    uv_faces: FaceIndices | None = None
     colors: NDArray[np.uint8] | None = None
     texture: NDArray[np.uint8] | None = None
     skin: NDArray[np.uint8] | None = None
@@ -55,17 +55,17 @@ class Mesh:
             raise MeshError(f"skin of {self.skin.shape} does not fit a texture of {self.texture.shape[:2]}")
 
     @cached_property
-    def triangles(self) -> Indices:
+    def triangles(self) -> FaceIndices:
         """(N, 3) vertex indices: each quad a b c d as a b c and a c d."""
         return self._split(self.faces)
 
     @cached_property
-    def uv_triangles(self) -> Indices | None:
+    def uv_triangles(self) -> FaceIndices | None:
         """(N, 3) indices into ``uv`` of the same triangles."""
         return None if self.uv_faces is None else self._split(self.uv_faces)
 
     @cached_property
-    def triangle_faces(self) -> Indices:
+    def triangle_faces(self) -> FaceIndices:
         """(N,) the face that each triangle is a part of."""
         quads = self.faces[:, 3] >= 0
         return np.repeat(np.arange(len(self.faces), dtype=np.int32), 1 + quads)
@@ -85,7 +85,7 @@ class Mesh:
         a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
         return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0
 
-    def _split(self, faces: Indices) -> Indices:
+    def _split(self, faces: FaceIndices) -> FaceIndices:
         both = faces[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 2, 3)
         keep = np.stack([np.ones(len(faces), dtype=bool), self.faces[:, 3] >= 0], axis=1)
         return np.ascontiguousarray(both[keep])

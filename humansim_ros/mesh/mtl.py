@@ -12,8 +12,8 @@ from humansim_ros.errors import MeshError, warn_of
 from humansim_ros.io.files import inside, read_bytes, read_text
 from humansim_ros.io.images import decode_alpha, decode_image
 from humansim_ros.mesh.atlas import plain_tile
-from humansim_ros.mesh.material import Image, Material, normals_of_heights
-from humansim_ros.rotations import Array
+from humansim_ros.mesh.material import Material, normals_of_heights
+from humansim_ros.types import Array, Image
 
 #: What a material says: by keyword the line and the words after it; of each keyword the last.
 Statements = Mapping[str, tuple[int, list[str]]]

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError
+from humansim_ros.types import FloatArray, Indices
 
-Floats = NDArray[np.floating]
-Indices = NDArray[np.intp]
 Weighting = Literal["angle", "area"]
 
 _NEXT = (1, 2, 0)
@@ -45,7 +44,7 @@ class SurfaceNormals:
         object.__setattr__(self, "around", csr_matrix((ones, (rows, columns)), shape=(n_vertices, count)))
         object.__setattr__(self, "weighting", weighting)
 
-    def __call__(self, vertices: Floats) -> Floats:
+    def __call__(self, vertices: FloatArray) -> FloatArray:
         """Normals (..., V, 3) of vertices (..., V, 3), of their precision; zero where there is no surface.
 
         Raises MeshError on another number of vertices.
@@ -82,7 +81,7 @@ class SurfaceTangents:
     _gradient: NDArray[np.float64]
 
     def __init__(
-        self, triangles: NDArray[Any], uv: Floats, uv_triangles: NDArray[Any], n_vertices: int
+        self, triangles: NDArray[Any], uv: FloatArray, uv_triangles: NDArray[Any], n_vertices: int
     ) -> None:
         triangles = _checked_triangles(triangles, n_vertices, "triangle")
         uv = np.asarray(uv, dtype=float)
@@ -103,7 +102,7 @@ class SurfaceTangents:
         object.__setattr__(self, "n_vertices", n_vertices)
         object.__setattr__(self, "_gradient", gradient)
 
-    def __call__(self, vertices: Floats, normals: Floats) -> Floats:
+    def __call__(self, vertices: FloatArray, normals: FloatArray) -> FloatArray:
         """Tangents (..., C, 4): a unit vector across the normal, along growing u, and the sign.
 
         ``vertices``, ``normals``: (..., V, 3). Zero where the texture has no area. Raises MeshError on other
@@ -144,7 +143,7 @@ def _checked_triangles(triangles: NDArray[Any], count: int, what: str) -> Indice
     return triangles.astype(np.intp)
 
 
-def _checked_frames(vertices: Floats, count: int) -> tuple[Floats, tuple[int, ...]]:
+def _checked_frames(vertices: FloatArray, count: int) -> tuple[FloatArray, tuple[int, ...]]:
     """As (F, V, 3) of float32 or float64, and the shape they had."""
     array = np.asarray(vertices)
     if array.ndim < 2 or array.shape[-2:] != (count, 3):
@@ -154,34 +153,34 @@ def _checked_frames(vertices: Floats, count: int) -> tuple[Floats, tuple[int, ..
     return array.reshape(int(np.prod(array.shape[:-2])), count, 3), array.shape
 
 
-def _sides(points: Floats, corners: tuple[Indices, ...]) -> tuple[Floats, Floats, Floats]:
+def _sides(points: FloatArray, corners: tuple[Indices, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Sides (3, N) of triangles, coordinates first: from corner 0 to 1, 1 to 2, 2 to 0."""
     columns = np.ascontiguousarray(points.T)
     a, b, c = (columns.take(corner, axis=1) for corner in corners)
     return b - a, c - b, a - c
 
 
-def _angles(sides: tuple[Floats, Floats, Floats]) -> list[Floats]:
+def _angles(sides: tuple[FloatArray, FloatArray, FloatArray]) -> list[FloatArray]:
     """Angles (N,) at corners 0, 1 and 2, radians; 0 where a side has no length."""
     units = [_unit(side) for side in sides]
     cosines = (-np.einsum("ij,ij->j", units[i], units[_PREVIOUS[i]]) for i in range(3))
     return [np.arccos(np.clip(cosine, -1, 1)) for cosine in cosines]
 
 
-def _across(vectors: Floats, up: Floats) -> Floats:
+def _across(vectors: FloatArray, up: FloatArray) -> FloatArray:
     """What of vectors (3, N) is across unit vectors (3, N)."""
-    across: Floats = vectors - np.einsum("ij,ij->j", vectors, up) * up
+    across: FloatArray = vectors - np.einsum("ij,ij->j", vectors, up) * up
     return across
 
 
-def _unit(vectors: Floats) -> Floats:
+def _unit(vectors: FloatArray) -> FloatArray:
     """Vectors (3, N) of length one; zero stays zero."""
     length = np.sqrt(np.einsum("ij,ij->j", vectors, vectors))
-    unit: Floats = vectors / np.where(length > 0, length, 1)
+    unit: FloatArray = vectors / np.where(length > 0, length, 1)
     return unit
 
 
-def _cross(a: Floats, b: Floats) -> Floats:
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
     out = np.empty_like(a)
     for i, j, k in zip(range(3), _NEXT, _PREVIOUS, strict=True):
         np.multiply(a[j], b[k], out=out[i])

@@ -12,9 +12,9 @@ from humansim_ros.errors import MeshError, warn_of
 from humansim_ros.io.files import inside, read_text
 from humansim_ros.mesh.atlas import PLAIN, plain_tile, textured
 from humansim_ros.mesh.material import without_maps
-from humansim_ros.mesh.mesh import Indices, Mesh
+from humansim_ros.mesh.mesh import FaceIndices, Mesh
 from humansim_ros.mesh.mtl import Statements, material_of, numbers, read_mtl, tile_of
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 
 def read_mesh(path: str | os.PathLike[str]) -> Mesh:
@@ -66,9 +66,9 @@ class _Obj:
     """What a file says. ``worn``: the material of each face."""
 
     points: Array
-    faces: Indices
+    faces: FaceIndices
     uv: Array | None
-    uv_faces: Indices
+    uv_faces: FaceIndices
     worn: list[str]
     libraries: list[str]
     path: str

@@ -10,7 +10,7 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion.kinematics import AXES, CHANNEL_NAMES, Motion
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 _CANONICAL = {name.lower(): name for name in CHANNEL_NAMES}
 #: Characters of rows that are read at a time, at least and at most: large blocks are faster, and need memory

@@ -18,7 +18,8 @@ from humansim_ros.errors import MotionError
 from humansim_ros.motion.bvh import Motion
 from humansim_ros.motion.retarget import Retargeter, sole_points
 from humansim_ros.motion.world_motion import JointPoses, WorldMotion
-from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.types import Array
 
 #: A toe or heel stands if it is lower than this (metres) and slower than this (m/s) over the floor.
 _LOW, _SLOW = 0.05, 0.35

@@ -16,7 +16,8 @@ from humansim_ros.errors import MotionError
 from humansim_ros.io.files import atomic_path
 from humansim_ros.motion.bvh import write_bvh
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.rotations import WORLD_FROM_BODY, Array, matrix_to_quaternion
+from humansim_ros.rotations import WORLD_FROM_BODY, matrix_to_quaternion
+from humansim_ros.types import Array
 
 SUFFIXES = (".bvh", ".npz", ".json")
 _CENTIMETRES = 100.0

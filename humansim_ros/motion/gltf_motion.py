@@ -13,7 +13,7 @@ from humansim_ros.errors import MeshError, MotionError, warn_of
 from humansim_ros.mesh.gltf_document import Animation, Gltf
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Rotation channels of the motion; frames per second that it has at least, and where keys have no rhythm.
 _ORDER, _RATE = "ZXY", 60.0

@@ -28,7 +28,8 @@ from humansim_ros.motion.world_motion import (
     detect_file_frame,
     floor_height,
 )
-from humansim_ros.rotations import Array, quaternion_to_matrix
+from humansim_ros.rotations import quaternion_to_matrix
+from humansim_ros.types import Array
 
 #: Frames, all over the motion, that are looked at for where it is; more would tell the same.
 _SAMPLES = 2000

@@ -24,7 +24,8 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.errors import MotionError
 from humansim_ros.io.files import atomic_path, read_bytes
 from humansim_ros.motion.world_motion import VELOCITY_STEP, JointPoses, central_difference
-from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.types import Array
 
 Loop = Literal["none", "repeat"]
 

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError
 from humansim_ros.hierarchy import levels
-from humansim_ros.rotations import Array, quaternion_to_matrix, transform
+from humansim_ros.rotations import quaternion_to_matrix, transform
+from humansim_ros.types import Array
 
 CHANNEL_NAMES = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
 #: A frame number, a slice of them, or an array or list of them.

@@ -25,7 +25,8 @@ from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.errors import MotionError
 from humansim_ros.io.yaml import invalid, read_yaml
 from humansim_ros.resources import resource_path
-from humansim_ros.rotations import Array, from_y_axis, matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.rotations import from_y_axis, matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.types import Array
 
 #: Anatomical directions; "out" is away from the middle of the body, so that both sides share a row.
 Direction = Literal["up", "down", "front", "back", "left", "right", "out", "in"]

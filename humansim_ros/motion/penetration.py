@@ -12,7 +12,7 @@ from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Radius, and for the trunk half its width, by the height of the person: those of assets/humans/adult_man.
 _RADII = {

@@ -17,12 +17,12 @@ from humansim_ros.motion.limits import JointLimits, load_limits
 from humansim_ros.motion.world_motion import JointPoses, WorldMotion, floor_height
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
-    Array,
     from_y_axis,
     matrix_to_quaternion,
     quaternion_to_matrix,
     transform,
 )
+from humansim_ros.types import Array
 
 Mode = Literal["full", "thesis"]
 #: What the scale of the root's way is measured by: ankle-to-head height (thesis 7.2), or the legs' length.

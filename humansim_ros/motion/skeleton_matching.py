@@ -15,7 +15,7 @@ import numpy as np
 
 from humansim_ros.motion.bvh import Motion
 from humansim_ros.motion.joint_tables import JointMatch, JointTable, match_roles
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Two branches are a pair if their lengths differ by no more than this share.
 _ALIKE = 0.12

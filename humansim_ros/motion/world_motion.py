@@ -16,13 +16,8 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.bvh import Motion
 from humansim_ros.motion.joint_tables import JointMatch, other_side
-from humansim_ros.rotations import (
-    WORLD_FROM_BODY,
-    Array,
-    matrix_to_quaternion,
-    quaternion_to_matrix,
-    slerp,
-)
+from humansim_ros.rotations import WORLD_FROM_BODY, matrix_to_quaternion, quaternion_to_matrix, slerp
+from humansim_ros.types import Array
 
 Loop = Literal["none", "repeat", "continue"]
 Anchor = Literal["start", "center", "file"]

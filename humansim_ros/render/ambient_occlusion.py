@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.render.posed_mesh import Floats
 from humansim_ros.render.programs import shader, use_camera
 from humansim_ros.render.static_scene import StaticDraw, StaticScene
 from humansim_ros.render.uniforms import columns, set_uniform
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array, Float32Array
 
 #: Maps along a side of the common one, and texels of a side of each.
 _SIDE, _TEXELS = 12, 208
@@ -113,7 +112,7 @@ def directions(count: int) -> Array:
     return np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)
 
 
-def packed(sums: Floats, depth: Floats) -> NDArray[np.uint32]:
+def packed(sums: Float32Array, depth: Float32Array) -> NDArray[np.uint32]:
     """(H, W) of what a ninth of the directions found each (H, W, 4), together with those beside them that are
     as deep: the share of sky in the low 8 bits, that of ground in the next 8, then 1 / (1 + depth) in 16.
     """

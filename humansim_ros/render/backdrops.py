@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.render.lighting import Color
 from humansim_ros.render.pixel_geometry import ray_grid
+from humansim_ros.types import LinearColor
 
 #: Texels of the blend from one side of a panorama to the other, which are neighbours.
 _WRAP = 2
@@ -61,7 +61,7 @@ class Panorama:
         return np.asarray(seen, dtype=np.uint8)
 
 
-def ambient(radiance: NDArray[np.float32]) -> tuple[Color, Color]:
+def ambient(radiance: NDArray[np.float32]) -> tuple[LinearColor, LinearColor]:
     """Mean colours of the upper and of the lower half of a panorama (H, W, 3) of linear light: what lights
     level ground from above, and what lights it from below.
     """

@@ -13,11 +13,11 @@ from humansim_ros.camera import Camera
 from humansim_ros.render.contact_shadow import REACH, ContactShadow
 from humansim_ros.render.edge_antialiasing import ImageEdges
 from humansim_ros.render.lens_tessellation import NEAR, LensView, TessellatedMesh
-from humansim_ros.render.posed_mesh import Floats, PosedMesh, Topology
+from humansim_ros.render.posed_mesh import PosedMesh, Topology
 from humansim_ros.render.renderer import Body
 from humansim_ros.render.static_scene import ExpandedMesh, MaterialBuffers, TriangleBuffers
 from humansim_ros.render.target import Rectangle
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array, Float32Array
 
 #: Pixels by which a triangle that is said to miss the centres of all pixels surely does: places are computed
 #: in single precision, here and on the device, which rounds them to 1/256 of a pixel.
@@ -132,7 +132,7 @@ class BodyBuffers:
         with TriangleBuffers(self._ctx, refined.attributes, refined.triangles) as pieces:
             pieces.draw(program, [self._look], [len(refined.triangles)])
 
-    def _upload(self, buffer: moderngl.Buffer, values: Floats) -> None:
+    def _upload(self, buffer: moderngl.Buffer, values: Float32Array) -> None:
         buffer.orphan()
         buffer.write(values.take(self._source, axis=0))
 
@@ -145,7 +145,7 @@ class ProjectedPoints:
     normalised image plane; not to be used where ``near``.
     """
 
-    def __init__(self, points: Floats, camera: Camera) -> None:
+    def __init__(self, points: Float32Array, camera: Camera) -> None:
         self.camera = camera
         p = (camera.optical_from_world[:3] if camera.distorted else camera.P).astype(np.float32)
         x, y, self.depth = p[:, :3] @ points + p[:, 3:]
@@ -156,7 +156,7 @@ class ProjectedPoints:
         self.plane = x, y
 
     @cached_property
-    def pixels(self) -> tuple[Floats, Floats]:
+    def pixels(self) -> tuple[Float32Array, Float32Array]:
         """Columns and rows (N,); NaN for what the lens does not see."""
         camera = self.camera
         if not camera.distorted:
@@ -230,13 +230,13 @@ def contour(
     return found
 
 
-def _wide(starts: Floats, ends: Floats, camera: Camera, angle: float) -> NDArray[np.bool_]:
+def _wide(starts: Float32Array, ends: Float32Array, camera: Camera, angle: float) -> NDArray[np.bool_]:
     """Which edges (N, 3) may be seen under more than an angle, radians."""
     eye = camera.center.astype(np.float32)
     nearest = np.minimum(_squares(starts - eye), _squares(ends - eye))
     return np.asarray(_squares(ends - starts) > angle * angle * nearest)
 
 
-def _squares(vectors: Floats) -> Floats:
+def _squares(vectors: Float32Array) -> Float32Array:
     """(N,) squared lengths."""
     return np.asarray(np.einsum("ij,ij->i", vectors, vectors))

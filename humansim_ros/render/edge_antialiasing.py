@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: A surface that curves away is nearer than its outline by less than this, metres, half a pixel inside it.
 _RIM = 0.1

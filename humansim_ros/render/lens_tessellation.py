@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.lens import Lens
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array, Indices
 
 #: Pixels that an edge may be away from where it should be; and, where edges are cut, how near they come: all
 #: lines of a surface are bent to one side, so that what is left of it shifts its picture as a whole.
@@ -38,8 +38,6 @@ _ROUNDS, _MAX_TRIANGLES = 14, 4_000_000
 #: Metres along the axis within which nothing is drawn; and for lenses that see farther off the axis than this
 #: tangent: what is beside a camera is far away, and yet its depth is small.
 NEAR, _NEAR_BESIDE, _BESIDE_FROM = 0.05, 0.005, 5.0
-
-Indices = NDArray[np.intp]
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.rotations import Array
-
-Color = tuple[float, float, float]
+from humansim_ros.types import Array, LinearColor
 
 
 @dataclass(frozen=True)
@@ -26,10 +24,10 @@ class Lighting:
     the picture behind it showed it. ``background``: sRGB, where nothing is.
     """
 
-    sun: Color = (0.45, 0.3, 0.84)
-    sun_color: Color = (0.78, 0.74, 0.68)
-    sky_color: Color = (0.80, 0.82, 0.86)
-    ground_color: Color = (0.46, 0.43, 0.39)
+    sun: LinearColor = (0.45, 0.3, 0.84)
+    sun_color: LinearColor = (0.78, 0.74, 0.68)
+    sky_color: LinearColor = (0.80, 0.82, 0.86)
+    ground_color: LinearColor = (0.46, 0.43, 0.39)
     background: tuple[int, int, int] = (168, 176, 184)
     mode: Literal["lit", "shadeless"] = "lit"
     strength: float = 1.0
@@ -57,7 +55,7 @@ class Lighting:
         sky = np.array(self.sky_color)
         return np.asarray((sky + sun * np.asarray(left)[..., None]) / np.maximum(sky + sun, 1e-9))
 
-    def brightness(self, color: Color) -> Color:
+    def brightness(self, color: LinearColor) -> LinearColor:
         """Linear light of that colour that reaches a picture."""
         factor = self.strength * 2.0**self.exposure
         return (color[0] * factor, color[1] * factor, color[2] * factor)

@@ -18,9 +18,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.camera.lens import Lens
 from humansim_ros.render.renderer import AdjacentFrame, Body
-from humansim_ros.rotations import Array
-
-Floats = NDArray[np.float32]
+from humansim_ros.types import Array, Float32Array
 
 #: Metres, and share of the distance, that a surface may lie before a point that is seen all the same: the
 #: depth between two pixels of a surface that slants away.
@@ -83,14 +81,14 @@ class PixelGeometry:
         # centres that only just are on a triangle may be a rounding beside it
         return np.clip(weights, -0.01, 1.01, out=weights)
 
-    def normals(self) -> Floats:
+    def normals(self) -> Float32Array:
         """(M, 3) unit outward normals in the optical frame."""
         a, b, c = self._now
         normals = _cross(b - a, c - a)
         normals /= np.maximum(np.sqrt(np.einsum("ij,ij->j", normals, normals)), 1e-30)
         return normals.T.astype(np.float32).take(self._which, axis=0)
 
-    def texture_coordinates(self) -> Floats:
+    def texture_coordinates(self) -> Float32Array:
         """(M, 2) texture coordinates, v up; NaN where a body has none."""
         uv = np.full((3, 2, len(self._owner)), np.nan)
         for index, body in enumerate(self._bodies):
@@ -119,16 +117,16 @@ class Flow:
     point is not seen there: hidden by something, or outside the image.
     """
 
-    flow: Floats
+    flow: Float32Array
     hidden: NDArray[np.uint8]
 
 
 def optical_flow(
     camera: Camera,
     detail: PixelGeometry,
-    depth: Floats,
+    depth: Float32Array,
     other: AdjacentFrame,
-    other_depth: Floats | None,
+    other_depth: Float32Array | None,
     touched: tuple[slice, slice],
 ) -> Flow:
     """Where what a camera sees goes. ``depth``: (H, W) what it sees; ``other_depth``: what is seen at the
@@ -159,7 +157,7 @@ def optical_flow(
     return Flow(flow, hidden)
 
 
-def _camera_moves(camera: Camera, depth: Floats, other: Camera) -> tuple[Floats, Floats]:
+def _camera_moves(camera: Camera, depth: Float32Array, other: Camera) -> tuple[Float32Array, Float32Array]:
     """Flow (H, W, 2), and depths (H, W) at the other moment, of what stands still before a camera that is
     elsewhere then.
     """
@@ -170,7 +168,7 @@ def _camera_moves(camera: Camera, depth: Floats, other: Camera) -> tuple[Floats,
     return flow, there.astype(np.float32).reshape(depth.shape)
 
 
-def _hidden(to: Array, distance: NDArray[np.floating], other_depth: Floats) -> NDArray[np.bool_]:
+def _hidden(to: Array, distance: NDArray[np.floating], other_depth: Float32Array) -> NDArray[np.bool_]:
     """(M,) which points at pixels (M, 2) are not seen: something is before them, or they are outside."""
     height, width = other_depth.shape
     column, row = np.rint(np.nan_to_num(to.T, nan=-1.0)).clip(-1, max(width, height)).astype(np.intp)

@@ -10,14 +10,12 @@ from numpy.typing import NDArray
 
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.contact_shadow import ContactShadow, contact_shadow
+from humansim_ros.types import Float32Array, Indices
 
 #: How much longer than at rest skin may get.
 _STRETCH = 2.0
 #: Metres between points of things whose shadows are looked for, and the most of them along an edge.
 _SAMPLE, _MAX_PIECES = 0.04, 48
-
-Floats = NDArray[np.float32]
-Indices = NDArray[np.intp]
 
 
 class Topology:
@@ -43,7 +41,7 @@ class Topology:
         self.border = np.arange(len(self.edges)) >= len(first)
 
     @cached_property
-    def _by_length(self) -> tuple[Floats, NDArray[np.intp]]:
+    def _by_length(self) -> tuple[Float32Array, NDArray[np.intp]]:
         starts, ends = self.mesh.vertices[self.edges].transpose(1, 0, 2)
         length = np.linalg.norm(ends - starts, axis=1)
         order = np.argsort(length)
@@ -65,7 +63,7 @@ class Topology:
         return csr_matrix((np.ones(3 * n, dtype=np.float32), (rows, columns)), shape=shape)
 
     @cached_property
-    def vertex_areas(self) -> Floats:
+    def vertex_areas(self) -> Float32Array:
         """(V,) surface area that each vertex stands for at rest, square metres."""
         area = np.linalg.norm(PosedMesh(self, self.mesh.vertices.astype(np.float32)).areas, axis=0)
         return np.asarray(self.around @ area / 3, dtype=np.float32)
@@ -74,17 +72,17 @@ class Topology:
 class PosedMesh:
     """Vertices (V, 3) float32 of a topology. Arrays here have the coordinates first: (3, V), (3, N)."""
 
-    def __init__(self, topology: Topology, vertices: Floats) -> None:
+    def __init__(self, topology: Topology, vertices: Float32Array) -> None:
         self.topology = topology
         self.vertices = vertices
-        self.points: Floats = np.ascontiguousarray(vertices.T)
+        self.points: Float32Array = np.ascontiguousarray(vertices.T)
 
     @cached_property
-    def _first_corners(self) -> Floats:
+    def _first_corners(self) -> Float32Array:
         return self.points.take(self.topology.corners[0], axis=1)
 
     @cached_property
-    def areas(self) -> Floats:
+    def areas(self) -> Float32Array:
         """(3, N) area vectors: along each triangle's outward normal, as long as its area."""
         a = self._first_corners
         b, c = (self.points.take(corner, axis=1) - a for corner in self.topology.corners[1:])
@@ -96,11 +94,11 @@ class PosedMesh:
         return areas
 
     @cached_property
-    def _planes(self) -> Floats:
+    def _planes(self) -> Float32Array:
         return np.einsum("ij,ij->j", self.areas, self._first_corners)
 
     @cached_property
-    def normals(self) -> Floats:
+    def normals(self) -> Float32Array:
         """(V, 3) unit vertex normals: the area-weighted mean of the triangles around each."""
         around = self.topology.around
         normals = np.stack([around @ component for component in self.areas])
@@ -118,7 +116,7 @@ class PosedMesh:
         return contact_shadow(*self.samples)
 
     @property
-    def samples(self) -> tuple[Floats, Floats]:
+    def samples(self) -> tuple[Float32Array, Float32Array]:
         """Points (3, M) all over the surface, and the area (M,) that each stands for."""
         corners = np.stack([self.points.take(corner, axis=1) for corner in self.topology.corners])
         area = np.linalg.norm(self.areas, axis=0)

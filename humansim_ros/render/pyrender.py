@@ -25,10 +25,10 @@ from humansim_ros.render.contact_shadow import ContactShadow
 from humansim_ros.render.context import create_context, current
 from humansim_ros.render.lens_tessellation import NEAR
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.render.posed_mesh import Floats, PosedMesh, Topology
+from humansim_ros.render.posed_mesh import PosedMesh, Topology
 from humansim_ros.render.renderer import CHANNELS, AdjacentFrame, Backdrop, Body, View, check_request
 from humansim_ros.render.static_scene import FLOOR_SLACK, ExpandedMesh
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array, Float32Array
 
 _FAR = 200.0
 _TRIANGLES = 4
@@ -357,7 +357,7 @@ def _mend_pyopengl() -> None:
         arraydatatype.GLOBAL_REGISTRY.setdefault(kind, handler)
 
 
-def _light(lighting: Lighting, normals: Floats) -> Floats:
+def _light(lighting: Lighting, normals: Float32Array) -> Float32Array:
     """(V, 3) what vertices multiply their colour by: the formula of shaders/lit.frag."""
     if lighting.mode == "shadeless":
         return np.ones_like(normals)

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.render.edge_antialiasing import EdgeCrossings, blend
 from humansim_ros.render.pixel_geometry import PixelGeometry, VisiblePixels, optical_flow
-from humansim_ros.render.posed_mesh import Floats, Indices
 from humansim_ros.render.renderer import AdjacentFrame, Body, View
 from humansim_ros.render.target import Rectangle, StaticLayer
+from humansim_ros.types import Float32Array, Indices
 
 #: Channels that say which body, and what of it, is where.
 _LABELS = {"instance", "part", "face", "normal", "uv", "alpha", "amodal"}
@@ -84,16 +84,16 @@ class RenderedFrame:
     rectangle: Rectangle
     seen: TriangleIds
     labels: NDArray[np.uint32]
-    depth: Floats
+    depth: Float32Array
     rgba: NDArray[np.uint8] | None
     outline: EdgeCrossings | None
     alone: Mapping[int, NDArray[np.bool_]] | None
     standing: RenderedFrame | None = None
 
     @cached_property
-    def whole_depth(self) -> Floats:
+    def whole_depth(self) -> Float32Array:
         """(H, W) metres, of what is still as well; infinite where nothing is; not to be changed."""
-        whole: Floats = self.layer.view(("depth",))["depth"]
+        whole: Float32Array = self.layer.view(("depth",))["depth"]
         np.copyto(whole[self.rectangle.slices], self.depth, where=self.depth > 0)
         return whole
 

@@ -16,9 +16,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.uniforms import columns, set_uniform
-from humansim_ros.rotations import Array
-
-Floats = NDArray[np.float32]
+from humansim_ros.types import Array, Float32Array
 
 #: Texels along a side of the maps of what is still and of what moves.
 STILL_SIDE, MOVING_SIDE = 2048, 1024
@@ -110,7 +108,7 @@ class ShadowMap:
         set_uniform(program, f"{self._name}_map.texel", view.texel)
 
 
-def shadow_ends(points: Floats, lighting: Lighting, lowest: float, farthest: float) -> Floats:
+def shadow_ends(points: Float32Array, lighting: Lighting, lowest: float, farthest: float) -> Float32Array:
     """(3, M) around where the shadow of a body of points (3, N) ends, on a floor at the height ``lowest`` and
     at most ``farthest`` metres away: with the points themselves it encloses all that the body can shade.
     """
@@ -135,7 +133,7 @@ def spread(lighting: Lighting) -> float:
     return float(np.tan(np.radians(lighting.sun_size_deg) / 2))
 
 
-def encloses(points: Sequence[Floats]) -> Floats:
+def encloses(points: Sequence[Float32Array]) -> Float32Array:
     """(3, 8) corners of the box around clouds of points (3, N)."""
     low = np.min([cloud.min(axis=1) for cloud in points], axis=0)
     high = np.max([cloud.max(axis=1) for cloud in points], axis=0)

@@ -14,10 +14,10 @@ from humansim_ros.camera import Camera
 from humansim_ros.mesh.material import Material
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.lens_tessellation import LensView
-from humansim_ros.render.posed_mesh import Floats, Indices, PosedMesh, Topology
+from humansim_ros.render.posed_mesh import PosedMesh, Topology
 from humansim_ros.render.shadow_map import encloses
 from humansim_ros.render.uniforms import set_uniform
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array, Float32Array, Indices
 
 #: Metres from z = 0 within which something level is a floor.
 FLOOR_SLACK = 0.02
@@ -49,10 +49,10 @@ class ExpandedMesh:
             self.source = unique[:, 0]
             corners, uv = inverse.reshape(triangles.shape), mesh.uv[unique[:, 1]]
         colors = np.full((len(mesh.vertices), 3), 255, np.uint8) if mesh.colors is None else mesh.colors
-        self.looks: Floats = np.concatenate([uv, colors[self.source] / 255.0], axis=1).astype("f4")
+        self.looks: Float32Array = np.concatenate([uv, colors[self.source] / 255.0], axis=1).astype("f4")
         self.corners = np.ascontiguousarray(corners, dtype=np.int32)
 
-    def attributes(self, posed: PosedMesh) -> Floats:
+    def attributes(self, posed: PosedMesh) -> Float32Array:
         """(E, 11) what shaders know of each vertex as a body stands: position, normal, uv and colour."""
         both = np.concatenate([posed.vertices, posed.normals], axis=1).take(self.source, axis=0)
         return np.concatenate([both, self.looks], axis=1)
@@ -181,7 +181,7 @@ class StaticScene:
     def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> None:
         self._ctx = ctx
         self._looks = [MaterialBuffers(ctx, mesh) for mesh in meshes]
-        attributes: list[Floats] = [np.zeros((0, 11), np.float32)]
+        attributes: list[Float32Array] = [np.zeros((0, 11), np.float32)]
         corners: list[NDArray[Any]] = [np.zeros((0, 3), np.int32)]
         first = 0
         for mesh in meshes:
@@ -198,7 +198,7 @@ class StaticScene:
         self._whole = TriangleBuffers(ctx, self._attributes, self._corners)
 
     @property
-    def box(self) -> Floats | None:
+    def box(self) -> Float32Array | None:
         """(3, 8) corners of the box around it, None if there is nothing."""
         return encloses([self._attributes[:, :3].T]) if len(self._attributes) else None
 

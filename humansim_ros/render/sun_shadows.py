@@ -10,13 +10,13 @@ import numpy as np
 from humansim_ros.camera import Camera
 from humansim_ros.render.body_buffers import BodyBuffers
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.render.posed_mesh import Floats
 from humansim_ros.render.programs import shader, unit_square
 from humansim_ros.render.renderer import Body
 from humansim_ros.render.shadow_map import MOVING_SIDE, STILL_SIDE, ShadowMap, encloses, shadow_ends, spread
 from humansim_ros.render.static_scene import StaticScene
 from humansim_ros.render.target import RenderTarget, ShadowTarget, StaticLayer
 from humansim_ros.render.uniforms import columns, set_uniform
+from humansim_ros.types import Float32Array
 
 #: Metres that shadows go at most on ground that is not drawn.
 _FARTHEST = 30.0
@@ -49,7 +49,7 @@ class SunShadows:
         self._still, self._moving = ShadowMap(ctx, "still", STILL_SIDE), ShadowMap(ctx, "moving", MOVING_SIDE)
         self._lowest, self._farthest = self._reach()
         self._bodies: list[Body] = []
-        self._ends: list[Floats] = []
+        self._ends: list[Float32Array] = []
         if self._box is not None:
             depths = ctx.program(
                 vertex_shader=shader(["sun.vert"], still.switches),
@@ -68,7 +68,7 @@ class SunShadows:
         lowest, size = float(self._box[2].min()), float(np.linalg.norm(np.ptp(self._box, axis=1)))
         return (min(lowest, 0.0), max(size, _FARTHEST)) if self._lighting.shadow_catcher else (lowest, size)
 
-    def shine_on(self, surfaces: Sequence[BodyBuffers]) -> list[Floats]:
+    def shine_on(self, surfaces: Sequence[BodyBuffers]) -> list[Float32Array]:
         """Look at surfaces from the sun, once for all cameras: where their shadows end, (3, N) each."""
         bodies = [surface.body for surface in surfaces]
         if len(bodies) == len(self._bodies) and all(
@@ -90,7 +90,7 @@ class SunShadows:
             self._ends = [shadow_ends(points, self._lighting, lowest, farthest) for points in clouds]
         return self._ends
 
-    def on_ground(self, camera: Camera) -> Floats:
+    def on_ground(self, camera: Camera) -> Float32Array:
         """(H, W) how much of the sun the still scene leaves to the ground z = 0 that each pixel would see."""
         shades = ShadowTarget(self._ctx, camera, np.zeros((*camera.size[::-1], 3), np.uint8))
         picture = self._ctx.texture(camera.size, 1, dtype="f4")

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render.pixel_geometry import ray_grid
-from humansim_ros.render.posed_mesh import Floats
 from humansim_ros.render.renderer import Backdrop
+from humansim_ros.types import Float32Array
 
 if TYPE_CHECKING:
     from humansim_ros.render.rendered_frame import RenderedFrame
@@ -131,7 +131,7 @@ class RenderTarget:
         return self._textures[0]
 
     @property
-    def hides(self) -> Floats:
+    def hides(self) -> Float32Array:
         """(H, W) the whole of OpenGL's depth buffer, 0 to 1."""
         width, height = self._buffer.size
         return np.frombuffer(self._buffer.read(alignment=1), np.float32).reshape(height, width)

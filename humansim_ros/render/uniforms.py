@@ -6,7 +6,7 @@ from typing import Any
 
 import moderngl
 
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 
 def set_uniform(program: moderngl.Program, name: str, value: Any) -> None:

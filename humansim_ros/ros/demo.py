@@ -22,6 +22,7 @@ from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.runtime import prepare_transport
 from humansim_ros.ros.supervisor import Supervisor
 from humansim_ros.scene import Scene
+from humansim_ros.types import Image
 
 #: Seconds until every topic must have spoken.
 _START_LIMIT = 60.0
@@ -210,7 +211,7 @@ class _Listener:
             del self._waiting[old]
 
 
-def _contact_sheet(scene: Scene, listener: _Listener) -> canvas.Image:
+def _contact_sheet(scene: Scene, listener: _Listener) -> Image:
     from humansim_ros.ros.messages import read_joint_view
 
     if not listener.sheet:
@@ -246,7 +247,7 @@ def _contact_sheet(scene: Scene, listener: _Listener) -> canvas.Image:
     return views.contact_sheet(rows, titles, list(scene.cameras))
 
 
-def _video(scene: Scene, listener: _Listener) -> Iterator[canvas.Image]:
+def _video(scene: Scene, listener: _Listener) -> Iterator[Image]:
     """Frames with every camera at the same stamp, two cameras a row; each stands until the next is due."""
     names = list(scene.cameras)
     whole = [stamp for stamp in sorted(listener.small) if len(listener.small[stamp]) == len(names)]

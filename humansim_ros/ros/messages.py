@@ -40,7 +40,7 @@ from humansim_ros.errors import RosError
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.world_motion import JointPoses, Velocity
-from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.scene import HumanState
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.live import JointSource
@@ -57,6 +57,7 @@ from humansim_ros.truth.joints import (
     VISIBLE,
     JointView,
 )
+from humansim_ros.types import Array
 
 WORLD_FRAME = "map"
 

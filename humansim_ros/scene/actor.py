@@ -25,11 +25,12 @@ from humansim_ros.motion.world_motion import (
     detect_file_frame,
 )
 from humansim_ros.render import Body
-from humansim_ros.rotations import Array, matrix_to_quaternion, moved
+from humansim_ros.rotations import matrix_to_quaternion, moved
 from humansim_ros.scene.config import (
     MotionConfig,
     find_file,
 )
+from humansim_ros.types import Array
 
 
 @dataclass(frozen=True)

@@ -19,10 +19,11 @@ from humansim_ros.errors import CameraError, warn_of
 from humansim_ros.io.files import beside
 from humansim_ros.motion.world_motion import VELOCITY_STEP, Velocity
 from humansim_ros.render.renderer import Backdrop
-from humansim_ros.rotations import Array, matrix_to_quaternion, quaternion_to_matrix, slerp
+from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.backdrops import load_backdrop
 from humansim_ros.scene.config import CameraConfig, RigConfig, line_of_key
 from humansim_ros.sensor import Sensor
+from humansim_ros.types import Array
 
 
 @dataclass(frozen=True)

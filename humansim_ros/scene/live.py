@@ -16,8 +16,9 @@ from humansim_ros.motion.joint_tables import JointMatch
 from humansim_ros.motion.keyframes import SPACE_JOINTS, undo_keyframes
 from humansim_ros.motion.retarget import Retargeter, has_turns
 from humansim_ros.motion.world_motion import JointPoses
-from humansim_ros.rotations import Array, quaternion_to_matrix
+from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.actor import Actor, HumanState
+from humansim_ros.types import Array
 
 #: The links that tell people, and conventions of rotations, from each other.
 _LIMBS = tuple(f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow", "hip", "knee"))

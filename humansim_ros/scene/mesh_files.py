@@ -11,7 +11,7 @@ import numpy as np
 
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.obj import read_mesh, read_surfaces
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: From y up, as glTF has it and as Blender reads and writes it: (x, y, z) is (x, -z, y) in map.
 _Y_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])

@@ -20,9 +20,10 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
 from humansim_ros.motion.world_motion import Velocity
 from humansim_ros.render import Body
-from humansim_ros.rotations import Array, quaternion_to_matrix
+from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig
 from humansim_ros.scene.mesh_files import read_thing
+from humansim_ros.types import Array
 
 #: Segments around a sphere or a cylinder.
 _ROUND = 48

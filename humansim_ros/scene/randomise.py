@@ -15,23 +15,21 @@ from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, SceneError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.posed_mesh import PosedMesh, Topology
-from humansim_ros.rotations import Array
 from humansim_ros.scene.config import LightConfig, ObjectConfig, RandomiseConfig, SceneConfig
 from humansim_ros.scene.room import pattern
+from humansim_ros.types import Array, Image
 
 if TYPE_CHECKING:
     from humansim_ros.scene.actor import Actor
     from humansim_ros.scene.camera import SceneCamera
     from humansim_ros.scene.objects import SceneObject
 
-Image = NDArray[np.uint8]
 #: Seconds from the start of the scene in which clutter keeps out of people's way, and between looks.
 _AHEAD, _STEP = 60.0, 0.2
 #: Metres from people's joints, from cameras, and from what stands there already, that clutter keeps.

@@ -11,12 +11,10 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array, Image
 
-Image = NDArray[np.uint8]
 _Rng = np.random.Generator
 
 #: Colours of the books on the shelf.

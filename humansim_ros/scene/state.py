@@ -15,12 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.render import Body
-from humansim_ros.rotations import Array
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import Exposure
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene
+from humansim_ros.types import Array
 
 
 @dataclass(frozen=True)

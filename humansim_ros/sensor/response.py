@@ -8,8 +8,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.rotations import Array
 from humansim_ros.sensor.optics import Light
+from humansim_ros.types import Array
 
 #: The largest number of the converter behind the pixels.
 LEVELS = 65535

@@ -18,14 +18,12 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError
-from humansim_ros.rotations import Array
 from humansim_ros.sensor.config import SensorConfig
 from humansim_ros.sensor.noise import generator, noisy
 from humansim_ros.sensor.optics import Light, aberrate, corner_distance, transmission
 from humansim_ros.sensor.response import LEVELS, luminance, mosaic, response_table, srgb_to_light
 from humansim_ros.sensor.shutter import row_weights, sample_times
-
-Picture = NDArray[np.uint8]
+from humansim_ros.types import Array, Image
 
 #: Samples that are worked on at a time: they stay in the processor's cache.
 _BLOCK = 1 << 16
@@ -65,7 +63,7 @@ class Sensor:
         """Share (H, T) of each of these pictures in each row."""
         return row_weights(*self._shutter)
 
-    def expose(self, pictures: Iterable[Picture], stamp: int) -> Picture:
+    def expose(self, pictures: Iterable[Image], stamp: int) -> Image:
         """What the sensor makes of pictures (H, W, 3) sRGB rendered at :meth:`times`: (H, W, 3), or (H, W)
         for mono8 and bayer_rggb8, encoded as ``config.encoding`` says. ``stamp``: nanoseconds.
 
@@ -85,7 +83,7 @@ class Sensor:
         image = _compressed(_swapped(image), self.config.jpeg)
         return image if self.config.encoding == "bgr8" else _swapped(image)
 
-    def _checked(self, pictures: Iterable[Picture]) -> Iterator[Picture]:
+    def _checked(self, pictures: Iterable[Image]) -> Iterator[Image]:
         width, height = self.camera.size
         expected, count = len(self.times()), 0
         for count, picture in enumerate(pictures, 1):
@@ -99,7 +97,7 @@ class Sensor:
         if count != expected:
             raise CameraError(f"the sensor needs {expected} pictures for a frame, not {count}")
 
-    def _light(self, pictures: Iterator[Picture]) -> Light:
+    def _light(self, pictures: Iterator[Image]) -> Light:
         """Light (H, W, 3) behind the lens while the shutter was open, 1: white."""
         if self._weights.shape[1] == 1:
             (picture,) = pictures
@@ -109,7 +107,7 @@ class Sensor:
         aberration = self.config.chromatic_aberration
         return light if aberration is None else aberrate(light, self.camera, aberration)
 
-    def _accumulated(self, pictures: Iterator[Picture]) -> Light:
+    def _accumulated(self, pictures: Iterator[Image]) -> Light:
         width, height = self.camera.size
         light = np.zeros((height, width, 3), np.float32)
         for picture, share in zip(pictures, self._weights.T, strict=True):
@@ -120,7 +118,7 @@ class Sensor:
                     _flat(light)[rows] += seen
         return light
 
-    def _develop(self, light: Light, random: np.random.Generator) -> Picture:
+    def _develop(self, light: Light, random: np.random.Generator) -> Image:
         """Numbers (H, W, 3) or (H, W) of light (H, W, 3) that reaches the colour filters."""
         config, noise = self.config, self.config.noise
         samples = self._filtered(light)
@@ -159,7 +157,7 @@ class Sensor:
         return self.weights().astype(np.float32)
 
     @cached_property
-    def _response(self) -> Picture:
+    def _response(self) -> Image:
         return response_table(self.config.response)
 
     @cached_property
@@ -203,12 +201,12 @@ def _flat(image: NDArray[Any]) -> NDArray[Any]:
     return image.reshape(len(image), -1)
 
 
-def _swapped(image: Picture) -> Picture:
+def _swapped(image: Image) -> Image:
     """Red and blue (H, W, 3) in each other's place."""
     return np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), dtype=np.uint8)
 
 
-def _compressed(image: Picture, quality: int) -> Picture:
+def _compressed(image: Image, quality: int) -> Image:
     """An image (H, W) or (H, W, 3) BGR after JPEG, as OpenCV writes and reads it."""
     done, encoded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     if not done:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Stamps are in whole nanoseconds: what is shorter is an instant.
 _INSTANT = 1e-9

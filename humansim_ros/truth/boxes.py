@@ -13,7 +13,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
 from humansim_ros.render.lens_tessellation import nearest
 from humansim_ros.render.renderer import Kind
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.humans.human import Human
 from humansim_ros.render import View
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: Visibility of a joint: outside the image (or behind the camera), hidden by something, or seen.
 OUTSIDE, OCCLUDED, VISIBLE = 0, 1, 2

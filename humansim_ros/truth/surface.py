@@ -11,16 +11,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
 from humansim_ros.render.pixel_geometry import PixelGeometry, VisiblePixels
+from humansim_ros.types import Float32Array
 
-Floats = NDArray[np.float32]
 
-
-def part_u_v(view: View) -> Floats:
+def part_u_v(view: View) -> Float32Array:
     """(H, W, 3) float32: part label and texture coordinates, v up, of each pixel of a view that has part and
     uv; 0, NaN, NaN where no body is.
     """
@@ -28,7 +26,7 @@ def part_u_v(view: View) -> Floats:
     return np.dstack([view.part.astype(np.float32), view.uv])
 
 
-def rest_points(camera: Camera, bodies: Sequence[Body], view: View) -> Floats:
+def rest_points(camera: Camera, bodies: Sequence[Body], view: View) -> Float32Array:
     """(H, W, 3) float32: where the point that each pixel shows is on its body's mesh at rest: in body space,
     metres, of humans; NaN where no labelled body is. Of a view that has instance labels and faces.
     """

@@ -15,10 +15,8 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
 from humansim_ros.render.lens_tessellation import NEAR, nearest
-from humansim_ros.rotations import Array
 from humansim_ros.truth.joints import nearest_pixels
-
-Indices = NDArray[np.intp]
+from humansim_ros.types import Array, Indices
 
 #: Metres before a vertex at which all surfaces round its pixel surely hide it; and at which the room or an
 #: object at its pixel does.

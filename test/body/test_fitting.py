@@ -26,7 +26,7 @@ from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.obj import read_mesh
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 MESHES = SHARED_DATA / "mesh"
 FIGURES = ("mh2007_male_T_dm.obj", "mh2007_female_A_dm.obj", "human_male_T_uv_m.obj")

@@ -24,7 +24,7 @@ from humansim_ros.motion import read_bvh
 from humansim_ros.motion.joint_matching import find_match
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import WorldMotion, detect_file_frame
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()
 BOTH = pytest.mark.parametrize("rule", ["thesis", "thesis-printed"])

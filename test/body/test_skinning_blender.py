@@ -9,7 +9,7 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body import Skeleton, hanim_skeleton, skin
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 DATA = ROOT / "test" / "data"
 

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.camera import Camera, read_calibration, resolve_url
 from humansim_ros.camera.calibration import UPRIGHT, load_calibration
 from humansim_ros.errors import CameraError, HumansimWarning
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*image size is not in the file")
 

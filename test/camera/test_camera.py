@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 K = np.array([[710.0, 0, 301.5], [0, 690.0, 250.25], [0, 0, 1]])
 R = Rotation.from_euler("xyz", [0.3, -0.7, 1.9]).as_matrix()

@@ -25,8 +25,8 @@ from humansim_ros.camera.calibration import read_calibration, write_calibration
 from humansim_ros.camera.idealize import Fit, Ideal, idealize, rectify
 from humansim_ros.errors import CameraError, RenderError
 from humansim_ros.render import GLRenderer
-from humansim_ros.rotations import Array
 from humansim_ros.scene.room import furnished_room
+from humansim_ros.types import Array
 
 SIZE = (320, 240)
 LENSES = {

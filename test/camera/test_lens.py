@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.camera import Camera
 from humansim_ros.camera.lens import MODELS, Lens
 from humansim_ros.errors import CameraError
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 SIZE = (640, 480)
 #: Calibrations of real cameras (of ROS drivers), and a made-up fisheye.

@@ -15,7 +15,7 @@ from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.obj import read_mesh
 from humansim_ros.render.posed_mesh import Floats, PosedMesh, Topology
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.normals import SurfaceNormals, SurfaceTangents
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 with np.load(ROOT / "test" / "data" / "blender_bodies.npz") as _archive:
     HAND = {key.split("/")[1]: _archive[key] for key in _archive if key.startswith("surface/")}

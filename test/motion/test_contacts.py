@@ -16,7 +16,7 @@ from test_retarget import MATCHED, SKELETON, in_world, read
 from humansim_ros.motion.contacts import FootContacts, find_stances, slides, two_bone
 from humansim_ros.motion.retarget import Retargeter, sole_heights, sole_points
 from humansim_ros.motion.world_motion import Placement, WorldMotion
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 stems = pytest.mark.parametrize(
     "stem", ["walk", *(pytest.param(s, marks=needs_shared_data) for s in MATCHED)]

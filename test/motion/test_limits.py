@@ -20,7 +20,7 @@ from humansim_ros.body.skeleton import side_of
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.limits import Limit, load_limits
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 TABLE = ROOT / "config" / "joint_limits" / "normal.yaml"
 GENERAL = hanim_skeleton()

@@ -30,7 +30,7 @@ from humansim_ros.motion.penetration import (
     self_penetration,
 )
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 
 @cache

@@ -26,7 +26,8 @@ from humansim_ros.motion.world_motion import (
     WorldMotion,
     detect_file_frame,
 )
-from humansim_ros.rotations import WORLD_FROM_BODY, Array
+from humansim_ros.rotations import WORLD_FROM_BODY
+from humansim_ros.types import Array
 
 WALK = ROOT / "assets" / "motions" / "walk.bvh"
 #: Files that a built-in table fits.

@@ -38,7 +38,8 @@ from humansim_ros.motion.world_motion import (
     detect_file_frame,
     opposite_joints,
 )
-from humansim_ros.rotations import WORLD_FROM_BODY, Array
+from humansim_ros.rotations import WORLD_FROM_BODY
+from humansim_ros.types import Array
 
 LIMBS = [f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow", "hip", "knee")]
 shared = [pytest.param(stem, marks=needs_shared_data) for stem in STANDING_AT_REST]

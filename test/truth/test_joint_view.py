@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.humans.human import Human
 from humansim_ros.render import View
-from humansim_ros.rotations import Array
 from humansim_ros.truth.joints import (
     NOTHING,
     OCCLUDED,
@@ -23,6 +22,7 @@ from humansim_ros.truth.joints import (
     joint_surfaces,
     view_joints,
 )
+from humansim_ros.types import Array
 
 #: 8 x 6 pixels, looking along world z from the origin: a point (x, y, 1) falls on pixel (x, y).
 CAMERA = Camera((8, 6), np.eye(3), np.eye(3), np.zeros(3))

@@ -25,7 +25,7 @@ from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strength
 from humansim_ros.humans.makehuman.skeleton import Bones, bone_weights, make_bones, t_pose, unskin
 from humansim_ros.humans.makehuman.skeleton import landmarks as makehuman_landmarks
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 ROOT = Path(__file__).resolve().parents[2]
 #: Body vertices that give a joint, out of so many nearest ones.

@@ -17,13 +17,13 @@ ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.cli.human import built_in_humans  # noqa: E402
-from humansim_ros.drawing.canvas import Image  # noqa: E402
 from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
 from humansim_ros.drawing.motions import Skinned  # noqa: E402
 from humansim_ros.humans.human import Human  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
 from humansim_ros.motion.info import world_of  # noqa: E402
 from humansim_ros.scene.config import find_human  # noqa: E402
+from humansim_ros.types import Image  # noqa: E402
 
 SIZE = (230, 300)
 SHOTS = (("walk", 0.25), ("walk", 0.75), ("run", 0.3), ("sit_stand", 2.0), ("pick_up", 1.2), ("wave", 1.4))

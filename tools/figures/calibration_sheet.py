@@ -23,15 +23,17 @@ sys.path.insert(0, str(ROOT))
 
 from humansim_ros.camera import Camera  # noqa: E402
 from humansim_ros.camera.calibration import load_calibration  # noqa: E402
-from humansim_ros.drawing.canvas import Image  # noqa: E402
 from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
 from humansim_ros.render import Body, GLRenderer  # noqa: E402
 from humansim_ros.resources import resource_path  # noqa: E402
-from humansim_ros.rotations import Array  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 from humansim_ros.scene.config import SceneConfig  # noqa: E402
 from humansim_ros.scene.room import furnished_room  # noqa: E402
 from humansim_ros.scene.scene import DEMO_SCENE  # noqa: E402
+from humansim_ros.types import (  # noqa: E402
+    Array,
+    Image,
+)
 
 _TILE = (330, 252)
 _COLUMNS = 5

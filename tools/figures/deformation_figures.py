@@ -25,7 +25,7 @@ from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.info import world_of
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 ROOT = Path(__file__).resolve().parents[2]
 MOTIONS = ("walk", "sit_stand", "wave")

@@ -22,7 +22,8 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.penetration import Capsules, capsules, self_penetration
 from humansim_ros.render import Body, GLRenderer
 from humansim_ros.resources import resource_path
-from humansim_ros.rotations import WORLD_FROM_BODY, Array, transform
+from humansim_ros.rotations import WORLD_FROM_BODY, transform
+from humansim_ros.types import Array
 
 #: Bones turned about body axes (x left, y up, z front), degrees.
 POSES: tuple[Mapping[str, tuple[str, list[float]]], ...] = (

@@ -15,11 +15,11 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.camera import Camera  # noqa: E402
-from humansim_ros.drawing.canvas import Image  # noqa: E402
 from humansim_ros.drawing.views import draw_joints  # noqa: E402
 from humansim_ros.render import GLRenderer  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 from humansim_ros.truth.joints import joint_surfaces, view_joints  # noqa: E402
+from humansim_ros.types import Image  # noqa: E402
 
 _SECONDS = 2.3
 #: What it says, coefficients, model, and focal length in pixels of a 640x480 image.

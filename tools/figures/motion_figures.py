@@ -27,7 +27,8 @@ from humansim_ros.motion.contacts import FootContacts, find_stances, slides
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.retarget import Mode, Retargeter, sole_heights
 from humansim_ros.motion.world_motion import WorldMotion, detect_file_frame
-from humansim_ros.rotations import WORLD_FROM_BODY, Array
+from humansim_ros.rotations import WORLD_FROM_BODY
+from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()
 LIMBS = [f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow", "hip", "knee")]

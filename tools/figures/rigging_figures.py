@@ -26,7 +26,6 @@ from humansim_ros.body import Skeleton, fit_skeleton, rig  # noqa: E402
 from humansim_ros.body.rigging import RigRule  # noqa: E402
 from humansim_ros.body.skinning import LinearBlend  # noqa: E402
 from humansim_ros.body.weights import limit_bones  # noqa: E402
-from humansim_ros.drawing.canvas import Image  # noqa: E402
 from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
 from humansim_ros.drawing.motions import Skinned  # noqa: E402
 from humansim_ros.errors import MeshError  # noqa: E402
@@ -36,7 +35,10 @@ from humansim_ros.mesh.obj import read_mesh  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
 from humansim_ros.motion.info import world_of  # noqa: E402
 from humansim_ros.motion.retarget import Retargeter  # noqa: E402
-from humansim_ros.rotations import Array  # noqa: E402
+from humansim_ros.types import (  # noqa: E402
+    Array,
+    Image,
+)
 
 SHARED = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shared" / "data") / "mesh"
 RULES: tuple[RigRule, ...] = ("thesis", "heat")

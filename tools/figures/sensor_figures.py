@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.drawing.canvas import Image
 from humansim_ros.render import GLRenderer
 from humansim_ros.resources import resource_path
 from humansim_ros.rotations import moved
@@ -23,6 +22,7 @@ from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import SceneConfig, built_in_names, load_config
 from humansim_ros.scene.scene import DEMO_SCENE
 from humansim_ros.sensor import Sensor, SensorConfig
+from humansim_ros.types import Image
 
 _SIZE = (400, 300)
 _CAMERA = Camera.look_at((2.6, -2.3, 1.5), (0.3, 0.1, 0.85), _SIZE, float(np.radians(58)))

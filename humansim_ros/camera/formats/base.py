@@ -19,7 +19,7 @@ import yaml
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
 from humansim_ros.io.yaml import line_of
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 Key = str | int
 

@@ -13,7 +13,7 @@ from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, Key, RawCamera, nested
 from humansim_ros.camera.formats.models import check_count
 from humansim_ros.errors import CameraError
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 # -- Human3.6M: x = R X + t in millimetres, z up; each of 4 cameras at 11 places, one per subject
 

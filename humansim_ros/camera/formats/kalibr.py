@@ -14,7 +14,8 @@ import numpy as np
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, Key, RawCamera, row
 from humansim_ros.camera.formats.models import check_count
-from humansim_ros.rotations import Array, invert_rigid
+from humansim_ros.rotations import invert_rigid
+from humansim_ros.types import Array
 
 _CAMERA = re.compile(r"cam[0-9]+")
 _MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "equi": "equidistant", "none": None}

@@ -9,7 +9,7 @@ import numpy as np
 from humansim_ros.camera.formats.base import CalibrationSource, Key
 from humansim_ros.camera.lens import MODELS
 from humansim_ros.errors import warn_of
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 COUNTS = {model: len(coefficients) for model, coefficients in MODELS.items()}
 #: How many coefficients each model comes with in files; more may follow where they are zero.

@@ -31,7 +31,7 @@ from humansim_ros.camera.formats.containers import container_of, parsed
 from humansim_ros.camera.formats.models import COUNTS, lens_of
 from humansim_ros.errors import CameraError, warn_of
 from humansim_ros.io.files import read_text
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 #: What parts of a camera are called, case and underscores apart; the first that is there counts.
 _NAMES = {

@@ -24,7 +24,7 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.formats.models import COUNTS, lens_of
 from humansim_ros.errors import CameraError, warn_of
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_/-]*")
 #: What YAML would not read as text again.

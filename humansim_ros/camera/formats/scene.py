@@ -11,7 +11,7 @@ from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, Key, RawCamera, row
 from humansim_ros.camera.formats.models import COUNTS, lens_of
 from humansim_ros.errors import CameraError, warn_of
-from humansim_ros.rotations import Array
+from humansim_ros.types import Array
 
 _SIZE, _FOV = (640, 480), 60.0
 #: Keys that are called as the parts of a camera are.

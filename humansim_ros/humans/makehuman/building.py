@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.humans.makehuman.clothes import Tailor, cut_clothes, drape, dress
-from humansim_ros.humans.makehuman.data import Array, Base, Index, MakeHumanData, Mask, read_base
+from humansim_ros.humans.makehuman.data import Base, MakeHumanData, VertexIndices, VertexMask, read_base
 from humansim_ros.humans.makehuman.layout import TEXTURE_SIZE, downsample, rasterise, relay_uv
 from humansim_ros.humans.makehuman.paint import Canvas, Outfit, bare, openness, paint
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
@@ -27,6 +27,7 @@ from humansim_ros.humans.makehuman.skeleton import (
     unskin,
 )
 from humansim_ros.humans.makehuman.surface import NONE, BodySurface, compact, refine, sample
+from humansim_ros.types import Array
 
 JPEG_QUALITY = 92
 #: How far bones part that both move a vertex, of the height: thighs of somebody who sits down, at the crotch.
@@ -169,9 +170,9 @@ def _naked(source: MakeHumanData, base: Base) -> _Body:
     return _Body(mesh, bones, points, motion, floor)
 
 
-def _at_vertices(mesh: BodySurface, mask: Mask) -> Array:
+def _at_vertices(mesh: BodySurface, mask: VertexMask) -> Array:
     """A painted mask's values (V,) at the vertices."""
     uv = np.zeros((len(mesh.vertices), 2))
-    corners: Index = mesh.faces
+    corners: VertexIndices = mesh.faces
     uv[corners] = mesh.uv[mesh.uv_faces]
     return sample(mask, uv)

@@ -12,7 +12,7 @@ from scipy.sparse import csgraph
 from scipy.sparse.linalg import factorized
 from scipy.spatial import ConvexHull
 
-from humansim_ros.humans.makehuman.data import Array, Index
+from humansim_ros.humans.makehuman.data import VertexIndices
 from humansim_ros.humans.makehuman.hang import hang
 from humansim_ros.humans.makehuman.outline import (
     Outline,
@@ -35,6 +35,7 @@ from humansim_ros.humans.makehuman.surface import (
     smooth,
     vertex_normals,
 )
+from humansim_ros.types import Array
 
 SHOE_MARGIN = 0.007  # metres, as all lengths here
 SOLE_THICKNESS = 0.014
@@ -133,7 +134,7 @@ class Tailor:
         return self.above_belt, self.above_neckline, self.below_sleeve_end, self.above_hem
 
     @staticmethod
-    def garment(fields: Array) -> Index:
+    def garment(fields: Array) -> VertexIndices:
         """Which garment is worn (N,) where the borders have these values (N, 4)."""
         belt, neck, sleeve, hem = fields.T
         bare = (neck > 0) | (sleeve > 0)
@@ -259,7 +260,9 @@ def snap(mesh: BodySurface, fields: Array, column: int) -> tuple[BodySurface, Ar
     ), new_fields
 
 
-def split_along(faces: Index, uv_faces: Index, value: Array) -> tuple[Index, Index]:
+def split_along(
+    faces: VertexIndices, uv_faces: VertexIndices, value: Array
+) -> tuple[VertexIndices, VertexIndices]:
     """Cut in two the quads whose diagonal is the zero line of `value` (V,)."""
     at = value[faces]
     mixed = (at.max(axis=1) > 0) & (at.min(axis=1) < 0)
@@ -324,7 +327,13 @@ def cut_clothes(mesh: BodySurface, tailor: Tailor) -> BodySurface:
 
 
 def put_on_shoe(
-    vertices: Array, faces: Index, naked: Array, foot: Index, ball: Array, amount: Array, size: float
+    vertices: Array,
+    faces: VertexIndices,
+    naked: Array,
+    foot: VertexIndices,
+    ball: Array,
+    amount: Array,
+    size: float,
 ) -> Array:
     """Vertices (V, 3) with one foot wrapped in a convex shoe.
 

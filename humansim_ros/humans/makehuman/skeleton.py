@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.humans.makehuman.data import Array, Base, Index, MakeHumanData
+from humansim_ros.humans.makehuman.data import Base, MakeHumanData, VertexIndices
+from humansim_ros.types import Array
 
 BONES_PER_VERTEX = 4
 
@@ -81,7 +82,7 @@ class Bones:
     """names (B,), parents (B,) with -1 for the root, heads and tails (B, 3) in metres."""
 
     names: tuple[str, ...]
-    parents: Index
+    parents: VertexIndices
     heads: Array
     tails: Array
 
@@ -124,7 +125,7 @@ def limit_weights(weights: Array) -> Array:
     return weights / weights.sum(axis=1, keepdims=True)
 
 
-def even_out(weights: Array, vertices: Array, faces: Index, reach: float) -> Array:
+def even_out(weights: Array, vertices: Array, faces: VertexIndices, reach: float) -> Array:
     """Weights (N, B) without jumps along short edges, which motion would tear to many times their length.
 
     The ends of an edge may differ by what moves them apart by about twice its length where bones part by

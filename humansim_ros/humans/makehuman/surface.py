@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.spatial import ConvexHull
 
-from humansim_ros.humans.makehuman.data import Array, Index, Mask
+from humansim_ros.humans.makehuman.data import VertexIndices, VertexMask
+from humansim_ros.types import Array
 
 NONE, SHOES, TROUSERS, SHIRT = range(4)  # the later hangs over the earlier
 
@@ -29,25 +30,25 @@ class BodySurface:
     """
 
     vertices: Array
-    faces: Index
+    faces: VertexIndices
     uv: Array
-    uv_faces: Index
+    uv_faces: VertexIndices
     weights: Array
     canonical: Array
     naked: Array
-    part: Index
-    garment: Index
-    face_garment: Index
-    weld: Index
+    part: VertexIndices
+    garment: VertexIndices
+    face_garment: VertexIndices
+    weld: VertexIndices
     hems: int = 0
 
     @property
-    def surface(self) -> Index:
+    def surface(self) -> VertexIndices:
         """The faces (F - hems, 4) without the hems."""
         return self.faces[: len(self.faces) - self.hems]
 
 
-def compact(faces: Index, count: int) -> tuple[Index, Index]:
+def compact(faces: VertexIndices, count: int) -> tuple[VertexIndices, VertexIndices]:
     """Rows in use (V,), in order, and the faces renumbered to them."""
     used = np.unique(faces)
     number = np.full(count, -1)
@@ -55,7 +56,7 @@ def compact(faces: Index, count: int) -> tuple[Index, Index]:
     return used, number[faces]
 
 
-def sample(image: Mask, uv: Array) -> Array:
+def sample(image: VertexMask, uv: Array) -> Array:
     """Nearest values (T,) of an image (h, w) at uv (T, 2), v up."""
     height, width = image.shape[:2]
     column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
@@ -63,7 +64,7 @@ def sample(image: Mask, uv: Array) -> Array:
     return image[row, column].astype(float)
 
 
-def vertex_normals(vertices: Array, faces: Index) -> Array:
+def vertex_normals(vertices: Array, faces: VertexIndices) -> Array:
     """Unit normals (N, 3), area weighted, of quads (F, 4)."""
     a, b, c, d = (vertices[faces[:, k]] for k in range(4))
     face = np.cross(c - a, d - b)
@@ -79,7 +80,7 @@ def ramp(value: Array, low: float | Array, high: float | Array) -> Array:
     return t * t * (3 - 2 * t)
 
 
-def smooth(vertices: Array, faces: Index, amount: Array, rounds: int) -> Array:
+def smooth(vertices: Array, faces: VertexIndices, amount: Array, rounds: int) -> Array:
     """Move each vertex (V, 3) by amount (V,), 0..1, towards the mean of its neighbours, `rounds` times."""
     edges = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
     edges = np.concatenate([edges, edges[:, ::-1]])

@@ -43,7 +43,7 @@ install_system_packages() {
     fi
     say "Installing system libraries: $*"
     export DEBIAN_FRONTEND=noninteractive
-    apt-get update -qq && apt-get install -qq -y --no-install-recommends "$@" >/dev/null ||
+    { apt-get update -qq && apt-get install -qq -y --no-install-recommends "$@" >/dev/null; } ||
         die "apt-get could not install: $*"
 }
 

@@ -37,6 +37,7 @@ from humansim_ros.render.contact_shadow import contact_shadow
 from humansim_ros.render.context import create_context
 from humansim_ros.render.edge_antialiasing import edge_crossings
 from humansim_ros.render.posed_mesh import PosedMesh, Topology
+from humansim_ros.render.pyrender import import_pyrender
 from humansim_ros.scene import Scene
 from humansim_ros.scene.objects import SHAPES, ObjectPose
 
@@ -145,10 +146,10 @@ class Pyrender:
     """pyrender with the mesh added anew each frame, as its vertices cannot be changed."""
 
     def __init__(self, shot: Shot, by_part: bool) -> None:
-        import pyrender
         import trimesh
         from PIL import Image
 
+        pyrender, _ = import_pyrender()
         self.pyrender, self.by_part = pyrender, by_part
         self.scene = pyrender.Scene(ambient_light=[0.6, 0.6, 0.6])
         self.scene.add(pyrender.DirectionalLight(intensity=3.0), pose=np.eye(4))

@@ -9,9 +9,11 @@ in a new pose is a new mesh. It draws everything anew for each camera.
 from __future__ import annotations
 
 import os
+import sys
 import warnings
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
+from types import ModuleType
 from typing import Any
 
 import cv2
@@ -62,7 +64,7 @@ class PyrenderRenderer:
                 HumansimWarning,
                 stacklevel=2,
             )
-        self._library, self._failure = _import_pyrender()
+        self._library, self._failure = import_pyrender()
         self._ctx = create_context(device)
         # left to themselves they would delete what is in another context
         quiet = type("QuietRenderer", (self._library.Renderer,), {"__del__": lambda self: None})
@@ -325,18 +327,34 @@ class _Scene:
         return self._pose if node is self.main_camera_node else np.eye(4)
 
 
-def _import_pyrender() -> tuple[Any, type[Exception]]:
-    """pyrender, and what PyOpenGL raises."""
+def import_pyrender() -> tuple[Any, type[Exception]]:
+    """Import pyrender without its viewer, on EGL.
+
+    Returns:
+        The module ``pyrender``, and the exception class of OpenGL errors.
+
+    Raises:
+        RenderError: pyrender or a library that it needs is missing, or PyOpenGL does not use EGL.
+    """
     os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+    # pyrender imports its viewer, and the viewer imports pyglet, which fails without the X11 libraries of a
+    # desktop. Rendering needs no window: an empty module takes the place of the viewer during the import.
+    viewer = ModuleType("pyrender.viewer")
+    vars(viewer)["Viewer"] = None
+    sys.modules.setdefault(viewer.__name__, viewer)
     try:
         import OpenGL.error
         import OpenGL.platform
         import pyrender
-    except ImportError as reason:  # PyOpenGL says so as well where a library of the system is missing
+    except Exception as reason:  # not only ImportError: each library reports a missing one in its own way
         raise RenderError(
-            f"the renderer pyrender is not there ({str(reason).splitlines()[0]}): "
-            "pip install pyrender==0.1.45, and on Debian or Ubuntu: sudo apt-get install -y libegl1 libgl1"
+            f"pyrender cannot be imported ({str(reason).partition(chr(10))[0] or type(reason).__name__}). "
+            "Install it: pip install pyrender==0.1.45, and on Debian or Ubuntu: "
+            "sudo apt-get install -y libegl1 libgl1"
         ) from None
+    finally:
+        if sys.modules.get(viewer.__name__) is viewer:
+            del sys.modules[viewer.__name__]
     if type(OpenGL.platform.PLATFORM).__name__ != "EGLPlatform":
         raise RenderError(
             "pyrender needs PyOpenGL on EGL: set PYOPENGL_PLATFORM=egl before OpenGL is imported"

@@ -231,6 +231,30 @@ def test_without_pyrender_it_is_said_what_to_install() -> None:
     assert "refused:" in said and "pip install pyrender==0.1.45" in said
 
 
+def test_pyrender_renders_without_the_desktop_libraries_of_its_viewer() -> None:
+    renderer_or_skip(name="pyrender").close()
+    before = f"""
+sys.modules["pyglet"] = None
+sys.path.insert(0, {str(ROOT / "test")!r})
+from render_scenes import along_x, body, wall
+"""
+    what = """
+    renderer = make_renderer("pyrender")
+    view = renderer.render([body(wall(3, 0, 1, 0.4))], along_x())
+    print(view.instance.any(), "pyrender.viewer" in sys.modules)
+"""
+    assert attempt(what, before) == "True False\n"
+
+
+@pytest.mark.parametrize("error", [ImportError, AttributeError, RuntimeError])
+def test_a_library_that_pyrender_needs_and_is_missing_is_named(
+    error: type[Exception], tmp_path: Path
+) -> None:
+    (tmp_path / "freetype.py").write_text(f"raise {error.__name__}('no libfreetype')")
+    said = attempt('make_renderer("pyrender")', f"sys.path.insert(0, {str(tmp_path)!r})")
+    assert "refused: pyrender cannot be imported (no libfreetype). Install it: pip install" in said
+
+
 def test_pyrender_on_something_else_than_egl_is_refused() -> None:
     renderer_or_skip(name="pyrender").close()
     said = attempt('make_renderer("pyrender")', "import OpenGL.GL", PYOPENGL_PLATFORM="glx")

@@ -137,7 +137,9 @@ def test_limbs_that_go_through_each_other_are_what_rays_hit(scene: Scene, name: 
 _PYRENDER = """
 import sys
 import numpy as np
-import pyrender, trimesh
+import trimesh
+from humansim_ros.render.pyrender import import_pyrender
+pyrender, _ = import_pyrender()
 with np.load(sys.argv[1]) as file:
     k, pose, size, vertices, triangles = (file[n] for n in ("k", "pose", "size", "vertices", "triangles"))
 scene = pyrender.Scene(ambient_light=[1.0, 1.0, 1.0])

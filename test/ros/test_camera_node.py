@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -431,6 +432,21 @@ def test_a_camera_info_url_without_a_file_ends_the_process_with_code_2(tmp_path:
     )  # fmt: skip
     assert result.returncode == 2
     assert "error: /gone/left.yaml: no such calibration file" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+def test_a_scene_for_a_renderer_that_is_not_installed_ends_the_process_with_code_2(
+    ros: None, tmp_path: Path
+) -> None:
+    scene = write_files(tmp_path, f"renderer: pyrender\nroom: null\ncameras: {{left: {{{PLACE}}}}}")
+    (tmp_path / "pyrender.py").write_text("raise ImportError('no pyrender here')")
+    result = subprocess.run(
+        [sys.executable, "-m", "humansim_ros.ros.nodes.camera", "--ros-args", "-p", f"scene:={scene}"],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])},
+        capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert result.returncode == 2
+    assert "error: pyrender cannot be imported (no pyrender here). Install it: pip install" in result.stderr
     assert "Traceback" not in result.stderr
 
 

@@ -1,11 +1,99 @@
-"""Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2 or in one process."""
+"""Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2 or in one process.
+
+The public names are the names below and those that the folders export; docs/api.md lists them. All other
+names are internal and may change. Names are imported on first use: importing the package takes milliseconds.
+
+Example:
+    >>> from humansim_ros import Scene
+    >>> scene = Scene.from_dict(
+    ...     {
+    ...         "humans": {"anna": {"body": "adult_woman", "motion": {"file": "walk"}}},
+    ...         "cameras": {"front": {"position": [3, 0, 1.5], "look_at": [0, 0, 1]}},
+    ...     }
+    ... )
+    >>> scene.cameras["front"].size
+    (640, 480)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from humansim_ros.camera.calibration import read_calibration as read_calibration
+    from humansim_ros.camera.calibration import write_calibration as write_calibration
+    from humansim_ros.camera.camera import Camera as Camera
+    from humansim_ros.camera.idealize import idealize as idealize
+    from humansim_ros.errors import HumansimError as HumansimError
+    from humansim_ros.errors import HumansimWarning as HumansimWarning
+    from humansim_ros.humans.human import Human as Human
+    from humansim_ros.humans.loading import load_human as load_human
+    from humansim_ros.mesh.mesh import Mesh as Mesh
+    from humansim_ros.mesh.obj import read_mesh as read_mesh
+    from humansim_ros.motion.bvh import read_bvh as read_bvh
+    from humansim_ros.motion.bvh import write_bvh as write_bvh
+    from humansim_ros.motion.files import read_motion as read_motion
+    from humansim_ros.motion.kinematics import Motion as Motion
+    from humansim_ros.render.renderer import View as View
+    from humansim_ros.scene.scene import Scene as Scene
+    from humansim_ros.scene.simulation import Frame as Frame
+    from humansim_ros.scene.simulation import Simulation as Simulation
 
 __version__: str
 
 
-def __getattr__(name: str) -> str:
+def lazy_exports(
+    package: str, modules: Mapping[str, str]
+) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+    """Export names of a package that are imported on first use (PEP 562).
+
+    Args:
+        package: ``__name__`` of the package.
+        modules: Name to export -> module that defines it, relative to the package.
+
+    Returns:
+        ``__getattr__``, ``__dir__`` and ``__all__`` of the package.
+    """
+
+    def load(name: str) -> Any:
+        if name not in modules:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        return getattr(import_module(f"{package}.{modules[name]}"), name)
+
+    names = sorted(modules)
+    return load, lambda: names, names
+
+
+_load, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "Camera": "camera.camera",
+        "Frame": "scene.simulation",
+        "Human": "humans.human",
+        "HumansimError": "errors",
+        "HumansimWarning": "errors",
+        "Mesh": "mesh.mesh",
+        "Motion": "motion.kinematics",
+        "Scene": "scene.scene",
+        "Simulation": "scene.simulation",
+        "View": "render.renderer",
+        "idealize": "camera.idealize",
+        "load_human": "humans.loading",
+        "read_bvh": "motion.bvh",
+        "read_calibration": "camera.calibration",
+        "read_mesh": "mesh.obj",
+        "read_motion": "motion.files",
+        "write_bvh": "motion.bvh",
+        "write_calibration": "camera.calibration",
+    },
+)
+
+
+def __getattr__(name: str) -> Any:
     if name == "__version__":
         from humansim_ros.resources import package_version
 
         return package_version()
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return _load(name)

@@ -1,21 +1,41 @@
-"""Pictures and per-pixel ground truth of meshes as cameras see them."""
+"""Render views: images and per-pixel ground truth of meshes as cameras see them."""
 
-from humansim_ros.render.gl import GLRenderer
-from humansim_ros.render.lighting import Lighting
-from humansim_ros.render.make import RendererName, make_renderer
-from humansim_ros.render.pyrender import PyrenderRenderer
-from humansim_ros.render.renderer import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, Renderer, View
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "ALL_CHANNELS",
-    "CHANNELS",
-    "AdjacentFrame",
-    "Body",
-    "GLRenderer",
-    "Lighting",
-    "PyrenderRenderer",
-    "Renderer",
-    "RendererName",
-    "View",
-    "make_renderer",
-]
+from humansim_ros import lazy_exports
+
+if TYPE_CHECKING:
+    from humansim_ros.render.backdrops import ImageBackdrop as ImageBackdrop
+    from humansim_ros.render.backdrops import Panorama as Panorama
+    from humansim_ros.render.gl import GLRenderer as GLRenderer
+    from humansim_ros.render.lighting import Lighting as Lighting
+    from humansim_ros.render.make import RendererName as RendererName
+    from humansim_ros.render.make import make_renderer as make_renderer
+    from humansim_ros.render.pyrender import PyrenderRenderer as PyrenderRenderer
+    from humansim_ros.render.renderer import ALL_CHANNELS as ALL_CHANNELS
+    from humansim_ros.render.renderer import CHANNELS as CHANNELS
+    from humansim_ros.render.renderer import AdjacentFrame as AdjacentFrame
+    from humansim_ros.render.renderer import Backdrop as Backdrop
+    from humansim_ros.render.renderer import Body as Body
+    from humansim_ros.render.renderer import Renderer as Renderer
+    from humansim_ros.render.renderer import View as View
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "ALL_CHANNELS": "renderer",
+        "AdjacentFrame": "renderer",
+        "Backdrop": "renderer",
+        "Body": "renderer",
+        "CHANNELS": "renderer",
+        "GLRenderer": "gl",
+        "ImageBackdrop": "backdrops",
+        "Lighting": "lighting",
+        "Panorama": "backdrops",
+        "PyrenderRenderer": "pyrender",
+        "Renderer": "renderer",
+        "RendererName": "make",
+        "View": "renderer",
+        "make_renderer": "make",
+    },
+)

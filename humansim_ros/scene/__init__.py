@@ -1,7 +1,37 @@
-"""Scenes: the file that describes one, and the simulation that runs it."""
+"""Scenes: the scene file, the scene made of it, and the simulation that plays it."""
 
-from humansim_ros.scene.actor import Actor, HumanState
-from humansim_ros.scene.scene import Scene
-from humansim_ros.scene.simulation import Frame, Simulation
+from typing import TYPE_CHECKING
 
-__all__ = ["Actor", "Frame", "HumanState", "Scene", "Simulation"]
+from humansim_ros import lazy_exports
+
+if TYPE_CHECKING:
+    from humansim_ros.scene.actor import Actor as Actor
+    from humansim_ros.scene.actor import HumanState as HumanState
+    from humansim_ros.scene.camera import CameraPose as CameraPose
+    from humansim_ros.scene.camera import SceneCamera as SceneCamera
+    from humansim_ros.scene.config import SceneConfig as SceneConfig
+    from humansim_ros.scene.environment import Environment as Environment
+    from humansim_ros.scene.objects import ObjectPose as ObjectPose
+    from humansim_ros.scene.objects import SceneObject as SceneObject
+    from humansim_ros.scene.playback import Playback as Playback
+    from humansim_ros.scene.scene import Scene as Scene
+    from humansim_ros.scene.simulation import Frame as Frame
+    from humansim_ros.scene.simulation import Simulation as Simulation
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "Actor": "actor",
+        "CameraPose": "camera",
+        "Environment": "environment",
+        "Frame": "simulation",
+        "HumanState": "actor",
+        "ObjectPose": "objects",
+        "Playback": "playback",
+        "Scene": "scene",
+        "SceneCamera": "camera",
+        "SceneConfig": "config",
+        "SceneObject": "objects",
+        "Simulation": "simulation",
+    },
+)

@@ -1,0 +1,206 @@
+"""The structure in docs/architecture.md: layers, light imports, public names, a line for each module."""
+
+from __future__ import annotations
+
+import ast
+import importlib.util
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+import humansim_ros
+
+PACKAGE = ROOT / "humansim_ros"
+#: From top to bottom: a folder may import those below it. Folders of one row do not import each other.
+LAYERS = (
+    ("cli",),
+    ("ros",),
+    ("drawing",),
+    ("scene",),
+    ("truth",),
+    ("sensor", "render"),
+    ("humans",),
+    ("motion",),
+    ("body",),
+    ("camera",),
+    ("mesh",),
+    ("io",),
+)
+#: Modules of the top level, which every folder may import.
+BASE = {"__init__", "errors", "hierarchy", "resources", "rotations", "types"}
+#: Deprecated paths that lead to the folder above which they stood.
+DEPRECATED = {"body/__init__.py", "body/mesh.py"}
+PUBLIC = {
+    "": """Camera Frame Human HumansimError HumansimWarning Mesh Motion Scene Simulation View idealize
+        load_human read_bvh read_calibration read_mesh read_motion write_bvh write_calibration""",
+    "body": "Skeleton fit_skeleton fit_to_skeleton hanim_skeleton rig skin",
+    "camera": """Calibration Camera Ideal Lens Region Trajectory idealize load_calibration read_calibration
+        rectify resolve_url write_calibration""",
+    "humans": "Human load_human make_human",
+    "mesh": "Material Mesh read_mesh",
+    "motion": """JointMatch JointPoses JointTable Motion Placement Retargeter Velocity WorldMotion
+        match_motion read_bvh read_motion write_bvh""",
+    "render": """ALL_CHANNELS AdjacentFrame Backdrop Body CHANNELS GLRenderer ImageBackdrop Lighting
+        Panorama PyrenderRenderer Renderer RendererName View make_renderer""",
+    "scene": """Actor CameraPose Environment Frame HumanState ObjectPose Playback Scene SceneCamera SceneConfig
+        SceneObject Simulation""",
+    "sensor": "ChromaticAberration Noise Sensor SensorConfig Vignetting",
+    "truth": "BodyBox JointView part_u_v rest_points",
+}
+
+
+def modules() -> list[Path]:
+    return sorted(PACKAGE.rglob("*.py"))
+
+
+def imported(path: Path) -> Iterator[str]:
+    """Modules of the package that a file imports anywhere, for type checkers too."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "humansim_ros":
+            for alias in node.names:
+                target = f"{node.module}.{alias.name}"
+                parts = target.split(".")
+                is_module = (ROOT / Path(*parts)).is_dir() or (ROOT / Path(*parts)).with_suffix(
+                    ".py"
+                ).is_file()
+                yield target if is_module else node.module
+        elif isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names if alias.name.split(".")[0] == "humansim_ros")
+
+
+def name_of(path: Path) -> str:
+    relative = path.relative_to(ROOT).with_suffix("")
+    return ".".join(relative.parts).removesuffix(".__init__")
+
+
+def test_the_top_level_holds_only_what_every_folder_uses() -> None:
+    assert {path.stem for path in PACKAGE.glob("*.py")} == BASE
+    assert {path.name for path in PACKAGE.iterdir() if path.is_dir()} - {"__pycache__"} == {
+        folder for row in LAYERS for folder in row
+    }
+
+
+@pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_folders_import_only_folders_below_them(path: Path) -> None:
+    relative = path.relative_to(PACKAGE)
+    if len(relative.parts) == 1 and relative.stem != "__init__":
+        assert all(len(target.split(".")) <= 2 and target.split(".")[-1] in BASE for target in imported(path))
+        return
+    if str(relative) == "__init__.py" or str(relative) in DEPRECATED:
+        return  # it hands on the names of all folders
+    level = {folder: number for number, row in enumerate(LAYERS) for folder in row}
+    own = relative.parts[0]
+    for target in imported(path):
+        parts = target.split(".")
+        folder = parts[1] if len(parts) > 1 else "__init__"
+        if folder in BASE or folder == own:
+            continue
+        assert level[folder] > level[own], f"{relative} imports {target}"
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    graph = {name_of(path): set(imported(path)) for path in modules()}
+    faces = {name_of(path) for path in modules() if path.stem == "__init__"}
+    done: set[str] = set()
+
+    def visit(name: str, trail: tuple[str, ...]) -> None:
+        assert name not in trail, " -> ".join((*trail[trail.index(name) :], name))
+        if name in done or name not in graph:
+            return
+        for target in graph[name] - faces:
+            visit(target, (*trail, name))
+        done.add(name)
+
+    for name in graph.keys() - faces:
+        visit(name, ())
+
+
+@pytest.mark.parametrize(
+    ("module", "heavy"),
+    [
+        ("humansim_ros", {"numpy", "scipy", "pydantic", "yaml", "cv2", "moderngl", "rclpy"}),
+        ("humansim_ros.scene", {"cv2", "moderngl", "rclpy"}),
+        ("humansim_ros.scene.config", {"cv2", "moderngl", "rclpy"}),
+        ("humansim_ros.ros.processes", {"cv2", "moderngl", "numpy", "pydantic", "rclpy", "scipy"}),
+    ],
+)
+def test_light_modules_load_no_heavy_library(module: str, heavy: set[str]) -> None:
+    code = f"import sys, {module}; print(sorted({heavy!r} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("folder", PUBLIC)
+def test_public_names_are_those_that_the_docs_list(folder: str) -> None:
+    package = __import__(f"humansim_ros.{folder}".rstrip("."), fromlist=["__all__"])
+    assert set(package.__all__) == set(PUBLIC[folder].split())
+    text = (ROOT / "docs" / "api.md").read_text()
+    for name in package.__all__:
+        assert getattr(package, name).__doc__ is not None or name.isupper() or name == "RendererName", name
+        assert f"`{name}`" in text, name
+
+
+def test_an_unknown_public_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="no attribute 'Scenery'"):
+        _ = humansim_ros.Scenery  # type: ignore[attr-defined]
+    assert "Scene" in dir(humansim_ros)
+
+
+def test_names_for_type_checkers_are_those_that_are_exported() -> None:
+    """Lazy packages list each name twice: for type checkers, and for Python."""
+    for path in PACKAGE.rglob("__init__.py"):
+        source = path.read_text()
+        if "lazy_exports(" not in source:
+            continue
+        block = next(node for node in ast.parse(source).body if isinstance(node, ast.If))
+        typed = {
+            (alias.asname, statement.module)
+            for statement in block.body
+            if isinstance(statement, ast.ImportFrom)
+            for alias in statement.names
+        }
+        package = __import__(name_of(path), fromlist=["__all__"])
+        assert {name for name, _ in typed} == set(package.__all__), path
+        for name, module in typed:
+            assert module is not None
+            defined = getattr(__import__(module, fromlist=[name or ""]), name or "")
+            assert getattr(package, name or "") is defined
+
+
+def test_no_class_or_alias_name_has_two_meanings() -> None:
+    """Names of public classes and type aliases are defined once in the package."""
+    places: dict[str, list[str]] = {}
+    for path in modules():
+        for node in ast.parse(path.read_text()).body:
+            names = []
+            if isinstance(node, ast.ClassDef):
+                names = [node.name]
+            elif isinstance(node, ast.Assign) and isinstance(node.value, (ast.Subscript, ast.BinOp)):
+                names = [target.id for target in node.targets if isinstance(target, ast.Name)]
+            for name in names:
+                if name[0].isupper() and not name.isupper():
+                    places.setdefault(name, []).append(str(path.relative_to(PACKAGE)))
+    assert {name: where for name, where in places.items() if len(where) > 1} == {}
+
+
+def test_the_architecture_page_has_a_line_for_every_module() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text()
+    missing = [
+        str(path.relative_to(PACKAGE))
+        for path in modules()
+        if path.stem not in ("__init__", "__main__") and f"`{path.relative_to(PACKAGE)}`" not in text
+    ]
+    assert not missing
+
+
+def test_the_api_page_is_made_of_todays_docstrings() -> None:
+    spec = importlib.util.spec_from_file_location("api_docs", ROOT / "tools" / "api_docs.py")
+    assert spec is not None and spec.loader is not None
+    api_docs = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(api_docs)
+    made, page = api_docs.page(), (ROOT / "docs" / "api.md").read_text()
+    assert page == made, "run python tools/api_docs.py"

@@ -1,0 +1,117 @@
+"""Write docs/api.md, the list of all public names, from their docstrings: ``python tools/api_docs.py``.
+
+A test compares the page with what this program makes, so run it after a public docstring has changed.
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+FOLDERS = ("", "scene", "camera", "motion", "humans", "body", "mesh", "render", "sensor", "truth")
+HEAD = """# Python API
+
+Names on this page are public: they stay, or keep an alias with a `DeprecationWarning` for one minor version.
+All other names are internal and may change. `tools/api_docs.py` makes the page from the docstrings. Terms are
+in the [glossary](glossary.md); sources such as [thesis] are in the [references](references.md).
+
+`humansim_ros` itself exports the names that most programs need, and loads them on first use:
+
+    from humansim_ros import Camera, Scene, Simulation
+
+Folders export the types that these hand out, such as `from humansim_ros.truth import JointView`.
+"""
+_SECTIONS = ("Args", "Returns", "Raises", "Yields", "Attributes", "Example", "Examples")
+
+
+def page() -> str:
+    """The whole page."""
+    documented: set[int] = set()
+    return HEAD + "".join("\n" + "\n".join(_folder(folder, documented)) + "\n" for folder in FOLDERS)
+
+
+def _folder(folder: str, documented: set[int]) -> Iterator[str]:
+    name = f"humansim_ros.{folder}".rstrip(".")
+    package = importlib.import_module(name)
+    yield f"## {name}\n"
+    yield (inspect.getdoc(package) or "").split("\n\n")[0].replace("\n", " ") + "\n"
+    for public in sorted(package.__all__, key=str.lower):
+        value = getattr(package, public)
+        if id(value) in documented:
+            yield f"- `{public}`: see above"
+            continue
+        documented.add(id(value))
+        yield from _entry(public, value)
+
+
+def _entry(name: str, value: Any) -> Iterator[str]:
+    yield f"\n### `{name}`\n"
+    if not callable(value) or getattr(value, "__module__", "") == "typing":
+        yield f"`{value!r}`\n".replace("typing.", "")
+        return
+    yield f"```python\n{name}{_signature(value)}\n```\n"
+    yield _text(inspect.getdoc(value) or "")
+    if inspect.isclass(value):
+        for member, function in vars(value).items():
+            function = getattr(function, "__func__", function)
+            if member.startswith("_") or not (inspect.isfunction(function) or _is_property(function)):
+                continue
+            line = (inspect.getdoc(function) or "").split("\n\n")[0].replace("\n", " ")
+            if line:
+                call = member if _is_property(function) else member + _signature(function, drop_self=True)
+                yield f"- `{call}`: {line}"
+
+
+def _is_property(value: Any) -> bool:
+    return isinstance(value, property) or type(value).__name__ == "cached_property"
+
+
+def _signature(value: Any, drop_self: bool = False) -> str:
+    try:
+        signature = inspect.signature(value)
+    except (TypeError, ValueError):
+        return "(...)"
+    parameters = list(signature.parameters.values())
+    if drop_self and parameters and parameters[0].name in ("self", "cls"):
+        parameters = parameters[1:]
+    shown = [
+        parameter.name
+        if parameter.default is parameter.empty
+        else f"{parameter.name}={re.sub(r' at 0x[0-9a-f]+', '', repr(parameter.default))}"
+        if len(repr(parameter.default)) < 40
+        else f"{parameter.name}=..."
+        for parameter in parameters
+    ]
+    return f"({', '.join(shown)})"
+
+
+def _text(docstring: str) -> str:
+    """A Google-style docstring as Markdown."""
+    lines: list[str] = []
+    section = ""
+    for line in docstring.split("\n"):
+        heading = re.fullmatch(r"(\w+):", line)
+        if heading and heading[1] in _SECTIONS:
+            section = heading[1]
+            lines += ["", f"*{section}*", ""]
+        elif section.startswith("Example"):
+            lines.append(line)
+        elif section and (entry := re.match(r"    (\w[\w, *]*): (.*)", line)):
+            lines.append(f"- `{entry[1]}`: {entry[2]}")
+        else:
+            lines.append(line[4:] if section else line)
+    text = "\n".join(lines)
+    text = re.sub(r":\w+:`~?([^`]+)`", r"`\1`", text.replace("``", "`"))
+    return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"
+
+
+if __name__ == "__main__":
+    (ROOT / "docs" / "api.md").write_text(page(), encoding="utf-8")

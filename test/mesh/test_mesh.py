@@ -14,8 +14,8 @@ from humansim_ros.body import fit_to_skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.obj import read_mesh
-from humansim_ros.render.posed_mesh import Floats, PosedMesh, Topology
-from humansim_ros.types import Array
+from humansim_ros.render.posed_mesh import PosedMesh, Topology
+from humansim_ros.types import Array, Float32Array
 
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\n"
 
@@ -180,7 +180,7 @@ def as_mesh(theirs: trimesh.Trimesh) -> Mesh:
     return Mesh(np.array(theirs.vertices), faces)
 
 
-def normals_of(mesh: Mesh) -> Floats:
+def normals_of(mesh: Mesh) -> Float32Array:
     """The normals that the renderer lights a mesh with."""
     return PosedMesh(Topology(mesh), mesh.vertices.astype(np.float32)).normals
 

@@ -1,5 +1,4 @@
-"""Rotations as arrays with leading batch axes, for the inner loops; SciPy's ``Rotation`` is the judge in the
-tests.
+"""Rotations and vectors as arrays with leading batch axes, for the inner loops.
 
 Quaternions are ``xyzw`` (ROS, SciPy); matrices act on column vectors.
 """
@@ -11,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.types import Array
+from humansim_ros.types import Array, FloatArray
 
 #: Body space (metres, y up, faces +z, +x is the person's left) to the world (REP-103: x forward, y left, z
 #: up).
@@ -134,3 +133,22 @@ def angle_between(a: Array, b: Array) -> Array:
     dot = np.einsum("...i,...i->...", a, b)
     scale = np.sqrt(np.einsum("...i,...i->...", a, a) * np.einsum("...i,...i->...", b, b))
     return np.arccos(np.clip(dot / np.maximum(scale, 1e-30), -1.0, 1.0))
+
+
+def rotate(matrices: NDArray[Any], vectors: NDArray[Any]) -> Array:
+    """Vectors (..., 3) multiplied by matrices (..., 3, 3)."""
+    return np.asarray((matrices @ vectors[..., None])[..., 0])
+
+
+def unit_vectors(vectors: NDArray[Any]) -> Array:
+    """Vectors (..., 3) divided by their length; a zero vector stays zero."""
+    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
+
+
+def cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products (3, ...) of vectors with components on the first axis (faster than ``numpy.cross``)."""
+    out = np.empty_like(b)
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.multiply(a[j], b[k], out=out[i])
+        out[i] -= a[k] * b[j]
+    return out

@@ -11,14 +11,17 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
+    cross,
     from_y_axis,
     invert_rigid,
     matrix_to_quaternion,
     moved,
     quaternion_to_matrix,
+    rotate,
     rotation_vector_to_matrix,
     slerp,
     transform,
+    unit_vectors,
 )
 from humansim_ros.types import Array
 
@@ -142,3 +145,12 @@ def test_inverse_of_rigid_transforms_is_numpys() -> None:
     rng = np.random.default_rng(5)
     matrices = transform(Rotation.random(6, 5).as_matrix(), rng.normal(size=(6, 3))).reshape(2, 3, 4, 4)
     np.testing.assert_allclose(invert_rigid(matrices), np.linalg.inv(matrices), atol=1e-14)
+
+
+def test_vectors_are_rotated_normalised_and_crossed() -> None:
+    random = np.random.default_rng(0)
+    turns, (a, b) = Rotation.random(5, random_state=0), random.normal(size=(2, 5, 3))
+    np.testing.assert_allclose(rotate(turns.as_matrix(), a), turns.apply(a), atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(unit_vectors(a), axis=1), 1.0)
+    np.testing.assert_array_equal(unit_vectors(np.zeros((2, 3))), np.zeros((2, 3)))
+    np.testing.assert_allclose(cross(a.T, b.T).T, np.cross(a, b), atol=1e-12)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError
-from humansim_ros.rotations import matrix_to_quaternion
+from humansim_ros.rotations import cross, matrix_to_quaternion
 from humansim_ros.types import Array, FloatArray
 
 #: Frames that one sparse product takes: more gain nothing and need memory.
@@ -169,7 +169,7 @@ class DualQuaternion:
             d, w, e, f = blend[:3], blend[3], blend[4:7], blend[7]
             v = self.vertices if size == 1 else self.vertices * self.vertices.dtype.type(size)
             # v + 2 d x (d x v + w v) + 2 (w e - f d + d x e), for |d, w| = 1
-            moved = _cross(d, _cross(d, v) + w * v + e)
+            moved = cross(d, cross(d, v) + w * v + e)
             moved += w * e
             moved -= f * d
             moved *= 2 / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + w * w)
@@ -187,7 +187,7 @@ class DualQuaternion:
         for frame, q in zip(out, self._rigid(batch)[0], strict=True):
             blend = self._blend(q)
             d, w = blend[:3], blend[3]
-            turned = _cross(d, _cross(d, n) + w * n)
+            turned = cross(d, cross(d, n) + w * n)
             turned *= 2 / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + w * w)
             turned += n
             frame[:] = turned.T
@@ -298,12 +298,3 @@ def _dual_parts(quaternions: Array, translations: Array) -> Array:
     out[..., :3] = scalar * translations + np.cross(translations, vector)
     out[..., 3] = -np.einsum("...i,...i->...", translations, vector)
     return out / 2
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products (3, V), coordinates first."""
-    out = np.empty_like(b)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        np.multiply(a[j], b[k], out=out[i])
-        out[i] -= a[k] * b[j]
-    return out

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError
+from humansim_ros.rotations import cross
 from humansim_ros.types import FloatArray, Indices
 
 Weighting = Literal["angle", "area"]
 
-_NEXT = (1, 2, 0)
 _PREVIOUS = (2, 0, 1)
 
 
@@ -54,7 +54,7 @@ class SurfaceNormals:
         around = self.around.astype(batch.dtype)
         for points, normals in zip(batch, out, strict=True):
             sides = _sides(points, self.corners)
-            faces = _cross(sides[0], sides[1])
+            faces = cross(sides[0], sides[1])
             if self.weighting == "angle":
                 faces = np.concatenate([_unit(faces) * angle for angle in _angles(sides)], axis=1)
             normals[:] = _unit(np.stack([around @ component for component in faces])).T
@@ -178,11 +178,3 @@ def _unit(vectors: FloatArray) -> FloatArray:
     length = np.sqrt(np.einsum("ij,ij->j", vectors, vectors))
     unit: FloatArray = vectors / np.where(length > 0, length, 1)
     return unit
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    out = np.empty_like(a)
-    for i, j, k in zip(range(3), _NEXT, _PREVIOUS, strict=True):
-        np.multiply(a[j], b[k], out=out[i])
-        out[i] -= a[k] * b[j]
-    return out

@@ -18,7 +18,7 @@ from humansim_ros.errors import MotionError
 from humansim_ros.motion.bvh import Motion
 from humansim_ros.motion.retarget import Retargeter, sole_points
 from humansim_ros.motion.world_motion import JointPoses, WorldMotion
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, rotate, unit_vectors
 from humansim_ros.types import Array
 
 #: A toe or heel stands if it is lower than this (metres) and slower than this (m/s) over the floor.
@@ -137,8 +137,8 @@ class FootContacts:
             )
             thigh, shin = two_bone(hip, knee, ankle, ankle + shift[:, foot] * _may_move(hip, knee, ankle))
             # the source's leg turns as the skeleton's does; its foot keeps its orientation
-            at_knee = old[:, leg.hip] + _turned(thigh, old[:, leg.knee] - old[:, leg.hip])
-            at_ankle = at_knee + _turned(shin, old[:, leg.ankle] - old[:, leg.knee])
+            at_knee = old[:, leg.hip] + rotate(thigh, old[:, leg.knee] - old[:, leg.hip])
+            at_ankle = at_knee + rotate(shin, old[:, leg.ankle] - old[:, leg.knee])
             still = np.broadcast_to(np.eye(3), thigh.shape)
             for joints, before, after, turn in (
                 (leg.thigh, old[:, leg.hip], old[:, leg.hip], thigh),
@@ -187,14 +187,14 @@ def two_bone(hip: Array, knee: Array, ankle: Array, goal: Array) -> tuple[Array,
     out of reach is reached for.
     """
     thigh, shin = np.linalg.norm(knee - hip, axis=-1), np.linalg.norm(ankle - knee, axis=-1)
-    before, after = _unit(ankle - hip), _unit(goal - hip)
+    before, after = unit_vectors(ankle - hip), unit_vectors(goal - hip)
     reach = np.linalg.norm(ankle - hip, axis=-1)
     longest = np.maximum(reach, _STRAIGHTEST * (thigh + shin))
     distance = np.clip(np.linalg.norm(goal - hip, axis=-1), 1.001 * np.abs(thigh - shin) + 1e-9, longest)
     bend = _across(knee - hip, before)
     flat = np.linalg.norm(bend, axis=-1, keepdims=True) < 1e-9
-    bend = _unit(np.where(flat, _across(np.array([1.0, 0.1, 0.0]), before), bend))
-    bent = _turned(_shortest(before, after), bend)
+    bend = unit_vectors(np.where(flat, _across(np.array([1.0, 0.1, 0.0]), before), bend))
+    bent = rotate(_shortest(before, after), bend)
     along = (thigh**2 - shin**2 + distance**2) / (2 * distance)
     aside = np.sqrt(np.maximum(thigh**2 - along**2, 0.0))
     new_knee = hip + along[:, None] * after + aside[:, None] * bent
@@ -218,17 +218,9 @@ def _may_move(hip: Array, knee: Array, ankle: Array) -> Array:
     return np.asarray(part * part * (3 - 2 * part))
 
 
-def _unit(vectors: Array) -> Array:
-    return np.asarray(vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12))
-
-
 def _across(vectors: Array, along: Array) -> Array:
     """What of vectors (N, 3) is perpendicular to unit vectors (N, 3)."""
     return np.asarray(vectors - (vectors * along).sum(-1, keepdims=True) * along)
-
-
-def _turned(turns: Array, vectors: Array) -> Array:
-    return np.asarray((turns @ vectors[..., None])[..., 0])
 
 
 def _shortest(a: Array, b: Array) -> Array:
@@ -242,7 +234,7 @@ def _shortest(a: Array, b: Array) -> Array:
 
 def _frame(along: Array, normal: Array) -> Array:
     """Rotations (N, 3, 3) with their first axis along a bone and their second on its hinge."""
-    x = _unit(along)
+    x = unit_vectors(along)
     return np.stack([x, normal, np.cross(x, normal)], axis=-1)
 
 

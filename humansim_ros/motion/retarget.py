@@ -20,7 +20,9 @@ from humansim_ros.rotations import (
     from_y_axis,
     matrix_to_quaternion,
     quaternion_to_matrix,
+    rotate,
     transform,
+    unit_vectors,
 )
 from humansim_ros.types import Array
 
@@ -214,7 +216,7 @@ class Retargeter:
         heads[:, first] = local[first] @ WORLD_FROM_BODY.T
         for bones in others:
             parents = self.skeleton.parents[bones]
-            heads[:, bones] = heads[:, parents] + _apply(turns[:, parents], local[bones])
+            heads[:, bones] = heads[:, parents] + rotate(turns[:, parents], local[bones])
         hips = [self.skeleton.bone("l_hip"), self.skeleton.bone("r_hip")]
         return turns, heads, self._hips(poses) - heads[:, hips].mean(1)
 
@@ -320,7 +322,7 @@ class Retargeter:
             for bone in (upper, lower):
                 index = self.skeleton.bone(bone)
                 driver = turns[:, self.match.parallel[bone][0]]
-                seen = _apply(np.swapaxes(driver, -1, -2), bend).sum(0)
+                seen = rotate(np.swapaxes(driver, -1, -2), bend).sum(0)
                 bends = np.linalg.norm(bend, axis=-1).sum()
                 if np.linalg.norm(seen) < max(_HINGE_AGREES * bends, 0.1 * len(u) * np.abs(u).mean() ** 2):
                     continue
@@ -347,10 +349,10 @@ class Retargeter:
             stands = height <= np.percentile(height, _STANDING_SHARE)
             way = (poses.positions[:, toe] - poses.positions[:, ankle])[stands]
             way[:, 2] = 0.0
-            way /= np.maximum(np.linalg.norm(way, axis=-1, keepdims=True), 1e-12)
+            way = unit_vectors(way)
             own = WORLD_FROM_BODY @ self.skeleton.rest[index, :3, 1]
             flat = np.linalg.norm(own[:2]) * way + np.array([0.0, 0.0, own[2]])
-            seen = _apply(np.swapaxes(turns[stands, ankle], -1, -2), flat).mean(0)
+            seen = rotate(np.swapaxes(turns[stands, ankle], -1, -2), flat).mean(0)
             rest[index] = rest[index] @ _swing_to(rest[index].T[None, None], seen[None, None])[0, 0]
         return rest
 
@@ -415,10 +417,6 @@ class _Driven:
         return cls(*np.array(rows, dtype=np.intp).reshape(-1, 4).T)
 
 
-def _apply(matrices: Array, vectors: Array) -> Array:
-    return np.asarray((matrices @ vectors[..., None])[..., 0])
-
-
 def _links(positions: Array, starts: NDArray[np.intp], ends: NDArray[np.intp]) -> Array:
     return positions[:, ends] - positions[:, starts]
 
@@ -429,7 +427,7 @@ def _swing_to(back: Array, links: Array) -> Array:
     ``back``: (N, b, 3, 3) world to bone space. A link without length turns nothing.
     """
     length = np.linalg.norm(links, axis=-1, keepdims=True)
-    goal = np.where(length < _SHORTEST_LINK, [0.0, 1.0, 0.0], _apply(back, links) / np.maximum(length, 1e-12))
+    goal = np.where(length < _SHORTEST_LINK, [0.0, 1.0, 0.0], rotate(back, links) / np.maximum(length, 1e-12))
     return quaternion_to_matrix(from_y_axis(goal))
 
 
@@ -477,7 +475,7 @@ def _stands(poses: JointPoses, match: JointMatch) -> bool:
     legs = [links[bone] for bone in ("l_hip", "r_hip", "l_knee", "r_knee") if bone in links]
     across = poses.positions[:, match.roles["LeftHip"]] - poses.positions[:, match.roles["RightHip"]]
     hips = quaternion_to_matrix(poses.rotations[:, match.roles["Hips"]])
-    left = _apply(np.swapaxes(hips, -1, -2), across).mean(0)
+    left = rotate(np.swapaxes(hips, -1, -2), across).mean(0)
     arms = [links[bone] for bone in ("l_shoulder", "l_sternoclavicular") if bone in links]
     sideways = left[1] > 0.8 * np.linalg.norm(left) and all(arm[1] > -0.5 for arm in arms)
     return bool(sideways and all(leg[2] < -0.7 for leg in legs))
@@ -494,7 +492,7 @@ def _rest_links(poses: JointPoses, match: JointMatch) -> Array:
     length = np.linalg.norm(links, axis=-1, keepdims=True)
     links = np.where(length < _SHORTEST_LINK, 0.0, links / np.maximum(length, 1e-12))
     back = np.swapaxes(quaternion_to_matrix(poses.rotations[:, starts]), -1, -2)
-    mean = _apply(back, links).mean(0)
+    mean = rotate(back, links).mean(0)
     size = np.linalg.norm(mean, axis=-1, keepdims=True)
     return np.where(size < 0.05, 0.0, mean / np.maximum(size, 1e-12))
 
@@ -526,8 +524,8 @@ def _turns_of_positions(poses: JointPoses, match: JointMatch) -> Array:
     for side, bone in (("Left", "l_ankle"), ("Right", "r_ankle")):
         if bone in match.difference and {f"{side}Knee", f"{side}Ankle"} <= {*roles}:
             shin = at(f"{side}Ankle") - at(f"{side}Knee")
-            own = _apply(np.swapaxes(pelvis, -1, -2), -shin)
-            own /= np.maximum(np.linalg.norm(own, axis=-1, keepdims=True), 1e-12)
+            own = rotate(np.swapaxes(pelvis, -1, -2), -shin)
+            own = unit_vectors(own)
             up = quaternion_to_matrix(from_y_axis(own[:, [1, 2, 0]]))
             order = np.eye(3)[[1, 2, 0]]
             turns[:, match.difference[bone]] = pelvis @ order.T @ up @ order
@@ -536,9 +534,8 @@ def _turns_of_positions(poses: JointPoses, match: JointMatch) -> Array:
 
 def _facing(left: Array, up: Array) -> Array:
     """Rotations (N, 3, 3) of a body (x forward, y left, z up) whose left and up are near these (N, 3)."""
-    y = left / np.maximum(np.linalg.norm(left, axis=-1, keepdims=True), 1e-12)
-    x = np.cross(y, up)
-    x /= np.maximum(np.linalg.norm(x, axis=-1, keepdims=True), 1e-12)
+    y = unit_vectors(left)
+    x = unit_vectors(np.cross(y, up))
     return np.stack([x, y, np.cross(x, y)], axis=-1)
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from humansim_ros.motion.bvh import Motion
 from humansim_ros.motion.joint_tables import JointMatch, JointTable, match_roles
+from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array
 
 #: Two branches are a pair if their lengths differ by no more than this share.
@@ -351,7 +352,7 @@ def _seen_left(motion: Motion, roles: dict[str, int], part: str) -> int:
     points = _poses(motion)
     head = points[:, roles.get("Head", roles["Chest"])]
     ankles = (points[:, roles["LeftAnkle"]] + points[:, roles["RightAnkle"]]) / 2
-    up = _unit((head - ankles).mean(0))
+    up = unit_vectors((head - ankles).mean(0))
     across = points[:, roles[f"Left{part}"]] - points[:, roles[f"Right{part}"]]
     votes = np.zeros(len(points))
     for side in ("Left", "Right"):
@@ -375,7 +376,3 @@ def _same_side(motion: Motion, roles: dict[str, int]) -> int:
     hips = points[:, roles["LeftHip"]] - points[:, roles["RightHip"]]
     shoulders = points[:, roles["LeftShoulder"]] - points[:, roles["RightShoulder"]]
     return 1 if (hips * shoulders).sum(-1).sum() >= 0 else -1
-
-
-def _unit(vector: Array) -> Array:
-    return np.asarray(vector / max(float(np.linalg.norm(vector)), 1e-12))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.camera.lens import Lens
 from humansim_ros.render.renderer import AdjacentFrame, Body
+from humansim_ros.rotations import cross
 from humansim_ros.types import Array, Float32Array
 
 #: Metres, and share of the distance, that a surface may lie before a point that is seen all the same: the
@@ -73,7 +74,7 @@ class PixelGeometry:
         x, y = (component.take(self.shown.pixels) for component in _ray_components(self.camera))
         # the ray d meets the plane of a b c where d . (b x c), d . (c x a), d . (a x b) are as the weights
         weights = np.empty((3, len(x)))
-        for weight, plane in zip(weights, (_cross(b, c), _cross(c, a), _cross(a, b)), strict=True):
+        for weight, plane in zip(weights, (cross(b, c), cross(c, a), cross(a, b)), strict=True):
             along_x, along_y, along_z = plane.take(self._which, axis=1)
             weight[:] = along_x * x + along_y * y + along_z
         total = weights.sum(axis=0)
@@ -84,7 +85,7 @@ class PixelGeometry:
     def normals(self) -> Float32Array:
         """(M, 3) unit outward normals in the optical frame."""
         a, b, c = self._now
-        normals = _cross(b - a, c - a)
+        normals = cross(b - a, c - a)
         normals /= np.maximum(np.sqrt(np.einsum("ij,ij->j", normals, normals)), 1e-30)
         return normals.T.astype(np.float32).take(self._which, axis=0)
 
@@ -175,11 +176,6 @@ def _hidden(to: Array, distance: NDArray[np.floating], other_depth: Float32Array
     inside = (column >= 0) & (row >= 0) & (column < width) & (row < height)
     nearest = other_depth.ravel().take(np.where(inside, row * width + column, 0))
     return ~inside | (nearest < distance * (1 - _SLANT) - _SLACK)
-
-
-def _cross(a: Array, b: Array) -> Array:
-    """(3, N) cross products."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
 
 
 def _ray_components(camera: Camera) -> Array:

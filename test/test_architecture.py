@@ -49,7 +49,8 @@ PUBLIC = {
     "scene": """Actor CameraPose Environment Frame HumanState ObjectPose Playback Scene SceneCamera SceneConfig
         SceneObject Simulation""",
     "sensor": "ChromaticAberration Noise Sensor SensorConfig Vignetting",
-    "truth": "BodyBox JointView part_u_v rest_points",
+    "truth": """BodyBox CameraTruth JointView NOTHING OCCLUDED OUTSIDE PERSON SELF THING VISIBLE
+        joint_surfaces part_u_v rest_points view_boxes view_joints visible_vertices""",
 }
 
 

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
 from sensor_msgs.msg import Image, PointCloud2
 
-from humansim_ros.camera import Camera
 from humansim_ros.render import View
 from humansim_ros.ros import messages
 from humansim_ros.ros.compressed import CompressedDepthPublisher, CompressedImagePublisher
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
-from humansim_ros.scene.state import SceneState
-from humansim_ros.truth.boxes import view_boxes
-from humansim_ros.truth.joints import joint_surfaces, view_joints
-from humansim_ros.truth.vertices import visible_vertices
+from humansim_ros.truth import CameraTruth
+from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
 #: Topic of each channel below the camera's name.
 TOPICS = {
@@ -99,54 +96,34 @@ class ImagePublishers:
 
 
 class TruthPublishers:
-    """Publishers of what a camera knows of each person: joints, boxes, and which vertices it sees; the last
-    two of labelled objects, too.
+    """Publishers of a camera's ground truth: joints of humans; boxes and visible vertices of humans and
+    labelled objects.
     """
 
     def __init__(self, node: SceneNode, camera: str) -> None:
         self._frame = messages.optical_frame(camera)
-        self._actors, self._objects = node.scene.actors, list(node.scene.object_labels.values())
-        self._surfaces = {name: joint_surfaces(actor.human) for name, actor in self._actors.items()}
-        self._topics = {
-            topic: node.create_publisher(PointCloud2, f"{camera}/{topic}", DATA) for topic in _NEEDED
+        self._labels = node.scene.labels
+        self._publishers = {
+            topic: node.create_publisher(PointCloud2, f"{camera}/{topic}", DATA)
+            for topic in REQUIRED_CHANNELS
         }
 
-    def wanted(self) -> set[str]:
-        """The topics that somebody subscribes to."""
-        return {topic for topic, publisher in self._topics.items() if publisher.get_subscription_count()}
+    def subscribed(self) -> set[str]:
+        """Topics with subscribers."""
+        return {topic for topic, publisher in self._publishers.items() if publisher.get_subscription_count()}
 
-    def send(self, topics: Collection[str], instant: SceneState, view: View, camera: Camera) -> None:
-        """Publish some topics of an instant, as the camera where it stands sees it."""
-        make = {"joints": self._joints, "boxes": self._boxes, "visible_vertices": self._vertices}
+    def send(self, topics: Collection[str], truth: CameraTruth, stamp: int) -> None:
+        """Publish some topics of one frame."""
+        builders: dict[str, Callable[..., PointCloud2]] = {
+            "joints": messages.joint_view_message,
+            "boxes": messages.boxes_message,
+            "visible_vertices": messages.visible_vertices_message,
+        }
         for topic in topics:
-            self._topics[topic].publish(make[topic](instant, view, camera))
-
-    def _joints(self, instant: SceneState, view: View, camera: Camera) -> PointCloud2:
-        seen = []
-        for name, actor in self._actors.items():
-            positions = instant.joints_of(name).positions
-            skin = self._surfaces[name]
-            joints = view_joints(camera, positions, view, actor.instance, skin, self._objects)
-            seen.append((actor.instance, joints))
-        return messages.joint_view_message(seen, instant.stamp, self._frame)
-
-    def _boxes(self, instant: SceneState, view: View, camera: Camera) -> PointCloud2:
-        boxes = view_boxes(camera, instant.bodies, view)
-        return messages.boxes_message(list(boxes.items()), instant.stamp, self._frame)
-
-    def _vertices(self, instant: SceneState, view: View, camera: Camera) -> PointCloud2:
-        seen = visible_vertices(camera, instant.bodies, view)
-        return messages.visible_vertices_message(list(seen.items()), instant.stamp, self._frame)
+            by_label = [(self._labels[name], value) for name, value in getattr(truth, topic).items()]
+            self._publishers[topic].publish(builders[topic](by_label, stamp, self._frame))
 
 
 def needed(topics: Collection[str]) -> set[str]:
-    """The channels that topics on people follow from."""
-    return {channel for topic in topics for channel in _NEEDED[topic]}
-
-
-#: Channels that the topics on people need.
-_NEEDED = {
-    "joints": ("depth", "instance", "part"),
-    "boxes": ("instance", "amodal"),
-    "visible_vertices": ("depth", "instance"),
-}
+    """Channels that topics of :class:`TruthPublishers` are computed from."""
+    return {channel for topic in topics for channel in REQUIRED_CHANNELS[topic]}

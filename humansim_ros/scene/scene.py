@@ -8,6 +8,9 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError
 from humansim_ros.humans.human import Human
@@ -30,6 +33,7 @@ from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import Around, clutter, jittered, restyled
 from humansim_ros.scene.rig import build_cameras
 from humansim_ros.scene.variety import with_variety
+from humansim_ros.truth import joint_surfaces
 
 DEMO_SCENE = "config/scenes/demo.yaml"
 
@@ -122,6 +126,11 @@ class Scene:
     def object_labels(self) -> dict[str, int]:
         """Instance labels of the objects that have one, by name."""
         return {name: thing.instance for name, thing in self.objects.items() if thing.instance}
+
+    @cached_property
+    def joint_surfaces(self) -> dict[str, NDArray[np.bool_]]:
+        """Part labels (J, 256) that are skin around each joint, by human."""
+        return {name: joint_surfaces(actor.human) for name, actor in self.actors.items()}
 
     @cached_property
     def static_meshes(self) -> list[Mesh]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,9 +19,7 @@ from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.state import JointMotion, SceneState
-from humansim_ros.truth.boxes import BodyBox, view_boxes
-from humansim_ros.truth.joints import JointView, joint_surfaces, view_joints
-from humansim_ros.truth.vertices import visible_vertices
+from humansim_ros.truth import BodyBox, CameraTruth, JointView
 
 #: What there is at one time of the scene.
 _Found = tuple[ScenePoses, dict[str, HumanState], SceneState]
@@ -32,30 +29,43 @@ _Found = tuple[ScenePoses, dict[str, HumanState], SceneState]
 class Frame:
     """One instant of a scene. ``stamp``: nanoseconds. ``humans``: by name. ``views``: by camera name.
 
-    ``joints``: by camera name and human name, ``boxes``: by camera name and name of a human or labelled
-    object; empty unless the channels that they need are among those asked for: depth, instance and part;
-    instance and amodal. ``objects``: where the objects that move are, by name. ``cameras``: the cameras of
-    ``views``, where they stand. ``bodies``: what they see, the humans first. ``labels``: instance labels by
-    name.
+    ``truth``: by camera name; its numbers are computed on first access. ``objects``: poses of the moving
+    objects by name. ``cameras``: cameras with their poses by name. ``bodies``: all bodies, humans first.
+    ``labels``: instance labels by name.
     """
 
     index: int
     stamp: int
     humans: dict[str, HumanState]
     views: dict[str, View]
-    joints: dict[str, dict[str, JointView]]
+    truth: dict[str, CameraTruth] = field(default_factory=dict)
     objects: dict[str, ObjectPose] = field(default_factory=dict)
     cameras: dict[str, Camera] = field(default_factory=dict)
-    boxes: dict[str, dict[str, BodyBox]] = field(default_factory=dict)
     bodies: Sequence[Body] = ()
     labels: Mapping[str, int] = field(default_factory=dict)
 
-    def visible_vertices(self, camera: str) -> dict[str, NDArray[np.bool_]]:
-        """Which vertices (V,) of each human and labelled object a camera sees, by name; needs depth and
-        instance among the channels.
+    @property
+    def joints(self) -> dict[str, dict[str, JointView]]:
+        """Joints by camera and human; empty unless the channels have depth, instance and part."""
+        return {name: truth.joints for name, truth in self.truth.items() if truth.has("joints")}
+
+    @property
+    def boxes(self) -> dict[str, dict[str, BodyBox]]:
+        """Boxes by camera, then human or labelled object; empty unless the channels have instance and
+        amodal.
         """
-        seen = visible_vertices(self.cameras[camera], self.bodies, self.views[camera])
-        return {name: seen[label] for name, label in self.labels.items()}
+        return {
+            camera: {name: truth.boxes[name] for name in self.labels}
+            for camera, truth in self.truth.items()
+            if truth.has("boxes")
+        }
+
+    def visible_vertices(self, camera: str) -> dict[str, NDArray[np.bool_]]:
+        """Masks (V,) of the vertices that a camera sees, by human or labelled object; the channels must have
+        depth and instance.
+        """
+        masks = self.truth[camera].visible_vertices
+        return {name: masks[name] for name in self.labels}
 
 
 class Simulation:
@@ -103,21 +113,15 @@ class Simulation:
         views = {
             name: self._view(camera, instant, beside) for name, camera in self.scene.scene_cameras.items()
         }
-        joints: dict[str, dict[str, JointView]] = {}
-        if {"depth", "instance", "part"} <= set(self.channels):
-            joints = {name: self._joints(cameras[name], humans, view) for name, view in views.items()}
-        boxes: dict[str, dict[str, BodyBox]] = {}
-        if {"instance", "amodal"} <= set(self.channels):
-            boxes = {name: self._boxes(cameras[name], instant.bodies, view) for name, view in views.items()}
+        truth = {name: instant.camera_truth(cameras[name], view) for name, view in views.items()}
         return Frame(
             index,
             instant.stamp,
             humans,
             views,
-            joints,
+            truth,
             moment.objects,
             cameras,
-            boxes,
             instant.bodies,
             self.scene.labels,
         )
@@ -158,24 +162,3 @@ class Simulation:
     def close(self) -> None:
         """Free the renderer."""
         self.renderer.close()
-
-    @cached_property
-    def _surfaces(self) -> dict[str, NDArray[np.bool_]]:
-        return {name: joint_surfaces(actor.human) for name, actor in self.scene.actors.items()}
-
-    def _joints(self, camera: Camera, humans: dict[str, HumanState], view: View) -> dict[str, JointView]:
-        return {
-            name: view_joints(
-                camera,
-                state.positions,
-                view,
-                self.scene.actors[name].instance,
-                self._surfaces[name],
-                self.scene.object_labels.values(),
-            )
-            for name, state in humans.items()
-        }
-
-    def _boxes(self, camera: Camera, bodies: Sequence[Body], view: View) -> dict[str, BodyBox]:
-        boxes = view_boxes(camera, bodies, view)
-        return {name: boxes[label] for name, label in self.scene.labels.items()}

@@ -14,12 +14,14 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.render import Body
+from humansim_ros.camera import Camera
+from humansim_ros.render import Body, View
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import Exposure
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene
+from humansim_ros.truth import CameraTruth
 from humansim_ros.types import Array
 
 
@@ -63,6 +65,18 @@ class SceneState:
     def shot(self, camera: SceneCamera) -> Exposure:
         """What there is to be seen by a camera."""
         return Exposure(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), camera.moves)
+
+    def camera_truth(self, camera: Camera, view: View) -> CameraTruth:
+        """Ground truth of a view of this state. ``camera``: with its pose at the stamp."""
+        joints_of = self.joints_of  # not self: frames that are stored would hold the bodies of exposures
+        return CameraTruth(
+            camera,
+            view,
+            self.bodies,
+            labels=self.scene.labels,
+            joint_surfaces=self.scene.joint_surfaces,
+            joint_positions=lambda name: joints_of(name).positions,
+        )
 
     def _bodies_at(self, seconds: float) -> Sequence[Body]:
         """What is to be drawn so many seconds later: once for all cameras that expose alike."""

@@ -329,7 +329,7 @@ def test_vertices_of_people_who_stand_round_a_fisheye() -> None:
     view = renderer.render(bodies, camera, ["depth", "instance"])
     renderer.close()
     empty = SimpleNamespace(static_meshes=())
-    shot = Shot(empty, Frame(0, 0, {}, {"camera": view}, {}, cameras={"camera": camera}, bodies=bodies))
+    shot = Shot(empty, Frame(0, 0, {}, {"camera": view}, cameras={"camera": camera}, bodies=bodies))
     seen = np.concatenate(list(visible_vertices(camera, bodies, view).values()))
     vertices = np.concatenate([b.vertices for b in bodies]).astype(float)
     pixels, z = camera.project(vertices)

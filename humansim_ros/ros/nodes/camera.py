@@ -123,7 +123,7 @@ class CameraNode(SceneNode):
     def _send_instant(self, instant: SceneState, shot: Exposure, channels: set[str]) -> None:
         stamp = instant.stamp
         wanted = set(channels)
-        of_people = self._people.wanted()
+        of_people = self._people.subscribed()
         wants_rect = self._rect is not None and self._rect.get_subscription_count() > 0
         wanted |= needed(of_people)
         if wants_rect:
@@ -137,7 +137,8 @@ class CameraNode(SceneNode):
         if self._rect is not None and wants_rect and view.rgb is not None:
             encoding = self._camera.encoding.replace("bayer_rggb8", "rgb8")
             self._send(self._rect, self._camera.rectify(view.rgb), encoding, stamp)
-        self._people.send(of_people, instant, view, self._camera.at(shot.pose_at(0.0)))
+        truth = instant.camera_truth(self._camera.at(shot.pose_at(0.0)), view)
+        self._people.send(of_people, truth, stamp)
         self.count("frames")
         self.report_lateness(stamp)
 

@@ -1,0 +1,75 @@
+"""Ground truth of one camera at one stamp: joints, boxes and visible vertices of all humans and objects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.render import Body, View
+from humansim_ros.truth.boxes import BodyBox, view_boxes
+from humansim_ros.truth.joints import JointView, view_joints
+from humansim_ros.truth.vertices import visible_vertices
+from humansim_ros.types import Array
+
+#: Channels that a view must have for each property of :class:`CameraTruth`.
+REQUIRED_CHANNELS = {
+    "joints": ("depth", "instance", "part"),
+    "boxes": ("instance", "amodal"),
+    "visible_vertices": ("depth", "instance"),
+}
+
+
+@dataclass(frozen=True, eq=False)
+class CameraTruth:
+    """Ground truth of one camera at one stamp, by name of a human or labelled object.
+
+    Each property is computed from the view on first access, then cached.
+
+    ``camera``: with its pose at the stamp. ``view``: its channels. ``bodies``: all bodies at the stamp.
+    ``labels``: instance labels of humans and labelled objects by name. ``joint_surfaces``: by human, see
+    :func:`~humansim_ros.truth.joints.joint_surfaces`. ``joint_positions``: returns the joints (J, 3) of a
+    human in ``map``, metres.
+    """
+
+    camera: Camera
+    view: View
+    bodies: Sequence[Body]
+    labels: Mapping[str, int]
+    joint_surfaces: Mapping[str, NDArray[np.bool_]]
+    joint_positions: Callable[[str], Array]
+
+    def has(self, kind: str) -> bool:
+        """Whether the view has the channels for ``joints``, ``boxes`` or ``visible_vertices``."""
+        return all(getattr(self.view, channel) is not None for channel in REQUIRED_CHANNELS[kind])
+
+    @cached_property
+    def joints(self) -> dict[str, JointView]:
+        """Joints by human. The view must have depth, instance and part."""
+        objects = [label for name, label in self.labels.items() if name not in self.joint_surfaces]
+        return {
+            name: view_joints(
+                self.camera, self.joint_positions(name), self.view, self.labels[name], surfaces, objects
+            )
+            for name, surfaces in self.joint_surfaces.items()
+        }
+
+    @cached_property
+    def boxes(self) -> dict[str, BodyBox]:
+        """Boxes by human or object. The view must have instance and amodal."""
+        boxes = view_boxes(self.camera, self.bodies, self.view)
+        return {self._names[label]: box for label, box in boxes.items()}
+
+    @cached_property
+    def visible_vertices(self) -> dict[str, NDArray[np.bool_]]:
+        """Masks (V,) of visible vertices by human or object. The view must have depth and instance."""
+        masks = visible_vertices(self.camera, self.bodies, self.view)
+        return {self._names[label]: mask for label, mask in masks.items()}
+
+    @cached_property
+    def _names(self) -> dict[int, str]:
+        return {label: name for name, label in self.labels.items()}

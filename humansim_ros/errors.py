@@ -71,7 +71,7 @@ class RosError(HumansimError):
     """ROS 2 is not installed or cannot be reached."""
 
 
-def warn_of(path: str | os.PathLike[str], message: str) -> None:
+def warn_about(path: str | os.PathLike[str], message: str) -> None:
     """Warn of something odd in a file that can be used all the same."""
     warnings.warn(f"{os.fspath(path)}: {message}", HumansimWarning, stacklevel=3)
 
@@ -80,7 +80,7 @@ class HumansimWarning(UserWarning):
     """Input that was usable but not as it should be; the message says what was assumed."""
 
 
-def tell_warnings() -> None:
+def show_warnings() -> None:
     """Print our warnings as lines for people, each once, and no others: what a program does at its start."""
     told = set[str]()
 

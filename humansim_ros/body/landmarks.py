@@ -17,7 +17,7 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra
 
 from humansim_ros.body.volume import Volume, solid
-from humansim_ros.errors import MeshError, warn_of
+from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.resources import resource_path
 from humansim_ros.types import Array
@@ -121,7 +121,7 @@ def measure(mesh: Mesh) -> Measures:
     groin = _groin(filled.sum(axis=2), xs, heights, size)
     neck, front, back = _trunk(filled, xs, heights, zs, size)
     if not _PLAUSIBLE_GROIN[0] <= groin <= _PLAUSIBLE_GROIN[1]:
-        warn_of("mesh", "no groin is seen (a skirt?): hips and spine are at a person's usual heights")
+        warn_about("mesh", "no groin is seen (a skirt?): hips and spine are at a person's usual heights")
         groin = places()["groin"][0]
     if np.isnan(neck):
         neck = combined("neck", groin)

@@ -23,8 +23,8 @@ from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.camera.formats.containers import container_of, parsed
 from humansim_ros.camera.image_size import image_size, likely_size
-from humansim_ros.errors import CameraError, HumansimWarning, ResourceError, warn_of
-from humansim_ros.io.files import atomic_path, is_there, read_text
+from humansim_ros.errors import CameraError, HumansimWarning, ResourceError, warn_about
+from humansim_ros.io.files import atomic_path, exists, read_text
 from humansim_ros.resources import resource_root
 from humansim_ros.types import Array, ImageSize
 
@@ -106,9 +106,9 @@ def load_calibration(
         message = f"the image size must be 1 to {MAX_SIZE} pixels, not {size[0]}x{size[1]}"
         raise CameraError(message, key="size")
     file = resolve_url(path) if isinstance(path, str) and "://" in path else Path(path)
-    if is_there(file) and file.is_dir() and (file / CAMERAS).is_file():
+    if exists(file) and file.is_dir() and (file / CAMERAS).is_file():
         file = file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
-    if is_there(file) and file.is_dir():
+    if exists(file) and file.is_dir():
         return _folder(file, size, unit, up)
     most = MAX_BYTES_COLMAP if file.name in (CAMERAS, IMAGES) else _MAX_BYTES
     text = read_text(file, CameraError, "calibration", most)
@@ -138,7 +138,7 @@ def _folder(folder: Path, size: ImageSize | None, unit: float | None, up: str | 
         try:
             read[file] = load_calibration(file, size=size, unit=unit, up=up)
         except _UnknownFormat:
-            warn_of(file, "no calibration that is known here: left out")
+            warn_about(file, "no calibration that is known here: left out")
     if not read:
         hint = "its cameras.bin can be read after colmap model_converter --output_type TXT"
         binary = f"; {hint}" if (folder / "cameras.bin").is_file() else ""
@@ -176,7 +176,7 @@ def _own_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
             own = name
             if counts[name] > 1:
                 own = Path(path).stem + (f"_{name}" if len(found) > 1 else "")
-                warn_of(path, f"there are several cameras {name}; this one is called {own}")
+                warn_about(path, f"there are several cameras {name}; this one is called {own}")
             if own in taken:
                 raise CameraError(f"there are two cameras {own}: rename a file", path=path, key=name)
             taken.add(own)
@@ -216,7 +216,7 @@ def _sizes(
                 raise CameraError(message, path=path, key="size")
         guesses = sorted({f"{w}x{h}" for w, h in (sizes[name] or (0, 0) for name in unknown)})
         some = ", ".join(guesses[:3]) + (" …" if len(guesses) > 3 else "")
-        warn_of(path, f"the image size is not in the file; {some} is assumed from the principal points")
+        warn_about(path, f"the image size is not in the file; {some} is assumed from the principal points")
     return {name: size for name, size in sizes.items() if size is not None}
 
 
@@ -245,7 +245,7 @@ def _camera(path: str, name: str, raw: RawCamera, size: ImageSize, unit: float, 
             raise CameraError(message, path=place.path or path, line=place.line, key=key) from None
     odd = [str(warning.message) for warning in caught if issubclass(warning.category, HumansimWarning)]
     for message in (*odd, *check_image_size(camera)):
-        warn_of(path, f"{name}: {message}")
+        warn_about(path, f"{name}: {message}")
     return camera
 
 
@@ -340,7 +340,7 @@ def write_calibration(
     own = {n: replace(c, R=c.R @ turn, t=c.t / chosen.unit) for n, c in fitting.items()}
     texts = _texts(target, own, chosen)
     for message in _losses(cameras, chosen):
-        warn_of(target, message)
+        warn_about(target, message)
     for file in texts:
         if file.is_dir():
             raise CameraError("cannot be written: this is a folder", path=file)

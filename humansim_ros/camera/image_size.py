@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from humansim_ros.errors import CameraError
-from humansim_ros.io.files import explained, inside
-from humansim_ros.io.images import stated_size
+from humansim_ros.io.files import reading_errors, resolve_inside
+from humansim_ros.io.images import declared_size
 from humansim_ros.types import ImageSize
 
 #: What cameras and data sets commonly have, landscape.
@@ -56,13 +56,13 @@ def _nearest(
 
 def size_of_image(folder: Path, name: str) -> ImageSize | None:
     """Size of an image that a file in ``folder`` names, if it is there."""
-    path = inside(folder, name)
+    path = resolve_inside(folder, name)
     return _stated(path) if path is not None and path.is_file() else None
 
 
 def image_size(path: str | os.PathLike[str]) -> ImageSize:
     """Width and height of a PNG or JPEG file. Raises CameraError."""
-    with explained(path, CameraError, "image"):
+    with reading_errors(path, CameraError, "image"):
         size = _stated(Path(path))
     if size is None:
         raise CameraError("this is no PNG or JPEG image", path=path)
@@ -71,4 +71,4 @@ def image_size(path: str | os.PathLike[str]) -> ImageSize:
 
 def _stated(path: Path) -> ImageSize | None:
     with path.open("rb") as file:
-        return stated_size(file.read(_HEAD))
+        return declared_size(file.read(_HEAD))

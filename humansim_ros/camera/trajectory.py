@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.errors import CameraError, warn_of
+from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.files import atomic_path, read_text
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.types import Array
@@ -101,7 +101,7 @@ class Trajectory:
         if not rows:
             raise CameraError(f"there is no pose in this file; a line is {_COLUMNS}", path=path)
         if careless:
-            warn_of(path, "quaternions are not of length 1: they are made so; are the columns in order?")
+            warn_about(path, "quaternions are not of length 1: they are made so; are the columns in order?")
         table = np.array(rows)
         return cls(table[:, 0], table[:, 1:4], table[:, 4:], end)
 

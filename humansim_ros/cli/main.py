@@ -16,8 +16,8 @@ from humansim_ros import __version__
 from humansim_ros.cli import camera_rig as cli_camera_rig
 from humansim_ros.cli import human as cli_human
 from humansim_ros.cli import motion as cli_motion
-from humansim_ros.errors import HumansimError, tell_warnings
-from humansim_ros.io.files import expanded, is_there
+from humansim_ros.errors import HumansimError, show_warnings
+from humansim_ros.io.files import exists, expand_user
 from humansim_ros.resources import resource_path
 
 app = typer.Typer(
@@ -161,14 +161,14 @@ def _made_absolute(value: Any, base: Path) -> Any:
         return value
     there = base / value.split("#")[0]
     # a folder may have the name of something built in
-    known = (is_there(there) and (there.is_file() or "/" in value)) or "{name}" in value
+    known = (exists(there) and (there.is_file() or "/" in value)) or "{name}" in value
     return str(base / value) if known else value
 
 
 def _absolute(name: str) -> str:
     """A path made absolute; a bare name is left for the built-ins."""
-    path = expanded(name)
-    return str(path.resolve()) if path.suffix or is_there(path) else name
+    path = expand_user(name)
+    return str(path.resolve()) if path.suffix or exists(path) else name
 
 
 def _describe(scene: Any) -> None:
@@ -185,7 +185,7 @@ def _describe(scene: Any) -> None:
 
 def main() -> int:
     """Entry point: our errors become one line on standard error and exit code 2."""
-    tell_warnings()
+    show_warnings()
     try:
         result = app(standalone_mode=False)
     except HumansimError as error:

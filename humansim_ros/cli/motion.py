@@ -14,7 +14,7 @@ import yaml
 
 from humansim_ros.cli.output import check_folder, progress_bar, say, to_json, warn, written
 from humansim_ros.errors import HumansimError, MotionError
-from humansim_ros.io.files import expanded
+from humansim_ros.io.files import expand_user
 from humansim_ros.resources import resource_path
 
 if TYPE_CHECKING:
@@ -273,7 +273,7 @@ def built_in_motions() -> dict[str, dict[str, Any]]:
 def _path(file: str) -> Path:
     """A built-in motion by name, or a path."""
     built_in = {path.stem: path for path in resource_path("assets/motions").glob("*.bvh")}
-    return built_in.get(file) or expanded(file)
+    return built_in.get(file) or expand_user(file)
 
 
 def _read(file: str, positions: Positions) -> Motion:

@@ -11,7 +11,7 @@ from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Skinning
 from humansim_ros.humans.makehuman.paint import Outfit
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig
-from humansim_ros.io.yaml import invalid, read_yaml
+from humansim_ros.io.yaml import read_yaml, validation_error
 
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
 Axis = Annotated[str, StringConstraints(pattern=r"^[+-]?[xyz]$")]
@@ -95,4 +95,6 @@ def read_description(path: str | os.PathLike[str]) -> MeshHuman | ParametricHuma
         return model.model_validate(data)
     except ValidationError as reason:
         known = f"; known here: {', '.join(model.model_fields)}"
-        raise invalid(reason, tree, MeshError, path, lambda keys: known if len(keys) == 1 else "") from None
+        raise validation_error(
+            reason, tree, MeshError, path, lambda keys: known if len(keys) == 1 else ""
+        ) from None

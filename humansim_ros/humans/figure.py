@@ -11,7 +11,7 @@ from scipy.sparse import csr_matrix
 from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.body.weights import limit_bones
-from humansim_ros.errors import MeshError, MotionError, warn_of
+from humansim_ros.errors import MeshError, MotionError, warn_about
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.skinned import SkinnedMesh
 from humansim_ros.motion.joint_matching import match_motion
@@ -47,7 +47,7 @@ def to_body_space(
     if unit is None and not PLAUSIBLE_STATURE[0] <= stature <= PLAUSIBLE_STATURE[1]:
         scale = frame.unit
         person = f"a person of {stature * scale:.2f} m"
-        warn_of(figure.name, f"{stature:.3g} units tall: taken as {frame.unit_name}, {person}")
+        warn_about(figure.name, f"{stature:.3g} units tall: taken as {frame.unit_name}, {person}")
     vertices = scale * figure.mesh.vertices @ frame.rest_from_body
     joints = scale * figure.joints @ frame.rest_from_body
     hips = joints[[match.roles["LeftHip"], match.roles["RightHip"]]].mean(0)

@@ -24,7 +24,7 @@ from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_of_array
 from humansim_ros.humans.makehuman.building import build
 from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
-from humansim_ros.io.files import beside, read_bytes
+from humansim_ros.io.files import read_bytes, resolve_relative
 from humansim_ros.io.images import decode_image, encode_image
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_mesh import read_gltf_mesh
@@ -107,7 +107,7 @@ def _described(path: Path) -> Human:
             return _from_arrays(arrays, description, path)
 
         return kept(key, path.stem, made)
-    mesh, there = beside(path, description.mesh)
+    mesh, there = resolve_relative(path, description.mesh)
     if mesh.suffix.lower() not in SUFFIXES or mesh.suffix.lower() in (".yaml", ".yml"):
         raise MeshError("a mesh is .obj, .gltf, .glb or an SMPL model (.npz)", path=path, key="mesh")
     if not there or not mesh.is_file():
@@ -117,7 +117,7 @@ def _described(path: Path) -> Human:
             "outfits": {
                 name: clothes
                 if clothes.texture is None
-                else clothes.model_copy(update={"texture": str(beside(path, clothes.texture)[0])})
+                else clothes.model_copy(update={"texture": str(resolve_relative(path, clothes.texture)[0])})
                 for name, clothes in description.outfits.items()
             }
         }

@@ -12,7 +12,7 @@ from humansim_ros.errors import HumansimError
 
 
 @contextmanager
-def explained(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Iterator[None]:
+def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Iterator[None]:
     """Turns what opening and reading a file raises into ``error``, which names the path and the reason."""
     if "\0" in os.fspath(path):
         raise error("no file can have this name: there is a NUL in it", path=path)
@@ -32,7 +32,7 @@ def read_bytes(
     """Content of a file; ``error`` names the path and the reason if it is missing, a folder, unreadable,
     empty, or longer than ``most`` bytes.
     """
-    with explained(path, error, what), Path(path).open("rb") as file:
+    with reading_errors(path, error, what), Path(path).open("rb") as file:
         data = file.read() if most is None else file.read(most + 1)
     if most is not None and len(data) > most:
         raise error(f"this is too large for a {what} file: more than {most >> 20} MB", path=path)
@@ -54,7 +54,7 @@ def read_text(
         return data.decode("latin-1")
 
 
-def expanded(name: str) -> Path:
+def expand_user(name: str) -> Path:
     """A path as people write it; ``~`` is their home."""
     try:
         return Path(name).expanduser()
@@ -62,7 +62,7 @@ def expanded(name: str) -> Path:
         return Path(name)
 
 
-def is_there(path: Path) -> bool:
+def exists(path: Path) -> bool:
     """Whether a file or folder is there; also of names that none can have."""
     try:
         return path.exists()
@@ -70,13 +70,13 @@ def is_there(path: Path) -> bool:
         return False
 
 
-def beside(file: str | os.PathLike[str], name: str) -> tuple[Path, bool]:
+def resolve_relative(file: str | os.PathLike[str], name: str) -> tuple[Path, bool]:
     """A file or folder that another file names from its own folder, and whether it is there."""
-    path = Path(file).resolve().parent / expanded(name)
-    return path, is_there(path)
+    path = Path(file).resolve().parent / expand_user(name)
+    return path, exists(path)
 
 
-def inside(folder: Path, name: str) -> Path | None:
+def resolve_inside(folder: Path, name: str) -> Path | None:
     """A file that another one names, in the folder of that one or below; None for any other place."""
     try:
         target = (folder.resolve() / name).resolve()

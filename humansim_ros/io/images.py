@@ -17,7 +17,7 @@ MAX_PIXELS = 1 << 26
 def decode_image(encoded: NDArray[np.uint8] | bytes) -> NDArray[np.uint8]:
     """(H, W, 3) uint8 sRGB of a PNG or JPEG file. MeshError where it is none, or larger than MAX_PIXELS."""
     data = bytes(encoded)
-    size = stated_size(data)
+    size = declared_size(data)
     if size is None:
         raise MeshError("the texture is no PNG or JPEG image")
     if not 0 < size[0] * size[1] <= MAX_PIXELS:
@@ -48,7 +48,7 @@ def encode_image(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return np.asarray(encoded, dtype=np.uint8).ravel()
 
 
-def stated_size(data: bytes) -> tuple[int, int] | None:
+def declared_size(data: bytes) -> tuple[int, int] | None:
     """Width and height that a PNG or JPEG file, or its beginning, states; None where it is neither."""
     if data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
         width, height = struct.unpack_from(">II", data, 16)

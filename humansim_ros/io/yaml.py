@@ -126,7 +126,7 @@ def line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
     return line
 
 
-def invalid(
+def validation_error(
     reason: ValidationError,
     tree: yaml.Node | None,
     error: type[HumansimError],

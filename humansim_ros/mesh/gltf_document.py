@@ -25,7 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from humansim_ros.errors import MeshError
 from humansim_ros.hierarchy import levels
-from humansim_ros.io.files import inside, read_bytes
+from humansim_ros.io.files import read_bytes, resolve_inside
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
@@ -498,7 +498,7 @@ class Gltf:
                 f"{uri[:60]!r} is not beside the file; put it there (nothing is fetched from elsewhere)", key
             )
         name = urllib.parse.unquote(uri)
-        target = inside(self.path.parent, name)
+        target = resolve_inside(self.path.parent, name)
         if target is None:
             raise self._error(f"{uri[:60]!r} lies outside the folder of the file: refused", key)
         try:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from humansim_ros.errors import MeshError, warn_of
+from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.io.images import decode_alpha, decode_image
 from humansim_ros.mesh.gltf_document import Gltf, GltfMaterial, TextureInfo
 from humansim_ros.mesh.material import Material
@@ -44,7 +44,7 @@ def read_material(gltf: Gltf, number: int | None, laid: bool) -> Material:
         source = gltf.texture_image(base.index)
         cut = None if source is None else decode_alpha(gltf.image(source))
     for doubt in doubts:
-        warn_of(gltf.path, f"material {material.name or number!r}: {doubt}: it is not shown")
+        warn_about(gltf.path, f"material {material.name or number!r}: {doubt}: it is not shown")
     wraps = (_REPEATED, _REPEATED) if leading is None else gltf.wraps(leading.index)
     emissive_strength = float(_number(material.extensions.get(_STRENGTH), "emissiveStrength", 1.0))
     red, green, blue = np.maximum(np.array(material.emissiveFactor) * emissive_strength, 0.0).tolist()

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, vstack
 
 from humansim_ros.body.skinning import normalise_weights
-from humansim_ros.errors import MeshError, warn_of
+from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.mesh.atlas import PLAIN, plain_tile, textured
 from humansim_ros.mesh.gltf_document import Gltf, Primitive
 from humansim_ros.mesh.gltf_material import read_image, read_material
@@ -111,7 +111,7 @@ def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> list[_Pie
     else:
         carrier = skeleton.joint_of(gltf, number)
         if carrier is None:
-            warn_of(gltf.path, f"{node.name or f'node {number}'!r} hangs on no joint and is left out")
+            warn_about(gltf.path, f"{node.name or f'node {number}'!r} hangs on no joint and is left out")
             return []
         # a thing without skin, a hat or a watch, goes along with its joint
         world = gltf.at_rest
@@ -161,7 +161,7 @@ def _piece(
         colors = gltf.accessor(primitive.attributes["COLOR_0"], ["VEC3", "VEC4"], "colours").astype(float)
         _same_length(gltf, colors, points, key)
         if colors.shape[1] == 4 and (colors[:, 3] < 1).any():
-            warn_of(gltf.path, f"{key}: how opaque its vertices are is not shown")
+            warn_about(gltf.path, f"{key}: how opaque its vertices are is not shown")
         colors = np.clip(colors[:, :3], 0.0, 1.0)
     weights: csr_matrix | None = None
     if joints is not None:

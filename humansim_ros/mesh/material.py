@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from humansim_ros.errors import warn_of
+from humansim_ros.errors import warn_about
 from humansim_ros.types import Image
 
 
@@ -61,6 +61,8 @@ def without_maps(material: Material | None, path: str, name: str) -> Material | 
     }
     lost = [what for key, what in images.items() if getattr(material, key) is not None]
     for what in lost:
-        warn_of(path, f"material {name!r}: its {what} has no texture coordinates to lie on: it is not shown")
+        warn_about(
+            path, f"material {name!r}: its {what} has no texture coordinates to lie on: it is not shown"
+        )
     dark = (0.0, 0.0, 0.0) if material.emissive_map is not None else material.emission
     return replace(material, metal_rough=None, normals=None, emissive_map=None, alpha_map=None, emission=dark)

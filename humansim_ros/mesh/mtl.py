@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import MeshError, warn_of
-from humansim_ros.io.files import inside, read_bytes, read_text
+from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.io.files import read_bytes, read_text, resolve_inside
 from humansim_ros.io.images import decode_alpha, decode_image
 from humansim_ros.mesh.atlas import plain_tile
 from humansim_ros.mesh.material import Material, normals_of_heights
@@ -50,7 +50,7 @@ def material_of(path: Path, name: str, said: Statements) -> Material | None:
     maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_BUMPS) if key in said]
     doubts += [f"{word} of {key}" for key in maps for word in said[key][1][:-1] if word in ("-s", "-o", "-t")]
     for doubt in doubts:
-        warn_of(path, f"material {name!r}: {doubt} is not shown")
+        warn_about(path, f"material {name!r}: {doubt} is not shown")
     shiny = _one(path, said, "illum", 2.0) >= 2
     gloss = _three(path, said, "Ks", 0.0) * _MIRRORS if shiny else np.zeros(3)
     exponent = max(_one(path, said, "Ns", 0.0), 0.0)
@@ -150,7 +150,7 @@ def _image(path: Path, words: list[str], otherwise: str) -> Image | None:
     """The image that a statement names after its options; None, which is told, if it is not there."""
     file = _file(path, words[-1])
     if not file.is_file():
-        warn_of(path, f"the texture {words[-1][:60]!r} is not beside it: {otherwise}")
+        warn_about(path, f"the texture {words[-1][:60]!r} is not beside it: {otherwise}")
         return None
     try:
         return decode_image(read_bytes(file, MeshError, "texture"))
@@ -160,4 +160,4 @@ def _image(path: Path, words: list[str], otherwise: str) -> Image | None:
 
 def _file(path: Path, name: str) -> Path:
     """A file beside the material's; one that there cannot be, for a name that leads elsewhere."""
-    return inside(path.parent, name.replace("\\", "/")) or path.parent / ""
+    return resolve_inside(path.parent, name.replace("\\", "/")) or path.parent / ""

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.errors import MeshError, warn_of
-from humansim_ros.io.files import inside, read_text
+from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.io.files import read_text, resolve_inside
 from humansim_ros.mesh.atlas import PLAIN, plain_tile, textured
 from humansim_ros.mesh.material import without_maps
 from humansim_ros.mesh.mesh import FaceIndices, Mesh
@@ -57,7 +57,7 @@ def _named(path: Path, keyword: str) -> list[Path]:
     names = [line.split(None, 1)[1].strip() for line in lines if line.startswith(f"{keyword} ")]
     if keyword == "map_Kd":
         names = [name.split()[-1] for name in names if name]
-    found = [inside(path.resolve().parent, name.replace("\\", "/")) for name in names]
+    found = [resolve_inside(path.resolve().parent, name.replace("\\", "/")) for name in names]
     return [file for file in found if file is not None and file.is_file()]
 
 
@@ -172,9 +172,11 @@ def _known_materials(libraries: list[str], path: str) -> dict[str, tuple[Path, s
     """By the names of materials, their file, name and what it says; a library that is missing is told."""
     known: dict[str, tuple[Path, str, Statements]] = {}
     for library in libraries:
-        file = inside(Path(path).resolve().parent, library)
+        file = resolve_inside(Path(path).resolve().parent, library)
         if file is None or not file.is_file():
-            warn_of(path, f"its materials {library[:60]!r} are not beside it: it has none of their colours")
+            warn_about(
+                path, f"its materials {library[:60]!r} are not beside it: it has none of their colours"
+            )
         else:
             known |= {name: (file, name, said) for name, said in read_mtl(file).items()}
     return known

@@ -16,7 +16,7 @@ from typing import Literal
 import numpy as np
 
 from humansim_ros.errors import MotionError
-from humansim_ros.io.files import atomic_path, explained
+from humansim_ros.io.files import atomic_path, reading_errors
 from humansim_ros.motion.bvh_parser import FRAME_TIMES, LARGEST, LONGEST_NAME, Parser, warn
 from humansim_ros.motion.kinematics import CHANNEL_NAMES, Motion
 
@@ -51,7 +51,7 @@ def read_bvh(path: str | os.PathLike[str], positions: Positions = "auto") -> Mot
     if positions not in ("auto", "replace", "add"):
         raise MotionError(f"positions are 'auto', 'replace' or 'add', not {positions!r}", path=path)
     # Latin-1 takes every byte; the hierarchy is decoded again
-    with explained(path, MotionError, "BVH motion"), Path(path).open(encoding="latin-1") as file:
+    with reading_errors(path, MotionError, "BVH motion"), Path(path).open(encoding="latin-1") as file:
         motion = Parser(path, file).parse()
     if positions != "auto":
         return replace(motion, positions=positions)

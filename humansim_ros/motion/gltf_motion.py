@@ -9,7 +9,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
-from humansim_ros.errors import MeshError, MotionError, warn_of
+from humansim_ros.errors import MeshError, MotionError, warn_about
 from humansim_ros.mesh.gltf_document import Animation, Gltf
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.motion.kinematics import Motion
@@ -79,7 +79,7 @@ def _motion(gltf: Gltf, skeleton: GltfSkeleton, animation: Animation) -> Motion:
         frames = into @ gltf.world(gltf.local(properties))[:, skeleton.nodes]
         u, size, vt = np.linalg.svd((frames @ unbind)[..., :3, :3])
         if np.abs(size - 1).max() > 0.01 and start == 0:
-            warn_of(gltf.path, "joints change their size; that is left out")
+            warn_about(gltf.path, "joints change their size; that is left out")
         turned = u @ vt
         if (mirrored := np.linalg.det(turned) < 0).any():
             joint = skeleton.names[int(np.argwhere(mirrored)[0, 1])]

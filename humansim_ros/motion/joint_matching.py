@@ -12,7 +12,7 @@ import yaml
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError
-from humansim_ros.io.files import atomic_path, is_there
+from humansim_ros.io.files import atomic_path, exists
 from humansim_ros.motion.bvh import Motion
 from humansim_ros.motion.joint_tables import (
     CHAINS,
@@ -130,7 +130,7 @@ def _candidates(
     if table is None:
         return tables
     named = [t for t in tables if t.name == os.fspath(table)]
-    if not named and not is_there(Path(table)):
+    if not named and not exists(Path(table)):
         known = ", ".join(t.name for t in tables)
         raise MotionError(
             f"no joint table {os.fspath(table)!r}: give a YAML file or one of {known}", path=path

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
-from humansim_ros.io.yaml import invalid, read_yaml
+from humansim_ros.io.yaml import read_yaml, validation_error
 from humansim_ros.resources import resource_path
 
 #: Without these bones nobody would call the result a person moving.
@@ -211,7 +211,7 @@ def load_table(path: str | os.PathLike[str]) -> JointTable:
     try:
         return JointTable.model_validate(data)
     except ValidationError as reason:
-        raise invalid(reason, tree, MotionError, path) from None
+        raise validation_error(reason, tree, MotionError, path) from None
 
 
 @functools.cache

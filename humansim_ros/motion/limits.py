@@ -23,7 +23,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.errors import MotionError
-from humansim_ros.io.yaml import invalid, read_yaml
+from humansim_ros.io.yaml import read_yaml, validation_error
 from humansim_ros.resources import resource_path
 from humansim_ros.rotations import from_y_axis, matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.types import Array
@@ -505,7 +505,7 @@ def load_limits(path: str | os.PathLike[str] | None = None, skeleton: Skeleton |
     try:
         table = LimitTable.model_validate(data)
     except ValidationError as reason:
-        raise invalid(reason, tree, MotionError, path) from None
+        raise validation_error(reason, tree, MotionError, path) from None
     return JointLimits(table, hanim_skeleton()).for_skeleton(skeleton or hanim_skeleton())
 
 

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any
 
-from humansim_ros.errors import HumansimError, RosError, tell_warnings
+from humansim_ros.errors import HumansimError, RosError, show_warnings
 from humansim_ros.render.memory import keep_image_blocks
 from humansim_ros.resources import resource_path
 
@@ -73,7 +73,7 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     """Run one node, and those it has made, until SIGINT or SIGTERM. Returns the exit code: 0 stopped, 2 the
     input was wrong.
     """
-    tell_warnings()
+    show_warnings()
     try:
         require_ros()
     except HumansimError as error:

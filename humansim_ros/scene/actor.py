@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.humans.human import Human
-from humansim_ros.io.files import beside
+from humansim_ros.io.files import resolve_relative
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.files import read_motion, split_name
 from humansim_ros.motion.joint_matching import match_motion
@@ -94,7 +94,7 @@ class Actor:
             motion = read_motion(path if animation is None else f"{path}#{animation}", config.positions)
         table = config.joint_names
         if table is not None:
-            own, there = beside(scene, table)
+            own, there = resolve_relative(scene, table)
             table = str(own) if there and own.is_file() else table
         match = match_motion(motion, table).with_own(human.skeleton.names, motion.joint_names)
         world = WorldMotion(

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimError, MeshError, SceneError
-from humansim_ros.io.files import beside, read_bytes
-from humansim_ros.io.images import MAX_PIXELS, decode_image, stated_size
+from humansim_ros.io.files import read_bytes, resolve_relative
+from humansim_ros.io.images import MAX_PIXELS, declared_size, decode_image
 from humansim_ros.render.backdrops import ImageBackdrop
 from humansim_ros.scene.config import line_of_key
 
@@ -23,7 +23,7 @@ _WIDEST = 4096
 
 def scene_file(name: str, scene: Path, key: str) -> Path:
     """A file that a scene names, from the scene's folder. SceneError with the key if there is none."""
-    path, there = beside(scene, name)
+    path, there = resolve_relative(scene, name)
     if not there:
         raise SceneError(f"no such file {str(path)!r}", path=scene, line=line_of_key(scene, key), key=key)
     return path
@@ -59,7 +59,7 @@ def load_panorama(name: str, scene: Path, key: str) -> NDArray[np.float32]:
 
 
 def _decoded(data: bytes) -> NDArray[np.float32]:
-    if stated_size(data) is not None:
+    if declared_size(data) is not None:
         return np.asarray((decode_image(data) / np.float32(255)) ** 2, dtype=np.float32)
     header = _RADIANCE.match(data[:65536])
     if header is None:

@@ -15,8 +15,8 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.idealize import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.errors import CameraError, warn_of
-from humansim_ros.io.files import beside
+from humansim_ros.errors import CameraError, warn_about
+from humansim_ros.io.files import resolve_relative
 from humansim_ros.motion.world_motion import VELOCITY_STEP, Velocity
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
@@ -165,7 +165,7 @@ def _camera(config: CameraConfig, scene: Path) -> Camera:
         return replace(camera, R=there.R, t=there.t)
     nowhere = np.array_equal(camera.R, np.eye(3)) and not camera.t.any()
     if nowhere and config.calibration is not None and config.trajectory is None:
-        warn_of(scene, f"{config.calibration} says no place: its camera is at the origin and looks up")
+        warn_about(scene, f"{config.calibration} says no place: its camera is at the origin and looks up")
     return camera
 
 
@@ -199,7 +199,7 @@ def _found(file: str, scene: Path, key: str) -> Path:
     from humansim_ros.camera.calibration import resolve_url
 
     if "://" not in file:
-        path, there = beside(scene, file)
+        path, there = resolve_relative(scene, file)
     else:
         try:
             path = resolve_url(file)

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
 
 from humansim_ros.errors import SceneError
-from humansim_ros.io.files import beside
-from humansim_ros.io.yaml import invalid, line_of, read_yaml
+from humansim_ros.io.files import resolve_relative
+from humansim_ros.io.yaml import line_of, read_yaml, validation_error
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.make import RendererName
 from humansim_ros.resources import resource_path
@@ -463,7 +463,7 @@ def load_config(path: str | os.PathLike[str]) -> SceneConfig:
     try:
         return SceneConfig.model_validate(data)
     except ValidationError as reason:
-        raise invalid(reason, tree, SceneError, path, _known_keys) from None
+        raise validation_error(reason, tree, SceneError, path, _known_keys) from None
 
 
 def _known_keys(keys: list[Any]) -> str:
@@ -506,7 +506,7 @@ def find_file(name: str, folder: str, suffix: str, scene: Path, key: str) -> Pat
     """
     if name in built_in_names(folder, suffix):
         return resource_path(f"assets/{folder}") / f"{name}{suffix}"
-    path, there = beside(scene, name)
+    path, there = resolve_relative(scene, name)
     if not there:
         known = ", ".join(built_in_names(folder, suffix))
         where = f"no such file {str(path)!r}" if Path(name).suffix else f"no {name!r}"

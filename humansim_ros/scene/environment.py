@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.errors import MeshError, warn_of
+from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.backdrops import Panorama, ambient
 from humansim_ros.render.lighting import Lighting, tone_mapped
@@ -85,11 +85,11 @@ def _placed(config: WorldMeshConfig, scene: Path, key: str) -> list[Mesh]:
     points = np.concatenate([mesh.vertices for mesh in placed])
     side = float(np.ptp(points, axis=0).max())
     if side > _LARGE:
-        warn_of(
+        warn_about(
             scene,
             f"{key}: {config.file} is {side:.0f} m large, and nothing is drawn beyond 200 m: if its unit is "
             "a millimetre, say scale: 0.001",
         )
     elif side < _SMALL:
-        warn_of(scene, f"{key}: {config.file} is {1000 * side:.2g} mm large: say its scale")
+        warn_about(scene, f"{key}: {config.file} is {1000 * side:.2g} mm large: say its scale")
     return placed

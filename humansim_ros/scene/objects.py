@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
-from humansim_ros.io.files import beside
+from humansim_ros.io.files import resolve_relative
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
 from humansim_ros.motion.world_motion import Velocity
@@ -168,7 +168,7 @@ def load_tracks(config: SceneConfig, scene: Path) -> dict[tuple[str, str], Track
 
 
 def _existing(name: str, scene: Path, key: str, known: str = "") -> Path:
-    path, there = beside(scene, name)
+    path, there = resolve_relative(scene, name)
     if not there:
         raise SceneError(f"no such file {str(path)!r}" + (f"; {known}" if known else ""), path=scene, key=key)
     return path

@@ -8,7 +8,7 @@ import numpy as np
 
 from humansim_ros.camera.formats.base import CalibrationSource, Key
 from humansim_ros.camera.lens import MODELS
-from humansim_ros.errors import warn_of
+from humansim_ros.errors import warn_about
 from humansim_ros.types import Array
 
 COUNTS = {model: len(coefficients) for model, coefficients in MODELS.items()}
@@ -71,5 +71,5 @@ def _unnamed(
             f"is missing, and {count} coefficients do not tell which it is: add one of {_THERE}", *named_at
         )
     key = ".".join(map(str, named_at))
-    warn_of(source.path, f"{key} is missing; {count} coefficients are taken for {model}")
+    warn_about(source.path, f"{key} is missing; {count} coefficients are taken for {model}")
     return model

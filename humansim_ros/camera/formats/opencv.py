@@ -29,7 +29,7 @@ from humansim_ros.camera.formats.base import (
 )
 from humansim_ros.camera.formats.containers import container_of, parsed
 from humansim_ros.camera.formats.models import COUNTS, lens_of
-from humansim_ros.errors import CameraError, warn_of
+from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.files import read_text
 from humansim_ros.types import Array
 
@@ -213,7 +213,7 @@ def _model(said: Mapping[str, _Said | None], distortion: Array) -> str | None:
             word = "rational_polynomial"
         if given is not None and not is_fisheye and len(distortion) == 4 and distortion.any():
             hint = "if they are of cv2.fisheye, add distortion_model: equidistant"
-            warn_of(given.source.path, f"{given.keys[0]}: 4 coefficients are taken for plumb_bob; {hint}")
+            warn_about(given.source.path, f"{given.keys[0]}: 4 coefficients are taken for plumb_bob; {hint}")
     if given is None:
         return None if word != "equidistant" else word
     named_at = named or fisheye or given

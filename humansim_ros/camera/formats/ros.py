@@ -23,7 +23,7 @@ from humansim_ros.camera.formats.base import (
     row,
 )
 from humansim_ros.camera.formats.models import COUNTS, lens_of
-from humansim_ros.errors import CameraError, warn_of
+from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array
 
 _PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_/-]*")
@@ -76,7 +76,9 @@ def _read_message(source: CalibrationSource) -> dict[str, RawCamera]:
     parts = ("x_offset", "y_offset", "height", "width")
     binned = any(source.get(key) not in (None, 0, 1) for key in ("binning_x", "binning_y"))
     if binned or any(source.get("roi", part) for part in parts):
-        warn_of(source.path, "binning and region of interest are left out: the camera is of the full image")
+        warn_about(
+            source.path, "binning and region of interest are left out: the camera is of the full image"
+        )
     frame = str(source.get("header", "frame_id") or "").strip()
     return {frame.removesuffix("_optical_frame") or Path(source.path).stem: camera}
 

@@ -10,7 +10,7 @@ import numpy as np
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, Key, RawCamera, row
 from humansim_ros.camera.formats.models import COUNTS, lens_of
-from humansim_ros.errors import CameraError, warn_of
+from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array
 
 _SIZE, _FOV = (640, 480), 60.0
@@ -41,7 +41,9 @@ def _camera(source: CalibrationSource, name: str) -> RawCamera:
             raise source.error(f"cameras with a {key} file cannot be read here: use that file", *at, key)
     left_out = [key for key in _LEFT_OUT if source.get(*at, key) is not None]
     if left_out:
-        warn_of(source.path, f"cameras.{name}: {' and '.join(left_out)} left out: this is the whole sensor")
+        warn_about(
+            source.path, f"cameras.{name}: {' and '.join(left_out)} left out: this is the whole sensor"
+        )
     size = _SIZE
     if source.get(*at, "size") is not None:
         source.numbers((2,), *at, "size")

@@ -17,7 +17,7 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from humansim_ros.errors import HumansimError, SceneError
-from humansim_ros.io.files import beside
+from humansim_ros.io.files import resolve_relative
 from humansim_ros.motion.joint_tables import built_in_tables, load_table
 from humansim_ros.ros.messages import (
     MarkerMaker,
@@ -71,7 +71,7 @@ class SkinnerNode(SceneNode):
         """A joint table that is there, beside the scene file or as it is named; None if none is."""
         if not name:
             return None
-        own, there = beside(self.scene.path, name)
+        own, there = resolve_relative(self.scene.path, name)
         path = str(own) if there and own.is_file() else name
         if not any(table.name == path for table in built_in_tables()):
             load_table(path)

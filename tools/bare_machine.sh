@@ -89,7 +89,9 @@ run_in() {
             mount --bind -o ro "$wheels" "$root$wheels"
         done
         shift "$count"
-        exec chroot "$root" env -i --chdir="$HOME/humansim_ros" "$@"
+        # not exec: this bash is process 1, which has to reap the orphans of the command
+        chroot "$root" env -i --chdir="$HOME/humansim_ros" "$@"
+        exit
     ' bash "$1" "${#wheels[@]}" "${wheels[@]}" "HOME=$HOME" DEBIAN_FRONTEND=noninteractive \
         PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin "${variables[@]}" "${@:2}" </dev/null
 }

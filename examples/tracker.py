@@ -1,0 +1,112 @@
+"""Measure a tracker against the truth: it triangulates joints from all cameras of a running scene.
+
+    humansim run &
+    python examples/tracker.py [HUMAN] [FRAMES] [--ros-args ...]
+
+It subscribes to ``<camera>/camera_info`` and ``<camera>/projection`` as to those of real cameras. In place of
+a detector it takes the 2D joints of ``<camera>/joints``: put your own detections of ``<camera>/image_raw``
+there. The error to ``/humans/<HUMAN>/joints`` of the same stamp is the error of the tracker.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections import defaultdict
+from functools import partial
+
+import numpy as np
+import rclpy
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from std_msgs.msg import Float64MultiArray, String
+
+from humansim_ros.ros.messages import read_joint_view
+
+CAMERAS = ("camera_1", "camera_2", "camera_3", "camera_4")
+VISIBLE = 2
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class Tracker(Node):
+    """Direct linear transformation of the visible 2D joints of each stamp."""
+
+    def __init__(self, human: str, frames: int) -> None:
+        super().__init__("tracker")
+        self.human, self.frames = human, frames
+        self.projections: dict[str, np.ndarray] = {}
+        self.label: int | None = None
+        self.pixels: dict[int, dict[str, np.ndarray]] = defaultdict(dict)
+        self.truth: dict[int, np.ndarray] = {}
+        self.errors: list[float] = []
+        for camera in CAMERAS:
+            self.create_subscription(
+                Float64MultiArray, f"{camera}/projection", partial(self.on_projection, camera), LATCHED
+            )
+            self.create_subscription(
+                PointCloud2, f"{camera}/joints", partial(self.on_pixels, camera), qos_profile_sensor_data
+            )
+        self.create_subscription(String, f"{CAMERAS[0]}/joints/legend", self.on_legend, LATCHED)
+        self.create_subscription(MultiDOFJointState, f"humans/{human}/joints", self.on_truth, 10)
+
+    def on_projection(self, camera: str, message: Float64MultiArray) -> None:
+        self.projections[camera] = np.reshape(message.data, (3, 4))
+
+    def on_legend(self, message: String) -> None:
+        labels = {name: int(label) for label, name in json.loads(message.data)["human"].items()}
+        self.label = labels[self.human]
+
+    def on_pixels(self, camera: str, message: PointCloud2) -> None:
+        points = read_joint_view(message)
+        points = points[points["human"] == self.label]
+        pixels = np.stack([points["u"], points["v"]], axis=1)
+        pixels[points["visible"] != VISIBLE] = np.nan
+        self.pixels[stamp_of(message)][camera] = pixels
+        self.measure(stamp_of(message))
+
+    def on_truth(self, message: MultiDOFJointState) -> None:
+        positions = [(t.translation.x, t.translation.y, t.translation.z) for t in message.transforms]
+        self.truth[stamp_of(message)] = np.array(positions)
+        self.measure(stamp_of(message))
+
+    def measure(self, stamp: int) -> None:
+        """Triangulate the joints of a stamp as soon as everything of it is there."""
+        if stamp not in self.truth or not set(CAMERAS) <= self.pixels[stamp].keys() & self.projections.keys():
+            return
+        pixels, truth = self.pixels.pop(stamp), self.truth.pop(stamp)
+        for joint, expected in enumerate(truth):
+            rows = [
+                row
+                for camera in CAMERAS
+                if np.isfinite(uv := pixels[camera][joint]).all()
+                for row in uv[:, None] * self.projections[camera][2] - self.projections[camera][:2]
+            ]
+            if len(rows) >= 4:
+                x = np.linalg.svd(np.array(rows))[2][-1]
+                self.errors.append(float(np.linalg.norm(x[:3] / x[3] - expected)))
+        self.frames -= 1
+
+
+def stamp_of(message: PointCloud2 | MultiDOFJointState) -> int:
+    return message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+
+
+def main() -> None:
+    rclpy.init()
+    arguments = rclpy.utilities.remove_ros_args(sys.argv)[1:]
+    node = Tracker((arguments or ["walker"])[0], int((arguments[1:] or ["30"])[0]))
+    try:
+        while node.frames > 0:
+            rclpy.spin_once(node, timeout_sec=1.0)
+        errors = 1000 * np.array(node.errors)
+        print(f"{len(errors)} joints: error {errors.mean():.2f} mm mean, {errors.max():.2f} mm at most")
+    except KeyboardInterrupt:
+        pass
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

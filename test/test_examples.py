@@ -1,0 +1,144 @@
+"""Every example runs as its docstring says, and its results are right."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from humansim_ros import Camera, read_bvh, write_calibration
+
+EXAMPLES = ROOT / "examples"
+#: examples/live_mocap.py runs in test/scene/test_live.py.
+TESTED_ELSEWHERE = {"live_mocap"}
+
+
+def example(name: str, *arguments: object, cwd: Path = ROOT) -> str:
+    """What an example prints."""
+    done = subprocess.run(
+        [sys.executable, str(EXAMPLES / f"{name}.py"), *map(str, arguments)],
+        cwd=cwd,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_every_example_is_tested() -> None:
+    source = Path(__file__).read_text()
+    examples = {path.stem for path in EXAMPLES.glob("*.py")}
+    assert len(examples) == 8
+    assert {name for name in examples if f'"{name}"' not in source and f'"{name}.py"' not in source} == set()
+
+
+def test_hello_scene_prints_a_frame_and_where_heads_are(tmp_path: Path) -> None:
+    said = example("hello_scene", cwd=tmp_path)
+    heads = re.findall(r"the head is at \[ ?(.+?)\] m", said)
+    assert len(heads) == 2 and all(1.2 < float(head.split()[2]) < 1.9 for head in heads)
+
+
+def test_depth_and_labels_measure_the_nearer_person_as_nearer() -> None:
+    said = example("depth_and_labels")
+    near, far = (float(value) for value in re.findall(r"([\d.]+) m away", said))
+    assert 1.8 < near < 3.0 < 3.8 < far < 5.0
+
+
+def test_frames_of_a_scene_are_saved(tmp_path: Path) -> None:
+    example("save_frames", ROOT / "config" / "scenes" / "demo.yaml", tmp_path / "out", 2)
+    images = sorted((tmp_path / "out").glob("camera_*.png"))
+    assert len(images) == 8 and len(list((tmp_path / "out").glob("joints_*.json"))) == 2
+    assert all(cv2.imread(str(path)).shape == (480, 640, 3) for path in images)
+
+
+def test_people_are_seen_by_the_cameras_of_a_calibration_file(tmp_path: Path) -> None:
+    positions = {"left": (3.0, 1.5, 1.8), "right": (3.0, -1.5, 1.8)}
+    write_calibration(
+        tmp_path / "rig.yaml", {name: Camera.look_at(at, (0, 0, 1)) for name, at in positions.items()}
+    )
+    said = example("own_calibration", tmp_path / "rig.yaml")
+    assert said.startswith("2 cameras: left 640x480, right 640x480")
+    assert (
+        len(re.findall(r"([1-9]\d*) joints visible, projection and truth agree to \d\.\de-\d+ px", said)) == 2
+    )
+
+
+def test_a_motion_is_retargeted_and_written(tmp_path: Path) -> None:
+    walk = ROOT / "assets" / "motions" / "wave.bvh"
+    example("retarget_bvh", walk, tmp_path / "out.npz", "child")
+    with np.load(tmp_path / "out.npz") as arrays:
+        frames, joints = arrays["joints"].shape[:2]
+        assert frames == read_bvh(walk).n_frames and joints == len(arrays["joint_names"])
+        assert abs(arrays["vertices"][..., 2].min()) < 0.02
+
+
+@contextmanager
+def running_scene(domain: str) -> Iterator[dict[str, str]]:
+    """The demo scene as ``humansim run`` starts it."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": str(ROOT),
+        "ROS_DOMAIN_ID": domain,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+    }
+    scene = subprocess.Popen([sys.executable, "-m", "humansim_ros.cli", "run"], env=environment, cwd=ROOT)
+    try:
+        yield environment
+    finally:
+        scene.terminate()
+        scene.wait(timeout=30)
+
+
+def test_a_tracker_is_measured_and_a_camera_is_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("rclpy")
+    with running_scene("87") as environment:
+        for name in ("ROS_DOMAIN_ID", "ROS_AUTOMATIC_DISCOVERY_RANGE"):
+            monkeypatch.setenv(name, environment[name])
+        said = example("tracker", "walker", 20)
+        joints, mean, worst = map(float, re.findall(r"\d+\.?\d*", said))
+        assert joints > 100 and mean < 1.0 and worst < 10.0
+        mover = subprocess.Popen(
+            [sys.executable, str(EXAMPLES / "moving_camera.py"), "camera_2"], env=environment, cwd=ROOT
+        )
+        try:
+            assert camera_moves("camera_2")
+        finally:
+            mover.terminate()
+            mover.wait(timeout=30)
+
+
+def camera_moves(camera: str) -> bool:
+    """Whether the extrinsics that a camera publishes change."""
+    import rclpy
+    from geometry_msgs.msg import TransformStamped
+
+    rclpy.init()
+    node = rclpy.create_node("watch")
+    seen: set[tuple[float, float]] = set()
+    try:
+        node.create_subscription(
+            TransformStamped,
+            f"{camera}/extrinsics",
+            lambda m: seen.add((m.transform.translation.x, m.transform.translation.y)),
+            10,
+        )
+        end = time.monotonic() + 30
+        while len(seen) < 5 and time.monotonic() < end:
+            rclpy.spin_once(node, timeout_sec=0.5)
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return len(seen) >= 5

@@ -1,10 +1,12 @@
-"""Write docs/api.md, the list of all public names, from their docstrings: ``python tools/api_docs.py``.
+"""Write the parts of docs/ that come from docstrings: ``python tools/doc_pages.py``.
 
-A test compares the page with what this program makes, so run it after a public docstring has changed.
+docs/api.md lists all public names; the module map of docs/architecture.md has a line for each module. A test
+compares both with the docstrings: run this program after a public or a module docstring has changed.
 """
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
 import re
@@ -20,7 +22,7 @@ FOLDERS = ("", "scene", "camera", "motion", "humans", "body", "mesh", "render", 
 HEAD = """# Python API
 
 Names on this page are public: they stay, or keep an alias with a `DeprecationWarning` for one minor version.
-All other names are internal and may change. `tools/api_docs.py` makes the page from the docstrings. Terms are
+All other names are internal and may change. `tools/doc_pages.py` makes the page from the docstrings. Terms are
 in the [glossary](glossary.md); sources such as [thesis] are in the [references](references.md).
 
 `humansim_ros` itself exports the names that most programs need, and loads them on first use:
@@ -29,11 +31,12 @@ in the [glossary](glossary.md); sources such as [thesis] are in the [references]
 
 Folders export the types that these hand out, such as `from humansim_ros.truth import JointView`.
 """
+_MAP_BEGINS, _MAP_ENDS = "<!-- module map: tools/doc_pages.py -->", "<!-- end of the module map -->"
 _SECTIONS = ("Args", "Returns", "Raises", "Yields", "Attributes", "Example", "Examples")
 
 
-def page() -> str:
-    """The whole page."""
+def api_page() -> str:
+    """docs/api.md."""
     documented: set[int] = set()
     return HEAD + "".join("\n" + "\n".join(_folder(folder, documented)) + "\n" for folder in FOLDERS)
 
@@ -113,5 +116,27 @@ def _text(docstring: str) -> str:
     return re.sub(r"\n{3,}", "\n\n", text).strip() + "\n"
 
 
+def with_module_map(text: str) -> str:
+    """docs/architecture.md with today's module map."""
+    before, _, rest = text.partition(_MAP_BEGINS)
+    _, _, after = rest.partition(_MAP_ENDS)
+    return f"{before}{_MAP_BEGINS}\n{''.join(_module_map())}\n{_MAP_ENDS}{after}"
+
+
+def _module_map() -> Iterator[str]:
+    package = ROOT / "humansim_ros"
+    folder = None
+    for path in sorted(package.rglob("*.py"), key=lambda path: (path.parent, path.stem != "__init__", path)):
+        relative = path.relative_to(package)
+        first = (ast.get_docstring(ast.parse(path.read_text())) or "").split("\n\n")[0].replace("\n", " ")
+        if path.parent != folder:
+            folder = path.parent
+            yield f"\n### `{relative.parent.as_posix()}/`\n\n{first}\n\n| module | |\n|---|---|\n"
+        if path.stem != "__init__":
+            yield f"| `{relative.as_posix()}` | {first} |\n"
+
+
 if __name__ == "__main__":
-    (ROOT / "docs" / "api.md").write_text(page(), encoding="utf-8")
+    (ROOT / "docs" / "api.md").write_text(api_page(), encoding="utf-8")
+    architecture = ROOT / "docs" / "architecture.md"
+    architecture.write_text(with_module_map(architecture.read_text(encoding="utf-8")), encoding="utf-8")

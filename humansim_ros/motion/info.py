@@ -19,7 +19,7 @@ from humansim_ros.motion.files import read_motion
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_tables import JointMatch
 from humansim_ros.motion.limits import load_limits
-from humansim_ros.motion.penetration import capsules, report_penetration
+from humansim_ros.motion.penetration import fit_capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import (
     JointPoses,
@@ -261,5 +261,5 @@ def _checked(world: WorldMotion, retargeter: Retargeter) -> dict[str, Any]:
         "stances": len(stances),
         "slide": float(slides(skeleton, posed, stances).mean() * 1e3) if stances else 0.0,
         "limits": [asdict(violation) for violation in load_limits().report(rotations)],
-        "penetration": asdict(report_penetration(posed, capsules(skeleton))),
+        "penetration": asdict(report_penetration(posed, fit_capsules(skeleton))),
     }

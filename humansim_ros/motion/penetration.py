@@ -1,4 +1,4 @@
-"""Where limbs go through each other or the trunk: bones as capsules, the distance between their axes."""
+"""Self-penetration of poses: capsules stand for the body parts, and overlap by the distance of their axes."""
 
 from __future__ import annotations
 
@@ -7,14 +7,16 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
 
 from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.human import Human
-from humansim_ros.types import Array
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.rotations import rotate
+from humansim_ros.types import Array, Indices
 
-#: Radius, and for the trunk half its width, by the height of the person: those of assets/humans/adult_man.
+#: Radius and, for the trunk, half the width, as shares of the stature; measured on assets/humans/adult_man.
 _RADII = {
     "HumanoidRoot": (0.066, 0.098),
     "sacroiliac": (0.072, 0.089),
@@ -27,72 +29,76 @@ _RADII = {
     "knee": (0.035, 0.0),
     "ankle": (0.027, 0.0),
 }
-#: Bones that are wider than deep: two capsules side by side.
+#: Bones that are wider than deep get two capsules side by side.
 _TRUNK = ("HumanoidRoot", "sacroiliac", "vl5")
-#: Share of a trunk bone's vertices on either side that are taken for details.
-_DETAILS = 5.0
-#: A bone with fewer vertices than this has no surface to measure.
-_FEWEST = 8
-#: Percentile of the distances of a limb's vertices from its bone that is its radius: with it, depths are
-#: nearest to those between the convex hulls of the posed parts of assets/humans/adult_man (9 mm in the mean).
-_TYPICAL = 40.0
-#: Capsule pairs times frames worked on at once: their vectors stay in the processor's cache.
-_AT_ONCE = 20_000
+#: Percentage of a trunk bone's vertices on either side that count as details, not as its width.
+_DETAIL_PERCENTILE = 5.0
+#: A bone with fewer vertices gets no capsule.
+_MIN_VERTICES = 8
+#: Percentile of the distances of a limb's vertices from its bone that is the capsule's radius. With it,
+#: depths are nearest to those between the convex hulls of the posed parts of assets/humans/adult_man (mean 9
+#: mm).
+_RADIUS_PERCENTILE = 40.0
+#: Capsule pairs times frames in a batch: their vectors stay in the processor's cache.
+_BATCH = 20_000
 
 
 @dataclass(frozen=True)
 class Capsules:
-    """Capsules (C) fixed to bones of ``skeleton``: ``bones`` (C,) index, axes from ``starts`` to ``ends``
-    (C, 3) in bone space, ``radii`` (C,), metres.
+    """C capsules fixed to bones of a skeleton.
+
+    ``bones``: (C,) bone index. ``starts``, ``ends``: (C, 3) ends of the axes in bone space, metres.
+    ``radii``: (C,) metres.
     """
 
     skeleton: Skeleton
-    bones: NDArray[np.intp]
+    bones: Indices
     starts: Array
     ends: Array
     radii: Array
 
     @cached_property
-    def pairs(self) -> NDArray[np.intp]:
-        """(P, 2) bones that are held against each other: not those that are joined (connectors and collars
-        count as the trunk) and not those whose capsules touch at rest.
+    def pairs(self) -> Indices:
+        """(P, 2) bones that are compared.
+
+        Bones that are joined are not compared (connectors and collars count as the trunk), nor are bones
+        whose capsules touch at rest.
         """
-        return self._paired[0]
+        return self._pair_table[0]
 
     @property
     def pair_names(self) -> tuple[tuple[str, str], ...]:
-        """The names of :attr:`pairs`."""
+        """Names of :attr:`pairs`."""
         names = self.skeleton.names
         return tuple((names[a], names[b]) for a, b in self.pairs)
 
     def axes(self, posed: Array) -> tuple[Array, Array]:
-        """Starts and ends (N, C, 3) of the capsules' axes in the space of posed bones (N, B, 4, 4)."""
+        """Starts and ends (N, C, 3) of the axes, in the space of the posed bones (N, B, 4, 4)."""
         frames = posed[:, self.bones]
         starts, ends = (
-            (frames[..., :3, :3] @ points[..., None])[..., 0] + frames[..., :3, 3]
-            for points in (self.starts, self.ends)
+            rotate(frames[..., :3, :3], points) + frames[..., :3, 3] for points in (self.starts, self.ends)
         )
         return starts, ends
 
     @cached_property
-    def _paired(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-        """Pairs of bones (P, 2), their pairs of capsules (Q, 2) in that order, and where each begins (P,)."""
-        joined = self._joined()
+    def _pair_table(self) -> tuple[Indices, Indices, Indices]:
+        """Pairs of bones (P, 2), the pairs of capsules (Q, 2) sorted by them, and the first of each (P,)."""
+        joined = self._adjacent()
         first, second = np.triu_indices(len(self.bones), 1)
         low, high = np.sort(np.stack([self.bones[first], self.bones[second]]), axis=0)
         order = np.lexsort([high, low])
         capsules, bones = np.stack([first, second], 1)[order], np.stack([low, high], 1)[order]
         apart = ~joined[tuple(bones.T)]
-        bones, begins, number = _grouped(bones[apart])
+        bones, begins, number = _group_rows(bones[apart])
         capsules = capsules[apart]
         at_rest = _depths(*self.axes(self.skeleton.rest[None]), self.radii, capsules)
         touching = np.maximum.reduceat(at_rest[0], begins) > 0 if len(begins) else np.zeros(0, bool)
-        kept = ~touching[number]
-        bones, begins, _ = _grouped(bones[number][kept])
-        return bones, capsules[kept], begins
+        compared = ~touching[number]
+        bones, begins, _ = _group_rows(bones[number][compared])
+        return bones, capsules[compared], begins
 
-    def _joined(self) -> NDArray[np.bool_]:
-        """(B, B) which bones are the same, or joined but for bones without capsules between them."""
+    def _adjacent(self) -> NDArray[np.bool_]:
+        """(B, B) whether two bones are the same or joined, bones without capsules between them left out."""
         size = len(self.skeleton)
         has = np.isin(np.arange(size), self.bones)
         joined = np.eye(size, dtype=bool)
@@ -106,9 +112,11 @@ class Capsules:
 
 @dataclass(frozen=True)
 class PenetrationReport:
-    """The deepest penetration: ``depth_mm``, between the two bones of ``pair``, in ``frame``; the ``share``
-    of frames in which any pair is deeper than ``tolerance_mm``, and ``pairs``: those that are, the deepest
-    first, as (bone, bone, deepest mm, share of frames). ``dataclasses.asdict`` is JSON.
+    """Penetration of the bones of a body over some frames.
+
+    ``depth_mm``: the deepest penetration, between the bones of ``pair`` in ``frame``. ``share``: share of the
+    frames in which any pair is deeper than ``tolerance_mm``. ``pairs``: the pairs deeper than that, deepest
+    first, as (bone, bone, deepest mm, share of frames). ``dataclasses.asdict`` makes JSON of it.
     """
 
     depth_mm: float
@@ -119,35 +127,41 @@ class PenetrationReport:
     pairs: tuple[tuple[str, str, float, float], ...]
 
 
-def capsules(body: Human | Skeleton) -> Capsules:
-    """Capsules of a body as thick as its mesh: around the limbs' bones, with the usual distance of their own
-    vertices from them; at each bone of the trunk, which is no cylinder, two side by side. A skeleton alone
-    gets those of an average man of its height.
+def fit_capsules(skeleton: Skeleton, mesh: Mesh | None = None, weights: csr_matrix | None = None) -> Capsules:
+    """Fit capsules to a skeleton and the mesh around it.
 
-    Connectors, collars and bones without vertices of their own get none. MeshError if no bone has any.
+    A limb gets one capsule. Its radius is a typical distance of the vertices of the bone from it. A bone of
+    the trunk, which is no cylinder, gets two side by side. Without ``mesh`` and its ``weights`` (V, B) the
+    radii are those of an average man of the same stature. Connectors, collars and bones without vertices get
+    none.
+
+    Raises:
+        MeshError: No bone gets a capsule.
     """
-    skeleton = body.skeleton if isinstance(body, Human) else body
-    rows = _measured(body) if isinstance(body, Human) else _usual(body)
+    if mesh is None or weights is None:
+        rows = _average_capsules(skeleton)
+    else:
+        rows = _measured_capsules(skeleton, mesh.vertices, dominant_bones(weights))
     if not rows:
-        raise MeshError("no bone of this skeleton can be given a capsule")
+        raise MeshError("no bone of this skeleton can have a capsule: none is a limb or part of the trunk")
     bones = np.array([bone for bone, *_ in rows], dtype=np.intp)
     inverse = skeleton.rest_inverse[bones]
     starts, ends = (
-        (inverse[:, :3, :3] @ np.array([row[i] for row in rows])[..., None])[..., 0] + inverse[:, :3, 3]
-        for i in (1, 2)
+        rotate(inverse[:, :3, :3], np.array([row[i] for row in rows])) + inverse[:, :3, 3] for i in (1, 2)
     )
     return Capsules(skeleton, bones, starts, ends, np.array([row[3] for row in rows]))
 
 
 def self_penetration(posed: Array, capsules: Capsules) -> Array:
-    """How deep the capsules of each pair of bones are in each other (N, P) in poses (N, B, 4, 4), metres;
-    below zero is the gap between them. The pairs are ``capsules.pairs``.
+    """Depth (N, P) in metres by which the bones of each pair penetrate each other, in poses (N, B, 4, 4).
+
+    The pairs are ``capsules.pairs``. A negative depth is the gap between the two.
     """
-    bones, pairs, begins = capsules._paired
+    bones, pairs, begins = capsules._pair_table
     out = np.empty((len(posed), len(bones)))
     if not len(bones):
         return out
-    step = max(1, _AT_ONCE // len(pairs))
+    step = max(1, _BATCH // len(pairs))
     for first in range(0, len(posed), step):
         axes = capsules.axes(posed[first : first + step])
         depths = _depths(*axes, capsules.radii, pairs)
@@ -156,8 +170,9 @@ def self_penetration(posed: Array, capsules: Capsules) -> Array:
 
 
 def report_penetration(posed: Array, capsules: Capsules, tolerance: float = 0.03) -> PenetrationReport:
-    """What :func:`self_penetration` finds in poses (N, B, 4, 4). ``tolerance``: metres that flesh and
-    clothes give, and by which capsules are not the body.
+    """Summarise :func:`self_penetration` over poses (N, B, 4, 4).
+
+    ``tolerance``: metres. Flesh and clothes yield, and capsules only approximate the body.
     """
     depths = self_penetration(posed, capsules)
     if not depths.size:
@@ -177,22 +192,22 @@ def report_penetration(posed: Array, capsules: Capsules, tolerance: float = 0.03
 
 
 def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Shortest distances (...) between segments from a to b and from c to d (..., 3).
+    """Shortest distances (...) between segments from a to b and from c to d (..., 3) [Ericson 2005, 5.1.9].
 
-    Closed form: Ericson, Real-Time Collision Detection (2005), 5.1.9. Segments may be points.
+    Segments may be points.
     """
-    # components first: sums over three numbers are slow along the last axis
+    # components first: sums of three numbers along the last axis are slow
     ax, bx, cx, dx = (np.moveaxis(p, -1, 0) for p in np.broadcast_arrays(a, b, c, d))
     return _distance(bx - ax, dx - cx, ax - cx)
 
 
 def _distance(u: Array, v: Array, w: Array) -> Array:
-    """Distances (...) of segments with directions u, v (3, ...), whose starts are w = a - c apart."""
+    """Distances (...) of segments with directions u, v and difference w = a - c of the starts, (3, ...)."""
     uu, vv, uv, uw, vw = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, w), _dot(v, w)
     uu_safe, vv_safe = np.maximum(uu, 1e-18), np.maximum(vv, 1e-18)
-    across = uu * vv - uv * uv
-    # parallel axes: any point of the first does
-    s = np.where(across > 1e-12 * uu * vv, (uv * vw - uw * vv) / np.maximum(across, 1e-30), 0.0)
+    determinant = uu * vv - uv * uv
+    # parallel segments: any point of the first will do
+    s = np.where(determinant > 1e-12 * uu * vv, (uv * vw - uw * vv) / np.maximum(determinant, 1e-30), 0.0)
     s = np.clip(s, 0.0, 1.0)
     t = np.clip((uv * s + vw) / vv_safe, 0.0, 1.0)
     s = np.clip((uv * t - uw) / uu_safe, 0.0, 1.0)
@@ -204,81 +219,82 @@ def _dot(a: Array, b: Array) -> Array:
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
 
 
-def _depths(starts: Array, ends: Array, radii: Array, pairs: NDArray[np.intp]) -> Array:
+def _depths(starts: Array, ends: Array, radii: Array, pairs: Indices) -> Array:
     """Depths (N, Q) of pairs (Q, 2) of capsules with axes (N, C, 3)."""
     along = np.moveaxis(ends - starts, -1, 0)
-    at = np.moveaxis(starts, -1, 0)
+    start = np.moveaxis(starts, -1, 0)
     first, second = pairs.T
-    apart = at.take(first, axis=2) - at.take(second, axis=2)
+    apart = start.take(first, axis=2) - start.take(second, axis=2)
     distance = _distance(along.take(first, axis=2), along.take(second, axis=2), apart)
     return np.asarray(radii[first] + radii[second] - distance)
 
 
-def _grouped(
-    rows: NDArray[np.intp],
-) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
-    """Different rows of sorted ones, where each begins, and the number of each row's group."""
+def _group_rows(rows: Indices) -> tuple[Indices, Indices, Indices]:
+    """Distinct rows of sorted rows, the first index of each, and for each row the number of its group."""
     new = np.ones(len(rows), dtype=bool)
     new[1:] = (rows[1:] != rows[:-1]).any(1)
     return rows[new], np.flatnonzero(new), np.cumsum(new) - 1
 
 
-#: bone, start and end of the axis in body space, radius
-_Row = tuple[int, Array, Array, float]
+#: Bone, start and end of the axis in body space, radius.
+_CapsuleRow = tuple[int, Array, Array, float]
 
 
-def _measured(human: Human) -> list[_Row]:
-    skeleton, owner = human.skeleton, dominant_bones(human.weights)
-    vertices = human.mesh.vertices
-    middle_bones = [b for b, name in enumerate(skeleton.names) if name in _TRUNK or _plain(name) == "hip"]
-    of_middle = vertices[np.isin(owner, middle_bones)]
-    rows: list[_Row] = []
+def _measured_capsules(
+    skeleton: Skeleton, vertices: NDArray[np.floating], dominant: Indices
+) -> list[_CapsuleRow]:
+    trunk_bones = [
+        b for b, name in enumerate(skeleton.names) if name in _TRUNK or _without_side(name) == "hip"
+    ]
+    trunk = vertices[np.isin(dominant, trunk_bones)]
+    rows: list[_CapsuleRow] = []
     for bone, name in enumerate(skeleton.names):
         head, tail = skeleton.heads[bone], skeleton.tails[bone]
         if name in _TRUNK:
             height = np.sort([head[1], tail[1]])
-            points = of_middle[(of_middle[:, 1] >= height[0]) & (of_middle[:, 1] <= height[1])]
-            if len(points) >= _FEWEST:
-                low, high = np.percentile(points, [_DETAILS, 100 - _DETAILS], axis=0)
+            points = trunk[(trunk[:, 1] >= height[0]) & (trunk[:, 1] <= height[1])]
+            if len(points) >= _MIN_VERTICES:
+                low, high = np.percentile(points, [_DETAIL_PERCENTILE, 100 - _DETAIL_PERCENTILE], axis=0)
                 low[1], high[1] = height
                 half, middle = (high - low) / 2, (high + low) / 2
-                rows += _side_by_side(bone, middle, half[1], half[2], half[0])
-        elif _plain(name) in _RADII:
-            points = vertices[owner == bone]
-            if len(points) >= _FEWEST:
+                rows += _trunk_capsules(bone, middle, half[1], half[2], half[0])
+        elif _without_side(name) in _RADII:
+            points = vertices[dominant == bone]
+            if len(points) >= _MIN_VERTICES:
                 distances = segment_distance(points, points, head, tail)
-                radius = float(np.percentile(distances, _TYPICAL))
-                rows.append(_limb(skeleton, bone, radius))
+                radius = float(np.percentile(distances, _RADIUS_PERCENTILE))
+                rows.append(_limb_capsule(skeleton, bone, radius))
     return rows
 
 
-def _usual(skeleton: Skeleton) -> list[_Row]:
+def _average_capsules(skeleton: Skeleton) -> list[_CapsuleRow]:
     height = skeleton.tails[:, 1].max() - min(0.0, skeleton.tails[:, 1].min())
-    rows: list[_Row] = []
+    rows: list[_CapsuleRow] = []
     for bone, name in enumerate(skeleton.names):
-        if _plain(name) not in _RADII:
+        if _without_side(name) not in _RADII:
             continue
-        radius, width = (height * share for share in _RADII[_plain(name)])
+        radius, width = (height * share for share in _RADII[_without_side(name)])
         if name in _TRUNK:
             middle = (skeleton.heads[bone] + skeleton.tails[bone]) / 2
-            rows += _side_by_side(bone, middle, skeleton.lengths[bone] / 2, radius, width)
+            rows += _trunk_capsules(bone, middle, skeleton.lengths[bone] / 2, radius, width)
         else:
-            rows.append(_limb(skeleton, bone, radius))
+            rows.append(_limb_capsule(skeleton, bone, radius))
     return rows
 
 
-def _side_by_side(bone: int, middle: Array, height: float, radius: float, width: float) -> list[_Row]:
-    """Two upright capsules as wide and deep, and if they can as high, as half ``width``, ``radius`` and
-    ``height`` say.
-    """
+def _trunk_capsules(
+    bone: int, middle: Array, height: float, radius: float, width: float
+) -> list[_CapsuleRow]:
+    """Two upright capsules side by side; ``height`` and ``width`` are half of those of both together."""
     up = np.array([0.0, max(height - radius, 0.0), 0.0])
-    aside = np.array([max(width - radius, 0.0), 0.0, 0.0])
-    return [(bone, middle + side - up, middle + side + up, radius) for side in (aside, -aside)]
+    offset = np.array([max(width - radius, 0.0), 0.0, 0.0])
+    return [(bone, middle + side - up, middle + side + up, radius) for side in (offset, -offset)]
 
 
-def _limb(skeleton: Skeleton, bone: int, radius: float) -> _Row:
-    """A capsule from joint to joint. At the end of a limb its cap ends where the bone does, and the head's
-    does not reach down into the neck.
+def _limb_capsule(skeleton: Skeleton, bone: int, radius: float) -> _CapsuleRow:
+    """A capsule from joint to joint.
+
+    The cap at the end of a limb ends with the bone, and the capsule of the head does not reach into the neck.
     """
     head, tail = skeleton.heads[bone], skeleton.tails[bone]
     inset = (tail - head) * min(0.5, radius / skeleton.lengths[bone])
@@ -289,5 +305,5 @@ def _limb(skeleton: Skeleton, bone: int, radius: float) -> _Row:
     return bone, head, tail, radius
 
 
-def _plain(name: str) -> str:
+def _without_side(name: str) -> str:
     return name[2:] if name[:2] in ("l_", "r_") else name

@@ -24,7 +24,7 @@ from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
 from humansim_ros.motion.penetration import (
     Capsules,
-    capsules,
+    fit_capsules,
     report_penetration,
     segment_distance,
     self_penetration,
@@ -40,7 +40,7 @@ def man() -> Human:
 
 @cache
 def man_capsules() -> Capsules:
-    return capsules(man())
+    return fit_capsules(man().skeleton, man().mesh, man().weights)
 
 
 def turned(skeleton: Skeleton, turns: dict[str, Rotation]) -> Array:
@@ -193,7 +193,7 @@ def test_standing_and_walking_are_clean() -> None:
 
 
 def test_neighbours_and_what_touches_at_rest_are_no_pairs() -> None:
-    for body in (man_capsules(), capsules(hanim_skeleton())):
+    for body in (man_capsules(), fit_capsules(hanim_skeleton())):
         pairs = set(body.pair_names)
         assert self_penetration(body.skeleton.rest[None], body).max() <= 0
         assert not pairs & {("vl5", "l_shoulder"), ("HumanoidRoot", "l_hip"), ("l_hip", "l_knee")}
@@ -202,7 +202,7 @@ def test_neighbours_and_what_touches_at_rest_are_no_pairs() -> None:
 
 
 def test_an_average_man_fits_the_skeleton_of_one() -> None:
-    measured, usual = man_capsules(), capsules(man().skeleton)
+    measured, usual = man_capsules(), fit_capsules(man().skeleton)
     np.testing.assert_array_equal(measured.bones, usual.bones)
     np.testing.assert_allclose(usual.radii, measured.radii, atol=0.005)
 
@@ -210,7 +210,7 @@ def test_an_average_man_fits_the_skeleton_of_one() -> None:
 def test_a_skeleton_of_strangers_is_refused() -> None:
     strangers = replace(hanim_skeleton(), names=tuple(f"bone{i}" for i in range(22)))
     with pytest.raises(MeshError, match="no bone of this skeleton"):
-        capsules(strangers)
+        fit_capsules(strangers)
 
 
 def test_a_frame_takes_less_than_a_fifth_of_a_millisecond() -> None:

@@ -12,7 +12,7 @@ from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.contacts import find_stances, slides
 from humansim_ros.motion.info import world_of
 from humansim_ros.motion.limits import load_limits
-from humansim_ros.motion.penetration import capsules, report_penetration
+from humansim_ros.motion.penetration import fit_capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter, sole_heights
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 def main() -> int:
     human = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
     skeleton, limits = human.skeleton, load_limits().for_skeleton(human.skeleton)
-    body = capsules(human)
+    body = fit_capsules(human.skeleton, human.mesh, human.weights)
     heads = (
         "motion",
         "slide mm, mean / worst",

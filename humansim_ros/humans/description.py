@@ -5,33 +5,27 @@ from __future__ import annotations
 import os
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
+from pydantic import Field, StringConstraints, ValidationError, model_validator
 
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Skinning
 from humansim_ros.humans.makehuman.paint import Outfit
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig
+from humansim_ros.io.schema import Axis, ByteColor, Section
 from humansim_ros.io.yaml import read_yaml, validation_error
 
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
-Axis = Annotated[str, StringConstraints(pattern=r"^[+-]?[xyz]$")]
-Byte = Annotated[int, Field(ge=0, le=255)]
-Color = tuple[Byte, Byte, Byte]
+OutfitName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Clothes(_Section):
+class Clothes(Section):
     """How a mesh looks: a texture, or a colour for what would be skin, hair, shirt, trousers and shoes."""
 
     texture: str | None = Field(default=None, description="a PNG or JPEG file, from the folder of this file")
-    skin: Color = (208, 158, 130)
-    hair: Color = (62, 44, 34)
-    shirt: Color = (88, 120, 158)
-    trousers: Color = (58, 62, 78)
-    shoes: Color = (44, 38, 36)
+    skin: ByteColor = (208, 158, 130)
+    hair: ByteColor = (62, 44, 34)
+    shirt: ByteColor = (88, 120, 158)
+    trousers: ByteColor = (58, 62, 78)
+    shoes: ByteColor = (44, 38, 36)
 
 
 #: Looks of a mesh that brings none, so that a grey export looks dressed (a detector finds it so).
@@ -50,7 +44,7 @@ DRESSED = {
 }
 
 
-class MeshHuman(_Section):
+class MeshHuman(Section):
     """How a mesh becomes a human."""
 
     mesh: str = Field(default="", description=".obj, .gltf, .glb, or an SMPL model (.npz)")
@@ -68,7 +62,7 @@ class MeshHuman(_Section):
         default=None, description="the file's axis that the person faces; found by itself if absent"
     )
     skinning: Skinning | None = Field(default=None, description="linear, if absent, or dual_quaternion")
-    outfits: dict[Name, Clothes] = Field(default_factory=dict, description="the first is worn by itself")
+    outfits: dict[OutfitName, Clothes] = Field(default_factory=dict, description="the first is the default")
 
     @model_validator(mode="after")
     def _one_size(self) -> MeshHuman:
@@ -77,11 +71,11 @@ class MeshHuman(_Section):
         return self
 
 
-class ParametricHuman(_Section):
+class ParametricHuman(Section):
     """A person made of MakeHuman's sliders."""
 
     makehuman: MakeHumanConfig
-    outfits: dict[Name, Outfit] = Field(min_length=1, description="the first is worn by itself")
+    outfits: dict[OutfitName, Outfit] = Field(min_length=1, description="the first is the default")
     skinning: Skinning | None = Field(default=None, description="linear, if absent, or dual_quaternion")
 
 

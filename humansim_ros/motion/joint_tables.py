@@ -9,10 +9,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
+from pydantic import ValidationError, model_validator
 
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
+from humansim_ros.io.schema import Section
 from humansim_ros.io.yaml import read_yaml, validation_error
 from humansim_ros.resources import resource_path
 
@@ -89,7 +90,7 @@ def other_side(name: str) -> str | None:
     return None
 
 
-class JointTable(BaseModel):
+class JointTable(Section):
     """A name table. ``joints``: role -> the names it occurs under, the likeliest first.
 
     ``parallel``: bone -> (start role, end role). ``difference``: bone -> role of the joint whose turn from
@@ -97,8 +98,6 @@ class JointTable(BaseModel):
     right sides that it leaves out have the left's names, mirrored. ``hints``: names that tell this family
     from others that name their joints alike. ``source``: where the names are from.
     """
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
     name: str
     source: str = ""

@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints, Validation
 
 from humansim_ros.errors import SceneError
 from humansim_ros.io.files import resolve_relative
+from humansim_ros.io.schema import Axis, ByteColor, Section
 from humansim_ros.io.yaml import line_of, read_yaml, validation_error
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.make import RendererName
@@ -18,7 +19,6 @@ from humansim_ros.sensor.config import SensorConfig
 
 Vector3 = tuple[float, float, float]
 Row4 = tuple[float, float, float, float]
-Byte = Annotated[int, Field(ge=0, le=255)]
 #: Metres or degrees; what is beyond is a mistake.
 Bounded = Annotated[float, Field(ge=-1e6, le=1e6)]
 #: Linear light.
@@ -30,15 +30,9 @@ LinearColor = tuple[
 Size = Annotated[float, Field(gt=0, le=1e6)]
 #: Names become parts of ROS topics and frames.
 Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
-#: A file axis, such as y or -z.
-Axis = Annotated[str, StringConstraints(pattern=r"^[+-]?[xyz]$")]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class MotionConfig(_Section):
+class MotionConfig(Section):
     """What a human does."""
 
     file: str = Field(
@@ -89,7 +83,7 @@ class MotionConfig(_Section):
     pin_feet: bool = Field(default=False, description="feet that stand are kept from sliding")
 
 
-class KeyframesConfig(_Section):
+class KeyframesConfig(Section):
     """What moves, turns and sizes a human or an object: a file, and which of its objects."""
 
     file: str = Field(description="a keyframe animation file (XML)")
@@ -103,7 +97,7 @@ class KeyframesConfig(_Section):
         return {"file": value} if isinstance(value, str) else value
 
 
-class HumanConfig(_Section):
+class HumanConfig(Section):
     """One person."""
 
     body: str = Field(
@@ -120,11 +114,11 @@ class HumanConfig(_Section):
     )
 
 
-class ObjectConfig(_Section):
+class ObjectConfig(Section):
     """A thing that stands in the scene or moves."""
 
     mesh: str = Field(default="box", description="box, sphere, cylinder, or an .obj file (z up, metres)")
-    color: tuple[Byte, Byte, Byte] = Field(default=(170, 150, 130), description="red, green, blue; 0 to 255")
+    color: ByteColor = Field(default=(170, 150, 130), description="red, green, blue; 0 to 255")
     size: tuple[Size, Size, Size] = Field(
         default=(1.0, 1.0, 1.0), description="along its own x, y, z: metres for a built-in mesh, else factors"
     )
@@ -138,7 +132,7 @@ class ObjectConfig(_Section):
     label: bool = Field(default=False, description="it has an instance label, as humans have")
 
 
-class TrajectoryConfig(_Section):
+class TrajectoryConfig(Section):
     """What moves a camera."""
 
     file: str = Field(description="a trajectory in the form of the TUM RGB-D benchmark")
@@ -154,7 +148,7 @@ class TrajectoryConfig(_Section):
         return {"file": value} if isinstance(value, str) else value
 
 
-class RegionConfig(_Section):
+class RegionConfig(Section):
     """A part of the sensor, in its pixels."""
 
     x: int = Field(default=0, ge=0)
@@ -163,7 +157,7 @@ class RegionConfig(_Section):
     height: int = Field(gt=0)
 
 
-class CameraConfig(_Section):
+class CameraConfig(Section):
     """One camera: what it sees by (fov_deg, K, P or calibration), and where it is (position and look_at, R
     and t, trajectory, P or calibration).
     """
@@ -246,7 +240,7 @@ class CameraConfig(_Section):
         return self
 
 
-class RigConfig(_Section):
+class RigConfig(Section):
     """All cameras of a calibration file."""
 
     model_config = ConfigDict(coerce_numbers_to_str=True)
@@ -280,7 +274,7 @@ class RigConfig(_Section):
         return {"file": value} if isinstance(value, str) else value
 
 
-class RoomConfig(_Section):
+class RoomConfig(Section):
     """The furnished room."""
 
     size: tuple[float, float, float] = Field(
@@ -295,7 +289,7 @@ class RoomConfig(_Section):
         return self
 
 
-class VarietyConfig(_Section):
+class VarietyConfig(Section):
     """People drawn at random from a seed."""
 
     count: int = Field(ge=0, le=1000, description="how many people")
@@ -316,7 +310,7 @@ class VarietyConfig(_Section):
     )
 
 
-class LightConfig(_Section):
+class LightConfig(Section):
     """How everything is lit, and how that is shown. Colours are linear light: 1 shows a surface as it is."""
 
     mode: Literal["lit", "shadeless"] = Field(
@@ -363,7 +357,7 @@ class LightConfig(_Section):
         return self
 
 
-class WorldMeshConfig(_Section):
+class WorldMeshConfig(Section):
     """A mesh file that stands in the world."""
 
     file: str = Field(description="an .obj, .gltf or .glb file, with its materials and textures")
@@ -384,11 +378,11 @@ class WorldMeshConfig(_Section):
         return {"file": value} if isinstance(value, str) else value
 
 
-class WorldConfig(_Section):
+class WorldConfig(Section):
     """What is around the people besides the room."""
 
     meshes: tuple[WorldMeshConfig, ...] = Field(default=(), description="mesh files that stand still")
-    background: tuple[Byte, Byte, Byte] | str | None = Field(
+    background: ByteColor | str | None = Field(
         default=None, description="where nothing is: red, green, blue, or a photograph for all cameras"
     )
     environment: str | None = Field(
@@ -402,7 +396,7 @@ class WorldConfig(_Section):
     )
 
 
-class JitterConfig(_Section):
+class JitterConfig(Section):
     """How far cameras are moved and turned at random."""
 
     position: float = Field(default=0.0, ge=0, le=100, description="metres along each axis of map at most")
@@ -411,7 +405,7 @@ class JitterConfig(_Section):
     )
 
 
-class RandomiseConfig(_Section):
+class RandomiseConfig(Section):
     """What is drawn at random from a seed."""
 
     seed: int = Field(default=1, ge=0, description="another seed, another draw; the same, the same")
@@ -425,7 +419,7 @@ class RandomiseConfig(_Section):
     camera_jitter: JitterConfig = JitterConfig()
 
 
-class SceneConfig(_Section):
+class SceneConfig(Section):
     """A scene file."""
 
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")

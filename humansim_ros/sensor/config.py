@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, field_validator
+from pydantic import Field, ValidationInfo, field_validator
+
+from humansim_ros.io.schema import Section
 
 Encoding = Literal["rgb8", "bgr8", "mono8", "bayer_rggb8"]
 Factor = Annotated[float, Field(gt=0, le=100)]
@@ -13,11 +15,7 @@ Pixels = Annotated[float, Field(ge=-100, le=100)]
 Coefficient = Annotated[float, Field(ge=-10, le=10)]
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-
-class Noise(_Section):
+class Noise(Section):
     """Shot noise, dark noise and read noise (EMVA 1288)."""
 
     full_well: float = Field(
@@ -31,7 +29,7 @@ class Noise(_Section):
     )
 
 
-class Vignetting(_Section):
+class Vignetting(Section):
     """Light lost towards the corners. What is given is multiplied."""
 
     cos4: bool = Field(
@@ -57,14 +55,14 @@ class Vignetting(_Section):
         return value
 
 
-class ChromaticAberration(_Section):
+class ChromaticAberration(Section):
     """Red and blue magnified otherwise than green, about the principal point."""
 
     red: Pixels = Field(default=0.0, description="pixels outwards at the farthest corner")
     blue: Pixels = Field(default=0.0, description="pixels outwards at the farthest corner")
 
 
-class SensorConfig(_Section):
+class SensorConfig(Section):
     """What the sensor does to the ideal picture."""
 
     encoding: Encoding = Field(default="rgb8", description="what image_raw holds")

@@ -5,12 +5,12 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from humansim_ros.humans.makehuman.clothes import Tailor
 from humansim_ros.humans.makehuman.data import MakeHumanData, VertexIndices
@@ -26,6 +26,7 @@ from humansim_ros.humans.makehuman.surface import (
     sample,
     vertex_normals,
 )
+from humansim_ros.io.schema import ByteColor, Section
 from humansim_ros.types import Array
 
 AO_DIRECTIONS = 96
@@ -33,28 +34,24 @@ AO_REACH = 0.25
 _PERIOD = 0.036  # metres, of checks; other patterns go into it
 _CELL = 0.008  # metres, of the height maps that occlusion is found with
 
-Byte = Annotated[int, Field(ge=0, le=255)]
-Color = tuple[Byte, Byte, Byte]
 Fabric = Literal["plain", "knit", "twill", "denim", "stripes", "checks", "dots", "flowers"]
 
 
-class Outfit(BaseModel):
+class Outfit(Section):
     """Colours as sRGB 0..255, and what the cloth is like."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
-
-    skin: Color = (214, 166, 138)
-    hair: Color = (62, 44, 32)
-    iris: Color = (88, 110, 118)
-    shirt: Color = (152, 44, 46)
+    skin: ByteColor = (214, 166, 138)
+    hair: ByteColor = (62, 44, 32)
+    iris: ByteColor = (88, 110, 118)
+    shirt: ByteColor = (152, 44, 46)
     shirt_fabric: Fabric = "knit"
-    shirt_second: Color = Field(default=(232, 228, 218), description="of stripes, checks, dots and flowers")
-    trousers: Color = (52, 66, 96)
+    shirt_second: ByteColor = Field(default=(232, 228, 218), description="of patterned fabrics")
+    trousers: ByteColor = (52, 66, 96)
     trousers_fabric: Fabric = "denim"
-    trousers_second: Color = Field(default=(150, 152, 156), description="of stripes, checks, dots, flowers")
-    belt: Color = (62, 40, 26)
-    shoes: Color = (58, 46, 40)
-    soles: Color = (176, 168, 154)
+    trousers_second: ByteColor = Field(default=(150, 152, 156), description="of patterned fabrics")
+    belt: ByteColor = (62, 40, 26)
+    shoes: ByteColor = (58, 46, 40)
+    soles: ByteColor = (176, 168, 154)
     stubble: float = Field(default=0.0, ge=0, le=1, description="how much of a shaved beard shows")
     wrinkles: float = Field(default=0.0, ge=0, le=1, description="how old the face is")
     lips: float = Field(default=0.0, ge=0, le=1, description="how much lipstick")
@@ -242,7 +239,7 @@ def paint_hair(c: Canvas, outfit: Outfit) -> Array:
 
 
 def weave(
-    p: Array, along: Array, around: Array, fabric: Fabric, first: Color, second: Color, seed: int
+    p: Array, along: Array, around: Array, fabric: Fabric, first: ByteColor, second: ByteColor, seed: int
 ) -> Array:
     """Cloth (N, 3) at points (N, 3) of the body; `along` (N,) runs down the trunk and the limbs, `around`
     (N,) round them, metres.

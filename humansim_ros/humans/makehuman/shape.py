@@ -10,13 +10,13 @@ import itertools
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, field_validator
+from pydantic import Field, field_validator
 
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.makehuman.data import MakeHumanData, read_base
+from humansim_ros.io.schema import Section, Share
 from humansim_ros.types import Array
 
-Share = Annotated[float, Field(ge=0, le=1)]
 Race = Literal["african", "asian", "caucasian"]
 _RACES: tuple[Race, ...] = ("african", "asian", "caucasian")
 #: Where the ends of the sliders are.
@@ -42,10 +42,8 @@ _COMBINATIONS = (
 _TALLEST, _SHORTEST = 1.35, 0.7
 
 
-class MakeHumanConfig(BaseModel):
+class MakeHumanConfig(Section):
     """A person: 0.5 is the average of the sliders from 0 to 1."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
     gender: Share = Field(default=0.5, description="0 female, 1 male")
     age: float = Field(default=25.0, ge=1, le=90, description="years, from a baby of 1 on")

@@ -96,7 +96,7 @@ def test_what_is_said_of_objects_is_what_simulation_says(flow: Any) -> None:
         for point in boxes:
             name = numbers[point["instance"]]
             truth = frame.boxes["left"][name]
-            assert point["kind"] == messages.KINDS["human" if name == "anna" else "object"]
+            assert point["kind"] == messages.BODY_KINDS["human" if name == "anna" else "object"]
             assert (point["pixels"], np.float32(truth.truncation)) == (truth.pixels, point["truncation"])
             whole = [point[f"whole_{side}"] for side in ("left", "top", "right", "bottom")]
             np.testing.assert_array_equal(whole, np.float32(truth.whole))

@@ -219,7 +219,7 @@ def test_joints_that_were_recorded_with_fewer_fields_are_read() -> None:
     kinds = {"x": "<f4", "y": "<f4", "z": "<f4", "u": "<f4", "v": "<f4", "visible": "u1"}
     old = np.zeros(3, np.dtype([*kinds.items(), ("human", "<u2"), ("joint", "<u2")], align=True))
     old["u"], old["joint"] = [1, 2, 3], [0, 1, 2]
-    message = messages._point_cloud(old, messages.header(STAMP, "cam_optical_frame"))
+    message = messages.point_cloud(old, messages.header(STAMP, "cam_optical_frame"))
     read = messages.read_joint_view(message)
     assert read["u"].tolist() == [1, 2, 3]
     assert read["joint"].tolist() == [0, 1, 2]
@@ -261,7 +261,7 @@ def test_legends_are_json_that_name_every_number(scene: Scene) -> None:
 def test_markers_are_few_enough_for_a_viewer_and_lie_on_the_body(scene: Scene) -> None:
     actor = scene.actors["walker"]
     state = actor.at(0.0)
-    array = messages.MarkerMaker(actor.human)("walker", 1, state, STAMP)
+    array = messages.MarkerBuilder(actor.human).build("walker", 1, state, STAMP)
     by_kind = {marker.ns.split("/")[1]: marker for marker in array.markers}
     assert set(by_kind) == {"skeleton", "joints", "skin"}
     skin = np.array([(p.x, p.y, p.z) for p in by_kind["skin"].points])

@@ -153,7 +153,7 @@ def test_an_object_of_another_kind_shows_its_file(flow: Any, tmp_path: Path) -> 
 def test_the_bones_shown_are_as_large_as_the_person(flow: Any) -> None:
     actor = flow.simulation.scene.actors["anna"]
     state = actor.at(50.0)
-    lines = messages.MarkerMaker(actor.human)("anna", 1, state, 0).markers[0].points
+    lines = messages.MarkerBuilder(actor.human).build("anna", 1, state, 0).markers[0].points
     knee = lines[2 * actor.human.skeleton.bone("l_hip") + 1]
     place = state.positions[actor.human.skeleton.bone("l_knee")]
     assert state.size == pytest.approx(5.9)

@@ -105,7 +105,7 @@ def test_what_is_said_of_people_is_what_simulation_says(flow: Any) -> None:
         assert np.median(np.abs(said["behind"] - seen.behind)) < 1e-4
         (box,) = messages.read_boxes(boxes)
         truth = frame.boxes["left"]["anna"]
-        assert (box["instance"], box["kind"]) == (1, messages.KINDS["human"])
+        assert (box["instance"], box["kind"]) == (1, messages.BODY_KINDS["human"])
         whole = [box[f"whole_{side}"] for side in ("left", "top", "right", "bottom")]
         np.testing.assert_allclose(whole, truth.whole, atol=1e-3)
         assert box["pixels"] == pytest.approx(truth.pixels, rel=0.01)

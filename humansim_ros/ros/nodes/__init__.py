@@ -1,0 +1,1 @@
+"""The executables of the package: motion_player, skinner, camera, camera_rig."""

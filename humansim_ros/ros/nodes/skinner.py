@@ -20,7 +20,7 @@ from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.io.files import resolve_relative
 from humansim_ros.motion.joint_tables import built_in_tables, load_table
 from humansim_ros.ros.messages import (
-    MarkerMaker,
+    MarkerBuilder,
     joints_message,
     mesh_message,
     read_joints,
@@ -59,7 +59,7 @@ class SkinnerNode(SceneNode):
         self._markers = self.create_publisher(MarkerArray, f"humans/{name}/markers", DATA)
         self._marker_period = int(1e9 / marker_rate)
         self._next_marker = 0
-        self._make_markers = MarkerMaker(self._actor.human)
+        self._marker_builder = MarkerBuilder(self._actor.human)
         self.publish_latched(mesh_message(self._actor.human.mesh), f"humans/{name}/mesh")
         # first, so that a legend is heard before the motion it is about
         self.create_subscription(String, f"humans/{name}/motion/legend", self._on_legend, LATCHED)
@@ -96,7 +96,9 @@ class SkinnerNode(SceneNode):
             self._vertices.publish(vertices)
         if self._markers.get_subscription_count() and stamp >= self._next_marker:
             self._next_marker = stamp + self._marker_period
-            self._markers.publish(self._make_markers(self._actor.name, self._actor.instance, state, stamp))
+            self._markers.publish(
+                self._marker_builder.build(self._actor.name, self._actor.instance, state, stamp)
+            )
         self.count("frames")
         self.report_lateness(stamp)
 

@@ -1,0 +1,102 @@
+"""Builders and readers of all messages of this package, one module for each family of topics.
+
+Only standard message types are used. Stamps are integer nanoseconds. World poses are in ``map``, metres
+(REP-103, REP-105).
+"""
+
+from humansim_ros.ros.messages.camera_truth import (
+    BODY_KINDS,
+    BOX_POINT,
+    JOINT_POINT,
+    VISIBLE_VERTEX,
+    boxes_message,
+    joint_view_message,
+    read_boxes,
+    read_joint_view,
+    read_visible_vertices,
+    visible_vertices_message,
+)
+from humansim_ros.ros.messages.cameras import (
+    camera_info_message,
+    extrinsics_message,
+    pose_message,
+    projection_message,
+    read_camera_info,
+    read_pose,
+)
+from humansim_ros.ros.messages.headers import (
+    MAX_COORDINATE,
+    WORLD_FRAME,
+    header,
+    optical_frame,
+    serialised_stamp,
+    to_nanoseconds,
+    to_time,
+)
+from humansim_ros.ros.messages.humans import (
+    MarkerBuilder,
+    joint_motion,
+    joints_message,
+    mesh_message,
+    motion_message,
+    read_joints,
+    read_vertices,
+    vertices_message,
+)
+from humansim_ros.ros.messages.images import ENCODINGS, image_message
+from humansim_ros.ros.messages.legends import (
+    instance_legend,
+    joints_legend,
+    motion_legend,
+    part_legend,
+    read_motion_legend,
+)
+from humansim_ros.ros.messages.objects import object_message, read_object, read_twist, twist_message
+from humansim_ros.ros.messages.points import point_cloud, read_points
+
+__all__ = [
+    "BODY_KINDS",
+    "BOX_POINT",
+    "ENCODINGS",
+    "JOINT_POINT",
+    "MAX_COORDINATE",
+    "VISIBLE_VERTEX",
+    "WORLD_FRAME",
+    "MarkerBuilder",
+    "boxes_message",
+    "camera_info_message",
+    "extrinsics_message",
+    "header",
+    "image_message",
+    "instance_legend",
+    "joint_motion",
+    "joint_view_message",
+    "joints_legend",
+    "joints_message",
+    "mesh_message",
+    "motion_legend",
+    "motion_message",
+    "object_message",
+    "optical_frame",
+    "part_legend",
+    "point_cloud",
+    "pose_message",
+    "projection_message",
+    "read_boxes",
+    "read_camera_info",
+    "read_joint_view",
+    "read_joints",
+    "read_motion_legend",
+    "read_object",
+    "read_points",
+    "read_pose",
+    "read_twist",
+    "read_vertices",
+    "read_visible_vertices",
+    "serialised_stamp",
+    "to_nanoseconds",
+    "to_time",
+    "twist_message",
+    "vertices_message",
+    "visible_vertices_message",
+]

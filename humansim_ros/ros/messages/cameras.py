@@ -1,0 +1,102 @@
+"""Messages of a camera's calibration and pose: camera_info, pose, extrinsics, projection."""
+
+from __future__ import annotations
+
+import numpy as np
+from geometry_msgs.msg import Point, PoseStamped, Quaternion, TransformStamped, Vector3
+from sensor_msgs.msg import CameraInfo
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension
+
+from humansim_ros.camera import Camera
+from humansim_ros.camera.region import Region
+from humansim_ros.errors import RosError
+from humansim_ros.ros.messages.headers import MAX_COORDINATE, WORLD_FRAME, header, optical_frame
+from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.scene.camera import CameraPose
+
+_WHOLE_SENSOR = Region()
+
+
+def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region = _WHOLE_SENSOR) -> CameraInfo:
+    """Build ``<camera>/camera_info``.
+
+    Size, K, D, R and P are those of the whole sensor, as drivers publish them. K contains the skew, which
+    OpenCV and image_geometry ignore; P has no skew.
+
+    Args:
+        camera: Camera of the whole sensor.
+        stamp: Nanoseconds.
+        frame: Optical frame of the camera.
+        region: Binning and region of interest of the images.
+    """
+    message = CameraInfo(header=header(stamp, frame), width=camera.size[0], height=camera.size[1])
+    message.distortion_model = camera.model
+    message.d = list(camera.distortion)
+    message.k = camera.K.ravel()
+    message.r = camera.rectification_matrix.ravel()
+    message.p = camera.rectified_projection.ravel()
+    if not region.whole:
+        message.binning_x, message.binning_y = region.binning
+    if region.roi is not None:
+        message.roi.x_offset, message.roi.y_offset, message.roi.width, message.roi.height = region.roi
+    return message
+
+
+def read_camera_info(message: CameraInfo) -> Camera:
+    """Read the camera of a CameraInfo, at the origin. Raises CameraError if it is not a valid camera."""
+    k, r = np.reshape(message.k, (3, 3)), np.reshape(message.r, (3, 3))
+    return Camera(
+        (message.width, message.height),
+        k,
+        np.eye(3),
+        np.zeros(3),
+        tuple(message.d),
+        {"": None, "fisheye": "equidistant"}.get(message.distortion_model, message.distortion_model),
+        r if r.any() else None,
+        np.reshape(message.p, (3, 4)) if np.any(message.p) else None,
+    )
+
+
+def pose_message(pose: CameraPose, stamp: int) -> PoseStamped:
+    """Build ``<camera>/pose``: pose of the optical frame of a moving camera in ``map``."""
+    message = PoseStamped(header=header(stamp, WORLD_FRAME))
+    x, y, z = (-pose.R.T @ pose.t).tolist()
+    message.pose.position = Point(x=x, y=y, z=z)
+    x, y, z, w = matrix_to_quaternion(pose.R.T).tolist()
+    message.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
+    return message
+
+
+def read_pose(message: PoseStamped) -> CameraPose:
+    """Read a ``<camera>/pose`` message. Raises RosError if it is not in ``map``, not finite or not a
+    rotation.
+    """
+    if message.header.frame_id != WORLD_FRAME:
+        raise RosError(f"a camera's pose must be in {WORLD_FRAME}, this is in {message.header.frame_id!r}")
+    p, q = message.pose.position, message.pose.orientation
+    position, rotation = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
+    near = (np.abs(position) < MAX_COORDINATE).all()  # False for NaN, too
+    if not near or not abs(np.linalg.norm(rotation) - 1) < 1e-3:
+        raise RosError("a camera's pose is not finite, or its quaternion has not length 1")
+    r = quaternion_to_matrix(rotation / np.linalg.norm(rotation)).T
+    return CameraPose(r, -r @ position)
+
+
+def extrinsics_message(name: str, camera: Camera, stamp: int) -> TransformStamped:
+    """Build ``<camera>/extrinsics``: pose of the optical frame in ``map``, as tf has it."""
+    message = TransformStamped(header=header(stamp, WORLD_FRAME), child_frame_id=optical_frame(name))
+    x, y, z = camera.center.tolist()
+    message.transform.translation = Vector3(x=x, y=y, z=z)
+    x, y, z, w = matrix_to_quaternion(camera.R.T).tolist()
+    message.transform.rotation = Quaternion(x=x, y=y, z=z, w=w)
+    return message
+
+
+def projection_message(camera: Camera) -> Float64MultiArray:
+    """Build ``<camera>/projection``: the 3x4 matrix P = K [R | t] from ``map`` to pixels, row by row."""
+    message = Float64MultiArray(data=camera.P.ravel().tolist())
+    message.layout.dim = [
+        MultiArrayDimension(label="rows", size=3, stride=12),
+        MultiArrayDimension(label="columns", size=4, stride=4),
+    ]
+    return message

@@ -1,0 +1,186 @@
+"""Messages below ``humans/<id>``: motion, joints, vertices, mesh and markers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from geometry_msgs.msg import Point, Quaternion, Transform, Twist, Vector3
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2, PointField
+from shape_msgs.msg import Mesh as MeshMessage
+from shape_msgs.msg import MeshTriangle
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from humansim_ros.errors import RosError
+from humansim_ros.humans.human import Human
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.motion.world_motion import JointPoses
+from humansim_ros.ros.messages.headers import MAX_COORDINATE, WORLD_FRAME, header
+from humansim_ros.ros.messages.points import point_cloud
+from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.scene import HumanState
+from humansim_ros.scene.state import JointMotion
+from humansim_ros.types import Array, Float32Array, Indices
+
+_VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
+
+
+def motion_message(poses: JointPoses, stamp: int) -> MultiDOFJointState:
+    """Build ``humans/<id>/motion`` from the poses (N = 1) of the joints of a motion."""
+    linear = None if poses.linear is None else poses.linear[0]
+    angular = None if poses.angular is None else poses.angular[0]
+    return _joint_state(poses.names, poses.positions[0], poses.rotations[0], linear, angular, stamp)
+
+
+def joints_message(state: HumanState, stamp: int) -> MultiDOFJointState:
+    """Build ``humans/<id>/joints``: pose and velocity of every joint of the body."""
+    rotations = matrix_to_quaternion(state.joints[:, :3, :3])
+    return _joint_state(state.joint_names, state.positions, rotations, state.linear, state.angular, stamp)
+
+
+def _joint_state(
+    names: Sequence[str],
+    positions: Array,
+    rotations: Array,
+    linear: Array | None,
+    angular: Array | None,
+    stamp: int,
+) -> MultiDOFJointState:
+    message = MultiDOFJointState(header=header(stamp, WORLD_FRAME), joint_names=list(names))
+    message.transforms = [
+        Transform(
+            translation=Vector3(x=p[0], y=p[1], z=p[2]), rotation=Quaternion(x=q[0], y=q[1], z=q[2], w=q[3])
+        )
+        for p, q in zip(positions.tolist(), rotations.tolist(), strict=True)
+    ]
+    if linear is not None and angular is not None:
+        message.twist = [
+            Twist(linear=Vector3(x=v[0], y=v[1], z=v[2]), angular=Vector3(x=w[0], y=w[1], z=w[2]))
+            for v, w in zip(linear.tolist(), angular.tolist(), strict=True)
+        ]
+    return message
+
+
+def read_joints(message: MultiDOFJointState) -> JointPoses:
+    """Read the joint poses (N = 1) of a ``motion`` or ``joints`` message.
+
+    Velocities that are not finite are left out.
+
+    Raises:
+        RosError: Array lengths differ, a pose is not finite, or the message is not in ``map``.
+    """
+    if message.header.frame_id != WORLD_FRAME:
+        raise RosError(f"joints must be in {WORLD_FRAME}, these are in {message.header.frame_id!r}")
+    names = tuple(message.joint_names)
+    positions = np.array([(t.translation.x, t.translation.y, t.translation.z) for t in message.transforms])
+    rotations = np.array(
+        [(t.rotation.x, t.rotation.y, t.rotation.z, t.rotation.w) for t in message.transforms]
+    )
+    if len(positions) != len(names) or not names:
+        raise RosError(f"{len(names)} joint names but {len(positions)} transforms")
+    length = np.linalg.norm(rotations, axis=1)
+    if not length.any():  # a source without rotations may leave them unset
+        rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(names), 1))
+        length = np.ones(len(names))
+    near = (np.abs(positions) < MAX_COORDINATE).all()  # False for NaN, too
+    if not (near and np.isfinite(length).all() and (length > 0.5).all()):
+        raise RosError("a joint's pose is not finite or its quaternion has no length")
+    linear = angular = None
+    if len(message.twist) == len(names):
+        linear = np.array([[(t.linear.x, t.linear.y, t.linear.z) for t in message.twist]])
+        angular = np.array([[(t.angular.x, t.angular.y, t.angular.z) for t in message.twist]])
+        if not ((np.abs(linear) < MAX_COORDINATE).all() and (np.abs(angular) < MAX_COORDINATE).all()):
+            linear = angular = None
+    return JointPoses(names, positions[None], (rotations / length[:, None])[None], linear, angular)
+
+
+def joint_motion(poses: JointPoses) -> JointMotion:
+    """Joints of a human from the poses (N = 1) of a ``joints`` message."""
+    joints = np.broadcast_to(np.eye(4), (len(poses.names), 4, 4)).copy()
+    joints[:, :3, :3] = quaternion_to_matrix(poses.rotations[0])
+    joints[:, :3, 3] = poses.positions[0]
+    if poses.linear is None or poses.angular is None:
+        return JointMotion(joints, None, None)
+    return JointMotion(joints, poses.linear[0], poses.angular[0])
+
+
+def vertices_message(vertices: Float32Array, stamp: int) -> PointCloud2:
+    """Build ``humans/<id>/vertices``: x y z of the vertices (V, 3) in mesh order."""
+    points = np.ascontiguousarray(vertices, dtype="<f4").view(_VERTEX_POINT).ravel()
+    return point_cloud(points, header(stamp, WORLD_FRAME))
+
+
+def read_vertices(message: PointCloud2) -> Float32Array:
+    """Read the vertices (V, 3) of a ``vertices`` message. Raises RosError for another layout."""
+    layout = [(f.name, f.offset, f.datatype) for f in message.fields[:3]]
+    expected = [(name, 4 * i, PointField.FLOAT32) for i, name in enumerate("xyz")]
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    count = message.width * message.height
+    if layout != expected or message.is_bigendian or len(data) != count * message.point_step:
+        raise RosError("vertices must be a PointCloud2 with x y z float32 first, little-endian")
+    rows = data.reshape(count, message.point_step)[:, :12]
+    return np.ascontiguousarray(rows).view("<f4").reshape(count, 3)
+
+
+def mesh_message(mesh: Mesh) -> MeshMessage:
+    """Build ``humans/<id>/mesh``: the surface at rest in body space (y up, facing +z)."""
+    message = MeshMessage()
+    message.vertices = [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices.tolist()]
+    message.triangles = [
+        MeshTriangle(vertex_indices=np.array(t, dtype=np.uint32)) for t in mesh.triangles.tolist()
+    ]
+    return message
+
+
+class MarkerBuilder:
+    """Builds ``humans/<id>/markers``: bones, joints and a coarse skin for RViz and Foxglove.
+
+    The skin is simplified once: vertices of the rest pose are merged in cells of ``cell`` metres, because
+    viewers are slow with 26,000 triangles.
+    """
+
+    def __init__(self, human: Human, cell: float = 0.035) -> None:
+        self._skeleton = human.skeleton
+        self._triangles = _coarse_triangles(human.mesh, cell)
+
+    def build(self, name: str, instance: int, state: HumanState, stamp: int) -> MarkerArray:
+        """Build the markers of one frame.
+
+        Args:
+            name: Name of the human, in the namespaces of the markers.
+            instance: Instance label of the human, the id of the markers.
+            state: Body of the human at the stamp.
+            stamp: Nanoseconds.
+        """
+        joints = state.positions
+        ends = joints.copy()[: len(self._skeleton)]
+        ends += state.joints[: len(self._skeleton), :3, 1] * state.size * self._skeleton.lengths[:, None]
+        bones = np.stack([joints[: len(self._skeleton)], ends], axis=1).reshape(-1, 3)
+        skin = state.vertices[self._triangles].reshape(-1, 3)
+        layers = (
+            ("skeleton", Marker.LINE_LIST, bones, 0.012, (0.95, 0.75, 0.15, 1.0)),
+            ("joints", Marker.SPHERE_LIST, joints, 0.03, (0.9, 0.25, 0.2, 1.0)),
+            ("skin", Marker.TRIANGLE_LIST, skin, 1.0, (0.75, 0.65, 0.6, 0.6)),
+        )
+        markers = []
+        for layer, shape, points, scale, color in layers:
+            marker = Marker(header=header(stamp, WORLD_FRAME), ns=f"{name}/{layer}", id=instance, type=shape)
+            marker.action = Marker.ADD
+            marker.pose.orientation.w = 1.0
+            marker.scale = Vector3(x=scale, y=scale, z=scale)
+            marker.color = ColorRGBA(r=color[0], g=color[1], b=color[2], a=color[3])
+            marker.points = [Point(x=x, y=y, z=z) for x, y, z in points.tolist()]
+            markers.append(marker)
+        return MarkerArray(markers=markers)
+
+
+def _coarse_triangles(mesh: Mesh, cell: float) -> Indices:
+    """Vertex indices (N, 3) of the triangles after all vertices of a cell are replaced by one of them."""
+    cells = np.floor(mesh.vertices / cell).astype(np.int64)
+    _, first, inverse = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    merged = first[inverse.ravel()][mesh.triangles]
+    whole = (merged[:, 0] != merged[:, 1]) & (merged[:, 1] != merged[:, 2]) & (merged[:, 2] != merged[:, 0])
+    merged = merged[whole]
+    _, once = np.unique(np.sort(merged, axis=1), axis=0, return_index=True)
+    return merged[np.sort(once)]

@@ -1,0 +1,51 @@
+"""Image messages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import Image
+
+from humansim_ros.ros.messages.headers import header
+
+#: Image encodings of the channels but rgb, which the sensor decides (docs/ground_truth.md).
+ENCODINGS = {
+    "depth": "32FC1",
+    "instance": "mono16",
+    "part": "mono8",
+    "face": "32SC1",
+    "normal": "32FC3",
+    "uv": "32FC2",
+    "flow": "32FC2",
+    "flow_hidden": "mono8",
+    "flow_back": "32FC2",
+    "flow_back_hidden": "mono8",
+    "alpha": "mono8",
+    "amodal": "mono8",
+    "shadow": "mono8",
+}
+
+
+def image_message(image: NDArray[Any], encoding: str, stamp: int, frame: str) -> Image:
+    """Build an Image without a copy of the pixels.
+
+    Args:
+        image: Pixels (H, W) or (H, W, C). The array must not change afterwards.
+        encoding: ROS encoding, such as ``rgb8``.
+        stamp: Nanoseconds.
+        frame: Optical frame of the camera.
+    """
+    message = Image(
+        header=header(stamp, frame), height=image.shape[0], width=image.shape[1], encoding=encoding
+    )
+    message.is_bigendian = 0
+    message.step = image.strides[0]
+    set_data(message, image)
+    return message
+
+
+def set_data(message: Any, data: NDArray[Any]) -> None:
+    """Set ``message.data`` to the bytes of an array. Assigning to ``data`` would check each byte."""
+    message._data = np.ascontiguousarray(data).reshape(-1).view(np.uint8)

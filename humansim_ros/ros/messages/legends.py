@@ -1,0 +1,73 @@
+"""Legends: latched JSON messages that give the meaning of a topic's numbers and names."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from std_msgs.msg import String
+
+from humansim_ros.body import Skeleton
+from humansim_ros.errors import RosError
+from humansim_ros.scene.live import JointSource
+from humansim_ros.truth import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, THING, VISIBLE
+
+
+def motion_legend(source: JointSource) -> String:
+    """Build ``humans/<id>/motion/legend``: the retargeting from the joints of the motion to the skeleton."""
+    return _legend(source.to_dict())
+
+
+def read_motion_legend(message: String) -> dict[str, Any]:
+    """Read a ``motion/legend`` message. Raises RosError if it is not a JSON object."""
+    try:
+        data = json.loads(message.data)
+    except ValueError as reason:
+        raise RosError(f"a legend must be JSON: {reason}") from None
+    if not isinstance(data, dict):
+        raise RosError("a legend must be a JSON object")
+    return data
+
+
+def instance_legend(labels: Mapping[str, int]) -> String:
+    """Build ``<camera>/instance/legend``: human or object of each pixel value."""
+    return _legend({"0": "background"} | _by_label(labels))
+
+
+def part_legend(skeleton: Skeleton) -> String:
+    """Build ``<camera>/part/legend``: bone of each pixel value."""
+    return _legend({"0": "background"} | {str(i): name for i, name in enumerate(skeleton.names, 1)})
+
+
+def joints_legend(
+    humans: Mapping[str, tuple[int, Sequence[str]]], objects: Mapping[str, int] = MappingProxyType({})
+) -> String:
+    """Build ``<camera>/joints/legend``: names of the values of the fields ``human``, ``joint``, ``visible``
+    and ``occluder``. The names of ``by`` are in ``human`` and ``object``.
+
+    ``humans``: instance label and joint names by human. ``objects``: instance label by object.
+    """
+    return _legend(
+        {
+            "human": _by_label({name: label for name, (label, _) in humans.items()}),
+            "object": _by_label(objects),
+            "joint": {name: list(joints) for name, (_, joints) in humans.items()},
+            "visible": {str(OUTSIDE): "outside", str(OCCLUDED): "occluded", str(VISIBLE): "visible"},
+            "occluder": {
+                str(NOTHING): "nothing",
+                str(SELF): "self",
+                str(PERSON): "person",
+                str(THING): "thing",
+            },
+        }
+    )
+
+
+def _by_label(labels: Mapping[str, int]) -> dict[str, str]:
+    return {str(label): name for name, label in labels.items()}
+
+
+def _legend(content: Any) -> String:
+    return String(data=json.dumps(content))

@@ -1,0 +1,61 @@
+"""Messages of moving objects, and velocities of objects and cameras."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from geometry_msgs.msg import Point, Pose, Quaternion, TwistStamped, Vector3
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker
+
+from humansim_ros.errors import RosError
+from humansim_ros.motion.world_motion import Velocity
+from humansim_ros.ros.messages.headers import WORLD_FRAME, header
+from humansim_ros.scene.objects import ObjectPose, SceneObject
+
+_MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
+
+
+def object_message(scene_object: SceneObject, pose: ObjectPose, stamp: int) -> Marker:
+    """Build ``objects/<name>/marker``: a moving object with its pose and size, as RViz shows it."""
+    shape = _MARKER_TYPES.get(scene_object.shape, Marker.MESH_RESOURCE)
+    marker = Marker(header=header(stamp, WORLD_FRAME), ns=f"objects/{scene_object.name}", type=shape)
+    marker.action = Marker.ADD
+    x, y, z = pose.position.tolist()
+    qx, qy, qz, qw = pose.rotation.tolist()
+    marker.pose = Pose(position=Point(x=x, y=y, z=z), orientation=Quaternion(x=qx, y=qy, z=qz, w=qw))
+    marker.scale = Vector3(**dict(zip("xyz", pose.size.tolist(), strict=True)))
+    red, green, blue = (c / 255 for c in scene_object.color)
+    marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
+    if shape == Marker.MESH_RESOURCE:
+        marker.mesh_resource = Path(scene_object.shape).as_uri()
+    return marker
+
+
+def read_object(message: Marker) -> ObjectPose:
+    """Read the object pose of a ``marker`` message. Raises RosError if it is not finite or has no size."""
+    p, q, s = message.pose.position, message.pose.orientation, message.scale
+    pose = ObjectPose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]), np.array([s.x, s.y, s.z]))
+    finite = all(np.isfinite(part).all() for part in (pose.position, pose.rotation, pose.size))
+    if not finite or abs(np.linalg.norm(pose.rotation) - 1) > 1e-3 or not (pose.size > 0).all():
+        raise RosError("an object's pose is not finite, its quaternion has not length 1, or its size is 0")
+    return pose
+
+
+def twist_message(velocity: Velocity | None, stamp: int) -> TwistStamped:
+    """Build ``objects/<name>/twist`` or ``<camera>/twist``: velocity in the axes of ``map``; NaN if it is
+    unknown.
+    """
+    linear, angular = (np.full(3, np.nan),) * 2 if velocity is None else (velocity.linear, velocity.angular)
+    message = TwistStamped(header=header(stamp, WORLD_FRAME))
+    for part, value in ((message.twist.linear, linear), (message.twist.angular, angular)):
+        part.x, part.y, part.z = value.tolist()
+    return message
+
+
+def read_twist(message: TwistStamped) -> Velocity | None:
+    """Read the velocity of a ``twist`` message; None if it is not finite."""
+    parts = message.twist.linear, message.twist.angular
+    linear, angular = (np.array([part.x, part.y, part.z]) for part in parts)
+    return Velocity(linear, angular) if np.isfinite([*linear, *angular]).all() else None

@@ -22,8 +22,8 @@ FOLDERS = ("", "scene", "camera", "motion", "humans", "body", "mesh", "render", 
 HEAD = """# Python API
 
 Names on this page are public: they stay, or keep an alias with a `DeprecationWarning` for one minor version.
-All other names are internal and may change. `tools/doc_pages.py` makes the page from the docstrings. Terms are
-in the [glossary](glossary.md); sources such as [thesis] are in the [references](references.md).
+All other names are internal and may change. `tools/doc_pages.py` makes the page from the docstrings. Terms
+are in the [glossary](glossary.md); sources such as [thesis] are in the [references](references.md).
 
 `humansim_ros` itself exports the names that most programs need, and loads them on first use:
 
@@ -31,7 +31,8 @@ in the [glossary](glossary.md); sources such as [thesis] are in the [references]
 
 Folders export the types that these hand out, such as `from humansim_ros.truth import JointView`.
 """
-_MAP_BEGINS, _MAP_ENDS = "<!-- module map: tools/doc_pages.py -->", "<!-- end of the module map -->"
+_MAP_BEGINS = "<!-- module map: tools/doc_pages.py -->"
+_MAP_ENDS = "<!-- end of the module map -->"
 _SECTIONS = ("Args", "Returns", "Raises", "Yields", "Attributes", "Example", "Examples")
 
 

@@ -168,14 +168,14 @@ def plot(
 ) -> None:
     """The cameras of calibrations from above and in space, or what they cover."""
     from humansim_ros.drawing.canvas import write_png
-    from humansim_ros.drawing.rigs import coverage_picture, rig_picture
+    from humansim_ros.drawing.rigs import coverage_image, rig_image
 
     if output.suffix.lower() != ".png":
         raise HumansimError("the picture is a .png: give the file that name", path=output)
     check_folder(output)
     cameras = cli_camera.chosen(cli_camera.read_cameras(files, size, image, unit, up), camera, files[0])
     _warn_of_one_place(cameras)
-    picture = coverage_picture(cameras, at, stature, area) if coverage else rig_picture(cameras)
+    picture = coverage_image(cameras, at, stature, area) if coverage else rig_image(cameras)
     with written(output):
         write_png(output, picture)
     say(f"wrote {output}")

@@ -231,7 +231,13 @@ def render(
     positions: Channels = Positions.auto,
 ) -> None:
     """Any motion as pictures: stick figures (left blue, right red), and a person who does it."""
-    from humansim_ros.drawing.motions import Artist, Skinned, Sticks, check_suffix, write_motion_picture
+    from humansim_ros.drawing.motions import (
+        Artist,
+        SkinnedArtist,
+        StickFigureArtist,
+        check_suffix,
+        write_motion_image,
+    )
     from humansim_ros.motion.info import world_of
 
     _check_unit(unit)
@@ -248,16 +254,16 @@ def render(
             if joint_names or facing or unit is not None:
                 raise
             warn(f"drawn as it is in the file, as no person: {error.message}")
-            artists.append(Sticks.of_file(motion, size, view.value, up))
+            artists.append(StickFigureArtist.of_file(motion, size, view.value, up))
         else:
-            artists.append(Sticks.of_world(world, size, view.value))
+            artists.append(StickFigureArtist.of_world(world, size, view.value))
             if not no_skin:
-                artists.append(Skinned(_human(body), world, size, view.value))
+                artists.append(SkinnedArtist(_human(body), world, size, view.value))
         if output.suffix.lower() != ".png" and motion.duration > seconds:
             warn(f"only the first {seconds:g} s of {motion.duration:g} s are drawn (--seconds)")
         title = f"{Path(motion.path).stem}: {motion.n_frames} frames, {motion.duration:.2f} s"
         with written(output):
-            write_motion_picture(output, artists, title, phases, rate, seconds, progress_bar)
+            write_motion_image(output, artists, title, phases, rate, seconds, progress_bar)
     finally:
         for artist in artists:
             artist.close()

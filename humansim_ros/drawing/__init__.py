@@ -1,1 +1,1 @@
-"""Pictures and videos for people: views, rigs, humans, motions."""
+"""Images and videos for people: views, rigs, humans, motions."""

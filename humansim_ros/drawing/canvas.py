@@ -1,4 +1,7 @@
-"""Images and videos for people: drawing primitives and writers."""
+"""Drawing helpers that all images for people share: lines, text, palettes, PNG and video files.
+
+Images are (H, W, 3) sRGB. Pixels are (x, y); the centre of the top-left pixel is (0, 0), as in OpenCV.
+"""
 
 from __future__ import annotations
 
@@ -9,31 +12,133 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.files import atomic_path
-from humansim_ros.types import Image
+from humansim_ros.types import Array, Color, Image
+
+#: Background, text and grid lines.
+PAPER: Color = (238, 240, 243)
+INK: Color = (60, 64, 72)
+GRID: Color = (205, 209, 215)
+#: Colours of the left (1), the right (-1) and the middle (0) of a body on paper.
+SIDE_COLORS: dict[int, Color] = {1: (38, 116, 200), -1: (206, 62, 92), 0: INK}
+#: Height in pixels of a title bar.
+TITLE_HEIGHT = 34
+_FONT = cv2.FONT_HERSHEY_SIMPLEX
+#: OpenCV draws in steps of 1 / 2^4 pixel.
+_SHIFT = 4
+#: Pixels beyond which coordinates are clipped, so that they fit OpenCV's integers.
+_FARTHEST = 1e4
+#: Step of the hue, the golden ratio: neighbouring colours of a list differ much.
+_HUE_STEP = 0.61803398875
+
+
+def draw_line(image: Image, pixels: ArrayLike, color: Color, width: int = 1) -> None:
+    """Draw lines from point to point (N, 2) of a polyline."""
+    cv2.polylines(image, [_fixed_point(pixels)], False, color, width, cv2.LINE_AA, _SHIFT)
+
+
+def draw_disc(image: Image, pixel: ArrayLike, radius: float, color: Color, width: int = -1) -> None:
+    """Draw a disc, or a circle where ``width`` is positive, around a point (2,)."""
+    x, y = _fixed_point(pixel).tolist()
+    cv2.circle(image, (x, y), round(radius * 2**_SHIFT), color, width, cv2.LINE_AA, _SHIFT)
+
+
+def fill_polygon(image: Image, pixels: ArrayLike, color: Color, opacity: float) -> None:
+    """Fill a polygon (N, 2); ``opacity`` is between 0 and 1."""
+    over = image.copy()
+    cv2.fillPoly(over, [_fixed_point(pixels)], color, cv2.LINE_AA, _SHIFT)
+    cv2.addWeighted(over, opacity, image, 1 - opacity, 0, dst=image)
+
+
+def draw_text(
+    image: Image, text: str, position: tuple[int, int], scale: float, color: Color = INK, width: int = 1
+) -> None:
+    """Draw text whose lower left corner is at a pixel.
+
+    Args:
+        image: Image that is drawn on.
+        text: One line of text.
+        position: (x, y) of the lower left corner in pixels.
+        scale: Size of the font as OpenCV counts it; 0.5 is about 11 pixels high.
+        color: Colour of the text.
+        width: Width of its strokes in pixels.
+    """
+    cv2.putText(image, text, position, _FONT, scale, color, width, cv2.LINE_AA)
+
+
+def text_size(text: str, scale: float) -> tuple[int, int]:
+    """Width and height of a line of text in pixels."""
+    (width, height), _ = cv2.getTextSize(text, _FONT, scale, 1)
+    return width, height
+
+
+def title_bar(text: str, width: int, scale: float = 0.55) -> Image:
+    """White bar with a title, (TITLE_HEIGHT, width, 3)."""
+    bar = np.full((TITLE_HEIGHT, width, 3), 255, np.uint8)
+    draw_text(bar, text, (10, 23), scale)
+    return bar
+
+
+def hsv_colors(hue: ArrayLike, saturation: ArrayLike, value: ArrayLike) -> NDArray[np.uint8]:
+    """RGB colours (N, 3) of hues (N,) from 0 to 180, saturations and values from 0 to 255."""
+    hsv = np.stack(np.broadcast_arrays(hue, saturation, value), axis=-1).astype(np.uint8)
+    return np.asarray(cv2.cvtColor(hsv[None], cv2.COLOR_HSV2RGB)[0], dtype=np.uint8)
+
+
+def distinct_hues(count: int) -> Array:
+    """Hues (N,) from 0 to 180 of which neighbours differ much."""
+    return np.asarray(np.arange(count) * _HUE_STEP % 1 * 180)
 
 
 def write_png(path: str | os.PathLike[str], image: Image) -> None:
-    """Write an RGB image, whole or not at all."""
-    # OpenCV 5's own choice is fast, and makes files of two to four times the size
+    """Write an RGB image; the file is complete or absent."""
+    # the default compression of OpenCV 5 is fast, and makes files two to four times as large
     done, encoded = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])
     if not done:
-        raise HumansimError("the picture cannot be encoded", path=path)
+        raise HumansimError("the image cannot be encoded", path=path)
     with atomic_path(path) as temporary:
         temporary.write_bytes(encoded.tobytes())
 
 
 def write_mp4(path: str | os.PathLike[str], frames: Iterable[Image], rate: float) -> None:
-    """Write RGB frames of one size as an MP4 that browsers play (H.264), whole or not at all."""
+    """Write RGB frames of one size as H.264 in MP4, which browsers play; the file is complete or absent."""
+    _write_video(path, frames, rate, even=True, codec="libx264", quality=7, macro_block_size=2)
+
+
+def write_gif(path: str | os.PathLike[str], frames: Iterable[Image], rate: float) -> None:
+    """Write RGB frames of one size as a GIF with a palette per frame; the file is complete or absent."""
+    palette = "split[a][b];[a]palettegen=stats_mode=single[p];[b][p]paletteuse=new=1:dither=none"
+    filters = ["-filter_complex", palette]
+    _write_video(
+        path,
+        frames,
+        rate,
+        codec="gif",
+        pix_fmt_out="pal8",
+        macro_block_size=1,
+        quality=None,
+        output_params=filters,
+    )
+
+
+def _write_video(
+    path: str | os.PathLike[str], frames: Iterable[Image], rate: float, even: bool = False, **options: Any
+) -> None:
+    """``even``: crop the frames to even sides, as H.264 needs."""
+    import imageio_ffmpeg
+
     iterator = iter(frames)
     first = next(iterator, None)
     if first is None:
         raise HumansimError("there are no frames for a video", path=path)
-    height, width = first.shape[0] // 2 * 2, first.shape[1] // 2 * 2
+    height, width = (side // 2 * 2 if even else side for side in first.shape[:2])
     with atomic_path(Path(path)) as temporary:
-        writer = _video_writer(temporary, (width, height), rate)
+        writer = imageio_ffmpeg.write_frames(
+            str(temporary), (width, height), fps=rate, ffmpeg_log_level="error", **options
+        )
         writer.send(None)
         try:
             for frame in (first, *iterator):
@@ -42,9 +147,7 @@ def write_mp4(path: str | os.PathLike[str], frames: Iterable[Image], rate: float
             writer.close()
 
 
-def _video_writer(path: Path, size: tuple[int, int], rate: float) -> Any:
-    import imageio_ffmpeg
-
-    return imageio_ffmpeg.write_frames(
-        str(path), size, fps=rate, codec="libx264", quality=7, macro_block_size=2, ffmpeg_log_level="error"
-    )
+def _fixed_point(pixels: ArrayLike) -> NDArray[np.int32]:
+    """Pixels in the fixed-point numbers that OpenCV draws with."""
+    finite = np.nan_to_num(np.asarray(pixels, dtype=float), nan=-_FARTHEST)
+    return np.rint(np.clip(finite, -_FARTHEST, _FARTHEST) * 2**_SHIFT).astype(np.int32)

@@ -1,4 +1,4 @@
-"""Views made for people: colours for depth and labels, joints drawn over images, contact sheets, videos."""
+"""Images of views for people: colours for depth and labels, joints drawn over images, contact sheets."""
 
 from __future__ import annotations
 
@@ -9,16 +9,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import side_of
+from humansim_ros.drawing.canvas import distinct_hues, draw_disc, draw_line, draw_text, hsv_colors
 from humansim_ros.truth.joints import OUTSIDE, VISIBLE
-from humansim_ros.types import Image
+from humansim_ros.types import Color, Image
 
-_SEEN, _HIDDEN = (60, 230, 90), (255, 150, 40)
-#: Colours of left, right and trunk.
-_SIDES = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
+_VISIBLE_COLOR, _HIDDEN_COLOR = (60, 230, 90), (255, 150, 40)
+#: Bright colours of left, right and trunk, for photographs.
+_SIDE_COLORS: dict[int, Color] = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
+#: Grey of the title row and of the gaps of a contact sheet.
+_SHEET = 28
+_GAP = 4
 
 
 def color_depth(depth: NDArray[np.float32]) -> Image:
-    """(H, W, 3) of depth (H, W) in metres: near is red, far is blue, nothing is black."""
+    """Color a depth image (H, W) in metres: near is red, far is blue, pixels without depth are black."""
     finite = np.isfinite(depth)
     if not finite.any():
         return np.zeros((*depth.shape, 3), np.uint8)
@@ -29,15 +33,11 @@ def color_depth(depth: NDArray[np.float32]) -> Image:
 
 
 def color_labels(labels: NDArray[np.integer]) -> Image:
-    """(H, W, 3) of labels (H, W): every label its own colour (after 255 they come again), 0 black."""
-    number = np.arange(256)
-    hue = (number * 0.61803398875 % 1 * 180).astype(np.uint8)
-    value = np.where(number % 2, 255, 200).astype(np.uint8)
-    hsv = np.stack([hue, np.full(256, 190, np.uint8), value], axis=-1)[None]
-    palette = cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB)[0]
+    """Color a label image (H, W): a colour per label, repeated after 255 labels; 0 is black."""
+    palette = hsv_colors(distinct_hues(256), 190, np.where(np.arange(256) % 2, 255, 200))
     palette[0] = 0
     labels = labels.astype(np.intp)
-    return np.asarray(palette[np.where(labels > 0, (labels - 1) % 255 + 1, 0)], dtype=np.uint8)
+    return palette[np.where(labels > 0, (labels - 1) % 255 + 1, 0)]
 
 
 def draw_joints(
@@ -47,69 +47,55 @@ def draw_joints(
     names: Sequence[str],
     parents: Sequence[str | None],
 ) -> Image:
-    """A copy of an image (H, W, 3) with joints (J, 2) drawn: filled where visible, rings where hidden.
+    """Draw joints over a copy of an image: filled discs where visible, circles where hidden.
 
-    ``names``: (J,) joint names, whose ``l_`` and ``r_`` choose the colour; ``parents``: (J,) name of the
-    joint that each one's line comes from.
+    Args:
+        image: Image (H, W, 3).
+        pixels: Pixels of the joints, (J, 2); NaN for a joint without one.
+        visible: State of the joints, (J,): visible, hidden or outside (:mod:`humansim_ros.truth.joints`).
+        names: Names of the joints, (J,). The prefix ``l_`` or ``r_`` chooses the colour of the line.
+        parents: Name of each joint's parent, (J,), to which a line is drawn; None for no line.
     """
     out = image.copy()
-    at = {name: pixel for name, pixel in zip(names, pixels, strict=True) if np.isfinite(pixel).all()}
-    # in sixteenths of a pixel, OpenCV's finest; its pixel centres are integers, as ours
-    fixed = {
-        name: tuple(int(v) for v in np.rint(np.clip(pixel, -1e4, 1e4) * 16)) for name, pixel in at.items()
-    }
+    pixel_of = {name: pixel for name, pixel in zip(names, pixels, strict=True) if np.isfinite(pixel).all()}
     for name, parent in zip(names, parents, strict=True):
-        if parent is not None and name in fixed and parent in fixed:
-            cv2.line(out, fixed[parent], fixed[name], _SIDES[side_of(name)], 2, cv2.LINE_AA, 4)
+        if parent is not None and name in pixel_of and parent in pixel_of:
+            draw_line(out, [pixel_of[parent], pixel_of[name]], _SIDE_COLORS[side_of(name)], 2)
     for name, state in zip(names, visible, strict=True):
-        if name in fixed and state != OUTSIDE:
-            if state == VISIBLE:
-                cv2.circle(out, fixed[name], 3 * 16, _SEEN, -1, cv2.LINE_AA, 4)
-            else:
-                cv2.circle(out, fixed[name], 3 * 16, _HIDDEN, 1, cv2.LINE_AA, 4)
+        if name in pixel_of and state != OUTSIDE:
+            color, width = (_VISIBLE_COLOR, -1) if state == VISIBLE else (_HIDDEN_COLOR, 1)
+            draw_disc(out, pixel_of[name], 3, color, width)
     return out
 
 
 def contact_sheet(
     rows: Sequence[Sequence[Image]], titles: Sequence[str], labels: Sequence[str], width: int = 480
 ) -> Image:
-    """Images in a grid, scaled to ``width``: a title above each column, a label in the corner of each row."""
-    lines = [_strip([_fit(image, width) for image in row]) for row in rows]
+    """Arrange images in a grid.
+
+    Args:
+        rows: Images (H, W, 3) of each row.
+        titles: Title above each column.
+        labels: Label in the lower left corner of each row.
+        width: Width that all images are scaled to, pixels.
+    """
+    lines = [_join_columns([_resized(image, width) for image in row]) for row in rows]
     for line, label in zip(lines, labels, strict=True):
-        cv2.putText(
-            line, label, (12, line.shape[0] - 14), cv2.FONT_HERSHEY_SIMPLEX, 0.6, (0, 0, 0), 4, cv2.LINE_AA
-        )
-        cv2.putText(
-            line,
-            label,
-            (12, line.shape[0] - 14),
-            cv2.FONT_HERSHEY_SIMPLEX,
-            0.6,
-            (255, 255, 255),
-            1,
-            cv2.LINE_AA,
-        )
-    head = np.full((40, lines[0].shape[1], 3), 28, np.uint8)
+        position = (12, line.shape[0] - 14)
+        draw_text(line, label, position, 0.6, (0, 0, 0), 4)
+        draw_text(line, label, position, 0.6, (255, 255, 255))
+    head = np.full((40, lines[0].shape[1], 3), _SHEET, np.uint8)
     for column, title in enumerate(titles):
-        cv2.putText(
-            head,
-            title,
-            (column * (width + 4) + 12, 27),
-            cv2.FONT_HERSHEY_SIMPLEX,
-            0.62,
-            (235, 235, 235),
-            1,
-            cv2.LINE_AA,
-        )
-    gap = np.full((4, lines[0].shape[1], 3), 28, np.uint8)
+        draw_text(head, title, (column * (width + _GAP) + 12, 27), 0.62, (235, 235, 235))
+    gap = np.full((_GAP, lines[0].shape[1], 3), _SHEET, np.uint8)
     return np.concatenate([head, *[part for line in lines for part in (line, gap)]])
 
 
-def _strip(images: Sequence[Image]) -> Image:
-    gap = np.full((images[0].shape[0], 4, 3), 28, np.uint8)
+def _join_columns(images: Sequence[Image]) -> Image:
+    gap = np.full((images[0].shape[0], _GAP, 3), _SHEET, np.uint8)
     return np.concatenate([part for image in images for part in (image, gap)][:-1], axis=1)
 
 
-def _fit(image: Image, width: int) -> Image:
+def _resized(image: Image, width: int) -> Image:
     height = round(image.shape[0] * width / image.shape[1])
     return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)

@@ -16,9 +16,10 @@ from scipy.spatial.distance import pdist, squareform
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration
+from humansim_ros.camera.coverage import coverage
 from humansim_ros.camera.rigs import Optics, dome, grid, ring, stereo
 from humansim_ros.cli import camera_rig as cli_camera_rig
-from humansim_ros.drawing.rigs import coverage, coverage_picture, rig_picture
+from humansim_ros.drawing.rigs import coverage_image, rig_image
 from humansim_ros.errors import CameraError, HumansimError
 from humansim_ros.scene import Scene
 
@@ -188,14 +189,14 @@ def test_coverage_counts_the_cameras_that_see_a_point_or_all_of_a_person() -> No
         assert whole.counts[row, column] == sum(seen_by(camera, upright).all() for camera in cameras.values())
     assert 0 < whole.counts.sum() < chest.counts.sum()
     assert chest.area(0, 6) == pytest.approx(15 * 13 * 0.5 * 0.5)
-    with pytest.raises(CameraError, match="two places"):
+    with pytest.raises(CameraError, match="two positions"):
         coverage(cameras, [0.0], y, 1.2)
     assert chest.area(6, 6) == (chest.counts == 6).sum() * 0.25
 
 
 def test_cameras_are_drawn_where_they_stand() -> None:
     cameras = ring(5, 3, 2.2, TARGET, OPTICS) | {"inner": OPTICS.camera((1, 0, 1), (0, 0, 1))}
-    above = rig_picture(cameras)[60:, 44:620].astype(int)
+    above = rig_image(cameras)[60:, 44:620].astype(int)
     colored = (np.ptp(above, axis=-1) > 50).astype(np.uint8)
     count, _, _, dots = cv2.connectedComponentsWithStats(cv2.erode(colored, np.ones((5, 5), np.uint8)))
     assert count == 1 + 6
@@ -215,15 +216,15 @@ def test_one_camera_many_cameras_and_cameras_far_out_are_drawn() -> None:
         {"far": far, "near": OPTICS.camera((1, 0, 1), (0, 0, 1))},
         dome(40, 4, TARGET, FISHEYE),
     ):
-        assert np.ptp(rig_picture(cameras)[60:, :1200]) > 100
-    assert coverage_picture({"far": far}).shape[1] == 2 * 770
+        assert np.ptp(rig_image(cameras)[60:, :1200]) > 100
+    assert coverage_image({"far": far}).shape[1] == 2 * 770
     with pytest.raises(CameraError, match="no cameras"):
-        rig_picture({})
+        rig_image({})
     with pytest.raises(CameraError, match="in metres"):
-        rig_picture({"lost": OPTICS.camera((5e6, 0, 0), (0, 0, 0))})
+        rig_image({"lost": OPTICS.camera((5e6, 0, 0), (0, 0, 0))})
     for area in ((0, 0, 0, 1), (0, 0, np.nan, 1), (0, 0, 1e9, 1)):
         with pytest.raises(CameraError) as caught:
-            coverage_picture({"far": far}, area=area)
+            coverage_image({"far": far}, area=area)
         assert caught.value.key == "area"
 
 

@@ -266,7 +266,7 @@ def test_a_pipe_that_closes_early_is_no_error() -> None:
 def test_looking_at_joints_loads_no_opengl_and_no_ros() -> None:
     code = (
         "import sys; sys.argv = ['humansim', 'motion', 'joints', 'walk', '--json']\n"
-        "from humansim_ros import cli; cli.main()\n"
+        "from humansim_ros.cli.main import main; main()\n"
         "print([m for m in ('moderngl', 'rclpy') if m in sys.modules])"
     )
     done = subprocess.run(

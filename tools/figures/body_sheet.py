@@ -18,7 +18,7 @@ sys.path.insert(0, str(ROOT))
 
 from humansim_ros.cli.human import built_in_humans  # noqa: E402
 from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
-from humansim_ros.drawing.motions import Skinned  # noqa: E402
+from humansim_ros.drawing.motions import SkinnedArtist  # noqa: E402
 from humansim_ros.humans.human import Human  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
 from humansim_ros.motion.info import world_of  # noqa: E402
@@ -37,7 +37,7 @@ def row(body: str) -> Image:
     artist.close()
     for motion, time in SHOTS:
         world = world_of(read_motion(ROOT / "assets" / "motions" / f"{motion}.bvh"))
-        skinned = Skinned(human, world, SIZE)
+        skinned = SkinnedArtist(human, world, SIZE)
         pictures.append(skinned.draw(time))
         skinned.close()
     cv2.putText(

@@ -12,7 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from humansim_ros.drawing.motions import Skinned
+from humansim_ros.drawing.motions import SkinnedArtist
 from humansim_ros.errors import HumansimError
 from humansim_ros.humans.human import Human
 from humansim_ros.motion.info import read_quietly, world_of
@@ -35,7 +35,7 @@ def main() -> int:
         except HumansimError as error:
             print(f"left out: {path.name}: {error.message[:80]}")
             continue
-        person = Skinned(human, world, (200, 260))
+        person = SkinnedArtist(human, world, (200, 260))
         tile = np.ascontiguousarray(person.draw(motion.n_frames // 2 * motion.frame_time))
         person.close()
         cv2.putText(

@@ -27,7 +27,7 @@ from humansim_ros.body.rigging import RigRule  # noqa: E402
 from humansim_ros.body.skinning import LinearBlend  # noqa: E402
 from humansim_ros.body.weights import limit_bones  # noqa: E402
 from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
-from humansim_ros.drawing.motions import Skinned  # noqa: E402
+from humansim_ros.drawing.motions import SkinnedArtist  # noqa: E402
 from humansim_ros.errors import MeshError  # noqa: E402
 from humansim_ros.humans.human import Human  # noqa: E402
 from humansim_ros.mesh.mesh import Mesh  # noqa: E402
@@ -291,7 +291,7 @@ def pose_sheet(human: Human) -> Image:
         pictures = []
         for motion, moment in SHOTS:
             world = world_of(read_motion(ROOT / "assets" / "motions" / f"{motion}.bvh"))
-            skinned = Skinned(one, world, SIZE)
+            skinned = SkinnedArtist(one, world, SIZE)
             pictures.append(skinned.draw(moment))
             skinned.close()
         rows.append(_labelled(np.concatenate(pictures, axis=1), rule or "artists"))

@@ -2,6 +2,7 @@
 
 The public names are the names below and those that the folders export; docs/api.md lists them. All other
 names are internal and may change. Names are imported on first use: importing the package takes milliseconds.
+__init__.pyi says their types.
 
 Example:
     >>> from humansim_ros import Scene
@@ -19,27 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from humansim_ros.camera.calibration import read_calibration as read_calibration
-    from humansim_ros.camera.calibration import write_calibration as write_calibration
-    from humansim_ros.camera.camera import Camera as Camera
-    from humansim_ros.camera.idealize import idealize as idealize
-    from humansim_ros.errors import HumansimError as HumansimError
-    from humansim_ros.errors import HumansimWarning as HumansimWarning
-    from humansim_ros.humans.human import Human as Human
-    from humansim_ros.humans.loading import load_human as load_human
-    from humansim_ros.mesh.mesh import Mesh as Mesh
-    from humansim_ros.mesh.obj import read_mesh as read_mesh
-    from humansim_ros.motion.bvh import read_bvh as read_bvh
-    from humansim_ros.motion.bvh import write_bvh as write_bvh
-    from humansim_ros.motion.files import read_motion as read_motion
-    from humansim_ros.motion.kinematics import Motion as Motion
-    from humansim_ros.render.renderer import View as View
-    from humansim_ros.scene.scene import Scene as Scene
-    from humansim_ros.scene.simulation import Frame as Frame
-    from humansim_ros.scene.simulation import Simulation as Simulation
+from typing import Any
 
 __version__: str
 

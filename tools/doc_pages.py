@@ -61,7 +61,7 @@ def _entry(name: str, value: Any) -> Iterator[str]:
     if not callable(value) or getattr(value, "__module__", "") == "typing":
         yield f"`{value!r}`\n".replace("typing.", "")
         return
-    yield f"```python\n{name}{_signature(value)}\n```\n"
+    yield f"    {name}{_signature(value)}\n"
     yield _text(inspect.getdoc(value) or "")
     if inspect.isclass(value):
         for member, function in vars(value).items():

@@ -1,0 +1,97 @@
+"""Docstrings and documents: parameters are listed, cited sources exist, replaced names are gone."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+PACKAGE = ROOT / "humansim_ros"
+MODULES = sorted(PACKAGE.rglob("*.py"))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+#: Python names of 0.1.0 that have other names now.
+REPLACED = set(
+    """Asked Drawn Fallen FrameJoiner Instant Neighbour Outlets PeopleOutlets Photograph SunMap SunView
+    Surroundings Whereabouts adopt developed doubts doubts_of_rig doubts_of_size let_fall photograph_of
+    radiance_of take_back tell_warnings understand warn_of""".split()  # noqa: SIM905
+)
+
+Function = ast.FunctionDef | ast.AsyncFunctionDef
+
+
+def public_functions(path: Path) -> Iterator[tuple[str, Function]]:
+    """Public functions and methods of a module, but those of private classes."""
+    for node in ast.parse(path.read_text()).body:
+        if isinstance(node, Function):
+            members: list[tuple[str, ast.stmt]] = [(node.name, node)]
+        elif isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+            members = [(f"{node.name}.{m.name}", m) for m in node.body if isinstance(m, Function)]
+        else:
+            continue
+        for name, member in members:
+            if isinstance(member, Function) and not member.name.startswith("_"):
+                yield name, member
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_public_functions_have_docstrings_that_list_four_parameters_or_more(path: Path) -> None:
+    missing = []
+    for name, function in public_functions(path):
+        text = ast.get_docstring(function)
+        if text is None:
+            missing.append(f"{name}: no docstring")
+            continue
+        arguments = function.args
+        names = [a.arg for a in (*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs)]
+        names = [n for n in names if n not in ("self", "cls")]
+        decorators = {ast.unparse(d) for d in function.decorator_list}
+        if len(names) < 4 or any(d.startswith("app.command") for d in decorators) or "override" in decorators:
+            continue
+        listed = re.search(r"^Args:\n((?:    .*\n?|\n)+)", text, re.MULTILINE)
+        lacking = [n for n in names if not listed or not re.search(rf"^    .*\b{n}\b.*:", listed[1], re.M)]
+        if lacking:
+            missing.append(f"{name}: Args lacks {', '.join(lacking)}")
+    assert not missing
+
+
+def test_every_cited_source_is_in_the_references() -> None:
+    known = set(re.findall(r"\*\*\[([^\]]+)\]\*\*", (ROOT / "docs" / "references.md").read_text()))
+    cited = re.compile(r"\[(thesis|[A-Z]\w+ (?:19|20)\d\d)\b[^\]\n]*\](?!\()")
+    unknown = {
+        f"{path.relative_to(ROOT)}: [{key}]"
+        for path in (*MODULES, *PAGES)
+        for key in cited.findall(path.read_text())
+        if key not in known
+    }
+    assert not unknown
+
+
+def test_the_thesis_is_cited_by_its_key() -> None:
+    """As [thesis §9.8], so that readers find it in the references."""
+    plain = re.compile(r"(?<!\[)\bthesis,? (?:§|\(?\d|S\d|table|chapter)", re.IGNORECASE)
+    found = [
+        f"{path.relative_to(ROOT)}:{number}: {line.strip()}"
+        for path in (*MODULES, *PAGES)
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        if plain.search(line)
+    ]
+    assert not found
+
+
+def test_replaced_names_are_gone() -> None:
+    words = re.compile(rf"`[^`\n]*\b(?:{'|'.join(sorted(REPLACED))})\b[^`\n]*`")
+    found = [
+        f"{path.relative_to(ROOT)}: {match}"
+        for path in (*MODULES, *PAGES)
+        for match in words.findall(path.read_text())
+    ]
+    for path in MODULES:
+        names = {
+            n.name for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, (Function, ast.ClassDef))
+        }
+        found += [f"{path.relative_to(ROOT)}: {name}" for name in names & REPLACED]
+    assert not found

@@ -59,7 +59,7 @@ _load, __dir__, __all__ = lazy_exports(
         "Motion": "motion.kinematics",
         "Scene": "scene.scene",
         "Simulation": "scene.simulation",
-        "View": "render.renderer",
+        "View": "render.channels",
         "idealize": "camera.idealize",
         "load_human": "humans.loading",
         "read_bvh": "motion.bvh",

@@ -15,7 +15,7 @@ from humansim_ros.motion.bvh import read_bvh as read_bvh
 from humansim_ros.motion.bvh import write_bvh as write_bvh
 from humansim_ros.motion.files import read_motion as read_motion
 from humansim_ros.motion.kinematics import Motion as Motion
-from humansim_ros.render.renderer import View as View
+from humansim_ros.render.channels import View as View
 from humansim_ros.scene.scene import Scene as Scene
 from humansim_ros.scene.simulation import Frame as Frame
 from humansim_ros.scene.simulation import Simulation as Simulation

@@ -7,27 +7,27 @@ from humansim_ros import lazy_exports
 if TYPE_CHECKING:
     from humansim_ros.render.backdrops import ImageBackdrop as ImageBackdrop
     from humansim_ros.render.backdrops import Panorama as Panorama
+    from humansim_ros.render.channels import ALL_CHANNELS as ALL_CHANNELS
+    from humansim_ros.render.channels import CHANNELS as CHANNELS
+    from humansim_ros.render.channels import View as View
     from humansim_ros.render.gl import GLRenderer as GLRenderer
     from humansim_ros.render.lighting import Lighting as Lighting
     from humansim_ros.render.make import RendererName as RendererName
     from humansim_ros.render.make import make_renderer as make_renderer
     from humansim_ros.render.pyrender import PyrenderRenderer as PyrenderRenderer
-    from humansim_ros.render.renderer import ALL_CHANNELS as ALL_CHANNELS
-    from humansim_ros.render.renderer import CHANNELS as CHANNELS
     from humansim_ros.render.renderer import AdjacentFrame as AdjacentFrame
     from humansim_ros.render.renderer import Backdrop as Backdrop
     from humansim_ros.render.renderer import Body as Body
     from humansim_ros.render.renderer import Renderer as Renderer
-    from humansim_ros.render.renderer import View as View
 
 __getattr__, __dir__, __all__ = lazy_exports(
     __name__,
     {
-        "ALL_CHANNELS": "renderer",
+        "ALL_CHANNELS": "channels",
         "AdjacentFrame": "renderer",
         "Backdrop": "renderer",
         "Body": "renderer",
-        "CHANNELS": "renderer",
+        "CHANNELS": "channels",
         "GLRenderer": "gl",
         "ImageBackdrop": "backdrops",
         "Lighting": "lighting",
@@ -35,7 +35,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "PyrenderRenderer": "pyrender",
         "Renderer": "renderer",
         "RendererName": "make",
-        "View": "renderer",
+        "View": "channels",
         "make_renderer": "make",
     },
 )

@@ -22,6 +22,14 @@ from humansim_ros.camera import Camera
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.ambient_occlusion import UNIT, AmbientOcclusion
 from humansim_ros.render.body_buffers import BodyBuffers, ProjectedPoints, contour, straight_angle, touched
+from humansim_ros.render.channels import (
+    ALL_CHANNELS,
+    CHANNEL_TABLE,
+    CHANNELS,
+    AdjacentName,
+    View,
+    comparing_with,
+)
 from humansim_ros.render.contact_shadow import CELLS, ContactShadow
 from humansim_ros.render.context import create_context, current
 from humansim_ros.render.edge_antialiasing import edge_crossings
@@ -33,13 +41,9 @@ from humansim_ros.render.posed_mesh import Topology
 from humansim_ros.render.programs import link, unit_square, use_camera
 from humansim_ros.render.rendered_frame import Passes, RenderedFrame, TriangleIds
 from humansim_ros.render.renderer import (
-    ALL_CHANNELS,
-    CHANNELS,
-    FLOWS,
     AdjacentFrame,
     Backdrop,
     Body,
-    View,
     check_adjacent_frames,
     check_request,
 )
@@ -177,7 +181,10 @@ class GLRenderer:
 
         What was worked out of a body for one camera serves the next, as long as it is the same Body object.
         """
-        moments = {"next_frame": next_frame, "previous_frame": previous_frame}
+        moments: dict[AdjacentName, AdjacentFrame | None] = {
+            "next_frame": next_frame,
+            "previous_frame": previous_frame,
+        }
         check_request(bodies, channels)
         check_adjacent_frames(bodies, channels, moments)
         bodies = self._that_move(bodies)
@@ -186,12 +193,12 @@ class GLRenderer:
             drawn = self._drawn_of(bodies, camera, asked, moving_camera, backdrop)
             others: dict[str, tuple[AdjacentFrame, RenderedFrame | None]] = {}
             for which, moment in moments.items():
-                flows = {channel for channel in channels if FLOWS.get(channel) == which}
+                flows = comparing_with(which, channels)
                 if moment is None or not flows:
                     continue
                 moment = replace(moment, bodies=self._that_move(moment.bodies))
                 other = None
-                if any(channel.endswith("_hidden") for channel in flows):
+                if any(CHANNEL_TABLE[channel].occlusion for channel in flows):
                     # as this one: it will be asked for next
                     other = self._drawn_of(moment.bodies, moment.camera, asked, moving_camera, backdrop)
                 others[which] = moment, other

@@ -1,16 +1,19 @@
-"""Which renderer draws, by its name in scene files."""
+"""Renderers by their name in scene files."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.gl import GLRenderer
 from humansim_ros.render.lighting import Lighting
-from humansim_ros.render.pyrender import PyrenderRenderer
 from humansim_ros.render.renderer import Body
 
+if TYPE_CHECKING:
+    from humansim_ros.render.gl import GLRenderer
+    from humansim_ros.render.pyrender import PyrenderRenderer
+
+#: Name of a renderer in scene files.
 RendererName = Literal["moderngl", "pyrender"]
 
 
@@ -21,13 +24,23 @@ def make_renderer(
     device: int | None = None,
     standing: Sequence[Body] = (),
 ) -> GLRenderer | PyrenderRenderer:
-    """The renderer of a name. ``device``: number of the GPU as EGL counts them; the first that works if None.
-    ``standing``: of the bodies that it will be given those that never move and are part of the still scene.
+    """Create a renderer.
 
-    Raises RenderError, saying what to install, where something is missing, and where there is no such device.
+    Args:
+        name: Name of the renderer.
+        static: Meshes of the static scene, in ``map``, metres.
+        lighting: Light; the default light if None.
+        device: Number of the GPU in the order of EGL; the first one that works if None.
+        standing: Bodies that never move. They are rendered with the static scene, once per camera.
+
+    Raises:
+        RenderError: A library or the device is missing. The message says what to install.
     """
-    kinds: dict[str, type[GLRenderer] | type[PyrenderRenderer]] = {
-        "moderngl": GLRenderer,
-        "pyrender": PyrenderRenderer,
-    }
-    return kinds[name](static, lighting, device, standing)
+    # imported here so that scene files can be read without OpenGL
+    if name == "pyrender":
+        from humansim_ros.render.pyrender import PyrenderRenderer
+
+        return PyrenderRenderer(static, lighting, device, standing)
+    from humansim_ros.render.gl import GLRenderer
+
+    return GLRenderer(static, lighting, device, standing)

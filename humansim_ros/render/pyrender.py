@@ -23,12 +23,13 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimWarning, RenderError
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.render.channels import CHANNEL_TABLE, CHANNELS, View
 from humansim_ros.render.contact_shadow import ContactShadow
 from humansim_ros.render.context import create_context, current
 from humansim_ros.render.lens_tessellation import NEAR
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.posed_mesh import PosedMesh, Topology
-from humansim_ros.render.renderer import CHANNELS, AdjacentFrame, Backdrop, Body, View, check_request
+from humansim_ros.render.renderer import AdjacentFrame, Backdrop, Body, check_request
 from humansim_ros.render.static_scene import FLOOR_SLACK, ExpandedMesh
 from humansim_ros.types import Array, Float32Array
 
@@ -169,9 +170,9 @@ class PyrenderRenderer:
         truth: dict[str, Any] = {}
         if "depth" in channels:
             truth["depth"] = np.where(number > 0, depth, np.inf).astype(np.float32)
-        for name, column, kind in (("instance", 0, np.uint16), ("part", 1, np.uint8)):
+        for column, name in enumerate(("instance", "part")):
             if name in channels:
-                truth[name] = table[:, column].astype(kind)[number]
+                truth[name] = table[:, column].astype(CHANNEL_TABLE[name].dtype)[number]
         return truth
 
     def _numbers(

@@ -13,14 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
+from humansim_ros.render.channels import CHANNEL_TABLE, View
 from humansim_ros.render.edge_antialiasing import EdgeCrossings, blend
 from humansim_ros.render.pixel_geometry import PixelGeometry, VisiblePixels, optical_flow
-from humansim_ros.render.renderer import AdjacentFrame, Body, View
+from humansim_ros.render.renderer import AdjacentFrame, Body
 from humansim_ros.render.target import Rectangle, StaticLayer
 from humansim_ros.types import Float32Array, Indices
-
-#: Channels that say which body, and what of it, is where.
-_LABELS = {"instance", "part", "face", "normal", "uv", "alpha", "amodal"}
 
 
 class Passes(NamedTuple):
@@ -32,9 +30,9 @@ class Passes(NamedTuple):
 
     @classmethod
     def by(cls, channels: Collection[str]) -> Passes:
-        """What channels follow from."""
-        asked = set(channels)
-        return cls(bool(asked & {"rgb", "shadow"}), bool(asked & {"rgb", "alpha"}), "amodal" in asked)
+        """Passes that channels need."""
+        needed = {name for channel in channels for name in CHANNEL_TABLE[channel].passes}
+        return cls(*(name in needed for name in cls._fields))
 
     def covers(self, other: Passes) -> bool:
         """Whether what was drawn for this serves the other."""
@@ -62,7 +60,7 @@ class TriangleIds:
             "triangle": lambda _, __, drawn: drawn,
             "face": lambda _, body, drawn: ((drawn + 1) * (body.instance > 0)).astype(np.int32),
         }
-        kind = {"instance": np.uint16, "part": np.uint8, "face": np.int32}.get(channel, np.intp)
+        kind = CHANNEL_TABLE[channel].dtype if channel in CHANNEL_TABLE else np.intp
         found = (make[channel](number, *one) for number, one in enumerate(self._drawn))
         return np.concatenate([np.zeros(1, kind), *found])
 
@@ -164,7 +162,7 @@ class RenderedFrame:
 
     def _labels(self, channels: Collection[str]) -> dict[str, Any]:
         """Those of the channels that say what bodies are where; worked out once, to be drawn into."""
-        asked = _LABELS & set(channels)
+        asked = {name for name in channels if CHANNEL_TABLE[name].labels_bodies}
         for name in asked - self._kept.keys():
             self._kept[name] = getattr(self.view((name,), {}), name)
         return {name: deepcopy(self._kept[name]) for name in asked}

@@ -13,23 +13,9 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.render.channels import ALL_CHANNELS, CHANNEL_TABLE, CHANNELS, AdjacentName, View
 
-#: What is rendered unless one says otherwise.
-CHANNELS = ("rgb", "depth", "instance", "part")
-#: Channels that follow from the triangle each pixel shows.
-DETAILS = ("face", "normal", "uv")
-#: Channels that need to know what stands where in the next frame, and in the one before.
-FLOWS = {
-    "flow": "next_frame",
-    "flow_hidden": "next_frame",
-    "flow_back": "previous_frame",
-    "flow_back_hidden": "previous_frame",
-}
-_WHEN = {"next_frame": "after", "previous_frame": "before"}
-#: Channels with one image for each labelled body.
-PER_BODY = ("alpha", "amodal")
-#: Every channel a renderer can be asked for; docs/ground_truth.md defines each.
-ALL_CHANNELS = (*CHANNELS, *DETAILS, *FLOWS, *PER_BODY, "shadow")
+_WHEN: dict[AdjacentName, str] = {"next_frame": "after", "previous_frame": "before"}
 
 #: What a body is.
 Kind = Literal["human", "object"]
@@ -59,43 +45,6 @@ class AdjacentFrame:
 
     bodies: Sequence[Body]
     camera: Camera
-
-
-@dataclass(frozen=True)
-class View:
-    """What one camera sees: (H, W, ...) arrays on one pixel grid; None for a channel that was not asked for.
-
-    ``rgb``: (H, W, 3) uint8 sRGB, anti-aliased, or what the camera's sensor makes of it. ``depth``: (H, W)
-    float32 metres along z of the optical frame, +inf where nothing is. ``instance``: (H, W) uint16, ``part``:
-    (H, W) uint8; 0 where no labelled body is.
-    Labels and depth are those of the pixel's centre, never blended.
-
-    ``face``: (H, W) int32, 1 + the triangle of the body's mesh, 0 where no labelled body is. ``normal``:
-    (H, W, 3) float32, the outward unit normal of the body's triangle there in the optical frame, 0 where none
-    is. ``uv``: (H, W, 2) float32 texture coordinates of the body, v up, NaN where none is. ``flow``,
-    ``flow_back``: (H, W, 2) float32, pixels from here to where the point shown is in the next and the
-    previous frame, NaN where nothing is; ``flow_hidden``, ``flow_back_hidden``: (H, W) uint8, 1 where that
-    point cannot be seen there. ``alpha``: by instance, (H, W) uint8, how much of each pixel the body covers,
-    255 all of it. ``amodal``: by instance, (H, W) bool, where the body would be if nothing hid it.
-
-    ``shadow``: (H, W) uint8, how much of the direct light bodies take away, 255 all of it; 0 where nothing
-    is, and where there would be none without them.
-    """
-
-    rgb: NDArray[np.uint8] | None = None
-    depth: NDArray[np.float32] | None = None
-    instance: NDArray[np.uint16] | None = None
-    part: NDArray[np.uint8] | None = None
-    face: NDArray[np.int32] | None = None
-    normal: NDArray[np.float32] | None = None
-    uv: NDArray[np.float32] | None = None
-    flow: NDArray[np.float32] | None = None
-    flow_back: NDArray[np.float32] | None = None
-    flow_hidden: NDArray[np.uint8] | None = None
-    flow_back_hidden: NDArray[np.uint8] | None = None
-    alpha: dict[int, NDArray[np.uint8]] | None = None
-    amodal: dict[int, NDArray[np.bool_]] | None = None
-    shadow: NDArray[np.uint8] | None = None
 
 
 class Backdrop(Protocol):
@@ -163,11 +112,13 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
 
 
 def check_adjacent_frames(
-    bodies: Sequence[Body], channels: Collection[str], moments: Mapping[str, AdjacentFrame | None]
+    bodies: Sequence[Body], channels: Collection[str], moments: Mapping[AdjacentName, AdjacentFrame | None]
 ) -> None:
     """RenderError where a channel of flow lacks the frame it needs, or that frame has other bodies."""
-    for channel in set(channels) & set(FLOWS):
-        which = FLOWS[channel]
+    for channel in channels:
+        which = CHANNEL_TABLE[channel].adjacent_frame
+        if which is None:
+            continue
         moment = moments[which]
         if moment is None:
             raise RenderError(f"{channel} needs the frame {_WHEN[which]} this one")

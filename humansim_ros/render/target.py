@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
+from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.render.pixel_geometry import ray_grid
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.types import Float32Array
@@ -178,18 +179,12 @@ class StaticLayer:
 
     def view(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:
         """The channels of a picture without bodies, to be drawn into."""
-        shape = self._depth.shape
-        make: dict[str, Callable[[], NDArray[Any]]] = {
-            "rgb": self._rgb.copy,
-            "depth": self._depth.copy,
-            "instance": lambda: np.zeros(shape, np.uint16),
-            "part": lambda: np.zeros(shape, np.uint8),
-            "face": lambda: np.zeros(shape, np.int32),
-            "normal": lambda: np.zeros((*shape, 3), np.float32),
-            "uv": lambda: np.full((*shape, 2), np.nan, np.float32),
-            "shadow": lambda: np.zeros(shape, np.uint8),
+        cached = {"rgb": self._rgb, "depth": self._depth}
+        shared = [c for c in map(CHANNEL_TABLE.__getitem__, channels) if not (c.per_body or c.adjacent_frame)]
+        return {
+            c.name: cached[c.name].copy() if c.name in cached else c.empty_image(self._depth.shape)
+            for c in shared
         }
-        return {name: make[name]() for name in channels if name in make}
 
     def release(self) -> None:
         self.standing = None  # which has this layer

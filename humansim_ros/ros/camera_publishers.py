@@ -9,30 +9,13 @@ import numpy as np
 from sensor_msgs.msg import Image, PointCloud2
 
 from humansim_ros.render import View
+from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros import messages
 from humansim_ros.ros.compressed import CompressedDepthPublisher, CompressedImagePublisher
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
 from humansim_ros.truth import CameraTruth
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
-
-#: Topic of each channel below the camera's name.
-TOPICS = {
-    "rgb": "image_raw",
-    "depth": "depth/image",
-    "instance": "instance/image",
-    "part": "part/image",
-    "face": "face/image",
-    "normal": "normal/image",
-    "uv": "uv/image",
-    "flow": "flow/image",
-    "flow_hidden": "flow/hidden",
-    "flow_back": "flow_back/image",
-    "flow_back_hidden": "flow_back/hidden",
-    "shadow": "shadow/image",
-}
-#: Channels that have a topic for each human and labelled object.
-BY_LABEL = ("alpha", "amodal")
 
 
 class ImagePublishers:
@@ -44,23 +27,23 @@ class ImagePublishers:
         self, node: SceneNode, camera: str, encoding: str, labels: Mapping[str, int], drawn: Collection[str]
     ) -> None:
         self._frame = messages.optical_frame(camera)
-        self._encodings = {**messages.ENCODINGS, "rgb": encoding}
+        self._encoding = encoding
         self._images = {
-            channel: node.create_publisher(Image, f"{camera}/{topic}", DATA)
-            for channel, topic in TOPICS.items()
-            if channel in drawn
+            channel.name: node.create_publisher(Image, f"{camera}/{channel.topic}", DATA)
+            for channel in CHANNEL_TABLE.values()
+            if channel.name in drawn and not channel.per_body
         }
         self._compressed: dict[str, CompressedImagePublisher | CompressedDepthPublisher] = {
-            "rgb": CompressedImagePublisher(node, camera, TOPICS["rgb"], encoding),
-            "depth": CompressedDepthPublisher(node, camera, TOPICS["depth"]),
+            "rgb": CompressedImagePublisher(node, camera, CHANNEL_TABLE["rgb"].topic, encoding),
+            "depth": CompressedDepthPublisher(node, camera, CHANNEL_TABLE["depth"].topic),
         }
         self._by_label = {
-            channel: {
-                instance: node.create_publisher(Image, f"{camera}/{channel}/{name}/image", DATA)
+            channel.name: {
+                instance: node.create_publisher(Image, f"{camera}/{channel.topic.format(body=name)}", DATA)
                 for name, instance in labels.items()
             }
-            for channel in BY_LABEL
-            if channel in drawn
+            for channel in CHANNEL_TABLE.values()
+            if channel.name in drawn and channel.per_body
         }
 
     def wanted(self) -> set[str]:
@@ -74,7 +57,7 @@ class ImagePublishers:
 
     def send(self, view: View, channels: Collection[str], stamp: int) -> None:
         """Publish some channels of a view, colour first."""
-        for channel in (name for name in (*TOPICS, *BY_LABEL) if name in channels):
+        for channel in (name for name in CHANNEL_TABLE if name in channels):
             if channel in self._images:
                 self._send_image(channel, getattr(view, channel), stamp)
                 continue
@@ -92,7 +75,8 @@ class ImagePublishers:
             compressed.send(image, stamp)
 
     def _publish(self, publisher: Any, channel: str, image: Any, stamp: int) -> None:
-        publisher.publish(messages.image_message(image, self._encodings[channel], stamp, self._frame))
+        encoding = CHANNEL_TABLE[channel].encoding or self._encoding
+        publisher.publish(messages.image_message(image, encoding, stamp, self._frame))
 
 
 class TruthPublishers:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import CHANNELS, Body, Renderer, View
-from humansim_ros.render.renderer import FLOWS
+from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, comparing_with
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.capture import capture
@@ -99,7 +99,7 @@ class Simulation:
     def frame(self, index: int) -> Frame:
         """Frame ``index``, at ``start + round(index * period)``."""
         elapsed = self.scene.frame_time(index)
-        asked = {FLOWS[channel] for channel in self.channels if channel in FLOWS}
+        asked = [frame for frame in ADJACENT_NAMES if comparing_with(frame, self.channels)]
         beside = {
             which: self._at(self.scene.frame_time(index + step))[2]
             for which, step in (("next_frame", 1), ("previous_frame", -1))
@@ -126,11 +126,13 @@ class Simulation:
             self.scene.labels,
         )
 
-    def _view(self, camera: SceneCamera, instant: SceneState, beside: Mapping[str, SceneState]) -> View:
+    def _view(
+        self, camera: SceneCamera, instant: SceneState, beside: Mapping[AdjacentName, SceneState]
+    ) -> View:
         """What a camera sees. ``beside``: the frames after and before, where channels need them."""
         after, before = (
             other.shot(camera).neighbour(camera) if (other := beside.get(which)) else None
-            for which in ("next_frame", "previous_frame")
+            for which in ADJACENT_NAMES
         )
         shot = replace(instant.shot(camera), next_frame=after, previous_frame=before)
         return capture(self.renderer, camera, shot, self.channels, instant.stamp)
@@ -147,7 +149,7 @@ class Simulation:
         moment = self.playback.show(elapsed)
         humans = {name: actor.state(moment.poses[name]) for name, actor in self.playback.actors.items()}
         found = moment, humans, self._instant(elapsed, humans, moment)
-        if any(channel in FLOWS for channel in self.channels):
+        if any(comparing_with(frame, self.channels) for frame in ADJACENT_NAMES):
             self._recent.append((elapsed, actors, found))
         return found
 

@@ -11,8 +11,8 @@ import pytest
 from ros_support import whole_flow, write_scene
 
 from humansim_ros.render import ALL_CHANNELS, CHANNELS
+from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros import messages
-from humansim_ros.ros.camera_publishers import TOPICS
 from humansim_ros.scene import Scene, Simulation
 
 SCENE = """
@@ -47,8 +47,7 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     folder = tmp_path_factory.mktemp("detail")
     (folder / "moves.xml").write_text(MOVES)
     scene = write_scene(folder, SCENE)
-    topics = {c: f"/detail/left/{TOPICS[c]}" for c in DETAILS if c in TOPICS}
-    topics |= {c: f"/detail/left/{c}/anna/image" for c in ("alpha", "amodal")}
+    topics = {c: f"/detail/left/{CHANNEL_TABLE[c].topic.format(body='anna')}" for c in DETAILS}
     wanted = {
         Marker: ["/detail/objects/box/marker"],
         Image: list(topics.values()),
@@ -82,7 +81,7 @@ def test_a_topic_has_what_simulation_has(flow: Any, channel: str) -> None:
             (truth,) = truth.values()
             truth = truth if truth.dtype == np.uint8 else truth * np.uint8(255)
         message = flow.received[flow.topics[channel]][stamp]
-        assert message.encoding == messages.ENCODINGS[channel]
+        assert message.encoding == CHANNEL_TABLE[channel].encoding
         assert message.step == message.width * truth.itemsize * (truth.shape[2] if truth.ndim == 3 else 1)
         image = np.frombuffer(message.data, DTYPES[message.encoding]).reshape(truth.shape)
         # vertices may differ in their last bit, and with them a pixel on an edge

@@ -43,7 +43,7 @@ from humansim_ros.ros.messages.humans import (
     read_vertices,
     vertices_message,
 )
-from humansim_ros.ros.messages.images import ENCODINGS, image_message
+from humansim_ros.ros.messages.images import image_message
 from humansim_ros.ros.messages.legends import (
     instance_legend,
     joints_legend,
@@ -57,7 +57,6 @@ from humansim_ros.ros.messages.points import point_cloud, read_points
 __all__ = [
     "BODY_KINDS",
     "BOX_POINT",
-    "ENCODINGS",
     "JOINT_POINT",
     "MAX_COORDINATE",
     "VISIBLE_VERTEX",

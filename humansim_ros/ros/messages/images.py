@@ -10,23 +10,6 @@ from sensor_msgs.msg import Image
 
 from humansim_ros.ros.messages.headers import header
 
-#: Image encodings of the channels but rgb, which the sensor decides (docs/ground_truth.md).
-ENCODINGS = {
-    "depth": "32FC1",
-    "instance": "mono16",
-    "part": "mono8",
-    "face": "32SC1",
-    "normal": "32FC3",
-    "uv": "32FC2",
-    "flow": "32FC2",
-    "flow_hidden": "mono8",
-    "flow_back": "32FC2",
-    "flow_back_hidden": "mono8",
-    "alpha": "mono8",
-    "amodal": "mono8",
-    "shadow": "mono8",
-}
-
 
 def image_message(image: NDArray[Any], encoding: str, stamp: int, frame: str) -> Image:
     """Build an Image without a copy of the pixels.

@@ -18,6 +18,7 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from humansim_ros.errors import CameraError, SceneError
 from humansim_ros.render import AdjacentFrame
+from humansim_ros.render.channels import comparing_with
 from humansim_ros.ros import messages
 from humansim_ros.ros.camera_calibration import PublishedCalibration, calibration_of
 from humansim_ros.ros.camera_pose import CameraPosePublisher
@@ -32,8 +33,7 @@ from humansim_ros.scene.capture import Exposure, capture
 from humansim_ros.scene.state import SceneState
 
 #: Channels that are known only when the next frame is.
-_FORWARD = {"flow", "flow_hidden"}
-_BACKWARD = {"flow_back", "flow_back_hidden"}
+_FORWARD, _BACKWARD = comparing_with("next_frame"), comparing_with("previous_frame")
 
 
 class CameraNode(SceneNode):

@@ -64,7 +64,7 @@ _load, __dir__, __all__ = lazy_exports(
         "load_human": "humans.loading",
         "read_bvh": "motion.bvh",
         "read_calibration": "camera.calibration",
-        "read_mesh": "mesh.obj",
+        "read_mesh": "mesh.load",
         "read_motion": "motion.files",
         "write_bvh": "motion.bvh",
         "write_calibration": "camera.calibration",

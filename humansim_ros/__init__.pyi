@@ -9,8 +9,8 @@ from humansim_ros.errors import HumansimError as HumansimError
 from humansim_ros.errors import HumansimWarning as HumansimWarning
 from humansim_ros.humans.human import Human as Human
 from humansim_ros.humans.loading import load_human as load_human
+from humansim_ros.mesh.load import read_mesh as read_mesh
 from humansim_ros.mesh.mesh import Mesh as Mesh
-from humansim_ros.mesh.obj import read_mesh as read_mesh
 from humansim_ros.motion.bvh import read_bvh as read_bvh
 from humansim_ros.motion.bvh import write_bvh as write_bvh
 from humansim_ros.motion.files import read_motion as read_motion

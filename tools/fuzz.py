@@ -52,11 +52,10 @@ from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
 from humansim_ros.humans.description import read_description  # noqa: E402
 from humansim_ros.humans.human import read_human  # noqa: E402
 from humansim_ros.humans.loading import make_human  # noqa: E402
-from humansim_ros.mesh.obj import read_mesh  # noqa: E402
+from humansim_ros.mesh.load import read_materials_z_up, read_mesh  # noqa: E402
 from humansim_ros.motion import read_bvh, read_motion  # noqa: E402
 from humansim_ros.motion.keyframes import read_keyframes  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
-from humansim_ros.scene.mesh_files import read_world_mesh  # noqa: E402
 
 _MEMORY = 4 << 30
 #: Seconds that a file of any size may take, and seconds per byte beyond.
@@ -160,7 +159,7 @@ def reading_scene(path: Path) -> None:
 
 def reading_world(path: Path) -> None:
     """A mesh file of a scene's world."""
-    for mesh in read_world_mesh(path, None):
+    for mesh in read_materials_z_up(path, None):
         assert np.isfinite(mesh.vertices).all()
 
 

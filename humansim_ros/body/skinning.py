@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError
+from humansim_ros.mesh.skinned import normalise_weights
 from humansim_ros.rotations import cross, matrix_to_quaternion
 from humansim_ros.types import Array, FloatArray
 
@@ -228,28 +229,6 @@ SKINNERS: dict[str, type[LinearBlend] | type[DualQuaternion]] = {
     "linear": LinearBlend,
     "dual_quaternion": DualQuaternion,
 }
-
-
-def normalise_weights(weights: csr_matrix) -> csr_matrix:
-    """Weights (V, B) whose rows sum to one. MeshError, naming a vertex, where a weight is negative or not
-    finite, or a row sums to zero.
-    """
-    scaled = csr_matrix(weights, dtype=np.float64, copy=True)
-    counts = np.diff(scaled.indptr)
-    rows = np.repeat(np.arange(len(counts)), counts)
-    bad = ~np.isfinite(scaled.data) | (scaled.data < 0)
-    if bad.any():
-        first = int(np.argmax(bad))
-        raise MeshError(
-            f"a skinning weight of vertex {rows[first]} is negative or not finite: {scaled.data[first]}"
-        )
-    largest = np.zeros(len(counts))
-    np.maximum.at(largest, rows, scaled.data)
-    if (largest == 0).any():
-        raise MeshError(f"vertex {int(np.argmin(largest))} follows no bone: its weights sum to zero")
-    scaled.data /= largest[rows]  # whose sum cannot overflow
-    scaled.data /= np.bincount(rows, scaled.data, len(counts))[rows]
-    return scaled
 
 
 def _checked_body(vertices: FloatArray, weights: csr_matrix) -> tuple[Array, csr_matrix]:

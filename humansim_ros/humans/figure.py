@@ -16,6 +16,7 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.skinned import SkinnedMesh
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_tables import JointMatch
+from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.world_motion import detect_file_frame
 from humansim_ros.types import Array
 
@@ -34,7 +35,7 @@ def to_body_space(
     of the skeleton; all others stay under theirs and follow. Joints that we have and the figure has not are
     put in between, without skin. ``unit``: metres per file unit. Raises MeshError if it is no person.
     """
-    rest = figure.at_rest()
+    rest = _rest_motion(figure)
     try:
         match = match_motion(rest)
         frame = detect_file_frame(rest, match, unit, up, facing)
@@ -60,6 +61,14 @@ def to_body_space(
         shape=(len(vertices), len(skeleton)),
     )
     return replace(figure.mesh, vertices=vertices), skeleton, limit_bones(weights)
+
+
+def _rest_motion(figure: SkinnedMesh) -> Motion:
+    """The skeleton of a skinned mesh as a motion of one frame in the rest pose."""
+    parents = figure.parents
+    offsets = figure.joints - np.where((parents < 0)[:, None], 0.0, figure.joints[parents])
+    no_channels: tuple[tuple[str, ...], ...] = ((),) * len(figure.joint_names)
+    return Motion(figure.joint_names, parents, offsets, no_channels, np.zeros((1, 0)), 1.0)
 
 
 def own_joints(match: JointMatch) -> dict[str, int]:

@@ -15,11 +15,12 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.body.rigging import triangle_parts
 from humansim_ros.body.skeleton import Skeleton
-from humansim_ros.body.skinning import SkinningFunction, make_skinner, normalise_weights
+from humansim_ros.body.skinning import SkinningFunction, make_skinner
 from humansim_ros.errors import MeshError
 from humansim_ros.io.images import decode_image
 from humansim_ros.io.npz import read_npz, write_npz
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.skinned import normalise_weights
 from humansim_ros.types import Array
 
 #: The outfit of a human that has one look only.

@@ -27,9 +27,9 @@ from humansim_ros.humans.smpl import is_smpl, read_smpl
 from humansim_ros.io.files import read_bytes, resolve_relative
 from humansim_ros.io.images import decode_image, encode_image
 from humansim_ros.mesh.gltf_document import Gltf
-from humansim_ros.mesh.gltf_mesh import read_gltf_mesh
+from humansim_ros.mesh.gltf_mesh import read_gltf
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.obj import material_files, read_mesh
+from humansim_ros.mesh.obj import material_files, read_obj
 from humansim_ros.mesh.skinned import SkinnedMesh
 
 #: Files that a human is loaded from.
@@ -66,9 +66,9 @@ def make_human(path: str | os.PathLike[str], options: MeshHuman | None = None) -
     if suffix == ".npz":
         made = read_smpl(path, options.betas)
     elif suffix in _GLTF:
-        made = read_gltf_mesh(path)
+        made = read_gltf(path)
     else:
-        made = read_mesh(path)
+        made = read_obj(path)
     if isinstance(made, SkinnedMesh):
         mesh, skeleton, weights = to_body_space(made, options.unit, options.up, options.facing)
         if options.stature is not None:

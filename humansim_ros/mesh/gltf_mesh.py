@@ -9,14 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, vstack
 
-from humansim_ros.body.skinning import normalise_weights
 from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.mesh.atlas import PLAIN, plain_tile, textured
 from humansim_ros.mesh.gltf_document import Gltf, Primitive
 from humansim_ros.mesh.gltf_material import read_image, read_material
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.mesh.mesh import FaceIndices, Mesh
-from humansim_ros.mesh.skinned import SkinnedMesh
+from humansim_ros.mesh.skinned import SkinnedMesh, normalise_weights
 from humansim_ros.types import Array
 
 _MAX_VERTICES = 5_000_000
@@ -36,7 +35,7 @@ class _Piece:
     colors: Array | None
 
 
-def read_gltf_mesh(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
+def read_gltf(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
     """A figure with its own skeleton, or the bare surface where the file has no skin. MeshError otherwise."""
     gltf = Gltf.read(path)
     skeleton = GltfSkeleton.of(gltf)
@@ -60,7 +59,7 @@ def read_gltf_mesh(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
     )
 
 
-def read_gltf_surfaces(path: str | os.PathLike[str]) -> list[Mesh]:
+def read_gltf_materials(path: str | os.PathLike[str]) -> list[Mesh]:
     """What a file shows as it stands, one mesh for each material, whose textures may repeat. MeshError where
     it is wrong or shows nothing.
     """

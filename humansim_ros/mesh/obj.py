@@ -17,7 +17,7 @@ from humansim_ros.mesh.mtl import Statements, material_of, numbers, read_mtl, ti
 from humansim_ros.types import Array
 
 
-def read_mesh(path: str | os.PathLike[str]) -> Mesh:
+def read_obj(path: str | os.PathLike[str]) -> Mesh:
     """Read a mesh file (Wavefront OBJ) with its materials: their colours and textures, side by side in one.
 
     Units and axes stay as in the file. Materials and textures are looked for in the folder of the file and
@@ -32,7 +32,7 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
         raise
 
 
-def read_surfaces(path: str | os.PathLike[str]) -> list[Mesh]:
+def read_obj_materials(path: str | os.PathLike[str]) -> list[Mesh]:
     """The same as one mesh for each material, whose textures may repeat."""
     text = read_text(path, MeshError, "mesh")
     try:

@@ -1,4 +1,4 @@
-"""A skinned mesh as files hold it: surface, joints and weights (data only)."""
+"""A mesh with the joints and weights of its file (glTF, SMPL): data only."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
+from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.motion.kinematics import Motion
 from humansim_ros.types import Array
 
 
 @dataclass(frozen=True)
 class SkinnedMesh:
-    """A skinned figure in the space of its file, as it was bound to its skeleton.
+    """Mesh, joints and weights at bind time, in the space of the file.
 
-    ``joint_names``: J names. ``parents``: (J,), parents first, -1 for a root. ``joints``: (J, 3).
+    ``joint_names``: J names. ``parents``: (J,), parents first, -1 for a root. ``joints``: (J, 3) positions.
     ``weights``: (V, J), rows sum to one.
     """
 
@@ -28,8 +28,25 @@ class SkinnedMesh:
     joints: Array
     weights: csr_matrix
 
-    def at_rest(self) -> Motion:
-        """The skeleton as a motion of one frame in which nothing turns."""
-        offsets = self.joints - np.where((self.parents < 0)[:, None], 0.0, self.joints[self.parents])
-        none: tuple[tuple[str, ...], ...] = ((),) * len(self.joint_names)
-        return Motion(self.joint_names, self.parents, offsets, none, np.zeros((1, 0)), 1.0)
+
+def normalise_weights(weights: csr_matrix) -> csr_matrix:
+    """Scale weights (V, B) so that rows sum to one.
+
+    Raises MeshError with the vertex if a weight is negative or not finite, or a row sums to zero.
+    """
+    scaled = csr_matrix(weights, dtype=np.float64, copy=True)
+    counts = np.diff(scaled.indptr)
+    rows = np.repeat(np.arange(len(counts)), counts)
+    bad = ~np.isfinite(scaled.data) | (scaled.data < 0)
+    if bad.any():
+        first = int(np.argmax(bad))
+        raise MeshError(
+            f"a skinning weight of vertex {rows[first]} is negative or not finite: {scaled.data[first]}"
+        )
+    largest = np.zeros(len(counts))
+    np.maximum.at(largest, rows, scaled.data)
+    if (largest == 0).any():
+        raise MeshError(f"vertex {int(np.argmin(largest))} follows no bone: its weights sum to zero")
+    scaled.data /= largest[rows]  # whose sum cannot overflow
+    scaled.data /= np.bincount(rows, scaled.data, len(counts))[rows]
+    return scaled

@@ -11,13 +11,13 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.mesh.load import read_materials_z_up
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.backdrops import Panorama, ambient
 from humansim_ros.render.lighting import Lighting, tone_mapped
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.scene.backdrops import load_backdrop, load_panorama, scene_file
 from humansim_ros.scene.config import LightConfig, RoomConfig, SceneConfig, WorldMeshConfig
-from humansim_ros.scene.mesh_files import read_world_mesh
 from humansim_ros.scene.randomise import random_light
 from humansim_ros.scene.room import furnished_room
 
@@ -75,7 +75,7 @@ def _placed(config: WorldMeshConfig, scene: Path, key: str) -> list[Mesh]:
     """A mesh file where it stands."""
     path = scene_file(config.file, scene, f"{key}.file")
     try:
-        meshes = read_world_mesh(path, config.up_axis)
+        meshes = read_materials_z_up(path, config.up_axis)
     except MeshError as error:
         raise MeshError(
             error.message, path=error.path or path, line=error.line, key=error.key or f"{key}.file"

@@ -16,13 +16,13 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
 from humansim_ros.io.files import resolve_relative
+from humansim_ros.mesh.load import read_mesh_z_up
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
 from humansim_ros.motion.world_motion import Velocity
 from humansim_ros.render import Body
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig
-from humansim_ros.scene.mesh_files import read_thing
 from humansim_ros.types import Array
 
 #: Segments around a sphere or a cylinder.
@@ -83,7 +83,7 @@ class SceneObject:
             known = f"the built-in meshes are {', '.join(SHAPES)}"
             path = _existing(config.mesh, scene, key, known)
             shape = str(path.resolve())
-            mesh = read_thing(path)
+            mesh = read_mesh_z_up(path)
         plain = mesh.texture is None or "color" in config.model_fields_set
         colors = np.tile(np.array(config.color, np.uint8), (len(mesh.vertices), 1)) if plain else None
         turn = Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_quat()

@@ -24,8 +24,8 @@ from humansim_ros.body.orientation import body_from_file
 from humansim_ros.body.volume import solid, surface_points
 from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.humans.human import Human
+from humansim_ros.mesh.load import read_mesh
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.obj import read_mesh
 from humansim_ros.types import Array
 
 MESHES = SHARED_DATA / "mesh"

@@ -18,8 +18,8 @@ from humansim_ros.body.rigging import RigRule, dominant_bones, triangle_parts
 from humansim_ros.body.skeleton import side_of
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
+from humansim_ros.mesh.load import read_mesh
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.obj import read_mesh
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.joint_matching import find_match
 from humansim_ros.motion.retarget import Retargeter

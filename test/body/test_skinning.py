@@ -12,8 +12,9 @@ from scipy.sparse import csr_matrix
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body import hanim_skeleton, skin
-from humansim_ros.body.skinning import SKINNERS, DualQuaternion, LinearBlend, make_skinner, normalise_weights
+from humansim_ros.body.skinning import SKINNERS, DualQuaternion, LinearBlend, make_skinner
 from humansim_ros.errors import MeshError
+from humansim_ros.mesh.skinned import normalise_weights
 from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()

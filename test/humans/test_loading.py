@@ -19,7 +19,7 @@ from humansim_ros.errors import HumansimWarning, MeshError
 from humansim_ros.humans.human import Human, read_human, write_human
 from humansim_ros.humans.smpl import read_smpl
 from humansim_ros.io.npz import read_npz
-from humansim_ros.mesh.obj import read_mesh
+from humansim_ros.mesh.load import read_mesh
 
 
 @pytest.fixture(autouse=True)

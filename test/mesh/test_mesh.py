@@ -12,8 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.body import fit_to_skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
+from humansim_ros.mesh.load import read_mesh
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.obj import read_mesh
 from humansim_ros.render.posed_mesh import PosedMesh, Topology
 from humansim_ros.types import Array, Float32Array
 

@@ -16,10 +16,10 @@ from render_scenes import quad, renderer_or_skip
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimWarning, MeshError
+from humansim_ros.mesh.load import read_materials_z_up
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Lighting, View
 from humansim_ros.render.backdrops import ImageBackdrop
-from humansim_ros.scene.mesh_files import read_world_mesh
 
 Array = NDArray[np.floating]
 BLACK = (0.0, 0.0, 0.0)
@@ -80,7 +80,7 @@ def tile(
         "buffers": [{"byteLength": len(blob)}],
     }
     (folder / "tile.glb").write_bytes(glb(document, blob))
-    return read_world_mesh(folder / "tile.glb", None)
+    return read_materials_z_up(folder / "tile.glb", None)
 
 
 def view(meshes: list[Mesh], light: Lighting, camera: Camera = CAMERA, backdrop: Any = None) -> View:
@@ -293,7 +293,7 @@ f 1/1 2/2 3/3 4/4
 def obj_tile(folder: Path, material: str, obj: str = TILE_OBJ) -> list[Mesh]:
     (folder / "tile.obj").write_text(obj)
     (folder / "tile.mtl").write_text(f"newmtl tin\n{material}\n")
-    return read_world_mesh(folder / "tile.obj", None)
+    return read_materials_z_up(folder / "tile.obj", None)
 
 
 def test_shininess_of_an_mtl_is_a_rough_surface_as_glossy(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from render_scenes import RENDERERS, along_x, body, box, cast, inner, renderer_o
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError, HumansimError, HumansimWarning, RenderError
-from humansim_ros.mesh.obj import read_mesh
+from humansim_ros.mesh.load import read_mesh
 from humansim_ros.render import AdjacentFrame, Body, Lighting, Renderer, RendererName, make_renderer
 from humansim_ros.scene import Scene
 from humansim_ros.truth.boxes import view_boxes

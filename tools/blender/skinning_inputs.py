@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.humans.human import Human
-from humansim_ros.mesh.obj import read_mesh
+from humansim_ros.mesh.load import read_mesh
 from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.info import world_of
 from humansim_ros.motion.retarget import Retargeter

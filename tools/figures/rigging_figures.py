@@ -30,8 +30,8 @@ from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
 from humansim_ros.drawing.motions import SkinnedArtist  # noqa: E402
 from humansim_ros.errors import MeshError  # noqa: E402
 from humansim_ros.humans.human import Human  # noqa: E402
+from humansim_ros.mesh.load import read_mesh  # noqa: E402
 from humansim_ros.mesh.mesh import Mesh  # noqa: E402
-from humansim_ros.mesh.obj import read_mesh  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
 from humansim_ros.motion.info import world_of  # noqa: E402
 from humansim_ros.motion.retarget import Retargeter  # noqa: E402

@@ -1,6 +1,7 @@
 # make demo    install everything into .venv, run the nodes, write pictures to demo/
-# make test    format, lint, types and tests, as CI runs them
-# make lint    the first three of these
+# make check   format, lint, types and quick tests: all but those that need ROS, start processes or are slow
+# make test    format, lint, types and all tests, as CI runs them
+# make lint    format, lint and types
 # make bench   every benchmark, one after the other
 # make dist    wheel and sdist in dist/, checked, installed and run in fresh environments (docs/releasing.md)
 # make clean   remove what these have made
@@ -13,13 +14,18 @@ ifdef ROS_DISTRO
 unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH
 endif
 
-.PHONY: demo test lint bench dist clean env env-test env-bench
+.PHONY: demo check test lint bench dist clean env env-test env-bench
 
 demo: env
 	$(BIN)/humansim demo
 
+check: lint
+	$(BIN)/python -m pytest -n auto -m "not ros and not process and not slow"
+
+# Nodes and processes share the machine's network and clock: their tests run one after the other.
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto -m "not ros and not process"
+	$(BIN)/python -m pytest -m "ros or process"
 
 lint: env-test
 	$(BIN)/ruff format --check .

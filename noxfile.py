@@ -17,8 +17,16 @@ NUMPYS = {"1.26": "numpy==1.26.*", "2": "numpy>=2"}
 COMBINATIONS = [
     (python, numpy) for python in PYTHONS for numpy in NUMPYS if (python, numpy) != ("3.13", "1.26")
 ]
-#: What `make check` runs too.
-QUICK = "not ros and not process and not slow"
+
+
+def run_tests(session: nox.Session) -> None:
+    """Run pytest as `make test` does, or once with the arguments of the session."""
+    pytest = ("python", "-m", "pytest")
+    if session.posargs:
+        session.run(*pytest, *session.posargs)
+        return
+    session.run(*pytest, "-n", "auto", "-m", "not ros and not process")
+    session.run(*pytest, "-m", "ros or process")
 
 
 @nox.session
@@ -26,7 +34,7 @@ QUICK = "not ros and not process and not slow"
 def tests(session: nox.Session, numpy: str) -> None:
     """All tests, with ROS from PyPI, on each Python with each major version of NumPy."""
     session.install("-e", ".[ros,test]", NUMPYS[numpy])
-    session.run("python", "-m", "pytest", *session.posargs)
+    run_tests(session)
 
 
 @nox.session(python=PYTHONS)
@@ -34,7 +42,7 @@ def no_ros(session: nox.Session) -> None:
     """The tests that need no ROS, where rclpy is not installed."""
     session.install("-e", ".[test]")
     session.run("python", "-c", "import importlib.util as i; assert i.find_spec('rclpy') is None")
-    session.run("python", "-m", "pytest", "-m", "not ros", *session.posargs)
+    session.run("python", "-m", "pytest", "-n", "auto", "-m", "not ros", *session.posargs)
 
 
 @nox.session(python="3.12")

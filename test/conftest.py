@@ -1,20 +1,80 @@
-"""Where the tests find what they read: this repository's own files, and real files that others wrote."""
+"""Common fixtures, and the markers ``ros``, ``gl``, ``process`` and ``real_files`` of every test."""
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from types import CodeType, FunctionType
+from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+TESTS = Path(__file__).resolve().parent
+ROOT = TESTS.parent
+#: Markers of tests that use one of these names in their own code, a fixture, or a helper of this folder.
+MARKED_BY_NAME = {
+    "ros": {"rclpy", "ros_support"},
+    "gl": {"GLRenderer", "PyrenderRenderer", "Simulation", "make_renderer", "moderngl"},
+    "process": {"multiprocessing", "subprocess"},
+    "real_files": {"SHARED_DATA", "needs_shared_data", "shared_data"},
+}
+#: Markers of all tests of a module that imports one of these names: it is skipped without rclpy.
+MARKED_BY_IMPORT = {"ros": {"rclpy", "ros_support"}}
 #: Real motions, meshes and calibrations, beside the repository unless HUMANSIM_SHARED_DATA says where.
 SHARED_DATA = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shared" / "data")
 
 needs_shared_data = pytest.mark.skipif(
     not SHARED_DATA.is_dir(), reason=f"no shared files at {SHARED_DATA} (HUMANSIM_SHARED_DATA)"
 )
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if not isinstance(item, pytest.Function):
+            continue  # a doctest
+        fixtures = [each.func for found in item._fixtureinfo.name2fixturedefs.values() for each in found]
+        parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
+        names = set(item.fixturenames).union(*map(_names, (item.function, *fixtures, *parameters)))
+        for marker, triggers in MARKED_BY_NAME.items():
+            imported = _imports(item.module) & MARKED_BY_IMPORT.get(marker, set())
+            if names & triggers or imported:
+                item.add_marker(marker)
+
+
+def _imports(module: Any) -> set[str]:
+    """Names in a test module, and the modules that they come from."""
+    return set(vars(module)) | {getattr(value, "__module__", None) for value in vars(module).values()}
+
+
+def _names(value: Any) -> set[str]:
+    """Names and strings in the code of a function of this folder, and in the helpers that it uses."""
+    reached, names, left = set(), set(), [value]
+    while left:
+        for function in _functions(left.pop()):
+            if function not in reached:
+                reached.add(function)
+                words = _words(function.__code__)
+                names |= words
+                left += [function.__globals__[word] for word in words & function.__globals__.keys()]
+    return names
+
+
+def _functions(value: Any) -> list[FunctionType]:
+    """A function of this folder, or the methods of a class of this folder; nothing of anything else."""
+    value = getattr(value, "__wrapped__", value)
+    if isinstance(value, type):
+        return [f for each in vars(value).values() for f in _functions(each)]
+    if isinstance(value, FunctionType) and value.__code__.co_filename.startswith(str(TESTS)):
+        return [value]
+    return []
+
+
+@functools.cache
+def _words(code: CodeType) -> frozenset[str]:
+    inner = [_words(each) for each in code.co_consts if isinstance(each, CodeType)]
+    return frozenset(code.co_names).union((c for c in code.co_consts if isinstance(c, str)), *inner)
 
 
 @pytest.fixture(scope="session")

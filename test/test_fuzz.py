@@ -15,6 +15,7 @@ sys.modules["fuzz"] = fuzz
 _SPEC.loader.exec_module(fuzz)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", list(fuzz.READERS))
 def test_damaged_files_give_a_result_or_our_error(name: str) -> None:
     inputs = {"bvh": 1500, "keyframes": 1500, "scene": 60}.get(name, 300)

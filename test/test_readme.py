@@ -11,7 +11,6 @@ import time
 from pathlib import Path
 
 from conftest import ROOT
-from ros_support import write_scene
 
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
@@ -26,6 +25,8 @@ cameras:
 
 
 def test_the_tracker_of_the_readme_hears_the_cameras(tmp_path: Path) -> None:
+    from ros_support import write_scene
+
     tracker = tmp_path / "tracker.py"
     tracker.write_text(next(block for block in BLOCKS if "rclpy" in block))
     nodes = subprocess.Popen(
@@ -58,7 +59,7 @@ def test_the_simulation_of_the_readme_gives_images_and_joints(tmp_path: Path) ->
 
 
 def test_every_file_the_documents_link_to_exists() -> None:
-    for document in (ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))):
+    for document in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))):
         for target in re.findall(r"\]\(([^)#]+)\)", document.read_text()):
             if "://" not in target:
                 assert (document.parent / target).exists(), f"{document.name} links to {target}"
@@ -78,7 +79,9 @@ def test_the_scene_of_the_documents_loads_and_every_key_is_described(tmp_path: P
     text = (ROOT / "docs" / "scene.md").read_text()
     example = re.search(r"```yaml\n(.*?)```", text, re.DOTALL)
     assert example
-    assert len(Scene.load(write_scene(tmp_path, example.group(1))).cameras) == 2
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(example.group(1))
+    assert len(Scene.load(scene).cameras) == 2
     sections = (config.HumanConfig, config.MotionConfig, config.ObjectConfig, config.CameraConfig)
     cameras = (config.RigConfig, config.TrajectoryConfig, config.RegionConfig)
     for section in (*sections, *cameras, config.RoomConfig):

@@ -74,6 +74,7 @@ def test_an_edge_pulled_apart_is_the_one_found() -> None:
     assert found.stretch[0, worst] > 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", ["linear", "dual_quaternion"])
 @pytest.mark.parametrize("name", ["adult_man", "adult_woman", "child", "slim_old_woman", "tall_heavy_man"])
 def test_nobody_who_sits_down_tears_or_folds(name: str, method: str) -> None:

@@ -105,6 +105,7 @@ def doubt(name: str) -> float:
 # --- upright, whatever the file's axes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [*(pytest.param(n, marks=needs_shared_data) for n in FIGURES + OTHERS), *PEOPLE]
 )
@@ -115,6 +116,7 @@ def test_a_person_is_turned_upright_from_all_24_directions_at_any_size_and_place
         np.testing.assert_array_equal(body_from_file(moved) @ turn, np.eye(3))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
 @pytest.mark.parametrize("how", ["fitted", "general"])
 def test_mesh_and_skeleton_do_not_depend_on_the_files_axes_and_unit(name: str, how: Any) -> None:
@@ -129,6 +131,7 @@ def test_mesh_and_skeleton_do_not_depend_on_the_files_axes_and_unit(name: str, h
     assert expected.vertices[:, 1].max() == pytest.approx(1.7504)
 
 
+@pytest.mark.slow
 def test_given_axes_unit_and_stature_are_taken() -> None:
     mesh = figure("adult_man")
     tall = float(np.ptp(mesh.vertices[:, 1]))
@@ -169,6 +172,7 @@ def test_given_axes_and_units_that_cannot_be_are_refused(options: Any, said: str
 # --- the inside
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["child", pytest.param("mh2007_female_A_dm.obj", marks=needs_shared_data)])
 def test_the_cubes_inside_a_mesh_are_those_that_rays_find(name: str) -> None:
     mesh, _ = fitted(name)
@@ -188,6 +192,7 @@ def test_the_cubes_inside_a_mesh_are_those_that_rays_find(name: str) -> None:
 # --- joints
 
 
+@pytest.mark.slow
 @needs_shared_data
 @pytest.mark.parametrize("name", FIGURES)
 def test_joints_are_where_the_makers_have_them(name: str) -> None:
@@ -230,6 +235,7 @@ def test_a_known_body_is_known_with_its_eyes_and_its_faces_in_any_order() -> Non
     assert known_joints(figure("adult_man")) is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
 def test_joints_of_dressed_people_are_those_they_were_made_with(name: str) -> None:
     human = Human.load(ROOT / "assets" / "humans" / f"{name}.npz")
@@ -240,6 +246,7 @@ def test_joints_of_dressed_people_are_those_they_were_made_with(name: str) -> No
     assert away.max() < 0.07
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*(pytest.param(n, marks=needs_shared_data) for n in FIGURES), *PEOPLE])
 def test_a_fitted_skeleton_is_connected_symmetric_and_inside_the_mesh(name: str) -> None:
     mesh, skeleton = fitted(name)
@@ -358,6 +365,7 @@ def test_what_is_no_person_in_a_t_or_a_pose_is_refused(kind: str, said: str) -> 
             fit_skeleton(mesh)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(12))
 @pytest.mark.filterwarnings("error::RuntimeWarning", "ignore::humansim_ros.errors.HumansimWarning")
 def test_damaged_meshes_are_fitted_and_rigged_or_refused(seed: int) -> None:

@@ -172,6 +172,7 @@ def bones(skeleton: Skeleton, *joints: str) -> list[int]:
     return [b for b, name in enumerate(skeleton.names) if name.endswith(joints) and "_to_" not in name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
 def test_heat_gives_at_most_four_bones_that_sum_to_one(name: str) -> None:
     weights = heated(name)
@@ -180,6 +181,7 @@ def test_heat_gives_at_most_four_bones_that_sum_to_one(name: str) -> None:
     assert np.diff(weights.indptr).max() <= 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
 def test_heat_does_not_leak(name: str) -> None:
     """From an arm to the trunk below it, between the legs, from limbs to the head."""
@@ -203,6 +205,7 @@ def test_heat_does_not_leak(name: str) -> None:
     np.testing.assert_array_equal(weights[head][:, limbs], 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
 def test_heat_is_nearer_to_the_artists_than_the_thesis(name: str) -> None:
     human = person(name)
@@ -278,6 +281,7 @@ def changed(human: Human, kind: str) -> Mesh:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "kind",
     [

@@ -470,6 +470,7 @@ def test_no_tag_makes_an_object(tmp_path: Path) -> None:
     assert not made.exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "text",
     [

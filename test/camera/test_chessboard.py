@@ -21,6 +21,7 @@ MODELS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
 def test_a_rendered_chessboard_gives_back_the_lens(model: str) -> None:
     focal, distortion = MODELS[model]

@@ -149,6 +149,7 @@ def picture(pixels: Array) -> Array:
     return 100 + 50 * np.sin(x / 9) + 50 * np.cos((y + x / 3) / 11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
 def test_images_are_carried_both_ways(kind: type) -> None:
     grid = np.stack(np.meshgrid(*map(np.arange, SIZE)), axis=-1).astype(float)
@@ -173,6 +174,7 @@ def test_labels_are_not_mixed() -> None:
     assert set(np.unique(idealize(CAMERA).to_ideal(labels, cv2.INTER_NEAREST))) == {0, 3, 900}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", LENSES)
 @pytest.mark.parametrize("center", [False, True])
 def test_no_black_shows_no_border_and_all_loses_nothing(model: str, center: bool) -> None:
@@ -206,6 +208,7 @@ def test_fits_are_as_opencvs(alpha: int) -> None:
     np.testing.assert_allclose(ours.diagonal(), theirs.diagonal(), rtol=0.01)  # theirs looks at 81 points
 
 
+@pytest.mark.slow
 def test_what_a_lens_cannot_see_is_nowhere_but_never_nan() -> None:
     wide = Camera(SIZE, np.diag([90.0, 90, 1]) + K_MIDDLE, np.eye(3), np.zeros(3), (0.0,) * 4, "equidistant")
     folding = Camera(SIZE, np.diag([90.0, 90, 1]) + K_MIDDLE, np.eye(3), np.zeros(3), (-0.3, 0.0))
@@ -269,6 +272,7 @@ def renderer() -> Iterator[GLRenderer]:
     renderer.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model", LENSES)
 def test_a_rendered_image_made_ideal_is_what_the_ideal_camera_sees(renderer: GLRenderer, model: str) -> None:
     place = Camera.look_at((3, 0, 1.8), (0, 0.5, 1))
@@ -288,6 +292,7 @@ def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
 
 
+@pytest.mark.slow
 def test_the_command_corrects_images_and_names_those_it_cannot(tmp_path: Path) -> None:
     write_calibration(tmp_path / "cam.yaml", {"cam": CAMERA}, "camera_info")
     grid = np.stack(np.meshgrid(*map(np.arange, SIZE)), axis=-1).astype(float)

@@ -102,6 +102,7 @@ def test_camera_info_is_of_the_whole_sensor_and_says_which_part_is_sent(shown: t
             assert image is not None and image.shape[1::-1] == sizes[name.split("_")[1]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 def test_every_pixel_shows_what_lies_on_its_ray(shown: tuple[Scene, Frame], name: str) -> None:
     """The slab is a plane, so the depth of each pixel follows from the ray that CameraInfo gives it."""

@@ -237,6 +237,7 @@ def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
 
 
+@pytest.mark.slow
 def test_a_rig_is_a_scene_and_camera_info_files_and_can_be_drawn(tmp_path: Path) -> None:
     done = humansim(
         "rig",

@@ -89,6 +89,7 @@ def test_posed_at_rest_the_man_stands_as_stored(man: Human) -> None:
     np.testing.assert_allclose(posed, man.mesh.vertices, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", ["mh2007_male_T_dm.obj", "mh2007_female_A_dm.obj"])
 def test_a_plain_mesh_becomes_a_dressed_human(shared_data: Path, figure: str) -> None:
     human = Human.load(shared_data / "mesh" / figure)

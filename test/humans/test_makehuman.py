@@ -101,6 +101,7 @@ def test_each_loads_quickly_enough_to_start_many(name: str) -> None:
     assert decoded == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
 def test_features_show_on_the_clothes_of_each_from_across_a_room(name: str) -> None:
     """340 pixels tall, from ahead and from behind."""

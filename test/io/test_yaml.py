@@ -35,6 +35,7 @@ HOSTILE = {
 READERS = (load_config, scene_processes, read_description, read_calibration, load_table, load_limits)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("read", READERS)
 @pytest.mark.parametrize(("text", "line", "message"), HOSTILE.values(), ids=HOSTILE)
 def test_no_file_multiplies_without_end(

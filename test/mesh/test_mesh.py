@@ -244,6 +244,7 @@ def turned(vertices: Array, turns: str) -> Array:
     return vertices
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("figure", FIGURES)
 @pytest.mark.parametrize("turns", TURNS)
 def test_a_figure_stands_in_the_skeleton_however_it_was_turned_scaled_and_moved(

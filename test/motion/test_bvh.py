@@ -533,6 +533,7 @@ def test_a_chain_of_ten_thousand_joints_is_written_small(tmp_path: Path) -> None
     assert_same(read_bvh(tmp_path / "chain.bvh"), chain)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_frames", [120, 12_000])
 def test_reading_takes_less_than_three_times_the_memory_of_the_values(tmp_path: Path, n_frames: int) -> None:
     """Peak of Python's and NumPy's allocations while a file is read, 18 MB of text for 9 MB of values."""

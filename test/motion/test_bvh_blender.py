@@ -85,6 +85,7 @@ def test_the_last_frame_is_the_last_row_of_the_file(stem: str) -> None:
     assert read(stem).n_frames == BLENDER[f"{stem}/frames"][-1] + 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stem", STEMS)
 def test_joint_positions_agree_with_bvhio(stem: str) -> None:
     bvhio = pytest.importorskip("bvhio")

@@ -29,6 +29,7 @@ def pinned(world: WorldMotion) -> tuple[WorldMotion, Retargeter]:
     return replace(world, clean_up=FootContacts.detect(world, retargeter)), retargeter
 
 
+@pytest.mark.slow
 @stems
 def test_pinned_feet_stay_on_the_floor_where_they_stand(stem: str) -> None:
     """Judged by the whole way of the sole's lowest point in stances found before: no more than 2 mm."""

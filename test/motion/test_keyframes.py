@@ -149,6 +149,7 @@ def animations(draw: Any) -> Keyframes:
     return Keyframes(clock, tracks)
 
 
+@pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(animations())
 def test_what_is_written_is_read_back_exactly(
@@ -274,6 +275,7 @@ def test_a_file_too_large_to_be_one_is_not_read(tmp_path: Path) -> None:
         read_keyframes(tmp_path / "huge.xml")
 
 
+@pytest.mark.slow
 def test_time_and_memory_follow_the_size_of_the_file(tmp_path: Path) -> None:
     frame = '<frame number="{}"><position x="1" y="2" z="3"/></frame>\n'
     text = '<animation startframe="0" endframe="1000000000"><object name="a">'

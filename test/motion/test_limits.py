@@ -200,6 +200,7 @@ def test_what_is_clamped_is_inside_and_stays(rng: np.random.Generator) -> None:
     assert degrees_between(LIMITS.clamp(clamped), clamped).max() < 1e-5
 
 
+@pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(rng=quaternions)
 def test_what_is_inside_is_left_alone_to_the_bit(rng: np.random.Generator) -> None:

@@ -124,6 +124,7 @@ def hull_depth(a: Array, b: Array) -> float:
     return float(over.min())
 
 
+@pytest.mark.slow
 def test_limbs_are_as_deep_in_each_other_as_the_hulls_of_their_meshes() -> None:
     """But the two thighs, whose meshes meet between the legs."""
     body, owner = man_capsules(), dominant_bones(man().weights)
@@ -148,6 +149,7 @@ def test_limbs_are_as_deep_in_each_other_as_the_hulls_of_their_meshes() -> None:
     assert np.abs(np.mean(errors)) < 0.01
 
 
+@pytest.mark.slow
 def test_a_hand_is_in_the_trunk_when_rays_say_so() -> None:
     """The left arm swept through the body; which vertices of the hand are inside the rest of the mesh, and
     how far, by ray casting.

@@ -32,6 +32,7 @@ def coverage(renderer: GLRenderer, bodies: list[Body], camera: Camera, fine: int
     return block_means(renderer.render(bodies, finer(camera, fine), ["instance"]).instance > 0, fine)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("angle", [0, 3, 17, 31, 45, 60, 88])
 def test_a_straight_edge_is_as_bright_as_it_covers_the_pixel(angle: float) -> None:
     renderer = renderer_or_skip(lighting=EVEN)
@@ -46,6 +47,7 @@ def test_a_straight_edge_is_as_bright_as_it_covers_the_pixel(angle: float) -> No
     renderer.close()
 
 
+@pytest.mark.slow
 def test_edges_of_a_person_come_close_to_supersampling(monkeypatch: pytest.MonkeyPatch) -> None:
     renderer = renderer_or_skip()
     errors: dict[str, list[NDArray[np.float64]]] = {"with": [], "without": []}

@@ -66,6 +66,7 @@ def in_shade(
     return shades[0], shades[1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bent", [False, True])
 def test_sharp_shadows_fall_where_rays_to_the_sun_are_blocked(
     scene: Scene, people: list[Body], bent: bool
@@ -87,6 +88,7 @@ def test_sharp_shadows_fall_where_rays_to_the_sun_are_blocked(
     assert ((view.shadow > 127) != by_body)[inside].mean() < 0.04
 
 
+@pytest.mark.slow
 def test_the_larger_the_sun_the_wider_the_rim_and_as_wide_as_geometry_says() -> None:
     # an edge 1 m above the floor under a sun straight above: the rim is 2 tan(angle / 2) wide
     screen = body(quad([(2, -1, 1), (3.2, -1, 1), (3.2, 1, 1), (2, 1, 1)]), 1)
@@ -127,6 +129,7 @@ def test_shadow_is_what_bodies_take_and_not_what_furniture_does(people: list[Bod
     renderer.close()
 
 
+@pytest.mark.slow
 def test_soft_shadows_darken_and_leave_the_truth_alone(scene: Scene, people: list[Body]) -> None:
     camera, names = scene.cameras["camera_2"], ("rgb", "depth", "instance", "part", "alpha", "shadow")
     seen = {}
@@ -201,6 +204,7 @@ def test_exposure_and_tone_mapping_do_what_they_say(tone: str) -> None:
     np.testing.assert_allclose(seen, 255 * np.sqrt(np.minimum(x, 1)), atol=1)
 
 
+@pytest.mark.slow
 def test_a_moving_camera_sees_the_same_shadows(scene: Scene, people: list[Body]) -> None:
     renderer: GLRenderer = renderer_or_skip(scene.static_meshes, SHARP)
     camera = scene.cameras["camera_1"]
@@ -209,6 +213,7 @@ def test_a_moving_camera_sees_the_same_shadows(scene: Scene, people: list[Body])
     assert (np.abs(kept.shadow.astype(int) - passing.shadow) > 8).mean() < 0.002
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("bent", [False, True])
 def test_a_photograph_takes_the_shadows_that_a_floor_there_would(people: list[Body], bent: bool) -> None:
     camera = Camera.look_at((3, 3, 2), (0, 0, 0.6), (320, 240), 1.2)

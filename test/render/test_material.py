@@ -134,6 +134,7 @@ def srgb_of(linear_light: Array) -> Array:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("metallic", "roughness"), [(0, 1), (0, 0.4), (0.5, 0.6), (1, 0.5), (1, 1)])
 @pytest.mark.parametrize("by_texture", [False, True])
 def test_the_sun_comes_back_as_gltf_says(
@@ -205,6 +206,7 @@ EVEN = Lighting(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backdrop", [False, True])
 @pytest.mark.parametrize("shadows", ["none", "soft"])
 def test_alpha_masks_and_blends(tmp_path: Path, backdrop: bool, shadows: str) -> None:
@@ -263,6 +265,7 @@ def test_what_is_cut_out_casts_no_shadow(tmp_path: Path) -> None:
         assert (seen.rgb[row, column].max() > 100) == lit
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("metallic", "roughness"), [(0, 0.2), (0, 1), (1, 0.1), (1, 0.6), (1, 1)])
 def test_in_even_light_nothing_sends_back_more_than_falls_on_it(
     tmp_path: Path, metallic: float, roughness: float

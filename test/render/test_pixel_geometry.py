@@ -81,6 +81,7 @@ def body_pixels(
     return inner(view_instance.astype(int)) & (first < count) & (first + 1 == view_instance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [CAMERA, FISHEYE], ids=["ideal", "fisheye"])
 def test_faces_normals_and_texture_coordinates_are_what_rays_hit(scene: Scene, camera: Camera) -> None:
     bodies = walkers(scene, 0.6, PLACES)
@@ -107,6 +108,7 @@ def test_faces_normals_and_texture_coordinates_are_what_rays_hit(scene: Scene, c
     assert (view.normal[view.instance == 0] == 0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", [CAMERA, FISHEYE], ids=["ideal", "fisheye"])
 @pytest.mark.parametrize("moving", [False, True], ids=["still", "moving"])
 def test_flow_is_where_the_point_that_a_ray_hits_goes(scene: Scene, camera: Camera, moving: bool) -> None:
@@ -195,6 +197,7 @@ def test_flow_there_and_back_ends_where_it_began(scene: Scene) -> None:
     assert np.nanmedian(error) < 0.15  # of a neighbour within half a pixel
 
 
+@pytest.mark.slow
 def test_mattes_are_shares_of_pixels_and_add_up(scene: Scene) -> None:
     bodies = walkers(scene, 0.6, PLACES)
     factor = 4
@@ -216,6 +219,7 @@ def test_mattes_are_shares_of_pixels_and_add_up(scene: Scene) -> None:
     assert total.max() <= 256
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RENDERERS)
 def test_amodal_masks_are_of_each_body_alone(scene: Scene, name: RendererName) -> None:
     bodies = walkers(scene, 0.6, PLACES)

@@ -92,6 +92,7 @@ HARD = {
 BENT = {"distortion": (0.0, 0.0, 0.0, 0.0), "model": "equidistant"}
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("error::RuntimeWarning", "error::humansim_ros.errors.HumansimWarning")
 @pytest.mark.parametrize("place", HARD)
 def test_every_channel_is_drawn_from_wherever_a_camera_is(
@@ -221,6 +222,7 @@ def attempt(what: str, before: str = "", **environment: str) -> str:
     return run.stdout
 
 
+@pytest.mark.slow
 def test_without_opengl_the_packages_to_install_are_named(name: RendererName) -> None:
     nowhere = {"__EGL_VENDOR_LIBRARY_FILENAMES": "/nonexistent", "LIBGL_DRIVERS_PATH": "/nonexistent"}
     assert "libegl1 libgl1-mesa-dri" in attempt(f"make_renderer({name!r})", **nowhere)
@@ -261,6 +263,7 @@ def test_pyrender_on_something_else_than_egl_is_refused() -> None:
     assert "PYOPENGL_PLATFORM=egl" in said
 
 
+@pytest.mark.slow
 def test_a_context_that_is_lost_is_an_error_that_says_so(name: RendererName) -> None:
     renderer_or_skip(name=name).close()
     # the display goes away under the renderer, as when a driver is reset

@@ -61,6 +61,7 @@ def markers(camera: Camera, rng: np.random.Generator, radius: float) -> tuple[Bo
 
 
 #: Bounds on the 95th percentile, pixels.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "channel", "percentile_95"),
     [
@@ -98,6 +99,7 @@ def test_markers_land_where_the_camera_projects_them(
 # ray casting
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "seconds"), [*(("moderngl", s) for s in (0.0, 0.35, 0.8, 1.45)), ("pyrender", 0.8)]
 )
@@ -110,6 +112,7 @@ def test_a_walking_body_is_what_rays_hit(scene: Scene, name: RendererName, secon
     renderer.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("name", "number"), [("moderngl", 0), ("moderngl", 1), ("pyrender", 0)])
 def test_two_bodies_behind_furniture_are_what_rays_hit(scene: Scene, name: RendererName, number: int) -> None:
     camera = CAMERAS[number]
@@ -120,6 +123,7 @@ def test_two_bodies_behind_furniture_are_what_rays_hit(scene: Scene, name: Rende
     renderer.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RENDERERS)
 def test_limbs_that_go_through_each_other_are_what_rays_hit(scene: Scene, name: RendererName) -> None:
     renderer = renderer_or_skip(name=name)

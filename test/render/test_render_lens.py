@@ -92,6 +92,7 @@ def test_markers_land_where_opencv_projects_them(name: str) -> None:
     renderer.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LENSES)
 def test_a_body_before_large_walls_is_what_rays_hit(scene: Scene, name: str) -> None:
     """Walls and boxes of a few triangles are bent as the body of many is, in depth and in what hides what."""
@@ -103,6 +104,7 @@ def test_a_body_before_large_walls_is_what_rays_hit(scene: Scene, name: str) -> 
     renderer.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [1.0, 5000.0])
 @pytest.mark.parametrize("name", LENSES)
 def test_a_moving_thing_of_two_triangles_is_bent_too(name: str, size: float) -> None:
@@ -140,6 +142,7 @@ def blending_error(camera: Camera, factor: int = 8) -> float:
     return float(np.abs(coarse - coverage)[edge].mean())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", LENSES)
 def test_outlines_are_blended_where_the_lens_bends_them(name: str) -> None:
     camera = with_lens(LENSES[name], (2.3, 1.6, 1.4))
@@ -148,6 +151,7 @@ def test_outlines_are_blended_where_the_lens_bends_them(name: str) -> None:
     assert blending_error(ideal) < 8
 
 
+@pytest.mark.slow
 def test_what_the_lens_cannot_see_is_dark_and_has_no_truth(scene: Scene) -> None:
     camera = with_lens(FOLDING, (2.3, 1.6, 1.4))
     renderer = renderer_or_skip([wall(-2.0, 0, 1, 9.0)])
@@ -179,6 +183,7 @@ def test_people_beyond_the_image_are_not_drawn_and_one_around_the_camera_is(scen
     renderer.close()
 
 
+@pytest.mark.slow
 def test_a_fisheye_sees_the_wall_right_beside_it() -> None:
     straight = Camera.look_at((0.6, 0.1, -0.2), (-1, 0.3, 0), (640, 480), 1.0)
     k = np.array([[205.0, 0, 319.5], [0, 205, 239.5], [0, 0, 1]])

@@ -61,6 +61,7 @@ def test_only_the_asked_channels_come(empty: Renderer) -> None:
         assert [name for name in CHANNELS if getattr(view, name) is not None] == [channel]
 
 
+@pytest.mark.slow
 def test_a_channel_does_not_depend_on_what_else_is_asked(room: Renderer, scene: Scene) -> None:
     bodies, camera = walkers(scene, 0.4), scene.cameras["camera_1"]
     everything = room.render(bodies, camera)
@@ -151,6 +152,7 @@ def test_a_texture_is_the_right_way_up(empty: Renderer) -> None:
         np.testing.assert_allclose(rgb[row, column].astype(int), expected, atol=1)
 
 
+@pytest.mark.slow
 def test_what_a_body_does_not_touch_is_not_changed(room: Renderer, scene: Scene) -> None:
     camera, bodies = scene.cameras["camera_2"], walkers(scene, 0.9)
     without, with_body = room.render([], camera), room.render(bodies, camera)
@@ -227,6 +229,7 @@ def test_a_surface_through_the_camera_is_clipped_not_folded(empty: Renderer) -> 
     np.testing.assert_allclose(view.depth[130:, 160], 0.1 * 300 / (rows - 119.5), rtol=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", [(1, 1), (1, 480), (641, 479), (33, 7), (1920, 1080)])
 def test_any_image_size(empty: Renderer, size: tuple[int, int]) -> None:
     camera = along_x(size, focal=size[0])
@@ -238,6 +241,7 @@ def test_any_image_size(empty: Renderer, size: tuple[int, int]) -> None:
     np.testing.assert_array_equal(view.instance == 1, expected)
 
 
+@pytest.mark.slow
 def test_cameras_of_different_size_share_a_renderer(room: Renderer, scene: Scene, name: RendererName) -> None:
     bodies = walkers(scene, 0.5)
     # (still scenes are drawn four times as fine: what the second needs is as large as the first)
@@ -252,6 +256,7 @@ def test_cameras_of_different_size_share_a_renderer(room: Renderer, scene: Scene
         assert_same(view, room.render(bodies, camera))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", RENDERERS)
 def test_two_renderers_do_not_disturb_each_other(
     scene: Scene, name: RendererName, other: RendererName
@@ -267,6 +272,7 @@ def test_two_renderers_do_not_disturb_each_other(
     first.close()
 
 
+@pytest.mark.slow
 def test_the_same_input_gives_the_same_bytes(scene: Scene, name: RendererName) -> None:
     camera = scene.cameras["camera_3"]
     views = []

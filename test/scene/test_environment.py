@@ -211,6 +211,7 @@ randomise: {seed: %d, light: true, colours: true, textures: true, clutter: 8,
 """
 
 
+@pytest.mark.slow
 def test_the_same_seed_draws_the_same_and_another_another(tmp_path: Path) -> None:
     first, again, other = (load(tmp_path, RANDOM % seed) for seed in (3, 3, 4))
     assert first.environment.lighting == again.environment.lighting != other.environment.lighting
@@ -242,6 +243,7 @@ def test_cameras_are_moved_and_turned_no_farther_than_asked(tmp_path: Path) -> N
     np.testing.assert_array_equal(there.K, here.K)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_clutter_stands_on_the_floor_and_in_nobodys_way(tmp_path: Path, seed: int) -> None:
     scene = load(tmp_path, RANDOM % seed)
@@ -265,6 +267,7 @@ def test_clutter_stands_on_the_floor_and_in_nobodys_way(tmp_path: Path, seed: in
         assert np.linalg.norm(standing - thing.stands.position[:2], axis=1).min() > radius
 
 
+@pytest.mark.slow
 def test_clutter_that_finds_no_place_is_told(tmp_path: Path) -> None:
     with pytest.warns(HumansimWarning, match=r"only \d+ of 150 things find a place"):
         scene = load(tmp_path, "randomise: {clutter: 150}")

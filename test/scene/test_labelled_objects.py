@@ -121,6 +121,7 @@ def first_hit(camera: Camera, bodies: list[Body]) -> tuple[NDArray[np.generic], 
     return depth, labels[first], face
 
 
+@pytest.mark.slow
 def test_labels_go_on_from_those_of_the_humans_in_the_order_of_the_file(simulation: Simulation) -> None:
     frame = simulation.frame(4)
     assert list(frame.labels.items()) == list(NUMBERS.items())
@@ -129,6 +130,7 @@ def test_labels_go_on_from_those_of_the_humans_in_the_order_of_the_file(simulati
     assert sorted(drawn) == [(n, "human" if n < 3 else "object") for n in range(1, 7)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("renderer", RENDERERS)
 @pytest.mark.parametrize("index", FRAMES)
 def test_masks_of_objects_are_where_rays_meet_them(
@@ -147,6 +149,7 @@ def test_masks_of_objects_are_where_rays_meet_them(
     assert set(np.unique(view.instance)) == {0, *NUMBERS.values()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["front", "bent", "flying"])
 @pytest.mark.parametrize("index", FRAMES)
 def test_details_of_objects_are_what_rays_meet(simulation: Simulation, camera: str, index: int) -> None:
@@ -186,6 +189,7 @@ def test_details_of_objects_are_what_rays_meet(simulation: Simulation, camera: s
     assert compared > 4000
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("camera", ["front", "bent"])
 def test_hidden_parts_of_objects_are_in_their_amodal_masks(simulation: Simulation, camera: str) -> None:
     eye, hidden = simulation.scene.cameras[camera], dict.fromkeys(NUMBERS, 0)
@@ -237,6 +241,7 @@ def test_joints_say_which_object_hides_them(simulation: Simulation) -> None:
     assert told >= {NUMBERS["screen"], NUMBERS["ball"]}
 
 
+@pytest.mark.slow
 def test_boxes_of_objects_are_round_the_rays_that_meet_them(simulation: Simulation) -> None:
     for camera, index in (("front", 4), ("bent", 10)):
         frame, eye = simulation.frame(index), simulation.scene.cameras[camera]
@@ -277,6 +282,7 @@ def test_vertices_of_objects_are_seen_where_rays_reach_them(simulation: Simulati
         assert np.mean(found == (reached & inside)) > 0.99, thing.instance
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shadows", ["contact", "soft"])
 def test_a_label_changes_nothing_but_labels(tmp_path: Path, shadows: str) -> None:
     looks = f"randomise: {{seed: 3, colours: true, textures: true}}\nlight: {{shadows: {shadows}}}\n"
@@ -307,6 +313,7 @@ def test_clutter_has_labels_if_asked_for_and_stands_where_it_did(tmp_path: Path)
     assert len(labelled.static_meshes) == len(plain.static_meshes) - 3
 
 
+@pytest.mark.slow
 def test_labels_of_one_file_or_mesh_are_told_apart(tmp_path: Path) -> None:
     two = SCENE.replace("position: [0, -1.3, 0]", "position: [0, 0.6, 0]").replace(
         "crate: {", "crate: {mesh: wedge.obj, "

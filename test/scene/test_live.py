@@ -304,6 +304,7 @@ def test_messages_that_are_none_are_refused(actor: Actor) -> None:
     assert messages.read_joints(unknown).linear is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stem", ["walk", pytest.param("mixamo_freebvh", marks=needs_shared_data)])
 def test_the_example_drives_a_skinner_in_another_process(ros: None, tmp_path: Path, stem: str) -> None:
     """The example's joints as it sends them, and the body's bones: parallel, upright, on the floor."""

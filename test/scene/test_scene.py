@@ -75,6 +75,7 @@ def test_humans_are_numbered_in_the_files_order(write: Write) -> None:
     assert {n: a.instance for n, a in Scene.load(write(two)).actors.items()} == {"zoe": 1, "anna": 2}
 
 
+@pytest.mark.slow
 def test_the_demo_scene_loads() -> None:
     scene = Scene.load()
     assert len(scene.cameras) == 4

@@ -128,6 +128,7 @@ def test_cameras_of_a_rig_have_photographs(folder: Path, background: str, red: d
     assert {name: int(view.rgb[0, 0, 0]) for name, view in frame.views.items()} == red
 
 
+@pytest.mark.slow
 def test_running_a_scene_with_a_rig_tells_what_is_odd_once(folder: Path) -> None:
     pytest.importorskip("rclpy")
     scene = folder / "scene.yaml"
@@ -264,6 +265,7 @@ def test_a_camera_follows_its_trajectory_and_the_depth_of_a_wall_follows_it(fold
             np.testing.assert_allclose(seen[:, 0], -2.0, atol=2e-3)
 
 
+@pytest.mark.slow
 def test_the_picture_of_a_moving_camera_is_that_of_one_standing_there(folder: Path) -> None:
     trajectory(folder)
     see = "size: [64, 48], fov_deg: 60"
@@ -302,6 +304,7 @@ RECTIFIED = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lens", ["plumb_bob", "rectified", "fisheye"])
 def test_image_rect_is_the_picture_of_the_ideal_camera_that_p_says(folder: Path, lens: str) -> None:
     """Balls all over the image are where the camera of R and P, rendered by itself, sees them."""
@@ -381,6 +384,7 @@ SENSORS = {
 }
 
 
+@pytest.mark.slow
 def test_truth_is_the_same_with_and_without_a_sensor(folder: Path) -> None:
     """Of one scene, and of one camera: only image_raw knows of noise, blur and shutter."""
     trajectory(folder)

@@ -36,12 +36,14 @@ def arrays(frame: Frame) -> list[np.ndarray]:
     return [*views, *(state.vertices for state in frame.humans.values())]
 
 
+@pytest.mark.slow
 def test_frames_follow_each_other_by_a_period_without_adding_up_errors(simulation: Simulation) -> None:
     frames = [frame for frame, _ in zip(simulation, range(3), strict=False)]
     assert [frame.stamp - 5_000_000_000 for frame in frames] == [0, 33_333_333, 66_666_667]
     assert simulation.scene.frame_time(3_000_000) == 100_000_000_000_000
 
 
+@pytest.mark.slow
 def test_the_same_scene_gives_the_same_bytes(simulation: Simulation, tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE)
     again = Simulation(Scene.load(tmp_path / "scene.yaml"), start=5_000_000_000)
@@ -53,6 +55,7 @@ def test_the_same_scene_gives_the_same_bytes(simulation: Simulation, tmp_path: P
     again.close()
 
 
+@pytest.mark.slow
 def test_every_camera_sees_both_people_and_joints_lie_on_them(simulation: Simulation) -> None:
     frame = simulation.frame(11)
     for name, view in frame.views.items():

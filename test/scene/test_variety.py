@@ -74,6 +74,7 @@ def test_they_come_beside_the_scenes_own_humans_and_every_process_knows_them(tmp
     assert skinners == ["anna", "person_1", "person_2"]
 
 
+@pytest.mark.slow
 def test_they_are_simulated(tmp_path: Path) -> None:
     simulation = Simulation(Scene.load(scene(tmp_path, count=3)), ("instance",))
     frame = simulation.frame(0)

@@ -139,6 +139,7 @@ def shots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     simulation.close()
 
 
+@pytest.mark.slow
 def test_what_hides_joints_is_what_rays_meet(shots: list[Shot]) -> None:
     compared = agreed = 0
     kinds: set[int] = set()
@@ -171,6 +172,7 @@ def test_what_hides_joints_is_what_rays_meet(shots: list[Shot]) -> None:
     assert kinds >= {NOTHING, SELF, PERSON, THING}
 
 
+@pytest.mark.slow
 def test_vertices_are_seen_where_rays_reach_them(shots: list[Shot]) -> None:
     compared = agreed = seen_at_all = 0
     for shot in shots[::2]:
@@ -193,6 +195,7 @@ def test_vertices_are_seen_where_rays_reach_them(shots: list[Shot]) -> None:
     assert 0.2 * compared < seen_at_all < 0.9 * compared
 
 
+@pytest.mark.slow
 def test_boxes_are_round_the_rays_that_meet_a_person(shots: list[Shot]) -> None:
     for shot in shots[::3]:
         width, height = shot.camera.size
@@ -218,6 +221,7 @@ def test_boxes_are_round_the_rays_that_meet_a_person(shots: list[Shot]) -> None:
             assert found.visible_fraction == pytest.approx(len(mine) / met.sum(), abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shots", OURS, indirect=True, ids="-".join)
 def test_the_point_of_the_surface_is_the_one_that_the_ray_meets(shots: list[Shot]) -> None:
     shot = shots[3]
@@ -319,6 +323,7 @@ def test_of_a_body_round_the_camera_the_box_is_that_of_what_is_before_it(name: R
     assert pixels > 1000
 
 
+@pytest.mark.slow
 def test_vertices_of_people_who_stand_round_a_fisheye() -> None:
     """Some of both is behind it; triangles that pass its plane hide what is beside it."""
     there = Camera.look_at((0, 0, 1.3), (3, 0, 1.0))

@@ -36,7 +36,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             continue  # a doctest
         fixtures = [each.func for found in item._fixtureinfo.name2fixturedefs.values() for each in found]
         parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
-        names = set(item.fixturenames).union(*map(_names, (item.function, *fixtures, *parameters)))
+        names = {"needs_shared_data"} if needs_shared_data.mark in item.iter_markers("skipif") else set()
+        names = names.union(item.fixturenames, *map(_names, (item.function, *fixtures, *parameters)))
         for marker, triggers in MARKED_BY_NAME.items():
             imported = _imports(item.module) & MARKED_BY_IMPORT.get(marker, set())
             if names & triggers or imported:

@@ -45,18 +45,21 @@ def test_every_example_is_tested() -> None:
     assert {name for name in examples if f'"{name}"' not in source and f'"{name}.py"' not in source} == set()
 
 
+@pytest.mark.gl
 def test_hello_scene_prints_a_frame_and_where_heads_are(tmp_path: Path) -> None:
     said = example("hello_scene", cwd=tmp_path)
     heads = re.findall(r"the head is at \[ ?(.+?)\] m", said)
     assert len(heads) == 2 and all(1.2 < float(head.split()[2]) < 1.9 for head in heads)
 
 
+@pytest.mark.gl
 def test_depth_and_labels_measure_the_nearer_person_as_nearer() -> None:
     said = example("depth_and_labels")
     near, far = (float(value) for value in re.findall(r"([\d.]+) m away", said))
     assert 1.8 < near < 3.0 < 3.8 < far < 5.0
 
 
+@pytest.mark.gl
 def test_frames_of_a_scene_are_saved(tmp_path: Path) -> None:
     example("save_frames", ROOT / "config" / "scenes" / "demo.yaml", tmp_path / "out", 2)
     images = sorted((tmp_path / "out").glob("camera_*.png"))
@@ -64,6 +67,7 @@ def test_frames_of_a_scene_are_saved(tmp_path: Path) -> None:
     assert all(cv2.imread(str(path)).shape == (480, 640, 3) for path in images)
 
 
+@pytest.mark.gl
 def test_people_are_seen_by_the_cameras_of_a_calibration_file(tmp_path: Path) -> None:
     positions = {"left": (3.0, 1.5, 1.8), "right": (3.0, -1.5, 1.8)}
     write_calibration(
@@ -76,6 +80,7 @@ def test_people_are_seen_by_the_cameras_of_a_calibration_file(tmp_path: Path) ->
     )
 
 
+@pytest.mark.gl
 def test_a_motion_is_retargeted_and_written(tmp_path: Path) -> None:
     walk = ROOT / "assets" / "motions" / "wave.bvh"
     example("retarget_bvh", walk, tmp_path / "out.npz", "child")

@@ -48,6 +48,7 @@ def test_info_tells_what_is_in_a_file(figure: Path) -> None:
     assert "m tall" in humansim("info", figure).stdout
 
 
+@pytest.mark.gl
 def test_show_draws_a_sheet(figure: Path, tmp_path: Path) -> None:
     result = humansim("show", figure, "-o", tmp_path / "sheet.png")
     assert result.returncode == 0, result.stderr

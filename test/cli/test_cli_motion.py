@@ -180,6 +180,7 @@ def test_the_list_is_of_files_that_are_there(command: Command) -> None:
     assert all(name in command("list")[1] for name in listed)
 
 
+@pytest.mark.gl
 def test_a_strip_shows_the_figure_and_the_person(command: Command, tmp_path: Path) -> None:
     out = tmp_path / "strip.png"
     code, _, err = command("render", "walk", "-o", out, "--phases", 3, "--size", 120, 160)

@@ -23,7 +23,7 @@ ROOT = Path(__file__).parent.parent
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.cli.human import built_in_humans  # noqa: E402
-from humansim_ros.humans.human import Human  # noqa: E402
+from humansim_ros.humans.loading import load_human  # noqa: E402
 from humansim_ros.resources import resource_path  # noqa: E402
 from humansim_ros.scene import Scene, Simulation  # noqa: E402
 
@@ -86,7 +86,7 @@ def main() -> None:
     print()
     for name in built_in_humans():
         path = resource_path(f"assets/humans/{name}.npz")
-        ms = median_ms(lambda _, path=path: Human.load(path), 15)
+        ms = median_ms(lambda _, path=path: load_human(path), 15)
         print(f"{name:16} loads in {ms:5.1f} ms of CPU")
 
 

@@ -72,7 +72,7 @@ def draw_people(folder: Path, all_outfits: bool) -> dict[str, list[list[float]]]
 
     from humansim_ros.cli.human import built_in_humans
     from humansim_ros.drawing.canvas import write_png
-    from humansim_ros.humans.human import Human
+    from humansim_ros.humans.loading import load_human
     from humansim_ros.render import GLRenderer
     from humansim_ros.resources import resource_path
     from humansim_ros.scene.actor import Actor
@@ -82,7 +82,7 @@ def draw_people(folder: Path, all_outfits: bool) -> dict[str, list[list[float]]]
     truth = {}
     renderer = GLRenderer(furnished_room((14.0, 14.0, 2.8)))
     for name in built_in_humans():
-        human = Human.load(resource_path(f"assets/humans/{name}.npz"))
+        human = load_human(resource_path(f"assets/humans/{name}.npz"))
         for outfit in human.outfits if all_outfits else human.outfits[:1]:
             dressed = human.wearing(outfit)
             motion = MotionConfig(file="walk", anchor="center")

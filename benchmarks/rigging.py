@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.body import Skeleton, fit_skeleton, rig  # noqa: E402
-from humansim_ros.humans.human import Human  # noqa: E402
+from humansim_ros.humans.loading import load_human  # noqa: E402
 from humansim_ros.mesh.mesh import Mesh  # noqa: E402
 from humansim_ros.types import Array  # noqa: E402
 
@@ -73,7 +73,7 @@ def main() -> None:
     )
     parser.add_argument("--rounds", type=int, default=3)
     rounds = parser.parse_args().rounds
-    human = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    human = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     mesh, skeleton = human.mesh, human.skeleton
     some = best_of(1, lambda: loop(mesh.vertices[:: len(mesh.vertices) // LOOPED], skeleton))
     count = len(mesh.vertices)

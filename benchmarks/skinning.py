@@ -217,13 +217,13 @@ class Guest:
 def body(path: Path) -> dict[str, NDArray[np.floating]]:
     """The arrays that all contestants get, and the right results in double precision."""
     from humansim_ros.body.skinning import skin
-    from humansim_ros.humans.human import Human
+    from humansim_ros.humans.loading import load_human
     from humansim_ros.mesh.normals import SurfaceNormals
     from humansim_ros.motion import read_bvh
     from humansim_ros.motion.info import world_of
     from humansim_ros.motion.retarget import Retargeter
 
-    human = Human.load(path)
+    human = load_human(path)
     world = world_of(read_bvh(ROOT / "assets" / "motions" / "walk.bvh"))
     times = world.frame_times
     times = times[np.linspace(0, len(times) - 1, FRAMES).astype(int)]

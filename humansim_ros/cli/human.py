@@ -173,10 +173,10 @@ def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
 
 
 def _load(who: str, outfit: str | None = None) -> Human:
-    from humansim_ros.humans.human import Human
+    from humansim_ros.humans.loading import load_human
     from humansim_ros.scene.config import find_human
 
-    return Human.load(find_human(who, Path.cwd() / "scene.yaml", "body"), outfit)
+    return load_human(find_human(who, Path.cwd() / "scene.yaml", "body"), outfit)
 
 
 def _write(human: Human, output: Path, preview: Path | None) -> None:

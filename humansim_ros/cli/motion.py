@@ -289,10 +289,10 @@ def _read(file: str, positions: Positions) -> Motion:
 
 
 def _human(body: str) -> Any:
-    from humansim_ros.humans.human import Human
+    from humansim_ros.humans.loading import load_human
     from humansim_ros.scene.config import find_human
 
-    return Human.load(find_human(body, Path.cwd() / "scene.yaml", "body"))
+    return load_human(find_human(body, Path.cwd() / "scene.yaml", "body"))
 
 
 def _root_scale(text: str | None) -> Any:

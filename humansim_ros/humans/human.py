@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -48,21 +49,13 @@ class Human:
     skinning: Skinning = "linear"
     notes: Mapping[str, str] = field(default_factory=dict)
 
-    @classmethod
-    def load(
-        cls,
-        path: str | os.PathLike[str],
-        outfit: str | None = None,
-        skinning: Skinning | None = None,
-    ) -> Human:
-        """Load a human from a file: built (.npz), described (.yaml), a mesh (.obj, .gltf, .glb), which is
-        rigged where it is not, or an SMPL model (.npz).
+    @staticmethod
+    def load(path: str | os.PathLike[str], *options: Any, **named: Any) -> Human:
+        """Deprecated until 0.3.0: use :func:`humansim_ros.load_human`."""
+        import humansim_ros
 
-        What takes long is kept in a cache (docs/humans.md). Raises MeshError with the file and the reason.
-        """
-        from humansim_ros.humans.loading import load_human
-
-        return load_human(path, outfit, skinning)
+        warnings.warn("use humansim_ros.load_human instead of Human.load", DeprecationWarning, stacklevel=2)
+        return humansim_ros.load_human(path, *options, **named)
 
     @property
     def outfits(self) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from humansim_ros.body.fitting import fit_skeleton
 from humansim_ros.body.rigging import dominant_bones, rig
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.cache import content_key, kept
+from humansim_ros.humans.cache import cached, content_key
 from humansim_ros.humans.description import DRESSED, Clothes, MeshHuman, ParametricHuman, read_description
 from humansim_ros.humans.figure import to_body_space
 from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_of_arrays, read_human
@@ -93,7 +93,7 @@ def _load(path: Path) -> Human:
             f"a human is one of {', '.join(SUFFIXES)}, not {suffix or 'a file without suffix'}", path=path
         )
     options = MeshHuman()
-    return kept(content_key(_content(path, options)), path.stem, lambda: make_human(path, options))
+    return cached(content_key(_content(path, options)), path.stem, lambda: make_human(path, options))
 
 
 def _described(path: Path) -> Human:
@@ -106,7 +106,7 @@ def _described(path: Path) -> Human:
             arrays = build(source, description.makehuman, description.outfits)
             return _from_arrays(arrays, description, path)
 
-        return kept(key, path.stem, made)
+        return cached(key, path.stem, made)
     mesh, there = resolve_relative(path, description.mesh)
     if mesh.suffix.lower() not in SUFFIXES or mesh.suffix.lower() in (".yaml", ".yml"):
         raise MeshError("a mesh is .obj, .gltf, .glb or an SMPL model (.npz)", path=path, key="mesh")
@@ -123,7 +123,7 @@ def _described(path: Path) -> Human:
         }
     )
     key = content_key(_content(mesh, options))
-    return kept(key, path.stem, lambda: replace(make_human(mesh, options), name=path.stem))
+    return cached(key, path.stem, lambda: replace(make_human(mesh, options), name=path.stem))
 
 
 def _array_names(path: Path) -> list[str]:

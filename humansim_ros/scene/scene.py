@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError
-from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframes import Track
 from humansim_ros.render import Body, GLRenderer, PyrenderRenderer, make_renderer
@@ -162,7 +162,7 @@ class Scene:
 
 def _actor(name: str, instance: int, config: HumanConfig, scene: Path, keyframes: Track | None) -> Actor:
     body = find_human(config.body, scene, f"humans.{name}.body")
-    human = Human.load(body, config.outfit, config.skinning)
+    human = load_human(body, config.outfit, config.skinning)
     return replace(Actor.build(name, instance, human, config.motion, scene), keyframes=keyframes)
 
 

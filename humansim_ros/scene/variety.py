@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from humansim_ros.errors import SceneError
-from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.scene.config import (
     HumanConfig,
     MotionConfig,
@@ -59,7 +59,7 @@ def _person(
     # random.random() is the same for a seed in every Python; its other functions need not be
     drawn = random.Random(f"{variety.seed}/{name}").random
     body = _one_of(variety.bodies or built_in_names("humans", ".npz"), drawn())
-    outfits = Human.load(find_human(body, scene, "variety.bodies")).outfits
+    outfits = load_human(find_human(body, scene, "variety.bodies")).outfits
     outfit = _one_of(outfits, drawn())
     motion = _one_of(variety.motions or MOTIONS, drawn())
     yaw, ahead, mirror = 360 * drawn() - 180, 10 * drawn(), drawn() < 0.5

@@ -13,6 +13,7 @@ from conftest import ROOT
 
 from humansim_ros.body.skinning import skin
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 
 _SPEC = importlib.util.spec_from_file_location(
     "deformation", ROOT / "tools" / "figures" / "deformation_figures.py"
@@ -25,7 +26,7 @@ _SPEC.loader.exec_module(figures)
 
 @cache
 def man() -> Human:
-    return Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    return load_human(ROOT / "assets" / "humans" / "adult_man.npz")
 
 
 @pytest.mark.parametrize("bone", ["l_elbow", "l_knee"])
@@ -78,7 +79,7 @@ def test_an_edge_pulled_apart_is_the_one_found() -> None:
 @pytest.mark.parametrize("method", ["linear", "dual_quaternion"])
 @pytest.mark.parametrize("name", ["adult_man", "adult_woman", "child", "slim_old_woman", "tall_heavy_man"])
 def test_nobody_who_sits_down_tears_or_folds(name: str, method: str) -> None:
-    human = Human.load(ROOT / "assets" / "humans" / f"{name}.npz")
+    human = load_human(ROOT / "assets" / "humans" / f"{name}.npz")
     motion = ROOT / "assets" / "motions" / "sit_stand.bvh"
     found = figures.deformation(human, figures.motion_transforms(human, motion, 3.0), method)
     assert found.stretch.max() < 4

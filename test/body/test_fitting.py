@@ -23,7 +23,7 @@ from humansim_ros.body.known import known_joints
 from humansim_ros.body.orientation import body_from_file
 from humansim_ros.body.volume import solid, surface_points
 from humansim_ros.errors import HumansimWarning, MeshError
-from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.load import read_mesh
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
@@ -60,7 +60,7 @@ def turns() -> Iterator[Array]:
 def figure(name: str) -> Mesh:
     """A shared mesh or a built-in human's."""
     if name in PEOPLE:
-        return Human.load(ROOT / "assets" / "humans" / f"{name}.npz").mesh
+        return load_human(ROOT / "assets" / "humans" / f"{name}.npz").mesh
     if name in FIGURES:
         return read_mesh(MESHES / name)
     scene: Any = trimesh.load(MESHES / name)
@@ -238,7 +238,7 @@ def test_a_known_body_is_known_with_its_eyes_and_its_faces_in_any_order() -> Non
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
 def test_joints_of_dressed_people_are_those_they_were_made_with(name: str) -> None:
-    human = Human.load(ROOT / "assets" / "humans" / f"{name}.npz")
+    human = load_human(ROOT / "assets" / "humans" / f"{name}.npz")
     mesh, skeleton = fit_skeleton(human.mesh, stature=float(np.ptp(human.mesh.vertices[:, 1])))
     moved = human.skeleton.heads + (mesh.vertices - human.mesh.vertices)[0]
     away = np.linalg.norm(skeleton.heads - moved, axis=1)
@@ -266,7 +266,7 @@ def test_a_fitted_skeleton_is_connected_symmetric_and_inside_the_mesh(name: str)
 @pytest.mark.parametrize("name", OTHERS)
 def test_small_meshes_of_other_makers_get_joints_near_their_own(name: str) -> None:
     """Tens of triangles a limb, several open pieces; their joints are where their makers felt them."""
-    own = Human.load(MESHES / name)
+    own = load_human(MESHES / name)
     mesh, skeleton = fit_skeleton(figure(name), stature=float(np.ptp(own.mesh.vertices[:, 1])))
     for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist"):
         theirs, ours = (s.heads[s.bone(f"l_{joint}")] for s in (own.skeleton, skeleton))

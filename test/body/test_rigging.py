@@ -18,6 +18,7 @@ from humansim_ros.body.rigging import RigRule, dominant_bones, triangle_parts
 from humansim_ros.body.skeleton import side_of
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.load import read_mesh
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion import read_bvh
@@ -134,7 +135,7 @@ def test_a_part_is_the_bone_that_its_corners_follow_most() -> None:
 
 def walking_error(rule: RigRule) -> Array:
     """Metres between each vertex of the man skinned by a rule and by the artist, (frames, V)."""
-    man = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    man = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     motion = read_bvh(ROOT / "assets" / "motions" / "walk.bvh")
     match = find_match(motion.joint_names)
     world = WorldMotion(motion, match, detect_file_frame(motion, match), loop="none")
@@ -160,7 +161,7 @@ PEOPLE = tuple(sorted(path.stem for path in (ROOT / "assets" / "humans").glob("*
 
 @cache
 def person(name: str) -> Human:
-    return Human.load(ROOT / "assets" / "humans" / f"{name}.npz")
+    return load_human(ROOT / "assets" / "humans" / f"{name}.npz")
 
 
 @cache

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
-from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 
 
 def humansim(*arguments: str | Path, cache: Path | None = None) -> subprocess.CompletedProcess[str]:
@@ -66,7 +66,7 @@ def test_rig_makes_a_human_of_a_mesh(tmp_path: Path, shared_data: Path) -> None:
     mesh = shared_data / "mesh" / "mh2007_male_T_dm.obj"
     result = humansim("rig", mesh, "-o", out, "--preview", tmp_path / "sheet.png", "--stature", "1.9")
     assert result.returncode == 0, result.stderr
-    human = Human.load(out)
+    human = load_human(out)
     assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(1.9, abs=1e-5)
     assert np.diff(human.weights.indptr).max() <= 4
     assert (tmp_path / "sheet.png").stat().st_size > 20_000
@@ -76,7 +76,7 @@ def test_build_makes_a_human_of_a_description(figure: Path, tmp_path: Path) -> N
     (tmp_path / "someone.yaml").write_text("mesh: figure.glb\nstature: 1.5\n")
     result = humansim("build", tmp_path / "someone.yaml", "-o", tmp_path / "someone.npz")
     assert result.returncode == 0, result.stderr
-    assert np.ptp(Human.load(tmp_path / "someone.npz").mesh.vertices[:, 1]) == pytest.approx(1.5, abs=1e-5)
+    assert np.ptp(load_human(tmp_path / "someone.npz").mesh.vertices[:, 1]) == pytest.approx(1.5, abs=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import pickle
 import zipfile
@@ -12,16 +13,18 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
+import humansim_ros
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 
 MAN = ROOT / "assets" / "humans" / "adult_man.npz"
 
 
 @pytest.fixture(scope="module")
 def man() -> Human:
-    return Human.load(MAN)
+    return load_human(MAN)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +95,7 @@ def test_posed_at_rest_the_man_stands_as_stored(man: Human) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("figure", ["mh2007_male_T_dm.obj", "mh2007_female_A_dm.obj"])
 def test_a_plain_mesh_becomes_a_dressed_human(shared_data: Path, figure: str) -> None:
-    human = Human.load(shared_data / "mesh" / figure)
+    human = load_human(shared_data / "mesh" / figure)
     assert human.name == figure.removesuffix(".obj")
     assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(1.7504, abs=1e-6)
     assert human.mesh.colors is not None
@@ -111,7 +114,7 @@ def saved(tmp_path: Path, arrays: dict[str, Any], **changes: Any) -> Path:
 
 
 def test_a_copy_loads_as_the_original(tmp_path: Path, arrays: dict[str, Any], man: Human) -> None:
-    copy = Human.load(saved(tmp_path, arrays))
+    copy = load_human(saved(tmp_path, arrays))
     np.testing.assert_array_equal(copy.mesh.vertices, man.mesh.vertices)
     assert (copy.weights != man.weights).nnz == 0
 
@@ -134,7 +137,7 @@ def test_a_copy_loads_as_the_original(tmp_path: Path, arrays: dict[str, Any], ma
 def test_a_missing_array_is_named(tmp_path: Path, arrays: dict[str, Any], key: str) -> None:
     path = saved(tmp_path, arrays, **{key: None})
     with pytest.raises(MeshError, match="an array is missing") as caught:
-        Human.load(path)
+        load_human(path)
     assert (caught.value.path, caught.value.key) == (str(path), key)
 
 
@@ -197,7 +200,7 @@ def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
 def test_broken_arrays_are_refused_with_the_file(tmp_path: Path, arrays: dict[str, Any], what: str) -> None:
     path = saved(tmp_path, arrays, **broken_arrays(arrays)[what])
     with pytest.raises(MeshError) as caught:
-        Human.load(path)
+        load_human(path)
     assert caught.value.path == str(path)
 
 
@@ -207,7 +210,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path, share: float) -> None:
     content = MAN.read_bytes()
     path.write_bytes(content[: int(share * len(content))])
     with pytest.raises(MeshError, match=r"cut\.npz"):
-        Human.load(path)
+        load_human(path)
 
 
 def test_a_file_damaged_inside_is_refused(tmp_path: Path) -> None:
@@ -220,7 +223,7 @@ def test_a_file_damaged_inside_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "damaged.npz"
     path.write_bytes(content)
     with pytest.raises(MeshError, match=r"damaged\.npz"):
-        Human.load(path)
+        load_human(path)
 
 
 def test_one_array_that_is_no_archive_is_refused(tmp_path: Path) -> None:
@@ -228,7 +231,7 @@ def test_one_array_that_is_no_archive_is_refused(tmp_path: Path) -> None:
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
     with pytest.raises(MeshError, match=r"no \.npz archive"):
-        Human.load(path)
+        load_human(path)
 
 
 class Trap:
@@ -248,23 +251,34 @@ def test_a_pickle_in_a_file_is_never_run(tmp_path: Path, arrays: dict[str, Any])
     path = tmp_path / "trap.npz"
     np.savez(path, **(arrays | {"name": boxed}))
     with pytest.raises(MeshError, match=r"trap\.npz"):
-        Human.load(path)
+        load_human(path)
     path.write_bytes(pickle.dumps(Trap(sprung)))
     with pytest.raises(MeshError, match=r"trap\.npz"):
-        Human.load(path)
+        load_human(path)
     assert not sprung.exists()
 
 
 def test_missing_and_empty_files_are_refused(tmp_path: Path) -> None:
     for suffix in ("npz", "obj"):
         with pytest.raises(MeshError, match="no such"):
-            Human.load(tmp_path / f"nobody.{suffix}")
+            load_human(tmp_path / f"nobody.{suffix}")
         (tmp_path / f"empty.{suffix}").touch()
         with pytest.raises(MeshError, match="is empty"):
-            Human.load(tmp_path / f"empty.{suffix}")
+            load_human(tmp_path / f"empty.{suffix}")
 
 
 def test_a_mesh_that_is_no_person_is_refused_with_its_file(tmp_path: Path) -> None:
     (tmp_path / "tri.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0.5\nf 1 2 3\n")
     with pytest.raises(MeshError, match=r"tri\.obj"):
-        Human.load(tmp_path / "tri.obj")
+        load_human(tmp_path / "tri.obj")
+
+
+def test_names_of_version_0_1_work_and_warn() -> None:
+    with pytest.warns(DeprecationWarning, match="use humansim_ros.load_human"):
+        assert Human.load(MAN, skinning="dual_quaternion").skinning == "dual_quaternion"
+    for module, name in (("body.mesh", "Mesh"), *(("body", name) for name in ("Human", "Mesh", "read_mesh"))):
+        with pytest.warns(DeprecationWarning, match=f"import {name} from humansim_ros"):
+            moved = getattr(importlib.import_module(f"humansim_ros.{module}"), name)
+        assert moved is getattr(humansim_ros, name)
+    with pytest.raises(AttributeError, match="no attribute 'Nobody'"):
+        _ = importlib.import_module("humansim_ros.body").Nobody

@@ -16,7 +16,8 @@ import pytest
 from conftest import ROOT
 
 from humansim_ros.errors import HumansimWarning, MeshError
-from humansim_ros.humans.human import Human, read_human, write_human
+from humansim_ros.humans.human import read_human, write_human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.smpl import read_smpl
 from humansim_ros.io.npz import read_npz
 from humansim_ros.mesh.load import read_mesh
@@ -51,7 +52,7 @@ def figure(tmp_path: Path) -> Path:
 
 
 def test_a_model_in_the_layout_of_smpl_is_a_human(tmp_path: Path, model: dict[str, Any]) -> None:
-    human = Human.load(saved(tmp_path, model))
+    human = load_human(saved(tmp_path, model))
     skeleton = human.skeleton
     shift = human.mesh.vertices[0] - model["v_template"][0]
     for ours, theirs in (("l_knee", "LeftLeg"), ("r_shoulder", "RightArm"), ("vl5", "Spine2")):
@@ -75,9 +76,9 @@ def test_what_a_model_holds_beside_its_arrays_is_never_unpickled(
 ) -> None:
     """SMPL-X files carry pickled dictionaries; unpacking one could run anything."""
     trap = np.array([Trap(tmp_path / "run")], dtype=object)
-    assert Human.load(saved(tmp_path, model, part2num=trap)).name == "model"
+    assert load_human(saved(tmp_path, model, part2num=trap)).name == "model"
     with pytest.raises(MeshError, match="never unpacked") as caught:
-        Human.load(saved(tmp_path, model, weights=trap))
+        load_human(saved(tmp_path, model, weights=trap))
     assert caught.value.key == "weights"
     assert not (tmp_path / "run").exists()
 
@@ -111,7 +112,7 @@ def test_a_broken_model_is_refused(
     tmp_path: Path, model: dict[str, Any], key: str, value: Any, message: str
 ) -> None:
     with pytest.raises(MeshError, match=message) as caught:
-        Human.load(saved(tmp_path, model, **{key: value}))
+        load_human(saved(tmp_path, model, **{key: value}))
     assert caught.value.path is not None
 
 
@@ -144,7 +145,7 @@ def test_an_array_that_promises_more_than_there_is_is_refused(tmp_path: Path) ->
 
 
 def test_a_written_human_is_read_back_the_same(tmp_path: Path, figure: Path) -> None:
-    human = Human.load(figure)
+    human = load_human(figure)
     write_human(tmp_path / "a.npz", human)
     write_human(tmp_path / "b.npz", human)
     assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
@@ -157,7 +158,7 @@ def test_a_written_human_is_read_back_the_same(tmp_path: Path, figure: Path) -> 
 
 
 def test_a_human_changes_its_outfit(tmp_path: Path) -> None:
-    man = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    man = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     assert len(man.outfits) >= 3
     other = man.wearing(man.outfits[1])
     assert other.mesh.texture is not None
@@ -183,7 +184,7 @@ def test_a_description_gives_a_mesh_its_size_and_looks(tmp_path: Path, figure: P
         f"mesh: {figure.name}\nstature: 1.2\nskinning: dual_quaternion\n"
         "outfits:\n  plain: {shirt: [1, 2, 3]}\n  other: {}\n",
     )
-    human = Human.load(path)
+    human = load_human(path)
     assert human.name == "someone"
     assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(1.2, abs=1e-6)
     assert human.outfits == ("plain", "other")
@@ -217,7 +218,7 @@ def test_a_wrong_description_is_refused_with_its_key(
     tmp_path: Path, figure: Path, text: str, key: str | None, message: str
 ) -> None:
     with pytest.raises(MeshError, match=message) as caught:
-        Human.load(described(tmp_path, text))
+        load_human(described(tmp_path, text))
     assert caught.value.key == key
     assert not (tmp_path / "run").exists()
 
@@ -272,65 +273,3 @@ def test_materials_elsewhere_are_left_alone_with_a_warning(tmp_path: Path, name:
     (folder / "m.obj").write_text(OBJ.replace("colours.mtl", name))
     with pytest.warns(HumansimWarning, match="not beside it"):
         assert read_mesh(folder / "m.obj").texture is None
-
-
-# the cache
-
-
-def test_what_is_made_is_kept_and_found_by_content(cache: Path, figure: Path, tmp_path: Path) -> None:
-    first = Human.load(figure)
-    (kept,) = cache.glob("*.npz")
-    before = kept.stat().st_ino
-    again = Human.load(figure)
-    np.testing.assert_array_equal(first.mesh.vertices, again.mesh.vertices)
-    assert [path.stat().st_ino for path in cache.glob("*.npz")] == [before]
-    # other content under the same name
-    document, binary = figures.gltf()
-    document["nodes"].append({"name": "armature", "scale": [0.9, 0.9, 0.9], "children": [0]})
-    figure.write_bytes(figures.glb(document, binary))
-    assert np.ptp(Human.load(figure).mesh.vertices[:, 1]) == pytest.approx(
-        0.9 * np.ptp(first.mesh.vertices[:, 1]), rel=1e-4
-    )
-    assert len(list(cache.glob("*.npz"))) == 2
-
-
-@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
-def test_a_kept_file_cut_short_is_made_again(cache: Path, figure: Path, share: float) -> None:
-    first = Human.load(figure)
-    (kept,) = cache.glob("*.npz")
-    content = kept.read_bytes()
-    kept.write_bytes(content[: int(share * len(content))])
-    np.testing.assert_array_equal(Human.load(figure).mesh.vertices, first.mesh.vertices)
-    assert kept.read_bytes() == content
-
-
-def test_a_crash_while_writing_leaves_nothing_that_is_read(
-    cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def crash(*_: Any, **__: Any) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr("numpy.lib.format.write_array", crash)
-        with pytest.raises(KeyboardInterrupt):
-            Human.load(figure)
-    assert list(cache.glob("*.npz")) == []
-    assert len(Human.load(figure).mesh.vertices) == len(figures.boxes()[0])
-
-
-def test_where_nothing_can_be_written_humans_load_all_the_same(
-    figure: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "file").write_text("in the way")
-    monkeypatch.setenv("HUMANSIM_CACHE", str(tmp_path / "file"))
-    assert len(Human.load(figure).mesh.vertices) == len(figures.boxes()[0])
-
-
-def test_only_so_many_humans_are_kept(
-    cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.setattr("humansim_ros.humans.cache.MAX_HUMANS", 2)
-    for number in range(4):
-        described(tmp_path, f"mesh: figure.glb\nstature: {1 + number / 10}\n")
-        Human.load(tmp_path / "someone.yaml")
-    assert len(list(cache.glob("*.npz"))) == 2

@@ -19,6 +19,7 @@ from humansim_ros.cli.human import built_in_humans
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.description import ParametricHuman, read_description
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.building import build
 from humansim_ros.humans.makehuman.data import MakeHumanData, find_data, read_base
 from humansim_ros.humans.makehuman.paint import Outfit
@@ -35,7 +36,7 @@ needs_makehuman = pytest.mark.skipif(
 
 @cache
 def person(name: str) -> Human:
-    return Human.load(ROOT / "assets" / "humans" / f"{name}.npz")
+    return load_human(ROOT / "assets" / "humans" / f"{name}.npz")
 
 
 # those that come with the package
@@ -95,7 +96,7 @@ def test_each_loads_quickly_enough_to_start_many(name: str) -> None:
     import pstats
 
     profile = cProfile.Profile()
-    profile.runcall(Human.load, ROOT / "assets" / "humans" / f"{name}.npz")
+    profile.runcall(load_human, ROOT / "assets" / "humans" / f"{name}.npz")
     calls: dict[Any, Any] = pstats.Stats(profile).stats  # type: ignore[attr-defined]
     decoded = sum(count for (_, _, function), (count, *_) in calls.items() if function == "decode_image")
     assert decoded == 1

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.body import skin
 from humansim_ros.errors import HumansimWarning, MeshError, MotionError
-from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.motion import read_motion
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import MotionConfig
@@ -39,7 +39,7 @@ def written(folder: Path, document: Document, binary: bytes, name: str = "figure
 
 
 def test_a_figure_keeps_its_skin_and_its_joints_take_our_names(tmp_path: Path) -> None:
-    human = Human.load(written(tmp_path, *figures.gltf()))
+    human = load_human(written(tmp_path, *figures.gltf()))
     vertices, triangles, weights = figures.boxes()
     shift = human.mesh.vertices[0] - vertices[0]
     np.testing.assert_allclose(human.mesh.vertices, vertices + shift, atol=1e-6)  # only put on the floor
@@ -53,7 +53,7 @@ def test_a_figure_keeps_its_skin_and_its_joints_take_our_names(tmp_path: Path) -
 
 
 def test_the_text_form_and_the_binary_form_are_the_same_figure(tmp_path: Path) -> None:
-    binary, text = (Human.load(written(tmp_path, *figures.gltf(), name)) for name in ("a.glb", "a.gltf"))
+    binary, text = (load_human(written(tmp_path, *figures.gltf(), name)) for name in ("a.glb", "a.gltf"))
     np.testing.assert_array_equal(binary.mesh.vertices, text.mesh.vertices)
     assert binary.mesh.texture is not None
     assert text.mesh.texture is not None
@@ -77,7 +77,7 @@ def test_an_animation_bends_the_elbow_as_its_keys_say(tmp_path: Path) -> None:
 def test_a_figure_moves_as_its_own_animation_has_it(tmp_path: Path) -> None:
     """Vertices by the retargeter and our skeleton are those that the file's joints and weights give."""
     path = written(tmp_path, *figures.gltf())
-    actor = Actor.build("x", 1, Human.load(path), MotionConfig(file=str(path)), tmp_path / "scene.yaml")
+    actor = Actor.build("x", 1, load_human(path), MotionConfig(file=str(path)), tmp_path / "scene.yaml")
     vertices, _, weights = figures.boxes()
     elbow = figures.NAMES.index("LeftForeArm")
     below = [elbow, *(figures.NAMES.index(name) for name in ("LeftHand", "LeftHandMiddle1"))]
@@ -105,7 +105,7 @@ def test_shared_figures_move_as_blender_moves_them(
 ) -> None:
     """Vertices of the files' own animations; tools/blender/gltf_vertices.py made the numbers."""
     path = shared_data / "mesh" / figure
-    human = Human.load(path)
+    human = load_human(path)
     assert 1.4 < np.ptp(human.mesh.vertices[:, 1]) < 1.6
     assert {"l_hip", "r_wrist", "vt3"} <= set(human.skeleton.names)
     actor = Actor.build("x", 1, human, MotionConfig(file=str(path), loop="none"), ROOT / "scene.yaml")
@@ -122,7 +122,7 @@ def test_a_skin_bound_in_other_units_has_the_size_of_the_scene(tmp_path: Path) -
     """Many exporters keep centimetres in the mesh and shrink the armature."""
     document, binary = figures.gltf()
     document["nodes"].append({"name": "armature", "scale": [0.5, 0.5, 0.5], "children": [0]})
-    human = Human.load(written(tmp_path, document, binary))
+    human = load_human(written(tmp_path, document, binary))
     vertices, _, _ = figures.boxes()
     assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(0.5 * np.ptp(vertices[:, 1]), rel=1e-5)
 
@@ -132,7 +132,7 @@ def test_two_materials_share_one_texture(tmp_path: Path) -> None:
     (primitive,) = document["meshes"][0]["primitives"]
     document["materials"].append({"pbrMetallicRoughness": {"baseColorFactor": [1, 0, 0, 1]}})
     document["meshes"][0]["primitives"].append({**primitive, "material": 1})
-    human = Human.load(written(tmp_path, document, binary))
+    human = load_human(written(tmp_path, document, binary))
     mesh = human.mesh
     assert mesh.texture is not None
     assert mesh.uv is not None
@@ -223,7 +223,7 @@ def test_a_wrong_or_harmful_file_is_refused_with_what_is_wrong(
     harm(document)
     path = written(folder, document, binary)
     with pytest.raises(MeshError, match=message) as caught:
-        Human.load(path)
+        load_human(path)
     assert caught.value.path == str(path)
 
 
@@ -235,7 +235,7 @@ def test_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
     document, binary = figures.gltf()
     document["buffers"][0]["uri"] = "data.bin"
     with pytest.raises(MeshError, match="outside the folder"):
-        Human.load(written(folder, document, binary))
+        load_human(written(folder, document, binary))
 
 
 def test_data_beside_the_file_is_read(tmp_path: Path) -> None:
@@ -244,14 +244,14 @@ def test_data_beside_the_file_is_read(tmp_path: Path) -> None:
     document["buffers"][0]["uri"] = "the%20data.bin"
     path = tmp_path / "figure.gltf"
     path.write_text(json.dumps(document))
-    assert len(Human.load(path).mesh.vertices) == len(figures.boxes()[0])
+    assert len(load_human(path).mesh.vertices) == len(figures.boxes()[0])
 
 
 def test_nan_in_positions_is_refused(tmp_path: Path) -> None:
     document, binary = figures.gltf()
     binary = b"\0\0\xc0\x7f" + binary[4:]
     with pytest.raises(MeshError, match="not finite"):
-        Human.load(written(tmp_path, document, binary))
+        load_human(written(tmp_path, document, binary))
 
 
 def test_a_figure_that_is_no_person_is_refused(tmp_path: Path) -> None:
@@ -262,14 +262,14 @@ def test_a_figure_that_is_no_person_is_refused(tmp_path: Path) -> None:
         node["children"] = [number + 1] if number + 2 < len(document["nodes"]) else []
     document["skins"][0].pop("inverseBindMatrices")
     with pytest.raises(MeshError, match="no person"):
-        Human.load(written(tmp_path, document, binary))
+        load_human(written(tmp_path, document, binary))
 
 
 def test_a_thousand_times_too_large_figure_is_made_a_person_with_a_warning(tmp_path: Path) -> None:
     document, binary = figures.gltf()
     document["nodes"].append({"name": "armature", "scale": [1000, 1000, 1000], "children": [0]})
     with pytest.warns(HumansimWarning, match="taken as mm"):
-        human = Human.load(written(tmp_path, document, binary))
+        human = load_human(written(tmp_path, document, binary))
     assert 1.5 < np.ptp(human.mesh.vertices[:, 1]) < 2.0
 
 
@@ -281,4 +281,4 @@ def test_an_image_that_promises_too_much_is_refused(tmp_path: Path) -> None:
     png[16:24] = (60_000).to_bytes(4, "big") * 2
     harmed = binary[: view["byteOffset"]] + bytes(png) + binary[view["byteOffset"] + view["byteLength"] :]
     with pytest.raises(MeshError, match="60000 x 60000 pixels is too large"):
-        Human.load(written(tmp_path, document, harmed))
+        load_human(written(tmp_path, document, harmed))

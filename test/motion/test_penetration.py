@@ -22,6 +22,7 @@ from humansim_ros.body import Skeleton, hanim_skeleton
 from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.motion.penetration import (
     Capsules,
     fit_capsules,
@@ -35,7 +36,7 @@ from humansim_ros.types import Array
 
 @cache
 def man() -> Human:
-    return Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    return load_human(ROOT / "assets" / "humans" / "adult_man.npz")
 
 
 @cache

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
-from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.motion import Motion, read_bvh
 from humansim_ros.motion.joint_matching import find_match
 from humansim_ros.motion.retarget import Mode, Retargeter
@@ -511,7 +511,7 @@ def test_the_head_is_above_the_feet(stem: str) -> None:
 )
 def test_the_skin_stands_on_the_floor(stem: str) -> None:
     """Some point of the soles is within centimetres of the floor in every frame of a walk."""
-    human = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    human = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     world = in_world(read(stem))
     retargeter = Retargeter.fit(world, human.skeleton)
     rotations, root = retargeter.apply(at_frames(world, some_frames(world.motion, 16)))

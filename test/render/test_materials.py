@@ -12,7 +12,7 @@ from render_scenes import along_x, box, quad, renderer_or_skip
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import MeshError
-from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Body, Lighting
 from humansim_ros.render.ambient_occlusion import directions
@@ -101,7 +101,7 @@ def test_what_nobody_knows_is_matt_and_so_is_everything_if_asked_for(shadows: st
 
 
 def test_built_in_people_know_where_they_have_skin() -> None:
-    human = Human.load(resource_path("assets/humans/adult_man.npz"))
+    human = load_human(resource_path("assets/humans/adult_man.npz"))
     mesh, parts = human.mesh, human.triangle_parts
     assert mesh.skin is not None and mesh.uv is not None and mesh.uv_triangles is not None
     middle = mesh.uv[mesh.uv_triangles].mean(axis=1)

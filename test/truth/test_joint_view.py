@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.render import View
 from humansim_ros.truth.joints import (
     NOTHING,
@@ -161,7 +162,7 @@ def test_positions_pixels_and_depth_are_the_cameras() -> None:
 
 @pytest.fixture(scope="module")
 def man() -> Human:
-    return Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    return load_human(ROOT / "assets" / "humans" / "adult_man.npz")
 
 
 def around(man: Human, joint: str) -> set[str]:

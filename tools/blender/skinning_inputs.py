@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.load import read_mesh
 from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.info import world_of
@@ -101,7 +102,7 @@ def main() -> int:
     parser.add_argument("--data", type=Path, default=ROOT.parent / "shared" / "data")
     options = parser.parse_args()
     random = np.random.default_rng(SEED)
-    human = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    human = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     sets = {"man": man(human, random), "artist": artist(options.data, random), "surface": surface(human)}
     np.savez_compressed(
         options.output,

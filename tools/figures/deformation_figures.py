@@ -21,6 +21,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.skinning import SKINNERS, make_skinner, skin
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.info import world_of
@@ -173,7 +174,7 @@ def main() -> int:
     parser.add_argument("--motions", nargs="+", default=MOTIONS)
     options = parser.parse_args()
     paths = options.humans or sorted((ROOT / "assets" / "humans").glob("*.npz"))
-    humans = {path.stem: Human.load(path) for path in paths}
+    humans = {path.stem: load_human(path) for path in paths}
     print("Change of volume, linear / dual quaternion:\n")
     rows = []
     for name, human in humans.items():

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.penetration import Capsules, fit_capsules, self_penetration
 from humansim_ros.render import Body, GLRenderer
@@ -77,7 +78,7 @@ def capsule_bodies(body: Capsules, posed: Array) -> list[Body]:
 
 
 def main() -> int:
-    human = Human.load(resource_path("assets/humans/adult_man.npz"))
+    human = load_human(resource_path("assets/humans/adult_man.npz"))
     body = fit_capsules(human.skeleton, human.mesh, human.weights)
     renderer = GLRenderer()
     camera = Camera.look_at((3.4, 1.3, 1.3), (0, 0, 0.88), (560, 800), np.radians(24))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.motion.bvh import read_bvh
 from humansim_ros.motion.contacts import find_stances, slides
 from humansim_ros.motion.info import world_of
@@ -19,7 +19,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def main() -> int:
-    human = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    human = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     skeleton, limits = human.skeleton, load_limits().for_skeleton(human.skeleton)
     body = fit_capsules(human.skeleton, human.mesh, human.weights)
     heads = (

@@ -14,7 +14,7 @@ import numpy as np
 
 from humansim_ros.drawing.motions import SkinnedArtist
 from humansim_ros.errors import HumansimError
-from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.motion.info import read_quietly, world_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -26,7 +26,7 @@ def main() -> int:
     parser.add_argument("--output", "-o", type=Path, default=Path("sheet.jpg"))
     parser.add_argument("--columns", type=int, default=6)
     options = parser.parse_args()
-    human = Human.load(ROOT / "assets" / "humans" / "adult_man.npz")
+    human = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     tiles = []
     for path in sorted(options.folder.glob("*.bvh")):
         motion = read_quietly(path).motion

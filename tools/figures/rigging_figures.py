@@ -30,6 +30,7 @@ from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
 from humansim_ros.drawing.motions import SkinnedArtist  # noqa: E402
 from humansim_ros.errors import MeshError  # noqa: E402
 from humansim_ros.humans.human import Human  # noqa: E402
+from humansim_ros.humans.loading import load_human  # noqa: E402
 from humansim_ros.mesh.load import read_mesh  # noqa: E402
 from humansim_ros.mesh.mesh import Mesh  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
@@ -78,7 +79,7 @@ TRUNK = ("HumanoidRoot", "sacroiliac", "vl5")
 
 def built_in() -> Iterator[Human]:
     for path in sorted((ROOT / "assets" / "humans").glob("*.npz")):
-        yield Human.load(path)
+        yield load_human(path)
 
 
 def shared_man() -> Human:

@@ -15,6 +15,7 @@ from deformation_figures import BENDS, ROOT, bent, volume_change
 from humansim_ros.body.skinning import SKINNERS, make_skinner
 from humansim_ros.camera import Camera
 from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render import Body, GLRenderer, Lighting
 from humansim_ros.rotations import WORLD_FROM_BODY
@@ -55,7 +56,7 @@ def draw(human: Human, renderer: GLRenderer, bend: str, method: str) -> Image:
 
 
 def main() -> int:
-    human = Human.load(Path(sys.argv[2]) if len(sys.argv) > 2 else ROOT / "assets/humans/adult_man.npz")
+    human = load_human(Path(sys.argv[2]) if len(sys.argv) > 2 else ROOT / "assets/humans/adult_man.npz")
     renderer = GLRenderer([], Lighting(background=(238, 240, 243)))
     rows = [
         np.concatenate([draw(human, renderer, bend, method) for bend in _VIEWS], axis=1)

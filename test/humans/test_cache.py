@@ -1,0 +1,136 @@
+"""The cache of humans: found by content, replaced when damaged, invalid when humans change."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import figures
+import numpy as np
+import pytest
+from conftest import ROOT
+
+from humansim_ros.humans.cache import CACHE_VERSION
+from humansim_ros.humans.description import MeshHuman
+from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human, make_human
+from humansim_ros.mesh.mesh import Mesh
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "cache"
+    monkeypatch.setenv("HUMANSIM_CACHE", str(folder))
+    return folder
+
+
+@pytest.fixture
+def figure(tmp_path: Path) -> Path:
+    path = tmp_path / "figure.glb"
+    path.write_bytes(figures.glb(*figures.gltf()))
+    return path
+
+
+#: Numbers that stand for the humans which version CACHE_VERSION makes of five small inputs.
+FINGERPRINTS = {
+    "glTF": [-0.0571, -0.1751, -0.06967, -1.0099, 3.51866],
+    "SMPL": [-0.05995, -3.07611, -4.81052, 4.90748, 0.10093],
+    "heat": [-0.02978, 0.55372, 0.36422, -2.33413, 2.1856],
+    "thesis": [-0.03067, 0.45017, 0.49126, 1.25134, 0.60015],
+    "child": [-0.36223, 0.44466, 0.41072, -9.92595, 3.79314],
+}
+
+
+def fingerprint(human: Human) -> list[float]:
+    """Projections of vertices, joints, weights and colours: they change when any value changes."""
+    arrays = (
+        *(human.mesh.vertices, human.skeleton.heads, human.skeleton.tails, human.weights.toarray()),
+        np.concatenate([look.ravel() for look in human.looks.values()]) / 255.0,
+    )
+    return [round(float(np.cos(np.arange(array.size)) @ array.ravel()), 5) for array in arrays]
+
+
+def obj_file(path: Path, mesh: Mesh) -> Path:
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices]
+    path.write_text("\n".join([*lines, *(f"f {a} {b} {c}" for a, b, c in mesh.triangles + 1)]))
+    return path
+
+
+def test_cached_humans_are_those_that_this_version_makes(figure: Path, tmp_path: Path) -> None:
+    """The cache does not know the code, so CACHE_VERSION must rise with each change of its results."""
+    vertices, triangles, _ = figures.boxes()
+    faces = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
+    boxes = obj_file(tmp_path / "boxes.obj", Mesh(vertices, faces))
+    child = obj_file(tmp_path / "child.obj", load_human(ROOT / "assets" / "humans" / "child.npz").mesh)
+    np.savez(tmp_path / "smpl.npz", **figures.smpl(figures.SMPL_NAMES, figures.SMPL_PARENTS))
+    humans = {
+        "glTF": make_human(figure),
+        "SMPL": make_human(tmp_path / "smpl.npz", MeshHuman(betas=(0.5, -1.0))),
+        "heat": make_human(boxes, MeshHuman(up="y", facing="z", stature=1.7)),
+        "thesis": make_human(boxes, MeshHuman(up="y", facing="z", rigging="thesis", skeleton="general")),
+        "child": make_human(child),
+    }
+    made = {name: fingerprint(human) for name, human in humans.items()}
+    advice = f"humans changed: raise CACHE_VERSION (now {CACHE_VERSION}) and set FINGERPRINTS to {made}"
+    assert made.keys() == FINGERPRINTS.keys(), advice
+    for name, numbers in made.items():
+        assert numbers == pytest.approx(FINGERPRINTS[name], abs=1e-3), advice
+
+
+def test_humans_are_cached_and_found_by_content(cache: Path, figure: Path, tmp_path: Path) -> None:
+    first = load_human(figure)
+    (file,) = cache.glob("*.npz")
+    before = file.stat().st_ino
+    again = load_human(figure)
+    np.testing.assert_array_equal(first.mesh.vertices, again.mesh.vertices)
+    assert [path.stat().st_ino for path in cache.glob("*.npz")] == [before]
+    # other content under the same name
+    document, binary = figures.gltf()
+    document["nodes"].append({"name": "armature", "scale": [0.9, 0.9, 0.9], "children": [0]})
+    figure.write_bytes(figures.glb(document, binary))
+    assert np.ptp(load_human(figure).mesh.vertices[:, 1]) == pytest.approx(
+        0.9 * np.ptp(first.mesh.vertices[:, 1]), rel=1e-4
+    )
+    assert len(list(cache.glob("*.npz"))) == 2
+
+
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.99])
+def test_a_truncated_cache_file_is_made_again(cache: Path, figure: Path, share: float) -> None:
+    first = load_human(figure)
+    (file,) = cache.glob("*.npz")
+    content = file.read_bytes()
+    file.write_bytes(content[: int(share * len(content))])
+    np.testing.assert_array_equal(load_human(figure).mesh.vertices, first.mesh.vertices)
+    assert file.read_bytes() == content
+
+
+def test_a_crash_while_writing_leaves_no_file(
+    cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def crash(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("numpy.lib.format.write_array", crash)
+        with pytest.raises(KeyboardInterrupt):
+            load_human(figure)
+    assert list(cache.glob("*.npz")) == []
+    assert len(load_human(figure).mesh.vertices) == len(figures.boxes()[0])
+
+
+def test_humans_load_without_write_access_to_the_cache(
+    figure: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv("HUMANSIM_CACHE", str(tmp_path / "file"))
+    assert len(load_human(figure).mesh.vertices) == len(figures.boxes()[0])
+
+
+def test_the_cache_has_a_maximum_size(
+    cache: Path, figure: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr("humansim_ros.humans.cache.MAX_HUMANS", 2)
+    for number in range(4):
+        (tmp_path / "someone.yaml").write_text(f"mesh: figure.glb\nstature: {1 + number / 10}\n")
+        load_human(tmp_path / "someone.yaml")
+    assert len(list(cache.glob("*.npz"))) == 2

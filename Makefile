@@ -48,5 +48,5 @@ env-bench:
 	@tools/setup_env.sh ros,bench
 
 clean:
-	rm -rf $(VENV) build install log dist demo *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build install log dist demo .nox *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

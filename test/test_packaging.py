@@ -15,6 +15,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 
 import humansim_ros
 from humansim_ros.errors import ResourceError, SceneError
@@ -92,6 +93,20 @@ def test_changelog_in_the_form_of_rep_132_has_this_version() -> None:
     changelog = pytest.importorskip("catkin_pkg.changelog", reason="comes with colcon")
     sections = changelog.get_changelog_from_path(str(ROOT), "humansim_ros")
     assert humansim_ros.__version__ in [version for version, _, _ in sections.foreach_version()]
+
+
+def test_workflow_runs_the_versions_of_the_noxfile() -> None:
+    tree = ast.parse((ROOT / "noxfile.py").read_text())
+    tables = {
+        statement.targets[0].id: ast.literal_eval(statement.value)
+        for statement in tree.body
+        if isinstance(statement, ast.Assign)
+        and getattr(statement.targets[0], "id", "") in ("PYTHONS", "NUMPYS")
+    }
+    workflow = yaml.safe_load((ROOT / ".github" / "workflows" / "ci.yml").read_text())
+    matrix = workflow["jobs"]["tests"]["strategy"]["matrix"]
+    assert (matrix["python"], matrix["numpy"]) == (list(tables["PYTHONS"]), list(tables["NUMPYS"]))
+    assert matrix["exclude"] == [{"python": "3.13", "numpy": "1.26"}]
 
 
 def test_colcon_requirements_agree_with_setup() -> None:

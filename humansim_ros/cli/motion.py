@@ -154,7 +154,7 @@ def retarget(
     skeleton = hanim_skeleton() if body is None else _human(body).skeleton
     retargeter = Retargeter.fit(world, skeleton, mode.value, _root_scale(root_scale))
     if pin_feet:
-        world = replace(world, clean_up=FootContacts.detect(world, retargeter))
+        world = replace(world, correction=FootContacts.detect(world, retargeter))
     poses = world.sample(world.frame_times if output is not None else number * motion.frame_time)
     if clamp:
         rotations, root = retargeter.apply(poses)
@@ -183,7 +183,8 @@ def table(
     positions: Channels = Positions.auto,
 ) -> None:
     """Which joint of a file drives which bone, and how sure that is."""
-    from humansim_ros.motion.joint_matching import match_motion, table_text, write_table
+    from humansim_ros.motion.joint_match import table_text, write_table
+    from humansim_ros.motion.joint_matching import match_motion
 
     motion = _read(file, positions)
     match = match_motion(motion, joint_names)

@@ -14,10 +14,10 @@ from humansim_ros.body.weights import limit_bones
 from humansim_ros.errors import MeshError, MotionError, warn_about
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.skinned import SkinnedMesh
+from humansim_ros.motion.file_frame import detect_file_frame
+from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.joint_tables import JointMatch
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.motion.world_motion import detect_file_frame
 from humansim_ros.types import Array
 
 #: Statures (metres) of people, a baby's to a giant's: a figure that is no such size is in another unit.

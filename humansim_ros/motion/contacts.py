@@ -15,9 +15,11 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.bvh import Motion
-from humansim_ros.motion.retarget import Retargeter, sole_points
-from humansim_ros.motion.world_motion import JointPoses, WorldMotion
+from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import Motion
+from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.soles import sole_points
+from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, rotate, unit_vectors
 from humansim_ros.types import Array
 
@@ -90,8 +92,8 @@ class FootContacts:
         In a stance, the part of the sole that stands (heel, toe or both) goes nowhere, and is on the floor;
         between stances the correction fades from one to the next.
         """
-        plain = replace(world, clean_up=None, speed=1.0)
-        length = plain.round_length
+        plain = replace(world, correction=None, speed=1.0)
+        length = plain.cycle_length
         count = max(2, round(length / max(world.motion.frame_time, 1 / 120)) + 1)
         phases = np.asarray(np.linspace(0.0, length, count), dtype=float)
         step = phases[1]
@@ -111,11 +113,11 @@ class FootContacts:
         round_ = slice(margin, margin + count)
         shifts = shifts[round_]
         if margin:
-            shifts = shifts @ plain.round_turns(np.ones(1))[0]  # back into the first round
+            shifts = shifts @ plain.cycle_rotations(np.ones(1))[0]  # back into the first round
         return replace(contacts, shifts=shifts, drops=drops[round_])
 
     def apply(self, poses: JointPoses, phases: Array, turns: Array) -> JointPoses:
-        """The poses with their feet where they should be; see :class:`CleanUp`."""
+        """The poses with their feet where they should be; see :class:`PoseCorrection`."""
         shift = np.array(
             [[np.interp(phases, self.phases, way) for way in foot.T] for foot in self.shifts.swapaxes(0, 1)]
         ).transpose(2, 0, 1)

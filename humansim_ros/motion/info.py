@@ -13,21 +13,18 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
-from humansim_ros.motion.bvh import Motion, Positions
+from humansim_ros.motion.bvh import Positions
 from humansim_ros.motion.contacts import find_stances, slides
+from humansim_ros.motion.file_frame import axis_vector, detect_file_frame
 from humansim_ros.motion.files import read_motion
+from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.joint_tables import JointMatch
+from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import fit_capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world_motion import (
-    JointPoses,
-    WorldMotion,
-    axis_vector,
-    detect_file_frame,
-    floor_height,
-)
+from humansim_ros.motion.world_motion import WorldMotion, floor_height
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
@@ -228,7 +225,7 @@ def _of_person(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
         "roles": {role: motion.joint_names[joint] for role, joint in match.roles.items()},
         "up": frame.up,
         "facing": frame.facing,
-        "rest": "OFFSETs" if frame.rest_stands else "straightest frame",
+        "rest": "OFFSETs" if frame.offsets_stand else "straightest frame",
         "unit": frame.unit,
         "unit_name": frame.unit_name,
         "stature": frame.stature,

@@ -1,4 +1,4 @@
-"""Which joint of a motion drives which bone: name tables (YAML), and how they are found for a file."""
+"""Joint tables (YAML): the joint names of a family of motion files, their roles and the bones they drive."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ import functools
 import os
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any
 
 from pydantic import ValidationError, model_validator
 
@@ -17,29 +16,11 @@ from humansim_ros.io.schema import Section
 from humansim_ros.io.yaml import read_yaml, validation_error
 from humansim_ros.resources import resource_path
 
-#: Without these bones nobody would call the result a person moving.
-REQUIRED_BONES = (
-    "HumanoidRoot",
-    "l_hip",
-    "l_knee",
-    "l_shoulder",
-    "l_elbow",
-    "r_hip",
-    "r_knee",
-    "r_shoulder",
-    "r_elbow",
-)
-#: Without these joints nobody could say how tall the person is, where it faces and where it stands.
+#: Roles without which height, facing and place of a person are unknown.
 REQUIRED_ROLES = ("Hips", "LeftHip", "LeftKnee", "RightHip", "RightKnee")
-#: Chains of roles, each a descendant of the one before wherever a file has both.
-CHAINS = (
-    ("Hips", "LeftHip", "LeftKnee", "LeftAnkle", "LeftToe"),
-    ("Hips", "RightHip", "RightKnee", "RightAnkle", "RightToe"),
-    ("LeftCollar", "LeftShoulder", "LeftElbow", "LeftWrist", "LeftFingers"),
-    ("RightCollar", "RightShoulder", "RightElbow", "RightWrist", "RightFingers"),
-    ("Spine", "Chest", "Neck", "Head", "HeadTop"),
-)
-#: Links and drivers of the bones where a table says nothing else.
+#: Roles that replace a role for which a file has no joint, best first.
+FALLBACK_ROLES = {"Spine": ("Chest", "Hips"), "Chest": ("Spine", "Hips"), "Head": ("Neck", "Chest", "Spine")}
+#: Default links of the bones: roles of the joints at which a link starts and ends, without the side.
 _LINKS = {
     "sternoclavicular": ("Collar", "Shoulder"),
     "shoulder": ("Shoulder", "Elbow"),
@@ -48,6 +29,7 @@ _LINKS = {
     "hip": ("Hip", "Knee"),
     "knee": ("Knee", "Ankle"),
 }
+#: Default roles of the joints whose rotation a bone takes.
 _DRIVERS = {
     "HumanoidRoot": "Hips",
     "HumanoidRoot_to_l_hip": "Hips",
@@ -60,11 +42,9 @@ _DRIVERS = {
     "l_ankle": "LeftAnkle",
     "r_ankle": "RightAnkle",
 }
-#: What drives a bone whose own joint a file lacks.
-_INSTEAD = {"Spine": ("Chest", "Hips"), "Chest": ("Spine", "Hips"), "Head": ("Neck", "Chest", "Spine")}
-#: What programs put before the names of a character's joints.
+#: Prefixes that programs put before the joint names of a character.
 _PREFIX = re.compile(r"^(.*:|mixamorig\d*|character\d*_|robot_|bip\d+[ _]?)", re.IGNORECASE)
-#: Ways of saying left in joint names, and right in the same place.
+#: Patterns for left in joint names, and the text for right at the same place.
 _SIDES = (
     (r"left", "right"),
     (r"(?<![a-zA-Z])l(?=[_. -])", "r"),
@@ -73,30 +53,14 @@ _SIDES = (
 )
 
 
-def other_side(name: str) -> str | None:
-    """The name of a left joint's counterpart on the right; None if the name says nothing of left."""
-    for left, right in _SIDES:
-        flags = 0 if "[A-Z])" in left else re.IGNORECASE
-
-        def mirrored(match: re.Match[str], right: str = right) -> str:
-            found = match.group()
-            return right.upper() if found.isupper() else right.title() if found[0].isupper() else right
-
-        other = re.sub(left, mirrored, name, count=1, flags=flags)
-        if flags == 0 and other == name:
-            other = re.sub(left.replace("l(?=", "L(?="), "R", name, count=1)
-        if other != name:
-            return other
-    return None
-
-
 class JointTable(Section):
-    """A name table. ``joints``: role -> the names it occurs under, the likeliest first.
+    """A joint table.
 
-    ``parallel``: bone -> (start role, end role). ``difference``: bone -> role of the joint whose turn from
-    the motion's rest pose the bone takes (thesis 7.2). What a file leaves out of these two is the usual;
-    right sides that it leaves out have the left's names, mirrored. ``hints``: names that tell this family
-    from others that name their joints alike. ``source``: where the names are from.
+    ``joints``: role -> names of the joint, the most frequent first; right sides default to the left's names,
+    mirrored. ``parallel``: bone -> (start role, end role) of the link that the bone is parallel to.
+    ``difference``: bone -> role of the joint whose rotation from the rest pose of the motion the bone takes
+    [thesis §7.2]. Both default to the usual links and drivers. ``hints``: names that distinguish this family
+    of files from others with the same joint names. ``source``: origin of the names.
     """
 
     name: str
@@ -108,19 +72,19 @@ class JointTable(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _the_rest_is_as_usual(cls, data: Any) -> Any:
+    def _fill_defaults(cls, data: Any) -> Any:
         if not isinstance(data, Mapping) or not isinstance(data.get("joints"), Mapping):
             return data
         joints = dict(data["joints"])
         for role, names in data["joints"].items():
             right = f"Right{role[4:]}"
             if str(role).startswith("Left") and right not in joints and isinstance(names, list):
-                mirrored = [other for name in names if (other := other_side(str(name))) is not None]
+                mirrored = [other for name in names if (other := right_name(str(name))) is not None]
                 if mirrored:
                     joints[right] = mirrored
         parallel, difference = (dict(data.get(key) or {}) for key in ("parallel", "difference"))
-        usual, drivers = _usual(joints)
-        for bone, link in usual.items():
+        links, drivers = _default_drivers(joints)
+        for bone, link in links.items():
             if bone not in difference:
                 parallel.setdefault(bone, link)
         for bone, role in drivers.items():
@@ -129,7 +93,7 @@ class JointTable(Section):
         return {**data, "joints": joints, "parallel": parallel, "difference": difference}
 
     @model_validator(mode="after")
-    def _names_are_known(self) -> JointTable:
+    def _check_names(self) -> JointTable:
         bones = hanim_skeleton().names
         for bone in (*self.parallel, *self.difference):
             if bone not in bones:
@@ -144,8 +108,50 @@ class JointTable(Section):
         return self
 
 
-def _usual(joints: Mapping[str, Any]) -> tuple[dict[str, tuple[str, str]], dict[str, str]]:
-    """Links and drivers of the bones for roles that a table has."""
+def load_table(path: str | os.PathLike[str]) -> JointTable:
+    """Read a joint table (YAML); MotionError with file and key if it is not valid."""
+    data, tree = read_yaml(path, MotionError, "joint table")
+    try:
+        return JointTable.model_validate(data)
+    except ValidationError as reason:
+        raise validation_error(reason, tree, MotionError, path) from None
+
+
+@functools.cache
+def built_in_tables() -> tuple[JointTable, ...]:
+    """Tables of the package (config/joint_names)."""
+    return tuple(load_table(path) for path in sorted(resource_path("config/joint_names").glob("*.yaml")))
+
+
+def plain_name(joint: str) -> str:
+    """Name of a joint without the namespace of a program (``mixamorig:Hips`` -> ``Hips``)."""
+    return _PREFIX.sub("", joint) or joint
+
+
+def comparison_key(joint: str) -> str:
+    """Name of a joint for comparisons: without namespace, case, blanks and punctuation."""
+    return re.sub(r"[\s._-]+", "", plain_name(joint)).casefold()
+
+
+def right_name(joint: str) -> str | None:
+    """Name of a left joint's counterpart on the right; None if the name does not contain left."""
+    for left, right in _SIDES:
+        flags = 0 if "[A-Z])" in left else re.IGNORECASE
+
+        def mirrored(match: re.Match[str], right: str = right) -> str:
+            text = match.group()
+            return right.upper() if text.isupper() else right.title() if text[0].isupper() else right
+
+        other = re.sub(left, mirrored, joint, count=1, flags=flags)
+        if flags == 0 and other == joint:
+            other = re.sub(left.replace("l(?=", "L(?="), "R", joint, count=1)
+        if other != joint:
+            return other
+    return None
+
+
+def _default_drivers(joints: Mapping[str, Any]) -> tuple[dict[str, tuple[str, str]], dict[str, str]]:
+    """Default links and drivers of the bones, for the roles of a table."""
     links = {}
     for side, prefix in (("Left", "l"), ("Right", "r")):
         for part, (start, end) in _LINKS.items():
@@ -156,86 +162,7 @@ def _usual(joints: Mapping[str, Any]) -> tuple[dict[str, tuple[str, str]], dict[
                 links[f"{prefix}_{part}"] = (start, end)
     drivers = {}
     for bone, role in _DRIVERS.items():
-        known = next((r for r in (role, *_INSTEAD.get(role, ())) if r in joints), None)
+        known = next((r for r in (role, *FALLBACK_ROLES.get(role, ())) if r in joints), None)
         if known is not None:
             drivers[bone] = known
     return links, drivers
-
-
-@dataclass(frozen=True)
-class JointMatch:
-    """A table applied to the joints of one motion: joint indices instead of names.
-
-    ``parallel``: bone -> (start joint, end joint). ``difference``: bone -> joint. ``roles``: role -> joint.
-    ``missing``: bones that no joint drives; they stay as at rest. ``by``: how it was found; ``confidence``:
-    how sure that is, 0 to 1. ``own``: bone -> joint, of a skeleton's further bones (fingers, say) that joints
-    of the same names drive.
-    """
-
-    table: str
-    parallel: Mapping[str, tuple[int, int]]
-    difference: Mapping[str, int]
-    roles: Mapping[str, int]
-    missing: tuple[str, ...]
-    by: Literal["names", "shape", "given"] = "names"
-    confidence: float = 1.0
-    own: Mapping[str, int] = field(default_factory=dict)
-
-    def with_own(self, bone_names: Sequence[str], joint_names: Sequence[str]) -> JointMatch:
-        """With the joints that drive those further bones that have their names."""
-        general = set(hanim_skeleton().names)
-        joints = {name: number for number, name in enumerate(joint_names)}
-        own = {name: joints[name] for name in bone_names if name in joints and name not in general}
-        return replace(self, own=own)
-
-    @property
-    def complete(self) -> bool:
-        driven = all(bone in self.parallel or bone in self.difference for bone in REQUIRED_BONES)
-        return driven and all(role in self.roles for role in REQUIRED_ROLES)
-
-
-def plain_name(joint: str) -> str:
-    """A joint's name without the namespace a program put before it (``mixamorig:Hips`` -> ``Hips``)."""
-    return _PREFIX.sub("", joint) or joint
-
-
-def _key(name: str) -> str:
-    """What of a name is compared: not case, nor blanks and points between its parts."""
-    return re.sub(r"[\s._-]+", "", plain_name(name)).casefold()
-
-
-def load_table(path: str | os.PathLike[str]) -> JointTable:
-    """Read a joint table (YAML); MotionError with file and key if it is not one."""
-    data, tree = read_yaml(path, MotionError, "joint table")
-    try:
-        return JointTable.model_validate(data)
-    except ValidationError as reason:
-        raise validation_error(reason, tree, MotionError, path) from None
-
-
-@functools.cache
-def built_in_tables() -> tuple[JointTable, ...]:
-    """The tables that come with the package (config/joint_names)."""
-    return tuple(load_table(path) for path in sorted(resource_path("config/joint_names").glob("*.yaml")))
-
-
-def match_roles(table: JointTable, roles: Mapping[str, int], joint_names: Sequence[str]) -> JointMatch:
-    """The bones' drivers for joints whose roles are known; what has none of its own takes the next best."""
-    parallel, difference = {}, {}
-    ends = {name: number for number, name in enumerate(joint_names)}
-    for bone, (start, end) in table.parallel.items():
-        if start not in roles:
-            continue
-        tip = roles.get(end, ends.get(f"{joint_names[roles[start]]}_end"))
-        if tip is not None:
-            parallel[bone] = (roles[start], tip)
-        else:
-            difference[bone] = roles[start]  # no link to be parallel to: the joint's turn alone
-    for bone, role in table.difference.items():
-        known = next((r for r in (role, *_INSTEAD.get(role, ())) if r in roles), None)
-        if known is not None:
-            difference[bone] = roles[known]
-    bones = (*table.parallel, *table.difference)
-    missing = tuple(bone for bone in bones if bone not in parallel and bone not in difference)
-    match = JointMatch(table.name, parallel, difference, roles, missing)
-    return replace(match, confidence=1 - len(missing) / max(len(bones), 1))

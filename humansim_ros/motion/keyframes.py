@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError
 from humansim_ros.io.files import atomic_path, read_bytes
-from humansim_ros.motion.world_motion import VELOCITY_STEP, JointPoses, central_difference
+from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.types import Array
 
@@ -153,7 +153,7 @@ class Track:
         velocities, and :data:`SPACE_JOINTS` behind them. ``sizes`` must be the same along all axes.
         """
         times, place = self.around(seconds)
-        moving = poses if poses.linear is None else poses.moved(times - seconds)
+        moving = poses if poses.linear is None else poses.extrapolate(times - seconds)
         n = len(times)
         space = np.broadcast_to(np.array([[0.0, 0, 0], [1, 0, 0]]), (n, 2, 3))
         still = np.broadcast_to(np.array([0.0, 0, 0, 1]), (n, 2, 4))

@@ -13,8 +13,9 @@ from itertools import combinations
 
 import numpy as np
 
-from humansim_ros.motion.bvh import Motion
-from humansim_ros.motion.joint_tables import JointMatch, JointTable, match_roles
+from humansim_ros.motion.joint_match import JointMatch, match_roles
+from humansim_ros.motion.joint_tables import JointTable
+from humansim_ros.motion.kinematics import Motion
 from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array
 

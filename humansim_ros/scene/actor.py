@@ -11,19 +11,14 @@ from numpy.typing import NDArray
 from humansim_ros.humans.human import Human
 from humansim_ros.io.files import resolve_relative
 from humansim_ros.motion.contacts import FootContacts
+from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.files import read_motion, split_name
 from humansim_ros.motion.joint_matching import match_motion
+from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
 from humansim_ros.motion.keyframes import SPACE_JOINTS, Track, undo_keyframes
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world_motion import (
-    VELOCITY_STEP,
-    JointPoses,
-    Placement,
-    WorldMotion,
-    central_difference,
-    detect_file_frame,
-)
+from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.render import Body
 from humansim_ros.rotations import matrix_to_quaternion, moved
 from humansim_ros.scene.config import (
@@ -96,7 +91,7 @@ class Actor:
         if table is not None:
             own, there = resolve_relative(scene, table)
             table = str(own) if there and own.is_file() else table
-        match = match_motion(motion, table).with_own(human.skeleton.names, motion.joint_names)
+        match = match_motion(motion, table).with_extra_bones(human.skeleton.names, motion.joint_names)
         world = WorldMotion(
             motion,
             match,
@@ -111,7 +106,7 @@ class Actor:
         )
         retargeter = Retargeter.fit(world, human.skeleton, config.retarget, config.root_scale, config.clamp)
         if config.pin_feet:
-            world = replace(world, clean_up=FootContacts.detect(world, retargeter))
+            world = replace(world, correction=FootContacts.detect(world, retargeter))
         return cls(name, instance, human, world, retargeter, config.offset)
 
     def with_motion(self, config: MotionConfig, scene: Path, motion: Motion | None = None) -> Actor:
@@ -128,7 +123,7 @@ class Actor:
 
     def joint_poses(self, seconds: float) -> JointPoses:
         """The motion's joints at a time since the start of the scene: what the motion player publishes."""
-        poses = self.motion.sample_moving(seconds + self.offset, self.ahead)
+        poses = self.motion.sample_with_velocities(seconds + self.offset, self.ahead)
         return poses if self.keyframes is None else self.keyframes.carry(poses, seconds)
 
     def state(self, poses: JointPoses) -> HumanState:
@@ -139,7 +134,7 @@ class Actor:
             linear = angular = None
         else:
             (before, joints, after), (_, size, _) = self._joints(
-                poses.moved([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
+                poses.extrapolate([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
             )
             linear, angular = central_difference(
                 before[:, :3, 3],

@@ -17,7 +17,7 @@ from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.files import resolve_relative
-from humansim_ros.motion.world_motion import VELOCITY_STEP, Velocity
+from humansim_ros.motion.joint_poses import VELOCITY_STEP, Velocity
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.backdrops import load_backdrop
@@ -119,7 +119,7 @@ class SceneCamera:
         beside = [self.path.pose(early), self.path.pose(late)]
         positions = np.array([-r.T @ t for r, t in beside])
         rotations = matrix_to_quaternion(np.array([r.T for r, _ in beside]))
-        velocity = Velocity.between(positions, rotations, late - early).paced(self.speed)
+        velocity = Velocity.between(positions, rotations, late - early).scaled(self.speed)
         return CameraPose(*self.path.pose(time), velocity)
 
     def at(self, pose: CameraPose) -> Camera:

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.joint_matching import find_match
-from humansim_ros.motion.joint_tables import JointMatch
+from humansim_ros.motion.joint_match import JointMatch
+from humansim_ros.motion.joint_matching import match_names
+from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.joint_rotations import has_rotations
 from humansim_ros.motion.keyframes import SPACE_JOINTS, undo_keyframes
-from humansim_ros.motion.retarget import Retargeter, has_turns
-from humansim_ros.motion.world_motion import JointPoses
+from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.types import Array
@@ -111,7 +112,7 @@ class JointSource:
         if off > _SAME_LENGTH * lengths.sum() + self.slack.sum():
             return False
         if self.retargeter.positions_only:
-            return not has_turns(poses)
+            return not has_rotations(poses)
         return bool((np.linalg.norm(links - self.links, axis=-1) <= _SAME_AXES * lengths + self.slack).all())
 
 
@@ -207,7 +208,7 @@ class Follower:
         if self._refused is not None and self._refused[0] == poses.names:
             raise MotionError(self._refused[1])
         try:
-            match = find_match(poses.names, self._table)
+            match = match_names(poses.names, self._table)
         except MotionError as error:
             self._refused = (poses.names, f"{error} (parameter joint_names)")
             raise MotionError(self._refused[1]) from None
@@ -229,7 +230,7 @@ class Follower:
         return source
 
     def _fitted(self, poses: JointPoses, match: JointMatch) -> JointSource:
-        source = JointSource.of_poses(poses, Retargeter.observe(poses, match, self._actor.human.skeleton))
+        source = JointSource.of_poses(poses, Retargeter.fit_live(poses, match, self._actor.human.skeleton))
         if len(poses.positions) >= _LOOKED_AT:
             return source
         # how noisy its joints are is not known yet

@@ -18,8 +18,8 @@ from humansim_ros.errors import HumansimWarning, MotionError, SceneError
 from humansim_ros.io.files import resolve_relative
 from humansim_ros.mesh.load import read_mesh_z_up
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.motion.joint_poses import Velocity
 from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
-from humansim_ros.motion.world_motion import Velocity
 from humansim_ros.render import Body
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig

@@ -13,7 +13,8 @@ import numpy as np
 from pydantic import ValidationError
 
 from humansim_ros.errors import MotionError
-from humansim_ros.motion.world_motion import JointPoses, Velocity, WorldMotion
+from humansim_ros.motion.joint_poses import JointPoses, Velocity
+from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
@@ -212,7 +213,7 @@ class Playback:
         seconds = self.elapsed * 1e-9
         at = 0.0
         if not change.begins:
-            at = float(old.motion.played(seconds + old.offset, old.ahead)[0])
+            at = float(old.motion.file_times(seconds + old.offset, old.ahead)[0])
             at = _in_round(old.motion, at) if change.in_round else at
         ahead = at - actor.motion.speed * (seconds + actor.offset)
         self.actors[change.name] = replace(actor, ahead=ahead)
@@ -241,14 +242,14 @@ def _with(old: MotionConfig, changes: Mapping[str, Any], of_scene: MotionConfig)
 
 def _in_round(motion: WorldMotion, played: float) -> float:
     """Seconds since the start of the round that a motion is in."""
-    length = motion.round_length
+    length = motion.cycle_length
     if motion.loop == "none" or length <= 0:
         return float(np.clip(played, 0.0, length))
     return float(played % length)
 
 
 def _velocity(pose: ObjectPose | CameraPose, pace: float) -> Velocity | None:
-    return None if pose.velocity is None else pose.velocity.paced(pace)
+    return None if pose.velocity is None else pose.velocity.scaled(pace)
 
 
 def _paced(poses: JointPoses, pace: float) -> JointPoses:

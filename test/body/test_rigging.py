@@ -22,9 +22,10 @@ from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.load import read_mesh
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.joint_matching import find_match
+from humansim_ros.motion.file_frame import detect_file_frame
+from humansim_ros.motion.joint_matching import match_names
 from humansim_ros.motion.retarget import Retargeter
-from humansim_ros.motion.world_motion import WorldMotion, detect_file_frame
+from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()
@@ -137,7 +138,7 @@ def walking_error(rule: RigRule) -> Array:
     """Metres between each vertex of the man skinned by a rule and by the artist, (frames, V)."""
     man = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     motion = read_bvh(ROOT / "assets" / "motions" / "walk.bvh")
-    match = find_match(motion.joint_names)
+    match = match_names(motion.joint_names)
     world = WorldMotion(motion, match, detect_file_frame(motion, match), loop="none")
     rotations, root = Retargeter.fit(world, man.skeleton).apply(world.sample(np.linspace(0, 1.9, 5)))
     transforms = man.skeleton.pose(rotations, root) @ man.skeleton.rest_inverse

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_bvh, write_bvh
-from humansim_ros.motion.bvh import CHANNEL_NAMES
+from humansim_ros.motion.kinematics import CHANNEL_NAMES
 from humansim_ros.types import Array
 
 GOOD = """HIERARCHY

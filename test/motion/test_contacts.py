@@ -14,7 +14,8 @@ from scipy.spatial.transform import Rotation
 from test_retarget import MATCHED, SKELETON, in_world, read
 
 from humansim_ros.motion.contacts import FootContacts, find_stances, slides, two_bone
-from humansim_ros.motion.retarget import Retargeter, sole_heights, sole_points
+from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.soles import sole_heights, sole_points
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.types import Array
 
@@ -26,7 +27,7 @@ point = st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array)
 
 def pinned(world: WorldMotion) -> tuple[WorldMotion, Retargeter]:
     retargeter = Retargeter.fit(world, SKELETON)
-    return replace(world, clean_up=FootContacts.detect(world, retargeter)), retargeter
+    return replace(world, correction=FootContacts.detect(world, retargeter)), retargeter
 
 
 @pytest.mark.slow
@@ -94,7 +95,7 @@ def test_what_is_pinned_does_not_depend_on_what_was_asked_before() -> None:
 
 def test_velocities_are_those_of_the_pinned_joints() -> None:
     clean, _ = pinned(in_world(read("walk"), "continue"))
-    poses = clean.sample_moving(0.63)
+    poses = clean.sample_with_velocities(0.63)
     around = clean.sample(0.63 + np.linspace(-1e-3, 1e-3, 21)).positions.reshape(21, -1)
     slope = np.polyfit(np.linspace(-1e-3, 1e-3, 21), around, 1)[0].reshape(-1, 3)
     assert poses.linear is not None

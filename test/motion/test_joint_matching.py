@@ -11,8 +11,8 @@ import yaml
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import MotionError
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.joint_matching import find_match, match_table
-from humansim_ros.motion.joint_tables import JointTable, built_in_tables, load_table, other_side, plain_name
+from humansim_ros.motion.joint_matching import match_names, match_table
+from humansim_ros.motion.joint_tables import JointTable, built_in_tables, load_table, plain_name, right_name
 
 LIMBS = ("l_hip", "l_knee", "l_shoulder", "l_elbow", "r_hip", "r_knee", "r_shoulder", "r_elbow")
 
@@ -54,7 +54,7 @@ def test_every_built_in_table_says_something_of_every_bone() -> None:
 @pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
 def test_real_motions_find_their_table(shared_data: Path, stem: str, expected: str) -> None:
     motion = read_bvh(shared_data / "bvh" / f"{stem}.bvh")
-    match = find_match(motion.joint_names)
+    match = match_names(motion.joint_names)
     assert match.table == expected
     assert match.complete
     assert match.missing == ()
@@ -67,7 +67,7 @@ def test_limbs_run_from_parent_to_child_in_every_matched_file(shared_data: Path)
     for path in sorted((shared_data / "bvh").glob("*.bvh")):
         try:
             motion = read_bvh(path)
-            match = find_match(motion.joint_names)
+            match = match_names(motion.joint_names)
         except MotionError:
             continue
         matched += 1
@@ -114,7 +114,7 @@ def test_an_end_role_is_the_end_site_of_whatever_joint_has_the_role() -> None:
 def test_no_fitting_table_is_said_with_what_is_lacking() -> None:
     names = ["Hips", "Chest", "Neck", "LeftHip", "LeftKnee", "LeftAnkle", "tail1", "tail2"]
     with pytest.raises(MotionError) as caught:
-        find_match(names, path="cat.bvh")
+        match_names(names, path="cat.bvh")
     message = str(caught.value)
     assert message.startswith("cat.bvh: ")
     assert "no joint table fits" in message
@@ -126,20 +126,20 @@ def test_no_fitting_table_is_said_with_what_is_lacking() -> None:
 def test_a_named_table_is_used_even_if_another_fits_better() -> None:
     names = [names[0] for names in table("biovision").joints.values()]
     with pytest.raises(MotionError, match="'cmu'"):
-        find_match(names, "cmu")
-    assert find_match(names).table == "biovision"
+        match_names(names, "cmu")
+    assert match_names(names).table == "biovision"
 
 
 def test_a_users_table_is_read_from_a_file(tmp_path: Path) -> None:
     joints = {role: [f"my{role}"] for role in table("biovision").joints}
-    match = find_match([f"my{role}" for role in joints], edited(tmp_path, joints=joints))
+    match = match_names([f"my{role}" for role in joints], edited(tmp_path, joints=joints))
     assert match.table == "mine"
     assert match.complete
 
 
 def test_an_unknown_table_is_answered_with_the_known_ones() -> None:
     with pytest.raises(MotionError, match=r"no joint table 'vicon'.*biovision.*cmu.*mixamo"):
-        find_match(["Hips"], "vicon")
+        match_names(["Hips"], "vicon")
 
 
 @pytest.mark.parametrize(
@@ -223,17 +223,17 @@ def skeleton_of(family: str) -> tuple[list[str], np.ndarray]:
     """Names and parents (J,), both sides."""
     names, parents = [], []
     words = FAMILIES[family].split()
-    for word in words + [w for w in words if other_side(w.split("<")[0])]:
+    for word in words + [w for w in words if right_name(w.split("<")[0])]:
         name, _, parent = word.partition("<")
         if name in names:  # its right side
-            name = other_side(name)
-            before = next(n for n in words if other_side(n.split("<")[0]) == name).partition("<")[2]
-            parent = other_side(before) or before if before else ""
+            name = right_name(name)
+            before = next(n for n in words if right_name(n.split("<")[0]) == name).partition("<")[2]
+            parent = right_name(before) or before if before else ""
             if not parent:
                 left = parents[
-                    names.index(next(n.split("<")[0] for n in words if other_side(n.split("<")[0]) == name))
+                    names.index(next(n.split("<")[0] for n in words if right_name(n.split("<")[0]) == name))
                 ]
-                parent = other_side(names[left]) or names[left]
+                parent = right_name(names[left]) or names[left]
         names.append(name)
         parents.append(names.index(parent) if parent else len(names) - 2)
     return names, np.array(parents)
@@ -243,7 +243,7 @@ def skeleton_of(family: str) -> tuple[list[str], np.ndarray]:
 def test_every_family_is_known_by_its_names_and_kinship(family: str) -> None:
     names, parents = skeleton_of(family)
     for kin in (parents, None):
-        match = find_match(names, parents=kin)
+        match = match_names(names, parents=kin)
         assert match.complete
         if family != "100style":  # as Xsens, whose suit it was
             assert match.table == family.split()[0]
@@ -253,7 +253,7 @@ def test_every_family_is_known_by_its_names_and_kinship(family: str) -> None:
         for bone, (start, end) in match.parallel.items():
             twin = {"l": "r", "r": "l"}[bone[0]] + bone[1:] if bone[1] == "_" else None
             if twin is not None and bone[0] == "l":
-                pair = tuple(names.index(other_side(names[j]) or "") for j in (start, end))
+                pair = tuple(names.index(right_name(names[j]) or "") for j in (start, end))
                 assert match.parallel[twin] == pair
 
 
@@ -263,9 +263,9 @@ def test_joints_of_right_names_in_wrong_places_are_not_taken() -> None:
     names = ["Hips", "Chest", "Neck", "Head"]
     names += [f"{side}{part}" for limb in limbs for side in ("Left", "Right") for part in limb]
     right = np.array([-1, 0, 1, 2, 1, 4, 5, 1, 7, 8, 0, 10, 11, 0, 13, 14])
-    assert find_match(names, parents=right).complete
+    assert match_names(names, parents=right).complete
     wrong = right.copy()
     wrong[names.index("LeftElbow")] = names.index("RightShoulder")
     with pytest.raises(MotionError, match=r"l_elbow|l_shoulder"):
-        find_match(names, parents=wrong)
-    assert find_match(names).complete  # names alone cannot know
+        match_names(names, parents=wrong)
+    assert match_names(names).complete  # names alone cannot know

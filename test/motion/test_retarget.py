@@ -16,16 +16,11 @@ from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.humans.loading import load_human
 from humansim_ros.motion import Motion, read_bvh
-from humansim_ros.motion.joint_matching import find_match
-from humansim_ros.motion.retarget import Mode, Retargeter
-from humansim_ros.motion.world_motion import (
-    FileFrame,
-    JointPoses,
-    Loop,
-    Placement,
-    WorldMotion,
-    detect_file_frame,
-)
+from humansim_ros.motion.file_frame import FileFrame, detect_file_frame
+from humansim_ros.motion.joint_matching import match_names
+from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.retarget import Retargeter, RetargetMode
+from humansim_ros.motion.world_motion import MotionLoop, Placement, WorldMotion
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
@@ -58,8 +53,8 @@ def read(stem: str) -> Motion:
         return read_bvh(WALK if stem == "walk" else SHARED_DATA / "bvh" / f"{stem}.bvh")
 
 
-def in_world(motion: Motion, loop: Loop = "none", placement: Placement | None = None) -> WorldMotion:
-    match = find_match(motion.joint_names)
+def in_world(motion: Motion, loop: MotionLoop = "none", placement: Placement | None = None) -> WorldMotion:
+    match = match_names(motion.joint_names)
     return WorldMotion(motion, match, detect_file_frame(motion, match), placement or Placement(), loop)
 
 
@@ -151,7 +146,7 @@ def test_a_giant_in_no_known_unit_is_taken_for_a_person() -> None:
 
 def test_a_unit_that_is_said_is_not_guessed() -> None:
     motion = read("walk")
-    frame = detect_file_frame(motion, find_match(motion.joint_names), unit=0.02)
+    frame = detect_file_frame(motion, match_names(motion.joint_names), unit=0.02)
     assert frame.unit == 0.02
     assert frame.stature == pytest.approx(2 * in_world(motion).frame.stature)
 
@@ -230,7 +225,10 @@ def test_a_rest_pose_that_lies_down_is_stood_up_by_the_data() -> None:
         theirs[:, None] - theirs, axis=-1
     )
     assert np.abs(between).max() < 1e-6
-    hip = (find_match(motion.joint_names).roles["LeftHip"], find_match(motion.joint_names).roles["RightHip"])
+    hip = (
+        match_names(motion.joint_names).roles["LeftHip"],
+        match_names(motion.joint_names).roles["RightHip"],
+    )
     start = lying.sample(0.0).positions[0]
     assert unit_vectors(start[hip[0]] - start[hip[1]])[1] > 0.9
 
@@ -274,7 +272,7 @@ def test_between_frames_a_turn_goes_on_evenly_and_positions_straight() -> None:
     assert half == pytest.approx(other, abs=1e-9)
 
 
-def spinning(rate: float, speed: float, loop: Loop) -> WorldMotion:
+def spinning(rate: float, speed: float, loop: MotionLoop) -> WorldMotion:
     """A person that turns about the vertical at ``rate`` rad/s and glides at ``speed`` m/s, 2 s at 30 Hz."""
     walk = read("walk")
     frames = np.arange(61)
@@ -289,14 +287,14 @@ def spinning(rate: float, speed: float, loop: Loop) -> WorldMotion:
 
 
 @pytest.mark.parametrize("loop", ["none", "repeat", "continue"])
-def test_velocities_of_a_steady_turn_are_those_of_mechanics(loop: Loop) -> None:
+def test_velocities_of_a_steady_turn_are_those_of_mechanics(loop: MotionLoop) -> None:
     """v = v_root + omega x r, also at the first and last instant."""
     rate, speed = 0.9, 1.4
     world = spinning(rate, speed, loop)
     # the next round of `continue` glides in another direction
     ends = () if loop == "continue" else (0.0, 2.0 - 1e-7)
     for time in (0.5, 0.777, *ends):
-        poses = world.sample_moving(time)
+        poses = world.sample_with_velocities(time)
         assert poses.linear is not None
         assert poses.angular is not None
         arm = poses.positions[0] - poses.positions[0, :1]
@@ -306,13 +304,13 @@ def test_velocities_of_a_steady_turn_are_those_of_mechanics(loop: Loop) -> None:
 
 
 @pytest.mark.parametrize("loop", ["none", "repeat"])
-def test_velocities_do_not_see_the_jump_back_to_the_start(loop: Loop) -> None:
+def test_velocities_do_not_see_the_jump_back_to_the_start(loop: MotionLoop) -> None:
     world = in_world(read("walk"), loop)
     duration = world.motion.duration
     fastest = np.abs(np.diff(world.motion.world_positions(), axis=0)).max() * world.frame.unit
     fastest *= np.sqrt(3) / world.motion.frame_time
     times = [0.0, 0.0005, duration - 0.0005, duration - 1e-6, duration, duration + 0.0005, 3 * duration]
-    poses = world.sample_moving(times)
+    poses = world.sample_with_velocities(times)
     assert poses.linear is not None
     assert np.linalg.norm(poses.linear, axis=-1).max() < 1.01 * fastest
 
@@ -324,14 +322,14 @@ def test_velocities_are_the_slope_of_the_positions() -> None:
         span = np.linspace(-1e-3, 1e-3, 41)
         positions = world.sample(time + span).positions.reshape(41, -1)
         slope = np.polyfit(span, positions, 1)[0].reshape(-1, 3)
-        poses = world.sample_moving(time)
+        poses = world.sample_with_velocities(time)
         assert poses.linear is not None
         np.testing.assert_allclose(poses.linear[0], slope, atol=0.02)
 
 
 def test_a_motion_that_ends_stands_still() -> None:
     world = in_world(read("walk"), "none")
-    poses = world.sample_moving([100.0])
+    poses = world.sample_with_velocities([100.0])
     assert poses.linear is not None
     np.testing.assert_array_equal(poses.linear, 0)
     last = at_frames(world, np.array([world.motion.n_frames - 1]))
@@ -370,7 +368,7 @@ def test_the_walk_closes_its_circle_after_four_rounds() -> None:
 def test_one_frame_is_a_pose_that_stays(tmp_path: Path) -> None:
     motion = replace(read("walk"), values=read("walk").values[:1])
     for loop in ("none", "repeat", "continue"):
-        poses = in_world(motion, loop).sample_moving([0.0, 3.7])
+        poses = in_world(motion, loop).sample_with_velocities([0.0, 3.7])
         assert poses.linear is not None
         np.testing.assert_array_equal(poses.positions[0], poses.positions[1])
         np.testing.assert_array_equal(poses.linear, 0)
@@ -380,7 +378,7 @@ def test_one_frame_is_a_pose_that_stays(tmp_path: Path) -> None:
 
 
 def retargeted(
-    stem: str, count: int = 12, mode: Mode = "full"
+    stem: str, count: int = 12, mode: RetargetMode = "full"
 ) -> tuple[Motion, Retargeter, Array, FileFrame, Array, Array]:
     """Motion, retargeter, frames, file frame, bone rotations (N, B, 4), posed world frames (N, B, 4, 4)."""
     motion = read(stem)
@@ -393,7 +391,7 @@ def retargeted(
 
 @pytest.mark.parametrize("mode", ["full", "thesis"])
 @real_and_ours
-def test_bones_are_parallel_to_their_joint_links(stem: str, mode: Mode) -> None:
+def test_bones_are_parallel_to_their_joint_links(stem: str, mode: RetargetMode) -> None:
     motion, retargeter, frames, frame, _, posed = retargeted(stem, mode=mode)
     positions = motion.world_positions(frames)
     for bone, (start, end) in retargeter.match.parallel.items():
@@ -525,7 +523,7 @@ def test_a_person_twice_as_tall_covers_the_same_ground_on_our_skeleton() -> None
     motion = read("walk")
     placement = Placement(anchor="start")
     big = scaled(motion, 2.0)
-    match = find_match(motion.joint_names)
+    match = match_names(motion.joint_names)
     worlds = [
         WorldMotion(m, match, detect_file_frame(m, match, 0.01), placement, "none") for m in (motion, big)
     ]
@@ -566,7 +564,7 @@ def test_ground_covered_is_scaled_by_ankle_to_head_height(stem: str) -> None:
 
 def test_a_link_without_length_leaves_its_bone_where_the_parent_carries_it() -> None:
     motion = read("walk")
-    match = find_match(motion.joint_names)
+    match = match_names(motion.joint_names)
     start, end = match.parallel["l_elbow"]
     world = in_world(motion)
     poses = world.sample(0.2)
@@ -580,7 +578,7 @@ def test_a_skeleton_without_height_is_refused() -> None:
     motion = read("walk")
     flat = replace(motion, offsets=motion.offsets * 0, path="flat.bvh")
     with pytest.raises(MotionError, match=r"flat\.bvh"):
-        detect_file_frame(flat, find_match(flat.joint_names))
+        detect_file_frame(flat, match_names(flat.joint_names))
 
 
 @pytest.mark.parametrize(
@@ -588,4 +586,4 @@ def test_a_skeleton_without_height_is_refused() -> None:
 )
 def test_a_motion_of_no_person_is_refused(stem: str) -> None:
     with pytest.raises(MotionError, match=f"{stem}.*no joint table fits"):
-        find_match(read(stem).joint_names, path=f"{stem}.bvh")
+        match_names(read(stem).joint_names, path=f"{stem}.bvh")

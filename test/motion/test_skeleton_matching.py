@@ -12,7 +12,8 @@ from conftest import ROOT, SHARED_DATA, needs_shared_data
 
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_bvh
-from humansim_ros.motion.joint_matching import match_motion, write_table
+from humansim_ros.motion.joint_match import write_table
+from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_tables import load_table
 from humansim_ros.motion.skeleton_matching import match_shape
 

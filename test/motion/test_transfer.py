@@ -28,16 +28,13 @@ from test_retarget import (
 
 from humansim_ros.errors import MotionError
 from humansim_ros.motion import Motion
+from humansim_ros.motion.file_frame import detect_file_frame
+from humansim_ros.motion.joint_match import opposite_joints
 from humansim_ros.motion.joint_matching import match_motion
+from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.motion.limits import load_limits
-from humansim_ros.motion.retarget import Mode, Retargeter
-from humansim_ros.motion.world_motion import (
-    JointPoses,
-    Placement,
-    WorldMotion,
-    detect_file_frame,
-    opposite_joints,
-)
+from humansim_ros.motion.retarget import Retargeter, RetargetMode
+from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
@@ -166,8 +163,8 @@ def test_start_end_and_speed_play_that_part_of_the_file() -> None:
     assert part.duration == pytest.approx(0.375)
     for frame in (0.5, 6.5, 40.5):  # amid frames, where positions go straight
         time = frame / 120
-        expected = plain.sample_moving(0.5 + 2 * time)
-        got = part.sample_moving(time)
+        expected = plain.sample_with_velocities(0.5 + 2 * time)
+        got = part.sample_with_velocities(time)
         # the floor is found in what plays
         np.testing.assert_allclose(got.positions[..., :2], expected.positions[..., :2], atol=1e-9)
         assert got.linear is not None and expected.linear is not None
@@ -179,7 +176,7 @@ def test_start_end_and_speed_play_that_part_of_the_file() -> None:
 
 
 def test_a_motion_that_stands_still_at_speed_zero() -> None:
-    still = replace(in_world(read("walk"), "repeat"), speed=0.0).sample_moving([0.0, 5.0])
+    still = replace(in_world(read("walk"), "repeat"), speed=0.0).sample_with_velocities([0.0, 5.0])
     assert still.linear is not None
     np.testing.assert_array_equal(still.positions[0], still.positions[1])
     np.testing.assert_array_equal(still.linear, 0)
@@ -191,7 +188,7 @@ def test_blended_rounds_have_no_jump(loop: Any) -> None:
     motion = read("walk")
     cut = replace(in_world(motion, loop), start=0.1, end=1.37)
     smooth = replace(cut, blend=0.3)
-    assert smooth.round_length == pytest.approx(cut.round_length - 0.3)
+    assert smooth.cycle_length == pytest.approx(cut.cycle_length - 0.3)
 
     def largest_step(world: WorldMotion) -> float:
         around = world.duration * np.array([1, 2])[:, None] + np.array([-1e-6, 1e-6])
@@ -203,7 +200,7 @@ def test_blended_rounds_have_no_jump(loop: Any) -> None:
     # after the fade, and in the whole first round, it is the file's own pose
     for time in (0.05, 0.31, 0.9):
         np.testing.assert_allclose(smooth.sample(time).positions, cut.sample(time).positions, atol=1e-9)
-    speeds = smooth.sample_moving(np.linspace(0, 3, 301)).linear
+    speeds = smooth.sample_with_velocities(np.linspace(0, 3, 301)).linear
     assert speeds is not None
     if loop == "continue":
         assert np.linalg.norm(speeds, axis=-1).max() < 9
@@ -247,7 +244,10 @@ def test_a_mirrored_motion_is_the_reflection_with_the_sides_changed(loop: Any) -
     world = in_world(read("walk"), loop, placement)
     order = [world.names.index(swapped(name)) for name in world.names]
     times = [0.0, 0.33, 1.9, 4.2]
-    plain, mirrored = world.sample_moving(times), replace(world, mirror=True).sample_moving(times)
+    plain, mirrored = (
+        world.sample_with_velocities(times),
+        replace(world, mirror=True).sample_with_velocities(times),
+    )
     ahead = Rotation.from_euler("z", 0.7).as_matrix()
     plane = ahead @ np.diag([1.0, -1, 1]) @ ahead.T
     expected = (plain.positions[:, order] - [1, -2, 0]) @ plane + [1, -2, 0]
@@ -348,7 +348,7 @@ def test_a_live_source_is_fitted_by_its_first_pose(stem: str) -> None:
     poses = at_frames(world, frames)
     first = at_frames(world, frames[:1])
     known = Retargeter.fit(world, SKELETON, root_scale="legs")
-    live = Retargeter.observe(first, known.match, SKELETON)
+    live = Retargeter.fit_live(first, known.match, SKELETON)
     ours, theirs = live.pose(poses), known.pose(poses)
     assert live.scale == pytest.approx(known.scale, rel=0.02)
     assert angle_between(ours[..., :3, :3], theirs[..., :3, :3]).max() < 2.0
@@ -367,7 +367,7 @@ def test_a_source_of_any_convention_has_its_limbs_parallel(stem: str, kind: str)
     else:
         poses = without_turns(poses, 1.0 if kind == "identity" else 0.0)
     first = JointPoses(poses.names, poses.positions[:1], poses.rotations[:1])
-    live = Retargeter.observe(first, world.match, SKELETON)
+    live = Retargeter.fit_live(first, world.match, SKELETON)
     assert live.positions_only == (kind != "own axes")
     posed = live.pose(poses)
     for bone in LIMBS:
@@ -386,7 +386,7 @@ def test_joints_at_one_place_are_refused() -> None:
     world = in_world(read("walk"))
     poses = world.sample(0.0)
     with pytest.raises(MotionError, match="legs have no length"):
-        Retargeter.observe(replace(poses, positions=poses.positions * 0), world.match, SKELETON)
+        Retargeter.fit_live(replace(poses, positions=poses.positions * 0), world.match, SKELETON)
 
 
 def test_clamped_bones_stay_within_their_limits() -> None:
@@ -402,7 +402,7 @@ def test_clamped_bones_stay_within_their_limits() -> None:
 
 
 @pytest.mark.parametrize("mode", ["full", "thesis"])
-def test_the_constants_survive_json(mode: Mode) -> None:
+def test_the_constants_survive_json(mode: RetargetMode) -> None:
     world = in_world(read("walk"))
     retargeter = Retargeter.fit(world, SKELETON, mode)
     again = Retargeter.from_dict(json.loads(json.dumps(retargeter.to_dict())), SKELETON)
@@ -415,7 +415,7 @@ def test_the_constants_survive_json(mode: Mode) -> None:
 )
 def test_broken_constants_are_refused(broken: dict[str, Any]) -> None:
     data = Retargeter.fit(in_world(read("walk")), SKELETON).to_dict()
-    with pytest.raises(MotionError, match="no constants"):
+    with pytest.raises(MotionError, match="not the constants of a retargeter"):
         Retargeter.from_dict({**data, **broken}, SKELETON)
-    with pytest.raises(MotionError, match="no constants"):
+    with pytest.raises(MotionError, match="not the constants of a retargeter"):
         Retargeter.from_dict({}, SKELETON)

@@ -16,7 +16,7 @@ from ros_support import Client, write_scene
 
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.world_motion import JointPoses
+from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.ros import messages
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode

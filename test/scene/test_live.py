@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimError, MotionError, RosError
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.world_motion import JointPoses
+from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.ros import messages
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import Actor

@@ -13,7 +13,8 @@ from humansim_ros.motion.contacts import find_stances, slides
 from humansim_ros.motion.info import world_of
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import fit_capsules, report_penetration
-from humansim_ros.motion.retarget import Retargeter, sole_heights
+from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.soles import sole_heights
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -24,9 +24,11 @@ from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimError
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.contacts import FootContacts, find_stances, slides
+from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
-from humansim_ros.motion.retarget import Mode, Retargeter, sole_heights
-from humansim_ros.motion.world_motion import WorldMotion, detect_file_frame
+from humansim_ros.motion.retarget import Retargeter, RetargetMode
+from humansim_ros.motion.soles import sole_heights
+from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
@@ -57,13 +59,13 @@ def row(path: Path) -> list[str]:
     world = WorldMotion(motion, match, detect_file_frame(motion, match), loop="none")
     times = world.frame_times[:3000]
     poses = world.sample(times)
-    retargeters: dict[Mode, Retargeter] = {
+    retargeters: dict[RetargetMode, Retargeter] = {
         mode: Retargeter.fit(world, SKELETON, mode) for mode in ("thesis", "full")
     }
     full = retargeters["full"]
     posed = {mode: retargeter.pose(poses) for mode, retargeter in retargeters.items()}
     stances = find_stances(SKELETON, posed["full"], times)
-    pinned = full.pose(replace(world, clean_up=FootContacts.detect(world, full)).sample(times))
+    pinned = full.pose(replace(world, correction=FootContacts.detect(world, full)).sample(times))
     before, after = (slides(SKELETON, p, stances) * 1e3 for p in (posed["full"], pinned))
     lowest = np.percentile(sole_heights(SKELETON, posed["full"]).min(-1) * 1e3, [1, 50])
     top = posed["full"][:, SKELETON.bone("vt3")]

@@ -168,7 +168,7 @@ def poses(human: Human) -> Array:
     found = []
     for path in sorted((ROOT / "assets" / "motions").glob("*.bvh")):
         world = world_of(read_motion(path))
-        times = np.linspace(0, world.round_length, FRAMES, endpoint=False)
+        times = np.linspace(0, world.cycle_length, FRAMES, endpoint=False)
         rotations, root = Retargeter.fit(world, human.skeleton).apply(world.sample(times))
         found.append(human.skeleton.pose(rotations, root) @ human.skeleton.rest_inverse)
     return np.concatenate(found)

@@ -90,7 +90,7 @@ def velocity_errors(actor: Actor, seconds: float) -> tuple[np.ndarray, np.ndarra
     move meanwhile, at sixty instants of a motion.
     """
     errors, ways = [], []
-    for time in np.linspace(0.1, min(actor.motion.round_length, 6.0) - 0.1, 60):
+    for time in np.linspace(0.1, min(actor.motion.cycle_length, 6.0) - 0.1, 60):
         now = actor.at(time)
         assert now.linear is not None and now.angular is not None
         for step in (-seconds, seconds):

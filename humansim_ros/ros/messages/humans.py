@@ -15,7 +15,7 @@ from visualization_msgs.msg import Marker, MarkerArray
 from humansim_ros.errors import RosError
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.motion.world_motion import JointPoses
+from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.ros.messages.headers import MAX_COORDINATE, WORLD_FRAME, header
 from humansim_ros.ros.messages.points import point_cloud
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix

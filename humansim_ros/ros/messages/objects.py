@@ -10,7 +10,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import RosError
-from humansim_ros.motion.world_motion import Velocity
+from humansim_ros.motion.joint_poses import Velocity
 from humansim_ros.ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 

@@ -1,0 +1,217 @@
+"""Coordinate frame of a motion file: up axis, facing and unit, detected from skeleton and data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import MotionError
+from humansim_ros.motion.joint_match import JointMatch
+from humansim_ros.motion.kinematics import Motion
+from humansim_ros.rotations import WORLD_FROM_BODY
+from humansim_ros.types import Array
+
+#: Metres per file unit of the units that motion files use ("cmu" is 1/0.45 inch).
+UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001, "inch": 0.0254, "foot": 0.3048, "cmu": 0.0254 / 0.45}
+#: Height of the ankle, which no joint link measures, as a share of the ankle-to-head height.
+_ANKLE_SHARE = 0.06
+_PLAUSIBLE_STATURE = (1.2, 2.1)
+_TYPICAL_STATURE = 1.7
+#: Stature in metres between which the unit that a file format defines is accepted.
+_ACCEPTED_STATURE = (0.4, 2.6)
+#: A person stands in a pose if ankles and head are at least this share of the length of the links apart.
+_STANDING_SHARE = 0.7
+#: Poses count as equally straight from this share of the straightest pose's extent.
+_STRAIGHT_SHARE = 0.97
+
+
+@dataclass(frozen=True)
+class FileFrame:
+    """Coordinate frame of a motion file in the world, from :func:`detect_file_frame`.
+
+    ``up``: file axis that points up: ``x``, ``y``, ``z``, or ``-y`` where y points down. ``unit``: metres per
+    file unit. ``unit_name``: its name, or ``unknown`` where no known unit gives the height of a person and
+    1.7 m is assumed. ``world_from_file``: (3, 3) rotation that puts the facing of the rest pose on +x.
+    ``rest_from_body``: body axes in the rest pose of the file, (3, 3); or in the axes of each joint, (J, 3,
+    3), where the OFFSETs are not a standing person and the straightest frame is the rest pose.
+    ``ankle_to_head``: height in file units.
+    """
+
+    up: str
+    unit: float
+    unit_name: str
+    world_from_file: Array
+    rest_from_body: Array
+    ankle_to_head: float
+
+    @property
+    def facing(self) -> str:
+        """File axis nearest to the direction that the person faces at rest."""
+        return axis_name(self.world_from_file[0])
+
+    @property
+    def offsets_stand(self) -> bool:
+        """Whether the OFFSETs themselves are a standing person, and so the rest pose."""
+        return self.rest_from_body.ndim == 2
+
+    @property
+    def stature(self) -> float:
+        """Estimated height of the recorded person, metres."""
+        return self.ankle_to_head * (1 + _ANKLE_SHARE) * self.unit
+
+
+def detect_file_frame(
+    motion: Motion,
+    match: JointMatch,
+    unit: float | None = None,
+    up: str | None = None,
+    facing: str | None = None,
+) -> FileFrame:
+    """Detect up axis, facing and unit of a motion.
+
+    Up is the file axis on which the head is above the ankles. Facing is the direction in front of hips and
+    shoulders at rest. The unit is the known one with which the stature is nearest to 1.7 m.
+
+    Args:
+        motion: Motion of a person.
+        match: Joints of the motion that drive bones.
+        unit: Metres per file unit, where known.
+        up: File axis that points up (``y``, ``-z``), where known.
+        facing: File axis that the person faces at rest, where known.
+
+    Raises:
+        MotionError: The skeleton has no height, or its hips are at one place.
+    """
+    roles = match.roles
+    rest = motion.rest_positions()
+    transforms = motion.world_transforms(np.unique(np.linspace(0, motion.n_frames - 1, 120).astype(int)))
+    frames = transforms[..., :3, 3]
+    head = roles.get("Head", roles.get("Neck", roles["Hips"]))
+    ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
+
+    detected_up = _nearest_axis((frames[:, head] - frames[:, ankles].mean(1)).mean(0))
+    up_axis = detected_up if up is None else axis_vector(up)
+    height = ankle_to_head(rest, motion.parents, match)
+    if height <= 0:
+        raise MotionError("the skeleton has no height: all its OFFSETs are zero", path=motion.path)
+    extent = rest[head] - rest[ankles].mean(0)
+    if np.linalg.norm(extent) > _STANDING_SHARE * height:
+        rest_up = _nearest_axis(extent)
+        if (rest_up == detected_up).all():
+            rest_axes = axes = _body_axes(rest, roles, up_axis, motion, facing)
+        else:
+            # the rest pose lies in file space and the root raises it: facing is that of the first frame
+            rest_axes = _body_axes(rest, roles, rest_up, motion)
+            axes = _body_axes(frames[0], roles, up_axis, motion, facing)
+    else:
+        # The OFFSETs are not a standing person (all bones along one axis, say). The straightest frame is the
+        # rest pose; of frames that are nearly as straight, the one with the feet flattest on the floor.
+        straight = np.linalg.norm(frames[:, head] - frames[:, ankles].mean(1), axis=-1)
+        tiptoe = (frames[:, ankles] @ up_axis).sum(1) - 2 * (frames @ up_axis).min(1)
+        straightest = int(np.argmin(np.where(straight > _STRAIGHT_SHARE * straight.max(), tiptoe, np.inf)))
+        axes = _body_axes(frames[straightest], roles, up_axis, motion, facing)
+        rest_axes = np.swapaxes(transforms[straightest, :, :3, :3], -1, -2) @ axes
+    stature = height * (1 + _ANKLE_SHARE)
+    low, high = _ACCEPTED_STATURE
+    if unit is None and motion.unit is not None and low <= stature * motion.unit <= high:
+        unit_name, unit = "as the format has it", motion.unit
+    elif unit is None:
+        unit_name, unit = _guess_unit(stature)
+    else:
+        unit_name = "given"
+    return FileFrame(
+        up=axis_name(axes[:, 1]),
+        unit=unit,
+        unit_name=unit_name,
+        world_from_file=WORLD_FROM_BODY @ axes.T,
+        rest_from_body=rest_axes,
+        ankle_to_head=height,
+    )
+
+
+def axis_vector(name: str) -> Array:
+    """Unit vector (3,) of an axis: ``x``, ``y``, ``z``, ``+y``, ``-z``."""
+    plain = name.strip().lower().removeprefix("+")
+    axis = plain.removeprefix("-")
+    if axis not in ("x", "y", "z") or len(plain) > 2:
+        raise MotionError(f"{name!r} is not an axis: give x, y, z, -x, -y or -z")
+    return np.eye(3)["xyz".index(axis)] * (-1.0 if plain.startswith("-") else 1.0)
+
+
+def axis_name(direction: Array) -> str:
+    """Name of the axis nearest to a direction (3,), such as ``-z``."""
+    axis = int(np.argmax(np.abs(direction)))
+    return ("-" if direction[axis] < 0 else "") + "xyz"[axis]
+
+
+def ankle_to_head(positions: Array, parents: Sequence[int] | NDArray[np.intp], match: JointMatch) -> float:
+    """Ankle-to-head height of a skeleton [thesis §7.2], along its links: the same in any pose (J, 3)."""
+    roles = match.roles
+
+    def length(a: int, b: int) -> float:
+        return float(np.linalg.norm(positions[a] - positions[b]))
+
+    legs = [
+        length(roles[f"{side}Hip"], roles[f"{side}Knee"])
+        + (length(roles[f"{side}Knee"], roles[f"{side}Ankle"]) if f"{side}Ankle" in roles else 0.0)
+        for side in ("Left", "Right")
+    ]
+    top = roles.get("Head", roles.get("Neck", roles["Hips"]))
+    head_link = match.parallel.get("vt3")
+    trunk = length(*head_link) if head_link else _longest_link(positions, parents, top)
+    while parents[top] >= 0 and top != roles["Hips"]:
+        trunk += length(top, int(parents[top]))
+        top = int(parents[top])
+    hips = (positions[roles["LeftHip"]] + positions[roles["RightHip"]]) / 2
+    return sum(legs) / 2 + trunk + float(np.linalg.norm(positions[roles["Hips"]] - hips))
+
+
+def _longest_link(positions: Array, parents: Sequence[int] | NDArray[np.intp], joint: int) -> float:
+    """Distance of a joint to its farthest child; 0 without children."""
+    children = np.flatnonzero(np.asarray(parents) == joint)
+    return float(np.linalg.norm(positions[children] - positions[joint], axis=1).max(initial=0.0))
+
+
+def _nearest_axis(direction: Array) -> Array:
+    """Signed unit axis (3,) nearest to a direction (3,)."""
+    axis = int(np.argmax(np.abs(direction)))
+    return np.eye(3)[axis] * np.sign(direction[axis])
+
+
+def _body_axes(
+    positions: Array, roles: Mapping[str, int], up: Array, motion: Motion, facing: str | None = None
+) -> Array:
+    """Body axes (left, up, forward as columns) in file space of a pose (J, 3), snapped to file axes."""
+    if facing is not None:
+        forward = axis_vector(facing)
+        if forward @ up:
+            raise MotionError(f"a person cannot face {facing} where {axis_name(up)} is up", path=motion.path)
+        return np.stack([np.cross(up, forward), up, forward], axis=1)
+    left = sum(
+        positions[roles[f"Left{part}"]] - positions[roles[f"Right{part}"]]
+        for part in ("Hip", "Shoulder")
+        if f"Left{part}" in roles and f"Right{part}" in roles
+    )
+    left = np.asarray(left, dtype=float) * (up == 0)
+    if np.linalg.norm(left) < 1e-9:
+        raise MotionError(
+            "left and right hips are at the same place, so the facing cannot be detected: give it",
+            path=motion.path,
+        )
+    left /= np.linalg.norm(left)
+    axis = _nearest_axis(left)
+    if axis @ left > np.cos(np.radians(25)):
+        left = axis
+    return np.stack([left, up, np.cross(left, up)], axis=1)
+
+
+def _guess_unit(stature: float) -> tuple[str, float]:
+    """Name and metres of the unit that makes a stature in file units most plausible."""
+    low, high = _PLAUSIBLE_STATURE
+    plausible = [(name, unit) for name, unit in UNITS.items() if low <= stature * unit <= high]
+    if not plausible:
+        return "unknown", _TYPICAL_STATURE / stature
+    return min(plausible, key=lambda named: abs(stature * named[1] - _TYPICAL_STATURE))

@@ -7,7 +7,7 @@ from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from humansim_ros.ros.processes import drawing_threads, scene_processes
+from humansim_ros.ros.processes import render_threads, scene_processes
 
 # launch/ and config/ lie side by side, in the checkout as in share/humansim_ros
 DEMO_SCENE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "demo.yaml"
@@ -23,7 +23,7 @@ def scene_nodes(context: LaunchContext) -> list[Node]:
             executable=process.executable,
             # its name and parameters; as `parameters` a camera called off would become a boolean
             arguments=process.ros_arguments,
-            additional_env=drawing_threads(processes),
+            additional_env=render_threads(processes),
             output="screen",
         )
         for process in processes

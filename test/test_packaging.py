@@ -211,10 +211,10 @@ def test_cameras_are_spread_evenly_over_as_many_processes_as_there_are_cores(
     for name in names:
         monkeypatch.delenv(name, raising=False)
     for number, threads in ((1, ("2", "2")), (5, ("0", "1"))):
-        shared = processes.drawing_threads(scene_processes(path, number))
+        shared = processes.render_threads(scene_processes(path, number))
         assert shared == dict(zip(names, threads, strict=True))
     monkeypatch.setenv("LP_NUM_THREADS", "7")
-    assert processes.drawing_threads(scene_processes(path, 5)) == {"OPENCV_FOR_THREADS_NUM": "1"}
+    assert processes.render_threads(scene_processes(path, 5)) == {"OPENCV_FOR_THREADS_NUM": "1"}
 
 
 def test_parameters_reach_a_node_as_strings(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
-"""What a camera node says of its calibration: ``camera_info``, and ``set_camera_info`` to say otherwise.
+"""Published calibration of a camera node: topic ``camera_info`` and service ``set_camera_info``.
 
-A real camera's lens does not change when somebody calibrates it anew: only what its driver says of it does.
-So it is here: pictures and truth are always those of the lens that is rendered.
+The published calibration may differ from the lens, as with a real camera: to calibrate it anew does not
+change its lens. Images and ground truth are always those of the rendered lens.
 """
 
 from __future__ import annotations
@@ -21,9 +21,11 @@ from humansim_ros.ros.messages import camera_info_message, optical_frame, read_c
 from humansim_ros.ros.node import SceneNode
 
 
-def calibration_of(url: str, name: str) -> Camera:
-    """The camera of a calibration file or URL that has one. ``name``: what ${NAME} stands for. Raises
-    CameraError.
+def read_single_camera(url: str, name: str) -> Camera:
+    """Read a calibration file or URL with one camera. ``name``: replaces ``${NAME}``.
+
+    Raises:
+        CameraError: The file has several cameras, or none that can be read.
     """
     path = resolve_url(url, name)
     cameras = read_calibration(path)
@@ -33,37 +35,37 @@ def calibration_of(url: str, name: str) -> Camera:
 
 
 class PublishedCalibration:
-    """What ``<camera>/camera_info`` says, and the service ``<camera>/set_camera_info``.
+    """Content of ``<camera>/camera_info``, and the service ``<camera>/set_camera_info``.
 
-    What the service is given is said from then on, and written where drivers keep it,
-    ``$ROS_HOME/camera_info/<camera>.yaml``; it changes no lens.
+    The service replaces the content and writes it where camera drivers do, to
+    ``$ROS_HOME/camera_info/<camera>.yaml``.
     """
 
     def __init__(self, node: SceneNode, name: str, camera: Camera, region: Region) -> None:
         self._node = node
         self._name = name
-        self._lens = camera
+        self._rendered = camera
         self._region = region
-        self._said = camera
+        self._published = camera
         node.create_service(SetCameraInfo, f"{name}/set_camera_info", self._on_set)
 
     def message(self, stamp: int) -> CameraInfo:
-        """``camera_info`` of a frame."""
-        return camera_info_message(self._said, stamp, optical_frame(self._name), self._region)
+        """Build ``camera_info`` of a frame."""
+        return camera_info_message(self._published, stamp, optical_frame(self._name), self._region)
 
-    def say(self, camera: Camera, source: str | None = None) -> None:
-        """Say something else than the truth. CameraError where it is of another image size."""
-        if camera.size != self._lens.size:
-            (w, h), (width, height) = camera.size, self._lens.size
+    def replace(self, camera: Camera, source: str | None = None) -> None:
+        """Publish another calibration. Raises CameraError naming ``source`` for another image size."""
+        if camera.size != self._rendered.size:
+            (w, h), (width, height) = camera.size, self._rendered.size
             message = f"this calibration is for {w}x{h} pixels, the camera has {width}x{height}"
             raise CameraError(message, path=source)
-        self._said = camera
+        self._published = camera
 
     def _on_set(self, request: Any, response: Any) -> Any:
         info: CameraInfo = request.camera_info
         try:
             camera = read_camera_info(info)
-            self.say(camera)
+            self.replace(camera)
         except HumansimError as error:
             response.success, response.status_message = False, str(error)
             return response
@@ -73,11 +75,11 @@ class PublishedCalibration:
             path.parent.mkdir(parents=True, exist_ok=True)
             write_calibration(path, {self._name: camera})
         except (OSError, HumansimError) as error:
-            response.success, response.status_message = False, f"used, but not kept: {error}"
+            response.success, response.status_message = False, f"published, but not saved: {error}"
             return response
         response.success = True
         response.status_message = (
-            f"camera_info says so from now on, kept in {path}; what is rendered keeps its lens"
+            f"camera_info is replaced and saved to {path}; images are rendered with the same lens as before"
         )
         self._node.get_logger().info(f"{self._name}: {response.status_message}")
         return response

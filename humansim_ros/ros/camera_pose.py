@@ -1,4 +1,4 @@
-"""Where a camera is: at its place in the scene, on a trajectory, or where ``<camera>/pose`` puts it."""
+"""Pose of a camera node: static, from a trajectory, or from topic ``<camera>/pose``."""
 
 from __future__ import annotations
 
@@ -21,66 +21,66 @@ try:
 except ImportError:  # not on PyPI
     TFMessage = None
 
-#: Poses that are remembered: frames are a little older than the newest pose.
-_REMEMBERED = 200
-#: Nanoseconds after its last move that a camera is taken to move on: poses may be rarer than frames.
-_RESTLESS = 1_000_000_000
+#: Received poses that are held: frames are a little older than the newest pose.
+_MAX_POSES = 200
+#: Nanoseconds after its last motion for which a camera counts as moving: poses may be rarer than frames.
+_MOVING_FOR = 1_000_000_000
 
 
 class CameraPosePublisher:
-    """Publishes ``<camera>/extrinsics`` and ``projection``, latched, and tf: once of a camera that nothing
-    moves, with every frame's stamp of others.
+    """Publishes ``<camera>/extrinsics`` and ``projection``, both latched, and tf.
 
-    ``<camera>/pose`` (``map``, the optical frame) moves any camera: between two poses it is interpolated,
-    after the last it stays.
+    A static camera has them once, a moving one with the stamp of every frame. ``<camera>/pose`` (optical
+    frame in ``map``) moves any camera: poses are interpolated, and the camera stays at the last one.
     """
 
     def __init__(self, node: SceneNode, camera: SceneCamera) -> None:
         self._node = node
         self._camera = camera
-        self._poses: deque[tuple[int, CameraPose]] = deque(maxlen=_REMEMBERED)
+        self._poses: deque[tuple[int, CameraPose]] = deque(maxlen=_MAX_POSES)
+        #: Pose before the first of _poses, and pose of the last frame.
         self._start = self._last = CameraPose.of(camera.camera)
-        self._moved = 0
+        self._last_motion = 0
         self._extrinsics = node.create_publisher(TransformStamped, f"{camera.name}/extrinsics", LATCHED)
         self._projection = node.create_publisher(Float64MultiArray, f"{camera.name}/projection", LATCHED)
         self._tf = self._tf_static = None
         if TFMessage is not None:
             self._tf = node.create_publisher(TFMessage, "/tf", DATA)
-        transform = self._say(self._last, node.now())
+        transform = self._publish(self._last, node.now())
         if not camera.moves:
             node.create_subscription(PoseStamped, f"{camera.name}/pose", self._on_pose, NEWEST)
             if TFMessage is not None:
                 self._tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
                 self._tf_static.publish(TFMessage(transforms=[transform]))
 
-    def shot(self, instant: SceneState) -> Exposure:
-        """What there is to be seen of an instant from where the camera is then. Says where that is."""
-        shot = instant.shot(self._camera)
+    def exposure(self, state: SceneState) -> Exposure:
+        """Exposure of the camera at a scene state; publishes the camera's pose at its stamp."""
+        exposure = state.shot(self._camera)
         if self._poses:
-            if self._place(instant.stamp) is not self._last:  # where it stays, it stays the same object
-                self._moved = instant.stamp
-            shot = replace(
-                shot,
-                pose_at=lambda seconds: self._place(instant.stamp + round(1e9 * seconds)),
-                moving=abs(instant.stamp - self._moved) < _RESTLESS,
+            if self._pose_at(state.stamp) is not self._last:  # a resting camera has the same object
+                self._last_motion = state.stamp
+            exposure = replace(
+                exposure,
+                pose_at=lambda seconds: self._pose_at(state.stamp + round(1e9 * seconds)),
+                moving=abs(state.stamp - self._last_motion) < _MOVING_FOR,
             )
-        self._last = shot.pose_at(0.0)
-        if shot.moving or self._poses:
-            # those who ask tf where a camera is at a frame's stamp need one at that stamp
-            transform = self._say(self._last, instant.stamp)
+        self._last = exposure.pose_at(0.0)
+        if exposure.moving or self._poses:
+            # a lookup in tf at the stamp of a frame needs a transform with that stamp
+            transform = self._publish(self._last, state.stamp)
             if self._tf is not None:
                 self._tf.publish(TFMessage(transforms=[transform]))
-        return shot
+        return exposure
 
-    def _place(self, stamp: int) -> CameraPose:
-        """Where ``pose`` puts the camera at a stamp."""
-        before, earlier = self._start, 0
+    def _pose_at(self, stamp: int) -> CameraPose:
+        """Pose at a stamp from the received poses."""
+        earlier_pose, earlier = self._start, 0
         for later, pose in self._poses:
             if later > stamp:
                 span = later - earlier
-                return before.toward(pose, (stamp - earlier) / span) if earlier else before
-            earlier, before = later, pose
-        return before
+                return earlier_pose.toward(pose, (stamp - earlier) / span) if earlier else earlier_pose
+            earlier, earlier_pose = later, pose
+        return earlier_pose
 
     def _on_pose(self, message: PoseStamped) -> None:
         try:
@@ -90,19 +90,17 @@ class CameraPosePublisher:
             return
         stamp = messages.to_nanoseconds(message.header.stamp) or self._node.now()
         if not self._poses and self._tf_static is not None:
-            self._tf_static.publish(TFMessage())  # late joiners do not get where it was
+            self._tf_static.publish(TFMessage())  # late joiners must not get the old pose
         if self._poses and stamp <= self._poses[-1][0]:
             self._start = self._last
-            self._poses.clear()  # the clock was set anew
-        elif len(self._poses) == _REMEMBERED:
+            self._poses.clear()  # the clock was set back
+        elif len(self._poses) == _MAX_POSES:
             self._start = self._poses[0][1]
         self._poses.append((stamp, pose))
 
-    def _say(self, pose: CameraPose, stamp: int) -> TransformStamped:
-        transform = self._transform(pose, stamp)
+    def _publish(self, pose: CameraPose, stamp: int) -> TransformStamped:
+        camera = self._camera.at(pose)
+        transform = messages.extrinsics_message(self._camera.name, camera, stamp)
         self._extrinsics.publish(transform)
-        self._projection.publish(messages.projection_message(self._camera.at(pose)))
+        self._projection.publish(messages.projection_message(camera))
         return transform
-
-    def _transform(self, pose: CameraPose, stamp: int) -> TransformStamped:
-        return messages.extrinsics_message(self._camera.name, self._camera.at(pose), stamp)

@@ -1,4 +1,4 @@
-"""The topics of what a camera sees: which channel goes where, in which encoding, and who wants it."""
+"""Publishers of a camera's images and ground truth."""
 
 from __future__ import annotations
 
@@ -19,19 +19,30 @@ from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
 
 class ImagePublishers:
-    """Publishers of a camera's images. ``labels``: instance labels by name; ``drawn``: the channels that its
-    renderer can draw, others have no topic.
+    """Publishers of a camera's channels, raw and compressed.
+
+    Args:
+        node: Node of the camera.
+        camera: Name of the camera.
+        encoding: ROS encoding of the sensor's images.
+        labels: Instance labels by name.
+        channels: Channels that the renderer supports; other channels have no topic.
     """
 
     def __init__(
-        self, node: SceneNode, camera: str, encoding: str, labels: Mapping[str, int], drawn: Collection[str]
+        self,
+        node: SceneNode,
+        camera: str,
+        encoding: str,
+        labels: Mapping[str, int],
+        channels: Collection[str],
     ) -> None:
         self._frame = messages.optical_frame(camera)
         self._encoding = encoding
         self._images = {
             channel.name: node.create_publisher(Image, f"{camera}/{channel.topic}", DATA)
             for channel in CHANNEL_TABLE.values()
-            if channel.name in drawn and not channel.per_body
+            if channel.name in channels and not channel.per_body
         }
         self._compressed: dict[str, CompressedImagePublisher | CompressedDepthPublisher] = {
             "rgb": CompressedImagePublisher(node, camera, CHANNEL_TABLE["rgb"].topic, encoding),
@@ -43,23 +54,23 @@ class ImagePublishers:
                 for name, instance in labels.items()
             }
             for channel in CHANNEL_TABLE.values()
-            if channel.name in drawn and channel.per_body
+            if channel.name in channels and channel.per_body
         }
 
-    def wanted(self) -> set[str]:
-        """The channels that somebody subscribes to."""
-        wanted = {name for name, publisher in self._images.items() if publisher.get_subscription_count()}
-        wanted |= {name for name, outlet in self._compressed.items() if outlet.wanted}
+    def subscribed(self) -> set[str]:
+        """Channels with subscribers."""
+        subscribed = {name for name, publisher in self._images.items() if publisher.get_subscription_count()}
+        subscribed |= {name for name, publisher in self._compressed.items() if publisher.subscribed}
         for name, publishers in self._by_label.items():
             if any(publisher.get_subscription_count() for publisher in publishers.values()):
-                wanted.add(name)
-        return wanted
+                subscribed.add(name)
+        return subscribed
 
-    def send(self, view: View, channels: Collection[str], stamp: int) -> None:
+    def publish(self, view: View, channels: Collection[str], stamp: int) -> None:
         """Publish some channels of a view, colour first."""
         for channel in (name for name in CHANNEL_TABLE if name in channels):
             if channel in self._images:
-                self._send_image(channel, getattr(view, channel), stamp)
+                self._publish_raw_and_compressed(channel, getattr(view, channel), stamp)
                 continue
             for instance, image in getattr(view, channel).items():
                 publisher = self._by_label[channel][instance]
@@ -67,12 +78,12 @@ class ImagePublishers:
                     mask = image if image.dtype == np.uint8 else image.astype(np.uint8) * np.uint8(255)
                     self._publish(publisher, channel, mask, stamp)
 
-    def _send_image(self, channel: str, image: Any, stamp: int) -> None:
+    def _publish_raw_and_compressed(self, channel: str, image: Any, stamp: int) -> None:
         compressed = self._compressed.get(channel)
         if compressed is None or self._images[channel].get_subscription_count():
             self._publish(self._images[channel], channel, image, stamp)
-        if compressed is not None and compressed.wanted:
-            compressed.send(image, stamp)
+        if compressed is not None and compressed.subscribed:
+            compressed.publish(image, stamp)
 
     def _publish(self, publisher: Any, channel: str, image: Any, stamp: int) -> None:
         encoding = CHANNEL_TABLE[channel].encoding or self._encoding
@@ -96,8 +107,8 @@ class TruthPublishers:
         """Topics with subscribers."""
         return {topic for topic, publisher in self._publishers.items() if publisher.get_subscription_count()}
 
-    def send(self, topics: Collection[str], truth: CameraTruth, stamp: int) -> None:
-        """Publish some topics of one frame."""
+    def publish(self, topics: Collection[str], truth: CameraTruth, stamp: int) -> None:
+        """Publish the ground truth of one frame on some topics."""
         builders: dict[str, Callable[..., PointCloud2]] = {
             "joints": messages.joint_view_message,
             "boxes": messages.boxes_message,

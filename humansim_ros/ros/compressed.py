@@ -1,6 +1,6 @@
-"""Compressed images as image_transport's plugins ``compressed`` and ``compressedDepth`` send and read them.
+"""Compressed images in the formats of image_transport's plugins ``compressed`` and ``compressedDepth``.
 
-Parameters have the plugins' names, ranges and defaults, below the topic they belong to
+Parameters have the names, ranges and defaults of the plugins, below their topic
 (``<camera>.image_raw.compressed.jpeg_quality``), and can be set at any time.
 """
 
@@ -21,57 +21,76 @@ from humansim_ros.ros.messages import header, optical_frame
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
 
-#: Encodings of colour, which OpenCV takes as bgr8; others are coded as they are.
-_COLOUR = ("rgb8", "bgr8")
-#: The plugin's ``INV_DEPTH``, and its header: format, then the two numbers that depth is restored by.
+#: Colour encodings, which OpenCV encodes as bgr8; others are encoded as they are.
+_COLOR_ENCODINGS = ("rgb8", "bgr8")
+#: ``INV_DEPTH`` of the plugin, and its header: format, then the two coefficients of the inverse depth.
 _INVERSE_DEPTH = 0
 _CONFIG_HEADER = struct.Struct("<iff")
-_MAX = 65535
+_MAX_LEVEL = 65535
 
 
 def encode_image(
     image: NDArray[np.uint8], encoding: str, form: str, jpeg_quality: int, png_level: int
 ) -> tuple[str, NDArray[np.uint8]]:
-    """The ``format`` and ``data`` of an image (H, W) or (H, W, 3) of 8 bits. ``form``: jpeg or png."""
+    """Encode an image with 8 bits per sample.
+
+    Args:
+        image: Pixels (H, W) or (H, W, 3).
+        encoding: ROS encoding of the pixels.
+        form: ``jpeg`` or ``png``.
+        jpeg_quality: 1 to 100.
+        png_level: Compression level, 0 to 9.
+
+    Returns:
+        ``format`` and ``data`` of a CompressedImage.
+    """
     settings = {
         "jpeg": (".jpg", [cv2.IMWRITE_JPEG_QUALITY, jpeg_quality]),
         "png": (".png", [cv2.IMWRITE_PNG_COMPRESSION, png_level]),
     }
     if encoding == "rgb8":
         image = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), dtype=np.uint8)
-    colour = "bgr8" if encoding in _COLOUR else ""
-    return f"{encoding}; {form} compressed {colour}", _coded(image, *settings[form])
+    color = "bgr8" if encoding in _COLOR_ENCODINGS else ""
+    return f"{encoding}; {form} compressed {color}", _encode(image, *settings[form])
 
 
 def encode_depth(
     depth: NDArray[np.float32], depth_max: float, depth_quantization: float, png_level: int
 ) -> tuple[str, NDArray[np.uint8]]:
-    """The ``format`` and ``data`` of a depth image (H, W) in metres: a header of 12 bytes, then a 16 bit PNG.
+    """Encode a depth image as a header of 12 bytes and a 16 bit PNG of inverse depth.
 
-    A pixel is ``a / depth + b``, rounded, where the header says a and b, and 0 where depth is ``depth_max``
-    or more; so depth d is restored to within d * d / (2 a), where a = q (q + 1) and q is
-    ``depth_quantization``.
+    A pixel is ``a / depth + b``, rounded, with a and b from the header; 0 from ``depth_max`` on. The decoded
+    depth d has an error of at most d * d / (2 a), where a = q (q + 1) and q is ``depth_quantization``.
+
+    Args:
+        depth: Depth (H, W) in metres.
+        depth_max: Metres from which on depth is not encoded.
+        depth_quantization: q, metres at which the resolution is one metre.
+        png_level: Compression level, 0 to 9.
+
+    Returns:
+        ``format`` and ``data`` of a CompressedImage.
     """
     a = np.float32(depth_quantization * (depth_quantization + 1))
     b = np.float32(1 - a / np.float32(depth_max))
     inverse = np.divide(a, depth) + b
     np.rint(inverse, out=inverse)
-    levels = np.where(depth < depth_max, np.clip(inverse, 1, _MAX), 0).astype(np.uint16)
-    png = _coded(levels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, png_level])
+    levels = np.where(depth < depth_max, np.clip(inverse, 1, _MAX_LEVEL), 0).astype(np.uint16)
+    png = _encode(levels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, png_level])
     head = np.frombuffer(_CONFIG_HEADER.pack(_INVERSE_DEPTH, a, b), dtype=np.uint8)
     return "32FC1; compressedDepth png", np.concatenate([head, png])
 
 
-def _coded(image: NDArray[Any], ending: str, settings: Sequence[int]) -> NDArray[np.uint8]:
-    done, data = cv2.imencode(ending, image, list(settings))
-    if not done:
+def _encode(image: NDArray[Any], suffix: str, settings: Sequence[int]) -> NDArray[np.uint8]:
+    success, data = cv2.imencode(suffix, image, list(settings))
+    if not success:
         height, width = image.shape[:2]
-        raise RosError(f"OpenCV cannot make a {ending[1:]} of {width}x{height} pixels")
+        raise RosError(f"OpenCV cannot encode {width}x{height} pixels as {suffix[1:]}")
     return np.asarray(data, dtype=np.uint8).reshape(-1)
 
 
-class _Compressed:
-    """A topic of compressed images, and its parameters."""
+class _CompressedPublisher:
+    """Publisher of compressed images, with its parameters."""
 
     def __init__(self, node: SceneNode, camera: str, topic: str, transport: str) -> None:
         self._node = node
@@ -80,8 +99,8 @@ class _Compressed:
         self._publisher = node.create_publisher(CompressedImage, f"{camera}/{topic}/{transport}", DATA)
 
     @property
-    def wanted(self) -> bool:
-        """Whether somebody subscribes."""
+    def subscribed(self) -> bool:
+        """Whether the topic has subscribers."""
         return bool(self._publisher.get_subscription_count())
 
     def _declare(self, name: str, default: Any, limits: tuple[float, float] | None, description: str) -> None:
@@ -90,14 +109,14 @@ class _Compressed:
     def _value(self, name: str) -> Any:
         return self._node.get_parameter(self._parameters + name).value
 
-    def _allow(self, name: str, *values: str) -> None:
-        """Refuse other values of a parameter, now and later."""
+    def _restrict(self, name: str, *values: str) -> None:
+        """Reject other values of a parameter, now and later."""
         full = self._parameters + name
 
         def check(parameters: Sequence[Any]) -> SetParametersResult:
-            wrong = [p.value for p in parameters if p.name == full and p.value not in values]
-            reason = f"{full}: no such format: {wrong[0]}; there are {', '.join(values)}" if wrong else ""
-            return SetParametersResult(successful=not wrong, reason=reason)
+            invalid = [p.value for p in parameters if p.name == full and p.value not in values]
+            reason = f"{full}: no such format: {invalid[0]}; there are {', '.join(values)}" if invalid else ""
+            return SetParametersResult(successful=not invalid, reason=reason)
 
         result = check([self._node.get_parameter(full)])
         if not result.successful:
@@ -106,39 +125,41 @@ class _Compressed:
 
     def _publish(self, form: str, data: NDArray[np.uint8], stamp: int) -> None:
         message = CompressedImage(header=header(stamp, self._frame), format=form)
-        message._data = data  # as it is: assigning to data would check every byte
+        message._data = data  # assigning to data would check every byte
         self._publisher.publish(message)
 
 
-class CompressedImagePublisher(_Compressed):
-    """``<camera>/image_raw/compressed``, for images of one encoding."""
+class CompressedImagePublisher(_CompressedPublisher):
+    """Publisher of ``<camera>/image_raw/compressed``."""
 
     def __init__(self, node: SceneNode, camera: str, topic: str, encoding: str) -> None:
         super().__init__(node, camera, topic, "compressed")
         self._encoding = encoding
         self._declare("format", "jpeg", None, "jpeg or png")
-        self._allow("format", "jpeg", "png")
+        self._restrict("format", "jpeg", "png")
         self._declare("jpeg_quality", 95, (1, 100), "JPEG quality, 1 to 100")
-        self._declare("png_level", 3, (0, 9), "How hard PNG tries, 0 to 9; the pixels stay the same")
+        self._declare("png_level", 3, (0, 9), "PNG compression level, 0 to 9; lossless")
 
-    def send(self, image: NDArray[np.uint8], stamp: int) -> None:
+    def publish(self, image: NDArray[np.uint8], stamp: int) -> None:
         """Encode an image and publish it."""
         settings = (self._value(name) for name in ("format", "jpeg_quality", "png_level"))
         self._publish(*encode_image(image, self._encoding, *settings), stamp)
 
 
-class CompressedDepthPublisher(_Compressed):
-    """``<camera>/depth/image/compressedDepth``."""
+class CompressedDepthPublisher(_CompressedPublisher):
+    """Publisher of ``<camera>/depth/image/compressedDepth``."""
 
     def __init__(self, node: SceneNode, camera: str, topic: str) -> None:
         super().__init__(node, camera, topic, "compressedDepth")
         self._declare("format", "png", None, "png")
-        self._allow("format", "png")
-        self._declare("depth_max", 10.0, (1.0, 100.0), "Metres from which on depth is not known any more")
-        self._declare("depth_quantization", 100.0, (1.0, 150.0), "Metres at which depth is known to a metre")
-        self._declare("png_level", 3, (0, 9), "How hard PNG tries, 0 to 9; the pixels stay the same")
+        self._restrict("format", "png")
+        self._declare("depth_max", 10.0, (1.0, 100.0), "Metres from which on depth is not encoded")
+        self._declare(
+            "depth_quantization", 100.0, (1.0, 150.0), "Metres at which the resolution is one metre"
+        )
+        self._declare("png_level", 3, (0, 9), "PNG compression level, 0 to 9; lossless")
 
-    def send(self, depth: NDArray[np.float32], stamp: int) -> None:
+    def publish(self, depth: NDArray[np.float32], stamp: int) -> None:
         """Encode a depth image and publish it."""
         settings = (self._value(name) for name in ("depth_max", "depth_quantization", "png_level"))
         self._publish(*encode_depth(depth, *settings), stamp)

@@ -1,6 +1,4 @@
-"""``humansim demo``: runs a scene's nodes as processes, listens to them as any client would, and shows what
-arrived.
-"""
+"""``humansim demo``: runs the nodes of a scene, records their topics as a client, and writes pictures."""
 
 from __future__ import annotations
 
@@ -24,14 +22,14 @@ from humansim_ros.ros.supervisor import Supervisor
 from humansim_ros.scene import Scene
 from humansim_ros.types import Image
 
-#: Seconds until every topic must have spoken.
+#: Seconds until every topic must have sent a message.
 _START_LIMIT = 60.0
-#: Width of one camera's picture in the video.
+#: Width of the image of one camera in the video.
 _VIDEO_WIDTH = 480
-#: Newest instants that are held until one of them has arrived from all cameras.
-_INSTANTS = 20
-#: Number type and channels of the image encodings that are shown.
-_ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
+#: Newest stamps that are held until one of them has arrived from all cameras.
+_MAX_INCOMPLETE = 20
+#: Element type and shape of a pixel, by image encoding.
+_PIXELS: dict[str, tuple[type, tuple[int, ...]]] = {
     "rgb8": (np.uint8, (3,)),
     "32FC1": (np.float32, ()),
     "mono8": (np.uint8, ()),
@@ -39,8 +37,10 @@ _ARRAYS: dict[str, tuple[type, tuple[int, ...]]] = {
 
 
 def record_demo(scene_path: Path, output: Path, duration: float) -> bool:
-    """Write ``contact_sheet.png`` and ``walk.mp4`` to a folder and print the table of topics. False if a node
-    failed.
+    """Write ``contact_sheet.png`` and ``walk.mp4`` to a folder, and print a table of the topics.
+
+    Returns:
+        False if a node failed or a topic sent nothing.
     """
     console = Console()
     scene = Scene.load(scene_path)
@@ -48,47 +48,51 @@ def record_demo(scene_path: Path, output: Path, duration: float) -> bool:
         output.mkdir(parents=True, exist_ok=True)
     except OSError as reason:
         raise HumansimError(
-            f"cannot make the folder for the pictures: {reason.strerror}", path=output
+            f"cannot create the folder for the pictures: {reason.strerror}", path=output
         ) from None
-    with Supervisor(scene_processes(scene_path)) as nodes, _Listener(scene) as listener:
-        seconds = _listen(nodes, listener, duration, console)
+    with Supervisor(scene_processes(scene_path)) as nodes, _Recorder(scene) as recorder:
+        seconds = _record(nodes, recorder, duration, console)
     if seconds is None:
         return False
     with _progress(console) as progress:
         task = progress.add_task("writing pictures", total=2)
-        canvas.write_png(output / "contact_sheet.png", _contact_sheet(scene, listener))
+        canvas.write_png(output / "contact_sheet.png", _contact_sheet(scene, recorder))
         progress.advance(task)
-        canvas.write_mp4(output / "walk.mp4", _video(scene, listener), scene.config.rate)
+        canvas.write_mp4(output / "walk.mp4", _video(scene, recorder), scene.config.rate)
         progress.advance(task)
-    console.print(_table(listener, seconds))
-    whole, any_camera = listener.equal_stamps()
-    console.print(f"frames with all {len(scene.cameras)} cameras at equal stamps: {whole} of {any_camera}")
+    console.print(_topic_table(recorder, seconds))
+    complete, total = recorder.complete_stamps()
+    console.print(f"frames with all {len(scene.cameras)} cameras at equal stamps: {complete} of {total}")
     for name in ("contact_sheet.png", "walk.mp4"):
         console.print(f"wrote {output / name}")
     return True
 
 
-def _listen(nodes: Supervisor, listener: _Listener, duration: float, console: Console) -> float | None:
-    """Wait until every topic speaks, then collect for ``duration``: seconds taken, None if a node dies."""
+def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Console) -> float | None:
+    """Wait until every topic has sent a message, then record for ``duration``.
+
+    Returns:
+        Recorded seconds, or None if a node has ended or a topic sends nothing.
+    """
     with _progress(console) as progress:
         task = progress.add_task("starting the nodes", total=None)
         limit = time.monotonic() + _START_LIMIT
-        while listener.silent and not nodes.dead() and time.monotonic() < limit:
-            listener.spin(0.1)
-        silent = listener.silent
-        listener.reset()
+        while recorder.silent and not nodes.dead() and time.monotonic() < limit:
+            recorder.spin(0.1)
+        silent = recorder.silent
+        recorder.reset()
         progress.update(task, description="recording", total=duration)
         begin = time.monotonic()
         while not silent and not nodes.dead() and time.monotonic() < begin + duration:
-            listener.spin(0.1)
+            recorder.spin(0.1)
             progress.update(task, completed=time.monotonic() - begin)
     if silent or nodes.dead():
-        _explain(console, nodes.dead(), silent)
+        _print_failure(console, nodes.dead(), silent)
         return None
     return time.monotonic() - begin
 
 
-def _explain(console: Console, dead: tuple[str, int] | None, silent: list[str]) -> None:
+def _print_failure(console: Console, dead: tuple[str, int] | None, silent: list[str]) -> None:
     if dead:
         console.print(f"error: node {dead[0]} ended by itself (exit code {dead[1]})", style="red")
     else:
@@ -101,8 +105,8 @@ def _progress(console: Console) -> Progress:
     return Progress(TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), console=console)
 
 
-class _Listener:
-    """Subscribes to a scene's topics with sensor-data QoS and keeps what the pictures need."""
+class _Recorder:
+    """Subscribes to the topics of a scene with sensor-data QoS and stores what the pictures need."""
 
     def __init__(self, scene: Scene) -> None:
         import rclpy
@@ -119,9 +123,11 @@ class _Listener:
         self.types: dict[str, str] = {}
         self.bytes: Counter[str] = Counter()
         self.messages: Counter[str] = Counter()
-        self._waiting: dict[int, dict[str, bytes]] = {}
+        self._incomplete: dict[int, dict[str, bytes]] = {}
+        #: Serialised messages of the latest stamp that is complete, by topic.
         self.sheet: dict[str, bytes] = {}
-        self.small: dict[int, dict[str, Any]] = {}
+        #: Scaled images by stamp and camera.
+        self.thumbnails: dict[int, dict[str, Any]] = {}
         topics: list[tuple[str, Any]] = []
         for human in scene.actors:
             topics += [(f"/humans/{human}/{kind}", MultiDOFJointState) for kind in ("motion", "joints")]
@@ -132,12 +138,14 @@ class _Listener:
             topics += [(topic, Image) for topic in images]
             topics += [(f"/{camera}/camera_info", CameraInfo), (f"/{camera}/joints", PointCloud2)]
             self._sheet_topics += [*images, f"/{camera}/joints"]
-        self._kinds = dict(topics)
+        self._message_types = dict(topics)
         for topic, kind in topics:
             self.types[topic] = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
-            self._node.create_subscription(kind, topic, self._taker(topic), qos_profile_sensor_data, raw=True)
+            self._node.create_subscription(
+                kind, topic, self._callback(topic), qos_profile_sensor_data, raw=True
+            )
 
-    def __enter__(self) -> _Listener:
+    def __enter__(self) -> _Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -148,85 +156,80 @@ class _Listener:
 
     @property
     def silent(self) -> list[str]:
-        """Topics that have not spoken yet."""
+        """Topics that have sent nothing yet."""
         return [topic for topic in self.types if not self.messages[topic]]
 
     def spin(self, seconds: float) -> None:
         end = time.monotonic() + seconds
         while time.monotonic() < end:
-            # always the same timeout: with another one rclpy starts its round of ready topics anew, and the
-            # first topics starve the last
+            # always the same timeout: with another one rclpy restarts its round of ready topics, and the
+            # last topics starve
             self._executor.spin_once(timeout_sec=0.05)
 
     def reset(self) -> None:
         self.messages.clear()
         self.bytes.clear()
-        self.small.clear()
+        self.thumbnails.clear()
 
-    def equal_stamps(self) -> tuple[int, int]:
-        """Stamps seen by every camera, and by any."""
-        return sum(len(cameras) == len(self.scene.cameras) for cameras in self.small.values()), len(
-            self.small
-        )
+    def complete_stamps(self) -> tuple[int, int]:
+        """Number of stamps with images of all cameras, and of any."""
+        complete = sum(len(images) == len(self.scene.cameras) for images in self.thumbnails.values())
+        return complete, len(self.thumbnails)
 
-    def _taker(self, topic: str) -> Callable[[bytes], None]:
-        """Callback for a topic's serialised messages: only what is shown is turned into messages."""
+    def _callback(self, topic: str) -> Callable[[bytes], None]:
+        """Create the callback for serialised messages of a topic; few of them are deserialised."""
         camera = topic.split("/")[1]
 
         from humansim_ros.ros.messages import serialised_stamp
 
-        def take(data: bytes) -> None:
+        def on_message(data: bytes) -> None:
             stamp = serialised_stamp(data)
             self.messages[topic] += 1
             self.bytes[topic] += len(data)
             if topic.endswith("/image_raw"):
                 image = self.image(topic, data)
                 size = (_VIDEO_WIDTH, round(image.shape[0] * _VIDEO_WIDTH / image.shape[1]))
-                self.small.setdefault(stamp, {})[camera] = cv2.resize(image, size)
+                self.thumbnails.setdefault(stamp, {})[camera] = cv2.resize(image, size)
             if topic in self._sheet_topics:
-                self._keep_for_sheet(stamp, topic, data)
+                self._store_for_sheet(stamp, topic, data)
 
-        return take
+        return on_message
 
     def message(self, topic: str, data: bytes) -> Any:
-        """The message of some serialised bytes."""
+        """Deserialise a message of a topic."""
         from rclpy.serialization import deserialize_message
 
-        return deserialize_message(data, self._kinds[topic])
+        return deserialize_message(data, self._message_types[topic])
 
     def image(self, topic: str, data: bytes) -> Any:
-        """The array of an image message's bytes."""
+        """Read the pixels of a serialised image message."""
         message = self.message(topic, data)
-        kind, channels = _ARRAYS[message.encoding]
-        return np.frombuffer(message.data, kind).reshape(message.height, message.width, *channels)
+        dtype, pixel = _PIXELS[message.encoding]
+        return np.frombuffer(message.data, dtype).reshape(message.height, message.width, *pixel)
 
-    def _keep_for_sheet(self, stamp: int, topic: str, data: bytes) -> None:
-        """Hold the messages of the newest few stamps until one instant is there whole; the latest such is
-        shown.
-        """
-        self._waiting.setdefault(stamp, {})[topic] = data
-        if len(self._waiting[stamp]) == len(self._sheet_topics):
-            self.sheet = self._waiting[stamp]
-        for old in sorted(self._waiting)[:-_INSTANTS]:
-            del self._waiting[old]
+    def _store_for_sheet(self, stamp: int, topic: str, data: bytes) -> None:
+        """Hold messages of the newest stamps until one stamp is complete."""
+        self._incomplete.setdefault(stamp, {})[topic] = data
+        if len(self._incomplete[stamp]) == len(self._sheet_topics):
+            self.sheet = self._incomplete[stamp]
+        for old in sorted(self._incomplete)[:-_MAX_INCOMPLETE]:
+            del self._incomplete[old]
 
 
-def _contact_sheet(scene: Scene, listener: _Listener) -> Image:
+def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
     from humansim_ros.ros.messages import read_joint_view
 
-    if not listener.sheet:
-        raise HumansimError(
-            "no instant was received from all cameras: the machine is too slow for this scene"
-        )
+    if not recorder.sheet:
+        raise HumansimError("no frame was received from all cameras: the machine is too slow for this scene")
     rows = []
     for camera in scene.cameras:
         image, depth, part = (
-            listener.image(topic, listener.sheet[topic])
+            recorder.image(topic, recorder.sheet[topic])
             for topic in (f"/{camera}/{kind}" for kind in ("image_raw", "depth/image", "part/image"))
         )
         joints = f"/{camera}/joints"
-        points = read_joint_view(listener.message(joints, listener.sheet[joints]))
-        drawn = image
+        points = read_joint_view(recorder.message(joints, recorder.sheet[joints]))
+        overlay = image
         for actor in scene.actors.values():
             own = points[points["human"] == actor.instance]
             skeleton = actor.human.skeleton
@@ -234,11 +237,11 @@ def _contact_sheet(scene: Scene, listener: _Listener) -> Image:
             parents = [None if p < 0 else skeleton.names[p] for p in skeleton.parents]
             parents += [skeleton.names[bone] for bone in skeleton.leaves]
             pixels = np.stack([own["u"], own["v"]], axis=-1)
-            drawn = views.draw_joints(drawn, pixels, own["visible"], names, parents)
+            overlay = views.draw_joints(overlay, pixels, own["visible"], names, parents)
         rows.append(
             [
                 image,
-                drawn,
+                overlay,
                 views.color_depth(depth),
                 views.color_labels(part),
             ]
@@ -247,12 +250,13 @@ def _contact_sheet(scene: Scene, listener: _Listener) -> Image:
     return views.contact_sheet(rows, titles, list(scene.cameras))
 
 
-def _video(scene: Scene, listener: _Listener) -> Iterator[Image]:
-    """Frames with every camera at the same stamp, two cameras a row; each stands until the next is due."""
+def _video(scene: Scene, recorder: _Recorder) -> Iterator[Image]:
+    """Frames with all cameras at one stamp, two cameras a row; each is repeated until the next stamp."""
     names = list(scene.cameras)
-    whole = [stamp for stamp in sorted(listener.small) if len(listener.small[stamp]) == len(names)]
-    for stamp, following in zip(whole, [*whole[1:], None], strict=True):
-        images = listener.small[stamp]
+    thumbnails = recorder.thumbnails
+    complete = [stamp for stamp in sorted(thumbnails) if len(thumbnails[stamp]) == len(names)]
+    for stamp, following in zip(complete, [*complete[1:], None], strict=True):
+        images = thumbnails[stamp]
         rows = [
             np.concatenate([images[n] for n in names[i : i + 2]], axis=1) for i in range(0, len(names), 2)
         ]
@@ -260,14 +264,14 @@ def _video(scene: Scene, listener: _Listener) -> Iterator[Image]:
         yield from [np.concatenate(rows)] * max(1, periods)
 
 
-def _table(listener: _Listener, seconds: float) -> Table:
+def _topic_table(recorder: _Recorder, seconds: float) -> Table:
     table = Table(title="received", box=None, padding=(0, 1, 0, 0))
     for column in ("topic", "type"):
         table.add_column(column)
     for column in ("messages", "Hz", "MB/s"):
         table.add_column(column, justify="right")
-    for topic, kind in listener.types.items():
-        number = listener.messages[topic]
-        megabytes = listener.bytes[topic] / 1e6 / seconds
+    for topic, kind in recorder.types.items():
+        number = recorder.messages[topic]
+        megabytes = recorder.bytes[topic] / 1e6 / seconds
         table.add_row(topic, kind, str(number), f"{number / seconds:.1f}", f"{megabytes:.2f}")
     return table

@@ -1,24 +1,22 @@
-"""Puts a scene together again: what skinners and player sent of its humans and objects with one stamp is one
-instant.
-"""
+"""Synchronization of messages: everything with one stamp becomes one scene state."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, partial
 from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from numpy.typing import NDArray
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from visualization_msgs.msg import Marker
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.motion.joint_poses import Velocity
 from humansim_ros.ros import messages
 from humansim_ros.ros.frame_skipper import FrameSkipper
 from humansim_ros.ros.node import SceneNode
@@ -26,115 +24,130 @@ from humansim_ros.ros.qos import NEWEST
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.state import JointMotion, SceneState
+from humansim_ros.types import Float32Array
 
-#: Frames that may wait for a human's message before they are given up.
-_MAX_WAITING = 8
-#: Frames that the time between frames is known by.
-_GAPS = 5
-#: Periods that a frame may be behind the newest before it is skipped.
-_PATIENCE = 1.5
-#: Seconds without any vertices after which the still scene is shown.
-_STILL_AFTER = 1.5
-#: Metres from the origin within which everything is.
-_FARTHEST = 1e6
-#: Nanoseconds back that mean the clock was set anew (a bag played again) and not a message that is late.
-_NEW_TIME = 1_000_000_000
+#: Incomplete frames that are held before the oldest is dropped.
+_MAX_INCOMPLETE = 8
+#: Intervals between frames from which the period is estimated.
+_INTERVALS = 5
+#: Periods behind the newest frame after which a frame is late.
+_MAX_PERIODS_LATE = 1.5
+#: Seconds without any vertices after which the scene at its start is shown.
+_START_SCENE_AFTER = 1.5
+#: Nanoseconds back that mean a clock that was set back (a bag played again), not a late message.
+_CLOCK_SET_BACK = 1_000_000_000
 
 
-#: What comes of one stamp, in this order: vertices by human, serialised joints by human, poses by object and
-#: by camera, how these move by topic.
-_Parts = tuple[dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any], dict[str, Any]]
+@dataclass
+class _ReceivedFrame:
+    """Message contents that have arrived for one stamp, by name."""
+
+    #: By human.
+    vertices: dict[str, Float32Array] = field(default_factory=dict)
+    #: Serialised messages by human.
+    joints: dict[str, bytes] = field(default_factory=dict)
+    objects: dict[str, ObjectPose] = field(default_factory=dict)
+    cameras: dict[str, CameraPose] = field(default_factory=dict)
+    #: By topic without ``/twist``.
+    twists: dict[str, Velocity | None] = field(default_factory=dict)
+
+
+_FIELDS = tuple(part.name for part in fields(_ReceivedFrame))
 
 
 class FrameSynchronizer:
-    """Subscribes to every human's vertices and joints, every moving object's marker, the pose of some
-    ``cameras``, and how both move, and hands over whole instants, the newest where it is late.
+    """Subscribes to all humans, moving objects and some cameras, and passes complete frames on.
 
-    Until a skinner speaks, it hands over the scene as it is at its start, so that a camera alone shows
+    Subscriptions: vertices and joints of every human, marker and twist of every moving object, pose and twist
+    of ``cameras``. If frames arrive faster than ``on_frame`` returns, the newest one is passed on.
+
+    Until the first skinner publishes, the scene at its start is passed on, so that a camera alone shows
     something.
     """
 
     def __init__(
-        self, node: SceneNode, show: Callable[[SceneState], None], cameras: Sequence[str] = ()
+        self, node: SceneNode, on_frame: Callable[[SceneState], None], cameras: Sequence[str] = ()
     ) -> None:
         self._node = node
         self._scene = node.scene
-        self._show = show
+        self._on_frame = on_frame
         self._period = self._scene.period * 1e9
-        self._pace = FrameSkipper(self._period)
-        actors, objects = list(self._scene.actors), list(self._scene.moving_objects)
-        twists = [*(f"objects/{name}" for name in objects), *cameras]
-        self._expected = (actors, actors, objects, list(cameras), twists)
-        # by stamp, the frames that are not whole yet
-        self._waiting: dict[int, _Parts] = {}
+        self._skipper = FrameSkipper(self._period)
+        humans, objects = list(self._scene.actors), list(self._scene.moving_objects)
+        moving = [*(f"objects/{name}" for name in objects), *cameras]
+        #: Names of a complete frame, by field of _ReceivedFrame.
+        self._expected: dict[str, Sequence[str]] = {
+            "vertices": humans,
+            "joints": humans,
+            "objects": objects,
+            "cameras": list(cameras),
+            "twists": moving,
+        }
+        self._frames: dict[int, _ReceivedFrame] = {}
         self._last = self._newest = 0
-        # nanoseconds between the newest frames: the player's rate may not be the scene's
-        self._gaps: deque[float] = deque([self._period] * _GAPS, maxlen=_GAPS)
-        for human in actors:
+        # nanoseconds between the newest frames: the player's rate may differ from the scene's
+        self._intervals: deque[float] = deque([self._period] * _INTERVALS, maxlen=_INTERVALS)
+        for human in humans:
             topic = f"humans/{human}"
-            vertices = partial(self._read, messages.read_vertices, 0, human)
-            node.create_subscription(PointCloud2, f"{topic}/vertices", vertices, NEWEST)
-            # as bytes: they are read only if somebody wants to know where a camera sees the joints
+            self._subscribe(PointCloud2, f"{topic}/vertices", "vertices", human, messages.read_vertices)
+            # serialised: joints are read only if a topic needs them
             node.create_subscription(
-                MultiDOFJointState, f"{topic}/joints", partial(self._take_joints, human), NEWEST, raw=True
+                MultiDOFJointState, f"{topic}/joints", partial(self._on_joints, human), NEWEST, raw=True
             )
         for name in objects:
-            place = partial(self._read, messages.read_object, 2, name)
-            node.create_subscription(Marker, f"objects/{name}/marker", place, NEWEST)
+            self._subscribe(Marker, f"objects/{name}/marker", "objects", name, messages.read_object)
         for name in cameras:
-            pose = partial(self._read, messages.read_pose, 3, name)
-            node.create_subscription(PoseStamped, f"{name}/pose", pose, NEWEST)
-        for name in twists:
-            twist = partial(self._read, messages.read_twist, 4, name)
-            node.create_subscription(TwistStamped, f"{name}/twist", twist, NEWEST)
+            self._subscribe(PoseStamped, f"{name}/pose", "cameras", name, messages.read_pose)
+        for name in moving:
+            self._subscribe(TwistStamped, f"{name}/twist", "twists", name, messages.read_twist)
         self._started = node.now()
-        self._told = False
-        self._still = node.create_timer(self._scene.period, self._show_still)
+        self._start_scene_logged = False
+        self._start_scene_timer = node.create_timer(self._scene.period, self._show_start_scene)
 
-    def _read(self, read: Callable[[Any], Any], kind: int, name: str, message: Any) -> None:
-        """Take what a message says, if it can be read."""
-        try:
-            part = read(message)
-        except HumansimError as error:
-            self._node.skipped(f"{name}: {error}")
-        else:
-            self._take(messages.to_nanoseconds(message.header.stamp), kind, name, part)
+    def _subscribe(
+        self, message_type: Any, topic: str, part: str, name: str, read: Callable[[Any], Any]
+    ) -> None:
+        def on_message(message: Any) -> None:
+            try:
+                content = read(message)
+            except HumansimError as error:
+                self._node.report_skipped(f"{name}: {error}")
+            else:
+                self._store(messages.to_nanoseconds(message.header.stamp), part, name, content)
 
-    def _take_joints(self, human: str, data: bytes) -> None:
-        self._take(messages.serialised_stamp(data), 1, human, data)
+        self._node.create_subscription(message_type, topic, on_message, NEWEST)
 
-    def _take(self, stamp: int, kind: int, name: str, part: Any) -> None:
-        """Put a human's vertices (kind 0) or joints (1), an object (2), a camera (3) or how one of these
-        moves (4) with the others of their stamp.
-        """
-        if stamp < self._last - _NEW_TIME:
-            self._waiting, self._last, self._newest = {}, 0, 0
+    def _on_joints(self, human: str, data: bytes) -> None:
+        self._store(messages.serialised_stamp(data), "joints", human, data)
+
+    def _store(self, stamp: int, part: str, name: str, content: Any) -> None:
+        """Store the content of a message with the others of its stamp."""
+        if stamp < self._last - _CLOCK_SET_BACK:
+            self._frames, self._last, self._newest = {}, 0, 0
         if stamp > self._newest:
             if self._newest:
-                self._gaps.append(stamp - self._newest)
-                self._period = sorted(self._gaps)[1]  # frames out of turn and lost ones are few
+                self._intervals.append(stamp - self._newest)
+                self._period = sorted(self._intervals)[1]  # robust to few reordered or lost frames
             self._newest = stamp
-        if stamp <= self._last or not self._pace.keeps(stamp):
+        if stamp <= self._last or not self._skipper.selects(stamp):
             return
-        self._waiting.setdefault(stamp, ({}, {}, {}, {}, {}))[kind][name] = part
-        if self._is_whole(stamp):
-            self._hand_over_soon()
-        elif len(self._waiting) > _MAX_WAITING:
-            self._give_up()
+        getattr(self._frames.setdefault(stamp, _ReceivedFrame()), part)[name] = content
+        if self._is_complete(stamp):
+            self._schedule_next_frame()
+        elif len(self._frames) > _MAX_INCOMPLETE:
+            self._drop_oldest()
 
-    def _is_whole(self, stamp: int) -> bool:
-        return all(
-            len(parts) == len(names)
-            for parts, names in zip(self._waiting[stamp], self._expected, strict=True)
-        )
+    def _is_complete(self, stamp: int) -> bool:
+        frame = self._frames[stamp]
+        return all(len(getattr(frame, part)) == len(self._expected[part]) for part in _FIELDS)
 
-    def _give_up(self) -> None:
-        frame = self._waiting.pop(min(self._waiting))
+    def _drop_oldest(self) -> None:
+        frame = self._frames.pop(min(self._frames))
         missing = {
             name: None
-            for parts, names in zip(frame, self._expected, strict=True)
-            for name in names
-            if name not in parts
+            for part in _FIELDS
+            for name in self._expected[part]
+            if name not in getattr(frame, part)
         }
         self._node.count("drops")
         source = "its skinner" if {*missing} & {*self._scene.actors} else "the motion player"
@@ -142,84 +155,96 @@ class FrameSynchronizer:
             f"frames wait for {', '.join(missing)}: is {source} running?", throttle_duration_sec=5.0
         )
 
-    def _hand_over_soon(self) -> None:
-        """Not at once: what else has arrived is taken first, so that who is late sees it."""
+    def _schedule_next_frame(self) -> None:
+        """Process a frame after all messages that have already arrived, so that a late node notices it."""
         executor = self._node.executor
-        # executors that do not take events in turn have tasks before what has arrived: thus two
-        executor.create_task(lambda: executor.create_task(self._hand_over) and None)
+        # executors that do not take events in turn run tasks before arrived messages: thus two tasks
+        executor.create_task(lambda: executor.create_task(self._process_next_frame) and None)
 
-    def _hand_over(self) -> None:
-        """Show the oldest whole frame that is not late, or the newest whole one if all are."""
-        whole = sorted(stamp for stamp in self._waiting if self._is_whole(stamp))
-        if not whole:
+    def _process_next_frame(self) -> None:
+        """Pass on the oldest complete frame that is not late, or the newest complete one if all are."""
+        complete = sorted(stamp for stamp in self._frames if self._is_complete(stamp))
+        if not complete:
             return
-        newest = max(self._waiting)
-        stamp = next((s for s in whole if newest - s <= _PATIENCE * self._period), whole[-1])
-        self._pace.lost(sum(older < stamp for older in self._waiting))
-        vertices, serialised, objects, cameras, twists = self._waiting[stamp]
-        objects = {name: replace(pose, velocity=twists[f"objects/{name}"]) for name, pose in objects.items()}
-        cameras = {name: replace(pose, velocity=twists[name]) for name, pose in cameras.items()}
-        self._waiting = {later: parts for later, parts in self._waiting.items() if later > stamp}
+        newest = max(self._frames)
+        stamp = next((s for s in complete if newest - s <= _MAX_PERIODS_LATE * self._period), complete[-1])
+        self._skipper.add_lost(sum(older < stamp for older in self._frames))
+        frame = self._frames[stamp]
+        twists = frame.twists
+        objects = {
+            name: replace(pose, velocity=twists[f"objects/{name}"]) for name, pose in frame.objects.items()
+        }
+        cameras = {name: replace(pose, velocity=twists[name]) for name, pose in frame.cameras.items()}
+        self._frames = {later: content for later, content in self._frames.items() if later > stamp}
         if self._last:
-            # those that the pace leaves out are drops too
+            # frames that the skipper does not select are drops too
             self._node.count("drops", max(0, round((stamp - self._last) / self._period) - 1))
         self._last = stamp
         self._node.report_lateness(stamp, "arrival")
         start = time.monotonic()
-        joints_of = cache(lambda human: _joints(serialised[human]))
-        self._try_to_show(stamp, vertices, objects, cameras, joints_of)
-        self._pace.worked(start, time.monotonic())
-        if any(self._is_whole(later) for later in self._waiting):
-            self._hand_over_soon()
+        joints_of = cache(lambda human: _read_joints(frame.joints[human]))
+        self._pass_on(stamp, frame.vertices, joints_of, objects, cameras)
+        self._skipper.add_processed(start, time.monotonic())
+        if any(self._is_complete(later) for later in self._frames):
+            self._schedule_next_frame()
 
-    def _show_still(self) -> None:
+    def _show_start_scene(self) -> None:
         now = self._node.now()
-        awaited = any(self._expected)
-        if self._last and awaited:
-            self._still.cancel()
-        elif now - self._started > _STILL_AFTER * 1e9 or not awaited:
-            if not self._told and awaited:
-                self._told = True
-                self._node.get_logger().info("nothing is published: showing the scene as at its start")
+        has_sources = any(self._expected.values())
+        if self._last and has_sources:
+            self._start_scene_timer.cancel()
+        elif now - self._started > _START_SCENE_AFTER * 1e9 or not has_sources:
+            if not self._start_scene_logged and has_sources:
+                self._start_scene_logged = True
+                self._node.get_logger().info("no vertices are published: showing the scene at its start")
             states = {name: actor.at(0.0) for name, actor in self._scene.actors.items()}
-            vertices = {name: state.vertices for name, state in states.items()}
-            places = {name: thing.at(0.0) for name, thing in self._scene.moving_objects.items()}
-            objects = {name: replace(place, velocity=None) for name, place in places.items()}
-            cameras = {name: CameraPose.of(self._scene.cameras[name]) for name in self._expected[3]}
+            objects = {
+                name: replace(moving.at(0.0), velocity=None)
+                for name, moving in self._scene.moving_objects.items()
+            }
+            self._pass_on(
+                now,
+                {name: state.vertices for name, state in states.items()},
+                lambda human: JointMotion(states[human].joints, None, None),
+                objects,
+                {name: CameraPose.of(self._scene.cameras[name]) for name in self._expected["cameras"]},
+            )
 
-            def joints_of(human: str) -> JointMotion:
-                return JointMotion(states[human].joints, None, None)
-
-            self._try_to_show(now, vertices, objects, cameras, joints_of)
-
-    def _try_to_show(
+    def _pass_on(
         self,
         stamp: int,
-        vertices: dict[str, NDArray[np.float32]],
+        vertices: dict[str, Float32Array],
+        joints_of: Callable[[str], JointMotion],
         objects: dict[str, ObjectPose],
         cameras: dict[str, CameraPose],
-        joints_of: Callable[[str], JointMotion],
     ) -> None:
         actors = self._scene.actors
-        for name, points in vertices.items():
-            if wrong := _wrong(points, len(actors[name].human.mesh.vertices)):
-                self._node.skipped(f"{name}: {wrong}")
-                return
         try:
-            self._show(SceneState(stamp, self._scene, actors, vertices, joints_of, objects, cameras))
+            for name, points in vertices.items():
+                _check_vertices(name, points, len(actors[name].human.mesh.vertices))
+            self._on_frame(
+                SceneState(
+                    stamp=stamp,
+                    scene=self._scene,
+                    actors=actors,
+                    vertices=vertices,
+                    joints_of=joints_of,
+                    objects=objects,
+                    cameras=cameras,
+                )
+            )
         except HumansimError as error:
-            self._node.skipped(str(error))
+            self._node.report_skipped(str(error))
 
 
-def _wrong(vertices: NDArray[np.float32], number: int) -> str:
-    """What is wrong with the vertices (V, 3) of a body of so many."""
-    if len(vertices) != number:
-        return f"{len(vertices)} vertices are not those of a body of {number}"
-    if not (np.abs(vertices) < _FARTHEST).all():  # False for NaN, too
-        return "a vertex is not finite, or farther away than anybody is"
-    return ""
+def _check_vertices(name: str, vertices: Float32Array, count: int) -> None:
+    """Raise RosError unless these are ``count`` finite vertices."""
+    if len(vertices) != count:
+        raise RosError(f"{name}: {len(vertices)} vertices, but the body has {count}")
+    if not (np.abs(vertices) < messages.MAX_COORDINATE).all():  # False for NaN, too
+        raise RosError(f"{name}: a vertex is not finite, or more than 1000 km away")
 
 
-def _joints(data: bytes) -> JointMotion:
-    """The joints of a serialised ``joints`` message."""
+def _read_joints(data: bytes) -> JointMotion:
+    """Joints of a serialised ``joints`` message."""
     return messages.joint_motion(messages.read_joints(deserialize_message(data, MultiDOFJointState)))

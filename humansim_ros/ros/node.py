@@ -1,4 +1,4 @@
-"""What our nodes have in common: described parameters, the scene, latched topics and diagnostics."""
+"""Base class of the nodes: described parameters, the scene, latched topics and diagnostics."""
 
 from __future__ import annotations
 
@@ -14,42 +14,48 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.node import Node
 
 from humansim_ros.errors import HumansimWarning, RosError
-from humansim_ros.ros.processes import TOLD
+from humansim_ros.ros.processes import WARNINGS_SHOWN
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.scene import Scene
 
 
 class SceneNode(Node):
-    """A node of a scene. Parameter ``scene``: the scene file, empty for the demo scene; unless the node is
-    given a scene that others of its process have loaded.
-    """
+    """Node with a scene: the one it is given, or that of parameter ``scene``."""
 
     def __init__(self, name: str, scene: Scene | None = None, **options: Any) -> None:
         super().__init__(name, **options)
         if scene is None:
-            path = self.text_parameter("scene", "", "Scene file (YAML); empty for the demo scene")
+            path = self.text_parameter("scene", "", "Scene file (YAML); empty: the demo scene")
             with warnings.catch_warnings():
-                if TOLD in os.environ:
+                if WARNINGS_SHOWN in os.environ:
                     warnings.simplefilter("ignore", HumansimWarning)
                 scene = Scene.load(path or None)
         self.scene = scene
         self._counts: dict[str, int] = {}
-        self._late: dict[str, list[float]] = {}
-        self._latched: list[Any] = []
+        self._lateness: dict[str, list[float]] = {}
+        self._latched_publishers: list[Any] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DATA)
         self.create_timer(1.0, self._publish_diagnostics)
 
     @property
-    def members(self) -> Sequence[SceneNode]:
-        """The nodes to spin: itself, and those it has made."""
+    def nodes(self) -> Sequence[SceneNode]:
+        """Nodes to spin: this one, and nodes that it has created."""
         return [self]
 
     def text_parameter(self, name: str, default: str, description: str) -> str:
-        """Declare a string that is read once, at the start."""
+        """Declare a read-only string parameter and return its value."""
         return str(self.described_parameter(name, default, description, read_only=True))
 
     def number_parameter(self, name: str, default: float, low: float, high: float, description: str) -> float:
-        """Declare a number within a range that is read once, at the start."""
+        """Declare a read-only number from ``low`` to ``high`` and return its value.
+
+        Args:
+            name: Name of the parameter.
+            default: Value unless it is overridden.
+            low: Smallest value.
+            high: Largest value.
+            description: Text of the parameter descriptor.
+        """
         return float(self.described_parameter(name, default, description, (low, high), read_only=True))
 
     def described_parameter(
@@ -61,8 +67,18 @@ class SceneNode(Node):
         constraints: str = "",
         read_only: bool = False,
     ) -> Any:
-        """Declare a parameter and return its value. A type as ``default`` leaves it unset (None) unless it is
-        given. Raises RosError where what is given is of the wrong type or out of its range.
+        """Declare a parameter and return its value.
+
+        Args:
+            name: Name of the parameter.
+            default: Value unless it is overridden. A parameter type leaves it unset (None).
+            description: Text of the parameter descriptor.
+            limits: Smallest and largest value of a number.
+            constraints: Text on values that ``limits`` cannot express.
+            read_only: The parameter cannot be set after the start.
+
+        Raises:
+            RosError: The override has the wrong type or is out of range.
         """
         descriptor = ParameterDescriptor(description=description, read_only=read_only)
         descriptor.additional_constraints = constraints
@@ -80,36 +96,39 @@ class SceneNode(Node):
             raise RosError(f"parameter {name}: {reason}") from None
 
     def make_renderer(self) -> Any:
-        """A renderer of the scene's kind. Parameter ``device``: which GPU it draws on."""
-        what = "GPU to render on, as EGL counts them; -1: the first that works"
-        device = int(self.described_parameter("device", -1, what, read_only=True))
+        """Create the renderer of the scene on the GPU of parameter ``device``."""
+        description = "EGL device index of the GPU to render on; -1: the first that works"
+        device = int(self.described_parameter("device", -1, description, read_only=True))
         return self.scene.make_renderer(None if device < 0 else device)
 
     def publish_latched(self, message: Any, topic: str) -> None:
-        """Send a message that late joiners get too."""
+        """Publish a message that late joiners get, too."""
         publisher = self.create_publisher(type(message), topic, LATCHED)
         publisher.publish(message)
-        self._latched.append(publisher)
+        self._latched_publishers.append(publisher)
 
     def now(self) -> int:
         """Nanoseconds of the node's clock."""
         return int(self.get_clock().now().nanoseconds)
 
-    def count(self, what: str, number: int = 1) -> None:
-        """Count something that diagnostics report, such as frames and drops."""
-        self._counts[what] = self._counts.get(what, 0) + number
+    def count(self, counter: str, number: int = 1) -> None:
+        """Add to a counter of the diagnostics, such as frames or drops."""
+        self._counts[counter] = self._counts.get(counter, 0) + number
 
-    def skipped(self, reason: str) -> None:
-        """Say that a frame was skipped, and why."""
+    def report_skipped(self, reason: str) -> None:
+        """Log that a frame was skipped, and count it as a drop."""
         self.count("drops")
         self.get_logger().error(f"frame skipped: {reason}", throttle_duration_sec=1.0)
 
-    def report_lateness(self, stamp: int, what: str = "lateness") -> None:
-        """Note how long after its stamp a frame has left this node, or come to ``what`` else."""
-        self._late.setdefault(what, []).append((self.now() - stamp) * 1e-6)
+    def report_lateness(self, stamp: int, event: str = "lateness") -> None:
+        """Record the time from a frame's stamp until now for the diagnostics.
+
+        ``event``: ``lateness`` when the frame is sent, or another name.
+        """
+        self._lateness.setdefault(event, []).append((self.now() - stamp) * 1e-6)
 
     def close(self) -> None:
-        """Free what the node holds besides its ROS entities."""
+        """Free resources besides the ROS entities of the node."""
 
     def _publish_diagnostics(self) -> None:
         drops = self._counts.get("drops", 0)
@@ -118,9 +137,9 @@ class SceneNode(Node):
         frames = self._counts.get("frames", 0)
         status.message = f"{frames} frames/s" + (f", {drops} dropped" if drops else "")
         values: dict[str, object] = {**self._counts}
-        for what, times in self._late.items():
-            values[f"{what}_ms"] = f"{max(times):.1f}"
-            values[f"{what}_median_ms"] = f"{median(times):.1f}"
+        for event, times in self._lateness.items():
+            values[f"{event}_ms"] = f"{max(times):.1f}"
+            values[f"{event}_median_ms"] = f"{median(times):.1f}"
         status.values = [KeyValue(key=key, value=str(value)) for key, value in values.items()]
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
@@ -130,4 +149,4 @@ class SceneNode(Node):
                 f"{drops} frames dropped in the last second", throttle_duration_sec=5.0, skip_first=True
             )
         self._counts = dict.fromkeys(self._counts, 0)
-        self._late = {}
+        self._lateness = {}

@@ -1,7 +1,7 @@
-"""Which nodes a scene needs: the one list that ``humansim run`` and the launch file both start.
+"""Node processes of a scene, for ``humansim run`` and the launch file.
 
-Only the names in the scene file are looked at here (``humansim_ros.scene`` checks the rest), so that
-``ros2 launch`` needs none of the libraries that the nodes need.
+Only names are read from the scene file; ``humansim_ros.scene`` checks the rest. So ``ros2 launch`` may run in
+a Python without the libraries of the nodes.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from humansim_ros.errors import SceneError
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.scene.names import variety_names
 
-#: In the environment of nodes whose scene has been loaded before, and its warnings told.
-TOLD = "HUMANSIM_SCENE_TOLD"
+#: Environment variable of nodes whose parent has shown the warnings of the scene.
+WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
 
 
 @dataclass(frozen=True)
 class NodeProcess:
-    """One process to start: an executable of this package, the name its node gets, and its parameters."""
+    """A process to start: executable of this package, name of its node, parameters of its node."""
 
     executable: str
     node_name: str
@@ -32,22 +32,24 @@ class NodeProcess:
 
     @property
     def ros_arguments(self) -> list[str]:
-        """The command-line arguments that give the node its name and parameters."""
+        """Command-line arguments that set name and parameters of the node."""
         arguments = ["--ros-args", "-r", f"__node:={self.node_name}"]
         for name, value in self.parameters.items():
-            # quoted, since ROS reads a bare value as YAML: a camera called off would be a boolean
+            # quoted, because ROS parses values as YAML: a camera named off would be a boolean
             arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
         return arguments
 
 
 def cores() -> int:
-    """CPU cores that this process may use."""
+    """Number of CPU cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def scene_processes(scene_path: str | os.PathLike[str], processes: int | None = None) -> list[NodeProcess]:
-    """The motion player, one skinner per human and the cameras of a scene file, spread over so many
-    ``processes``: one per core if None.
+    """List the processes of a scene: motion player, one skinner per human, and camera processes.
+
+    ``processes``: number of processes that share the cameras; one per core if None. Raises SceneError for
+    names that ROS does not accept.
     """
     path = Path(scene_path).resolve()
     content, _ = read_yaml(path, SceneError, "scene")
@@ -59,7 +61,7 @@ def scene_processes(scene_path: str | os.PathLike[str], processes: int | None = 
         NodeProcess("motion_player", "motion_player", scene),
         *(
             NodeProcess("skinner", f"skinner_{name}", {**scene, "human": name})
-            for name in (*_names(content, "humans", path), *_drawn(content, path))
+            for name in (*_names(content, "humans", path), *_variety_names(content, path))
         ),
         *_camera_processes(cameras, cores() if processes is None else processes, scene),
     ]
@@ -68,45 +70,45 @@ def scene_processes(scene_path: str | os.PathLike[str], processes: int | None = 
 def _camera_processes(
     cameras: Sequence[str], processes: int, scene: Mapping[str, str]
 ) -> Iterator[NodeProcess]:
-    """Cameras of one process share all they can; more processes than cores only get in each other's way."""
-    number = min(max(1, processes), len(cameras))
-    for i in range(number):
-        own = list(cameras[i::number])
-        if len(own) == 1:
-            yield NodeProcess("camera", f"camera_{own[0]}", {**scene, "camera": own[0]})
+    count = min(max(1, processes), len(cameras))
+    for i in range(count):
+        names = list(cameras[i::count])
+        if len(names) == 1:
+            yield NodeProcess("camera", f"camera_{names[0]}", {**scene, "camera": names[0]})
         else:
-            yield NodeProcess("camera_rig", f"camera_rig_{i + 1}", {**scene, "cameras": own})
+            yield NodeProcess("camera_rig", f"camera_rig_{i + 1}", {**scene, "cameras": names})
 
 
-def drawing_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
-    """Environment in which processes that draw share the cores: Mesa without a GPU, and OpenCV, would give
-    each as many threads as there are cores. Nothing where the user has said how many.
+def render_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
+    """Environment variables that divide the cores among the processes that render.
+
+    By default Mesa without a GPU, and OpenCV, start one thread per core in each process. Variables that the
+    user has set are left out.
     """
-    drawing = sum(process.executable in ("camera", "camera_rig") for process in processes)
-    share = max(1, cores() // max(1, drawing))
+    rendering = sum(process.executable in ("camera", "camera_rig") for process in processes)
+    share = max(1, cores() // max(1, rendering))
     threads = {
-        # 0: no thread but the one that asks. To wait for a single other one costs a tenth more
+        # 0: render in the calling thread. Waiting for a single other thread costs a tenth more
         "LP_NUM_THREADS": str(share if share > 1 else 0),
-        # a second one waits with its part of the work until it gets a core
+        # a thread without a core of its own delays the others
         "OPENCV_FOR_THREADS_NUM": str(share),
     }
     return {name: number for name, number in threads.items() if name not in os.environ}
 
 
-def _drawn(content: Mapping[str, Any], path: Path) -> list[str]:
-    """The names of the people that the scene's variety section draws."""
+def _variety_names(content: Mapping[str, Any], path: Path) -> list[str]:
     section = content.get("variety") or {}
     try:
         return variety_names(str(section.get("name", "person")), min(int(section.get("count", 0)), 1000))
     except (AttributeError, TypeError, ValueError):
-        raise SceneError("must say a count of people", path=path, key="variety") from None
+        raise SceneError("must have count, a number of people", path=path, key="variety") from None
 
 
 def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
-    """The names of the cameras in the scene's calibration file."""
+    """Names of the cameras in the calibration file of the scene."""
     if not content.get("rig"):
         return []
-    from humansim_ros.scene.config import load_config  # only now, since it needs much more
+    from humansim_ros.scene.config import load_config  # imports more libraries
     from humansim_ros.scene.rig import rig_cameras
 
     return list(rig_cameras(load_config(path).rig, path))
@@ -118,10 +120,10 @@ def _names(content: Mapping[str, Any], key: str, path: Path) -> list[str]:
         raise SceneError("must map each name to its settings", path=path, key=key)
     names = [str(name) for name in section]
     for name in names:
-        # it becomes part of node and topic names
+        # names become parts of node and topic names
         if not re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name):
             raise SceneError(
-                "ROS names are made of letters, digits and _ and do not start with a digit",
+                "ROS names consist of letters, digits and _ and do not start with a digit",
                 path=path,
                 key=f"{key}.{name}",
             )

@@ -1,4 +1,4 @@
-"""Qualities of service (REP-2003)."""
+"""Quality of service profiles (REP-2003)."""
 
 from __future__ import annotations
 
@@ -14,12 +14,11 @@ def _profile(depth: int, durability: QoSDurabilityPolicy) -> QoSProfile:
     )
 
 
-#: Publishers of what changes every frame, as camera drivers have it: reliable and best-effort subscribers
-#: both match.
+#: Publishers of frame data, as camera drivers have it: matches reliable and best-effort subscribers.
 DATA = _profile(5, QoSDurabilityPolicy.VOLATILE)
 
-#: Subscribers between our own nodes: a node that is late finds only the newest frames waiting.
+#: Subscriptions between nodes of this package: a late node finds only the newest frames in its queue.
 NEWEST = _profile(3, QoSDurabilityPolicy.VOLATILE)
 
-#: What is sent once and kept for those who come later.
+#: Publishers of messages that are sent once; late joiners get the last one.
 LATCHED = _profile(1, QoSDurabilityPolicy.TRANSIENT_LOCAL)

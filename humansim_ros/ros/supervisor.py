@@ -1,6 +1,4 @@
-"""Starts the nodes of a scene as processes, watches them, and stops them together: ``humansim run`` without
-ros2 launch.
-"""
+"""Supervision of node processes, for ``humansim run``: start, watch and stop them together."""
 
 from __future__ import annotations
 
@@ -14,24 +12,25 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from types import TracebackType
 
-from humansim_ros.ros.processes import TOLD, NodeProcess, drawing_threads
+from humansim_ros.ros.processes import WARNINGS_SHOWN, NodeProcess, render_threads
 
 _PR_SET_PDEATHSIG = 1
-#: Seconds a node gets to stop after SIGINT, and again after SIGTERM.
-_PATIENCE = 4.0
+#: Seconds that a node has to stop after SIGINT, and again after SIGTERM.
+_STOP_LIMIT = 4.0
 
 
 class Supervisor:
-    """Context manager around a set of running nodes. They stop with it, whatever ends it. Of what is odd in
-    their scene they say nothing: who starts them has loaded it, and told.
+    """Context manager that runs node processes and stops them at its end.
+
+    Nodes do not repeat scene warnings; the parent has shown them.
     """
 
     def __init__(
         self, processes: Sequence[NodeProcess], environment: Mapping[str, str] | None = None
     ) -> None:
         self._processes = list(processes)
-        threads = drawing_threads(processes)
-        self._environment = {**os.environ, **threads, TOLD: "1", **(environment or {})}
+        threads = render_threads(processes)
+        self._environment = {**os.environ, **threads, WARNINGS_SHOWN: "1", **(environment or {})}
         self._running: dict[str, subprocess.Popen[bytes]] = {}
 
     def __enter__(self) -> Supervisor:
@@ -50,11 +49,11 @@ class Supervisor:
 
     @property
     def pids(self) -> dict[str, int]:
-        """The process of each node, by its name."""
+        """Process ids by node name."""
         return {name: process.pid for name, process in self._running.items()}
 
     def dead(self) -> tuple[str, int] | None:
-        """Name and exit code of a node that has ended by itself, None while all run."""
+        """Name and exit code of a node that has ended by itself; None while all run."""
         for name, process in self._running.items():
             code = process.poll()
             if code is not None:
@@ -62,7 +61,11 @@ class Supervisor:
         return None
 
     def wait(self, until: float | None = None) -> tuple[str, int] | None:
-        """Wait until a node dies (its name and exit code) or the monotonic time ``until`` comes (None)."""
+        """Wait until a node ends by itself, or until the monotonic time ``until``.
+
+        Returns:
+            Name and exit code of the node, or None at ``until``.
+        """
         while until is None or time.monotonic() < until:
             dead = self.dead()
             if dead:
@@ -71,13 +74,13 @@ class Supervisor:
         return None
 
     def stop(self) -> None:
-        """SIGINT to all, SIGTERM to those that stay, SIGKILL to the rest."""
+        """Send SIGINT to all nodes, then SIGTERM and SIGKILL to nodes that still run."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
             alive = [process for process in self._running.values() if process.poll() is None]
             for process in alive:
                 with suppress(ProcessLookupError):
                     process.send_signal(number)
-            deadline = time.monotonic() + _PATIENCE
+            deadline = time.monotonic() + _STOP_LIMIT
             for process in alive:
                 with suppress(subprocess.TimeoutExpired):
                     process.wait(max(0.0, deadline - time.monotonic()))
@@ -86,13 +89,13 @@ class Supervisor:
         return subprocess.Popen(
             [sys.executable, "-m", "humansim_ros.ros.nodes", process.executable, *process.ros_arguments],
             env=self._environment,
-            # a session of its own: Ctrl-C reaches us alone, and we stop the nodes in order
+            # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
             start_new_session=True,
             preexec_fn=_die_with_parent,
         )
 
 
 def _die_with_parent() -> None:
-    """In the child: ask for SIGINT if the parent dies without stopping it (Linux)."""
+    """In the child: request SIGINT if the parent dies without stopping it (Linux)."""
     with suppress(OSError, AttributeError):
         ctypes.CDLL("libc.so.6").prctl(_PR_SET_PDEATHSIG, signal.SIGINT)

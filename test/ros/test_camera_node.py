@@ -23,8 +23,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration
 from humansim_ros.errors import HumansimError
-from humansim_ros.ros import camera_pose as whereabouts
-from humansim_ros.ros import messages
+from humansim_ros.ros import camera_pose, messages
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
@@ -350,7 +349,7 @@ def test_what_set_camera_info_is_given_is_said_and_kept_and_changes_no_lens(
     monkeypatch.setenv("ROS_HOME", str(tmp_path / "scene.yaml"))
     answer, info = ask(k=[95.0, 0, 60, 0, 91, 50, 0, 0, 1])
     assert not answer.success
-    assert "not kept" in answer.status_message
+    assert "not saved" in answer.status_message
     assert info.k[0] == 95
 
 
@@ -474,7 +473,7 @@ def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
     def create(node: Any, kind: Any, topic: str, qos: Any) -> Any:
         return Recorder(topic) if kind is Transforms else publisher(node, kind, topic, qos)
 
-    monkeypatch.setattr(whereabouts, "TFMessage", Transforms)
+    monkeypatch.setattr(camera_pose, "TFMessage", Transforms)
     monkeypatch.setattr(CameraNode, "create_publisher", create)
     return sent
 
@@ -533,7 +532,7 @@ def test_trajectories_move_all_cameras_at_the_same_stamp_until_the_player_pauses
     stamps = move.next(*together, count=6)
 
     scene = Scene.load(move.scene)
-    begun = player._scene_clock._base[0]
+    begun = player._playback_clock._base[0]
     transforms = {
         (t.child_frame_id, messages.to_nanoseconds(t.header.stamp)): t for ts in tf["/tf"] for t in ts
     }
@@ -599,7 +598,7 @@ def test_a_pose_moves_a_camera_and_a_wrong_one_is_told(
 
     def pose(position: tuple[float, float, float], yaw: float, stamp: int = 0) -> PoseStamped:
         there = Camera.look_at(position, np.array(position) - (np.cos(yaw), np.sin(yaw), 0.1))
-        message = messages.pose_message(whereabouts.CameraPose.of(there), stamp)
+        message = messages.pose_message(camera_pose.CameraPose.of(there), stamp)
         assert message.header.frame_id == "map"
         return message
 
@@ -653,7 +652,7 @@ def test_a_camera_that_is_posed_now_and_then_is_not_taken_to_rest_between(
     """What stands still is drawn finely, and kept, only where the camera stays for a while."""
     from sensor_msgs.msg import Image
 
-    monkeypatch.setattr(whereabouts, "_RESTLESS", 400_000_000)
+    monkeypatch.setattr(camera_pose, "_MOVING_FOR", 400_000_000)
     one = make("restless", f"rate: 20\nroom: null\n{WALL}cameras: {{left: {{{PLACE}}}}}")
     node = one.add(CameraNode)
     passing: list[bool] = []
@@ -669,7 +668,7 @@ def test_a_camera_that_is_posed_now_and_then_is_not_taken_to_rest_between(
     assert not any(passing)
     for x in (1.0, 1.1, 1.2):
         there = Camera.look_at((x, 0, 1), (0, 0, 1))
-        one.send("left/pose", messages.pose_message(whereabouts.CameraPose.of(there), node.now()))
+        one.send("left/pose", messages.pose_message(camera_pose.CameraPose.of(there), node.now()))
         one.next("left/image_raw", count=4)
     assert passing[-8:] == [True] * 8
     assert one.client.spin_until(lambda: passing[-2:] == [False] * 2)

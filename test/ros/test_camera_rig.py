@@ -52,7 +52,7 @@ class Stage:
         self.namespace = namespace
         self.rig = CameraRigNode(parameter_overrides=overrides, namespace=namespace)
         self.client = Client(f"{namespace}_client", make_executor())  # the one that processes have
-        for node in self.rig.members:
+        for node in self.rig.nodes:
             self.client.executor.add_node(node)
         self.senders = {
             (human, kind): self.client.node.create_publisher(

@@ -37,7 +37,7 @@ def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]
     scene = rclpy.parameter.Parameter("scene", value=str(path))
     rig = CameraRigNode(parameter_overrides=[scene], namespace="packed")
     client = Client("unpacker")
-    for node in rig.members:
+    for node in rig.nodes:
         client.executor.add_node(node)
     yield SimpleNamespace(rig=rig, client=client, cameras=dict(zip(ENCODINGS, rig.cameras, strict=True)))
     rig.close()
@@ -162,7 +162,7 @@ def test_nothing_is_encoded_for_nobody(studio: Any, monkeypatch: pytest.MonkeyPa
         lambda image, encoding, *rest: encoded.append(encoding) or encode_image(image, encoding, *rest),
     )
     client = Client("passer_by")
-    for node in studio.rig.members:
+    for node in studio.rig.nodes:
         client.executor.add_node(node)
     for topic in list(studio.client.received):
         studio.client.received[topic].clear()

@@ -16,13 +16,13 @@ def play(pace: FrameSkipper, seconds: float, cost: float, begin: float = 0.0) ->
     last = first - 1
     for number in range(first, round((begin + seconds) * 1e9 / PERIOD)):
         now = number * PERIOD * 1e-9
-        if not pace.keeps(START + round(number * PERIOD)):
+        if not pace.selects(START + round(number * PERIOD)):
             continue
         if free > now:
-            pace.lost(1)
+            pace.add_lost(1)
             continue
         free = now + cost
-        pace.worked(now, free)
+        pace.add_processed(now, free)
         done.append(number)
         last = number
     assert last >= first

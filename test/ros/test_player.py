@@ -324,7 +324,7 @@ def test_a_paused_player_shows_the_same_pose_with_new_stamps_and_steps_by_frames
     assert np.all(np.diff([stamp for stamp, _ in still]) > 0)
     assert still[-1][1].linear is not None
     assert np.abs(still[-1][1].linear).max() == 0
-    start = player.player._scene_clock.elapsed
+    start = player.player._playback_clock.elapsed
     for step in (1, 2, 3):
         answer = player.call("step", Trigger)
         assert answer.success
@@ -518,7 +518,7 @@ def test_parameters_at_the_start_win_over_the_scene(ros: None, tmp_path: Path) -
     files = {name: motion.file for name, motion in node._playback.settings.items()}
     assert files == {"first": "walk_straight", "second": "walk"}
     expected = node._playback.actors["second"].motion.sample(3.5)  # half a second ahead, from its start
-    shown = node._playback.show(node._scene_clock.cut(5).elapsed).poses["second"]
+    shown = node._playback.show(node._playback_clock.cut(5).elapsed).poses["second"]
     np.testing.assert_array_equal(shown.positions, expected.positions)
     node.destroy_node()
     for wrong in ({"rate": 0.0}, {"speed": "fast"}, {"motion": "nothing"}, {"first__loop": "often"}):

@@ -1,4 +1,4 @@
-"""``python -m humansim_ros.ros.nodes camera --ros-args …``: one node, without an installed script."""
+"""Run a node without an installed script: ``python -m humansim_ros.ros.nodes camera --ros-args …``."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import signal
 import sys
 
 if __name__ == "__main__":
-    # until the node is up, Ctrl-C just ends the process; rclpy takes over from there
+    # Ctrl-C ends the process while the node starts; run_node installs its own handlers
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     name = sys.argv.pop(1)
     sys.exit(importlib.import_module(f"humansim_ros.ros.nodes.{name}").main())

@@ -1,10 +1,9 @@
-"""Node ``camera``: renders what one camera of a scene sees.
+"""Node ``camera``: renders one camera of a scene.
 
-Subscribes to ``humans/<id>/vertices`` and ``humans/<id>/joints`` of every human, ``objects/<name>/marker`` of
-every object that moves, and its own ``pose`` if a trajectory moves it, and joins them by exact stamp.
-Publishes the images, labels and joints of that instant with that stamp; nothing is rendered for a topic that
-nobody subscribes to. As a driver it has ``camera_info``, ``set_camera_info`` and ``camera_info_url``
-(docs/lenses.md).
+Subscribes to ``humans/<id>/vertices`` and ``joints`` of every human, ``objects/<name>/marker`` and ``twist``
+of every moving object, and the camera's own ``pose`` and ``twist`` if it has a trajectory, and synchronizes
+them by exact stamp. Publishes images and ground truth with that stamp. Only subscribed topics are rendered.
+As camera drivers, it has ``camera_info``, ``set_camera_info`` and ``camera_info_url`` (docs/lenses.md).
 """
 
 from __future__ import annotations
@@ -13,14 +12,12 @@ import sys
 from dataclasses import replace
 from typing import Any
 
-from numpy.typing import NDArray
 from sensor_msgs.msg import CameraInfo, Image
 
 from humansim_ros.errors import CameraError, SceneError
-from humansim_ros.render import AdjacentFrame
 from humansim_ros.render.channels import comparing_with
 from humansim_ros.ros import messages
-from humansim_ros.ros.camera_calibration import PublishedCalibration, calibration_of
+from humansim_ros.ros.camera_calibration import PublishedCalibration, read_single_camera
 from humansim_ros.ros.camera_pose import CameraPosePublisher
 from humansim_ros.ros.camera_publishers import ImagePublishers, TruthPublishers, needed
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
@@ -32,52 +29,56 @@ from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.capture import Exposure, capture
 from humansim_ros.scene.state import SceneState
 
-#: Channels that are known only when the next frame is.
+#: Channels that need the next frame, and the previous one.
 _FORWARD, _BACKWARD = comparing_with("next_frame"), comparing_with("previous_frame")
 
 
 class CameraNode(SceneNode):
     """One camera with its ground truth.
 
-    As one of a rig it is given its ``name``, the ``scene`` and the ``renderer``, all of which it shares with
-    the other cameras of the process, and every frame, by :meth:`show`.
+    A camera of a rig is given its ``name``, and ``scene`` and ``renderer``, which it shares with the other
+    cameras of the process; the rig calls :meth:`publish_frame`.
     """
 
     def __init__(
         self, name: str = "", scene: Scene | None = None, renderer: Any = None, **options: Any
     ) -> None:
         super().__init__(f"camera_{name}" if name else "camera", scene, **options)
-        self._camera = self._chosen(name)
+        self._camera = self._select_camera(name)
         name = self._camera.name
         self._frame = messages.optical_frame(name)
-        self._shared = renderer is not None
-        self._renderer = renderer if self._shared else self.make_renderer()
-        drawn = self._renderer.channels
-        self._outlets = ImagePublishers(self, name, self._camera.encoding, self.scene.labels, drawn)
-        self._before: tuple[int, Exposure] | None = None
+        self._in_rig = renderer is not None
+        self._renderer = renderer if self._in_rig else self.make_renderer()
+        self._images = ImagePublishers(
+            self, name, self._camera.encoding, self.scene.labels, self._renderer.channels
+        )
+        #: Stamp and exposure of the previous frame, if flow is subscribed to.
+        self._previous: tuple[int, Exposure] | None = None
         self._rect = None
         if self._camera.rectified is not None:
             self._rect = self.create_publisher(Image, f"{name}/image_rect", DATA)
         self._info = self.create_publisher(CameraInfo, f"{name}/camera_info", DATA)
-        self._people = TruthPublishers(self, name)
+        self._truth = TruthPublishers(self, name)
         self._calibration = PublishedCalibration(self, name, self._camera.whole, self._camera.region)
         if url := self.text_parameter(
             "published_info_url",
             "",
-            "Calibration file that camera_info says, whatever the lens; empty: the truth",
+            "Calibration file to publish as camera_info in place of the rendered lens; empty: the truth",
         ):
-            self._calibration.say(calibration_of(url, name), url)
-        self._where = CameraPosePublisher(self, self._camera)
+            self._calibration.replace(read_single_camera(url, name), url)
+        self._pose = CameraPosePublisher(self, self._camera)
         self._publish_legends()
-        if not self._shared:
-            self._joiner = FrameSynchronizer(self, self.show, [name] if self._camera.moves else [])
+        if not self._in_rig:
+            moving = [name] if self._camera.moves else []
+            self._synchronizer = FrameSynchronizer(self, self.publish_frame, moving)
         width, height = self._camera.camera.size
         self.get_logger().info(f"{name}: {width}x{height} on {self._renderer.device}")
 
-    def _chosen(self, name: str) -> SceneCamera:
-        name = name or self.text_parameter("camera", "", "Which camera of the scene; empty for the first")
+    def _select_camera(self, name: str) -> SceneCamera:
+        """Camera ``name``, or that of parameter ``camera``, with the lens of ``camera_info_url``."""
+        name = name or self.text_parameter("camera", "", "Camera of the scene; empty: the first")
         url = self.text_parameter(
-            "camera_info_url", "", "Calibration file of the lens to render with; empty: as the scene says"
+            "camera_info_url", "", "Calibration file of the lens to render; empty: the lens of the scene"
         )
         name = name or next(iter(self.scene.cameras))
         if name not in self.scene.cameras:
@@ -89,12 +90,12 @@ class CameraNode(SceneNode):
         if not url:
             return camera
         try:
-            return camera.with_calibration(calibration_of(url, name))
+            return camera.with_calibration(read_single_camera(url, name))
         except CameraError as error:
             raise CameraError(error.message, path=error.path or url, line=error.line, key=error.key) from None
 
     def close(self) -> None:
-        if not self._shared:
+        if not self._in_rig:
             self._renderer.close()
 
     def _publish_legends(self) -> None:
@@ -107,53 +108,43 @@ class CameraNode(SceneNode):
         legend = messages.joints_legend(joints, self.scene.object_labels)
         self.publish_latched(legend, f"{name}/joints/legend")
 
-    def show(self, instant: SceneState) -> None:
-        """Render what somebody wants of this instant, and where the frame before has gone, and send it."""
-        stamp = instant.stamp
-        shot = self._where.shot(instant)
-        channels = self._outlets.wanted()
-        before, self._before = self._before, (stamp, shot) if channels & (_FORWARD | _BACKWARD) else None
-        if before is None:
-            self._send_instant(instant, shot, channels - _FORWARD - _BACKWARD)
+    def publish_frame(self, state: SceneState) -> None:
+        """Render and publish the subscribed channels, and the forward flow of the previous frame."""
+        stamp = state.stamp
+        exposure = self._pose.exposure(state)
+        channels = self._images.subscribed()
+        previous = self._previous
+        self._previous = (stamp, exposure) if channels & (_FORWARD | _BACKWARD) else None
+        if previous is None:
+            self._publish_view(state, exposure, channels - _FORWARD - _BACKWARD)
             return
-        here, there = shot.neighbour(self._camera), before[1].neighbour(self._camera)
-        self._send_instant(instant, replace(shot, previous_frame=there), channels - _FORWARD)
-        self._send_forward_flow(channels & _FORWARD, *before, here)
+        frame, previous_frame = exposure.neighbour(self._camera), previous[1].neighbour(self._camera)
+        self._publish_view(state, replace(exposure, previous_frame=previous_frame), channels - _FORWARD)
+        if channels & _FORWARD:
+            previous_stamp, previous_exposure = previous
+            complete = replace(previous_exposure, next_frame=frame)
+            view = capture(self._renderer, self._camera, complete, channels & _FORWARD, previous_stamp)
+            self._images.publish(view, channels & _FORWARD, previous_stamp)
 
-    def _send_instant(self, instant: SceneState, shot: Exposure, channels: set[str]) -> None:
-        stamp = instant.stamp
-        wanted = set(channels)
-        of_people = self._people.subscribed()
-        wants_rect = self._rect is not None and self._rect.get_subscription_count() > 0
-        wanted |= needed(of_people)
-        if wants_rect:
-            wanted |= {"rgb"}
+    def _publish_view(self, state: SceneState, exposure: Exposure, channels: set[str]) -> None:
+        stamp = state.stamp
+        truth_topics = self._truth.subscribed()
+        rectify = self._rect is not None and self._rect.get_subscription_count() > 0
+        rendered = channels | needed(truth_topics) | ({"rgb"} if rectify else set())
         if self._info.get_subscription_count():
             self._info.publish(self._calibration.message(stamp))
-        if not wanted:
+        if not rendered:
             return
-        view = capture(self._renderer, self._camera, shot, wanted, stamp)
-        self._outlets.send(view, channels, stamp)
-        if self._rect is not None and wants_rect and view.rgb is not None:
+        view = capture(self._renderer, self._camera, exposure, rendered, stamp)
+        self._images.publish(view, channels, stamp)
+        if self._rect is not None and rectify and view.rgb is not None:
             encoding = self._camera.encoding.replace("bayer_rggb8", "rgb8")
-            self._send(self._rect, self._camera.rectify(view.rgb), encoding, stamp)
-        truth = instant.camera_truth(self._camera.at(shot.pose_at(0.0)), view)
-        self._people.send(of_people, truth, stamp)
+            image = self._camera.rectify(view.rgb)
+            self._rect.publish(messages.image_message(image, encoding, stamp, self._frame))
+        truth = state.camera_truth(self._camera.at(exposure.pose_at(0.0)), view)
+        self._truth.publish(truth_topics, truth, stamp)
         self.count("frames")
         self.report_lateness(stamp)
-
-    def _send_forward_flow(
-        self, channels: set[str], stamp: int, shot: Exposure, next_frame: AdjacentFrame
-    ) -> None:
-        """Send where everything of the frame before has gone, with that frame's stamp."""
-        if channels:
-            view = capture(
-                self._renderer, self._camera, replace(shot, next_frame=next_frame), channels, stamp
-            )
-            self._outlets.send(view, channels, stamp)
-
-    def _send(self, publisher: Any, image: NDArray[Any], encoding: str, stamp: int) -> None:
-        publisher.publish(messages.image_message(image, encoding, stamp, self._frame))
 
 
 def main() -> int:

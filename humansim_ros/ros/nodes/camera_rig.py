@@ -1,8 +1,7 @@
 """Node ``camera_rig``: several cameras of a scene in one process.
 
-Each is a node of its own, ``camera_<name>``, with the topics and services of node ``camera``. They share what
-costs most: one OpenGL context, one subscription to what each human and object sends, and what is worked out
-of a body for one of them serves all.
+Each camera is a node, ``camera_<name>``, with the topics and services of node ``camera``. The cameras share
+one OpenGL context, the subscriptions to humans and objects, and all cached results of the renderer.
 """
 
 from __future__ import annotations
@@ -22,13 +21,13 @@ from humansim_ros.scene.state import SceneState
 
 
 class CameraRigNode(SceneNode):
-    """Hears whole frames, and has each of its cameras show them in turn."""
+    """Receives complete frames and passes each of them to its cameras in turn."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("camera_rig", **options)
-        names = self._chosen()
+        names = self._select_cameras()
         self._renderer = self.make_renderer()
-        # a name given to the process on the command line is this node's alone
+        # a node name from the command line is for this node only
         self.cameras = [
             CameraNode(
                 name,
@@ -40,33 +39,35 @@ class CameraRigNode(SceneNode):
             for name in names
         ]
         moving = [name for name in names if name in self.scene.moving_cameras]
-        self._joiner = FrameSynchronizer(self, self.show, moving)
+        self._synchronizer = FrameSynchronizer(self, self.publish_frame, moving)
 
-    def _chosen(self) -> Sequence[str]:
-        """The cameras of parameter ``cameras``. Raises SceneError where the scene has no such camera."""
-        what = "Which cameras of the scene; empty for all"
-        asked = self.described_parameter("cameras", Parameter.Type.STRING_ARRAY, what, read_only=True)
-        for name in asked or ():
+    def _select_cameras(self) -> Sequence[str]:
+        """Cameras of parameter ``cameras``. Raises SceneError for a camera that the scene does not have."""
+        description = "Cameras of the scene; empty: all"
+        requested = self.described_parameter(
+            "cameras", Parameter.Type.STRING_ARRAY, description, read_only=True
+        )
+        for name in requested or ():
             if name not in self.scene.cameras:
                 known = ", ".join(self.scene.cameras)
                 raise SceneError(
                     f"no camera {name!r}; the scene has {known}", path=self.scene.path, key="cameras"
                 )
-        return list(dict.fromkeys(asked or self.scene.cameras))
+        return list(dict.fromkeys(requested or self.scene.cameras))
 
     @property
-    def members(self) -> Sequence[SceneNode]:
+    def nodes(self) -> Sequence[SceneNode]:
         return [self, *self.cameras]
 
-    def show(self, instant: SceneState) -> None:
-        """Have every camera render what somebody wants of this instant."""
+    def publish_frame(self, state: SceneState) -> None:
+        """Render and publish the subscribed channels of all cameras."""
         for camera in self.cameras:
             try:
-                camera.show(instant)
-            except HumansimError as error:  # the others may well show it
-                camera.skipped(str(error))
+                camera.publish_frame(state)
+            except HumansimError as error:  # the other cameras may be able to render it
+                camera.report_skipped(str(error))
         self.count("frames")
-        self.report_lateness(instant.stamp)
+        self.report_lateness(state.stamp)
 
     def close(self) -> None:
         for camera in self.cameras:

@@ -1,8 +1,8 @@
-"""Node ``skinner``: poses and skins one human from the motion it hears.
+"""Node ``skinner``: poses and skins one human from its motion messages.
 
-Subscribes to ``humans/<id>/motion``, whoever sends it: the motion player, or live motion capture, whose joint
-names, scale and rest pose are found by its first message (docs/playing.md); and to what a player says of its
-motion, ``humans/<id>/motion/legend``. Publishes ``humans/<id>/joints``, ``vertices`` and ``markers`` with the
+Subscribes to ``humans/<id>/motion`` of any sender: the motion player, or live motion capture, whose joint
+names, scale and rest pose are detected from its messages (docs/playing.md); and to the legend of the motion
+player, ``humans/<id>/motion/legend``. Publishes ``humans/<id>/joints``, ``vertices`` and ``markers`` with the
 same stamp, and latched ``humans/<id>/mesh``.
 """
 
@@ -29,20 +29,20 @@ from humansim_ros.ros.messages import (
     vertices_message,
 )
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.nodes.motion_player import LONGEST_LEAD
+from humansim_ros.ros.nodes.motion_player import MAX_LEAD
 from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene.live import Follower
 
 
 class SkinnerNode(SceneNode):
-    """Turns a motion's joints into a body's joints and vertices."""
+    """Computes joints and vertices of a body from the joints of a motion."""
 
     def __init__(self, **options: Any) -> None:
         super().__init__("skinner", **options)
-        name = self.text_parameter("human", "", "Which human of the scene; empty for the first")
+        name = self.text_parameter("human", "", "Human of the scene; empty: the first")
         marker_rate = self.number_parameter(
-            "marker_rate", 10.0, 0.1, 1000.0, "Most marker messages per second (they are heavy)"
+            "marker_rate", 10.0, 0.1, 1000.0, "Maximum number of marker messages per second (they are large)"
         )
         name = name or next(iter(self.scene.actors), "")
         if name not in self.scene.actors:
@@ -50,10 +50,10 @@ class SkinnerNode(SceneNode):
             raise SceneError(f"no human {name!r}; the scene has {known}", path=self.scene.path, key="humans")
         self._actor = self.scene.actors[name]
         table = self.text_parameter(
-            "joint_names", "", "Joint table of a live source (a built-in name or a YAML file); empty: found"
+            "joint_names", "", "Joint table of a live source (built-in name or YAML file); empty: detected"
         )
-        self._follower = Follower(self._actor, self._table(table))
-        self._told = ""
+        self._follower = Follower(self._actor, self._find_table(table))
+        self._logged_source = ""
         self._joints = self.create_publisher(MultiDOFJointState, f"humans/{name}/joints", DATA)
         self._vertices = self.create_publisher(PointCloud2, f"humans/{name}/vertices", DATA)
         self._markers = self.create_publisher(MarkerArray, f"humans/{name}/markers", DATA)
@@ -61,14 +61,14 @@ class SkinnerNode(SceneNode):
         self._next_marker = 0
         self._marker_builder = MarkerBuilder(self._actor.human)
         self.publish_latched(mesh_message(self._actor.human.mesh), f"humans/{name}/mesh")
-        # first, so that a legend is heard before the motion it is about
+        # first, so that a legend arrives before its motion
         self.create_subscription(String, f"humans/{name}/motion/legend", self._on_legend, LATCHED)
         motion = f"humans/{name}/motion"
-        self._heard = self.create_subscription(MultiDOFJointState, motion, self._on_motion, NEWEST)
+        self._motion = self.create_subscription(MultiDOFJointState, motion, self._on_motion, NEWEST)
         self.get_logger().info(f"skinning {name} ({len(self._actor.human.mesh.vertices)} vertices)")
 
-    def _table(self, name: str) -> str | None:
-        """A joint table that is there, beside the scene file or as it is named; None if none is."""
+    def _find_table(self, name: str) -> str | None:
+        """Built-in joint table, or path of a table, relative to the scene file if it exists there."""
         if not name:
             return None
         own, there = resolve_relative(self.scene.path, name)
@@ -82,13 +82,15 @@ class SkinnerNode(SceneNode):
         try:
             state = self._follower.follow(read_joints(message), stamp)
         except HumansimError as error:
-            self.skipped(str(error))
+            self.report_skipped(str(error))
             return
-        if self._follower.found != self._told:
-            self._told = self._follower.found
-            self.get_logger().info(f"following {self._told or 'the motion that the player names'}")
-            if (senders := self.count_publishers(self._heard.topic_name)) > 1:
-                self.get_logger().warn(f"{senders} nodes send {self._heard.topic_name}: stop all but one")
+        if self._follower.found != self._logged_source:
+            self._logged_source = self._follower.found
+            self.get_logger().info(f"joint source: {self._logged_source or 'the motion player'}")
+            if (publishers := self.count_publishers(self._motion.topic_name)) > 1:
+                self.get_logger().warn(
+                    f"{publishers} nodes publish {self._motion.topic_name}: stop all but one"
+                )
         joints, vertices = joints_message(state, stamp), vertices_message(state.vertices, stamp)
         self._wait_for(stamp)
         self._joints.publish(joints)
@@ -103,11 +105,12 @@ class SkinnerNode(SceneNode):
         self.report_lateness(stamp)
 
     def _wait_for(self, stamp: int) -> None:
-        """Nothing is told of a body before its stamp: players send its motion ahead. A stamp that is farther
-        ahead is of another clock.
+        """Wait until a stamp: the motion player sends motions ahead, but bodies are published on time.
+
+        A stamp farther ahead than any lead is from another clock.
         """
         wait = (stamp - self.now()) * 1e-9
-        if 0 < wait <= LONGEST_LEAD:
+        if 0 < wait <= MAX_LEAD:
             time.sleep(wait)
 
     def _on_legend(self, message: String) -> None:

@@ -289,7 +289,7 @@ def calibrations() -> dict[str, bytes]:
             second = replace(first, t=first.t + 0.5, distortion=lens if form.lenses else ())
             two = {"left": first, "right": second}
             target = Path(folder) / form.name
-            for path in write_calibration(target, two if form.several else {"right": second}, form.name):
+            for path in write_calibration(target, two if form.multiple else {"right": second}, form.name):
                 files[path.name if path.parent == target else form.name] = path.read_bytes()
     return files
 

@@ -1,6 +1,7 @@
-"""Calibration files, found by content, into cameras and back: x_cam = R x_world + t in metres, in ``map``.
+"""Reading and writing of calibration files; cameras have x_cam = R x_world + t in metres and ``map``.
 
-docs/cameras.md lists the forms and what each one means by its numbers; their readers are in formats/.
+The content of a file decides its format, not its name. docs/cameras.md lists the formats and their
+conventions; their readers and writers are in ``camera/formats/``.
 """
 
 from __future__ import annotations
@@ -17,19 +18,19 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.camera.camera import MAX_SIZE, Camera
-from humansim_ros.camera.checks import check_image_size
-from humansim_ros.camera.formats import FORMATS, CalibrationFormat, CalibrationSource, FilePosition, RawCamera
+from humansim_ros.camera.checks import check_image_size, has_pose
+from humansim_ros.camera.formats import FORMATS, CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
-from humansim_ros.camera.formats.containers import container_of, parsed
-from humansim_ros.camera.image_size import image_size, likely_size
+from humansim_ros.camera.formats.syntax import detect_syntax, parse
+from humansim_ros.camera.image_size import guess_image_size, image_size
 from humansim_ros.errors import CameraError, HumansimWarning, ResourceError, warn_about
 from humansim_ros.io.files import atomic_path, exists, read_text
 from humansim_ros.resources import resource_root
 from humansim_ros.types import Array, ImageSize
 
-#: Turns of a file's world into one whose z is up, by the axis that is up in the file: the shortest ones.
-UPRIGHT: Mapping[str, Array] = {
+#: Rotation of the world of a file to z up, by its up axis: the rotation with the smallest angle.
+Z_UP_FROM_FILE: Mapping[str, Array] = {
     "z": np.eye(3),
     "-z": np.diag([1.0, -1.0, -1.0]),
     "y": np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]),
@@ -38,31 +39,33 @@ UPRIGHT: Mapping[str, Array] = {
     "-x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]),
 }
 _MAX_BYTES = 8 << 20
-#: Files of a folder that can be calibrations.
+#: Suffixes of calibration files in a folder.
 _SUFFIXES = (".yaml", ".yml", ".json", ".xml", ".ini", ".txt", ".cam", ".krtd")
-#: Of several principal points, how far those of equal images are from their median.
+#: Largest distance of principal points of equal images from their median, as a fraction.
 _SAME_IMAGE = 0.25
+#: Smallest image side that is guessed, pixels.
 _SMALLEST_GUESS = 16
-_SKEW_SLACK = 1e-9
+_SKEW_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """What :func:`read_calibration` reads: ``cameras`` by name, and what the file was taken for.
+    """Content of a calibration file.
 
-    ``form``: its form, None for a folder of files. ``unit``: metres per unit; ``up``: its axis that points
-    up. ``sizes``: (width, height) of those cameras whose image size is in the file.
+    ``cameras``: cameras by name. ``format``: format of the file, None for a folder with files of several
+    formats. ``unit``: metres per unit of the file; ``up``: axis of the file that points up. ``sizes``: image
+    size of the cameras whose size is in the file.
     """
 
     cameras: dict[str, Camera]
-    form: CalibrationFormat | None
+    format: CalibrationFormat | None
     unit: float
     up: str
     sizes: dict[str, ImageSize]
 
 
 class _UnknownFormat(CameraError):
-    """Not wrong in itself, but no calibration."""
+    """A readable file without a known calibration format."""
 
 
 def read_calibration(
@@ -73,16 +76,33 @@ def read_calibration(
     up: str | None = None,
     image: str | os.PathLike[str] | None = None,
 ) -> dict[str, Camera]:
-    """The cameras of a calibration file, by name, in the file's order.
+    """Read the cameras of a calibration file of any known format.
 
-    ``path``: a file of any known form, a folder with such files or with a COLMAP model, or a URL as
-    :func:`resolve_url` takes. ``size``: (width, height) of the images, for forms that do not say it (and in
-    place of what the file says); ``image``: a PNG or JPEG that has this size. Without either, a size that
-    fits the principal points is assumed with a HumansimWarning. ``unit``: metres per unit of the file,
-    ``up``: its axis that points up ("z", "-y" …), where they are not as the form implies.
+    Args:
+        path: File, folder with calibration files or a COLMAP model, or URL as for :func:`resolve_url`.
+        size: Width and height of the images in pixels; overrides the size in the file. Without ``size`` and
+            ``image``, a file without sizes gets a common size that fits its principal points, with a
+            HumansimWarning.
+        unit: Metres per unit of the file, if it is not that of the format.
+        up: Axis of the file that points up, such as ``z`` or ``-y``, if it is not that of the format.
+        image: PNG or JPEG file with the size of the images.
 
-    A file without extrinsics gives cameras at the origin that look along +z. Raises CameraError with file,
-    and key or line.
+    Returns:
+        Cameras by name, in the order of the file; without extrinsics at the origin, looking along +z.
+
+    Raises:
+        CameraError: The file cannot be read, or is not a calibration. It has the file, and the key or line.
+
+    Example:
+        >>> import tempfile
+        >>> from pathlib import Path
+        >>> from humansim_ros.camera import Camera, read_calibration, write_calibration
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     path = Path(folder) / "rig.json"
+        ...     _ = write_calibration(path, {"left": Camera.look_at((3, 3, 2), (0, 0, 1))}, "panoptic")
+        ...     cameras = read_calibration(path)
+        >>> list(cameras), cameras["left"].size
+        (['left'], (640, 480))
     """
     return load_calibration(path, size=size, unit=unit, up=up, image=image).cameras
 
@@ -95,11 +115,22 @@ def load_calibration(
     up: str | None = None,
     image: str | os.PathLike[str] | None = None,
 ) -> Calibration:
-    """As :func:`read_calibration`, with what the file was taken for."""
+    """Read a calibration file as :func:`read_calibration` does, with its format, unit, axis and sizes.
+
+    Args:
+        path: As for :func:`read_calibration`, as all arguments.
+        size: Width and height of the images in pixels.
+        unit: Metres per unit of the file.
+        up: Axis of the file that points up.
+        image: PNG or JPEG file with the size of the images.
+
+    Raises:
+        CameraError: The file cannot be read, or is not a calibration.
+    """
     if unit is not None and not 0 < unit < np.inf:
         raise CameraError("the unit must be above zero metres", key="unit")
-    if up is not None and up not in UPRIGHT:
-        raise CameraError(f"{up!r} is no axis: say x, y, z, -x, -y or -z", key="up")
+    if up is not None and up not in Z_UP_FROM_FILE:
+        raise CameraError(f"{up!r} is not an axis: use x, y, z, -x, -y or -z", key="up")
     if image is not None and size is None:
         size = image_size(image)
     if size is not None and not all(0 < side <= MAX_SIZE for side in size):
@@ -114,22 +145,23 @@ def load_calibration(
     text = read_text(file, CameraError, "calibration", most)
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
-    source, form = _recognised(str(file), text)
-    raw = form.read(source)
-    unit, up = form.unit if unit is None else unit, form.up if up is None else up
-    sizes = _sizes(source.path, raw, form, size)
-    cameras = {name: _camera(source.path, name, raw[name], sizes[name], unit, UPRIGHT[up]) for name in raw}
-    said = {name: camera.size for name, camera in raw.items() if camera.size is not None}
-    return Calibration(cameras, form, unit, up, said)
+    parsed, format = _detect_format(str(file), text)
+    raw = format.read(parsed)
+    unit, up = format.unit if unit is None else unit, format.up if up is None else up
+    sizes = _sizes(parsed.path, raw, format, size)
+    rotation = Z_UP_FROM_FILE[up]
+    cameras = {name: _camera(parsed.path, name, raw[name], sizes[name], unit, rotation) for name in raw}
+    in_file = {name: camera.size for name, camera in raw.items() if camera.size is not None}
+    return Calibration(cameras, format, unit, up, in_file)
 
 
 def _folder(folder: Path, size: ImageSize | None, unit: float | None, up: str | None) -> Calibration:
-    """All calibrations of a folder."""
+    """Read all calibrations of a folder."""
     try:
         files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _SUFFIXES and f.is_file())
     except OSError as reason:
         raise CameraError(f"cannot read the folder: {reason.strerror}", path=folder) from None
-    # of a pair, the first half reads the second
+    # the reader of a file with intrinsics reads the one with extrinsics
     files = [
         f for f in files if not ("extri" in f.name and f.with_name(f.name.replace("extri", "intri")) in files)
     ]
@@ -138,81 +170,87 @@ def _folder(folder: Path, size: ImageSize | None, unit: float | None, up: str | 
         try:
             read[file] = load_calibration(file, size=size, unit=unit, up=up)
         except _UnknownFormat:
-            warn_about(file, "no calibration that is known here: left out")
+            warn_about(file, "is not a known calibration format: ignored")
     if not read:
         hint = "its cameras.bin can be read after colmap model_converter --output_type TXT"
         binary = f"; {hint}" if (folder / "cameras.bin").is_file() else ""
         raise CameraError(f"no calibration in this folder ({', '.join(_SUFFIXES)}){binary}", path=folder)
-    names = _own_names({str(file): list(calibration.cameras) for file, calibration in read.items()})
-    cameras, said = {}, {}
+    names = _unique_names({str(file): list(calibration.cameras) for file, calibration in read.items()})
+    cameras, sizes = {}, {}
     for file, calibration in read.items():
         for name, camera in calibration.cameras.items():
-            own = names[str(file), name]
-            cameras[own] = camera
+            unique = names[str(file), name]
+            cameras[unique] = camera
             if name in calibration.sizes:
-                said[own] = calibration.sizes[name]
+                sizes[unique] = calibration.sizes[name]
     first = next(iter(read.values()))
-    alike = all(calibration.form is first.form for calibration in read.values())
-    return Calibration(cameras, first.form if alike else None, first.unit, first.up, said)
+    alike = all(calibration.format is first.format for calibration in read.values())
+    return Calibration(cameras, first.format if alike else None, first.unit, first.up, sizes)
 
 
-def joined(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Camera]:
-    """The cameras of several files, by file, as one rig.
+def join_calibrations(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Camera]:
+    """Join the cameras of several files (path -> cameras) to one rig.
 
-    Cameras of the same name are called by their files, with a HumansimWarning. Raises CameraError where
-    these are the same too.
+    Cameras of the same name get the names of their files, with a HumansimWarning.
+
+    Raises:
+        CameraError: The names of the files are the same too.
     """
-    names = _own_names({path: list(found) for path, found in read.items()})
-    return {names[path, name]: camera for path, found in read.items() for name, camera in found.items()}
+    names = _unique_names({path: list(cameras) for path, cameras in read.items()})
+    return {names[path, name]: camera for path, cameras in read.items() for name, camera in cameras.items()}
 
 
-def _own_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
-    """A name of its own for each camera of each file."""
-    counts = Counter(name for found in read.values() for name in found)
+def _unique_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], str]:
+    """Unique name of each camera: (path, name in the file) -> name."""
+    counts = Counter(name for in_file in read.values() for name in in_file)
     names: dict[tuple[str, str], str] = {}
-    taken: set[str] = set()
-    for path, found in read.items():
-        for name in found:
-            own = name
+    used: set[str] = set()
+    for path, in_file in read.items():
+        for name in in_file:
+            unique = name
             if counts[name] > 1:
-                own = Path(path).stem + (f"_{name}" if len(found) > 1 else "")
-                warn_about(path, f"there are several cameras {name}; this one is called {own}")
-            if own in taken:
-                raise CameraError(f"there are two cameras {own}: rename a file", path=path, key=name)
-            taken.add(own)
-            names[path, name] = own
+                unique = Path(path).stem + (f"_{name}" if len(in_file) > 1 else "")
+                warn_about(path, f"there are several cameras {name}; this one is renamed to {unique}")
+            if unique in used:
+                raise CameraError(f"there are two cameras {unique}: rename a file", path=path, key=name)
+            used.add(unique)
+            names[path, name] = unique
     return names
 
 
-def _recognised(path: str, text: str) -> tuple[CalibrationSource, CalibrationFormat]:
-    container = container_of(path, text)
-    source = parsed(path, text, container)
-    for form in FORMATS:
-        if form.container == container and form.matches(source):
-            return source, form
-    known = ", ".join(form.title for form in FORMATS if form.container == container)
-    found = ""
-    if isinstance(source.document, dict):
-        keys = ", ".join(str(key)[:30] for key in list(source.document)[:6])
-        found = f" It has {keys}." if keys else ""
-    kind = "text" if container == "text" else container.upper()
-    raise _UnknownFormat(f"no calibration that is known here.{found} Known in {kind}: {known}", path=path)
+def _detect_format(path: str, text: str) -> tuple[CalibrationFile, CalibrationFormat]:
+    syntax = detect_syntax(path, text)
+    file = parse(path, text, syntax)
+    formats = [format for format in FORMATS if format.syntax == syntax]
+    for format in formats:
+        if format.matches(file):
+            return file, format
+    known = ", ".join(format.title for format in formats)
+    content = ""
+    if isinstance(file.document, dict):
+        keys = ", ".join(str(key)[:30] for key in list(file.document)[:6])
+        content = f" Its keys are {keys}." if keys else ""
+    kind = "text" if syntax == "text" else syntax.upper()
+    message = f"is not a known calibration format.{content} Known in {kind}: {known}"
+    raise _UnknownFormat(message, path=path)
 
 
 def _sizes(
-    path: str, raw: Mapping[str, RawCamera], form: CalibrationFormat, said: ImageSize | None
+    path: str, raw: Mapping[str, RawCamera], format: CalibrationFormat, given: ImageSize | None
 ) -> dict[str, ImageSize]:
-    """Image sizes: as the user says, else as the file does, else as the principal points let one think."""
-    sizes = {name: said or camera.size for name, camera in raw.items()}
+    """Image sizes: the given one, else that of the file, else one that fits the principal points."""
+    sizes = {name: given or camera.size for name, camera in raw.items()}
     unknown = [name for name, size in sizes.items() if size is None]
     if unknown:
         points = {name: _principal_point(raw[name]) for name in unknown}
         middle = np.median(list(points.values()), axis=0)
-        near = all((np.abs(p - middle) < _SAME_IMAGE * np.abs(middle)).all() for p in points.values())
+        alike = all((np.abs(p - middle) < _SAME_IMAGE * np.abs(middle)).all() for p in points.values())
         for name, point in points.items():
-            sizes[name] = likely_size(list(points.values()) if near else point, form.sizes)
+            sizes[name] = guess_image_size(list(points.values()) if alike else point, format.sizes)
             if not all(_SMALLEST_GUESS <= side <= MAX_SIZE for side in sizes[name] or ()):
-                message = f"the file does not say the image size of {name}, and its K does not tell: give it"
+                message = (
+                    f"the file has no image size for {name}, and its K does not determine it: give the size"
+                )
                 raise CameraError(message, path=path, key="size")
         guesses = sorted({f"{w}x{h}" for w, h in (sizes[name] or (0, 0) for name in unknown)})
         some = ", ".join(guesses[:3]) + (" …" if len(guesses) > 3 else "")
@@ -226,25 +264,24 @@ def _principal_point(raw: RawCamera) -> Array:
         return np.asarray(np.nan_to_num(raw.K[:2, 2] / scale), dtype=float)
 
 
-def _camera(path: str, name: str, raw: RawCamera, size: ImageSize, unit: float, upright: Array) -> Camera:
-    """A camera in metres and ``map``; what is wrong with it is told by file and place."""
+def _camera(path: str, name: str, raw: RawCamera, size: ImageSize, unit: float, rotation: Array) -> Camera:
+    """Convert a camera to metres and ``map``; errors get the file, line and key."""
     t = raw.t if raw.center is None else -_orthonormal(raw.R) @ raw.center
     rectified = None if raw.rectified is None else raw.rectified * [1, 1, 1, unit]
     rest = (raw.distortion, raw.model, raw.rectification, rectified)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            camera = Camera(size, raw.K, raw.R @ upright.T, t * unit, *rest)
+            camera = Camera(size, raw.K, raw.R @ rotation.T, t * unit, *rest)
         except CameraError as error:
             part = error.key or ""
-            place = raw.places.get(part) or raw.places.get("") or FilePosition()
-            key = place.key if part in raw.places and place.key else ".".join(filter(None, (name, part)))
-            message = (
-                "R mirrors (its determinant is -1): no camera does" if _mirrors(raw, part) else error.message
-            )
-            raise CameraError(message, path=place.path or path, line=place.line, key=key) from None
-    odd = [str(warning.message) for warning in caught if issubclass(warning.category, HumansimWarning)]
-    for message in (*odd, *check_image_size(camera)):
+            at = raw.locations.get(part) or raw.locations.get("") or SourceLocation()
+            key = at.key if part in raw.locations and at.key else ".".join(filter(None, (name, part)))
+            mirrored = "R is a reflection (its determinant is -1), not a rotation"
+            message = mirrored if _mirrors(raw, part) else error.message
+            raise CameraError(message, path=at.path or path, line=at.line, key=key) from None
+    messages = [str(warning.message) for warning in caught if issubclass(warning.category, HumansimWarning)]
+    for message in (*messages, *check_image_size(camera)):
         warn_about(path, f"{name}: {message}")
     return camera
 
@@ -257,7 +294,7 @@ def _mirrors(raw: RawCamera, part: str) -> bool:
 
 
 def _orthonormal(r: Array) -> Array:
-    """The rotation that Camera will make of a matrix; one that is none is left for it to refuse."""
+    """Rotation that Camera makes from a matrix; a matrix that Camera refuses is unchanged."""
     off = np.abs(r @ r.T - np.eye(3)).max()
     if not 1e-12 < off < 1e-3:
         return r
@@ -269,11 +306,14 @@ def _orthonormal(r: Array) -> Array:
 
 
 def resolve_url(url: str, name: str | None = None) -> Path:
-    """The file of a ``camera_info_url``, as ROS's camera_info_manager finds it.
+    """Find the file of a ``camera_info_url`` as camera_info_manager of ROS does.
 
-    ``file:///…`` or ``package://<package>/…``, with ``${NAME}`` for the camera's ``name`` and ``${ROS_HOME}``
-    for that variable or ~/.ros. An empty URL is file://${ROS_HOME}/camera_info/${NAME}.yaml. Packages are
-    found in AMENT_PREFIX_PATH; our own without it. A plain path stays as it is. Raises CameraError.
+    A URL is ``file:///…`` or ``package://<package>/…``, with ``${NAME}`` for the ``name`` of the camera and
+    ``${ROS_HOME}`` for this variable or ~/.ros. An empty URL is file://${ROS_HOME}/camera_info/${NAME}.yaml.
+    Packages are searched in AMENT_PREFIX_PATH. A path is returned unchanged.
+
+    Raises:
+        CameraError: The URL is not valid, or its package is missing.
     """
     text = re.sub(
         r"\$\{([^}]*)\}",
@@ -300,7 +340,9 @@ def _variable(variable: str, url: str, name: str | None) -> str:
     if variable == "NAME" and name is not None:
         return name
     known = "NAME and ROS_HOME" if name is not None else "ROS_HOME"
-    raise CameraError(f"${{{variable}}} is not known here, only {known}", key=url or "camera_info_url")
+    raise CameraError(
+        f"${{{variable}}} is not a known variable; known are {known}", key=url or "camera_info_url"
+    )
 
 
 def _share_folder(package: str, url: str) -> Path:
@@ -322,23 +364,28 @@ def _share_folder(package: str, url: str) -> Path:
 
 
 def write_calibration(
-    path: str | os.PathLike[str], cameras: Mapping[str, Camera], form: str | None = None
+    path: str | os.PathLike[str], cameras: Mapping[str, Camera], format: str | None = None
 ) -> list[Path]:
-    """Write cameras in a form, whole or not at all.
+    """Write a calibration file; files are complete or absent.
 
-    ``form``: a name of :data:`FORMATS`; by default from the suffix of ``path``. ``path``: a file; a folder
-    for COLMAP, and, without a suffix, for forms of one camera per file. Returns the files. What the form
-    cannot hold is refused where it would change what the cameras see, and else told with a HumansimWarning.
-    Raises CameraError.
+    ``path``: file; a folder for COLMAP and, without a suffix, for formats of one camera per file. ``format``:
+    name of a format (docs/cameras.md); without it, the suffix of ``path`` decides. A HumansimWarning reports
+    values that the format does not store.
+
+    Returns:
+        The files that were written.
+
+    Raises:
+        CameraError: The format is unknown, it cannot store a lens or skew, or a file cannot be written.
     """
     target = Path(path)
-    chosen = _format_of(target, form, len(cameras))
+    chosen = _format_of(target, format, len(cameras))
     if not cameras:
         raise CameraError("there is no camera to write", path=target)
-    fitting = {name: _fitted(target, name, camera, chosen) for name, camera in cameras.items()}
-    turn = UPRIGHT[chosen.up]
-    own = {n: replace(c, R=c.R @ turn, t=c.t / chosen.unit) for n, c in fitting.items()}
-    texts = _texts(target, own, chosen)
+    supported = {name: _with_supported_lens(target, name, camera, chosen) for name, camera in cameras.items()}
+    rotation = Z_UP_FROM_FILE[chosen.up]
+    in_file = {n: replace(c, R=c.R @ rotation, t=c.t / chosen.unit) for n, c in supported.items()}
+    texts = _texts(target, in_file, chosen)
     for message in _losses(cameras, chosen):
         warn_about(target, message)
     for file in texts:
@@ -351,91 +398,94 @@ def write_calibration(
             for file, text in texts.items():
                 stack.enter_context(atomic_path(file)).write_text(text, encoding="utf-8")
     except (OSError, UnicodeEncodeError) as reason:
-        why = reason.strerror if isinstance(reason, OSError) else "a name has half a character in it"
+        why = reason.strerror if isinstance(reason, OSError) else "a name has an incomplete character"
         raise CameraError(f"cannot be written: {why or reason}", path=target) from None
     return list(texts)
 
 
 def _format_of(target: Path, name: str | None, count: int) -> CalibrationFormat:
-    names = {form.name: form for form in FORMATS}
+    names = {format.name: format for format in FORMATS}
     if name is not None:
         if name not in names:
-            raise CameraError(f"there is no form {name!r}, only {', '.join(names)}", path=target)
+            message = f"unknown calibration format {name!r}; known are {', '.join(names)}"
+            raise CameraError(message, path=target)
         return names[name]
     suffix = target.suffix.lower()
     if suffix == ".txt" and target.stem.endswith("par"):
         return names["middlebury"]
-    fitting = [form for form in FORMATS if form.suffix == suffix and suffix]
-    if suffix in (".yaml", ".txt", ".yml") and fitting and (count == 1 or fitting[0].several):
-        return fitting[0]
-    if len(fitting) != 1:
-        several = [form.name for form in fitting or FORMATS if form.several or count == 1]
-        raise CameraError(f"say which form is to be written: {', '.join(several)}", path=target)
-    return fitting[0]
+    matches = [format for format in FORMATS if format.suffix == suffix and suffix]
+    if suffix in (".yaml", ".txt", ".yml") and matches and (count == 1 or matches[0].multiple):
+        return matches[0]
+    if len(matches) != 1:
+        choices = [format.name for format in matches or FORMATS if format.multiple or count == 1]
+        raise CameraError(f"choose the format to write: {', '.join(choices)}", path=target)
+    return matches[0]
 
 
-def _fitted(path: Path, name: str, camera: Camera, form: CalibrationFormat) -> Camera:
-    """The same camera in a lens model that the form has. Raises CameraError where there is none."""
-    if not form.holds_skew and abs(camera.K[0, 1]) > _SKEW_SLACK * camera.K[0, 0]:
-        raise _cannot(path, name, form, "skew")
-    held = dict(form.lenses)
+def _with_supported_lens(path: Path, name: str, camera: Camera, format: CalibrationFormat) -> Camera:
+    """The same camera with a lens model of the format. Raises CameraError where there is none."""
+    if not format.holds_skew and abs(camera.K[0, 1]) > _SKEW_TOLERANCE * camera.K[0, 0]:
+        raise _unsupported(path, name, format, "skew")
+    counts = dict(format.lenses)
     model, d = str(camera.model), camera.distortion
     if not camera.distorted:
-        return camera if model in held else replace(camera, distortion=(), model="plumb_bob")
-    if model == "rational_polynomial" and model not in held and not any(d[5:]):
+        return camera if model in counts else replace(camera, distortion=(), model="plumb_bob")
+    if model == "rational_polynomial" and model not in counts and not any(d[5:]):
         model, d = "plumb_bob", d[:5]
-    if model not in held:
-        raise _cannot(path, name, form, f"{model} distortion")
-    if any(d[held[model] :]):
-        raise _cannot(path, name, form, f"{model} distortion with more than {held[model]} coefficients")
+    if model not in counts:
+        raise _unsupported(path, name, format, f"{model} distortion")
+    if any(d[counts[model] :]):
+        raise _unsupported(
+            path, name, format, f"{model} distortion with more than {counts[model]} coefficients"
+        )
     return replace(camera, distortion=d, model=model)
 
 
-def _cannot(path: Path, name: str, form: CalibrationFormat, what: str) -> CameraError:
-    hint = "idealize the camera first (humansim camera idealize), or take another form"
-    return CameraError(f"{form.title} cannot hold {what}: {hint}", path=path, key=name)
+def _unsupported(path: Path, name: str, format: CalibrationFormat, what: str) -> CameraError:
+    hint = "idealize the camera first (humansim camera idealize), or choose another format"
+    return CameraError(f"{format.title} cannot store {what}: {hint}", path=path, key=name)
 
 
-def _losses(cameras: Mapping[str, Camera], form: CalibrationFormat) -> Iterator[str]:
-    """What a reader of the files will not know."""
-    if not form.holds_pose:
-        posed = [n for n, c in cameras.items() if not (np.array_equal(c.R, np.eye(3)) and not c.t.any())]
+def _losses(cameras: Mapping[str, Camera], format: CalibrationFormat) -> Iterator[str]:
+    """Messages about values that the format does not store."""
+    if not format.holds_pose:
+        posed = [name for name, camera in cameras.items() if has_pose(camera)]
         if posed:
-            yield f"{form.title} does not hold where cameras stand: R and t of {_some(posed)} are left out"
-    if not form.holds_size:
+            yield f"{format.title} does not store camera poses: R and t of {_some(posed)} are left out"
+    if not format.holds_size:
         sizes = sorted({"{}x{}".format(*camera.size) for camera in cameras.values()})
-        yield f"{form.title} does not hold the image size: say {_some(sizes)} when it is read"
-    if not form.holds_rectified:
+        yield f"{format.title} does not store the image size: give {_some(sizes)} when it is read"
+    if not format.holds_rectified:
         stereo = [n for n, c in cameras.items() if c.rectification is not None or c.rectified is not None]
         if stereo:
-            yield f"{form.title} does not hold R and P of rectified images: {_some(stereo)} is without them"
+            yield f"{format.title} does not store R and P of rectified images: {_some(stereo)} lose them"
 
 
 def _some(names: Sequence[str]) -> str:
     return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
 
 
-def _texts(target: Path, cameras: Mapping[str, Camera], form: CalibrationFormat) -> dict[Path, str]:
-    """Text of each file."""
+def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationFormat) -> dict[Path, str]:
+    """Text of each file by its path."""
     try:
-        if form.several or (len(cameras) == 1 and target.suffix and not target.is_dir()):
-            texts = form.write(cameras)
+        if format.multiple or (len(cameras) == 1 and target.suffix and not target.is_dir()):
+            texts = format.write(cameras)
             if "" in texts:
-                file = target / f"cameras{form.suffix}" if target.is_dir() else target
+                file = target / f"cameras{format.suffix}" if target.is_dir() else target
                 return {file: texts[""]}
             if target.exists() and not target.is_dir():
-                raise CameraError(f"{form.title} is a folder, and this is a file", path=target)
-            # an empty file is only there because readers ask for it
+                raise CameraError(f"{format.title} needs a folder, and this is a file", path=target)
+            # an empty file only satisfies readers; it must not replace an existing file
             return {target / n: text for n, text in texts.items() if text or not (target / n).exists()}
         if target.suffix and not target.is_dir():
-            message = f"{form.title} is a file per camera: name a folder for {len(cameras)} cameras"
+            message = f"{format.title} has one file per camera: give a folder for {len(cameras)} cameras"
             raise CameraError(message, path=target)
         files: dict[Path, str] = {}
         for name, camera in cameras.items():
-            file = target / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name).lstrip('.') or '_'}{form.suffix}"
+            file = target / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', name).lstrip('.') or '_'}{format.suffix}"
             if file in files:
                 raise CameraError(f"two cameras would be written to {file.name}", path=target, key=name)
-            files[file] = form.write({name: camera})[""]
+            files[file] = format.write({name: camera})[""]
         return files
     except CameraError as error:
         if error.path is not None:

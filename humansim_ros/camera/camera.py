@@ -1,10 +1,10 @@
-"""The camera: the one place where world points become pixels.
+"""The camera: the only place that projects world points to pixels.
 
-A world point goes through the extrinsics to the optical frame, is divided by its depth, falls through the
-lens (lens.py) and is put on the pixels by K.
+The extrinsics transform a world point to the optical frame. It is divided by its depth, distorted by the lens
+(``camera/lens.py``), and mapped to pixels by K.
 
 Frames and pixels are those of OpenCV and ROS (REP-103): x_cam = R x_world + t in the optical frame (z
-forward, x right, y down); a pixel is (x, y) = (column, row) and the centre of the top-left pixel is (0, 0).
+forward, x right, y down); a pixel is (x, y) = (column, row), and the centre of the top-left pixel is (0, 0).
 """
 
 from __future__ import annotations
@@ -20,13 +20,13 @@ from scipy.linalg import rq
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, HumansimWarning
 from humansim_ros.rotations import transform
-from humansim_ros.types import Array
+from humansim_ros.types import Array, ImageSize
 
-#: How far a given rotation may be from orthonormal before it is refused rather than mended.
-_ROTATION_SLACK = 1e-3
-#: What rounding to the digits of a file makes; beyond it a mended rotation is worth a warning.
+#: Largest error of orthonormality at which a rotation is corrected; matrices with larger errors are refused.
+_ROTATION_TOLERANCE = 1e-3
+#: Largest error that the rounding of numbers in files explains; a larger one causes a warning.
 _ROTATION_ROUNDING = 1e-5
-#: Largest image side that is rendered.
+#: Largest image side in pixels.
 MAX_SIZE = 8192
 
 
@@ -34,15 +34,22 @@ MAX_SIZE = 8192
 class Camera:
     """A calibrated camera.
 
-    ``size``: (width, height) pixels. ``K``: (3, 3) intrinsics, upper triangular; skew works after the lens.
-    ``R`` (3, 3), ``t`` (3,): extrinsics, world to optical frame, metres. ``distortion``: coefficients of
-    ``model``, one of :data:`humansim_ros.camera.lens.MODELS`; without one it is found by their number.
-    ``rectification`` (3, 3) and ``rectified`` (3, 4): R and P of CameraInfo where a file or a stereo rig says
-    them. Raises CameraError, with the name of the wrong part as key, where these cannot be a camera. A
-    rotation that is off by less than 1e-3 is mended with a HumansimWarning.
+    Args:
+        size: Width and height of the image in pixels.
+        K: Intrinsics, (3, 3), upper triangular. The skew is applied after the lens.
+        R: Rotation from the world to the optical frame, (3, 3). An error of orthonormality below 1e-3 is
+            corrected, with a HumansimWarning from 1e-5.
+        t: Translation from the world to the optical frame, (3,) metres.
+        distortion: Distortion coefficients of ``model``.
+        model: One of :data:`humansim_ros.camera.lens.MODELS`. Without it, the number of coefficients decides.
+        rectification: R of CameraInfo, (3, 3), if a file or a stereo rig defines it.
+        rectified: P of CameraInfo, (3, 4), if a file or a stereo rig defines it.
+
+    Raises:
+        CameraError: The values are not those of a camera. Its key is the name of the wrong argument.
     """
 
-    size: tuple[int, int]
+    size: ImageSize
     K: Array
     R: Array
     t: Array
@@ -58,7 +65,7 @@ class Camera:
         if abs(k[2, 2]) <= 1e-12 * np.abs(k).max():
             raise CameraError("K is singular: its last element is zero", key="K")
         k = k / k[2, 2]
-        # as a fraction of the principal point too, so that a focal length lost to rounding is found
+        # relative to the principal point as well, to detect a focal length that rounding destroyed
         if min(k[0, 0], k[1, 1]) <= 1e-6 * np.abs(k).max():
             raise CameraError("K is singular or has a focal length that is not positive", key="K")
         if not np.allclose([k[1, 0], k[2, 0], k[2, 1]], 0, atol=1e-9 * k[0, 0]):
@@ -83,14 +90,32 @@ class Camera:
         cls,
         position: ArrayLike,
         target: ArrayLike,
-        size: tuple[int, int] = (640, 480),
+        size: ImageSize = (640, 480),
         fov: float = np.radians(60.0),
         up: ArrayLike = (0.0, 0.0, 1.0),
     ) -> Camera:
-        """An ideal camera at ``position`` that sees ``target`` (world, metres) in the middle of its image.
+        """Create an ideal pinhole camera that looks from one point at another.
 
-        ``fov``: horizontal field of view in radians. Square pixels; the principal point is the image's
-        middle, ((width - 1) / 2, (height - 1) / 2).
+        Args:
+            position: Camera center, (3,) metres in ``map``.
+            target: Point that appears at the image center, (3,) metres in ``map``.
+            size: Image width and height in pixels.
+            fov: Horizontal field of view in radians, between 0 and pi.
+            up: Direction that points up in the image, (3,).
+
+        Returns:
+            Camera with square pixels and principal point ((width - 1) / 2, (height - 1) / 2).
+
+        Raises:
+            CameraError: ``position`` equals ``target``, ``up`` is parallel to the view direction, or ``fov``
+                is out of range.
+
+        Example:
+            >>> camera = Camera.look_at((3, 3, 2), (0, 0, 0.8))
+            >>> camera.size
+            (640, 480)
+            >>> camera.center.round(9).tolist()
+            [3.0, 3.0, 2.0]
         """
         width, height = _checked_size(size)
         if not 0 < fov < np.pi:
@@ -112,13 +137,19 @@ class Camera:
         return cls(size, k, rotation, -rotation @ centre)
 
     @classmethod
-    def from_projection_matrix(cls, P: ArrayLike, size: tuple[int, int]) -> Camera:
-        """The camera of a 3x4 projection matrix P = K [R | t] of any scale and sign (thesis 9.8, RQ
-        decomposition).
+    def from_projection_matrix(cls, P: ArrayLike, size: ImageSize) -> Camera:
+        """Create a camera from a projection matrix P = K [R | t], (3, 4), of any scale and sign.
+
+        P is decomposed by RQ decomposition [thesis §9.8].
+
+        Raises:
+            CameraError: P is singular, or its K or R is not that of a camera.
         """
         p = _matrix(P, (3, 4), "P")
         if abs(np.linalg.det(p[:, :3])) <= 1e-12 * np.abs(p[:, :3]).max() ** 3:
-            raise CameraError("P is singular: its camera is at infinity or it is no projection", key="P")
+            raise CameraError(
+                "P is singular: its camera is at infinity, or it is not a projection matrix", key="P"
+            )
         p = p * np.sign(np.linalg.det(p[:, :3]))
         k, r = rq(p[:, :3])
         signs = np.diag(np.sign(np.diag(k)))
@@ -127,67 +158,74 @@ class Camera:
 
     @cached_property
     def lens(self) -> Lens:
-        """What distorts the image."""
+        """Distortion model and coefficients."""
         assert self.model is not None
         return _lens(self.model, self.distortion)
 
     @property
     def distorted(self) -> bool:
-        """Whether straight lines are not straight in its images."""
+        """Whether the lens bends straight lines."""
         return not self.lens.ideal
 
     @property
     def rectification_matrix(self) -> Array:
-        """(3, 3) R of CameraInfo: optical frame to that of image_rect."""
+        """R of CameraInfo, (3, 3): optical frame to the frame of image_rect."""
         return np.eye(3) if self.rectification is None else self.rectification
 
     @cached_property
     def rectified_projection(self) -> Array:
-        """(3, 4) P of CameraInfo: the frame of image_rect to its pixels.
+        """P of CameraInfo, (3, 4): the frame of image_rect to its pixels.
 
-        Where nothing else is said, that of the idealised camera (thesis 9.8): without skew, and the principal
-        point in the image's middle; a camera that has no distortion and no skew is ideal enough as it is.
+        By default [K | 0] of the ideal camera [thesis §9.8]: without skew, with a centred principal point. A
+        camera without distortion and skew keeps its K.
         """
         if self.rectified is not None:
             return self.rectified
-        as_it_is = not self.distorted and self.K[0, 1] == 0
-        k = self.K if as_it_is else ideal_matrix(self.K, self.size)
+        unchanged = not self.distorted and self.K[0, 1] == 0
+        k = self.K if unchanged else ideal_matrix(self.K, self.size)
         return np.column_stack([k, np.zeros(3)])
 
     @cached_property
     def P(self) -> Array:
-        """(3, 4) projection matrix K [R | t] (thesis 9.3), of the image without the lens' distortion."""
+        """Projection matrix K [R | t] without lens distortion, (3, 4) [thesis §9.3]."""
         return self.K @ np.column_stack([self.R, self.t])
 
     @property
     def center(self) -> Array:
-        """(3,) camera centre in the world, C = -R^T t."""
+        """Camera centre in the world, C = -R^T t, (3,) metres."""
         return -self.R.T @ self.t
 
     @property
     def optical_from_world(self) -> Array:
-        """(4, 4) world to optical frame."""
+        """Transform from the world to the optical frame, (4, 4)."""
         return transform(self.R, self.t)
 
     @property
     def world_from_optical(self) -> Array:
-        """(4, 4) pose of the optical frame in the world."""
+        """Pose of the optical frame in the world, (4, 4)."""
         return transform(self.R.T, self.center)
 
     def to_optical(self, points: ArrayLike) -> Array:
-        """World points (..., 3) in the optical frame (..., 3), metres."""
+        """Transform world points (..., 3) to the optical frame (..., 3), metres."""
         return np.asarray(points, dtype=float) @ self.R.T + self.t
 
     def project(self, points: ArrayLike) -> tuple[Array, Array]:
-        """Pixels (N, 2) of image_raw and depth (N,) along z of world points (N, 3).
+        """Project world points (N, 3) to pixels (N, 2) of image_raw and depths (N,) along z, metres.
 
-        A point that is not in front of the camera (depth <= 0), or beyond what the lens can see, has NaN
-        pixels.
+        Pixels are NaN for points behind the camera (depth <= 0) and beyond the valid radius of the lens.
+
+        Example:
+            >>> camera = Camera.look_at((3, 0, 1), (0, 0, 1))
+            >>> pixels, depth = camera.project([(0, 0, 1), (0, 0, 2), (9, 0, 1)])
+            >>> pixels.round(1).tolist()
+            [[319.5, 239.5], [319.5, 54.7], [nan, nan]]
+            >>> depth.tolist()
+            [3.0, 3.0, -6.0]
         """
         return self.project_optical(self.to_optical(points))
 
     def project_optical(self, points: ArrayLike) -> tuple[Array, Array]:
-        """Pixels (N, 2) and depth (N,) of points (N, 3) in the optical frame."""
+        """Project points (N, 3) in the optical frame to pixels (N, 2) and depths (N,)."""
         p = np.asarray(points, dtype=float)
         depth = p[..., 2]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -199,8 +237,9 @@ class Camera:
         return np.where(depth[..., None] > 0, image, np.nan), depth
 
     def rays(self, pixels: ArrayLike) -> Array:
-        """Directions (..., 3) with z = 1 in the optical frame that pixels (..., 2) see; NaN for pixels that
-        the lens leaves dark.
+        """Directions (..., 3) in the optical frame, with z = 1, of the rays of pixels (..., 2).
+
+        NaN for pixels that no ray through the lens reaches.
         """
         uv = np.asarray(pixels, dtype=float)
         homogeneous = np.concatenate([uv, np.ones((*uv.shape[:-1], 1))], axis=-1)
@@ -210,18 +249,17 @@ class Camera:
         return np.concatenate([self.lens.undistort(directions[..., :2]), homogeneous[..., 2:]], axis=-1)
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> Array:
-        """World points (N, 3) of pixels (N, 2) at depths (N,) along z: the inverse of :meth:`project`."""
+        """World points (N, 3) of pixels (N, 2) at depths (N,) along z; the inverse of :meth:`project`."""
         rays = self.rays(pixels)
         return (rays * np.asarray(depth, dtype=float)[..., None] - self.t) @ self.R
 
     def opengl_clip(self, near: float, far: float) -> Array:
-        """(4, 4) optical frame to OpenGL clip coordinates: the one place that knows both pixel conventions.
+        """Matrix (4, 4) from the optical frame to OpenGL clip coordinates.
 
-        It knows no lens: of a distorted camera it takes points that have been through the lens, at their
-        depth.
-        OpenGL's window has pixel centres at half-integers, so the principal point is moved by +0.5. The
-        image's first row is the window's lowest, so that a read-back comes top row first. Depth is the
-        standard perspective row, -1 at ``near``.
+        It has no lens: points of a distorted camera must be distorted first and keep their depth. OpenGL has
+        pixel centres at half-integers, so the principal point is moved by +0.5. The first image row is the
+        lowest row of the window, so that images are read back with the top row first. Depth is that of the
+        standard perspective matrix, -1 at ``near``.
         """
         width, height = self.size
         k = self.K
@@ -237,15 +275,18 @@ class Camera:
 
 @lru_cache(maxsize=256)
 def _lens(model: str, coefficients: tuple[float, ...]) -> Lens:
-    """One lens for all cameras that have it: what was worked out of it is kept."""
+    """Lens that equal cameras share, so that its derived values are computed once."""
     return Lens(model, coefficients)
 
 
-def ideal_matrix(K: Array, size: tuple[int, int], square: bool = False, center: bool = True) -> Array:
-    """(3, 3) intrinsics of the ideal camera (thesis 9.8): without skew.
+def ideal_matrix(K: Array, size: ImageSize, square: bool = False, center: bool = True) -> Array:
+    """Intrinsics (3, 3) of the ideal camera of a camera [thesis §9.8]: without skew.
 
-    ``square``: pixels are square, both focal lengths become their geometric mean. ``center``: the principal
-    point is moved to the image's middle.
+    Args:
+        K: Intrinsics of the camera, (3, 3).
+        size: Width and height of the image in pixels.
+        square: Make pixels square: both focal lengths become their geometric mean.
+        center: Move the principal point to the image centre.
     """
     fx, fy = float(K[0, 0]), float(K[1, 1])
     if square:
@@ -255,32 +296,31 @@ def ideal_matrix(K: Array, size: tuple[int, int], square: bool = False, center: 
 
 
 def _rotation(value: ArrayLike, key: str) -> Array:
-    """A rotation matrix, mended where rounding or a careless file left it a little off."""
+    """Check a rotation matrix, and correct small errors of orthonormality."""
     r = _matrix(value, (3, 3), key)
     off = float(np.abs(r @ r.T - np.eye(3)).max())
-    if off > _ROTATION_SLACK or np.linalg.det(r) < 0:
+    if off > _ROTATION_TOLERANCE or np.linalg.det(r) < 0:
         raise CameraError(f"{key} is not a rotation matrix (orthonormal, determinant +1)", key=key)
     if off > _ROTATION_ROUNDING:
         message = f"{key} is a rotation matrix only to {off:.1g}: the nearest rotation is used"
         warnings.warn(message, HumansimWarning, stacklevel=4)
     if off <= 1e-12:
         return r
-    # orthonormal to rounding, so that the published extrinsics are a rigid transform
+    # exactly orthonormal, so that the published extrinsics are a rigid transform
     u, _, vt = np.linalg.svd(r)
     return np.asarray(u @ vt, dtype=float)
 
 
-def _checked_size(size: tuple[int, int]) -> tuple[int, int]:
-    """Width and height, if they are whole numbers that an image can have."""
+def _checked_size(size: ImageSize) -> ImageSize:
+    """Check the width and height of an image."""
     try:
         width, height = (int(n) for n in size)
-        whole = (width, height) == tuple(size)
+        integers = (width, height) == tuple(size)
     except (TypeError, ValueError, OverflowError):
-        whole = False
-    if not whole:
-        raise CameraError(
-            f"the image size must be two whole numbers, width and height, not {size}", key="size"
-        )
+        integers = False
+    if not integers:
+        message = f"the image size must be two whole numbers, width and height, not {size}"
+        raise CameraError(message, key="size")
     if not (0 < width <= MAX_SIZE and 0 < height <= MAX_SIZE):
         raise CameraError(f"the image size must be 1 to {MAX_SIZE} pixels, not {width}x{height}", key="size")
     return width, height

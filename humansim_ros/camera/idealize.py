@@ -1,7 +1,7 @@
-"""Real cameras made ideal (thesis 9.8): no lens distortion, no skew, the principal point where it should be.
+"""Ideal cameras of real cameras [thesis §9.8]: no distortion, no skew, a centred principal point.
 
-An ideal camera stands where the real one stands and looks where it looks (same R and t); only K changes, and
-the images with it. One remap in each direction carries images from one to the other, exactly.
+An ideal camera has R and t of the real one; only K differs. One remap in each direction converts images
+between the two without approximation.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from humansim_ros.camera.camera import Camera, ideal_matrix
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
-#: How much of the real image the ideal one shows: as much as the focal length says, all of it (with black
-#: borders), or only what fills it.
+#: Part of the real image that the ideal one shows: that of the same focal lengths, all of it (with black
+#: borders), or only a part without black pixels.
 Fit = Literal["focal", "all", "no_black"]
 
-#: Where maps point that have nothing to point at: outside of any image, and a number that cv2.remap can hold.
-_NOWHERE = 16384.0
-#: Pixels that are mapped at once: they stay in the cache.
+#: Coordinate in maps for pixels without a counterpart: outside of any image, and in the range of cv2.remap.
+_OUTSIDE = 16384.0
+#: Pixels that are mapped at once, so that they fit into the processor cache.
 _BLOCK = 1 << 16
-#: Steps along the border of an image by which a fit is judged.
-_BORDER = 400
-#: A focal length that shrinks to less than this fraction shows nothing.
-_SMALLEST = 0.02
+#: Points along each side of an image for the fits.
+_BORDER_POINTS = 400
+#: Smallest factor of the focal lengths.
+_SMALLEST_SCALE = 0.02
 
 
 @dataclass(frozen=True)
 class Ideal:
-    """A real camera and the ideal one in its place. Images of both have the same size (width, height).
+    """A real camera and its ideal camera. Their images have the same size (width, height).
 
-    The ideal one may look another way from there (stereo rectification).
+    The ideal camera may be rotated (stereo rectification).
     """
 
     real: Camera
@@ -45,53 +45,72 @@ class Ideal:
 
     @cached_property
     def real_from_ideal(self) -> NDArray[np.float32]:
-        """(H, W, 2) for each pixel of the ideal image the (x, y) of the real one, as cv2.remap takes it.
+        """Map (H, W, 2) for cv2.remap: x, y in the real image for each pixel of the ideal image.
 
-        What the real lens cannot see lies at 16384 pixels, outside of any image; so does all that is farther.
+        Pixels beyond the real lens have 16384, which is outside of any image; coordinates are clipped to it.
         """
         return _map(self.points_to_real, self.camera.size)
 
     @cached_property
     def ideal_from_real(self) -> NDArray[np.float32]:
-        """(H, W, 2) for each pixel of the real image the (x, y) of the ideal one; else as the other."""
+        """Map (H, W, 2) for cv2.remap: x, y in the ideal image for each pixel of the real image."""
         return _map(self.points_to_ideal, self.real.size)
 
     def points_to_real(self, pixels: ArrayLike) -> Array:
-        """Where (N, 2) pixels of the ideal image are in the real one, (N, 2); NaN beyond the lens."""
-        return _seen_along(self.real, self.camera.rays(pixels) @ self._real_from_ideal_frame.T)
+        """Convert pixels (N, 2) of the ideal image to pixels of the real image; NaN beyond the lens."""
+        return self.real.project_optical(self.camera.rays(pixels) @ self._real_from_ideal_frame.T)[0]
 
     def points_to_ideal(self, pixels: ArrayLike) -> Array:
-        """Where (N, 2) pixels of the real image are in the ideal one, (N, 2); NaN beyond the lens."""
-        return _seen_along(self.camera, self.real.rays(pixels) @ self._real_from_ideal_frame)
+        """Convert pixels (N, 2) of the real image to pixels of the ideal image; NaN beyond the lens."""
+        return self.camera.project_optical(self.real.rays(pixels) @ self._real_from_ideal_frame)[0]
 
     @cached_property
     def _real_from_ideal_frame(self) -> Array:
-        """(3, 3) optical frame of the ideal camera to that of the real one."""
+        """Rotation (3, 3) from the optical frame of the ideal camera to that of the real one."""
         if self.real.R is self.camera.R:
             return np.eye(3)
         return np.asarray(self.real.R @ self.camera.R.T, dtype=float)
 
     def to_ideal(self, image: NDArray[Any], interpolation: int = cv2.INTER_LINEAR) -> NDArray[Any]:
-        """The ideal camera's image of a real one (H, W) or (H, W, C), black where the real one shows nothing.
+        """Convert a real image (H, W) or (H, W, C) to the ideal camera; black where the real image ends.
 
-        ``interpolation``: one of OpenCV's; cv2.INTER_NEAREST for labels. Raises CameraError for an image of
-        another size than the camera's.
+        ``interpolation``: interpolation flag of OpenCV; cv2.INTER_NEAREST for labels.
+
+        Raises:
+            CameraError: The image does not have the size of the camera.
         """
         return _remap(image, self.real_from_ideal, self.real.size, interpolation)
 
     def to_real(self, image: NDArray[Any], interpolation: int = cv2.INTER_LINEAR) -> NDArray[Any]:
-        """The real camera's image of an ideal one; else as :meth:`to_ideal`."""
+        """Convert an ideal image to the real camera; as :meth:`to_ideal`."""
         return _remap(image, self.ideal_from_real, self.camera.size, interpolation)
 
 
 def idealize(camera: Camera, square: bool = False, center: bool = True, fit: Fit = "focal") -> Ideal:
-    """The ideal camera in place of a real one, and the maps between their images (thesis 9.8).
+    """Replace a real camera by an ideal one without distortion and skew [thesis §9.8].
 
-    No skew, no distortion; the size stays. ``square``: square pixels, of the same area. ``center``: the
-    principal point is shifted to the middle of the image, ((w - 1) / 2, (h - 1) / 2) (9.74). ``fit``: "focal"
-    keeps the focal lengths; "all" scales them so that every pixel that the lens can see is in the ideal
-    image; "no_black" so that every pixel of the ideal image is in the real one. Raises CameraError where no
-    focal length does that. The stereo rectification that a camera may have is left out.
+    The image size stays. A stereo rectification of the camera is ignored.
+
+    Args:
+        camera: Real camera.
+        square: Make pixels square, with the same area.
+        center: Move the principal point to the image centre, ((w - 1) / 2, (h - 1) / 2) [thesis eq. 9.74].
+        fit: ``focal`` keeps the focal lengths; ``all`` scales them so that all pixels of the real image are
+            in the ideal one; ``no_black`` so that all pixels of the ideal image are in the real one.
+
+    Returns:
+        Ideal camera and the maps between both images.
+
+    Raises:
+        CameraError: No focal length satisfies ``fit``.
+
+    Example:
+        >>> from humansim_ros.camera import Camera, idealize
+        >>> K = [[500, 0, 300], [0, 480, 250], [0, 0, 1]]
+        >>> real = Camera((640, 480), K, np.eye(3), np.zeros(3), distortion=(-0.2,))
+        >>> ideal = idealize(real, square=True).camera
+        >>> ideal.distorted, ideal.K.round(1).tolist()
+        (False, [[489.9, 0.0, 319.5], [0.0, 489.9, 239.5], [0.0, 0.0, 1.0]])
     """
     k = ideal_matrix(camera.K, camera.size, square, center)
     if fit != "focal":
@@ -100,59 +119,56 @@ def idealize(camera: Camera, square: bool = False, center: bool = True, fit: Fit
 
 
 def rectify(camera: Camera) -> Ideal:
-    """A camera and what its ``image_rect`` is the image of: R and P of its CameraInfo.
+    """Camera of ``image_rect`` of a camera, from R and P of its CameraInfo.
 
-    The baseline in the P of a stereo camera is no part of its image and left out.
+    The baseline in the P of a stereo camera does not affect the image and is ignored.
     """
-    turn, k = camera.rectification_matrix, camera.rectified_projection[:, :3]
-    if not camera.distorted and np.array_equal(turn, np.eye(3)) and np.array_equal(k, camera.K):
+    rotation, k = camera.rectification_matrix, camera.rectified_projection[:, :3]
+    if not camera.distorted and np.array_equal(rotation, np.eye(3)) and np.array_equal(k, camera.K):
         return Ideal(camera, camera)
-    r, t = (camera.R, camera.t) if camera.rectification is None else (turn @ camera.R, turn @ camera.t)
+    r, t = (
+        (camera.R, camera.t) if camera.rectification is None else (rotation @ camera.R, rotation @ camera.t)
+    )
     return Ideal(camera, Camera(camera.size, k, r, t))
 
 
-def _seen_along(camera: Camera, rays: Array) -> Array:
-    """Pixels (N, 2) that rays (N, 3) of the optical frame fall on."""
-    return camera.project_optical(rays)[0]
-
-
 def _fitting_scale(camera: Camera, k: Array, fit: Fit) -> float:
-    """What the focal lengths of an ideal K are multiplied by so that the real image's outline lies outside of
-    the ideal image, or touches it from within.
+    """Factor of the focal lengths of an ideal K for a fit: the border of the real image touches that of the
+    ideal image from inside (``all``) or from outside (``no_black``).
     """
-    last, middle = np.array(camera.size) - 1.0, k[:2, 2]
+    last, center = np.array(camera.size) - 1.0, k[:2, 2]
     outline = _outline(camera, inner=fit == "all") * k.diagonal()[:2]
     with np.errstate(divide="ignore", invalid="ignore"):
-        # how far out each point is, as a fraction of the way from the middle to the edge of the image
-        reach = np.where(outline > 0, outline / (last - middle), -outline / middle)
+        # distance of each point from the image centre, as a fraction of that of the image edge
+        reach = np.where(outline > 0, outline / (last - center), -outline / center)
     reach = np.where(outline == 0, 0.0, reach).max(axis=1)
     axis = camera.K[:2, 2]
-    seen = ((axis >= 0) & (axis <= last) & (middle > 0) & (middle < last)).all()
+    inside = ((axis >= 0) & (axis <= last) & (center > 0) & (center < last)).all()
     extreme = reach.max(initial=0.0) if fit == "all" else reach.min(initial=np.inf)
-    if not seen or not np.isfinite(extreme) or extreme <= 0:
-        raise CameraError("the optical axis is not in the image: only fit 'focal' can idealise it", key="K")
-    if 1 / extreme < _SMALLEST:
+    if not inside or not np.isfinite(extreme) or extreme <= 0:
+        raise CameraError("the optical axis is not in the image: use fit 'focal'", key="K")
+    if 1 / extreme < _SMALLEST_SCALE:
         raise CameraError(
-            "the lens sees too wide an angle for one flat image to show all of it; fit 'focal' or 'no_black'",
+            "the field of view is too wide for one flat image: use fit 'focal' or 'no_black'",
             key="distortion",
         )
     return float(1 / extreme)
 
 
 def _outline(camera: Camera, inner: bool) -> Array:
-    """(N, 2) on the normalised image plane: the border of what a camera sees, its image's and its lens'.
+    """Points (N, 2) on the normalised image plane along the borders of a camera's image and of its lens.
 
-    ``inner``: only those points of the lens' border that are in the image.
+    ``inner``: without points of the lens border that are outside the image.
     """
     width, height = (n - 1.0 for n in camera.size)
-    along = np.linspace(0, 1, _BORDER)
-    none, full = np.zeros(_BORDER), np.ones(_BORDER)
-    sides = [(along, none), (along, full), (none, along), (full, along)]
+    along = np.linspace(0, 1, _BORDER_POINTS)
+    zero, one = np.zeros(_BORDER_POINTS), np.ones(_BORDER_POINTS)
+    sides = [(along, zero), (along, one), (zero, along), (one, along)]
     border = np.concatenate([np.column_stack(side) for side in sides]) * (width, height)
     rays = camera.rays(border)[:, :2]
-    turn = np.linspace(0, 2 * np.pi, _BORDER)
-    # a little within, where rounding cannot put it beyond the lens
-    rim = camera.lens.valid_radius * (1 - 1e-9) * np.column_stack([np.cos(turn), np.sin(turn)])
+    angles = np.linspace(0, 2 * np.pi, _BORDER_POINTS)
+    # slightly inside, so that rounding does not move it beyond the lens
+    rim = camera.lens.valid_radius * (1 - 1e-9) * np.column_stack([np.cos(angles), np.sin(angles)])
     if inner:
         pixels = _pixels(camera.K, camera.lens.distort(rim))
         rim = rim[((pixels >= 0) & (pixels <= (width, height))).all(axis=1)]
@@ -161,12 +177,12 @@ def _outline(camera: Camera, inner: bool) -> Array:
 
 
 def _pixels(k: Array, plane: Array) -> Array:
-    """Points (N, 2) of the normalised image plane in pixels."""
+    """Pixels (N, 2) of points of the normalised image plane."""
     return np.asarray(plane @ k[:2, :2].T + k[:2, 2])
 
 
 def _map(points: Callable[[Array], Array], size: tuple[int, int]) -> NDArray[np.float32]:
-    """(H, W, 2) where each pixel of an image goes."""
+    """Map (H, W, 2) of all pixels of an image."""
     width, height = size
     out = np.empty((height, width, 2), np.float32)
     rows = max(1, _BLOCK // width)
@@ -174,7 +190,7 @@ def _map(points: Callable[[Array], Array], size: tuple[int, int]) -> NDArray[np.
         part = out[first : first + rows]
         grid = np.stack(np.meshgrid(np.arange(width), np.arange(first, first + len(part))), axis=-1)
         mapped = points(grid.reshape(-1, 2).astype(float)).reshape(part.shape)
-        part[:] = np.clip(np.nan_to_num(mapped, nan=_NOWHERE), -_NOWHERE, _NOWHERE)
+        part[:] = np.clip(np.nan_to_num(mapped, nan=_OUTSIDE), -_OUTSIDE, _OUTSIDE)
     return out
 
 
@@ -184,9 +200,9 @@ def _remap(
     height, width = image.shape[:2]
     if (width, height) != size:
         raise CameraError(
-            f"the image is {width}x{height} pixels, the camera {size[0]}x{size[1]}: no image of that camera",
+            f"the image is {width}x{height} pixels, but the camera has {size[0]}x{size[1]}",
             key="size",
         )
-    no_second_map: Any = None  # OpenCV's stubs ask for one
+    no_second_map: Any = None  # required by the type stubs of OpenCV
     remapped = cv2.remap(image, mapping, no_second_map, interpolation, borderMode=cv2.BORDER_CONSTANT)
     return np.asarray(remapped)

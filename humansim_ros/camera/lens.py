@@ -1,6 +1,7 @@
-"""Lens distortion: where a ray through the normalised image plane (x / z, y / z) really falls.
+"""Lens distortion models: from points of the normalised image plane (x / z, y / z) to distorted points.
 
-The models and their coefficients are those of ROS's CameraInfo (REP-104's ``distortion_model``) and OpenCV.
+The models and their coefficients are those of CameraInfo in ROS (``distortion_model`` of REP-104) and of
+OpenCV.
 """
 
 from __future__ import annotations
@@ -14,27 +15,27 @@ from numpy.typing import ArrayLike
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
-#: Coefficients of each model, in CameraInfo's order.
+#: Coefficients of each model, in the order of CameraInfo.
 MODELS = {
     "plumb_bob": ("k1", "k2", "p1", "p2", "k3"),
     "rational_polynomial": ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6"),
     "equidistant": ("k1", "k2", "k3", "k4"),
 }
-#: Rays farther from the axis than this are not seen: their depth along z is next to nothing.
-_WIDEST = np.radians(89.5)
-#: Angles and directions at which a lens is looked at to find where it begins to fold.
+#: Largest angle to the optical axis; the depth along z of rays beyond it is almost zero.
+_MAX_ANGLE = np.radians(89.5)
+#: Angles and directions at which a lens is tested for folding.
 _ANGLES, _DIRECTIONS = 1000, 24
-#: Newton steps to undo a distortion, and how near it must come (normalised image plane).
-_STEPS, _NEAR_ENOUGH = 30, 1e-10
+#: Newton steps of the inverse, and its tolerance on the normalised image plane.
+_STEPS, _TOLERANCE = 30, 1e-10
 
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens of one of :data:`MODELS`. ``coefficients``: as many as the model has.
+    """Distortion model and its coefficients. ``model``: one of :data:`MODELS`.
 
-    ``plumb_bob`` is Brown's radial and tangential model, ``rational_polynomial`` adds a denominator,
-    ``equidistant`` is the fisheye of Kannala and Brandt (2006). Points farther out than
-    :attr:`valid_radius`, where the model folds back over itself, are not seen.
+    ``plumb_bob`` is the radial and tangential model of [Brown 1971], ``rational_polynomial`` adds a
+    denominator, ``equidistant`` is the fisheye model of [Kannala 2006]. Beyond :attr:`valid_radius` a model
+    folds back over itself; rays beyond it are not visible.
     """
 
     model: str
@@ -42,10 +43,12 @@ class Lens:
 
     @classmethod
     def of(cls, coefficients: ArrayLike, model: str | None = None) -> Lens:
-        """A lens of coefficients as they stand in files: zeros at the end may be left out or added.
+        """Create a lens from coefficients with or without trailing zeros.
 
-        Without ``model``, up to 5 coefficients are plumb_bob and up to 8 are rational_polynomial. Raises
-        CameraError for a model that is not known, too many coefficients, or numbers that are not finite.
+        Without ``model``, up to 5 coefficients are plumb_bob and up to 8 are rational_polynomial.
+
+        Raises:
+            CameraError: The model is unknown, it has fewer coefficients, or a number is not finite.
         """
         try:
             values = [float(d) for d in np.asarray(coefficients, dtype=float).ravel()]
@@ -57,10 +60,12 @@ class Lens:
         if model is None:
             model = "plumb_bob" if used <= 5 else "rational_polynomial"
         if model not in MODELS:
-            raise CameraError(f"no distortion model {model!r}; there are {', '.join(MODELS)}", key="model")
+            raise CameraError(
+                f"unknown distortion model {model!r}; known are {', '.join(MODELS)}", key="model"
+            )
         count = len(MODELS[model])
         if used > count:
-            hint = "" if model == "equidistant" else "; thin prisms and tilted sensors are not rendered"
+            hint = "" if model == "equidistant" else "; thin prism and tilted sensor models are not supported"
             raise CameraError(
                 f"{model} has {count} coefficients ({' '.join(MODELS[model])}), not {used}{hint}",
                 key="distortion",
@@ -69,58 +74,55 @@ class Lens:
 
     @property
     def ideal(self) -> bool:
-        """Whether it distorts nothing. A fisheye always does."""
+        """Whether the lens does not distort. A fisheye always does."""
         return self.model != "equidistant" and not any(self.coefficients)
 
     def distort(self, points: ArrayLike) -> Array:
-        """Where rays through (..., 2) of the normalised image plane fall on it behind the lens, (..., 2).
-
-        Rays beyond :attr:`valid_radius` give NaN.
-        """
+        """Distort points (..., 2) of the normalised image plane; NaN beyond :attr:`valid_radius`."""
         n = np.asarray(points, dtype=float)
         if self.ideal:
             return n
-        with np.errstate(all="ignore"):  # what is not seen may be anything
-            seen = np.einsum("...i,...i->...", n, n) <= self.valid_radius**2
-            return np.where(seen[..., None], self._distort(n), np.nan)
+        with np.errstate(all="ignore"):  # rays beyond the valid radius may overflow
+            valid = np.einsum("...i,...i->...", n, n) <= self.valid_radius**2
+            return np.where(valid[..., None], self._distort(n), np.nan)
 
     def undistort(self, points: ArrayLike) -> Array:
-        """The inverse of :meth:`distort`, (..., 2), to 1e-10; NaN where no ray that is seen falls."""
+        """Invert :meth:`distort` for points (..., 2), to 1e-10; NaN for points that no valid ray reaches."""
         d = np.asarray(points, dtype=float)
         if self.ideal:
             return d
         flat = d.reshape(-1, 2)
         result = np.full_like(flat, np.nan)
-        todo = np.flatnonzero(np.isfinite(flat).all(axis=1))
-        n = self._first_guess(flat[todo])
+        active = np.flatnonzero(np.isfinite(flat).all(axis=1))
+        n = self._first_guess(flat[active])
         for _ in range(_STEPS):
-            if not len(todo):
+            if not len(active):
                 break
             with np.errstate(all="ignore"):
-                error = self._distort(n) - flat[todo]
-                size = np.maximum(np.abs(flat[todo]).max(axis=1), 1.0)
-                done = np.abs(error).max(axis=1) < _NEAR_ENOUGH * size
+                error = self._distort(n) - flat[active]
+                size = np.maximum(np.abs(flat[active]).max(axis=1), 1.0)
+                converged = np.abs(error).max(axis=1) < _TOLERANCE * size
                 inside = np.einsum("ij,ij->i", n, n) <= self.valid_radius**2 * (1 + 1e-12)
-                result[todo[done & inside]] = n[done & inside]
-                keep = ~done & np.isfinite(error).all(axis=1)
-                n, todo = n[keep], todo[keep]
-                n = self._within(n - _solve(self._jacobian(n), error[keep]))
+                result[active[converged & inside]] = n[converged & inside]
+                remaining = ~converged & np.isfinite(error).all(axis=1)
+                n, active = n[remaining], active[remaining]
+                n = self._within(n - _solve(self._jacobian(n), error[remaining]))
         return result.reshape(d.shape)
 
     @cached_property
     def valid_radius(self) -> float:
-        """Tangent of the angle to the axis up to which the lens maps every ray to a place of its own.
+        """Tangent of the angle to the optical axis up to which the distortion is one-to-one.
 
-        The first angle at which, in any direction, the distortion's Jacobian is singular or a denominator
-        is zero; at most that of 89.5 degrees.
+        This is the smallest angle at which, in any direction, the Jacobian of the distortion is singular or a
+        denominator is zero; at most 89.5 degrees.
         """
         if self.ideal:
-            return float(np.tan(_WIDEST))
-        low, high = 0.0, _WIDEST
+            return float(np.tan(_MAX_ANGLE))
+        low, high = 0.0, _MAX_ANGLE
         for count in (_ANGLES, 100, 100, 100):
             angles = np.linspace(low, high, count + 1)[1:]
-            good = self._unfolded(angles)
-            first = int(np.argmin(good)) if not good.all() else -1
+            valid = self._unfolded(angles)
+            first = int(np.argmin(valid)) if not valid.all() else -1
             if first < 0:
                 return float(np.tan(high))
             low, high = (angles[first - 1] if first else low), angles[first]
@@ -132,35 +134,39 @@ class Lens:
         return np.broadcast_to(np.eye(2), (*n.shape, 2)) if self.ideal else self._jacobian(n)
 
     def _unfolded(self, angles: Array) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        turn = np.linspace(0, 2 * np.pi, _DIRECTIONS, endpoint=False)
-        around = np.column_stack([np.cos(turn), np.sin(turn)])
-        n = np.tan(angles)[:, None, None] * around
+        directions = np.linspace(0, 2 * np.pi, _DIRECTIONS, endpoint=False)
+        circle = np.column_stack([np.cos(directions), np.sin(directions)])
+        n = np.tan(angles)[:, None, None] * circle
         with np.errstate(all="ignore"):
-            # small numbers make no fold of a lens that maps the whole plane to a disc
-            good = np.linalg.det(self._jacobian(n)) > 0
+            # exactly zero as the limit: a lens that maps the whole plane to a disc has tiny determinants
+            valid = np.linalg.det(self._jacobian(n)) > 0
             if self.model == "rational_polynomial":
-                good &= self._radial(np.einsum("...i,...i->...", n, n))[2] > 0
-            return np.asarray(good.all(axis=1))
+                valid &= self._radial(np.einsum("...i,...i->...", n, n))[2] > 0
+            return np.asarray(valid.all(axis=1))
 
     def _ratio(self, r2: Array) -> tuple[Array, Array | float]:
         """Numerator and denominator of the radial part."""
         k1, k2, _, _, k3, *more = self.coefficients
-        above = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
+        numerator = 1 + r2 * (k1 + r2 * (k2 + r2 * k3))
         if not more:
-            return above, 1.0
+            return numerator, 1.0
         k4, k5, k6 = more
-        return above, 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
+        return numerator, 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
 
     def _radial(self, r2: Array) -> tuple[Array, Array, Array]:
         """Factor of the radial part, its derivative by r squared, and its denominator."""
         k1, k2, _, _, k3, *more = self.coefficients
         k4, k5, k6 = more or (0.0, 0.0, 0.0)
-        above, below = self._ratio(r2)
+        numerator, denominator = self._ratio(r2)
         slope = k1 + r2 * (2 * k2 + r2 * 3 * k3), k4 + r2 * (2 * k5 + r2 * 3 * k6)
-        return above / below, (slope[0] * below - above * slope[1]) / below**2, below * np.ones_like(r2)
+        return (
+            numerator / denominator,
+            (slope[0] * denominator - numerator * slope[1]) / denominator**2,
+            denominator * np.ones_like(r2),
+        )
 
     def _angle(self, r: Array) -> tuple[Array, Array]:
-        """The equidistant model's distorted angle of rays at a radius, and its derivative by that radius."""
+        """Distorted angle of rays at a radius in the equidistant model, and its derivative by the radius."""
         k1, k2, k3, k4 = self.coefficients
         angle = np.arctan(r)
         a2 = angle * angle
@@ -176,12 +182,12 @@ class Lens:
             factor = np.where(r > 1e-8, self._angle(r)[0] / np.where(r > 1e-8, r, 1.0), 1.0)
             return n * factor[..., None]
         p1, p2 = self.coefficients[2:4]
-        above, below = self._ratio(r2)
-        factor, xy = above / below, 2 * x * y
-        fallen = np.empty_like(n)
-        fallen[..., 0] = x * factor + (p1 * xy + p2 * (r2 + 2 * x * x))
-        fallen[..., 1] = y * factor + (p1 * (r2 + 2 * y * y) + p2 * xy)
-        return fallen
+        numerator, denominator = self._ratio(r2)
+        factor, xy = numerator / denominator, 2 * x * y
+        distorted = np.empty_like(n)
+        distorted[..., 0] = x * factor + (p1 * xy + p2 * (r2 + 2 * x * x))
+        distorted[..., 1] = y * factor + (p1 * (r2 + 2 * y * y) + p2 * xy)
+        return distorted
 
     def _jacobian(self, n: Array) -> Array:
         x, y = n[..., 0], n[..., 1]
@@ -203,26 +209,26 @@ class Lens:
 
     @cached_property
     def _radii(self) -> tuple[Array, Array]:
-        """Radii, and how far from the middle they fall (without the tangential part), rising."""
+        """Radii and their distorted radii without the tangential part, both ascending."""
         r = np.tan(np.linspace(0, np.arctan(self.valid_radius), 4 * _ANGLES))
         if self.model == "equidistant":
             return r, np.maximum.accumulate(self._angle(r)[0])
         return r, np.maximum.accumulate(r * self._radial(r * r)[0])
 
     def _first_guess(self, d: Array) -> Array:
-        r, fallen = self._radii
+        r, distorted = self._radii
         length = np.sqrt(np.einsum("ij,ij->i", d, d))
-        factor = np.interp(length, fallen, r) / np.maximum(length, 1e-12)
+        factor = np.interp(length, distorted, r) / np.maximum(length, 1e-12)
         return np.asarray(d * np.where(length > 1e-12, factor, 1.0)[:, None], dtype=float)
 
     def _within(self, n: Array) -> Array:
-        """Points beyond the valid radius drawn back to it."""
+        """Points, moved to the valid radius if they are beyond it."""
         length = np.sqrt(np.einsum("ij,ij->i", n, n))
         return np.asarray(n * np.minimum(1.0, self.valid_radius / np.maximum(length, 1e-12))[:, None])
 
 
 def _solve(matrices: Array, vectors: Array) -> Array:
-    """x of A x = b for 2x2 matrices (N, 2, 2)."""
+    """Solve A x = b for 2x2 matrices (N, 2, 2)."""
     (a, b), (c, d) = matrices[:, 0].T, matrices[:, 1].T
     u, v = vectors.T
     return np.asarray(np.stack([d * u - b * v, a * v - c * u], axis=1) / (a * d - b * c)[:, None])

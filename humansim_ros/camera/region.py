@@ -1,4 +1,4 @@
-"""Binning and region of interest: the part of a sensor that a driver sends, as CameraInfo describes it."""
+"""Binning and region of interest of a sensor, as CameraInfo describes them."""
 
 from __future__ import annotations
 
@@ -11,8 +11,10 @@ from humansim_ros.types import Array
 
 @dataclass(frozen=True)
 class Region:
-    """``roi``: x, y, width, height in pixels of the whole sensor, None for all of it. ``binning``: pixels of
-    the sensor along x and y that one pixel of the image stands for.
+    """Part of a sensor that a driver publishes.
+
+    ``roi``: x, y, width and height in sensor pixels, None for the whole sensor. ``binning``: sensor pixels
+    along x and y per image pixel.
     """
 
     roi: tuple[int, int, int, int] | None = None
@@ -20,14 +22,16 @@ class Region:
 
     @property
     def whole(self) -> bool:
-        """Whether the image is all of the sensor, pixel by pixel."""
+        """Whether the image is the whole sensor without binning."""
         return self.roi is None and self.binning == (1, 1)
 
     def of(self, camera: Camera) -> Camera:
-        """The camera of the image, from that of the whole sensor.
+        """Camera of the image from the camera of the whole sensor.
 
-        As image_geometry has it: x = (x_sensor - roi.x_offset) / binning_x; the lens stays the same. Raises
-        CameraError where the region is not on the sensor.
+        As in image_geometry, x = (x_sensor - roi.x_offset) / binning_x; the lens is unchanged.
+
+        Raises:
+            CameraError: The region is not on the sensor.
         """
         if self.whole:
             return camera
@@ -39,17 +43,17 @@ class Region:
             )
         across, down = self.binning
         if min(across, down) < 1 or across > w or down > h:
-            raise CameraError(f"must be 1 to the image's size, not {across}, {down}", key="binning")
+            raise CameraError(f"must be between 1 and the image size, not {across}, {down}", key="binning")
         rectified = camera.rectified_projection
         return replace(
             camera,
             size=(w // across, h // down),
-            K=self._moved(camera.K, x, y),
-            rectified=self._moved(rectified, x, y),
+            K=self._to_image(camera.K, x, y),
+            rectified=self._to_image(rectified, x, y),
         )
 
-    def _moved(self, matrix: Array, x: int, y: int) -> Array:
-        """K or P whose pixels are those of the image."""
+    def _to_image(self, matrix: Array, x: int, y: int) -> Array:
+        """K or P for pixels of the image."""
         out = matrix.copy()
         out[0] = (matrix[0] - x * matrix[2]) / self.binning[0]
         out[1] = (matrix[1] - y * matrix[2]) / self.binning[1]

@@ -1,11 +1,12 @@
-"""Cameras as the thesis describes them (8.3, 9.2, 9.3, 9.8): Blender's, in ``.cam`` files.
+"""Cameras of Blender in ``.cam`` files [thesis §8.3, §9.2, §9.3, §9.8].
 
-Such a camera has a centre, Euler angles, a focal length and the aspect ratio of its pixels; no skew, no
-distortion, and its principal point in the middle of the image. The equations are the thesis' own, corrected
-where they do not hold together; the round trip camera -> P -> camera is what decides.
+Such a camera has a centre, Euler angles, a focal length and the aspect ratio of its pixels. It has no skew,
+no distortion, and a centred principal point. Numbers in parentheses are equations of the thesis; equations
+that contradict each other are corrected so that the round trip camera -> P -> camera is exact.
 
-The thesis indexes pixels by (u, v) = (row, column) from the corner of the image, as OpenGL does; here and in
-ROS they are (x, y) = (column, row) from the centre of the first pixel. :func:`ros_from_thesis` goes over.
+The thesis indexes pixels by (u, v) = (row, column) from the image corner, as OpenGL does. In this package
+and in ROS, pixels are (x, y) = (column, row) from the centre of the first pixel. :func:`ros_from_thesis`
+converts.
 """
 
 from __future__ import annotations
@@ -21,24 +22,24 @@ from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
-#: (9.18) from the axes of Blender's camera (right, up, backward) to the thesis' (up, right, forward).
+#: From the axes of a Blender camera (right, up, backward) to those of the thesis (up, right, forward) (9.18).
 BLENDER_TO_CAMERA = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, -1]])
-#: From the thesis' camera axes to those of a ROS optical frame (right, down, forward).
+#: From the camera axes of the thesis to those of a ROS optical frame (right, down, forward).
 _OPTICAL = np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-#: From (row, column) of the corner to (column, row) of the first pixel's centre.
+#: From (row, column) from the corner to (column, row) from the centre of the first pixel.
 _PIXELS = np.array([[0.0, 1, -0.5], [1, 0, -0.5], [0, 0, 1]])
-#: Pixels by which the principal point may be off, and the skew may be there, in what counts as none.
+#: Largest skew and offset of the principal point that count as zero, pixels.
 _ROUNDING = 1e-6
 _KEYS = ("C", "f", "R", "k", "size", "format")
 
 
 @dataclass(frozen=True)
 class CamFile:
-    """What a ``.cam`` file says (8.3).
+    """Values of a ``.cam`` file [thesis §8.3].
 
-    ``center``: C, metres. ``euler_deg``: R, the camera's Blender Euler angles about x, y, z. ``focal``: f, in
-    units of half the longer side of the image (9.17). ``aspect``: k, (k_u, k_v): height and width of a pixel.
-    ``size``: (width, height). ``format``: of the images that Blender writes.
+    ``center``: C, metres. ``euler_deg``: R, Euler angles of Blender about x, y, z, degrees. ``focal``: f, in
+    units of half the longer image side (9.17). ``aspect``: k, (k_u, k_v): height and width of a pixel.
+    ``size``: (width, height). ``format``: format of the images that Blender writes.
     """
 
     center: tuple[float, float, float]
@@ -50,7 +51,7 @@ class CamFile:
 
 
 def compose_euler(angles: ArrayLike) -> Array:
-    """(3, 3) rotation of Euler angles (3,) about x, y, z, radians: Rz Ry Rx (9.4)-(9.8)."""
+    """Rotation (3, 3) of Euler angles (3,) about x, y, z, radians: Rz Ry Rx (9.4)-(9.8)."""
     a, b, c = np.asarray(angles, dtype=float)
     rx = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
     ry = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
@@ -61,9 +62,9 @@ def compose_euler(angles: ArrayLike) -> Array:
 def decompose_euler(rotation: ArrayLike) -> Array:
     """Euler angles (3,) about x, y, z, radians, of a rotation (3, 3) (9.9)-(9.16).
 
-    cos(beta) is taken positive in (9.10), so that angles come back as they are written. Where it vanishes,
-    alpha is 0 (9.15). beta and gamma are found with alpha turned back, which is (9.16) at the poles and
-    (9.10), (9.13) elsewhere, and exact in between.
+    cos(beta) is positive in (9.10), so that angles are those that were composed. Where it is zero, alpha is 0
+    (9.15). beta and gamma are computed after undoing alpha: this is (9.16) at the poles, (9.10) and (9.13)
+    elsewhere, and exact in between.
     """
     (_, b, c), (_, e, f), (g, h, i) = np.asarray(rotation, dtype=float)
     alpha = np.arctan2(h, i) if np.hypot(h, i) > 1e-15 else 0.0
@@ -73,22 +74,22 @@ def decompose_euler(rotation: ArrayLike) -> Array:
 
 
 def focal_of_lens(lens: float) -> float:
-    """f of Blender's lens, millimetres on a sensor of 32 (9.17): 16 sees 90 degrees of the longer side."""
+    """f of a Blender lens in millimetres on a 32 mm sensor (9.17): 16 mm is 90 degrees on the longer side."""
     return lens / 16.0
 
 
 def lens_of_focal(focal: float) -> float:
-    """Blender's lens of f (9.17)."""
+    """Blender lens in millimetres of f (9.17)."""
     return 16.0 * focal
 
 
 def camera_rotation(euler: ArrayLike) -> Array:
-    """(3, 3) world to camera, of the camera's Euler angles (3,), radians (9.19)."""
+    """Rotation (3, 3) from the world to the camera of Euler angles (3,), radians (9.19)."""
     return np.asarray(BLENDER_TO_CAMERA @ compose_euler(euler).T, dtype=float)
 
 
 def calibration_matrix(focal: float, size: tuple[int, int], aspect: tuple[float, float]) -> Array:
-    """(3, 3) K of f, (width, height) and k_u : k_v, in the thesis' (row, column) order (9.24)-(9.26)."""
+    """K (3, 3) of f, (width, height) and (k_u, k_v) in (row, column) order (9.24)-(9.26)."""
     (width, height), (ku, kv) = size, aspect
     m = max(width * kv, height * ku)
     mu, mv = m / (2 * ku), m / (2 * kv)
@@ -96,14 +97,16 @@ def calibration_matrix(focal: float, size: tuple[int, int], aspect: tuple[float,
 
 
 def projection_matrix(cam: CamFile) -> Array:
-    """(3, 4) P = K [R | -R C] in the thesis' (row, column) order (9.23), with (9.20) corrected."""
+    """P = K [R | -R C], (3, 4), in (row, column) order (9.23), with (9.20) corrected."""
     k, r = calibration_matrix(cam.focal, cam.size, cam.aspect), camera_rotation(np.radians(cam.euler_deg))
     return np.asarray(k @ np.column_stack([r, -r @ np.array(cam.center)]), dtype=float)
 
 
 def ros_from_thesis(P: ArrayLike) -> Array:
-    """A projection matrix (3, 4) of the thesis as one to ROS pixels: the first two rows swapped, and half a
-    pixel from the corner of the image to the centre of its first pixel.
+    """Convert a projection matrix (3, 4) of the thesis to ROS pixels.
+
+    The first two rows are swapped, and pixels are shifted by half a pixel, from the image corner to the
+    centre of the first pixel.
     """
     return np.asarray(_PIXELS @ np.asarray(P, dtype=float), dtype=float)
 
@@ -114,48 +117,49 @@ def thesis_from_ros(P: ArrayLike) -> Array:
 
 
 def aspect_of(K: ArrayLike) -> float:
-    """k_u / k_v, height over width of a pixel, of a K (3, 3) in ROS order: fx / fy (9.72, corrected)."""
+    """Aspect k_u / k_v, pixel height over width, of a K (3, 3) in ROS order: fx / fy (9.72, corrected)."""
     k = np.asarray(K, dtype=float)
     return float(k[0, 0] / k[1, 1])
 
 
 def focal_of(K: ArrayLike, size: tuple[int, int]) -> float:
-    """f of a K (3, 3) in ROS order for an image of (width, height) (9.73, corrected): 2 K11 / max(width,
-    height) for square pixels.
+    """f of a K (3, 3) in ROS order for an image of (width, height) (9.73, corrected).
+
+    For square pixels it is 2 K11 / max(width, height).
     """
     width, height = size
     return float(2 * np.asarray(K, dtype=float)[0, 0] / max(width, height * aspect_of(K)))
 
 
 def image_shift(K: ArrayLike, size: tuple[int, int]) -> Array:
-    """(2,) pixels (x, y) by which an image is shifted so that the principal point of K (3, 3), in ROS order,
-    comes to its middle (9.74).
+    """Shift (2,) in pixels (x, y) that moves the principal point of K (3, 3), in ROS order, to the image
+    centre (9.74).
     """
     return np.asarray((np.array(size) - 1) / 2 - np.asarray(K, dtype=float)[:2, 2], dtype=float)
 
 
 def camera_of(cam: CamFile) -> Camera:
-    """The camera of a ``.cam`` file. Raises CameraError where its numbers are none of a camera."""
+    """Camera of a ``.cam`` file. Raises CameraError if its values are not those of a camera."""
     k = _PIXELS @ calibration_matrix(cam.focal, cam.size, cam.aspect) @ _OPTICAL.T
     r = _OPTICAL @ camera_rotation(np.radians(cam.euler_deg))
     return Camera(cam.size, k, r, -r @ np.array(cam.center))
 
 
 def cam_of(camera: Camera, image_format: str = "png") -> CamFile:
-    """The values of a ``.cam`` file of a camera (9.68)-(9.73).
+    """Values of a ``.cam`` file for a camera (9.68)-(9.73).
 
-    Raises CameraError for a camera with a lens, skew, or a principal point that is not in the image's middle:
-    a ``.cam`` file cannot say so.
+    Raises:
+        CameraError: The camera has distortion, skew, or a principal point that is not centred.
     """
     shift = image_shift(camera.K, camera.size)
-    wrong = {
+    unsupported = {
         "lens distortion": camera.distorted,
         "skew": abs(camera.K[0, 1]) > _ROUNDING,
-        f"a principal point {abs(shift).max():g} pixels off the middle": abs(shift).max() > _ROUNDING,
+        f"a principal point {abs(shift).max():g} pixels off the image centre": abs(shift).max() > _ROUNDING,
     }
-    if any(wrong.values()):
-        what = " and ".join(name for name, there in wrong.items() if there)
-        raise CameraError(f"a .cam file cannot hold {what}: idealize the camera first", key="K")
+    if any(unsupported.values()):
+        names = " and ".join(name for name, present in unsupported.items() if present)
+        raise CameraError(f"a .cam file cannot store {names}: idealize the camera first", key="K")
     ratio = aspect_of(camera.K)
     angles = np.degrees(decompose_euler(camera.R.T @ _OPTICAL @ BLENDER_TO_CAMERA))
     return CamFile(
@@ -169,11 +173,14 @@ def cam_of(camera: Camera, image_format: str = "png") -> CamFile:
 
 
 def parse_cam(text: str, path: str | os.PathLike[str] | None = None) -> CamFile:
-    """The content of a ``.cam`` file (8.3): one ``key=value`` a line; empty lines and ``#`` comments may be.
+    """Parse the text of a ``.cam`` file [thesis §8.3]: lines ``key=value``, empty lines, ``#`` comments.
 
-    ``C``, ``f``, ``R`` and ``size`` must be there. Raises CameraError with path, line and key.
+    ``C``, ``f``, ``R`` and ``size`` are required.
+
+    Raises:
+        CameraError: A line is wrong or a key is missing. It has the path, line and key.
     """
-    found: dict[str, tuple[str, int]] = {}
+    values: dict[str, tuple[str, int]] = {}
     for number, line in enumerate(text.splitlines(), 1):
         content = line.split("#")[0].strip()
         if not content:
@@ -183,21 +190,21 @@ def parse_cam(text: str, path: str | os.PathLike[str] | None = None) -> CamFile:
             raise CameraError("a line of a .cam file is key=value", path=path, line=number)
         if key not in _KEYS:
             raise CameraError(f"unknown key; known are {', '.join(_KEYS)}", path=path, line=number, key=key)
-        if key in found:
-            raise CameraError("this key is here a second time", path=path, line=number, key=key)
-        found[key] = (value, number)
-    missing = [key for key in ("C", "f", "R", "size") if key not in found]
+        if key in values:
+            raise CameraError("this key is duplicate", path=path, line=number, key=key)
+        values[key] = (value, number)
+    missing = [key for key in ("C", "f", "R", "size") if key not in values]
     if missing:
         raise CameraError("missing in the .cam file", path=path, key=missing[0])
 
     def numbers(key: str, separator: str, count: int, example: str) -> tuple[Any, ...]:
-        value, line = found[key]
+        value, line = values[key]
         try:
             parts = tuple(float(part) for part in value.split(separator))
         except ValueError:
             parts = ()
         if len(parts) != count or not np.isfinite(parts).all():
-            raise CameraError(f"must be as in {key}={example}", path=path, line=line, key=key)
+            raise CameraError(f"must have the form {key}={example}", path=path, line=line, key=key)
         if key in ("f", "k", "size") and min(parts) <= 0:
             raise CameraError("must be above zero", path=path, line=line, key=key)
         return parts
@@ -208,20 +215,20 @@ def parse_cam(text: str, path: str | os.PathLike[str] | None = None) -> CamFile:
         focal=numbers("f", ",", 1, "1")[0],
         euler_deg=numbers("R", ",", 3, "80.0,0.0,80.0"),
         size=size,
-        aspect=numbers("k", ":", 2, "1:1") if "k" in found else (1.0, 1.0),
-        format=found.get("format", ("", 0))[0] or "png",
+        aspect=numbers("k", ":", 2, "1:1") if "k" in values else (1.0, 1.0),
+        format=values.get("format", ("", 0))[0] or "png",
     )
     try:
         camera = camera_of(cam)
     except CameraError as error:
-        said = {"K": "f", "t": "C"}.get(error.key or "", error.key or "")
-        where = found[said][1] if said in found else None
-        raise CameraError(error.message, path=path, line=where, key=said) from None
+        wrong_key = {"K": "f", "t": "C"}.get(error.key or "", error.key or "")
+        line_number = values[wrong_key][1] if wrong_key in values else None
+        raise CameraError(error.message, path=path, line=line_number, key=wrong_key) from None
     return CamFile(cam.center, cam.focal, cam.euler_deg, camera.size, cam.aspect, cam.format)
 
 
 def format_cam(cam: CamFile) -> str:
-    """The text of a ``.cam`` file, in which every number comes back as it is."""
+    """Text of a ``.cam`` file with all digits of its numbers."""
     width, height = cam.size
     return (
         f"C={_text(cam.center, ',')}\nf={_text((cam.focal,))}\nR={_text(cam.euler_deg, ',')}\n"

@@ -1,4 +1,4 @@
-"""How a camera moves: poses of its optical frame over time, read from a file or made."""
+"""Camera trajectories: poses of the optical frame over time, from a file or generated."""
 
 from __future__ import annotations
 
@@ -16,29 +16,35 @@ from humansim_ros.io.files import atomic_path, read_text
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.types import Array
 
-#: What follows the last pose: it stays, the first comes again, or the way goes back.
+#: Behaviour after the last pose: stay there, start again, or go back.
 End = Literal["clamp", "loop", "ping_pong"]
 
-#: More than a million poses.
+#: Largest file: more than a million poses.
 _MAX_BYTES = 1 << 26
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
-#: Metres; what is farther is a mistake.
+#: Largest coordinate, metres; larger ones are a mistake.
 _FARTHEST = 1e6
-#: How far the length of a quaternion may be from 1 by rounding.
+#: Error of the length of a quaternion that rounding explains.
 _ROUNDING = 1e-2
-#: Beyond these it is none.
+#: Limits of the length of a quaternion.
 _SHORTEST, _LONGEST = 1e-2, 1e2
-#: Poses of an orbit: a straight line between two is off the circle by less than 1e-5 of its radius.
+#: Poses of an orbit: the line between two differs from the circle by less than 1e-5 of its radius.
 _ORBIT_POSES = 720
 
 
 @dataclass(frozen=True)
 class Trajectory:
-    """A way of a camera's optical frame through ``map``.
+    """Poses of a camera's optical frame (z forward, x right, y down) in ``map`` over time.
 
-    ``times``: (N,) seconds, rising. ``positions``: (N, 3) metres. ``rotations``: (N, 4) xyzw, unit length:
-    the optical frame (z forward, x right, y down) in ``map``. ``end``: what follows the last pose.
-    Raises CameraError where these are none of a trajectory.
+    Args:
+        times: Times, (N,) seconds, ascending.
+        positions: Positions, (N, 3) metres.
+        rotations: Unit quaternions, (N, 4) xyzw.
+        end: Behaviour after the last pose: ``clamp`` stays there, ``loop`` starts again, ``ping_pong`` goes
+            back.
+
+    Raises:
+        CameraError: The shapes do not fit, times do not ascend, or a number is not finite or out of range.
     """
 
     times: Array
@@ -56,10 +62,12 @@ class Trajectory:
         if not all(np.isfinite(part).all() for part in (times, positions, rotations)):
             raise CameraError("a number of the trajectory is not finite (NaN or infinity)")
         if np.abs(positions).max() > _FARTHEST or np.abs(rotations).max() > _LONGEST:
-            raise CameraError("places must be within 1000 km, and rotations be quaternions of length 1")
+            raise CameraError(
+                "positions must be within 1000 km, and rotations must be quaternions of length 1"
+            )
         length = np.linalg.norm(rotations, axis=1, keepdims=True)
         if (np.diff(times) <= 0).any() or (length < _SHORTEST).any():
-            raise CameraError("the times must rise, and rotations be quaternions of length 1")
+            raise CameraError("the times must ascend, and rotations must be quaternions of length 1")
         if self.end not in get_args(End):
             raise CameraError(f"a trajectory ends with one of {', '.join(get_args(End))}", key="end")
         object.__setattr__(self, "times", times)
@@ -68,14 +76,17 @@ class Trajectory:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str], end: End = "clamp") -> Trajectory:
-        """The trajectory of a text file in the form of the TUM RGB-D benchmark.
+        """Read a text file in the format of the TUM RGB-D benchmark [Sturm 2012].
 
-        Each line is ``timestamp tx ty tz qx qy qz qw``: seconds, metres, the optical frame in ``map``; ``#``
-        begins a comment. Raises CameraError with path and line.
+        Each line is ``timestamp tx ty tz qx qy qz qw``: seconds, metres, pose of the optical frame in
+        ``map``. ``#`` begins a comment.
+
+        Raises:
+            CameraError: The file cannot be read, or a line is wrong. It has the path and the line.
         """
         text = read_text(path, CameraError, "trajectory", _MAX_BYTES)
         rows: list[list[float]] = []
-        careless = False
+        not_unit = False
         for number, line in enumerate(text.splitlines(), 1):
             words = line.split("#")[0].replace(",", " ").split()
             if not words:
@@ -87,21 +98,24 @@ class Trajectory:
             if len(row) != 8:
                 raise CameraError(f"a line needs 8 numbers: {_COLUMNS}", path=path, line=number)
             length = math.hypot(*row[4:])
-            wrong = {
+            errors = {
                 "a number is not finite (NaN or infinity)": not np.isfinite(row).all(),
                 "the quaternion qx qy qz qw is far from length 1": not _SHORTEST < length < _LONGEST,
                 "a position is more than 1000 km away": max(map(abs, row[1:4])) > _FARTHEST,
                 "the time is not later than that of the line before": bool(rows) and row[0] <= rows[-1][0],
             }
-            for message, is_so in wrong.items():
-                if is_so:
+            for message, wrong in errors.items():
+                if wrong:
                     raise CameraError(message, path=path, line=number)
-            careless |= abs(length - 1) > _ROUNDING
+            not_unit |= abs(length - 1) > _ROUNDING
             rows.append(row)
         if not rows:
-            raise CameraError(f"there is no pose in this file; a line is {_COLUMNS}", path=path)
-        if careless:
-            warn_about(path, "quaternions are not of length 1: they are made so; are the columns in order?")
+            raise CameraError(f"the file has no pose; a line is {_COLUMNS}", path=path)
+        if not_unit:
+            warn_about(
+                path,
+                "quaternions do not have length 1 and are normalised: is the order of the columns correct?",
+            )
         table = np.array(rows)
         return cls(table[:, 0], table[:, 1:4], table[:, 4:], end)
 
@@ -109,11 +123,17 @@ class Trajectory:
     def orbit(
         cls, look_at: ArrayLike, radius: float, height: float, period: float, start: float = 0.0
     ) -> Trajectory:
-        """Round and round a point (3,), to the left (from above: against the clock), looking at it.
+        """Create an endless circular trajectory around a target, counterclockwise as seen from above.
 
-        ``radius``: of the circle about it, metres; ``height``: of the circle over the floor; ``period``:
-        seconds per round; ``start``: where it begins, radians from +x. Raises CameraError for a radius or
-        period that is not above zero.
+        Args:
+            look_at: Target, (3,) metres in ``map``.
+            radius: Radius of the circle, metres.
+            height: Height of the circle above the floor, metres.
+            period: Seconds per round.
+            start: Azimuth of the first pose, radians from +x.
+
+        Raises:
+            CameraError: ``radius`` or ``period`` is not above zero.
         """
         for key, value in (("radius", radius), ("period", period)):
             if not 0 < value < np.inf:
@@ -123,12 +143,12 @@ class Trajectory:
         circle: Array = np.column_stack(
             [x + radius * np.cos(angles), y + radius * np.sin(angles), np.full(len(angles), height)]
         )
-        turns = np.stack([Camera.look_at(place, look_at).R.T for place in circle])
+        rotations = np.stack([Camera.look_at(position, look_at).R.T for position in circle])
         times: Array = np.linspace(0, period, len(angles), dtype=float)
-        return cls(times, circle, matrix_to_quaternion(turns), "loop")
+        return cls(times, circle, matrix_to_quaternion(rotations), "loop")
 
     def write(self, path: str | os.PathLike[str]) -> None:
-        """Write a file that :meth:`read` gives back; what follows its end is not in it."""
+        """Write a file for :meth:`read`. The file does not store ``end``."""
         rows = np.column_stack([self.times, self.positions, self.rotations]).tolist()
         lines = [f"# {_COLUMNS}", *(" ".join(map(repr, row)) for row in rows)]
         with atomic_path(path) as temporary:
@@ -140,12 +160,12 @@ class Trajectory:
         return float(self.times[-1] - self.times[0])
 
     def pose(self, seconds: float) -> tuple[Array, Array]:
-        """R (3, 3) and t (3,), world to optical frame, so many seconds after the first pose.
+        """Extrinsics R (3, 3) and t (3,), world to optical frame, at a time in seconds after the first pose.
 
-        Positions are interpolated linearly, rotations along the shortest turn (slerp). Before the first pose
-        ``clamp`` stays there, ``loop`` and ``ping_pong`` go on backwards.
+        Positions are interpolated linearly, rotations by slerp. Before the first pose, ``clamp`` stays there;
+        ``loop`` and ``ping_pong`` continue backwards.
         """
-        time = self.times[0] + self._wrapped(seconds)
+        time = self.times[0] + self._time_in_trajectory(seconds)
         after = int(np.clip(np.searchsorted(self.times, time, side="right"), 1, max(len(self.times) - 1, 1)))
         if len(self.times) == 1:
             position, quaternion = self.positions[0], self.rotations[0]
@@ -157,16 +177,16 @@ class Trajectory:
         rotation = quaternion_to_matrix(quaternion).T
         return rotation, -rotation @ position
 
-    def around(self, seconds: float, step: float) -> tuple[float, float]:
-        """A time a step before and one a step after, which reach no farther than where a loop begins anew."""
-        early, late = seconds - step, seconds + step
+    def difference_times(self, seconds: float, step: float) -> tuple[float, float]:
+        """Times one step before and after a time, for finite differences; not beyond the ends of a loop."""
+        before, after = seconds - step, seconds + step
         if self.end != "loop":
-            return early, late
-        start = seconds - self._wrapped(seconds)
-        return max(early, start), min(late, start + self.duration * (1 - 1e-9))
+            return before, after
+        start = seconds - self._time_in_trajectory(seconds)
+        return max(before, start), min(after, start + self.duration * (1 - 1e-9))
 
-    def _wrapped(self, seconds: float) -> float:
-        """Seconds since the first pose that are within the trajectory."""
+    def _time_in_trajectory(self, seconds: float) -> float:
+        """Time within the trajectory, seconds since the first pose."""
         if self.end == "clamp" or self.duration == 0:
             return float(np.clip(seconds, 0.0, self.duration))
         if self.end == "loop":

@@ -82,7 +82,7 @@ def show(
     odd = [text.removeprefix(f"{file}: ") for text in odd if not text.endswith(of_cameras or "\0")]
     facts = {
         "file": file,
-        "form": calibration.form.name if calibration.form else None,
+        "form": calibration.format.name if calibration.format else None,
         "unit": calibration.unit,
         "up": calibration.up,
         "cameras": described,
@@ -122,9 +122,9 @@ def read_cameras(
     up: str | None = None,
 ) -> dict[str, Camera]:
     """The cameras of calibration files, with the options that all commands have."""
-    from humansim_ros.camera.calibration import joined
+    from humansim_ros.camera.calibration import join_calibrations
 
-    return joined({file: load(file, size, image, unit, up).cameras for file in files})
+    return join_calibrations({file: load(file, size, image, unit, up).cameras for file in files})
 
 
 def chosen(cameras: dict[str, Camera], patterns: list[str] | None, file: str) -> dict[str, Camera]:
@@ -178,7 +178,7 @@ def describe_camera(name: str, camera: Camera) -> dict[str, Any]:
 
 def _lines(calibration: Calibration, facts: dict[str, Any]) -> Iterator[str]:
     count = len(facts["cameras"])
-    title = calibration.form.title if calibration.form else "several forms"
+    title = calibration.format.title if calibration.format else "several forms"
     unit = f", unit {calibration.unit:g} m" if calibration.unit != 1 else ""
     up = f", {calibration.up} is up" if calibration.up != "z" else ""
     yield f"{facts['file']}: {title}, {count} camera{'s' * (count != 1)}{unit}{up}"

@@ -196,12 +196,12 @@ def _write_ideal(file: str, output: Path, read: Calibration, cameras: Mapping[st
     from humansim_ros.camera.calibration import resolve_url, write_calibration
 
     source = resolve_url(file) if "://" in file else Path(file)
-    several = source.is_dir() or (read.form is not None and read.form.name == "colmap")
-    target = output / (source.name if read.form is not None else "cameras.yaml")
-    if several and read.form is not None:
+    several = source.is_dir() or (read.format is not None and read.format.name == "colmap")
+    target = output / (source.name if read.format is not None else "cameras.yaml")
+    if several and read.format is not None:
         target = output
     _refuse_to_overwrite(source, target)
-    for path in write_calibration(target, cameras, read.form.name if read.form else "scene"):
+    for path in write_calibration(target, cameras, read.format.name if read.format else "scene"):
         say(f"wrote {path}")
 
 

@@ -115,7 +115,7 @@ class SceneCamera:
         if self.path is None:
             return CameraPose.of(self.camera)
         time = self.speed * (seconds + self.offset)
-        early, late = self.path.around(time, VELOCITY_STEP * max(self.speed, 1e-6))
+        early, late = self.path.difference_times(time, VELOCITY_STEP * max(self.speed, 1e-6))
         beside = [self.path.pose(early), self.path.pose(late)]
         positions = np.array([-r.T @ t for r, t in beside])
         rotations = matrix_to_quaternion(np.array([r.T for r, _ in beside]))

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera, read_calibration, resolve_url
-from humansim_ros.camera.calibration import UPRIGHT, load_calibration
+from humansim_ros.camera.calibration import Z_UP_FROM_FILE, load_calibration
 from humansim_ros.errors import CameraError, HumansimWarning
 from humansim_ros.types import Array
 
@@ -73,9 +73,11 @@ def test_real_files_are_known_by_their_content(
         warnings.simplefilter("always")
         calibration = load_calibration(anonymous)
     # one of them carries the K of another size
-    mislabelled = [str(w.message) for w in caught if "is of an image of about 1280x960" in str(w.message)]
+    mislabelled = [
+        str(w.message) for w in caught if "is that of an image of about 1280x960" in str(w.message)
+    ]
     assert bool(mislabelled) == (name == "raspicam_camerav2_1640x1232.yaml")
-    assert calibration.form is not None and calibration.form.name == form
+    assert calibration.format is not None and calibration.format.name == form
     assert len(calibration.cameras) == count
     assert next(iter(calibration.cameras)) == first
     assert calibration.cameras[first].size == size
@@ -207,7 +209,7 @@ def test_panoptic_is_in_centimetres_with_y_down(tmp_path: Path) -> None:
     assert_sees(ours, theirs(in_file, np.eye(3), np.array([0, 100.0, 300]), K, np.array(d)), in_map)
 
 
-@pytest.mark.parametrize("up", sorted(UPRIGHT))
+@pytest.mark.parametrize("up", sorted(Z_UP_FROM_FILE))
 def test_what_is_up_in_the_file_is_z_in_the_world(tmp_path: Path, up: str) -> None:
     path = written(tmp_path, "p.txt", "\n".join(map(numbers, K @ np.column_stack([R, T]))))
     as_it_is, turned = (next(iter(read_calibration(path, up=u, unit=0.5).values())) for u in ("z", up))
@@ -215,7 +217,7 @@ def test_what_is_up_in_the_file_is_z_in_the_world(tmp_path: Path, up: str) -> No
     # a step up in the file is seen like a step up in the world
     assert_allclose(turned.R @ [0, 0, 1], as_it_is.R @ axis, atol=1e-12)
     assert_allclose(turned.center[2], as_it_is.center @ axis, atol=1e-12)
-    assert np.linalg.det(UPRIGHT[up]) == pytest.approx(1)
+    assert np.linalg.det(Z_UP_FROM_FILE[up]) == pytest.approx(1)
     assert_allclose(turned.t, T / 2)
 
 
@@ -485,9 +487,9 @@ def test_a_folder_is_a_rig(tmp_path: Path) -> None:
     assert calibration.sizes == dict.fromkeys("abc", (640, 480))
     said = [str(warning.message).removeprefix(f"{tmp_path}/") for warning in caught]
     assert said == [
-        "notes.txt: no calibration that is known here: left out",
-        "a.yaml: there are several cameras left; this one is called a",
-        "b.yaml: there are several cameras left; this one is called b",
+        "notes.txt: is not a known calibration format: ignored",
+        "a.yaml: there are several cameras left; this one is renamed to a",
+        "b.yaml: there are several cameras left; this one is renamed to b",
     ]
     written(tmp_path, "d.ini", "[image]\n")
     with pytest.raises(CameraError, match=r"d.ini: "):

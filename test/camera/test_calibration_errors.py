@@ -233,11 +233,11 @@ def ros(old: str, new: str) -> str:
         ),
         (
             ros("plumb_bob", "omni"),
-            ":8: distortion_model: no distortion model 'omni' is known here; there are plumb_bob",
+            ":8: distortion_model: unknown distortion model 'omni'; known are plumb_bob",
         ),
         (
             ros("distortion_model: plumb_bob\n", "").replace(", 0.002, 0]", ", 0.002]"),
-            "distortion_model: is missing, and 4 coefficients do not tell which it is: add one of plumb_bob",
+            "distortion_model: is missing, and 4 coefficients do not determine it: add one of plumb_bob",
         ),
         (
             ros("plumb_bob", "none"),
@@ -249,7 +249,7 @@ def ros(old: str, new: str) -> str:
         ),
         (
             ros("[1, 0, 0, 0, 1, 0, 0, 0, 1]", "[1, 0, 0, 0, 1, 0, 0, 0, -1]"),
-            ":16: rectification_matrix.data: R mirrors",
+            ":16: rectification_matrix.data: R is a reflection",
         ),
         (
             ros(
@@ -276,9 +276,9 @@ def ros(old: str, new: str) -> str:
             ":11: distortion: needs 5 coefficients (plumb_bob) or 8",
         ),
         (INI.replace("-0.3 0.1 0.001 0.002 0", "-0.3 nan 0.001 0.002 0"), ":12: a number is not finite"),
-        (INI.replace("[left]", "[image]"), ":6: image: this section is here a second time"),
-        (INI.replace("rectification\n", "projection\n"), "projection: this key is here a second time"),
-        (INI[: INI.index("[left]")], "there is no section of a camera"),
+        (INI.replace("[left]", "[image]"), ":6: image: this section is duplicate"),
+        (INI.replace("rectification\n", "projection\n"), "projection: this key is duplicate"),
+        (INI[: INI.index("[left]")], "the file has no section of a camera"),
         (INI.replace("[left]\ncamera matrix\n", "[left]\n"), ":7: numbers without a key above them"),
         # plain text
         (P.replace("0 0 1 3", "0 0 0 0"), ":1: P: P is singular: its camera is at infinity"),
@@ -289,16 +289,16 @@ def ros(old: str, new: str) -> str:
         (f"# a\n{P}# a\n{P}", ":6: there are two cameras of the name 'a'"),
         (KRTD[:30], ":5: needs K (3 x 3), R (3 x 3) and t (3)"),
         (KRTD.replace("1 0 0\n", "1.1 0 0\n"), ":5: R: R is not a rotation"),
-        (KRTD.replace("1 0 0\n", "-1 0 0\n"), ":5: R: R mirrors"),
-        (KRTD + KRTD, "is there more than one camera in it?"),
+        (KRTD.replace("1 0 0\n", "-1 0 0\n"), ":5: R: R is a reflection"),
+        (KRTD + KRTD, "does the file hold more than one camera?"),
         (
             KRTD.replace("\n\n0\n", "\n\n-0.3 0.1 0 0 0 0 0 0 9\n"),
             ":11: distortion: rational_polynomial has 8",
         ),
-        (PAR.replace("2\n", "3\n", 1), ":1: says 3 cameras, but has 2: is the file whole?"),
+        (PAR.replace("2\n", "3\n", 1), ":1: says 3 cameras, but has 2: is the file complete?"),
         (
             PAR.replace(" 0 0 3\nb.png", " 0 0\nb.png"),
-            ":2: needs an image's name, K (9), R (9) and t (3): 21 numbers, not 20",
+            ":2: needs an image name, K (9), R (9) and t (3): 21 numbers, not 20",
         ),
         (PAR.replace("b.png", "a.png"), ":3: there are two cameras of the name 'a'"),
         (PAR.replace("a.png 700", "a.png x700"), ":2: 'x700' is not a number"),
@@ -309,7 +309,10 @@ def ros(old: str, new: str) -> str:
         (changed(SHELF, "0.fy", None), "0.fy: is missing"),
         (changed(SHELF, "0.T", [1, 2]), "0.T: needs 3 numbers, not 2"),
         (changed(SHELF, "0.R", [[float("nan"), 0, 0], [0, 1, 0], [0, 0, 1]]), "0.R: a number is not finite"),
-        (changed(SHELF, "0.R", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]), "0.R: R mirrors (its determinant is -1)"),
+        (
+            changed(SHELF, "0.R", [[1, 0, 0], [0, 1, 0], [0, 0, -1]]),
+            "0.R: R is a reflection (its determinant is -1)",
+        ),
         (changed(SHELF, "0.R", [[1, 0, 0.01], [0, 1, 0], [0, 0, 1]]), "0.R: R is not a rotation matrix"),
         (
             changed(H36M, "intrinsics.5.calibration_matrix", 3),
@@ -320,26 +323,26 @@ def ros(old: str, new: str) -> str:
             "extrinsics.S1.6: has no intrinsics",
         ),
         (changed(H36M, "intrinsics.5.distortion", [1] * 8), "intrinsics.5.distortion: plumb_bob has 4 or 5"),
-        (changed(PANOPTIC, "cameras.0.K", None), "no calibration that is known here"),
+        (changed(PANOPTIC, "cameras.0.K", None), "is not a known calibration format"),
         (changed(PANOPTIC, "cameras.0.resolution", [640]), "cameras.0.resolution: needs 2 numbers, not 1"),
         (
             json.dumps({"cameras": PANOPTIC["cameras"] * 2}),
             "cameras.1: there are two cameras of the name '00_00'",
         ),
-        ('{"0": {"R": 1, "R": 2}}', "R: this key is here a second time"),
+        ('{"0": {"R": 1, "R": 2}}', "R: this key is duplicate"),
         ('{"0": [1, 2', ":1: not valid JSON"),
         ("{" * 100000, "not valid"),
         ('{"a":' * 100000, "not valid JSON"),
         ('{"a": ' + "9" * 5000 + "}", "not valid JSON"),
-        ('{"a": 1}', "no calibration that is known here. It has a. Known in JSON: Human3.6M JSON"),
+        ('{"a": 1}', "is not a known calibration format. Its keys are a. Known in JSON: Human3.6M JSON"),
         # Kalibr
         (
             KALIBR.replace("pinhole", "omni", 1),
-            ":2: cam0.camera_model: 'omni' cameras are not known here, only pinhole",
+            ":2: cam0.camera_model: 'omni' is not a supported camera model; only pinhole is",
         ),
         (
             KALIBR.replace("radtan", "fov", 1),
-            ":4: cam0.distortion_model: distortion model 'fov' is not known here",
+            ":4: cam0.distortion_model: unknown distortion model 'fov'",
         ),
         (
             KALIBR.replace("  T_cn_cnm1: [[1, 0, 0, 0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]\n", ""),
@@ -353,7 +356,7 @@ def ros(old: str, new: str) -> str:
             STORAGE.replace("0.002, 0. ]", "0.002, 0., 0, 0, 0, 1 ]"),
             "distortion_coefficients.data: rational_polynomial has 8 coefficients, not 9",
         ),
-        (STORAGE + "R: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n", ":15: R: is here without T"),
+        (STORAGE + "R: [1, 0, 0, 0, 1, 0, 0, 0, 1]\n", ":15: R: needs T as well"),
         (
             STORAGE.replace("!!opencv-matrix", "!!opencv-nd-matrix"),
             ":5: not valid YAML: could not determine a constructor",
@@ -363,13 +366,16 @@ def ros(old: str, new: str) -> str:
             ":5: not valid YAML: an opencv-matrix needs rows",
         ),
         (XML.replace("690.", "x"), "camera_matrix.data: 'x' is not a number"),
-        (XML.replace("opencv_storage", "calibration"), "XML with <calibration> is no calibration"),
+        (
+            XML.replace("opencv_storage", "calibration"),
+            "XML with <calibration> is not a known calibration format",
+        ),
         (XML[:-20], ": not valid XML"),
         (
             XML.replace("<opencv_storage>", "<!DOCTYPE a [<!ENTITY b 'c'>]><opencv_storage>&b;"),
-            "document types and entities have no place",
+            "must not have document types or entities",
         ),
-        ("<a>" * 3000 + "</a>" * 3000, "no calibration"),
+        ("<a>" * 3000 + "</a>" * 3000, "is not a known calibration format"),
         (
             "<opencv_storage>" + "<a>" * 3000 + "</a>" * 3000 + "</opencv_storage>",
             "a: the elements are nested too deeply",
@@ -377,7 +383,7 @@ def ros(old: str, new: str) -> str:
         # COLMAP
         (
             CAMERAS.replace("PINHOLE", "FOV"),
-            ":2: no camera model 'FOV' is known here; there are SIMPLE_PINHOLE",
+            ":2: unknown camera model 'FOV'; known are SIMPLE_PINHOLE",
         ),
         (CAMERAS.replace(" 245", ""), ":2: PINHOLE needs width, height and fx fy cx cy, not 5 numbers"),
         (CAMERAS.replace("640", "0"), ":2: width and height must be whole numbers above zero"),
@@ -387,14 +393,14 @@ def ros(old: str, new: str) -> str:
         (SCENE.replace("[1, 0, 0]", "[2, 0, 0]"), ":5: cameras.left.R: R is not a rotation"),
         (
             SCENE + "    calibration: a.yaml\n",
-            ":7: cameras.left.calibration: cameras with a calibration file",
+            ":7: cameras.left.calibration: a camera with a calibration file",
         ),
         # none of them
         (
             "hello world\n",
-            "no calibration that is known here. Known in text: ROS camera_info INI, .cam of the thesis",
+            "is not a known calibration format. Known in text: ROS camera_info INI, .cam of the thesis",
         ),
-        ("a: 1\nb: 2\n", "It has a, b. Known in YAML: ROS camera_info YAML, Kalibr"),
+        ("a: 1\nb: 2\n", "Its keys are a, b. Known in YAML: ROS camera_info YAML, Kalibr"),
         ("\x00\x01\x02\x03", "this is a binary file"),
         ("  \n", "the calibration file is empty"),
     ],
@@ -419,11 +425,11 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path: Path, text: str, said: 
         (
             CAMERAS,
             IMAGES.replace("1 1 0 0 0 0", "1 2 0 0 0 0"),
-            "images.txt:1: the quaternion is no rotation: its length is 2",
+            "images.txt:1: the quaternion is not a rotation: its length is 2",
         ),
         (CAMERAS, IMAGES.replace("b.png", "a.png"), "images.txt:3: there are two cameras of the name 'a'"),
-        (CAMERAS, IMAGES.replace(" 3 1 a.png", ""), "images.txt:1: needs an id, a quaternion"),
-        (CAMERAS, "# nothing\n", "images.txt: there are no images in it"),
+        (CAMERAS, IMAGES.replace(" 3 1 a.png", ""), "images.txt:1: needs an image id, a quaternion"),
+        (CAMERAS, "# nothing\n", "images.txt: the file has no images"),
         (CAMERAS.replace("700", "-700"), IMAGES, "cameras.txt:2: a.K: K is singular or has a focal length"),
     ],
 )
@@ -452,9 +458,9 @@ def test_an_option_that_is_wrong_is_named(tmp_path: Path) -> None:
     for options, said in (
         ({"unit": -1.0}, "unit: "),
         ({"unit": float("nan")}, "unit: "),
-        ({"up": "north"}, "up: 'north' is no axis"),
+        ({"up": "north"}, "up: 'north' is not an axis"),
         ({"size": (0, 480)}, "size: the image size must be 1 to 8192"),
-        ({"image": tmp_path / "a.yaml"}, "this is no PNG or JPEG"),
+        ({"image": tmp_path / "a.yaml"}, "this is not a PNG or JPEG"),
         ({"image": tmp_path / "no.png"}, "no such image"),
     ):
         with pytest.raises(CameraError, match=said):

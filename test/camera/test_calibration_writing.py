@@ -1,4 +1,4 @@
-"""Cameras written in every form and read again; what a form cannot hold is said or refused."""
+"""Cameras written in every form and read again; what a form cannot store is said or refused."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_what_is_written_is_read_again(tmp_path: Path, name: str, model: str | N
     form = BY_NAME[name]
     names = ["cam0", "cam1", "cam2"]
     cameras = {n: a_camera(i, form, model) for i, n in enumerate(names)}
-    target = tmp_path / (f"rig{form.suffix}" if form.several else "rig")
+    target = tmp_path / (f"rig{form.suffix}" if form.multiple else "rig")
     files = write_calibration(target, cameras, name)
     again = read_calibration(target, size=None if form.holds_size else SIZE)
     assert list(again) == names
@@ -155,10 +155,10 @@ def test_cameras_on_a_stereo_head_keep_their_baseline_in_camera_info(tmp_path: P
 @pytest.mark.parametrize(
     ("form", "said"),
     [
-        ("camera_info", "where cameras stand"),
-        ("ini", "where cameras stand"),
-        ("krtd", "the image size: say 640x480"),
-        ("shelf", "the image size: say 640x480"),
+        ("camera_info", "camera poses"),
+        ("ini", "camera poses"),
+        ("krtd", "the image size: give 640x480"),
+        ("shelf", "the image size: give 640x480"),
         ("kalibr", "R and P of rectified"),
     ],
 )
@@ -211,19 +211,19 @@ def test_a_rational_lens_without_denominator_is_written_as_plumb_bob(tmp_path: P
 @pytest.mark.parametrize(
     ("target", "form", "names", "reason"),
     [
-        ("a.yaml", None, ("a", "b"), "say which form"),
-        ("a.json", None, ("a",), "say which form"),
-        ("a", None, ("a",), "say which form"),
-        ("a.yaml", "nonsense", ("a",), "no form 'nonsense'"),
-        ("a.yaml", "camera_info", ("a", "b"), "name a folder"),
+        ("a.yaml", None, ("a", "b"), "choose the format"),
+        ("a.json", None, ("a",), "choose the format"),
+        ("a", None, ("a",), "choose the format"),
+        ("a.yaml", "nonsense", ("a",), "unknown calibration format 'nonsense'"),
+        ("a.yaml", "camera_info", ("a", "b"), "give a folder"),
         ("a.yaml", "camera_info", (), "no camera"),
         ("nowhere/a.yaml", "camera_info", ("a",), "No such file"),
         ("rig", "ini", ("a/b", "a_b"), "two cameras would be written to a_b.ini"),
         ("par.txt", "middlebury", ("a b",), "needs a name without blanks"),
-        ("a.ini", "ini", ("image",), "cannot hold a camera of this name"),
+        ("a.ini", "ini", ("image",), "cannot store a camera of this name"),
         ("a.yml", "opencv", ("a", "b c"), "letters, digits"),
-        ("a.yml", "opencv", ("a", "coeffs"), "cannot hold a camera of this name"),  # dist_coeffs
-        ("here.txt", "colmap", ("a",), "is a folder, and this is a file"),
+        ("a.yml", "opencv", ("a", "coeffs"), "cannot store a camera of this name"),  # dist_coeffs
+        ("here.txt", "colmap", ("a",), "needs a folder, and this is a file"),
     ],
 )
 def test_what_cannot_be_written_is_said_and_nothing_is_lost(

@@ -178,7 +178,7 @@ def test_a_fisheye_without_coefficients_still_bends() -> None:
 
 
 def test_twelve_coefficients_are_refused_with_what_they_are() -> None:
-    with pytest.raises(CameraError, match="thin prisms"):
+    with pytest.raises(CameraError, match="thin prism"):
         Lens.of((0.1,) * 12)
 
 

@@ -68,7 +68,8 @@ def test_show_says_which_size_a_mislabelled_k_is_of(shared_data: Path) -> None:
     path = shared_data / "calib" / "raspicam_camerav2_1640x1232.yaml"
     (camera,) = shown(path)["cameras"]
     assert (
-        "39% and 39% of a 1640x1232 image: this K is of an image of about 1280x960" in camera["warnings"][0]
+        "39% and 39% of a 1640x1232 image: this K is that of an image of about 1280x960"
+        in camera["warnings"][0]
     )
     assert shown(path, "--size", "1280x960")["cameras"][0]["warnings"] == []
     for name in ("raspicam_camerav1_1280x720.yaml", "raspicam_camerav2_410x308.yaml"):
@@ -130,7 +131,7 @@ def test_convert_says_what_is_lost_or_refuses(tmp_path: Path, shared_data: Path)
     result = humansim("convert", shelf, "-o", tmp_path / "rig", "--to", "camera_info")
     assert result.returncode == 0 and "R and t of 0, 1, 2, 3 and 1 more are left out" in result.stderr
     result = humansim("convert", shared_data / "calib/usb_cam_camera_info.yaml", "-o", tmp_path / "p.txt")
-    assert result.returncode == 2 and "cannot hold plumb_bob distortion: idealize" in result.stderr
+    assert result.returncode == 2 and "cannot store plumb_bob distortion: idealize" in result.stderr
     assert not (tmp_path / "p.txt").exists()
 
 
@@ -187,9 +188,9 @@ def test_what_looks_wrong_is_said(odd: Camera, said: str) -> None:
 def test_rigs_in_other_units_or_axes_are_doubted() -> None:
     for scale in (1000, 0.001):
         (message,) = check_rig(ring(scale))
-        assert "is this the file's unit?" in message
+        assert "is the unit of the file correct?" in message
     (message,) = check_rig(ring(up=(0, -1, 0)))
-    assert "to most of the cameras -y is up, not z" in message
+    assert "for most of the cameras -y is up, not z" in message
 
 
 def test_the_field_of_view_is_that_of_the_lens() -> None:
@@ -213,4 +214,6 @@ def test_a_mirrored_rig_is_refused(tmp_path: Path) -> None:
     start = text.index("    R: ")
     (tmp_path / "rig.yaml").write_text(text[:start] + f"    R: [{rows}]\n" + text[text.index("    t: ") :])
     result = humansim("show", tmp_path / "rig.yaml")
-    assert result.returncode == 2 and "cameras.a.R: R mirrors (its determinant is -1)" in result.stderr
+    assert (
+        result.returncode == 2 and "cameras.a.R: R is a reflection (its determinant is -1)" in result.stderr
+    )

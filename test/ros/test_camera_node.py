@@ -324,7 +324,7 @@ def test_what_set_camera_info_is_given_is_said_and_kept_and_changes_no_lens(
         ({"k": [nan, 0, 60, 0, 91, 50, 0, 0, 1]}, "finite"),
         ({"r": [2.0, 0, 0, 0, 1, 0, 0, 0, 1]}, "rotation"),
         ({"p": [-88.0, 0, 61, 0, 0, 88, 49, 0, 0, 0, 1, 0]}, "focal length"),
-        ({"distortion_model": "thick"}, "no distortion model 'thick'"),
+        ({"distortion_model": "thick"}, "unknown distortion model 'thick'"),
     ):
         answer, info = ask(**wrong)
         assert not answer.success
@@ -397,7 +397,7 @@ def test_camera_info_url_is_the_lens_and_published_info_url_what_is_said(
             CALIBRATION.replace("0.02", ".nan"),
             "distortion_coefficients.data: a number is not",
         ),
-        ("camera_info_url", "just: words", "no calibration that is known here"),
+        ("camera_info_url", "just: words", "is not a known calibration format"),
         (
             "camera_info_url",
             CALIBRATION.replace("128", "64"),

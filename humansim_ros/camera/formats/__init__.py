@@ -1,9 +1,14 @@
-"""The forms that calibration files have, one module per family; calibration.py reads and writes them.
+"""Calibration formats, one module per family of formats.
 
-A new one: a :class:`CalibrationFormat` in a module here, and its place in :data:`FORMATS`.
+To add a format, define a :class:`CalibrationFormat` in a module of this folder (its name, title, file suffix
+and syntax, and functions that recognise, read and write it), and add it to :data:`FORMATS` below. The rest of
+the package needs no change: ``camera/calibration.py`` converts units and axes, guesses missing image sizes,
+checks cameras, writes files, and reports errors with file, line and key for all formats; the command line
+takes the names of formats from :data:`FORMATS`. ``formats/base.py`` has helpers for numbers and names,
+``formats/lens_models.py`` for names of distortion models.
 """
 
-from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, FilePosition, RawCamera
+from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import COLMAP
 from humansim_ros.camera.formats.datasets import H36M, PANOPTIC, SHELF
 from humansim_ros.camera.formats.kalibr import KALIBR
@@ -15,7 +20,7 @@ from humansim_ros.camera.formats.ros import CAMERA_INFO, INI
 from humansim_ros.camera.formats.scene import SCENE
 from humansim_ros.camera.formats.thesis import CAM
 
-#: In the order in which they are tried: the first that knows a file reads it.
+#: All formats, in the order in which they are tried: the first one that recognises a file reads it.
 FORMATS: tuple[CalibrationFormat, ...] = (
     *(CAMERA_INFO, INI, KALIBR, SCENE),
     *(H36M, PANOPTIC, SHELF),
@@ -23,4 +28,4 @@ FORMATS: tuple[CalibrationFormat, ...] = (
     *(CAM, COLMAP, MIDDLEBURY, KRTD, PROJECTION),
 )
 
-__all__ = ["FORMATS", "CalibrationFormat", "CalibrationSource", "FilePosition", "RawCamera"]
+__all__ = ["FORMATS", "CalibrationFile", "CalibrationFormat", "RawCamera", "SourceLocation"]

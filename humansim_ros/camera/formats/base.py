@@ -1,7 +1,7 @@
-"""What the calibration formats share: a camera as a file says it, places in files, numbers read and written.
+"""Shared parts of the calibration formats: parsed files, cameras in the unit of a file, text of numbers.
 
-A format reads text into :class:`RawCamera`, in the file's own unit and axes, and writes cameras that are
-already in them; calibration.py does the rest, once for all.
+A format reads a :class:`CalibrationFile` into :class:`RawCamera` objects in the unit and axes of the file,
+and writes cameras that are already in that unit and those axes; ``camera/calibration.py`` does the rest.
 """
 
 from __future__ import annotations
@@ -19,57 +19,56 @@ import yaml
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
 from humansim_ros.io.yaml import line_of
-from humansim_ros.types import Array
+from humansim_ros.types import Array, ImageSize
 
 Key = str | int
 
-#: Larger numbers are of no camera, and their squares and cubes overflow.
+#: Largest magnitude of a number: cameras have smaller ones, and the cubes of larger ones overflow.
 LARGEST = 1e15
-#: Characters of a line: one of COLMAP's has a hundred thousand points of an image.
+#: Longest line in characters: a line of COLMAP may hold a hundred thousand points of an image.
 _LONGEST_LINE = 4 << 20
-#: Rigs are smaller; a file with more is not what it seems.
+#: Most cameras of a file.
 MAX_CAMERAS = 10_000
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _NOT_FINITE = re.compile(r"[+-]?\.?(?:nan|inf|infinity)", re.IGNORECASE)
-#: Suffixes of the images that some formats name their cameras by.
-_PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
+#: Suffixes of images, for formats that name cameras by their images.
+_IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm", ".ppm", ".webp")
 
 
 @dataclass(frozen=True)
-class FilePosition:
-    """Where in a file something is said."""
+class SourceLocation:
+    """Key and line of a value in a file. ``path``: the file, where it is not the file that is being read."""
 
     key: str | None = None
     line: int | None = None
-    #: where it is not the file that was asked for
     path: str | None = None
 
 
 @dataclass(frozen=True)
 class RawCamera:
-    """One camera as a file says it: lengths in the file's unit, the world in the file's axes.
+    """A camera in the unit and the world axes of its file.
 
-    ``K`` (3, 3), ``R`` (3, 3), ``t`` (3,): x_cam = R x + t; or ``center`` (3,) in place of t. ``places``:
-    where each of these is said, and, under "", where the camera begins.
+    ``K`` (3, 3), ``R`` (3, 3), ``t`` (3,): x_cam = R x + t; or ``center`` (3,) in place of t. ``locations``:
+    location of each of these values in the file; "" is that of the camera.
     """
 
     K: Array
     R: Array = field(default_factory=lambda: np.eye(3))
     t: Array = field(default_factory=lambda: np.zeros(3))
     center: Array | None = None
-    size: tuple[int, int] | None = None
+    size: ImageSize | None = None
     distortion: tuple[float, ...] = ()
     model: str | None = None
     rectification: Array | None = None
     rectified: Array | None = None
-    places: Mapping[str, FilePosition] = field(default_factory=dict)
+    locations: Mapping[str, SourceLocation] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
-class CalibrationSource:
-    """A calibration file: its text, and, for YAML, JSON and XML, what is in it.
+class CalibrationFile:
+    """A calibration file that is being read: its text and, for YAML, JSON and XML, its parsed content.
 
-    Keys are paths into ``document``. What is wrong raises CameraError with file, key, and line where known.
+    Keys are paths into ``document``. Wrong values raise CameraError with file, key, and line where known.
     """
 
     path: str
@@ -77,15 +76,17 @@ class CalibrationSource:
     document: Any = None
     tree: yaml.Node | None = None
 
-    def place(self, *keys: Key) -> FilePosition:
-        return FilePosition(".".join(map(str, keys)) or None, line_of(self.tree, keys))
+    def location(self, *keys: Key) -> SourceLocation:
+        """Location of the value at a key path."""
+        return SourceLocation(".".join(map(str, keys)) or None, line_of(self.tree, keys))
 
     def error(self, message: str, *keys: Key, line: int | None = None) -> CameraError:
-        place = self.place(*keys)
-        return CameraError(message, path=self.path, line=line or place.line, key=place.key)
+        """Error about the value at a key path."""
+        location = self.location(*keys)
+        return CameraError(message, path=self.path, line=line or location.line, key=location.key)
 
     def get(self, *keys: Key) -> Any:
-        """The value at a key path; None where there is none."""
+        """Value at a key path; None if it is absent."""
         value = self.document
         for key in keys:
             if isinstance(value, Mapping):
@@ -97,19 +98,21 @@ class CalibrationSource:
         return value
 
     def need(self, *keys: Key) -> Any:
+        """Value at a key path that must be present."""
         value = self.get(*keys)
         if value is None:
             raise self.error("is missing", *keys)
         return value
 
     def mapping(self, *keys: Key) -> Mapping[Any, Any]:
+        """Mapping at a key path."""
         value = self.need(*keys)
         if not isinstance(value, Mapping):
             raise self.error("needs keys and values", *keys)
         return value
 
     def numbers(self, shape: tuple[int, ...], *keys: Key) -> Array:
-        """Exactly as many numbers as ``shape`` has, row by row, however they are nested."""
+        """Array of a shape from numbers in row order; the nesting of their lists does not matter."""
         values = self.some_numbers(*keys)
         if len(values) != np.prod(shape):
             size = " x ".join(map(str, shape))
@@ -117,13 +120,14 @@ class CalibrationSource:
         return values.reshape(shape)
 
     def some_numbers(self, *keys: Key, most: int = 1000) -> Array:
-        """All numbers (N,) of a value, row by row."""
+        """All numbers (N,) of a value in row order."""
         try:
             return np.array([to_number(v) for v in _flat(self.need(*keys), most)], dtype=float)
         except ValueError as reason:
             raise self.error(str(reason), *keys) from None
 
-    def size(self, width: Sequence[Key], height: Sequence[Key]) -> tuple[int, int]:
+    def size(self, width: Sequence[Key], height: Sequence[Key]) -> ImageSize:
+        """Image size from the key paths of its width and height."""
         return self.whole(*width), self.whole(*height)
 
     def whole(self, *keys: Key) -> int:
@@ -134,7 +138,7 @@ class CalibrationSource:
         return int(value)
 
     def row(self, words: Iterable[str], line: int, key: str | None = None) -> list[float]:
-        """Numbers of a line of a text file."""
+        """Numbers of a line of plain text."""
         try:
             return [to_number(word) for word in words]
         except ValueError as reason:
@@ -143,7 +147,7 @@ class CalibrationSource:
     def add(
         self, cameras: dict[str, RawCamera], name: str, camera: RawCamera, *keys: Key, line: int | None = None
     ) -> None:
-        """Put a camera with the others, under a name of its own."""
+        """Add a camera under a unique name."""
         if name in cameras:
             raise self.error(f"there are two cameras of the name {name!r}", *keys, line=line)
         if len(cameras) >= MAX_CAMERAS:
@@ -151,22 +155,22 @@ class CalibrationSource:
         cameras[name] = camera
 
     def lines(self) -> Iterator[tuple[int, str]]:
-        """Number (from 1) and text of each line that is neither empty nor a comment."""
+        """Number (from 1) and text of each line, without empty lines and comments."""
         return ((n, line) for n, line in self.all_lines() if line and line[0] not in "#;")
 
     @cached_property
     def head(self) -> list[str]:
-        """The first three of :meth:`lines`, to tell forms by."""
+        """First three of :meth:`lines`, by which formats recognise a file."""
         return [line for _, line in islice(self.lines(), 3)]
 
     def all_lines(self) -> Iterator[tuple[int, str]]:
-        """Number (from 1) and text, without blanks at its ends, of each line, one after the other."""
+        """Number (from 1) and text of each line, without blanks at its ends."""
         start = 0
         for number in count(1):
             end = self.text.find("\n", start)
             line = self.text[start : end if end >= 0 else None].strip()
             if len(line) > _LONGEST_LINE:
-                raise CameraError("this line is too long to be of a calibration", path=self.path, line=number)
+                raise CameraError("this line is too long for a calibration file", path=self.path, line=number)
             yield number, line
             if end < 0:
                 return
@@ -175,22 +179,32 @@ class CalibrationSource:
 
 @dataclass(frozen=True)
 class CalibrationFormat:
-    """A kind of calibration file.
+    """A calibration format.
 
-    ``container``: text, yaml, json or xml. ``matches`` tells it from others of that container.
-    ``write`` gives the text of each file by its name; a form of one file gives it under "". ``unit``: metres
-    per unit of the file; ``up``: the axis of its world that points up. ``lenses``: models that it can hold,
-    and how many of their coefficients. ``sizes``: what its images usually are, where it does not say.
+    Attributes:
+        name: Name on the command line.
+        title: Name in messages.
+        suffix: Suffix of its files.
+        syntax: ``text``, ``yaml``, ``json`` or ``xml``.
+        matches: Whether a file of this syntax has this format.
+        read: Cameras of a file by name.
+        write: Text of each file by its name; a format of one file has the name "".
+        multiple: Whether a file holds more than one camera.
+        unit: Metres per unit of the file.
+        up: Axis of its world that points up.
+        holds_size, holds_pose, holds_skew, holds_rectified: Parts of a camera that it can store.
+        lenses: Distortion models that it can store, and the number of their coefficients.
+        sizes: Usual image sizes of a format that does not store the size.
     """
 
     name: str
     title: str
     suffix: str
-    container: str
-    matches: Callable[[CalibrationSource], bool]
-    read: Callable[[CalibrationSource], dict[str, RawCamera]]
+    syntax: str
+    matches: Callable[[CalibrationFile], bool]
+    read: Callable[[CalibrationFile], dict[str, RawCamera]]
     write: Callable[[Mapping[str, Camera]], dict[str, str]]
-    several: bool = True
+    multiple: bool = True
     unit: float = 1.0
     up: str = "z"
     holds_size: bool = True
@@ -198,11 +212,15 @@ class CalibrationFormat:
     holds_skew: bool = True
     holds_rectified: bool = False
     lenses: Mapping[str, int] = field(default_factory=dict)
-    sizes: tuple[tuple[int, int], ...] = ()
+    sizes: tuple[ImageSize, ...] = ()
 
 
 def to_number(value: Any) -> float:
-    """A finite number; also of text, as YAML 1.1 takes 1e-5 for. Raises ValueError with the reason."""
+    """Convert a value, which may be text (YAML 1.1 reads 1e-5 as text), to a finite number.
+
+    Raises:
+        ValueError: It is not one; the message has the reason.
+    """
     if isinstance(value, str):
         word = value.strip()
         if _NUMBER.fullmatch(word) is None:
@@ -220,7 +238,7 @@ def to_number(value: Any) -> float:
     if not np.isfinite(number):
         raise ValueError("a number is not finite (NaN or infinity)")
     if abs(number) > LARGEST:
-        raise ValueError(f"{number:g} is too large to be of a camera")
+        raise ValueError(f"{number:g} is too large for a camera")
     return number
 
 
@@ -230,7 +248,7 @@ def _short(value: Any) -> str:
 
 
 def _flat(value: Any, most: int, depth: int = 4) -> list[Any]:
-    """What is in nested lists; never more than ``most``, so that a file cannot promise more than it holds."""
+    """Items of nested lists, at most ``most``: YAML aliases can multiply the content of a small file."""
     if not isinstance(value, (list, tuple)):
         return [value]
     flat: list[Any] = []
@@ -244,38 +262,38 @@ def _flat(value: Any, most: int, depth: int = 4) -> list[Any]:
 
 
 def number(value: float) -> str:
-    """All digits that it takes to read the same number again."""
+    """Shortest text that reads back as the same number."""
     return repr(float(value) + 0.0)  # no -0.0
 
 
 def row(values: Iterable[float], between: str = " ") -> str:
+    """Numbers on one line."""
     return between.join(number(v) for v in values)
 
 
 def nested(matrix: Array) -> list[Any]:
-    """Lists of a matrix, as JSON has them, without -0.0."""
+    """Nested lists of a matrix for JSON, without -0.0."""
     return (np.asarray(matrix, dtype=float) + 0.0).tolist()
 
 
 def without_suffix(name: str) -> str:
-    """The name of a camera whose image a file names."""
-    for suffix in _PICTURES:
+    """Name of a camera from the name of its image."""
+    for suffix in _IMAGE_SUFFIXES:
         if name.lower().endswith(suffix) and len(name) > len(suffix):
             return name[: -len(suffix)]
     return name
 
 
 def check_words(names: Iterable[str]) -> None:
-    """That names can stand in columns split by blanks. Raises CameraError."""
+    """Raise CameraError unless names can be written in columns separated by blanks."""
     for name in names:
         if not name or not name.isprintable() or any(c.isspace() for c in name) or name[0] in "#;%/":
-            raise CameraError(
-                "needs a name without blanks, that begins with no # ; % or / in this form", key=name
-            )
+            message = "this format needs a name without blanks that does not begin with # ; % or /"
+            raise CameraError(message, key=name)
 
 
-def picture_names(cameras: Iterable[str]) -> dict[str, str]:
-    """Image names for forms that name cameras by their images, in columns split by blanks."""
+def image_names(cameras: Iterable[str]) -> dict[str, str]:
+    """Image names of cameras, for formats that name cameras by their images."""
     names = list(cameras)
     check_words(names)
     return {name: f"{name}.png" for name in names}

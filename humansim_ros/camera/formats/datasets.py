@@ -1,4 +1,4 @@
-"""JSON files of public data sets: Human3.6M, Shelf and Campus (as VoxelPose has them), CMU Panoptic."""
+"""JSON files of public data sets: Human3.6M, Shelf and Campus (in the format of VoxelPose), CMU Panoptic."""
 
 from __future__ import annotations
 
@@ -10,57 +10,59 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, Key, RawCamera, nested
-from humansim_ros.camera.formats.models import check_count
+from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, Key, RawCamera, nested
+from humansim_ros.camera.formats.lens_models import check_count
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
 
-# -- Human3.6M: x = R X + t in millimetres, z up; each of 4 cameras at 11 places, one per subject
+# -- Human3.6M: x = R X + t in millimetres, z up; each of 4 cameras has a pose per subject, 11 in all
 
-#: The cameras of the data set, by their serial numbers.
+#: Image sizes of the cameras by their serial numbers.
 _H36M_SIZES = {
     "54138969": (1000, 1002),
     "55011271": (1000, 1000),
     "58860488": (1000, 1000),
     "60457274": (1000, 1002),
 }
-_PLACE = re.compile(r"([0-9]{2})_([0-9]{2})")
+_PANEL_AND_NODE = re.compile(r"([0-9]{2})_([0-9]{2})")
 _SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
 
 
-def _is_h36m(source: CalibrationSource) -> bool:
-    return all(isinstance(source.get(key), dict) for key in ("intrinsics", "extrinsics"))
+def _is_h36m(file: CalibrationFile) -> bool:
+    return all(isinstance(file.get(key), dict) for key in ("intrinsics", "extrinsics"))
 
 
-def _read_h36m(source: CalibrationSource) -> dict[str, RawCamera]:
+def _read_h36m(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
-    subjects = source.mapping("extrinsics")
+    subjects = file.mapping("extrinsics")
     for subject in subjects:
-        for name in source.mapping("extrinsics", subject):
-            if name not in source.mapping("intrinsics"):
-                raise source.error("has no intrinsics", "extrinsics", subject, name)
-            camera = _h36m_camera(source, ("intrinsics", name), ("extrinsics", subject, name))
-            source.add(cameras, name if len(subjects) == 1 else f"{subject}_{name}", camera)
+        for name in file.mapping("extrinsics", subject):
+            if name not in file.mapping("intrinsics"):
+                raise file.error("has no intrinsics", "extrinsics", subject, name)
+            camera = _h36m_camera(file, ("intrinsics", name), ("extrinsics", subject, name))
+            file.add(cameras, name if len(subjects) == 1 else f"{subject}_{name}", camera)
     return cameras
 
 
-def _h36m_camera(source: CalibrationSource, inner: tuple[Key, ...], outer: tuple[Key, ...]) -> RawCamera:
+def _h36m_camera(
+    file: CalibrationFile, intrinsics: tuple[Key, ...], extrinsics: tuple[Key, ...]
+) -> RawCamera:
     keys = {
-        "K": (*inner, "calibration_matrix"),
-        "distortion": (*inner, "distortion"),
-        "R": (*outer, "R"),
-        "t": (*outer, "t"),
+        "K": (*intrinsics, "calibration_matrix"),
+        "distortion": (*intrinsics, "distortion"),
+        "R": (*extrinsics, "R"),
+        "t": (*extrinsics, "t"),
     }
-    distortion = source.some_numbers(*keys["distortion"])
-    check_count(source, "plumb_bob", distortion, keys["distortion"])
+    distortion = file.some_numbers(*keys["distortion"])
+    check_count(file, "plumb_bob", distortion, keys["distortion"])
     return RawCamera(
-        source.numbers((3, 3), *keys["K"]),
-        source.numbers((3, 3), *keys["R"]),
-        source.numbers((3,), *keys["t"]),
-        size=_H36M_SIZES.get(str(inner[-1])),
+        file.numbers((3, 3), *keys["K"]),
+        file.numbers((3, 3), *keys["R"]),
+        file.numbers((3,), *keys["t"]),
+        size=_H36M_SIZES.get(str(intrinsics[-1])),
         distortion=tuple(distortion),
         model="plumb_bob",
-        places={part: source.place(*path) for part, path in keys.items()},
+        locations={part: file.location(*path) for part, path in keys.items()},
     )
 
 
@@ -70,54 +72,55 @@ def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
     for name, camera in cameras.items():
         matched = _SUBJECT.fullmatch(name)
         subject, serial = (matched[1], matched[2]) if matched else ("S1", name)
-        inner = {
+        parameters = {
             "calibration_matrix": nested(camera.K),
             "distortion": nested(np.array(camera.distortion[:5])),
         }
-        if intrinsics.setdefault(serial, inner) != inner:
-            raise CameraError("a camera has the same K and lens for every subject in this form", key=name)
-        outer = extrinsics.setdefault(subject, {})
-        if serial in outer:
+        if intrinsics.setdefault(serial, parameters) != parameters:
+            message = "this format needs the same K and lens of a camera for all subjects"
+            raise CameraError(message, key=name)
+        poses = extrinsics.setdefault(subject, {})
+        if serial in poses:
             raise CameraError(f"there are two cameras {serial} of subject {subject}", key=name)
-        outer[serial] = {"R": nested(camera.R), "t": nested(camera.t[:, None])}
+        poses[serial] = {"R": nested(camera.R), "t": nested(camera.t[:, None])}
     return _json({"intrinsics": intrinsics, "extrinsics": extrinsics})
 
 
-# -- Shelf and Campus: x = R (X - T): T is the camera's centre, in millimetres, z up
+# -- Shelf and Campus: x = R (X - T), where T is the camera centre; millimetres, z up
 
 
-def _is_shelf(source: CalibrationSource) -> bool:
-    cameras = source.document
+def _is_shelf(file: CalibrationFile) -> bool:
+    cameras = file.document
     if not isinstance(cameras, dict) or not cameras:
         return False
     return all(isinstance(c, dict) and {"R", "T"} < set(c) and {"fx", "k"} & set(c) for c in cameras.values())
 
 
-def _read_shelf(source: CalibrationSource) -> dict[str, RawCamera]:
+def _read_shelf(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
-    for name in source.document:
-        fx, fy, cx, cy = (float(source.numbers((), name, key)) for key in ("fx", "fy", "cx", "cy"))
+    for name in file.document:
+        fx, fy, cx, cy = (float(file.numbers((), name, key)) for key in ("fx", "fy", "cx", "cy"))
         radial: Array = np.zeros(3)
         tangential: Array = np.zeros(2)
-        if source.get(name, "k") is not None:
-            radial = source.numbers((3,), name, "k")
-        if source.get(name, "p") is not None:
-            tangential = source.numbers((2,), name, "p")
+        if file.get(name, "k") is not None:
+            radial = file.numbers((3,), name, "k")
+        if file.get(name, "p") is not None:
+            tangential = file.numbers((2,), name, "p")
         camera = RawCamera(
             np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
-            source.numbers((3, 3), name, "R"),
-            center=source.numbers((3,), name, "T"),
+            file.numbers((3, 3), name, "R"),
+            center=file.numbers((3,), name, "T"),
             distortion=(*radial[:2], *tangential, radial[2]),
             model="plumb_bob",
-            places={
-                "": source.place(name),
-                "K": source.place(name, "fx"),
-                "R": source.place(name, "R"),
-                "t": source.place(name, "T"),
-                "distortion": source.place(name, "k"),
+            locations={
+                "": file.location(name),
+                "K": file.location(name, "fx"),
+                "R": file.location(name, "R"),
+                "t": file.location(name, "T"),
+                "distortion": file.location(name, "k"),
             },
         )
-        source.add(cameras, name, camera, name)
+        file.add(cameras, name, camera, name)
     return cameras
 
 
@@ -141,38 +144,38 @@ def _write_shelf(cameras: Mapping[str, Camera]) -> dict[str, str]:
 # -- CMU Panoptic: x = R X + t in centimetres, y down
 
 
-def _is_panoptic(source: CalibrationSource) -> bool:
-    cameras = source.get("cameras")
+def _is_panoptic(file: CalibrationFile) -> bool:
+    cameras = file.get("cameras")
     return isinstance(cameras, list) and any(isinstance(c, dict) and "K" in c for c in cameras)
 
 
-def _read_panoptic(source: CalibrationSource) -> dict[str, RawCamera]:
+def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
-    for index in range(len(source.need("cameras"))):
+    for index in range(len(file.need("cameras"))):
         at: tuple[Key, ...] = ("cameras", index)
         distortion: Array = np.zeros(0)
-        if source.get(*at, "distCoef") is not None:
-            distortion = source.some_numbers(*at, "distCoef")
-        check_count(source, "plumb_bob", distortion, (*at, "distCoef"))
+        if file.get(*at, "distCoef") is not None:
+            distortion = file.some_numbers(*at, "distCoef")
+        check_count(file, "plumb_bob", distortion, (*at, "distCoef"))
         size = None
-        if source.get(*at, "resolution") is not None:
-            source.numbers((2,), *at, "resolution")
-            size = source.size((*at, "resolution", 0), (*at, "resolution", 1))
+        if file.get(*at, "resolution") is not None:
+            file.numbers((2,), *at, "resolution")
+            size = file.size((*at, "resolution", 0), (*at, "resolution", 1))
         camera = RawCamera(
-            source.numbers((3, 3), *at, "K"),
-            source.numbers((3, 3), *at, "R"),
-            source.numbers((3,), *at, "t"),
+            file.numbers((3, 3), *at, "K"),
+            file.numbers((3, 3), *at, "R"),
+            file.numbers((3,), *at, "t"),
             size=size,
             distortion=tuple(distortion),
             model="plumb_bob",
-            places={
-                "": source.place(*at),
-                **{part: source.place(*at, part) for part in ("K", "R", "t")},
-                "distortion": source.place(*at, "distCoef"),
-                "size": source.place(*at, "resolution"),
+            locations={
+                "": file.location(*at),
+                **{part: file.location(*at, part) for part in ("K", "R", "t")},
+                "distortion": file.location(*at, "distCoef"),
+                "size": file.location(*at, "resolution"),
             },
         )
-        source.add(cameras, str(source.need(*at, "name")), camera, *at)
+        file.add(cameras, str(file.need(*at, "name")), camera, *at)
     return cameras
 
 
@@ -194,8 +197,8 @@ def _write_panoptic(cameras: Mapping[str, Camera]) -> dict[str, str]:
 
 
 def _panel_and_node(name: str, index: int) -> dict[str, int]:
-    """The studio's places, which its names are made of."""
-    matched = _PLACE.fullmatch(name)
+    """Panel and node of the studio, of which the names are made."""
+    matched = _PANEL_AND_NODE.fullmatch(name)
     panel, node = (int(matched[1]), int(matched[2])) if matched else (0, index)
     return {"panel": panel, "node": node}
 

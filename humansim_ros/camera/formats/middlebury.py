@@ -1,4 +1,4 @@
-"""Middlebury's multi-view par.txt: a count, then per line an image, K (9), R (9) and t (3), row by row.
+"""par.txt of the Middlebury multi-view data: a count, then lines of an image name, K (9), R (9) and t (3).
 
 P = K [R | t]. https://vision.middlebury.edu/mview/data/
 """
@@ -12,50 +12,50 @@ import numpy as np
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import (
+    CalibrationFile,
     CalibrationFormat,
-    CalibrationSource,
-    FilePosition,
     RawCamera,
-    picture_names,
+    SourceLocation,
+    image_names,
     row,
     without_suffix,
 )
-from humansim_ros.camera.image_size import size_of_image
+from humansim_ros.camera.image_size import size_of_named_image
 from humansim_ros.errors import CameraError
 
 
-def _is_par(source: CalibrationSource) -> bool:
-    count, *images = source.head or [""]
+def _is_par(file: CalibrationFile) -> bool:
+    count, *images = file.head or [""]
     return count.isdecimal() and bool(images) and len(images[0].split()) > 12
 
 
-def _read(source: CalibrationSource) -> dict[str, RawCamera]:
-    lines = source.lines()
+def _read(file: CalibrationFile) -> dict[str, RawCamera]:
+    lines = file.lines()
     first, count = next(lines)
     cameras: dict[str, RawCamera] = {}
-    folder = Path(source.path).parent
+    folder = Path(file.path).parent
     for line, text in lines:
         image, *words = text.split()
         if len(words) != 21:
-            message = f"needs an image's name, K (9), R (9) and t (3): 21 numbers, not {len(words)}"
-            raise CameraError(message, path=source.path, line=line)
-        values = np.array(source.row(words, line))
+            message = f"needs an image name, K (9), R (9) and t (3): 21 numbers, not {len(words)}"
+            raise CameraError(message, path=file.path, line=line)
+        values = np.array(file.row(words, line))
         camera = RawCamera(
             values[:9].reshape(3, 3),
             values[9:18].reshape(3, 3),
             values[18:],
-            size=size_of_image(folder, image),
-            places={"": FilePosition(None, line)},
+            size=size_of_named_image(folder, image),
+            locations={"": SourceLocation(None, line)},
         )
-        source.add(cameras, without_suffix(image), camera, line=line)
+        file.add(cameras, without_suffix(image), camera, line=line)
     if not 0 < len(cameras) == int(count[:9]):
-        message = f"says {count[:9]} cameras, but has {len(cameras)}: is the file whole?"
-        raise CameraError(message, path=source.path, line=first)
+        message = f"says {count[:9]} cameras, but has {len(cameras)}: is the file complete?"
+        raise CameraError(message, path=file.path, line=first)
     return cameras
 
 
 def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    images = picture_names(cameras)
+    images = image_names(cameras)
     lines = [str(len(cameras))]
     for name, camera in cameras.items():
         numbers = (*camera.K.ravel(), *camera.R.ravel(), *camera.t)

@@ -1,8 +1,9 @@
-"""OpenCV's FileStorage (YAML, XML, JSON), under the names that its samples and others give to things.
+"""FileStorage of OpenCV (YAML, XML, JSON) with the key names of its samples and of other programs.
 
-One camera (camera_matrix, distortion_coefficients, R, T), a stereo pair (M1, D1, M2, D2, R, T, R1, P1 …), or
-many (K_left, dist_left, Rot_left, T_left, as in EasyMocap), with intrinsics and extrinsics in one file or in
-two that differ by intri and extri in their names. x_cam = R x + T, in the unit of the calibration board.
+A file holds one camera (camera_matrix, distortion_coefficients, R, T), a stereo pair (M1, D1, M2, D2, R, T,
+R1, P1 …), or many cameras (K_left, dist_left, Rot_left, T_left, as in EasyMocap). Intrinsics and extrinsics
+are in one file, or in two whose names differ by intri and extri. x_cam = R x + T in the unit of the
+calibration board.
 """
 
 from __future__ import annotations
@@ -19,21 +20,21 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import (
+    CalibrationFile,
     CalibrationFormat,
-    CalibrationSource,
-    FilePosition,
     Key,
     RawCamera,
+    SourceLocation,
     number,
     row,
 )
-from humansim_ros.camera.formats.containers import container_of, parsed
-from humansim_ros.camera.formats.models import COUNTS, lens_of
+from humansim_ros.camera.formats.lens_models import COUNTS, find_model
+from humansim_ros.camera.formats.syntax import detect_syntax, parse
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.files import read_text
 from humansim_ros.types import Array
 
-#: What parts of a camera are called, case and underscores apart; the first that is there counts.
+#: Names of the camera parameters, without regard to case and underscores, in order of precedence.
 _NAMES = {
     "K": ("camera_matrix", "intrinsic_matrix", "intrinsics", "intrinsic", "mtx", "K", "M"),
     "distortion": (
@@ -64,44 +65,44 @@ _PATTERNS = {part: _pattern(names) for part, names in _NAMES.items()}
 
 
 @dataclass(frozen=True)
-class _Said:
-    """Where a part of a camera is said."""
+class _Entry:
+    """A camera parameter in a file."""
 
-    source: CalibrationSource
+    file: CalibrationFile
     keys: tuple[Key, ...]
 
     @property
     def value(self) -> Any:
-        return self.source.get(*self.keys)
+        return self.file.get(*self.keys)
 
     @property
-    def place(self) -> FilePosition:
-        place = self.source.place(*self.keys)
-        return FilePosition(place.key, place.line, self.source.path)
+    def location(self) -> SourceLocation:
+        place = self.file.location(*self.keys)
+        return SourceLocation(place.key, place.line, self.file.path)
 
     def numbers(self) -> Array:
-        return self.source.some_numbers(*self.keys)
+        return self.file.some_numbers(*self.keys)
 
     def matrix(self, shape: tuple[int, ...]) -> Array:
-        return self.source.numbers(shape, *self.keys)
+        return self.file.numbers(shape, *self.keys)
 
 
-_Table = dict[str, dict[str, _Said]]
+_Table = dict[str, dict[str, _Entry]]
 
 
-def _is_storage(source: CalibrationSource) -> bool:
-    table = _table([source])
+def _is_storage(file: CalibrationFile) -> bool:
+    table = _table([file])
     return bool(table["K"]) or (bool(table["R"]) and bool(table["t"]))
 
 
-def _table(sources: Sequence[CalibrationSource]) -> _Table:
-    """Part -> suffix of a camera -> where it is said."""
-    ranked: dict[str, dict[str, tuple[int, _Said]]] = {part: {} for part in _NAMES}
-    for source in sources:
-        for key in source.document if isinstance(source.document, dict) else ():
+def _table(files: Sequence[CalibrationFile]) -> _Table:
+    """Parameter -> suffix of a camera -> entry."""
+    ranked: dict[str, dict[str, tuple[int, _Entry]]] = {part: {} for part in _NAMES}
+    for file in files:
+        for key in file.document if isinstance(file.document, dict) else ():
             for part, pattern in _PATTERNS.items():
                 matched = pattern.fullmatch(str(key))
-                value = source.document[key]
+                value = file.document[key]
                 if matched is None or (part in _PARTS and not isinstance(value, (dict, list))):
                     continue
                 keys: tuple[Key, ...] = (key, "data") if isinstance(value, dict) else (key,)
@@ -112,121 +113,121 @@ def _table(sources: Sequence[CalibrationSource]) -> _Table:
                 suffix = matched[2] or matched[3] or ""
                 known = ranked[part].get(suffix)
                 if known is None or rank < known[0]:
-                    ranked[part][suffix] = rank, _Said(source, keys)
-    return {part: {s: said for s, (_, said) in found.items()} for part, found in ranked.items()}
+                    ranked[part][suffix] = rank, _Entry(file, keys)
+    return {part: {s: entry for s, (_, entry) in entries.items()} for part, entries in ranked.items()}
 
 
-def _read(source: CalibrationSource) -> dict[str, RawCamera]:
-    table = _table([source])
+def _read(file: CalibrationFile) -> dict[str, RawCamera]:
+    table = _table([file])
     if not table["K"] or not (table["R"] or table["t"] or table["rectified"]):
-        other = _other_half(Path(source.path))
+        other = _other_half(Path(file.path))
         if other is not None:
-            table = _table([source, other])
+            table = _table([file, other])
     if not table["K"]:
-        message = f"there is no camera matrix in it; it is looked for as {', '.join(_NAMES['K'])}"
-        raise CameraError(message, path=source.path)
+        message = f"the file has no camera matrix; its known names are {', '.join(_NAMES['K'])}"
+        raise CameraError(message, path=file.path)
     cameras: dict[str, RawCamera] = {}
     stereo = list(table["K"]) == ["1", "2"] and "" in table["R"] and "" in table["t"]
     for suffix in table["K"]:
-        name = suffix or str(source.get("camera_name") or "").strip() or Path(source.path).stem
-        camera = _camera(
-            {part: _of(found, suffix, part) for part, found in table.items()}, suffix, stereo, table
-        )
-        source.add(cameras, name, camera)
+        name = suffix or str(file.get("camera_name") or "").strip() or Path(file.path).stem
+        entries = {part: _entry_of(by_suffix, suffix, part) for part, by_suffix in table.items()}
+        file.add(cameras, name, _camera(entries, suffix, stereo, table))
     return cameras
 
 
-def _other_half(path: Path) -> CalibrationSource | None:
-    """The file with the other half of the calibration."""
+def _other_half(path: Path) -> CalibrationFile | None:
+    """File with the other half of the calibration."""
     for one, other in (("intri", "extri"), ("extri", "intri")):
         if one in path.name:
             sibling = path.with_name(path.name.replace(one, other))
             if sibling.is_file():
                 text = read_text(sibling, CameraError, "calibration", 8 << 20)
-                return parsed(str(sibling), text, container_of(str(sibling), text))
+                return parse(str(sibling), text, detect_syntax(str(sibling), text))
     return None
 
 
-def _of(found: Mapping[str, _Said], suffix: str, part: str) -> _Said | None:
-    """What is said of one camera, or, of lens models and sizes, of all."""
-    shared = found.get("") if part in ("width", "height", "size", "model", "fisheye") else None
-    return found.get(suffix, shared)
+def _entry_of(entries: Mapping[str, _Entry], suffix: str, part: str) -> _Entry | None:
+    """Entry of one camera; lens models and sizes may be shared by all cameras."""
+    shared = entries.get("") if part in ("width", "height", "size", "model", "fisheye") else None
+    return entries.get(suffix, shared)
 
 
-def _camera(said: Mapping[str, _Said | None], suffix: str, stereo: bool, table: _Table) -> RawCamera:
-    k = said["K"]
+def _camera(entries: Mapping[str, _Entry | None], suffix: str, stereo: bool, table: _Table) -> RawCamera:
+    k = entries["K"]
     assert k is not None
-    rotation, t = said["R"], said["t"]
-    rectification, rectified = said["rectification"], said["rectified"]
+    rotation, t = entries["R"], entries["t"]
+    rectification, rectified = entries["rectification"], entries["rectified"]
     if stereo:
         rectification = rotation or rectification
         rotation, t = (None, None) if suffix == "1" else (table["R"][""], table["t"][""])
     elif rotation is not None and t is None and rectified is not None:
         rotation, rectification = None, rotation  # as in CameraInfo
     if (rotation is None) != (t is None):
-        here, missing = (rotation, "T") if t is None else (t, "R")
-        assert here is not None
-        raise here.source.error(f"is here without {missing}", *here.keys)
-    distortion = np.zeros(0) if said["distortion"] is None else said["distortion"].numbers()
-    places = {part: at for part in _PARTS if (at := said[part]) is not None}
+        present, missing = (rotation, "T") if t is None else (t, "R")
+        assert present is not None
+        raise present.file.error(f"needs {missing} as well", *present.keys)
+    distortion = np.zeros(0) if entries["distortion"] is None else entries["distortion"].numbers()
     return RawCamera(
         k.matrix((3, 3)),
         np.eye(3) if rotation is None else _rotation(rotation),
         np.zeros(3) if t is None else t.matrix((3,)),
-        size=_size(said),
+        size=_size(entries),
         distortion=tuple(distortion),
-        model=_model(said, distortion),
+        model=_model(entries, distortion),
         rectification=None if rectification is None else rectification.matrix((3, 3)),
         rectified=None if rectified is None else rectified.matrix((3, 4)),
-        places={part: at.place for part, at in places.items()},
+        locations={part: entry.location for part in _PARTS if (entry := entries[part]) is not None},
     )
 
 
-def _rotation(said: _Said) -> Array:
-    """A matrix, or Rodrigues' vector."""
-    values = said.numbers()
+def _rotation(entry: _Entry) -> Array:
+    """Rotation from a matrix or a rotation vector."""
+    values = entry.numbers()
     if len(values) == 3:
         return np.asarray(Rotation.from_rotvec(values).as_matrix(), dtype=float)
-    return said.matrix((3, 3))
+    return entry.matrix((3, 3))
 
 
-def _size(said: Mapping[str, _Said | None]) -> tuple[int, int] | None:
-    width, height, size = said["width"], said["height"], said["size"]
+def _size(entries: Mapping[str, _Entry | None]) -> tuple[int, int] | None:
+    width, height, size = entries["width"], entries["height"], entries["size"]
     if width is not None and height is not None:
-        return width.source.whole(*width.keys), height.source.whole(*height.keys)
+        return width.file.whole(*width.keys), height.file.whole(*height.keys)
     if size is None:
         return None
     values = size.matrix((2,))
     if any(v != int(v) or v <= 0 for v in values):
-        raise size.source.error("needs width and height, whole numbers above zero", *size.keys)
+        raise size.file.error("needs width and height, whole numbers above zero", *size.keys)
     return int(values[0]), int(values[1])
 
 
-def _model(said: Mapping[str, _Said | None], distortion: Array) -> str | None:
-    """OpenCV tells its models by the number of coefficients, but a fisheye has 4 like the shortest other."""
-    given, named, fisheye = said["distortion"], said["model"], said["fisheye"]
-    word = "" if named is None else str(named.value).strip().lower()
+def _model(entries: Mapping[str, _Entry | None], distortion: Array) -> str | None:
+    """Distortion model: OpenCV distinguishes models by their number of coefficients, except for fisheyes."""
+    distortion_entry, name, fisheye = entries["distortion"], entries["model"], entries["fisheye"]
+    word = "" if name is None else str(name.value).strip().lower()
     if word in ("", "pinhole", "perspective", "opencv"):
         is_fisheye = fisheye is not None and str(fisheye.value).strip().lower() not in ("0", "false", "no")
         word = "equidistant" if is_fisheye else "plumb_bob"
         if not is_fisheye and len(np.trim_zeros(distortion, "b")) > 5:
             word = "rational_polynomial"
-        if given is not None and not is_fisheye and len(distortion) == 4 and distortion.any():
+        if distortion_entry is not None and not is_fisheye and len(distortion) == 4 and distortion.any():
             hint = "if they are of cv2.fisheye, add distortion_model: equidistant"
-            warn_about(given.source.path, f"{given.keys[0]}: 4 coefficients are taken for plumb_bob; {hint}")
-    if given is None:
+            warn_about(
+                distortion_entry.file.path,
+                f"{distortion_entry.keys[0]}: 4 coefficients are assumed to be plumb_bob; {hint}",
+            )
+    if distortion_entry is None:
         return None if word != "equidistant" else word
-    named_at = named or fisheye or given
-    return lens_of(given.source, word, distortion, named_at.keys, given.keys)
+    name_keys = (name or fisheye or distortion_entry).keys
+    return find_model(distortion_entry.file, word, distortion, name_keys, distortion_entry.keys)
 
 
 # -- writing
 
-_Entry = int | str | list[str] | Array
+_Value = int | str | list[str] | Array
 
 
-def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Entry]:
-    """Names and values of everything; matrices as arrays (rows, cols)."""
+def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Value]:
+    """Names and values of all entries; matrices are arrays (rows, cols)."""
     if len(cameras) == 1:
         ((name, camera),) = cameras.items()
         return {
@@ -240,11 +241,11 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Entry]:
             "T": camera.t[:, None],
             **_stereo_entries(camera, ""),
         }
-    entries: dict[str, _Entry] = {"names": list(cameras)}
+    entries: dict[str, _Value] = {"names": list(cameras)}
     for name, camera in cameras.items():
         if _NAME.fullmatch(name) is None:
-            raise CameraError("needs a name of letters, digits, _ and - in this form", key=name)
-        own: dict[str, _Entry] = {
+            raise CameraError("this format needs a name of letters, digits, _ and -", key=name)
+        own: dict[str, _Value] = {
             f"W_{name}": camera.size[0],
             f"H_{name}": camera.size[1],
             f"K_{name}": camera.K,
@@ -255,20 +256,20 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Entry]:
             f"T_{name}": camera.t[:, None],
             **_stereo_entries(camera, f"_{name}"),
         }
-        if any(_is_name_of_a_part(key) for key in own):
-            raise CameraError("this form cannot hold a camera of this name", key=name)
+        if any(_is_single_camera_key(key) for key in own):
+            raise CameraError("this format cannot store a camera of this name", key=name)
         entries |= own
     return entries
 
 
-def _is_name_of_a_part(key: str) -> bool:
-    """Whether a key, such as dist_coeffs, is read as a part of the only camera."""
+def _is_single_camera_key(key: str) -> bool:
+    """Whether a key, such as dist_coeffs, would be read as a parameter of a single camera."""
     matches = (pattern.fullmatch(key) for pattern in _PATTERNS.values())
     return any(matched and not (matched[2] or matched[3]) for matched in matches)
 
 
-def _stereo_entries(camera: Camera, suffix: str) -> dict[str, _Entry]:
-    entries: dict[str, _Entry] = {}
+def _stereo_entries(camera: Camera, suffix: str) -> dict[str, _Value]:
+    entries: dict[str, _Value] = {}
     if camera.rectification is not None:
         entries[f"rectification_matrix{suffix}"] = camera.rectification
     if camera.rectified is not None:
@@ -310,12 +311,12 @@ def _write_xml(cameras: Mapping[str, Camera]) -> dict[str, str]:
 
 def _quoted(text: str) -> str:
     if any(c in '<>&"' or not c.isprintable() for c in text):
-        raise CameraError("this form cannot hold a camera of this name", key=text)
+        raise CameraError("this format cannot store a camera of this name", key=text)
     return f'"{text}"'
 
 
 def _write_json(cameras: Mapping[str, Camera]) -> dict[str, str]:
-    def item(value: _Entry) -> Any:
+    def item(value: _Value) -> Any:
         if not isinstance(value, np.ndarray):
             return value
         data = [float(number(v)) for v in value.ravel()]
@@ -330,12 +331,12 @@ def _write_json(cameras: Mapping[str, Camera]) -> dict[str, str]:
     return {"": json.dumps({key: item(value) for key, value in _entries(cameras).items()}, indent=1) + "\n"}
 
 
-def _form(name: str, title: str, suffix: str, container: str, write: Any) -> CalibrationFormat:
+def _format(name: str, title: str, suffix: str, syntax: str, write: Any) -> CalibrationFormat:
     return CalibrationFormat(
-        name, title, suffix, container, _is_storage, _read, write, holds_rectified=True, lenses=COUNTS
+        name, title, suffix, syntax, _is_storage, _read, write, holds_rectified=True, lenses=COUNTS
     )
 
 
-OPENCV = _form("opencv", "OpenCV FileStorage YAML", ".yml", "yaml", _write_yaml)
-OPENCV_XML = _form("opencv_xml", "OpenCV FileStorage XML", ".xml", "xml", _write_xml)
-OPENCV_JSON = _form("opencv_json", "OpenCV FileStorage JSON", ".json", "json", _write_json)
+OPENCV = _format("opencv", "OpenCV FileStorage YAML", ".yml", "yaml", _write_yaml)
+OPENCV_XML = _format("opencv_xml", "OpenCV FileStorage XML", ".xml", "xml", _write_xml)
+OPENCV_JSON = _format("opencv_json", "OpenCV FileStorage JSON", ".json", "json", _write_json)

@@ -1,4 +1,4 @@
-"""The cameras of our own scene files: everything a camera is, in metres, for any number of them."""
+"""Cameras of scene files: any number of cameras with all their parameters, in metres."""
 
 from __future__ import annotations
 
@@ -8,54 +8,56 @@ from collections.abc import Mapping
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.formats.base import CalibrationFormat, CalibrationSource, Key, RawCamera, row
-from humansim_ros.camera.formats.models import COUNTS, lens_of
+from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, Key, RawCamera, row
+from humansim_ros.camera.formats.lens_models import COUNTS, find_model
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.types import Array
 
 _SIZE, _FOV = (640, 480), 60.0
-#: Keys that are called as the parts of a camera are.
+#: Keys of a scene file that have the names of camera parameters.
 _PARTS = ("K", "R", "t", "size", "distortion", "rectification", "rectified")
-#: What puts a camera somewhere else than it says itself, and what is not of the camera as it is calibrated.
-_ELSEWHERE, _LEFT_OUT = ("calibration", "trajectory"), ("binning", "roi", "sensor")
+#: Keys that take a camera from another file, and keys that are not part of a calibration.
+_OTHER_FILES, _IGNORED = ("calibration", "trajectory"), ("binning", "roi", "sensor")
 
 
-def _is_scene(source: CalibrationSource) -> bool:
-    return isinstance(source.get("cameras"), Mapping)
+def _is_scene(file: CalibrationFile) -> bool:
+    return isinstance(file.get("cameras"), Mapping)
 
 
-def _read(source: CalibrationSource) -> dict[str, RawCamera]:
+def _read(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
-    for name in source.mapping("cameras"):
-        source.add(cameras, str(name), _camera(source, name), "cameras", name)
+    for name in file.mapping("cameras"):
+        file.add(cameras, str(name), _camera(file, name), "cameras", name)
     if not cameras:
-        raise source.error("there are no cameras in it", "cameras")
+        raise file.error("the file has no cameras", "cameras")
     return cameras
 
 
-def _camera(source: CalibrationSource, name: str) -> RawCamera:
+def _camera(file: CalibrationFile, name: str) -> RawCamera:
     at: tuple[Key, ...] = ("cameras", name)
-    source.mapping(*at)
-    for key in _ELSEWHERE:
-        if source.get(*at, key) is not None:
-            raise source.error(f"cameras with a {key} file cannot be read here: use that file", *at, key)
-    left_out = [key for key in _LEFT_OUT if source.get(*at, key) is not None]
-    if left_out:
+    file.mapping(*at)
+    for key in _OTHER_FILES:
+        if file.get(*at, key) is not None:
+            raise file.error(
+                f"a camera with a {key} file cannot be read from a scene: use that file", *at, key
+            )
+    ignored = [key for key in _IGNORED if file.get(*at, key) is not None]
+    if ignored:
         warn_about(
-            source.path, f"cameras.{name}: {' and '.join(left_out)} left out: this is the whole sensor"
+            file.path, f"cameras.{name}: {' and '.join(ignored)} ignored: this camera is the whole sensor"
         )
     size = _SIZE
-    if source.get(*at, "size") is not None:
-        source.numbers((2,), *at, "size")
-        size = source.size((*at, "size", 0), (*at, "size", 1))
+    if file.get(*at, "size") is not None:
+        file.numbers((2,), *at, "size")
+        size = file.size((*at, "size", 0), (*at, "size", 1))
     distortion: Array = np.zeros(0)
-    if source.get(*at, "distortion") not in (None, []):
-        distortion = source.some_numbers(*at, "distortion")
-    named = source.get(*at, "distortion_model")
-    model_at, lens_at = (*at, "distortion_model"), (*at, "distortion")
-    k, r, t = _matrices(source, at, size)
+    if file.get(*at, "distortion") not in (None, []):
+        distortion = file.some_numbers(*at, "distortion")
+    name_in_file = file.get(*at, "distortion_model")
+    model_keys, distortion_keys = (*at, "distortion_model"), (*at, "distortion")
+    k, r, t = _matrices(file, at, size)
     rectification, rectified = (
-        None if source.get(*at, key) is None else source.numbers(shape, *at, key)
+        None if file.get(*at, key) is None else file.numbers(shape, *at, key)
         for key, shape in (("rectification", (3, 3)), ("rectified", (3, 4)))
     )
     return RawCamera(
@@ -64,43 +66,45 @@ def _camera(source: CalibrationSource, name: str) -> RawCamera:
         t,
         size=size,
         distortion=tuple(distortion),
-        # without a name, Camera tells it by the number, as it does for scenes
-        model=None if named is None else lens_of(source, named, distortion, model_at, lens_at),
+        # without a name, Camera decides by the number of coefficients, as for scenes
+        model=None
+        if name_in_file is None
+        else find_model(file, name_in_file, distortion, model_keys, distortion_keys),
         rectification=rectification,
         rectified=rectified,
-        places={
-            "": source.place(*at),
-            **{part: source.place(*at, part) for part in _PARTS},
-            "model": source.place(*model_at),
+        locations={
+            "": file.location(*at),
+            **{part: file.location(*at, part) for part in _PARTS},
+            "model": file.location(*model_keys),
         },
     )
 
 
 def _matrices(
-    source: CalibrationSource, at: tuple[Key, ...], size: tuple[int, int]
+    file: CalibrationFile, at: tuple[Key, ...], size: tuple[int, int]
 ) -> tuple[Array, Array, Array]:
-    """K, R and t of any way to say them."""
+    """K, R and t from any of the keys that define them."""
     try:
-        if source.get(*at, "P") is not None:
-            camera = Camera.from_projection_matrix(source.numbers((3, 4), *at, "P"), size)
+        if file.get(*at, "P") is not None:
+            camera = Camera.from_projection_matrix(file.numbers((3, 4), *at, "P"), size)
             return camera.K, camera.R, camera.t
-        camera = Camera.look_at((0, 0, 0), (1, 0, 0), size, np.radians(_fov(source, at)))
-        if source.get(*at, "position") is not None:
-            up = (0, 0, 1) if source.get(*at, "up") is None else source.numbers((3,), *at, "up")
-            position, target = (source.numbers((3,), *at, key) for key in ("position", "look_at"))
-            camera = Camera.look_at(position, target, size, np.radians(_fov(source, at)), up)
+        camera = Camera.look_at((0, 0, 0), (1, 0, 0), size, np.radians(_fov(file, at)))
+        if file.get(*at, "position") is not None:
+            up = (0, 0, 1) if file.get(*at, "up") is None else file.numbers((3,), *at, "up")
+            position, target = (file.numbers((3,), *at, key) for key in ("position", "look_at"))
+            camera = Camera.look_at(position, target, size, np.radians(_fov(file, at)), up)
             r, t = camera.R, camera.t
         else:
-            r, t = source.numbers((3, 3), *at, "R"), source.numbers((3,), *at, "t")
+            r, t = file.numbers((3, 3), *at, "R"), file.numbers((3,), *at, "t")
     except CameraError as error:
         if error.path is not None:
             raise
-        raise source.error(error.message, *at, *((error.key,) if error.key else ())) from None
-    return camera.K if source.get(*at, "K") is None else source.numbers((3, 3), *at, "K"), r, t
+        raise file.error(error.message, *at, *((error.key,) if error.key else ())) from None
+    return camera.K if file.get(*at, "K") is None else file.numbers((3, 3), *at, "K"), r, t
 
 
-def _fov(source: CalibrationSource, at: tuple[Key, ...]) -> float:
-    return _FOV if source.get(*at, "fov_deg") is None else float(source.numbers((), *at, "fov_deg"))
+def _fov(file: CalibrationFile, at: tuple[Key, ...]) -> float:
+    return _FOV if file.get(*at, "fov_deg") is None else float(file.numbers((), *at, "fov_deg"))
 
 
 def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
@@ -117,7 +121,7 @@ def _write(cameras: Mapping[str, Camera]) -> dict[str, str]:
 
 
 def _matrix_lines(matrices: Mapping[str, Array | None]) -> list[str]:
-    """A line for each matrix that is there."""
+    """Lines of the matrices that are not None."""
     lines = []
     for key, matrix in matrices.items():
         if matrix is not None:

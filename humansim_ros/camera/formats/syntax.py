@@ -1,6 +1,4 @@
-"""YAML, JSON and XML texts as dictionaries and lists, without trusting them: no tag makes an object, no
-reference multiplies without end, no key is there twice.
-"""
+"""Safe parsing of YAML, JSON and XML: no objects from tags, limits on size and depth, no duplicate keys."""
 
 from __future__ import annotations
 
@@ -14,28 +12,28 @@ import defusedxml.ElementTree
 import yaml
 from defusedxml.common import DefusedXmlException
 
-from humansim_ros.camera.formats.base import CalibrationSource
+from humansim_ros.camera.formats.base import CalibrationFile
 from humansim_ros.errors import CameraError
 from humansim_ros.io.yaml import Loader, parse_yaml
 
-#: Characters of a text; YAML is slow to read. Hundreds of cameras take much less.
+#: Most characters of a file; YAML is slow to parse. A file with hundreds of cameras is much smaller.
 _MAX = {"yaml": 1 << 19, "json": 8 << 20, "xml": 4 << 20}
 _MAX_DEPTH = 20
-#: OpenCV's header, which YAML 1.1 does not know.
+#: Header of OpenCV, which is not valid YAML 1.1.
 _HEADER = re.compile(r"\A\s*%YAML:1\.[0-9]+[^\n]*")
-#: What ``ros2 topic echo`` ends a message with.
+#: Line that ``ros2 topic echo`` prints after a message.
 _END = re.compile(r"\n---\s*\Z")
-#: A row of a matrix, perhaps with its name, as plain text has it.
+#: Row of a matrix in plain text, with or without a name.
 _NUMBERS = re.compile(r"([A-Za-z_][^\s:=]*\s*:\s+)?[+-]?[0-9.][^\s,]*([\s,]+[+-]?[0-9.][^\s,]*){2,}")
 _KEY = re.compile(r"\s*[\"']?[\w./ -]+[\"']?\s*:(\s|\Z)")
 
 
 class Matrix(dict[str, Any]):
-    """One of OpenCV's matrices: rows, cols, dt, data."""
+    """Matrix of OpenCV: rows, cols, dt, data."""
 
 
-def container_of(path: str, text: str) -> str:
-    """Whether a text is yaml, json, xml, or plain text, by how it begins."""
+def detect_syntax(path: str, text: str) -> str:
+    """Detect whether a text is ``yaml``, ``json``, ``xml`` or plain ``text`` by its first lines."""
     first = _first_lines(path, text)
     head = first[0].strip()[:1] if first else ""
     if head == "<":
@@ -51,30 +49,30 @@ def container_of(path: str, text: str) -> str:
 
 
 def _first_lines(path: str, text: str) -> list[str]:
-    """The first two lines that say something."""
-    lines = (line for _, line in CalibrationSource(path, text).all_lines() if line)
+    """First two lines without empty lines, comments and directives."""
+    lines = (line for _, line in CalibrationFile(path, text).all_lines() if line)
     return list(islice((line for line in lines if not line.startswith(("#", "---", "%", ";"))), 2))
 
 
-def parsed(path: str, text: str, container: str) -> CalibrationSource:
-    """A source with its document. Raises CameraError with the line, or the key."""
-    most = _MAX.get(container, len(text))
+def parse(path: str, text: str, syntax: str) -> CalibrationFile:
+    """Parse a text. Raises CameraError with the line or the key."""
+    most = _MAX.get(syntax, len(text))
     if len(text) > most:
-        message = f"this is too large for a calibration in {container.upper()}: more than {most >> 10} kB"
+        message = f"the file is too large for a calibration in {syntax.upper()}: more than {most >> 10} kB"
         raise CameraError(message, path=path)
-    if container == "yaml":
+    if syntax == "yaml":
         text = _END.sub("\n", _HEADER.sub("", text))
         document, tree = parse_yaml(text, CameraError, path, _Loader)
-        return CalibrationSource(path, text, document, tree)
-    if container == "json":
-        return CalibrationSource(path, text, _parse_json(path, text))
-    if container == "xml":
-        return CalibrationSource(path, text, _parse_xml(path, text))
-    return CalibrationSource(path, text)
+        return CalibrationFile(path, text, document, tree)
+    if syntax == "json":
+        return CalibrationFile(path, text, _parse_json(path, text))
+    if syntax == "xml":
+        return CalibrationFile(path, text, _parse_xml(path, text))
+    return CalibrationFile(path, text)
 
 
 class _Loader(Loader):
-    """Data, and OpenCV's matrices."""
+    """Loader of plain data and of matrices of OpenCV."""
 
 
 def _matrix(loader: _Loader, node: yaml.Node) -> Matrix:
@@ -89,16 +87,16 @@ _Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", _matrix)
 
 
 def _parse_json(path: str, text: str) -> Any:
-    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        found = dict(pairs)
-        if len(found) < len(pairs):
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        content = dict(pairs)
+        if len(content) < len(pairs):
             keys = [key for key, _ in pairs]
-            twice = next(key for key in keys if keys.count(key) > 1)
-            raise CameraError("this key is here a second time", path=path, key=twice)
-        return Matrix(found) if found.get("type_id") == "opencv-matrix" else found
+            duplicate = next(key for key in keys if keys.count(key) > 1)
+            raise CameraError("this key is duplicate", path=path, key=duplicate)
+        return Matrix(content) if content.get("type_id") == "opencv-matrix" else content
 
     try:
-        return json.loads(text, object_pairs_hook=once)
+        return json.loads(text, object_pairs_hook=unique)
     except json.JSONDecodeError as reason:
         raise CameraError(f"not valid JSON: {reason.msg}", path=path, line=reason.lineno) from None
     except (ValueError, RecursionError) as reason:
@@ -112,17 +110,17 @@ def _parse_xml(path: str, text: str) -> Any:
         line = reason.position[0]
         raise CameraError(f"not valid XML: {reason.args[0]}", path=path, line=line) from None
     except DefusedXmlException:
-        raise CameraError("document types and entities have no place in a calibration", path=path) from None
-    except (ValueError, LookupError) as reason:  # an encoding that is none
+        raise CameraError("a calibration file must not have document types or entities", path=path) from None
+    except (ValueError, LookupError) as reason:  # an unknown encoding
         raise CameraError(f"not valid XML: {reason}", path=path) from None
     if root.tag != "opencv_storage":
-        message = f"XML with <{root.tag[:40]}> is no calibration that is known here, only <opencv_storage>"
+        message = f"XML with <{root.tag[:40]}> is not a known calibration format; known is <opencv_storage>"
         raise CameraError(message, path=path)
     return _value(root, path)
 
 
 def _value(element: Element, path: str, depth: int = 0) -> Any:
-    """OpenCV's XML: elements are keys, elements named _ are items, words of a text are items too."""
+    """Value of an element in OpenCV's XML: elements are keys, elements named _ and words are list items."""
     if depth > _MAX_DEPTH:
         raise CameraError("the elements are nested too deeply", path=path, key=element.tag[:40])
     children = list(element)
@@ -131,12 +129,12 @@ def _value(element: Element, path: str, depth: int = 0) -> Any:
         return words[0] if len(words) == 1 else words
     if all(child.tag == "_" for child in children):
         return [_value(child, path, depth + 1) for child in children]
-    found: dict[str, Any] = {}
+    content: dict[str, Any] = {}
     for child in children:
-        if child.tag in found:
-            raise CameraError("this element is here a second time", path=path, key=child.tag)
-        found[child.tag] = _value(child, path, depth + 1)
-    return Matrix(found) if element.get("type_id") == "opencv-matrix" else found
+        if child.tag in content:
+            raise CameraError("this element is duplicate", path=path, key=child.tag)
+        content[child.tag] = _value(child, path, depth + 1)
+    return Matrix(content) if element.get("type_id") == "opencv-matrix" else content
 
 
 def _words(text: str) -> list[str]:

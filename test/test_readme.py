@@ -27,6 +27,8 @@ cameras:
 def test_the_tracker_of_the_readme_hears_the_cameras(tmp_path: Path) -> None:
     from ros_support import write_scene
 
+from humansim_ros.render.channels import CHANNEL_TABLE
+
     tracker = tmp_path / "tracker.py"
     tracker.write_text(next(block for block in BLOCKS if "rclpy" in block))
     nodes = subprocess.Popen(
@@ -67,6 +69,7 @@ def test_every_file_the_documents_link_to_exists() -> None:
 
 def test_the_readme_lists_the_topics_that_the_nodes_have() -> None:
     source = "".join(path.read_text() for path in (ROOT / "humansim_ros" / "ros").rglob("*.py"))
+    source += " ".join(channel.topic.format(body="<name>") for channel in CHANNEL_TABLE.values())
     for topic in re.findall(r"`/<camera>/([a-z_/]+)`", README):
         assert topic in source, topic
     for topic in re.findall(r"`/humans/<id>/([a-z_/]+)`", README):

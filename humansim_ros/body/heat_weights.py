@@ -16,6 +16,7 @@ from humansim_ros.body.volume import Volume, solid
 from humansim_ros.body.weights import limit_bones
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.normals import mean_normals
 from humansim_ros.rotations import angle_between
 from humansim_ros.types import Array
 
@@ -124,10 +125,7 @@ def _normals(points: Array, triangles: NDArray[np.intp]) -> Array:
     volume = np.zeros(len(middle))
     np.add.at(volume, own, np.einsum("ij,ij->i", a - (middle / np.maximum(count, 1)[:, None])[own], area))
     area *= np.where(volume < 0, -1.0, 1.0)[own][:, None]
-    normals = np.zeros_like(points)
-    for k in range(3):
-        np.add.at(normals, triangles[:, k], area)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return mean_normals(area, triangles, len(points))
 
 
 def _sources(

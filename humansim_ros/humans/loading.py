@@ -141,7 +141,7 @@ def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
     yield options.model_dump_json().encode()
     yield read_bytes(path, MeshError, "mesh")
     if path.suffix.lower() in _GLTF:
-        yield from Gltf.read(path).further()
+        yield from Gltf.read(path).external_data()
     elif path.suffix.lower() == ".obj":
         for file in material_files(path):
             yield read_bytes(file, MeshError, "material")

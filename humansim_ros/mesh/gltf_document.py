@@ -1,8 +1,7 @@
-"""glTF 2.0 files (.gltf, .glb): nodes, meshes, skins, materials and animations, as the file has them.
+"""glTF 2.0 files (.gltf, .glb): nodes, meshes, skins, materials and animations as in the file [glTF 2.0].
 
-Everything a file says is checked before it is used: sizes against the data that is there, indices against
-what they point at, the node tree for cycles, and addresses of further files, which must lie in the folder of
-the file or below it. Nothing is fetched from a network. https://registry.khronos.org/glTF/specs/2.0/
+All content is checked before use: sizes against the data, indices against their arrays, the node tree for
+cycles. Further files must be in the folder of the file or below it; nothing is fetched from a network.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ from humansim_ros.io.files import read_bytes, resolve_inside
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
-#: Numbers that a file may hold in all, and bytes of a file; beyond is no human.
+#: Maximum count of values in an accessor, and maximum size of a file.
 MAX_VALUES, MAX_BYTES = 100_000_000, 1 << 30
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
@@ -40,7 +39,7 @@ Vector = tuple[float, float, float]
 Item = TypeVar("Item")
 
 
-class _Part(BaseModel):
+class _Part(BaseModel):  # not a Section: files may have further keys
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
 
@@ -84,7 +83,7 @@ class _Accessor(_Part):
 
 
 class Primitive(_Part):
-    """One drawn piece of a mesh; ``mode`` 4, 5, 6: triangles, strip, fan."""
+    """Part of a mesh with one material; ``mode`` 4, 5, 6: triangles, strip, fan."""
 
     attributes: dict[str, Index]
     indices: Index | None = None
@@ -93,14 +92,14 @@ class Primitive(_Part):
 
 
 class GltfMesh(_Part):
-    """Pieces that one node draws."""
+    """Primitives of a mesh."""
 
     name: str = ""
     primitives: tuple[Primitive, ...]
 
 
 class Skin(_Part):
-    """Joints (node indices), and the accessor of their inverse bind matrices."""
+    """Joints (node indices) and the accessor of their inverse bind matrices."""
 
     name: str = ""
     joints: Annotated[tuple[Index, ...], Field(min_length=1)]
@@ -108,7 +107,7 @@ class Skin(_Part):
 
 
 class Node(_Part):
-    """A node of the tree with its transform in its parent."""
+    """Node of the tree with its transform in its parent."""
 
     name: str = ""
     children: tuple[Index, ...] = ()
@@ -121,7 +120,7 @@ class Node(_Part):
 
 
 class TextureInfo(_Part):
-    """A texture and the texture coordinates it is laid on by; ``scale`` of normal maps."""
+    """Reference to a texture, its set of texture coordinates, and ``scale`` of normal maps."""
 
     index: Index
     texCoord: Index = 0
@@ -138,7 +137,7 @@ class _Pbr(_Part):
 
 
 class GltfMaterial(_Part):
-    """How a surface looks; colours are linear factors."""
+    """Material; colours are linear factors."""
 
     name: str = ""
     pbrMetallicRoughness: _Pbr = _Pbr()
@@ -184,7 +183,7 @@ class _Sampler(_Part):
 
 
 class Animation(_Part):
-    """Channels, each a sampler's values for one property of one node."""
+    """Channels; each animates one property of one node with the values of a sampler."""
 
     name: str = ""
     channels: tuple[_Channel, ...]
@@ -213,7 +212,7 @@ class _Document(_Part):
 
 @dataclass(frozen=True)
 class Gltf:
-    """A glTF file. Everything it raises on a wrong file is a MeshError."""
+    """Content of a glTF file. Wrong content raises MeshError."""
 
     path: Path
     document: _Document
@@ -221,10 +220,12 @@ class Gltf:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Gltf:
-        """Read a .gltf or .glb file; which it is, its first bytes say."""
+        """Read a .gltf or .glb file; the first bytes decide which."""
         data = read_bytes(path, MeshError, "glTF")
         if len(data) > MAX_BYTES:
-            raise MeshError(f"{len(data) >> 20} MB are too much for a human", path=path)
+            raise MeshError(
+                f"{len(data) >> 20} MB are too large; at most {MAX_BYTES >> 20} MB are read", path=path
+            )
         text, embedded = _glb_chunks(data, path) if data[:4] == b"glTF" else (data, None)
         try:
             content = json.loads(text)
@@ -241,18 +242,14 @@ class Gltf:
             raise MeshError(
                 f"glTF {version[:20]!r} is not 2.0: export it again", path=path, key="asset.version"
             )
-        packed = [name for name in document.extensionsRequired if name in _COMPRESSED]
-        if packed:
-            raise MeshError(f"it needs {packed[0]}: export it without compression", path=path)
+        compression = [name for name in document.extensionsRequired if name in _COMPRESSED]
+        if compression:
+            raise MeshError(f"it needs {compression[0]}: export it without compression", path=path)
         gltf = cls(Path(path), document, embedded)
-        gltf._check_tree()
+        _ = gltf.parents  # checks the tree
         return gltf
 
     # --- the tree of nodes
-
-    def _check_tree(self) -> None:
-        """A wrong tree is told before anything is made of it."""
-        _ = self.parents
 
     @property
     def nodes(self) -> tuple[Node, ...]:
@@ -268,19 +265,20 @@ class Gltf:
                 if parents[child] >= 0:
                     raise self._error(f"node {child} has two parents", f"nodes.{number}.children")
                 parents[child] = number
-        seen = np.zeros(len(parents), dtype=bool)
+        reached = np.zeros(len(parents), dtype=bool)
         pending = [int(root) for root in np.flatnonzero(parents < 0)]
         while pending:
             node_number = pending.pop()
-            seen[node_number] = True
+            reached[node_number] = True
             pending += self.nodes[node_number].children
-        if not seen.all():
-            raise self._error("the nodes go round in a circle", f"nodes.{int(np.argmin(seen))}")
+        if not reached.all():
+            raise self._error("the node tree has a cycle", f"nodes.{int(np.argmin(reached))}")
         return parents
 
     def local(self, properties: dict[tuple[int, str], Array] | None = None) -> Array:
-        """Transforms (..., N, 4, 4) of the nodes in their parents; ``properties`` of some nodes, such as
-        ``(3, "rotation"): (..., 4)``, in place of the file's.
+        """Transforms (..., N, 4, 4) of the nodes in their parents.
+
+        ``properties`` replace those of the file, such as ``(3, "rotation"): (..., 4)``.
         """
         properties = properties or {}
         shape = next((value.shape[:-1] for value in properties.values()), ())
@@ -314,12 +312,12 @@ class Gltf:
 
     @cached_property
     def at_rest(self) -> Array:
-        """Transforms (N, 4, 4) of the nodes in the scene as the file has them."""
+        """Transforms (N, 4, 4) of the nodes in the scene, without animation."""
         return self.world()
 
     @cached_property
     def order(self) -> NDArray[np.intp]:
-        """(N,) the nodes, parents before children, otherwise as in the file."""
+        """(N,) nodes in the order of the file, parents before children."""
         order: list[int] = []
         pending = [int(root) for root in np.flatnonzero(self.parents < 0)[::-1]]
         while pending:
@@ -331,9 +329,9 @@ class Gltf:
     # --- the data
 
     def accessor(self, number: int, kinds: Sequence[str], what: str) -> NDArray[Any]:
-        """Values (count,) or (count, width), floats if normalised; matrices (count, n, n).
+        """Values (count,) or (count, width) of an accessor, floats if normalised; matrices (count, n, n).
 
-        ``kinds``: the types that are right for ``what``.
+        ``kinds``: valid types for ``what``.
         """
         key = f"accessors.{number}"
         accessor = self._item(self.document.accessors, number, key)
@@ -341,7 +339,7 @@ class Gltf:
             raise self._error(f"{what} must be {' or '.join(kinds)}, not {accessor.type}", key)
         width = _WIDTHS[accessor.type]
         if accessor.count * width > MAX_VALUES:
-            raise self._error(f"{accessor.count} values are promised: too many for a human", key)
+            raise self._error(f"{accessor.count} values are too many", key)
         dtype = np.dtype(_TYPES[accessor.componentType])
         if accessor.bufferView is None:
             values = np.zeros((accessor.count, width), dtype)
@@ -350,7 +348,7 @@ class Gltf:
         if accessor.sparse is not None:
             sparse, n = accessor.sparse, accessor.sparse.count
             if n > accessor.count:
-                raise self._error("more values are replaced than there are", key)
+                raise self._error("more sparse values than values", key)
             rows = self._read(
                 sparse.indices.bufferView,
                 sparse.indices.byteOffset,
@@ -360,7 +358,7 @@ class Gltf:
                 key,
             )[:, 0]
             if rows.max() >= accessor.count:
-                raise self._error(f"value {int(rows.max())} is replaced but does not exist", key)
+                raise self._error(f"sparse value {int(rows.max())} does not exist", key)
             values = values.copy()
             values[rows] = self._read(
                 sparse.values.bufferView, sparse.values.byteOffset, n, width, dtype, key
@@ -371,11 +369,11 @@ class Gltf:
             raise self._error(f"{what}: a number is not finite (NaN or infinity)", key)
         if accessor.type.startswith("MAT"):
             n = int(np.sqrt(width))
-            return np.swapaxes(values.reshape(-1, n, n), -1, -2)  # the file has columns
+            return np.swapaxes(values.reshape(-1, n, n), -1, -2)  # the file stores columns
         return values[:, 0] if width == 1 else values
 
     def image(self, number: int) -> bytes:
-        """The bytes of an image file."""
+        """Encoded image file."""
         image = self._item(self.document.images, number, f"images.{number}")
         if image.bufferView is not None:
             return bytes(self._view(image.bufferView, f"images.{number}.bufferView"))
@@ -384,11 +382,11 @@ class Gltf:
         return self._fetch(image.uri, f"images.{number}.uri")
 
     def texture_image(self, number: int) -> int | None:
-        """The image of a texture."""
+        """Image index of a texture."""
         return self._item(self.document.textures, number, f"textures.{number}").source
 
     def wraps(self, number: int) -> tuple[int, int]:
-        """How a texture goes on to the right and down: 10497 it repeats, 33071 its edge, 33648 mirrored."""
+        """Wrap modes of a texture along u and v: 10497 repeat, 33071 clamp to edge, 33648 mirrored repeat."""
         sampler = self._item(self.document.textures, number, f"textures.{number}").sampler
         if sampler is None:
             return 10497, 10497
@@ -396,7 +394,7 @@ class Gltf:
         return wrap.wrapS, wrap.wrapT
 
     def material(self, number: int | None) -> GltfMaterial:
-        """A material; the default one for None."""
+        """Material; None is the default material."""
         if number is None:
             return GltfMaterial()
         return self._item(self.document.materials, number, f"materials.{number}")
@@ -405,17 +403,17 @@ class Gltf:
         return self._item(self.document.meshes, number, f"meshes.{number}")
 
     def skin(self, number: int) -> Skin:
-        """A skin whose joints are nodes of the file, each once."""
+        """Skin; its joints are checked to be different nodes."""
         key = f"skins.{number}.joints"
         skin = self._item(self.document.skins, number, key)
         for joint in skin.joints:
             self._item(self.nodes, joint, key)
         if len(set(skin.joints)) < len(skin.joints):
-            raise self._error("a joint is there twice", key)
+            raise self._error("a joint occurs twice", key)
         return skin
 
     def bind_matrices(self, number: int) -> Array:
-        """Transforms (J, 4, 4) of the joints of a skin in the space of its mesh, at bind time."""
+        """Joint frames (J, 4, 4) of a skin in the space of its mesh at bind time."""
         skin = self.skin(number)
         if skin.inverseBindMatrices is None:
             return np.broadcast_to(np.eye(4), (len(skin.joints), 4, 4)).copy()
@@ -431,12 +429,12 @@ class Gltf:
         return np.asarray(np.linalg.inv(inverse))
 
     def keys(self, animation: Animation, channel: int) -> tuple[Array, Array, str]:
-        """Times (K,), values (K, width), of cubic splines (K, 3, width), and how they are interpolated."""
+        """Times (K,), values (K, width), or (K, 3, width) of cubic splines, and the interpolation."""
         sampler = self._item(animation.samplers, animation.channels[channel].sampler, "animations.samplers")
         times = self.accessor(sampler.input, ["SCALAR"], "times").astype(float)
         values = self.accessor(sampler.output, ["SCALAR", "VEC3", "VEC4"], "animated values").astype(float)
         if (np.diff(times) <= 0).any() or times[0] < 0:
-            raise self._error("times of keys must rise from 0 on", f"accessors.{sampler.input}")
+            raise self._error("key times must increase and not be negative", f"accessors.{sampler.input}")
         per_key = 3 if sampler.interpolation == "CUBICSPLINE" else 1
         if len(values) != per_key * len(times):
             raise self._error(f"{len(values)} values for {len(times)} keys", f"accessors.{sampler.output}")
@@ -451,7 +449,7 @@ class Gltf:
         size = width * dtype.itemsize
         stride = self.document.bufferViews[view].byteStride or size
         if stride < size or offset + stride * (count - 1) + size > len(data):
-            raise self._error(f"{count} values are promised, but the buffer view is too short for them", key)
+            raise self._error(f"the buffer view is too short for {count} values", key)
         last = offset + stride * (count - 1) + size
         raw = np.frombuffer(data[offset:last], np.uint8)
         rows = np.lib.stride_tricks.as_strided(raw, (count, size), (stride, 1))
@@ -475,7 +473,7 @@ class Gltf:
             else:
                 data = self._fetch(buffer.uri, f"{key}.uri")
             if len(data) < buffer.byteLength:
-                raise self._error(f"{buffer.byteLength} bytes are promised, {len(data)} are there", key)
+                raise self._error(f"the buffer has {len(data)} bytes, not {buffer.byteLength}", key)
             self._buffers[number] = data
         return self._buffers[number]
 
@@ -484,7 +482,7 @@ class Gltf:
         return {}
 
     def _fetch(self, uri: str, key: str) -> bytes:
-        """Content of a data: address, or of a file beside this one or below; anything else is refused."""
+        """Content of a data URI, or of a file in the folder of this file or below; other URIs are errors."""
         if uri.startswith("data:"):
             head, comma, body = uri.partition(",")
             if not comma or not head.endswith(";base64"):
@@ -494,13 +492,11 @@ class Gltf:
             except (binascii.Error, ValueError) as reason:
                 raise self._error(f"embedded data cannot be decoded: {reason}", key) from None
         if ":" in uri:
-            raise self._error(
-                f"{uri[:60]!r} is not beside the file; put it there (nothing is fetched from elsewhere)", key
-            )
+            raise self._error(f"{uri[:60]!r} is not in the folder of the file (no downloads)", key)
         name = urllib.parse.unquote(uri)
         target = resolve_inside(self.path.parent, name)
         if target is None:
-            raise self._error(f"{uri[:60]!r} lies outside the folder of the file: refused", key)
+            raise self._error(f"{uri[:60]!r} is outside the folder of the file", key)
         try:
             if target.stat().st_size > MAX_BYTES:
                 raise self._error(f"{uri[:60]!r} is too large", key)
@@ -508,13 +504,13 @@ class Gltf:
         except OSError as reason:
             raise self._error(f"cannot read {uri[:60]!r}: {reason.strerror or reason}", key) from None
 
-    def further(self) -> list[bytes]:
-        """Contents of the further files that this one is made of."""
-        addresses = {f"buffers.{n}.uri": buffer.uri for n, buffer in enumerate(self.document.buffers)}
-        addresses |= {f"images.{n}.uri": image.uri for n, image in enumerate(self.document.images)}
+    def external_data(self) -> list[bytes]:
+        """Contents of the files that this file refers to."""
+        uris = {f"buffers.{n}.uri": buffer.uri for n, buffer in enumerate(self.document.buffers)}
+        uris |= {f"images.{n}.uri": image.uri for n, image in enumerate(self.document.images)}
         return [
             self._fetch(uri, key)
-            for key, uri in addresses.items()
+            for key, uri in uris.items()
             if uri is not None and not uri.startswith("data:")
         ]
 
@@ -532,18 +528,18 @@ def _glb_chunks(data: bytes, path: str | os.PathLike[str]) -> tuple[bytes, bytes
     text: bytes | None = None
     embedded: bytes | None = None
     if len(data) >= 12 and struct.unpack_from("<I", data, 4)[0] != 2:
-        raise MeshError("a .glb file of another version than 2: export it again", path=path)
-    place = 12
-    while place + 8 <= len(data):
-        length, kind = struct.unpack_from("<I4s", data, place)
-        chunk = data[place + 8 : place + 8 + length]
+        raise MeshError("the .glb file is not version 2: export it again", path=path)
+    offset = 12
+    while offset + 8 <= len(data):
+        length, kind = struct.unpack_from("<I4s", data, offset)
+        chunk = data[offset + 8 : offset + 8 + length]
         if len(chunk) < length:
             raise MeshError(f"the .glb file ends {length - len(chunk)} bytes too early", path=path)
         if kind == b"JSON" and text is None:
             text = chunk
         elif kind == b"BIN\0" and embedded is None:
             embedded = chunk
-        place += 8 + length
+        offset += 8 + length
     if text is None:
-        raise MeshError("a .glb file without its JSON part", path=path)
+        raise MeshError("the .glb file has no JSON part", path=path)
     return text, embedded

@@ -1,4 +1,4 @@
-"""How the materials of glTF files answer light; what of them is not shown is told."""
+"""Materials of glTF files, with warnings about unsupported parts."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from humansim_ros.mesh.gltf_document import Gltf, GltfMaterial, TextureInfo
 from humansim_ros.mesh.material import Material
 from humansim_ros.types import Image
 
-_REPEATED, _MIRRORED = 10497, 33648
-_STRENGTH = "KHR_materials_emissive_strength"
+_REPEATED, _MIRRORED, _CLAMPED = 10497, 33648, 33071
+_EMISSIVE_STRENGTH = "KHR_materials_emissive_strength"
 
 
-def read_material(gltf: Gltf, number: int | None, laid: bool) -> Material:
-    """The material of a number; the default one for None. ``laid``: there are coordinates for its textures.
+def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
+    """Read a material; None is the default material. ``has_uv``: the mesh has texture coordinates.
 
-    MeshError where an image is wrong.
+    Raises MeshError if an image is wrong.
     """
     material = gltf.material(number)
     pbr, base = material.pbrMetallicRoughness, material.pbrMetallicRoughness.baseColorTexture
@@ -28,31 +28,33 @@ def read_material(gltf: Gltf, number: int | None, laid: bool) -> Material:
     }
     used = {what: info for what, info in maps.items() if info is not None}
     leading = base or next(iter(used.values()), None)
-    doubts = _doubts(gltf, material, leading)
+    ignored = _unsupported(gltf, material, leading)
     images: dict[str, Image] = {}
     for what, info in used.items():
-        if not laid:
-            doubts.append(f"its {what} has no texture coordinates to lie on")
-        elif leading is not None and _laying(info) != _laying(leading):
-            doubts.append(f"its {what} lies otherwise than its colour")
+        if not has_uv:
+            ignored.append(f"the {what}, because the mesh has no texture coordinates")
+        elif leading is not None and _mapping(info) != _mapping(leading):
+            ignored.append(f"the {what}, because its texture coordinates are not those of the colour")
         else:
             image = read_image(gltf, info)
             if image is not None:
                 images[what] = image
-    cut = None
-    if material.alphaMode != "OPAQUE" and base is not None and laid:
+    alpha_map = None
+    if material.alphaMode != "OPAQUE" and base is not None and has_uv:
         source = gltf.texture_image(base.index)
-        cut = None if source is None else decode_alpha(gltf.image(source))
-    for doubt in doubts:
-        warn_about(gltf.path, f"material {material.name or number!r}: {doubt}: it is not shown")
+        alpha_map = None if source is None else decode_alpha(gltf.image(source))
+    for part in ignored:
+        warn_about(gltf.path, f"material {material.name or number!r}: ignored: {part}")
     wraps = (_REPEATED, _REPEATED) if leading is None else gltf.wraps(leading.index)
-    emissive_strength = float(_number(material.extensions.get(_STRENGTH), "emissiveStrength", 1.0))
+    emissive_strength = float(
+        _extension_number(material.extensions.get(_EMISSIVE_STRENGTH), "emissiveStrength", 1.0)
+    )
     red, green, blue = np.maximum(np.array(material.emissiveFactor) * emissive_strength, 0.0).tolist()
     if material.emissiveTexture is not None and "emission" not in images:
         red = green = blue = 0.0
     return Material(
-        metallic=_share(pbr.metallicFactor),
-        roughness=_share(pbr.roughnessFactor),
+        metallic=_clamp(pbr.metallicFactor),
+        roughness=_clamp(pbr.roughnessFactor),
         metal_rough=images.get("metal and roughness"),
         normals=images.get("normal map"),
         normal_scale=1.0 if material.normalTexture is None else material.normalTexture.scale,
@@ -60,15 +62,15 @@ def read_material(gltf: Gltf, number: int | None, laid: bool) -> Material:
         emissive_map=images.get("emission"),
         alpha={"MASK": "mask", "BLEND": "blend"}.get(material.alphaMode, "opaque"),  # type: ignore[arg-type]
         cutoff=material.alphaCutoff,
-        opacity=_share(pbr.baseColorFactor[3]),
-        alpha_map=cut,
+        opacity=_clamp(pbr.baseColorFactor[3]),
+        alpha_map=alpha_map,
         double_sided=material.doubleSided,
-        wrap=(wraps[0] != 33071, wraps[1] != 33071),
+        wrap=(wraps[0] != _CLAMPED, wraps[1] != _CLAMPED),
     )
 
 
 def read_image(gltf: Gltf, info: TextureInfo) -> Image | None:
-    """The image (H, W, 3) of a texture; None if it has none. MeshError with its key if it is damaged."""
+    """Image (H, W, 3) of a texture; None if it has none. Raises MeshError with the key if it is damaged."""
     source = gltf.texture_image(info.index)
     if source is None:
         return None
@@ -78,26 +80,26 @@ def read_image(gltf: Gltf, info: TextureInfo) -> Image | None:
         raise MeshError(error.message, path=gltf.path, key=error.key or f"images.{source}") from None
 
 
-def _doubts(gltf: Gltf, material: GltfMaterial, leading: TextureInfo | None) -> list[str]:
-    """What a material says that is not shown."""
-    doubts = [f"extension {name!r}" for name in material.extensions if name != _STRENGTH]
+def _unsupported(gltf: Gltf, material: GltfMaterial, leading: TextureInfo | None) -> list[str]:
+    """Parts of a material that are ignored."""
+    parts = [f"extension {name!r}" for name in material.extensions if name != _EMISSIVE_STRENGTH]
     if material.occlusionTexture is not None:
-        doubts.append("its map of ambient occlusion, which is found anew,")
+        parts.append("the ambient occlusion map (ambient occlusion is computed)")
     if leading is not None:
-        doubts += [f"extension {name!r} of its texture" for name in leading.extensions]
+        parts += [f"extension {name!r} of its texture" for name in leading.extensions]
         if _MIRRORED in gltf.wraps(leading.index):
-            doubts.append("that its texture repeats mirrored")
-    return doubts
+            parts.append("mirrored repetition of the texture")
+    return parts
 
 
-def _laying(info: TextureInfo) -> tuple[int, str]:
+def _mapping(info: TextureInfo) -> tuple[int, str]:
     return info.texCoord, str(sorted(info.extensions.items()))
 
 
-def _share(value: float) -> float:
+def _clamp(value: float) -> float:
     return min(max(value, 0.0), 1.0)
 
 
-def _number(extension: object, key: str, default: float) -> float:
+def _extension_number(extension: object, key: str, default: float) -> float:
     value = extension.get(key, default) if isinstance(extension, dict) else default
     return float(value) if isinstance(value, (int, float)) and 0 <= value < 1e6 else default

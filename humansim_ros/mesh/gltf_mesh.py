@@ -1,4 +1,4 @@
-"""People in glTF files: their skin in one space and one mesh with one texture, and their animations."""
+"""Meshes of glTF files: all primitives as one mesh, or as one mesh for each material."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, vstack
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.mesh.atlas import PLAIN, plain_tile, textured
+from humansim_ros.mesh.atlas import PLAIN, atlas_mesh, plain_tile
 from humansim_ros.mesh.gltf_document import Gltf, Primitive
 from humansim_ros.mesh.gltf_material import read_image, read_material
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
@@ -23,7 +23,7 @@ _MAX_VERTICES = 5_000_000
 
 @dataclass(frozen=True)
 class _Piece:
-    """A drawn piece in the common space: ``vertices`` (V, 3), ``triangles`` (N, 3), ``uv`` (V, 2), v down,
+    """A primitive in the common space: ``vertices`` (V, 3), ``triangles`` (N, 3), ``uv`` (V, 2), v down,
     ``colors`` (V, 3) linear.
     """
 
@@ -36,7 +36,7 @@ class _Piece:
 
 
 def read_gltf(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
-    """A figure with its own skeleton, or the bare surface where the file has no skin. MeshError otherwise."""
+    """Read a glTF file as a skinned mesh, or as a mesh if nothing in it is skinned. Raises MeshError."""
     gltf = Gltf.read(path)
     skeleton = GltfSkeleton.of(gltf)
     pieces = [piece for number in gltf.order for piece in _pieces(gltf, int(number), skeleton)]
@@ -44,7 +44,7 @@ def read_gltf(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
         raise MeshError("the file has no triangles", path=path)
     total = sum(len(piece.vertices) for piece in pieces)
     if total > _MAX_VERTICES:
-        raise MeshError(f"{total} vertices are too many", path=path)
+        raise MeshError(f"{total} vertices; at most {_MAX_VERTICES} are read", path=path)
     mesh = _one_mesh(gltf, pieces)
     if skeleton is None:
         return mesh
@@ -60,69 +60,75 @@ def read_gltf(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
 
 
 def read_gltf_materials(path: str | os.PathLike[str]) -> list[Mesh]:
-    """What a file shows as it stands, one mesh for each material, whose textures may repeat. MeshError where
-    it is wrong or shows nothing.
+    """Read the scene of a glTF file as one mesh for each material. Textures may repeat.
+
+    Raises MeshError if the file is wrong or has no triangles.
     """
     gltf = Gltf.read(path)
     pieces = [piece for number in gltf.order for piece in _pieces(gltf, int(number), None)]
     if not pieces:
         raise MeshError("the file has no triangles", path=path)
     if sum(len(piece.vertices) for piece in pieces) > _MAX_VERTICES:
-        raise MeshError(f"more than {_MAX_VERTICES} vertices are too many", path=path)
+        raise MeshError(f"at most {_MAX_VERTICES} vertices are read", path=path)
     materials = dict.fromkeys((piece.material, piece.uv is not None) for piece in pieces)
     return [
-        _one_surface(gltf, [p for p in pieces if (p.material, p.uv is not None) == kind])
+        _material_mesh(gltf, [p for p in pieces if (p.material, p.uv is not None) == kind])
         for kind in materials
     ]
 
 
-def _one_surface(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
-    """Pieces of one material."""
+def _joined(pieces: list[_Piece]) -> tuple[Array, FaceIndices]:
+    """Vertices (V, 3) and faces (F, 4) of all pieces."""
     starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
     triangles = np.concatenate([p.triangles + start for p, start in zip(pieces, starts, strict=False)])
-    vertices = np.concatenate([p.vertices for p in pieces])
     faces: FaceIndices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
-    texture = _tile(gltf, pieces[0].material)
+    return np.concatenate([p.vertices for p in pieces]), faces
+
+
+def _material_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
+    """Join the pieces of one material."""
+    vertices, faces = _joined(pieces)
+    texture = _texture(gltf, pieces[0].material)
     coordinates = [piece.uv for piece in pieces if piece.uv is not None]
-    finish = read_material(gltf, pieces[0].material, laid=bool(coordinates))
-    painted = np.concatenate([np.ones_like(p.vertices) if p.colors is None else p.colors for p in pieces])
-    if not coordinates:  # of a texture that nothing says how to lay on, its mean is left
-        painted = _srgb(painted) * texture.reshape(-1, 3).mean(axis=0)
-        return Mesh(vertices, faces, colors=np.rint(painted).astype(np.uint8), material=finish)
+    material = read_material(gltf, pieces[0].material, has_uv=bool(coordinates))
+    linear = np.concatenate([np.ones_like(p.vertices) if p.colors is None else p.colors for p in pieces])
+    if not coordinates:  # the mean colour of a texture without texture coordinates
+        srgb = _srgb(linear) * texture.reshape(-1, 3).mean(axis=0)
+        return Mesh(vertices, faces, colors=np.rint(srgb).astype(np.uint8), material=material)
     uv = np.concatenate(coordinates) * [1, -1] + [0, 1]
-    colors = None if (painted == 1).all() else np.rint(255 * _srgb(painted)).astype(np.uint8)
-    return Mesh(vertices, faces, uv, faces, colors, texture, material=finish)
+    colors = None if (linear == 1).all() else np.rint(255 * _srgb(linear)).astype(np.uint8)
+    return Mesh(vertices, faces, uv, faces, colors, texture, material=material)
 
 
 def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> list[_Piece]:
-    """The pieces that a node draws."""
+    """Pieces of the mesh of a node."""
     node = gltf.nodes[number]
     if node.mesh is None:
         return []
     joints: Array | None = None
     if skeleton is None:
         to_common = gltf.at_rest[number]
-        carrier = None
+        parent_joint = None
     elif node.skin is not None:
-        to_common, carrier = skeleton.from_skin[node.skin], None
-        place = {int(n): joint for joint, n in enumerate(skeleton.nodes)}
-        joints = np.array([place[joint] for joint in gltf.skin(node.skin).joints])
+        to_common, parent_joint = skeleton.from_skin[node.skin], None
+        joint_of_node = {int(n): joint for joint, n in enumerate(skeleton.nodes)}
+        joints = np.array([joint_of_node[joint] for joint in gltf.skin(node.skin).joints])
     else:
-        carrier = skeleton.joint_of(gltf, number)
-        if carrier is None:
-            warn_about(gltf.path, f"{node.name or f'node {number}'!r} hangs on no joint and is left out")
+        parent_joint = skeleton.joint_of(gltf, number)
+        if parent_joint is None:
+            warn_about(gltf.path, f"{node.name or f'node {number}'!r} has no parent joint and is ignored")
             return []
-        # a thing without skin, a hat or a watch, goes along with its joint
+        # a mesh without skin, such as a hat, moves with its joint
         world = gltf.at_rest
-        to_joint = np.linalg.inv(world[skeleton.nodes[carrier]]) @ world[number]
-        to_common = skeleton.bind[carrier] @ to_joint
+        to_joint = np.linalg.inv(world[skeleton.nodes[parent_joint]]) @ world[number]
+        to_common = skeleton.bind[parent_joint] @ to_joint
     mesh = gltf.mesh(node.mesh)
     n_joints = 0 if skeleton is None else len(skeleton.nodes)
-    made = (
-        _piece(gltf, primitive, f"meshes.{node.mesh}", to_common, joints, carrier, n_joints)
+    read = (
+        _piece(gltf, primitive, f"meshes.{node.mesh}", to_common, joints, parent_joint, n_joints)
         for primitive in mesh.primitives
     )
-    return [piece for piece in made if piece is not None]
+    return [piece for piece in read if piece is not None]
 
 
 def _piece(
@@ -131,11 +137,11 @@ def _piece(
     key: str,
     to_common: Array,
     joints: Array | None,
-    carrier: int | None,
+    parent_joint: int | None,
     n_joints: int,
 ) -> _Piece | None:
     if primitive.mode < 4 or "POSITION" not in primitive.attributes:
-        return None  # points and lines have no surface
+        return None  # points or lines
     points = gltf.accessor(primitive.attributes["POSITION"], ["VEC3"], "positions").astype(float)
     if primitive.indices is None:
         corners: NDArray[np.int64] = np.arange(len(points), dtype=np.int64)
@@ -160,14 +166,14 @@ def _piece(
         colors = gltf.accessor(primitive.attributes["COLOR_0"], ["VEC3", "VEC4"], "colours").astype(float)
         _same_length(gltf, colors, points, key)
         if colors.shape[1] == 4 and (colors[:, 3] < 1).any():
-            warn_about(gltf.path, f"{key}: how opaque its vertices are is not shown")
+            warn_about(gltf.path, f"{key}: the opacity of vertex colours is ignored")
         colors = np.clip(colors[:, :3], 0.0, 1.0)
     weights: csr_matrix | None = None
     if joints is not None:
         weights = _weights(gltf, primitive, key, joints, len(points), n_joints)
-    elif carrier is not None:
+    elif parent_joint is not None:
         ones = np.ones(len(points))
-        columns = np.full(len(points), carrier)
+        columns = np.full(len(points), parent_joint)
         weights = csr_matrix((ones, columns, np.arange(len(points) + 1)), shape=(len(points), n_joints))
     return _Piece(vertices, triangles, uv, primitive.material, weights, colors)
 
@@ -175,12 +181,12 @@ def _piece(
 def _weights(
     gltf: Gltf, primitive: Primitive, key: str, joints: Array, n_vertices: int, n_joints: int
 ) -> csr_matrix:
-    """Weights (V, J) of all sets of four that a piece has."""
+    """Weights (V, J) of a primitive, summed over its sets of four joints."""
     total = csr_matrix((n_vertices, n_joints))
-    sets = 0
-    while f"JOINTS_{sets}" in primitive.attributes and f"WEIGHTS_{sets}" in primitive.attributes:
-        bones = gltf.accessor(primitive.attributes[f"JOINTS_{sets}"], ["VEC4"], "joints").astype(np.int64)
-        values = gltf.accessor(primitive.attributes[f"WEIGHTS_{sets}"], ["VEC4"], "weights").astype(float)
+    count = 0
+    while f"JOINTS_{count}" in primitive.attributes and f"WEIGHTS_{count}" in primitive.attributes:
+        bones = gltf.accessor(primitive.attributes[f"JOINTS_{count}"], ["VEC4"], "joints").astype(np.int64)
+        values = gltf.accessor(primitive.attributes[f"WEIGHTS_{count}"], ["VEC4"], "weights").astype(float)
         for array in (bones, values):
             _same_length(gltf, array, np.empty(n_vertices), key)
         if bones.max() >= len(joints) and (values[bones >= len(joints)] > 0).any():
@@ -190,13 +196,13 @@ def _weights(
         columns = joints[np.minimum(bones, len(joints) - 1)]
         rows = np.repeat(np.arange(n_vertices), 4)
         total = total + csr_matrix((values.ravel(), (rows, columns.ravel())), shape=(n_vertices, n_joints))
-        sets += 1
-    if not sets:
+        count += 1
+    if not count:
         raise MeshError("a skinned mesh without joints and weights", path=gltf.path, key=key)
-    lost = np.flatnonzero(np.asarray(total.sum(axis=1)).ravel() <= 0)
-    if len(lost):
+    unweighted = np.flatnonzero(np.asarray(total.sum(axis=1)).ravel() <= 0)
+    if len(unweighted):
         raise MeshError(
-            f"vertex {lost[0]} follows no joint: its weights sum to zero", path=gltf.path, key=key
+            f"vertex {unweighted[0]} follows no joint: its weights sum to zero", path=gltf.path, key=key
         )
     return total
 
@@ -207,7 +213,7 @@ def _same_length(gltf: Gltf, values: NDArray[np.generic], points: NDArray[np.gen
 
 
 def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
-    """Triangles (N, 3) of a list, strip or fan of corners, without those that have a corner twice."""
+    """Triangles (N, 3) of a list, strip or fan of corners, without degenerate ones."""
     out: NDArray[np.int64]
     if mode == 4:
         out = corners[: len(corners) // 3 * 3].reshape(-1, 3)
@@ -225,31 +231,28 @@ def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:
 
 
 def _one_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
-    """All pieces as one mesh; the textures of their materials side by side in one."""
-    starts = np.cumsum([0, *(len(p.vertices) for p in pieces)])
-    triangles = np.concatenate([p.triangles + start for p, start in zip(pieces, starts, strict=False)])
-    vertices = np.concatenate([p.vertices for p in pieces])
-    faces: FaceIndices = np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32)
+    """Join all pieces to one mesh with a texture atlas of their materials."""
+    vertices, faces = _joined(pieces)
     materials = [piece.material for piece in pieces]
     known = list(dict.fromkeys(materials))
     if known == [None]:
-        return Mesh(vertices, faces)  # nobody has said how it looks
+        return Mesh(vertices, faces)
     uv = np.concatenate([np.zeros((len(p.vertices), 2)) if p.uv is None else p.uv for p in pieces])
     uv[:, 1] = 1 - uv[:, 1]
     counts = [len(piece.triangles) for piece in pieces]
     has_uv = np.repeat([piece.uv is not None for piece in pieces], counts)
-    tiles = [_tile(gltf, number) for number in known]
+    tiles = [_texture(gltf, number) for number in known]
     plain = np.array([tile.shape[0] == PLAIN for tile in tiles])
     material = np.repeat([known.index(number) for number in materials], counts)
-    # without coordinates any place of a plain tile will do
+    # a plain tile needs no texture coordinates
     uv_faces = np.where((has_uv & ~plain[material])[:, None], faces, -1).astype(np.int32)
     if len(tiles) == 1 and plain[0]:
         uv_faces = faces
-    return textured(vertices, faces, uv, uv_faces, material, tiles)
+    return atlas_mesh(vertices, faces, uv, uv_faces, material, tiles)
 
 
-def _tile(gltf: Gltf, number: int | None) -> NDArray[np.uint8]:
-    """The texture (H, W, 3) of a material times its colour; a small plain one if it has none."""
+def _texture(gltf: Gltf, number: int | None) -> NDArray[np.uint8]:
+    """Texture (H, W, 3) of a material times its colour; a small tile of the colour without a texture."""
     pbr = gltf.material(number).pbrMetallicRoughness
     factor = np.clip(np.array(pbr.baseColorFactor[:3]), 0.0, 1.0)
     srgb = _srgb(factor)
@@ -262,5 +265,5 @@ def _tile(gltf: Gltf, number: int | None) -> NDArray[np.uint8]:
 
 
 def _srgb(linear: Array) -> Array:
-    """The sRGB curve, 0 to 1."""
+    """Encode linear light as sRGB, 0 to 1."""
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)

@@ -1,4 +1,4 @@
-"""The skeleton of a glTF file: the joints of all its skins in one space."""
+"""Skeleton of a glTF file: the joints of all skins in one common space."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from humansim_ros.types import Array
 
 @dataclass(frozen=True)
 class GltfSkeleton:
-    """The joints of all skins of a file.
+    """Joints of all skins of a file.
 
     ``nodes``: (J,) node of each joint, parents first. ``parents``: (J,) nearest joint above, or -1.
-    ``bind``: (J, 4, 4) their frames in the common space when the skin was bound to them. ``space``: (4, 4)
-    from the common space to the file's scene.
+    ``bind``: (J, 4, 4) joint frames in the common space at bind time. ``space``: (4, 4) transform from the
+    common space to the scene of the file. ``from_skin``: transform of each skin to the common space.
     """
 
     nodes: NDArray[np.intp]
@@ -30,7 +30,7 @@ class GltfSkeleton:
 
     @classmethod
     def of(cls, gltf: Gltf) -> GltfSkeleton | None:
-        """The skeleton of a file, None if nothing in it is skinned."""
+        """Collect the joints of a file; None if nothing in it is skinned."""
         skins = sorted({n.skin for n in gltf.nodes if n.skin is not None and n.mesh is not None})
         if not skins:
             return None
@@ -39,40 +39,40 @@ class GltfSkeleton:
         for skin in skins:
             matrices = dict(zip(gltf.skin(skin).joints, gltf.bind_matrices(skin), strict=True))
             shared = next((joint for joint in matrices if joint in bind), None)
-            # skins of one figure may be bound in spaces of their own: a joint of both says how they lie
+            # skins may be bound in different spaces: a joint of both skins relates them
             change = np.eye(4) if shared is None else bind[shared] @ np.linalg.inv(matrices[shared])
             from_skin[skin] = change
             bind.update({joint: change @ matrix for joint, matrix in matrices.items() if joint not in bind})
         nodes = np.array([n for n in gltf.order if int(n) in bind], dtype=np.intp)
-        place = {int(node): joint for joint, node in enumerate(nodes)}
+        joint_of_node = {int(node): joint for joint, node in enumerate(nodes)}
         parents = np.full(len(nodes), -1, dtype=np.intp)
         for joint, node in enumerate(nodes):
             above = int(gltf.parents[node])
-            while above >= 0 and above not in place:
+            while above >= 0 and above not in joint_of_node:
                 above = int(gltf.parents[above])
-            parents[joint] = place[above] if above >= 0 else -1
+            parents[joint] = joint_of_node[above] if above >= 0 else -1
         frames = np.stack([bind[int(n)] for n in nodes])
         space = _similarity(np.mean(gltf.at_rest[nodes] @ np.linalg.inv(frames), axis=0), gltf)
         names = _names(gltf, nodes)
-        # the common space has the scene's size
-        sized = np.diag([*3 * [np.cbrt(np.linalg.det(space[:3, :3]))], 1.0])
-        frames = sized @ frames
-        from_skin = {skin: sized @ change for skin, change in from_skin.items()}
-        return cls(nodes, names, parents, frames, space @ np.linalg.inv(sized), from_skin)
+        # give the common space the scale of the scene
+        scaling = np.diag([*3 * [np.cbrt(np.linalg.det(space[:3, :3]))], 1.0])
+        frames = scaling @ frames
+        from_skin = {skin: scaling @ change for skin, change in from_skin.items()}
+        return cls(nodes, names, parents, frames, space @ np.linalg.inv(scaling), from_skin)
 
     def joint_of(self, gltf: Gltf, node: int) -> int | None:
-        """The joint that carries a node, if one does."""
-        places = {int(n): joint for joint, n in enumerate(self.nodes)}
-        while node >= 0 and node not in places:
+        """Nearest joint at or above a node; None if there is none."""
+        joint_of_node = {int(n): joint for joint, n in enumerate(self.nodes)}
+        while node >= 0 and node not in joint_of_node:
             node = int(gltf.parents[node])
-        return places.get(node)
+        return joint_of_node.get(node)
 
 
 def _similarity(matrix: Array, gltf: Gltf) -> Array:
-    """The nearest transform of rotation, one scale and translation."""
+    """Nearest similarity transform: rotation, uniform scale and translation."""
     u, s, vt = np.linalg.svd(matrix[:3, :3])
     if s.min() < 1e-9 or not np.isfinite(s).all():
-        raise MeshError("the skeleton is flattened by its transforms", path=gltf.path, key="skins")
+        raise MeshError("the transforms of the skeleton are singular", path=gltf.path, key="skins")
     out = np.eye(4)
     flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
     out[:3, :3] = u @ flip @ vt * s.mean()
@@ -83,10 +83,10 @@ def _similarity(matrix: Array, gltf: Gltf) -> Array:
 def _names(gltf: Gltf, nodes: NDArray[np.intp]) -> tuple[str, ...]:
     names: list[str] = []
     for node in nodes:
-        name = plain = gltf.nodes[node].name or f"joint_{node}"
+        name = base = gltf.nodes[node].name or f"joint_{node}"
         number = 0
         while name in names:
             number += 1
-            name = f"{plain}.{number:03d}"
+            name = f"{base}.{number:03d}"
         names.append(name)
     return tuple(names)

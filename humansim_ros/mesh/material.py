@@ -1,4 +1,4 @@
-"""What surfaces do with light besides their colour, as glTF 2.0 says it."""
+"""Materials: how a surface reflects light, as in glTF 2.0."""
 
 from __future__ import annotations
 
@@ -39,8 +39,11 @@ class Material:
     wrap: tuple[bool, bool] = (True, True)
 
 
-def normals_of_heights(heights: Image, strength: float) -> Image:
-    """A normal map (H, W, 3) of a map of heights (H, W), ``strength`` texels high at 255; it wrap."""
+def height_to_normal_map(heights: Image, strength: float) -> Image:
+    """Make a normal map (H, W, 3) from a height map (H, W), which repeats.
+
+    ``strength``: height of value 255 in texels.
+    """
     height = heights.astype(np.float32) * (strength / 255)
     x = (np.roll(height, 1, axis=1) - np.roll(height, -1, axis=1)) / 2
     y = (np.roll(height, -1, axis=0) - np.roll(height, 1, axis=0)) / 2
@@ -50,19 +53,18 @@ def normals_of_heights(heights: Image, strength: float) -> Image:
 
 
 def without_maps(material: Material | None, path: str, name: str) -> Material | None:
-    """What is left of a material where nothing says how its images lie; what is not is told."""
+    """Remove the images of a material, with a warning: its mesh has no texture coordinates."""
     if material is None:
         return None
     images = {
         "metal_rough": "metal and roughness",
         "normals": "normal map",
         "emissive_map": "emission",
-        "alpha_map": "alpha_map-out",
+        "alpha_map": "alpha map",
     }
-    lost = [what for key, what in images.items() if getattr(material, key) is not None]
-    for what in lost:
-        warn_about(
-            path, f"material {name!r}: its {what} has no texture coordinates to lie on: it is not shown"
-        )
-    dark = (0.0, 0.0, 0.0) if material.emissive_map is not None else material.emission
-    return replace(material, metal_rough=None, normals=None, emissive_map=None, alpha_map=None, emission=dark)
+    for what in (what for key, what in images.items() if getattr(material, key) is not None):
+        warn_about(path, f"material {name!r}: the {what} is ignored: the mesh has no texture coordinates")
+    emission = (0.0, 0.0, 0.0) if material.emissive_map is not None else material.emission
+    return replace(
+        material, metal_rough=None, normals=None, emissive_map=None, alpha_map=None, emission=emission
+    )

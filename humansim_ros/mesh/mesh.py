@@ -1,4 +1,4 @@
-"""Surface meshes."""
+"""Surface mesh: vertices, faces, texture coordinates, colours."""
 
 from __future__ import annotations
 
@@ -21,10 +21,17 @@ class Mesh:
 
     ``vertices``: (V, 3). ``faces``: (F, 4) vertex indices, triangles padded with -1. ``uv``: (T, 2) texture
     coordinates, v up, or None; ``uv_faces``: (F, 4) indices into them. ``colors``: (V, 3) uint8 sRGB or None.
-    ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. ``skin``: (H, W) uint8 of the same, how much
-    of each texel is skin, the rest being cloth and hair; None where nobody knows. ``finish``: what else is
-    known of its material, which what stands in the world shows; matt if None. Raises MeshError where indices
-    or numbers are impossible.
+    ``texture``: (H, W, 3) uint8 sRGB, first row on top, or None. ``skin``: (H, W) uint8, share of skin in
+    each texel (the rest is cloth and hair), or None. ``material``: reflection of static meshes; matt if None.
+
+    Raises:
+        MeshError: An index is out of range, a vertex is not finite, or shapes do not match.
+
+    Example:
+        >>> import numpy as np
+        >>> mesh = Mesh(np.eye(3), np.array([[0, 1, 2, -1]], dtype=np.int32))
+        >>> mesh.triangles
+        array([[0, 1, 2]], dtype=int32)
     """
 
     vertices: Array
@@ -46,7 +53,7 @@ class Mesh:
         if self.faces[:, :3].min() < 0 or self.faces.min() < -1 or self.faces.max() >= len(self.vertices):
             raise MeshError(f"a face uses a vertex outside 0..{len(self.vertices) - 1}")
         if (self.uv is None) != (self.uv_faces is None):
-            raise MeshError("texture coordinates and their faces must come together")
+            raise MeshError("uv and uv_faces must be given together")
         if self.uv is not None and self.uv_faces is not None:
             used = self.uv_faces[self.faces >= 0]
             if self.uv_faces.shape != self.faces.shape or used.min() < 0 or used.max() >= len(self.uv):
@@ -66,21 +73,20 @@ class Mesh:
 
     @cached_property
     def triangle_faces(self) -> FaceIndices:
-        """(N,) the face that each triangle is a part of."""
+        """(N,) index of the face that each triangle belongs to."""
         quads = self.faces[:, 3] >= 0
         return np.repeat(np.arange(len(self.faces), dtype=np.int32), 1 + quads)
 
     @cached_property
     def closed(self) -> bool:
-        """Whether the surface has an inside: every edge has two faces that run along it in opposite ways,
-        facing out.
+        """Whether the surface is closed and faces outwards: each edge has two faces of opposite direction.
 
-        Seen from outside, the back faces of a closed surface never show, and need not be drawn.
+        From outside, back faces of a closed surface are never visible and need not be drawn.
         """
         edges = self.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-        forth = edges[:, 0] * len(self.vertices) + edges[:, 1]
-        back = edges[:, 1] * len(self.vertices) + edges[:, 0]
-        if len(np.unique(forth)) < len(forth) or not np.array_equal(np.sort(forth), np.sort(back)):
+        forward = edges[:, 0] * len(self.vertices) + edges[:, 1]
+        backward = edges[:, 1] * len(self.vertices) + edges[:, 0]
+        if len(np.unique(forward)) < len(forward) or not np.array_equal(np.sort(forward), np.sort(backward)):
             return False
         a, b, c = (self.vertices[self.triangles[:, i]] for i in range(3))
         return float(np.einsum("ij,ij->", a, np.cross(b, c))) > 0

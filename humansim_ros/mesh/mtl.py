@@ -1,4 +1,4 @@
-"""Materials of OBJ meshes (.mtl): their colours, and what else they say of how they answer light."""
+"""Materials of OBJ meshes (.mtl): colours, and how they reflect light."""
 
 from __future__ import annotations
 
@@ -12,75 +12,80 @@ from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.io.files import read_bytes, read_text, resolve_inside
 from humansim_ros.io.images import decode_alpha, decode_image
 from humansim_ros.mesh.atlas import plain_tile
-from humansim_ros.mesh.material import Material, normals_of_heights
+from humansim_ros.mesh.material import Material, height_to_normal_map
 from humansim_ros.types import Array, Image
 
-#: What a material says: by keyword the line and the words after it; of each keyword the last.
+#: Keyword -> line number and words after it, of one material. The last statement of a keyword counts.
 Statements = Mapping[str, tuple[int, list[str]]]
-#: What Ks of 1 is, thrown back straight on: 0.5 is glass and plastic, as Blender has it.
-_MIRRORS = 0.08
-_BUMPS = ("norm", "map_Bump", "map_bump", "bump")
-_NOT_SHOWN = ("map_Ks", "map_Ns", "map_Pr", "map_Pm", "map_Ps", "disp", "refl", "decal")
+#: Specular reflectance (F0) of Ks 1. Ks 0.5 is glass and plastic (F0 0.04), as in Blender.
+_SPECULAR = 0.08
+_NORMAL_MAPS = ("norm", "map_Bump", "map_bump", "bump")
+_UNSUPPORTED = ("map_Ks", "map_Ns", "map_Pr", "map_Pm", "map_Ps", "disp", "refl", "decal")
 
 
 def read_mtl(path: Path) -> dict[str, Statements]:
-    """What a file says of each of its materials."""
-    said: dict[str, dict[str, tuple[int, list[str]]]] = {}
+    """Statements of a material file by material name."""
+    materials: dict[str, dict[str, tuple[int, list[str]]]] = {}
     for number, line in enumerate(read_text(path, MeshError, "material").splitlines(), 1):
         words = line.partition("#")[0].split()
         if words and words[0] == "newmtl":
-            said[" ".join(words[1:])] = latest = {}
-        elif words and said and (len(words) > 1 or words[0] == "Kd"):
+            materials[" ".join(words[1:])] = latest = {}
+        elif words and materials and (len(words) > 1 or words[0] == "Kd"):
             latest[words[0]] = number, words[1:]
-    return dict(said)
+    return dict(materials)
 
 
-def tile_of(path: Path, name: str, said: Statements) -> Image:
+def color_texture(path: Path, name: str, said: Statements) -> Image:
     """The texture (H, W, 3) of a material: ``map_Kd``, else the plain colour ``Kd``."""
     if "map_Kd" in said:
-        image = _image(path, said["map_Kd"][1], "its colour is used")
+        image = _image(path, said["map_Kd"][1], "the colour Kd is used")
         if image is not None:
             return image
     return plain_tile(_three(path, said, "Kd", 0.8))
 
 
-def material_of(path: Path, name: str, said: Statements) -> Material | None:
-    """How a material answers light besides its colour; None if it is matt. What is not shown is told."""
-    doubts = [keyword for keyword in _NOT_SHOWN if keyword in said]
-    maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_BUMPS) if key in said]
-    doubts += [f"{word} of {key}" for key in maps for word in said[key][1][:-1] if word in ("-s", "-o", "-t")]
-    for doubt in doubts:
-        warn_about(path, f"material {name!r}: {doubt} is not shown")
+def reflectance(path: Path, name: str, said: Statements) -> Material | None:
+    """Material besides its colour; None for a matt one. Warns about unsupported statements."""
+    ignored = [keyword for keyword in _UNSUPPORTED if keyword in said]
+    maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_NORMAL_MAPS) if key in said]
+    ignored += [
+        f"{word} of {key}" for key in maps for word in said[key][1][:-1] if word in ("-s", "-o", "-t")
+    ]
+    for statement in ignored:
+        warn_about(path, f"material {name!r}: {statement} is not supported and ignored")
     shiny = _one(path, said, "illum", 2.0) >= 2
-    gloss = _three(path, said, "Ks", 0.0) * _MIRRORS if shiny else np.zeros(3)
+    gloss = _three(path, said, "Ks", 0.0) * _SPECULAR if shiny else np.zeros(3)
     exponent = max(_one(path, said, "Ns", 0.0), 0.0)
-    # of Blinn and Phong's, the rough surface whose highlight is as wide
+    # roughness with the same width of highlight as the Blinn-Phong exponent
     roughness = _one(path, said, "Pr", (2 / (exponent + 2)) ** 0.25 if shiny else 1.0)
     metallic, emission = _one(path, said, "Pm", 0.0), _three(path, said, "Ke", 0.0)
     opacity = _one(path, said, "d", 1 - _one(path, said, "Tr", 0.0))
-    normals, glow, cut = _normals(path, said), _map(path, said, "map_Ke"), _cut(path, said)
-    if glow is not None and not emission.any():
+    normals, emissive, alpha = _normals(path, said), _map(path, said, "map_Ke"), _alpha(path, said)
+    if emissive is not None and not emission.any():
         emission = np.ones(3)
     plain = not gloss.any() and metallic == 0 and opacity >= 1 and not emission.any()
-    if plain and normals is None and cut is None:
+    if plain and normals is None and alpha is None:
         return None
     red, green, blue = np.clip(gloss, 0, 1).tolist()
-    own_red, own_green, own_blue = np.clip(emission, 0, 1e4).tolist()
+    emitted_red, emitted_green, emitted_blue = np.clip(emission, 0, 1e4).tolist()
     return Material(
         metallic=min(max(metallic, 0.0), 1.0),
         roughness=min(max(roughness, 0.0), 1.0),
         specular=(red, green, blue),
         normals=normals,
-        emission=(own_red, own_green, own_blue),
-        emissive_map=glow,
-        alpha="blend" if opacity < 1 else "opaque" if cut is None else "mask",
+        emission=(emitted_red, emitted_green, emitted_blue),
+        emissive_map=emissive,
+        alpha="blend" if opacity < 1 else "opaque" if alpha is None else "mask",
         opacity=min(max(opacity, 0.0), 1.0),
-        alpha_map=cut,
+        alpha_map=alpha,
     )
 
 
 def numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, path: str) -> Array:
-    """Finite numbers (N, width); MeshError with the line of the first row that has others."""
+    """Convert rows of words to finite numbers (N, width).
+
+    Raises MeshError with the line of the first wrong row.
+    """
     try:
         values = np.array(rows, dtype=float)
     except ValueError:
@@ -89,10 +94,10 @@ def numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, p
         return values
     for row, number in zip(rows, lines, strict=True):
         try:
-            good = len(row) == width and bool(np.isfinite([float(word) for word in row]).all())
+            valid = len(row) == width and bool(np.isfinite([float(word) for word in row]).all())
         except ValueError:
-            good = False
-        if not good:
+            valid = False
+        if not valid:
             raise MeshError(
                 f"'{keyword}' needs {width} finite numbers, not {' '.join(row)[:40]!r}",
                 path=path,
@@ -116,8 +121,8 @@ def _one(path: Path, said: Statements, keyword: str, default: float) -> float:
 
 
 def _normals(path: Path, said: Statements) -> Image | None:
-    """A normal map; one of heights, which is grey, is made one."""
-    keyword = next((key for key in _BUMPS if key in said), None)
+    """Normal map of a material; a grey image is a height map and converted."""
+    keyword = next((key for key in _NORMAL_MAPS if key in said), None)
     image = None if keyword is None else _map(path, said, keyword)
     if image is None or keyword is None:
         return None
@@ -125,17 +130,17 @@ def _normals(path: Path, said: Statements) -> Image | None:
         return image
     words = said[keyword][1]
     strength = words[words.index("-bm") + 1] if "-bm" in words[:-1] else "1"
-    return normals_of_heights(
+    return height_to_normal_map(
         image[..., 0], 4 * _one(path, {keyword: (said[keyword][0], [strength])}, keyword, 1)
     )
 
 
-def _cut(path: Path, said: Statements) -> NDArray[np.uint8] | None:
-    """Where a surface is cut out: ``map_d``, its alpha if it has any, else its grey."""
+def _alpha(path: Path, said: Statements) -> NDArray[np.uint8] | None:
+    """Opacity (H, W) of ``map_d``: its alpha channel, or grey values without one."""
     if "map_d" not in said:
         return None
     words = said["map_d"][1]
-    image = _image(path, words, "it is not cut out")
+    image = _image(path, words, "the material is opaque")
     if image is None:
         return None
     alpha = decode_alpha(read_bytes(_file(path, words[-1]), MeshError, "texture"))
@@ -143,14 +148,14 @@ def _cut(path: Path, said: Statements) -> NDArray[np.uint8] | None:
 
 
 def _map(path: Path, said: Statements, keyword: str) -> Image | None:
-    return None if keyword not in said else _image(path, said[keyword][1], "it is left out")
+    return None if keyword not in said else _image(path, said[keyword][1], "it is ignored")
 
 
-def _image(path: Path, words: list[str], otherwise: str) -> Image | None:
-    """The image that a statement names after its options; None, which is told, if it is not there."""
+def _image(path: Path, words: list[str], fallback: str) -> Image | None:
+    """Image that a statement names after its options; None with a warning if the file is missing."""
     file = _file(path, words[-1])
     if not file.is_file():
-        warn_about(path, f"the texture {words[-1][:60]!r} is not beside it: {otherwise}")
+        warn_about(path, f"texture {words[-1][:60]!r} not found beside the file: {fallback}")
         return None
     try:
         return decode_image(read_bytes(file, MeshError, "texture"))
@@ -159,5 +164,5 @@ def _image(path: Path, words: list[str], otherwise: str) -> Image | None:
 
 
 def _file(path: Path, name: str) -> Path:
-    """A file beside the material's; one that there cannot be, for a name that leads elsewhere."""
+    """File in the folder of the material file; the folder itself for a name that leads elsewhere."""
     return resolve_inside(path.parent, name.replace("\\", "/")) or path.parent / ""

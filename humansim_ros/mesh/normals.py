@@ -1,6 +1,6 @@
-"""Normals and tangents of a surface that moves, worked out anew from its vertices.
+"""Vertex normals and tangents of a deforming surface, computed from its vertices.
 
-Quicker, and nearly as good, are those that the bones carry along: ``Skinner.directions``.
+``SkinningFunction.directions`` is faster and almost as accurate: it rotates rest normals with the bones.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from scipy.sparse import csr_matrix
 
 from humansim_ros.errors import MeshError
 from humansim_ros.rotations import cross
-from humansim_ros.types import FloatArray, Indices
+from humansim_ros.types import Array, FloatArray, Indices
 
 Weighting = Literal["angle", "area"]
 
@@ -23,11 +23,11 @@ _PREVIOUS = (2, 0, 1)
 
 @dataclass(frozen=True, init=False)
 class SurfaceNormals:
-    """Unit vertex normals of a surface of N triangles: the weighted mean of the triangles around each vertex.
+    """Unit vertex normals of N triangles: the weighted mean of the normals of the triangles at each vertex.
 
-    ``weighting``: "angle" weighs a triangle by its angle at the vertex, so that the result does not depend on
-    how polygons are cut into triangles (Thürmer and Wüthrich 1998; what Blender does with a mesh of
-    triangles); "area" by its area, in half the time.
+    ``weighting``: ``angle`` weights a triangle by its angle at the vertex [Thürmer 1998], as Blender does
+    with triangles; the result does not depend on the triangulation of polygons. ``area`` weights by area and
+    takes half the time.
     """
 
     corners: tuple[Indices, Indices, Indices]
@@ -45,9 +45,9 @@ class SurfaceNormals:
         object.__setattr__(self, "weighting", weighting)
 
     def __call__(self, vertices: FloatArray) -> FloatArray:
-        """Normals (..., V, 3) of vertices (..., V, 3), of their precision; zero where there is no surface.
+        """Normals (..., V, 3) of vertices (..., V, 3), zero at vertices without triangles.
 
-        Raises MeshError on another number of vertices.
+        Raises MeshError for another number of vertices.
         """
         batch, shape = _checked_frames(vertices, self.around.shape[0])
         out = np.empty_like(batch)
@@ -61,16 +61,24 @@ class SurfaceNormals:
         return out.reshape(shape)
 
 
+def mean_normals(face_normals: Array, faces: NDArray[np.integer], n_vertices: int) -> Array:
+    """Unit vertex normals (V, 3) from weighted face normals (F, 3) of faces (F, K); zero without faces."""
+    normals = np.zeros((n_vertices, 3))
+    for corner in range(faces.shape[1]):
+        np.add.at(normals, faces[:, corner], face_normals)
+    return np.asarray(normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12))
+
+
 @dataclass(frozen=True, init=False)
 class SurfaceTangents:
-    """Tangents of a surface with texture coordinates, as MikkTSpace makes them of triangles (Mikkelsen 2008;
-    the convention of glTF, Blender and normal maps).
+    """Tangents of a surface with texture coordinates, as MikkTSpace computes them for triangles
+    [Mikkelsen 2008]: the convention of normal maps in glTF and Blender.
 
-    A vertex has one tangent for each texture coordinate it is used with, and two where mirrored texture
-    meets: so C corners, of which ``vertex`` (C,) and ``uv`` (C,) are the indices and ``sign`` (C,) is the
-    handedness: bitangent = sign * cross(normal, tangent). ``triangles`` (N, 3) index the corners. Unlike
-    MikkTSpace, which goes from triangle to triangle over common edges, corners at one vertex with one texture
-    coordinate are one even where surfaces only touch.
+    A vertex has one tangent for each of its texture coordinates, and two where a mirrored texture meets the
+    original. These are C corners: ``vertex`` (C,) and ``uv`` (C,) are their indices, ``sign`` (C,) their
+    handedness, bitangent = sign * cross(normal, tangent). ``triangles`` (N, 3) index the corners. MikkTSpace
+    walks over common edges; here, corners with the same vertex and texture coordinate are one, even where
+    surfaces only touch.
     """
 
     vertex: Indices
@@ -91,7 +99,7 @@ class SurfaceTangents:
         a, b, c = (uv[uv_triangles[:, i]].T for i in range(3))
         (u1, v1), (u2, v2) = b - a, c - a
         area = u1 * v2 - u2 * v1
-        # of which sides b - a and c - a the direction of u is the sum; nothing where the texture has no area
+        # weights of the sides b - a and c - a in the direction of u; zero where the texture has no area
         gradient = np.where(area == 0, 0.0, np.sign(area) * np.stack([v2, -v1]))
         keys = np.stack([triangles, uv_triangles, np.repeat((area < 0)[:, None], 3, axis=1)], axis=-1)
         corners, index = np.unique(keys.reshape(-1, 3), axis=0, return_inverse=True)
@@ -103,28 +111,28 @@ class SurfaceTangents:
         object.__setattr__(self, "_gradient", gradient)
 
     def __call__(self, vertices: FloatArray, normals: FloatArray) -> FloatArray:
-        """Tangents (..., C, 4): a unit vector across the normal, along growing u, and the sign.
+        """Tangents (..., C, 4): unit vector perpendicular to the normal, towards increasing u, and the sign.
 
-        ``vertices``, ``normals``: (..., V, 3). Zero where the texture has no area. Raises MeshError on other
+        ``vertices``, ``normals``: (..., V, 3). Zero where the texture has no area. Raises MeshError for wrong
         shapes.
         """
         batch, shape = _checked_frames(vertices, self.n_vertices)
-        given, other = _checked_frames(normals, self.n_vertices)
+        batch_normals, other = _checked_frames(normals, self.n_vertices)
         if shape != other:
             raise MeshError(f"normals of shape {other} do not fit vertices of shape {shape}")
         out = np.empty((len(batch), len(self.vertex), 4), dtype=batch.dtype)
         gradient = self._gradient.astype(batch.dtype)
         corners = tuple(self.vertex[self.triangles.T])
         count = len(self.vertex)
-        for points, normal, frame in zip(batch, given.astype(batch.dtype), out, strict=True):
+        for points, normal, frame in zip(batch, batch_normals.astype(batch.dtype), out, strict=True):
             first, second, third = _sides(points, corners)
             along = _unit(gradient[0] * first - gradient[1] * third)
             sums = np.zeros((3, count))
             edges = (first, second, third)
             for corner in range(3):
                 up = np.ascontiguousarray(normal[corners[corner]].T)
-                flat = _unit(_across(along, up))
-                out_of, into = _unit(_across(edges[corner], up)), _unit(_across(edges[_PREVIOUS[corner]], up))
+                flat = _unit(_perpendicular(along, up))
+                out_of, into = (_unit(_perpendicular(edges[k], up)) for k in (corner, _PREVIOUS[corner]))
                 angle = np.arccos(np.clip(-np.einsum("ij,ij->j", out_of, into), -1, 1))
                 index = self.triangles[:, corner]
                 sums += [np.bincount(index, part, count) for part in flat * angle]
@@ -144,7 +152,7 @@ def _checked_triangles(triangles: NDArray[Any], count: int, what: str) -> Indice
 
 
 def _checked_frames(vertices: FloatArray, count: int) -> tuple[FloatArray, tuple[int, ...]]:
-    """As (F, V, 3) of float32 or float64, and the shape they had."""
+    """Reshape to (F, V, 3), float32 or float64; also return the original shape."""
     array = np.asarray(vertices)
     if array.ndim < 2 or array.shape[-2:] != (count, 3):
         raise MeshError(f"an array of shape {array.shape} does not fit {count} vertices: (..., {count}, 3)")
@@ -167,14 +175,14 @@ def _angles(sides: tuple[FloatArray, FloatArray, FloatArray]) -> list[FloatArray
     return [np.arccos(np.clip(cosine, -1, 1)) for cosine in cosines]
 
 
-def _across(vectors: FloatArray, up: FloatArray) -> FloatArray:
-    """What of vectors (3, N) is across unit vectors (3, N)."""
-    across: FloatArray = vectors - np.einsum("ij,ij->j", vectors, up) * up
-    return across
+def _perpendicular(vectors: FloatArray, up: FloatArray) -> FloatArray:
+    """Component of vectors (3, N) perpendicular to unit vectors (3, N)."""
+    perpendicular: FloatArray = vectors - np.einsum("ij,ij->j", vectors, up) * up
+    return perpendicular
 
 
 def _unit(vectors: FloatArray) -> FloatArray:
-    """Vectors (3, N) of length one; zero stays zero."""
+    """Normalise vectors (3, N); zero stays zero."""
     length = np.sqrt(np.einsum("ij,ij->j", vectors, vectors))
     unit: FloatArray = vectors / np.where(length > 0, length, 1)
     return unit

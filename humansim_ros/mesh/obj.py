@@ -1,8 +1,10 @@
-"""Wavefront OBJ meshes (thesis S1), as MakeHuman and everybody else export them, and their materials."""
+"""Wavefront OBJ meshes [thesis S1] and their materials."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -10,33 +12,37 @@ import numpy as np
 
 from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.io.files import read_text, resolve_inside
-from humansim_ros.mesh.atlas import PLAIN, plain_tile, textured
+from humansim_ros.mesh.atlas import PLAIN, atlas_mesh, plain_tile
 from humansim_ros.mesh.material import without_maps
 from humansim_ros.mesh.mesh import FaceIndices, Mesh
-from humansim_ros.mesh.mtl import Statements, material_of, numbers, read_mtl, tile_of
+from humansim_ros.mesh.mtl import Statements, color_texture, numbers, read_mtl, reflectance
 from humansim_ros.types import Array
+
+#: Colour of materials that are missing in the library.
+_GREY = (0.6, 0.6, 0.6)
 
 
 def read_obj(path: str | os.PathLike[str]) -> Mesh:
-    """Read a mesh file (Wavefront OBJ) with its materials: their colours and textures, side by side in one.
+    """Read a Wavefront OBJ file as one mesh with the colours and textures of its materials in one texture.
 
-    Units and axes stay as in the file. Materials and textures are looked for in the folder of the file and
-    below; without them the mesh has none. Raises MeshError with file and line.
+    Units and axes stay as in the file. Without a material file the mesh has no colours. Raises MeshError with
+    file and line.
     """
-    text = read_text(path, MeshError, "mesh")
-    try:
-        return _read_obj(text, os.fspath(path))
-    except MeshError as error:
-        if error.path is None:
-            raise MeshError(error.message, path=path) from None
-        raise
+    with _errors_of(path):
+        return _one_mesh(_parse(read_text(path, MeshError, "mesh"), os.fspath(path)))
 
 
 def read_obj_materials(path: str | os.PathLike[str]) -> list[Mesh]:
-    """The same as one mesh for each material, whose textures may repeat."""
-    text = read_text(path, MeshError, "mesh")
+    """Read a Wavefront OBJ file as one mesh for each material. Textures may repeat. Raises MeshError."""
+    with _errors_of(path):
+        return _by_material(_parse(read_text(path, MeshError, "mesh"), os.fspath(path)))
+
+
+@contextmanager
+def _errors_of(path: str | os.PathLike[str]) -> Iterator[None]:
+    """Add the path to errors that have none."""
     try:
-        return _parse(text, os.fspath(path)).surfaces()
+        yield
     except MeshError as error:
         if error.path is None:
             raise MeshError(error.message, path=path) from None
@@ -44,64 +50,65 @@ def read_obj_materials(path: str | os.PathLike[str]) -> list[Mesh]:
 
 
 def material_files(path: str | os.PathLike[str]) -> list[Path]:
-    """The materials and textures that a mesh is coloured with."""
+    """Material libraries and textures that a mesh file refers to."""
     files: list[Path] = []
-    for library in _named(Path(path), "mtllib"):
-        files += [library, *_named(library, "map_Kd")]
+    for library in _references(Path(path), "mtllib"):
+        files += [library, *_references(library, "map_Kd")]
     return files
 
 
-def _named(path: Path, keyword: str) -> list[Path]:
-    """The files beside one that its lines with a keyword name."""
+def _references(path: Path, keyword: str) -> list[Path]:
+    """Existing files that the lines with a keyword name."""
     lines = read_text(path, MeshError, "mesh").splitlines()
     names = [line.split(None, 1)[1].strip() for line in lines if line.startswith(f"{keyword} ")]
     if keyword == "map_Kd":
         names = [name.split()[-1] for name in names if name]
-    found = [resolve_inside(path.resolve().parent, name.replace("\\", "/")) for name in names]
-    return [file for file in found if file is not None and file.is_file()]
+    files = [resolve_inside(path.resolve().parent, name.replace("\\", "/")) for name in names]
+    return [file for file in files if file is not None and file.is_file()]
 
 
 @dataclass(frozen=True)
 class _Obj:
-    """What a file says. ``worn``: the material of each face."""
+    """Content of a file. ``face_materials``: name of the material of each face."""
 
     points: Array
     faces: FaceIndices
     uv: Array | None
     uv_faces: FaceIndices
-    worn: list[str]
+    face_materials: list[str]
     libraries: list[str]
     path: str
 
-    def surfaces(self) -> list[Mesh]:
-        materials = _known_materials(self.libraries, self.path)
-        tiles = {name: tile_of(*material) for name, material in materials.items()}
-        finishes = {name: material_of(*material) for name, material in materials.items()}
-        laid = [bool(has) for has in self.uv_faces[:, :3].min(axis=1) >= 0]
-        numbers: dict[tuple[str, bool], int] = {}
-        number = np.array(
-            [numbers.setdefault(kind, len(numbers)) for kind in zip(self.worn, laid, strict=True)]
-        )
-        made = []
-        for (name, has), kind in numbers.items():
-            chosen = number == kind
-            used, corners = np.unique(self.faces[chosen], return_inverse=True)
-            first = int(used[0] < 0)  # -1, that pads triangles
-            faces = (corners.reshape(-1, 4) - first).astype(np.int32)
-            tile = tiles.get(name, plain_tile((0.6, 0.6, 0.6)) if tiles else plain_tile((1, 1, 1)))
-            vertices = self.points[used[first:]]
-            if has:
-                laid_on = self.uv, self.uv_faces[chosen]
-                made.append(Mesh(vertices, faces, *laid_on, texture=tile, material=finishes.get(name)))
-                continue
-            color = tile.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
-            finish = without_maps(finishes.get(name), self.path, name)
-            made.append(Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1)), material=finish))
-        return made
+
+def _by_material(obj: _Obj) -> list[Mesh]:
+    """One mesh for each material, split by whether faces have texture coordinates."""
+    materials = _read_libraries(obj)
+    textures = {name: color_texture(*material) for name, material in materials.items()}
+    finishes = {name: reflectance(*material) for name, material in materials.items()}
+    has_uv = [bool(has) for has in obj.uv_faces[:, :3].min(axis=1) >= 0]
+    numbers: dict[tuple[str, bool], int] = {}
+    number = np.array(
+        [numbers.setdefault(kind, len(numbers)) for kind in zip(obj.face_materials, has_uv, strict=True)]
+    )
+    meshes = []
+    for (name, textured), kind in numbers.items():
+        chosen = number == kind
+        used, corners = np.unique(obj.faces[chosen], return_inverse=True)
+        first = int(used[0] < 0)  # -1, the padding of triangles
+        faces = (corners.reshape(-1, 4) - first).astype(np.int32)
+        texture = textures.get(name, plain_tile(_GREY) if textures else plain_tile((1, 1, 1)))
+        vertices = obj.points[used[first:]]
+        if textured:
+            uv, uv_faces = obj.uv, obj.uv_faces[chosen]
+            meshes.append(Mesh(vertices, faces, uv, uv_faces, texture=texture, material=finishes.get(name)))
+            continue
+        color = texture.reshape(-1, 3).mean(axis=0).round().astype(np.uint8)
+        material = without_maps(finishes.get(name), obj.path, name)
+        meshes.append(Mesh(vertices, faces, colors=np.tile(color, (len(vertices), 1)), material=material))
+    return meshes
 
 
-def _read_obj(text: str, path: str) -> Mesh:
-    obj = _parse(text, path)
+def _one_mesh(obj: _Obj) -> Mesh:
     colored = _colored(obj)
     if colored is not None:
         return colored
@@ -143,10 +150,10 @@ def _parse(text: str, path: str) -> _Obj:
     if not vertices:
         raise MeshError("no vertices ('v' lines): not a Wavefront OBJ mesh, or an empty one", path=path)
     if not faces:
-        raise MeshError("no faces ('f' lines): a cloud of points cannot be skinned or rendered", path=path)
+        raise MeshError("no faces ('f' lines): point clouds cannot be skinned or rendered", path=path)
     points = numbers(vertices, vertex_lines, 3, "v", path)
     texture = numbers(uv, uv_lines, 2, "vt", path) if uv else None
-    corners, texture_corners, worn = [], [], []
+    corners, texture_corners, face_materials = [], [], []
     for words, number, (n_vertices, n_uv), name in zip(faces, face_lines, counts, materials, strict=True):
         if len(words) < 3:
             raise MeshError(f"a face needs at least 3 corners, this has {len(words)}", path=path, line=number)
@@ -162,46 +169,46 @@ def _parse(text: str, path: str) -> _Obj:
         for piece in _quads(len(corner)):
             corners.append([corner[i] if i >= 0 else -1 for i in piece])
             texture_corners.append([texture_corner[i] if i >= 0 and with_uv else -1 for i in piece])
-            worn.append(name)
+            face_materials.append(name)
     corner_array = np.array(corners, dtype=np.int32)
     texture_array = np.array(texture_corners, dtype=np.int32)
-    return _Obj(points, corner_array, texture, texture_array, worn, libraries, path)
+    return _Obj(points, corner_array, texture, texture_array, face_materials, libraries, path)
 
 
-def _known_materials(libraries: list[str], path: str) -> dict[str, tuple[Path, str, Statements]]:
-    """By the names of materials, their file, name and what it says; a library that is missing is told."""
+def _read_libraries(obj: _Obj) -> dict[str, tuple[Path, str, Statements]]:
+    """File, name and statements of each material by its name. Warns about a missing library."""
     known: dict[str, tuple[Path, str, Statements]] = {}
-    for library in libraries:
-        file = resolve_inside(Path(path).resolve().parent, library)
+    for library in obj.libraries:
+        file = resolve_inside(Path(obj.path).resolve().parent, library)
         if file is None or not file.is_file():
             warn_about(
-                path, f"its materials {library[:60]!r} are not beside it: it has none of their colours"
+                obj.path, f"material library {library[:60]!r} not found beside the file: no colours from it"
             )
         else:
-            known |= {name: (file, name, said) for name, said in read_mtl(file).items()}
+            known |= {name: (file, name, statements) for name, statements in read_mtl(file).items()}
     return known
 
 
 def _colored(obj: _Obj) -> Mesh | None:
-    """The mesh with its materials, None if it has none; those that are missing are left grey."""
-    materials = _known_materials(obj.libraries, obj.path)
+    """Mesh with the textures of its materials; None without materials. Missing ones are grey."""
+    materials = _read_libraries(obj)
     if not materials:
         return None
-    known = {name: tile_of(*material) for name, material in materials.items()}
-    uv, uv_faces, worn, faces = obj.uv, obj.uv_faces, obj.worn, obj.faces
-    names = list(dict.fromkeys(worn))
-    tiles = [known.get(name, plain_tile((0.6, 0.6, 0.6))) for name in names]
+    known = {name: color_texture(*material) for name, material in materials.items()}
+    uv, uv_faces, faces = obj.uv, obj.uv_faces, obj.faces
+    names = list(dict.fromkeys(obj.face_materials))
+    tiles = [known.get(name, plain_tile(_GREY)) for name in names]
     number = {name: n for n, name in enumerate(names)}
-    material = np.array([number[name] for name in worn])
+    material = np.array([number[name] for name in obj.face_materials])
     coordinates = np.zeros((1, 2)) if uv is None else uv
     plain = np.array([tile.shape[0] == PLAIN for tile in tiles])
     if len(tiles) == 1 and plain[0]:
         coordinates, uv_faces = np.zeros((1, 2)), np.where(faces < 0, -1, 0).astype(np.int32)
-    return textured(obj.points, faces, coordinates, uv_faces, material, tiles)
+    return atlas_mesh(obj.points, faces, coordinates, uv_faces, material, tiles)
 
 
 def _index(word: str, so_far: int, total: int, what: str, path: str, line: int) -> int:
-    """0-based index from OBJ's 1-based one; negative ones count back from the last so far."""
+    """Convert a 1-based OBJ index to 0-based; a negative index counts back from the last element so far."""
     try:
         number = int(word)
     except ValueError:
@@ -213,7 +220,7 @@ def _index(word: str, so_far: int, total: int, what: str, path: str, line: int) 
 
 
 def _quads(corners: int) -> list[tuple[int, int, int, int]]:
-    """A polygon as triangles and quads: itself up to four corners, a fan of triangles beyond."""
+    """Split a polygon: up to four corners stay one face, more become a fan of triangles."""
     if corners == 3:
         return [(0, 1, 2, -1)]
     if corners == 4:

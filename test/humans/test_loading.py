@@ -271,5 +271,5 @@ def test_materials_elsewhere_are_left_alone_with_a_warning(tmp_path: Path, name:
     folder = tmp_path / "folder"
     folder.mkdir()
     (folder / "m.obj").write_text(OBJ.replace("colours.mtl", name))
-    with pytest.warns(HumansimWarning, match="not beside it"):
+    with pytest.warns(HumansimWarning, match="not found beside the file"):
         assert read_mesh(folder / "m.obj").texture is None

@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))
 
 from humansim_ros.camera import Camera  # noqa: E402
-from humansim_ros.mesh.material import normals_of_heights  # noqa: E402
+from humansim_ros.mesh.material import height_to_normal_map  # noqa: E402
 from humansim_ros.render import GLRenderer, Lighting  # noqa: E402
 from humansim_ros.scene import Scene, Simulation  # noqa: E402
 from humansim_ros.scene.room import furnished_room  # noqa: E402
@@ -139,7 +139,7 @@ def court() -> bytes:
                 "material": material,
             }
         )
-    rough = normals_of_heights(cv2.GaussianBlur(stone, (0, 0), 1.2)[..., 0], 10)
+    rough = height_to_normal_map(cv2.GaussianBlur(stone, (0, 0), 1.2)[..., 0], 10)
     images = [
         {"bufferView": add(cv2.imencode(".png", image[..., ::-1])[1].tobytes()), "mimeType": "image/png"}
         for image in (paving, stone, rough)

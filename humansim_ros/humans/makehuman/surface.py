@@ -10,6 +10,7 @@ from scipy import sparse
 from scipy.spatial import ConvexHull
 
 from humansim_ros.humans.makehuman.data import VertexIndices, VertexMask
+from humansim_ros.mesh.normals import mean_normals
 from humansim_ros.types import Array
 
 NONE, SHOES, TROUSERS, SHIRT = range(4)  # the later hangs over the earlier
@@ -67,11 +68,7 @@ def sample(image: VertexMask, uv: Array) -> Array:
 def vertex_normals(vertices: Array, faces: VertexIndices) -> Array:
     """Unit normals (N, 3), area weighted, of quads (F, 4)."""
     a, b, c, d = (vertices[faces[:, k]] for k in range(4))
-    face = np.cross(c - a, d - b)
-    normals = np.zeros_like(vertices)
-    for k in range(4):
-        np.add.at(normals, faces[:, k], face)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    return mean_normals(np.cross(c - a, d - b), faces, len(vertices))
 
 
 def ramp(value: Array, low: float | Array, high: float | Array) -> Array:

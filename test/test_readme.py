@@ -12,6 +12,8 @@ from pathlib import Path
 
 from conftest import ROOT
 
+from humansim_ros.render.channels import CHANNEL_TABLE
+
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
@@ -26,8 +28,6 @@ cameras:
 
 def test_the_tracker_of_the_readme_hears_the_cameras(tmp_path: Path) -> None:
     from ros_support import write_scene
-
-from humansim_ros.render.channels import CHANNEL_TABLE
 
     tracker = tmp_path / "tracker.py"
     tracker.write_text(next(block for block in BLOCKS if "rclpy" in block))

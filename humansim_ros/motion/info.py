@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion.bvh import Positions
-from humansim_ros.motion.contacts import find_stances, slides
 from humansim_ros.motion.file_frame import axis_vector, detect_file_frame
 from humansim_ros.motion.files import read_motion
 from humansim_ros.motion.joint_match import JointMatch
@@ -24,6 +23,7 @@ from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import fit_capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
+from humansim_ros.motion.stances import find_stances, slide_distances
 from humansim_ros.motion.world_motion import WorldMotion, floor_height
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
@@ -256,7 +256,7 @@ def _checked(world: WorldMotion, retargeter: Retargeter) -> dict[str, Any]:
     return {
         "checked_frames": len(times),
         "stances": len(stances),
-        "slide": float(slides(skeleton, posed, stances).mean() * 1e3) if stances else 0.0,
+        "slide": float(slide_distances(skeleton, posed, stances).mean() * 1e3) if stances else 0.0,
         "limits": [asdict(violation) for violation in load_limits().report(rotations)],
         "penetration": asdict(report_penetration(posed, fit_capsules(skeleton))),
     }

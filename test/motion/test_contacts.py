@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from test_retarget import MATCHED, SKELETON, in_world, read
 
-from humansim_ros.motion.contacts import FootContacts, find_stances, slides, two_bone
+from humansim_ros.motion.contacts import FootContacts
+from humansim_ros.motion.inverse_kinematics import two_bone
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.soles import sole_heights, sole_points
+from humansim_ros.motion.stances import find_stances, slide_distances
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.types import Array
 
@@ -40,8 +42,11 @@ def test_pinned_feet_stay_on_the_floor_where_they_stand(stem: str) -> None:
     before, after = retargeter.pose(world.sample(times)), retargeter.pose(clean.sample(times))
     stances = find_stances(SKELETON, before, times)
     assert stances
-    assert np.median(slides(SKELETON, after, stances)) < 0.002
-    assert slides(SKELETON, after, stances).mean() < 0.15 * slides(SKELETON, before, stances).mean()
+    assert np.median(slide_distances(SKELETON, after, stances)) < 0.002
+    assert (
+        slide_distances(SKELETON, after, stances).mean()
+        < 0.15 * slide_distances(SKELETON, before, stances).mean()
+    )
     for stance in stances:
         lowest = sole_points(SKELETON, after)[stance.first : stance.last + 1, stance.foot, :, 2].min(-1)
         assert np.median(np.abs(lowest)) < 0.012, stance
@@ -79,7 +84,7 @@ def test_a_loop_pins_over_its_end(loop: Any, mirror: bool) -> None:
     before, after = (retargeter.pose(w.sample(times)) for w in (world, clean))
     inside = [s for s in find_stances(SKELETON, before, times) if s.last < len(times) - 1 and s.first > 0]
     assert len(inside) >= (10 if loop == "continue" else 8)
-    assert slides(SKELETON, after, inside).max() < (0.004 if loop == "continue" else 0.012)
+    assert slide_distances(SKELETON, after, inside).max() < (0.004 if loop == "continue" else 0.012)
     if loop == "continue":
         steps = np.linalg.norm(np.diff(sole_points(SKELETON, after), axis=0), axis=-1)
         assert steps.max() < 0.11  # 6 m/s of a swinging foot: no jumps

@@ -9,12 +9,12 @@ import numpy as np
 
 from humansim_ros.humans.loading import load_human
 from humansim_ros.motion.bvh import read_bvh
-from humansim_ros.motion.contacts import find_stances, slides
 from humansim_ros.motion.info import world_of
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import fit_capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.soles import sole_heights
+from humansim_ros.motion.stances import find_stances, slide_distances
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -39,7 +39,7 @@ def main() -> int:
         times = world.frame_times
         poses = world.sample(times)
         posed = retargeter.pose(poses)
-        way = slides(skeleton, posed, find_stances(skeleton, posed, times)) * 1e3
+        way = slide_distances(skeleton, posed, find_stances(skeleton, posed, times)) * 1e3
         passed = [
             f"{v.bone} {v.angle} {v.worst:.0f} of {v.limit:.0f}"
             for v in limits.report(retargeter.apply(poses)[0])

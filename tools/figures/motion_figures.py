@@ -23,11 +23,12 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimError
 from humansim_ros.motion import read_bvh
-from humansim_ros.motion.contacts import FootContacts, find_stances, slides
+from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.retarget import Retargeter, RetargetMode
 from humansim_ros.motion.soles import sole_heights
+from humansim_ros.motion.stances import find_stances, slide_distances
 from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
@@ -66,7 +67,7 @@ def row(path: Path) -> list[str]:
     posed = {mode: retargeter.pose(poses) for mode, retargeter in retargeters.items()}
     stances = find_stances(SKELETON, posed["full"], times)
     pinned = full.pose(replace(world, correction=FootContacts.detect(world, full)).sample(times))
-    before, after = (slides(SKELETON, p, stances) * 1e3 for p in (posed["full"], pinned))
+    before, after = (slide_distances(SKELETON, p, stances) * 1e3 for p in (posed["full"], pinned))
     lowest = np.percentile(sole_heights(SKELETON, posed["full"]).min(-1) * 1e3, [1, 50])
     top = posed["full"][:, SKELETON.bone("vt3")]
     head = top[:, 2, 3] + top[:, 2, 1] * SKELETON.lengths[SKELETON.bone("vt3")]

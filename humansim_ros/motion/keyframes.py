@@ -1,6 +1,6 @@
-"""Keyframe animation files (thesis S6): XML that moves, turns and sizes humans and objects, linearly.
+"""Keyframe animation files (XML) that move, rotate and scale humans and objects.
 
-The format is defined in docs/keyframes.md.
+docs/keyframes.md defines the format, which is that of [thesis §S6].
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, cast
 from xml.sax import ContentHandler, SAXParseException
 from xml.sax.saxutils import quoteattr
 from xml.sax.xmlreader import AttributesImpl
@@ -19,34 +19,29 @@ import defusedxml.sax
 import numpy as np
 from defusedxml.common import DefusedXmlException
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError
 from humansim_ros.io.files import atomic_path, read_bytes
-from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
-from humansim_ros.types import Array
+from humansim_ros.motion.keyframe_tracks import (
+    DEFAULT_RATE,
+    SMALLEST_SIZE,
+    KeyframeLoop,
+    KeyframePose,
+    KeyframeTimeline,
+    KeyframeTrack,
+)
 
-Loop = Literal["none", "repeat"]
-
-#: Joints that tell, at the end of a message, where keyframes have put the space that a motion plays in: its
-#: origin, and the end of its unit vector along x, which is as long as the person is sized.
-SPACE_JOINTS = ("keyframes", "keyframes_end")
-
-_DEFAULT_RATE = 30.0
-#: Larger files are refused before they are read.
+#: Larger files are not read.
 _MAX_BYTES = 64 * 2**20
 #: Frame numbers, metres and degrees beyond these are mistakes.
 _MAX_FRAMES, _MAX = 10**9, 1e6
-_SMALLEST_SIZE = 1e-6
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
-#: What XML 1.0 cannot hold, escaped or not.
+#: Characters that XML 1.0 cannot hold, escaped or not.
 _NO_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
 
-#: What a key says and what holds before anything is said.
+#: Values of a key, and the defaults before the first.
 _PARTS = {"position": 0.0, "rotation": 0.0, "size": 1.0}
-_VECTORS = frozenset(_PARTS)
-#: Where an element may stand, by its names from the root on: its attributes, and the elements in it.
+#: Path of an element from the root -> its attributes and child elements.
 _SCHEMA: dict[tuple[str, ...], tuple[tuple[str, ...], tuple[str, ...]]] = {
     ("animation",): (("startframe", "endframe", "rate", "loop"), ("object", "frame")),
     ("animation", "object"): (("name",), ("frame",)),
@@ -56,209 +51,41 @@ _SCHEMA: dict[tuple[str, ...], tuple[tuple[str, ...], tuple[str, ...]]] = {
     **{("animation", *between, part): (("x", "y", "z"), ()) for part in _PARTS
        for between in (("object", "frame"), ("frame", "object"))},
 }  # fmt: skip
-
-
-@dataclass(frozen=True)
-class KeyframePose:
-    """Where things are at some instants (...): ``position`` (..., 3) in ``map``, metres; ``rotation``
-    (..., 3), degrees about x, y and z; ``size`` (..., 3), factors along the thing's own x, y and z.
-    """
-
-    position: Array
-    rotation: Array
-    size: Array
-
-    @property
-    def quaternion(self) -> Array:
-        """(..., 4) xyzw of R = Rz Ry Rx: about the fixed x axis first, then y, then z (thesis 9.2)."""
-        turn = Rotation.from_euler("xyz", self.rotation.reshape(-1, 3), degrees=True)
-        return np.asarray(turn.as_quat().reshape(*self.rotation.shape[:-1], 4))
-
-
-@dataclass(frozen=True)
-class KeyframeTimeline:
-    """Frames ``start`` to ``end`` at ``rate`` per second; ``start`` is at second 0 of the scene.
-
-    ``loop`` "none" holds the ends, "repeat" starts over at ``end``.
-    """
-
-    start: int
-    end: int
-    rate: float = _DEFAULT_RATE
-    loop: Loop = "none"
-
-    @property
-    def duration(self) -> float:
-        """Seconds from start to end."""
-        return (self.end - self.start) / self.rate
-
-    def rounds(self, seconds: Array) -> Array:
-        """Which round of the loop each time is in; 0 where nothing repeats."""
-        if self.loop == "none" or self.end == self.start:
-            return np.zeros_like(seconds)
-        return np.floor(seconds / self.duration + 1e-9)
-
-    def frames(self, seconds: Array, rounds: Array) -> Array:
-        """Frame numbers, with fractions, of times that count as in these rounds."""
-        place = self.start + (seconds - rounds * self.duration) * self.rate
-        return np.asarray(np.clip(place, self.start, self.end))
-
-
-@dataclass(frozen=True)
-class Track:
-    """The keys of one object: ``frames`` (K,) rising whole numbers; ``positions``, ``rotations``, ``sizes``
-    (K, 3) as in :class:`KeyframePose`. Raises MotionError where they are impossible.
-    """
-
-    clock: KeyframeTimeline
-    frames: Array
-    positions: Array
-    rotations: Array
-    sizes: Array
-
-    def __post_init__(self) -> None:
-        columns = (self.positions, self.rotations, self.sizes)
-        n = len(self.frames)
-        if n == 0 or any(column.shape != (n, 3) for column in columns):
-            raise MotionError(f"{n} keys cannot have arrays of shapes {[c.shape for c in columns]}")
-        if not all(np.isfinite(column).all() for column in (self.frames, *columns)):
-            raise MotionError("a key is not finite (NaN or infinity)")
-        whole = (self.frames == np.round(self.frames)).all() and (np.diff(self.frames) > 0).all()
-        if not whole or self.frames[0] < self.clock.start or self.frames[-1] > self.clock.end:
-            raise MotionError("keys need whole frame numbers that rise, within the clock's start to end")
-        if not (self.sizes > 0).all():
-            raise MotionError("a size must be above 0")
-
-    def at(self, seconds: ArrayLike) -> KeyframePose:
-        """Where it is at times (...), seconds of the scene: linear in position, angles and size between
-        keys, held before the first and after the last.
-        """
-        times = np.asarray(seconds, dtype=float)
-        return self._place(self.clock.frames(times, self.clock.rounds(times)))
-
-    def around(self, seconds: float, step: float = VELOCITY_STEP) -> tuple[Array, KeyframePose]:
-        """Three times (3,), a step before, at, and a step after ``seconds``, and where it is then.
-
-        Where the animation jumps back to its start, they reach no farther.
-        """
-        times = seconds + np.array([-step, 0.0, step])
-        number = float(self.clock.rounds(np.array(seconds)))
-        if self.clock.loop == "repeat" and self.clock.duration > 0:
-            start, end = number * self.clock.duration, (number + 1) * self.clock.duration
-            times = np.clip(times, min(start, seconds), max(end, seconds))
-        return times, self._place(self.clock.frames(times, np.full(3, number)))
-
-    def carry(self, poses: JointPoses, seconds: float) -> JointPoses:
-        """Joints of one instant (N = 1) moved, turned and sized with the space that they are in, with their
-        velocities, and :data:`SPACE_JOINTS` behind them. ``sizes`` must be the same along all axes.
-        """
-        times, place = self.around(seconds)
-        moving = poses if poses.linear is None else poses.extrapolate(times - seconds)
-        n = len(times)
-        space = np.broadcast_to(np.array([[0.0, 0, 0], [1, 0, 0]]), (n, 2, 3))
-        still = np.broadcast_to(np.array([0.0, 0, 0, 1]), (n, 2, 4))
-        positions = np.broadcast_to(moving.positions, (n, *moving.positions.shape[1:]))
-        rotations = np.broadcast_to(moving.rotations, (n, *moving.rotations.shape[1:]))
-        turn = quaternion_to_matrix(place.quaternion)
-        positions = np.concatenate([positions, space], axis=1) * place.size[:, None, :1]
-        positions = place.position[:, None] + np.einsum("nij,nkj->nki", turn, positions)
-        rotations = np.concatenate([rotations, still], axis=1)
-        rotations = matrix_to_quaternion(turn[:, None] @ quaternion_to_matrix(rotations))
-        linear = angular = None
-        if poses.linear is not None:
-            linear, angular = (
-                velocity[None]
-                for velocity in central_difference(
-                    positions[0], positions[2], rotations[0], rotations[2], max(times[2] - times[0], 1e-12)
-                )
-            )
-        names = (*poses.names, *SPACE_JOINTS)
-        return JointPoses(names, positions[1:2], rotations[1:2], linear, angular)
-
-    def _place(self, frames: Array) -> KeyframePose:
-        last = len(self.frames) - 1
-        after = np.clip(np.searchsorted(self.frames, frames, side="right"), 0, last)
-        before = np.maximum(after - 1, 0)
-        span = np.where(after > before, self.frames[after] - self.frames[before], 1.0)
-        part = np.clip((frames - self.frames[before]) / span, 0.0, 1.0)[..., None]
-        return KeyframePose(
-            *(
-                (1 - part) * values[before] + part * values[after]
-                for values in (self.positions, self.rotations, self.sizes)
-            )
-        )
-
-
-@dataclass(frozen=True)
-class Space:
-    """Where keyframes have put the space of a motion at N instants: ``x' = position + size rotation x``.
-
-    ``position`` (N, 3), ``rotation`` (N, 3, 3), ``size`` (N,).
-    """
-
-    position: Array
-    rotation: Array
-    size: Array
-
-    def carry(self, frames: Array) -> Array:
-        """Frames (N, J, 4, 4) in that space as they are in ``map``: moved and turned, their places sized."""
-        carried = np.array(frames)
-        carried[..., :3, :3] = self.rotation[:, None] @ frames[..., :3, :3]
-        places = self.size[:, None, None] * frames[..., :3, 3]
-        carried[..., :3, 3] = self.position[:, None] + np.einsum("nij,nkj->nki", self.rotation, places)
-        return carried
-
-
-def undo_keyframes(poses: JointPoses) -> tuple[JointPoses, Space | None]:
-    """What :meth:`Track.carry` made of joints (N instants): as they were, without velocities, and where they
-    had been put. Joints that no keyframes have moved are given back as they are, with None.
-
-    Raises MotionError where :data:`SPACE_JOINTS` are at one place.
-    """
-    if poses.names[-2:] != SPACE_JOINTS:
-        return poses, None
-    origin, end = poses.positions[:, -2], poses.positions[:, -1]
-    size = np.linalg.norm(end - origin, axis=-1)
-    if not (size >= _SMALLEST_SIZE / 2).all():
-        raise MotionError(f"the joints {' and '.join(SPACE_JOINTS)} are at one place: a size of zero")
-    turn = quaternion_to_matrix(poses.rotations[:, -2])
-    positions = np.einsum("nji,nkj->nki", turn, poses.positions[:, :-2] - origin[:, None])
-    back = np.swapaxes(turn, -1, -2)[:, None]
-    rotations = matrix_to_quaternion(back @ quaternion_to_matrix(poses.rotations[:, :-2]))
-    moved = JointPoses(poses.names[:-2], positions / size[:, None, None], rotations)
-    return moved, Space(origin, turn, size)
+#: Values of a key: part -> x, y, z.
+_KeyValues = dict[str, list[float]]
 
 
 @dataclass(frozen=True)
 class Keyframes:
-    """A keyframe animation: a ``clock`` and the ``tracks`` of the objects by name. ``path``: where from."""
+    """A keyframe animation: object name -> track, on one timeline."""
 
-    clock: KeyframeTimeline
-    tracks: Mapping[str, Track]
+    timeline: KeyframeTimeline
+    tracks: Mapping[str, KeyframeTrack]
     path: str = ""
 
-    def track(self, name: str) -> Track:
-        """The keys of one object. MotionError, with the names that there are, if it has none."""
+    def track(self, name: str) -> KeyframeTrack:
+        """Track of an object; MotionError, with the known names, if it has none."""
         if name not in self.tracks:
             known = ", ".join(list(self.tracks)[:20])
             raise MotionError(f"no object {name[:40]!r}; the file moves {known}", path=self.path)
         return self.tracks[name]
 
     def at(self, name: str, seconds: ArrayLike) -> KeyframePose:
-        """Where an object is at times (...), seconds of the scene; see :meth:`Track.at`."""
+        """Pose of an object at times (...), seconds of the scene; see :meth:`KeyframeTrack.at`."""
         return self.track(name).at(seconds)
 
 
 def read_keyframes(path: str | os.PathLike[str]) -> Keyframes:
     """Read a keyframe animation file (docs/keyframes.md).
 
-    Entities, external ones included, and a DOCTYPE are refused. Raises MotionError with file and line.
+    Raises:
+        MotionError: The file is not valid, or has a DOCTYPE or entities; with file and line.
     """
     try:
-        large = Path(path).stat().st_size > _MAX_BYTES
+        too_large = Path(path).stat().st_size > _MAX_BYTES
     except OSError:
-        large = False  # read_bytes says what is wrong
-    if large:
+        too_large = False  # read_bytes reports the reason
+    if too_large:
         raise MotionError(f"a keyframe file of more than {_MAX_BYTES >> 20} MiB is not read", path=path)
     data = read_bytes(path, MotionError, "keyframe")
     reader = _Reader(os.fspath(path))
@@ -269,20 +96,22 @@ def read_keyframes(path: str | os.PathLike[str]) -> Keyframes:
         raise MotionError(f"not valid XML: {reason.getMessage()}", path=path, line=line) from None
     except DefusedXmlException:
         raise MotionError(
-            "a keyframe file has no DOCTYPE and no entities: take them out", path=path, line=reader.line
+            "a keyframe file has no DOCTYPE and no entities: remove them", path=path, line=reader.line
         ) from None
-    except (ValueError, LookupError) as reason:  # an encoding that the parser cannot have
+    except (ValueError, LookupError) as reason:  # an encoding that the parser does not know
         raise MotionError(f"the XML cannot be decoded: {reason}", path=path) from None
     return reader.keyframes()
 
 
 def write_keyframes(path: str | os.PathLike[str], keyframes: Keyframes) -> None:
-    """Write a keyframe animation file that :func:`read_keyframes` reads back exactly. Raises MotionError for
-    a name that XML cannot hold.
+    """Write a keyframe animation file that :func:`read_keyframes` reads back exactly.
+
+    Raises:
+        MotionError: XML cannot hold a name.
     """
-    clock = keyframes.clock
-    timing = f'startframe="{clock.start}" endframe="{clock.end}" rate="{float(clock.rate)!r}"'
-    lines = [f'<animation {timing} loop="{clock.loop}">']
+    timeline = keyframes.timeline
+    timing = f'startframe="{timeline.start}" endframe="{timeline.end}" rate="{float(timeline.rate)!r}"'
+    lines = [f'<animation {timing} loop="{timeline.loop}">']
     for name, track in keyframes.tracks.items():
         if not name or _NO_XML.search(name):
             raise MotionError(f"{name!r} cannot be a name in XML", path=path)
@@ -300,31 +129,33 @@ def write_keyframes(path: str | os.PathLike[str], keyframes: Keyframes) -> None:
 
 @dataclass
 class _Element:
-    """An element that is open: what it said so far."""
+    """An open element: attributes and text so far.
+
+    ``parts``: values, of a key. ``keys``: of an object its keys by frame number, of a frame its keys by
+    object name; each with its line.
+    """
 
     name: str
     line: int
     values: dict[str, str]
     text: list[str] = field(default_factory=list)
-    #: of a key: its parts; (``number, line, parts``) of the keys in an object
-    parts: dict[str, list[float]] = field(default_factory=dict)
-    #: keys in it: object or frame number (what it does not know itself), line, parts
-    keys: list[tuple[str, int, dict[str, list[float]]]] = field(default_factory=list)
+    parts: _KeyValues = field(default_factory=dict)
+    keys: list[tuple[str, int, _KeyValues]] = field(default_factory=list)
 
 
 class _Reader(ContentHandler):
-    """Takes a file's elements one by one; what is not in the schema is refused where it stands."""
+    """Reads elements one by one; an element outside the schema is an error at its line."""
 
     def __init__(self, path: str) -> None:
         super().__init__()
         self._path = path
         self._locator: Any = None
         self._open: list[_Element] = []
-        self._clock: KeyframeTimeline | None = None
+        self._timeline: KeyframeTimeline | None = None
         self._root_line = 1
-        # object -> its keys: frame number, line, parts
-        self._keys: dict[str, list[tuple[int, int, dict[str, list[float]]]]] = {}
-        self._whole: set[str] = set()
+        # object -> its keys: frame number, line, values
+        self._keys: dict[str, list[tuple[int, int, _KeyValues]]] = {}
+        self._closed_objects: set[str] = set()
 
     @property
     def line(self) -> int:
@@ -356,7 +187,7 @@ class _Reader(ContentHandler):
         if not content.isspace():
             element = self._open[-1]
             if len(self._open) > 1 and (
-                element.name in _VECTORS or (*(e.name for e in self._open),) not in _SCHEMA
+                element.name in _PARTS or (*(e.name for e in self._open),) not in _SCHEMA
             ):
                 element.text.append(content)
             else:
@@ -367,63 +198,62 @@ class _Reader(ContentHandler):
     def endElement(self, name: str) -> None:
         element = self._open.pop()
         if not self._open:
-            self._clock = self._clock_of(element)
+            self._timeline = self._read_timeline(element)
             self._root_line = element.line
             return
         parent = self._open[-1]
-        if name in _VECTORS:
+        if name in _PARTS:
             if name in parent.parts:
                 raise self._error(f"<{name}> is here a second time", element.line)
             parent.parts[name] = self._vector(element)
         elif name in ("object", "frame"):
             if parent.name == "animation":
-                self._take(element)
+                self._add_keys(element)
             else:
-                # a key: it knows its own half, what it stands in knows the other
                 parent.keys.append((self._label(element), element.line, element.parts))
         else:
             parent.values[name] = "".join(element.text).strip()
 
     def keyframes(self) -> Keyframes:
-        """All that was read, checked against startframe and endframe."""
-        clock = self._clock
-        assert clock is not None
+        """The animation, with its keys checked against startframe and endframe."""
+        timeline = self._timeline
+        assert timeline is not None
         if not self._keys:
             raise self._error("the animation has no <object> with a <frame>", self._root_line)
         tracks = {}
         for name, keys in self._keys.items():
             last = None
             for number, line, _ in keys:
-                if not clock.start <= number <= clock.end:
+                if not timeline.start <= number <= timeline.end:
                     raise self._error(
-                        f"frame {number} of {name[:40]!r} lies outside startframe {clock.start} to "
-                        f"endframe {clock.end}",
+                        f"frame {number} of {name[:40]!r} lies outside startframe {timeline.start} to "
+                        f"endframe {timeline.end}",
                         line,
                     )
                 if last is not None and number <= last:
                     problem = "is here a second time" if number == last else f"comes after frame {last}"
                     raise self._error(f"frame {number} of {name[:40]!r} {problem}", line)
                 last = number
-            tracks[name] = _track(clock, [(number, parts) for number, _, parts in keys])
-        return Keyframes(clock, tracks, self._path)
+            tracks[name] = _track(timeline, [(number, parts) for number, _, parts in keys])
+        return Keyframes(timeline, tracks, self._path)
 
-    def _take(self, element: _Element) -> None:
-        """An object with its frames, or a frame with its objects."""
+    def _add_keys(self, element: _Element) -> None:
+        """Keys of an object with its frames, or of a frame with its objects."""
         label = self._label(element)
         if element.name == "frame":
             for name, line, parts in element.keys:
-                self._keys.setdefault(name, []).append((self._frame(label, element.line), line, parts))
+                self._keys.setdefault(name, []).append((self._frame_number(label, element.line), line, parts))
             return
-        if label in self._whole:
+        if label in self._closed_objects:
             raise self._error(f"the object {label[:40]!r} is here a second time", element.line)
         if not element.keys:
             raise self._error(f"the object {label[:40]!r} has no <frame>", element.line)
-        self._whole.add(label)
+        self._closed_objects.add(label)
         keys = self._keys.setdefault(label, [])
-        keys += [(self._frame(number, line), line, parts) for number, line, parts in element.keys]
+        keys += [(self._frame_number(number, line), line, parts) for number, line, parts in element.keys]
 
     def _label(self, element: _Element) -> str:
-        """The object's name or the frame's number."""
+        """Name of an object, or number of a frame."""
         return self._value(element, "name" if element.name == "object" else "number")
 
     def _value(self, element: _Element, key: str) -> str:
@@ -431,17 +261,19 @@ class _Reader(ContentHandler):
             raise self._error(f"<{element.name}> needs {key}=", element.line)
         return element.values[key]
 
-    def _frame(self, word: str, line: int, what: str = "number") -> int:
+    def _frame_number(self, word: str, line: int, key: str = "number") -> int:
         if not re.fullmatch("[+-]?[0-9]{1,10}", word) or abs(int(word)) > _MAX_FRAMES:
-            raise self._error(f"{what} is {word[:40]!r}: a whole number is needed", line)
+            raise self._error(f"{key} is {word[:40]!r}: a whole number is needed", line)
         return int(word)
 
-    def _clock_of(self, element: _Element) -> KeyframeTimeline:
+    def _read_timeline(self, element: _Element) -> KeyframeTimeline:
         line = element.line
-        start, end = (self._frame(self._value(element, key), line, key) for key in ("startframe", "endframe"))
+        start, end = (
+            self._frame_number(self._value(element, key), line, key) for key in ("startframe", "endframe")
+        )
         if end < start:
             raise self._error(f"endframe {end} comes before startframe {start}", line)
-        rate = _DEFAULT_RATE
+        rate = DEFAULT_RATE
         if "rate" in element.values:
             rate = self._number(element.values["rate"], "rate", line)
         if not 1e-3 <= rate <= 1e4:
@@ -449,7 +281,7 @@ class _Reader(ContentHandler):
         loop = element.values.get("loop", "none")
         if loop not in ("none", "repeat"):
             raise self._error(f"loop is {loop[:40]!r}: none or repeat", line)
-        return KeyframeTimeline(start, end, rate, cast(Loop, loop))
+        return KeyframeTimeline(start, end, rate, cast(KeyframeLoop, loop))
 
     def _vector(self, element: _Element) -> list[float]:
         line, text = element.line, "".join(element.text).split()
@@ -462,17 +294,17 @@ class _Reader(ContentHandler):
             self._number(word, f"{axis} of <{element.name}>", line)
             for axis, word in zip("xyz", words, strict=True)
         ]
-        if element.name == "size" and min(vector) < _SMALLEST_SIZE:
+        if element.name == "size" and min(vector) < SMALLEST_SIZE:
             raise self._error(f"a size must be above 0, not {min(vector):g}", line)
         return vector
 
-    def _number(self, word: str, what: str, line: int) -> float:
+    def _number(self, word: str, key: str, line: int) -> float:
         word = word.strip()
         if not _NUMBER.fullmatch(word):
-            raise self._error(f"{what} is {word[:40]!r}: a finite number is needed", line)
+            raise self._error(f"{key} is {word[:40]!r}: a finite number is needed", line)
         value = float(word)
         if not abs(value) <= _MAX:
-            raise self._error(f"{what} is {word[:40]}: more than {_MAX:g} is a mistake", line)
+            raise self._error(f"{key} is {word[:40]}: more than {_MAX:g} is a mistake", line)
         return value
 
     def _unknown(self, name: str, where: tuple[str, ...]) -> MotionError:
@@ -484,8 +316,8 @@ class _Reader(ContentHandler):
         return MotionError(message, path=self._path, line=self.line if line is None else line)
 
 
-def _track(clock: KeyframeTimeline, keys: list[tuple[int, dict[str, list[float]]]]) -> Track:
-    """What a key leaves out is as in the key before."""
+def _track(timeline: KeyframeTimeline, keys: list[tuple[int, _KeyValues]]) -> KeyframeTrack:
+    """Track of an object; a value that a key omits is that of the key before."""
     last = {part: [default] * 3 for part, default in _PARTS.items()}
     columns: dict[str, list[list[float]]] = {part: [] for part in _PARTS}
     for _, parts in keys:
@@ -493,4 +325,4 @@ def _track(clock: KeyframeTimeline, keys: list[tuple[int, dict[str, list[float]]
         for part, column in columns.items():
             column.append(last[part])
     arrays = [np.array(column, dtype=float) for column in columns.values()]
-    return Track(clock, np.array([number for number, _ in keys], dtype=float), *arrays)
+    return KeyframeTrack(timeline, np.array([number for number, _ in keys], dtype=float), *arrays)

@@ -15,7 +15,7 @@ from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.files import read_motion, split_name
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
-from humansim_ros.motion.keyframes import SPACE_JOINTS, Track, undo_keyframes
+from humansim_ros.motion.keyframe_tracks import SPACE_JOINTS, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion
@@ -68,7 +68,7 @@ class Actor:
     retargeter: Retargeter
     offset: float = 0.0
     ahead: float = 0.0
-    keyframes: Track | None = None
+    keyframes: KeyframeTrack | None = None
 
     @classmethod
     def build(
@@ -124,7 +124,7 @@ class Actor:
     def joint_poses(self, seconds: float) -> JointPoses:
         """The motion's joints at a time since the start of the scene: what the motion player publishes."""
         poses = self.motion.sample_with_velocities(seconds + self.offset, self.ahead)
-        return poses if self.keyframes is None else self.keyframes.carry(poses, seconds)
+        return poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
 
     def state(self, poses: JointPoses) -> HumanState:
         """The body at one instant, from joint poses with N = 1: what the skinner publishes."""
@@ -171,7 +171,7 @@ class Actor:
         """Frames (N, J, 4, 4) of the ground-truth joints, and how large the body is (N,)."""
         own, space = undo_keyframes(poses)
         joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own))
-        return (joints, np.ones(len(joints))) if space is None else (space.carry(joints), space.size)
+        return (joints, np.ones(len(joints))) if space is None else (space.to_map(joints), space.size)
 
 
 def _size(heads: Array, at_rest: Array, parents: NDArray[np.intp]) -> float:

@@ -19,7 +19,8 @@ from humansim_ros.io.files import resolve_relative
 from humansim_ros.mesh.load import read_mesh_z_up
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.joint_poses import Velocity
-from humansim_ros.motion.keyframes import Keyframes, Track, read_keyframes
+from humansim_ros.motion.keyframe_tracks import KeyframeTrack
+from humansim_ros.motion.keyframes import Keyframes, read_keyframes
 from humansim_ros.render import Body
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig
@@ -68,12 +69,12 @@ class SceneObject:
     color: tuple[int, int, int]
     mesh: Mesh
     stands: ObjectPose
-    keyframes: Track | None = None
+    keyframes: KeyframeTrack | None = None
     instance: int = 0
 
     @classmethod
     def build(
-        cls, name: str, config: ObjectConfig, scene: Path, keyframes: Track | None, instance: int
+        cls, name: str, config: ObjectConfig, scene: Path, keyframes: KeyframeTrack | None, instance: int
     ) -> SceneObject:
         """A thing of a scene file. Raises SceneError or MeshError naming what is wrong with it."""
         if config.mesh in SHAPES:
@@ -127,7 +128,7 @@ class SceneObject:
         return np.zeros(len(self.mesh.triangles), np.uint8)
 
 
-def load_tracks(config: SceneConfig, scene: Path) -> dict[tuple[str, str], Track]:
+def load_tracks(config: SceneConfig, scene: Path) -> dict[tuple[str, str], KeyframeTrack]:
     """The keyframes of a scene's people and things, by section ("humans", "objects") and name.
 
     Every file is read once. A HumansimWarning names what a file moves that is not in the scene. Raises

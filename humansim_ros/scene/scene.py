@@ -15,7 +15,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError
 from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.motion.keyframes import Track
+from humansim_ros.motion.keyframe_tracks import KeyframeTrack
 from humansim_ros.render import Body, GLRenderer, PyrenderRenderer, make_renderer
 from humansim_ros.resources import resource_path
 from humansim_ros.scene.actor import Actor
@@ -160,7 +160,9 @@ class Scene:
         return {name: thing for name, thing in self.objects.items() if thing.moves}
 
 
-def _actor(name: str, instance: int, config: HumanConfig, scene: Path, keyframes: Track | None) -> Actor:
+def _actor(
+    name: str, instance: int, config: HumanConfig, scene: Path, keyframes: KeyframeTrack | None
+) -> Actor:
     body = find_human(config.body, scene, f"humans.{name}.body")
     human = load_human(body, config.outfit, config.skinning)
     return replace(Actor.build(name, instance, human, config.motion, scene), keyframes=keyframes)
@@ -170,7 +172,7 @@ def _add_objects(
     objects: dict[str, SceneObject],
     configs: Mapping[str, ObjectConfig],
     scene: Path,
-    tracks: Mapping[tuple[str, str], Track],
+    tracks: Mapping[tuple[str, str], KeyframeTrack],
     actors: Mapping[str, Actor],
 ) -> None:
     """Build objects and put them to those that are there. Labels go on from those of humans and objects."""

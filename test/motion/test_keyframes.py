@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import HumansimWarning, MotionError, SceneError
-from humansim_ros.motion.keyframes import Keyframes, KeyframeTimeline, Track, read_keyframes, write_keyframes
+from humansim_ros.motion.keyframe_tracks import KeyframeTimeline, KeyframeTrack
+from humansim_ros.motion.keyframes import Keyframes, read_keyframes, write_keyframes
 from humansim_ros.scene import Actor, Scene
 
 GOOD = """\
@@ -127,7 +128,7 @@ numbers = st.floats(-1e6, 1e6)
 @st.composite
 def animations(draw: Any) -> Keyframes:
     start = draw(st.integers(-1000, 1000))
-    clock = KeyframeTimeline(
+    timeline = KeyframeTimeline(
         start,
         start + draw(st.integers(0, 2000)),
         draw(st.floats(1e-3, 1e4)),
@@ -141,12 +142,12 @@ def animations(draw: Any) -> Keyframes:
     )
     tracks = {}
     for key in draw(st.lists(name, min_size=1, max_size=3, unique=True)):
-        frames = sorted(draw(st.sets(st.integers(clock.start, clock.end), min_size=1, max_size=5)))
+        frames = sorted(draw(st.sets(st.integers(timeline.start, timeline.end), min_size=1, max_size=5)))
         rows = st.lists(numbers, min_size=3, max_size=3)
         sizes = st.lists(st.floats(1e-6, 1e6), min_size=3, max_size=3)
         columns = [[draw(kind) for _ in frames] for kind in (rows, rows, sizes)]
-        tracks[key] = Track(clock, np.array(frames, float), *(np.array(c, float) for c in columns))
-    return Keyframes(clock, tracks)
+        tracks[key] = KeyframeTrack(timeline, np.array(frames, float), *(np.array(c, float) for c in columns))
+    return Keyframes(timeline, tracks)
 
 
 @pytest.mark.slow
@@ -158,7 +159,7 @@ def test_what_is_written_is_read_back_exactly(
     path = tmp_path_factory.getbasetemp() / "round.xml"
     write_keyframes(path, keys)
     back = read_keyframes(path)
-    assert back.clock == keys.clock
+    assert back.timeline == keys.timeline
     assert list(back.tracks) == list(keys.tracks)
     for name, track in keys.tracks.items():
         for column in ("frames", "positions", "rotations", "sizes"):
@@ -179,15 +180,15 @@ def test_what_is_written_is_read_back_exactly(
 )
 def test_keys_that_cannot_be_are_refused(column: str, values: list[Any], message: str) -> None:
     good = {"frames": np.array([0.0, 9]), **{c: np.ones((2, 3)) for c in ("positions", "rotations", "sizes")}}
-    Track(KeyframeTimeline(0, 9), **good)
+    KeyframeTrack(KeyframeTimeline(0, 9), **good)
     with pytest.raises(MotionError, match=message):
-        Track(KeyframeTimeline(0, 9), **{**good, column: np.array(values, float)})
+        KeyframeTrack(KeyframeTimeline(0, 9), **{**good, column: np.array(values, float)})
 
 
 def test_a_name_that_xml_cannot_hold_is_not_written(tmp_path: Path) -> None:
-    track = Track(KeyframeTimeline(0, 9), np.zeros(1), *np.ones((3, 1, 3)))
+    track = KeyframeTrack(KeyframeTimeline(0, 9), np.zeros(1), *np.ones((3, 1, 3)))
     with pytest.raises(MotionError, match="cannot be a name"):
-        write_keyframes(tmp_path / "a.xml", Keyframes(track.clock, {"bell\a": track}))
+        write_keyframes(tmp_path / "a.xml", Keyframes(track.timeline, {"bell\a": track}))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -1,4 +1,4 @@
-"""Start every node of a scene: one motion_player, one skinner per human, cameras in a process per core."""
+"""Start all nodes of a scene: motion player, one skinner per human, camera processes."""
 
 from pathlib import Path
 
@@ -9,7 +9,7 @@ from launch_ros.actions import Node
 
 from humansim_ros.ros.processes import render_threads, scene_processes
 
-# launch/ and config/ lie side by side, in the checkout as in share/humansim_ros
+# launch/ and config/ are in one folder, in the checkout and in share/humansim_ros
 DEMO_SCENE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "demo.yaml"
 
 
@@ -21,7 +21,7 @@ def scene_nodes(context: LaunchContext) -> list[Node]:
         Node(
             package="humansim_ros",
             executable=process.executable,
-            # its name and parameters; as `parameters` a camera called off would become a boolean
+            # name and parameters; with `parameters`, a camera named off would become a boolean
             arguments=process.ros_arguments,
             additional_env=render_threads(processes),
             output="screen",
@@ -33,11 +33,11 @@ def scene_nodes(context: LaunchContext) -> list[Node]:
 def generate_launch_description() -> LaunchDescription:
     return LaunchDescription(
         [
-            DeclareLaunchArgument("scene", default_value=str(DEMO_SCENE), description="Path of a scene file"),
+            DeclareLaunchArgument("scene", default_value=str(DEMO_SCENE), description="Scene file"),
             DeclareLaunchArgument(
                 "processes",
                 default_value="",
-                description="Processes that share the cameras; empty: one per core",
+                description="Number of processes that share the cameras; empty: one per core",
             ),
             OpaqueFunction(function=scene_nodes),
         ]

@@ -1,4 +1,4 @@
-"""Boxes round humans and objects in an image: of what is seen of them, and of the whole body."""
+"""Bounding boxes of humans and objects in an image: of their visible pixels, and of the whole body."""
 
 from __future__ import annotations
 
@@ -18,14 +18,17 @@ from humansim_ros.types import Array
 
 @dataclass(frozen=True)
 class BodyBox:
-    """A human or labelled object in an image. Boxes are (4,): left, top, right, bottom, in pixels.
+    """Boxes of a human or labelled object in an image. A box is (4,): left, top, right, bottom, in pixels.
 
-    ``visible``: round the areas of the pixels that show it, so that one pixel (x, y) has the box x - 0.5, y -
-    0.5, x + 0.5, y + 0.5; NaN where none does. ``whole``: round the projection of the whole body, also
-    outside the image and behind other things; NaN where nothing of the body is before the camera.
-    ``truncation``: share of the whole box's area that is outside the image, 0 to 1; 1 where nothing of the
-    body is before the camera. ``visible_fraction``: pixels that show it, of those that would if nothing hid
-    it (of the image only); NaN where none would. ``pixels``: how many show it. ``kind``: what it is.
+    Attributes:
+        visible: Box of the visible pixels, areas included: one pixel (x, y) has x - 0.5, y - 0.5, x + 0.5,
+            y + 0.5. NaN without visible pixels.
+        whole: Box of the projection of the whole body, also outside the image and behind occluders. NaN if
+            nothing of the body is in front of the camera.
+        truncation: Share of the area of the whole box outside the image, 0 to 1; 1 if there is no whole box.
+        visible_fraction: Visible pixels as a share of the amodal mask; NaN if the mask is empty.
+        pixels: Number of visible pixels.
+        kind: Human or object.
     """
 
     visible: Array
@@ -37,8 +40,9 @@ class BodyBox:
 
 
 def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, BodyBox]:
-    """The boxes of every labelled body, by instance, seen by a camera whose ``view`` has instance labels and
-    amodal masks.
+    """Compute the boxes of all labelled bodies by instance label.
+
+    ``view`` must have the channels instance and amodal.
     """
     assert view.instance is not None and view.amodal is not None
     boxes = {}
@@ -46,13 +50,13 @@ def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, 
         if not body.instance:
             continue
         visible, pixels = _box_of(view.instance == body.instance)
-        there = np.count_nonzero(view.amodal[body.instance])
+        amodal = np.count_nonzero(view.amodal[body.instance])
         whole = whole_box(camera, body)
         boxes[body.instance] = BodyBox(
             visible,
             whole,
             truncation(whole, camera.size),
-            pixels / there if there else np.nan,
+            pixels / amodal if amodal else np.nan,
             pixels,
             body.kind,
         )
@@ -60,9 +64,10 @@ def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, 
 
 
 def whole_box(camera: Camera, body: Body) -> Array:
-    """(4,) left, top, right, bottom of the projection of all of a body that a camera could draw: what is not
-    too near (5 cm along its axis, 5 mm for wide fisheyes) and within what its lens sees. NaN where that is
-    nothing.
+    """Box (4,) of the projection of a whole body, also of its occluded parts; NaN if nothing is projected.
+
+    The body is cut at the near plane of the renderer (5 cm along the axis, 5 mm for wide fisheyes). Points
+    outside the field of view of the lens are left out.
     """
     points, plane = camera.to_optical(body.vertices), nearest(camera)
     near = points[:, 2] < plane
@@ -76,20 +81,20 @@ def whole_box(camera: Camera, body: Body) -> Array:
 
 
 def truncation(whole: Array, size: tuple[int, int]) -> float:
-    """Share of the area of a box that is outside an image of a size (width, height): what KITTI calls
-    truncated (Geiger et al. 2012: how far an object leaves the image's boundaries).
+    """Share of the area of a box outside an image of a size (width, height), as "truncated" in KITTI
+    [Geiger 2012].
     """
     if not np.isfinite(whole).all():
         return 1.0
     inside = np.clip(whole.reshape(2, 2), -0.5, np.array(size) - 0.5)
     sides = whole[2:] - whole[:2]
-    # of a side without length, none is lost
-    kept = np.divide(inside[1] - inside[0], sides, out=np.ones(2), where=sides > 0)
-    return float(np.clip(1 - kept.prod(), 0, 1))
+    # a side without length is not truncated
+    shares = np.divide(inside[1] - inside[0], sides, out=np.ones(2), where=sides > 0)
+    return float(np.clip(1 - shares.prod(), 0, 1))
 
 
 def _box_of(mask: NDArray[np.bool_]) -> tuple[Array, int]:
-    """(4,) box round the pixels of a mask (H, W), NaN where there are none; and how many there are."""
+    """Box (4,) and number of the pixels of a mask (H, W); the box is NaN without pixels."""
     image = mask.view(np.uint8)
     pixels = cv2.countNonZero(image)
     if not pixels:
@@ -99,7 +104,7 @@ def _box_of(mask: NDArray[np.bool_]) -> tuple[Array, int]:
 
 
 def _crossings(points: Array, triangles: NDArray[np.integer], plane: float) -> Array:
-    """(N, 3) where the edges of triangles pass through the plane z = ``plane``."""
+    """Intersections (N, 3) of the edges of triangles with the plane z = ``plane``."""
     edges, near = triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), points[:, 2] < plane
     a, b = points[edges[near[edges[:, 0]] != near[edges[:, 1]]].T]
     share = (plane - a[:, 2]) / (b[:, 2] - a[:, 2])

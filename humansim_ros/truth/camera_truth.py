@@ -30,10 +30,13 @@ class CameraTruth:
 
     Each property is computed from the view on first access, then cached.
 
-    ``camera``: with its pose at the stamp. ``view``: its channels. ``bodies``: all bodies at the stamp.
-    ``labels``: instance labels of humans and labelled objects by name. ``joint_surfaces``: by human, see
-    :func:`~humansim_ros.truth.joints.joint_surfaces`. ``joint_positions``: returns the joints (J, 3) of a
-    human in ``map``, metres.
+    Attributes:
+        camera: Camera with its pose at the stamp.
+        view: Channels of the camera.
+        bodies: All bodies at the stamp.
+        labels: Instance labels of humans and labelled objects, by name.
+        joint_surfaces: Part labels around joints by human, from :func:`~humansim_ros.truth.joint_surfaces`.
+        joint_positions: Returns the joints (J, 3) of a human in ``map``, metres.
     """
 
     camera: Camera

@@ -1,4 +1,4 @@
-"""What a camera can know of the joints: where they fall in the image and whether they can be seen."""
+"""Joints in an image: projection, visibility and occluders."""
 
 from __future__ import annotations
 
@@ -13,22 +13,24 @@ from humansim_ros.humans.human import Human
 from humansim_ros.render import View
 from humansim_ros.types import Array
 
-#: Visibility of a joint: outside the image (or behind the camera), hidden by something, or seen.
+#: Visibility of a joint: outside the image (or behind the camera), occluded, or visible.
 OUTSIDE, OCCLUDED, VISIBLE = 0, 1, 2
-#: What hides an occluded joint: another part of the same person, another person, or an object or the room.
+#: Occluder of a joint: none, another part of the same person, another person, an object or the room.
 NOTHING, SELF, PERSON, THING = 0, 1, 2, 3
 
 
 @dataclass(frozen=True)
 class JointView:
-    """Joints (J) as a camera sees them.
+    """Joints (J) of a human in the view of a camera.
 
-    ``optical``: (J, 3) in the optical frame, metres. ``pixels``: (J, 2), NaN behind the camera. ``visible``:
-    (J,) uint8: OUTSIDE, OCCLUDED or VISIBLE. ``occluder``: (J,) uint8, what hides an occluded joint: SELF,
-    PERSON or THING; else NOTHING. ``by``: (J,) uint16 instance label of the person or object that hides it
-    (its own where that is itself), 0 where that has none. ``behind``: (J,) float32 metres along z from the
-    first surface at the joint's pixel back to the joint; -inf where there is no surface, NaN outside the
-    image.
+    Attributes:
+        optical: Positions (J, 3) in the optical frame, metres.
+        pixels: Projections (J, 2); NaN behind the camera and outside the field of view of the lens.
+        visible: OUTSIDE, OCCLUDED or VISIBLE, (J,).
+        occluder: SELF, PERSON or THING of an occluded joint, else NOTHING, (J,).
+        by: Instance label of the occluder (J,), the human's own for SELF; 0 without label or occluder.
+        behind: Metres along z from the first surface at the joint's pixel to the joint, (J,); -inf without
+            surface, NaN outside the image.
     """
 
     optical: Array
@@ -47,31 +49,37 @@ def view_joints(
     surfaces: NDArray[np.bool_],
     objects: Collection[int] = (),
 ) -> JointView:
-    """Joints (J, 3) of the human labelled ``instance``, seen by a camera whose ``view`` has depth, instance
-    and part labels. ``objects``: which labels are those of objects.
+    """Compute visibility and occluders of the joints of a human.
 
-    Joints lie inside the body, so one counts as visible where the first surface at its pixel is skin around
-    that joint: ``surfaces`` (J, 256) says which part labels those are (:func:`joint_surfaces`). So does one
-    that nothing lies before: the end of a limb may lie beside the pixels of its skin.
+    A joint lies inside the body. It is visible if the first surface at its pixel is skin around that joint,
+    or if no surface is in front of it: the end of a limb may project beside the pixels of its skin.
+
+    Args:
+        camera: Camera of the view.
+        positions: Joints (J, 3) in ``map``, metres.
+        view: View with the channels depth, instance and part.
+        instance: Instance label of the human.
+        surfaces: Part labels (J, 256) that are skin around each joint, from :func:`joint_surfaces`.
+        objects: Instance labels of objects.
     """
     assert view.depth is not None and view.instance is not None and view.part is not None
     optical = camera.to_optical(positions)
     pixels, depth = camera.project_optical(optical)
     inside, row, column = nearest_pixels(pixels, camera.size)
-    with np.errstate(invalid="ignore"):  # joints that are nowhere
+    with np.errstate(invalid="ignore"):  # joints that are not finite
         behind = np.where(inside, depth - view.depth[row, column], np.nan)
     first = view.instance[row, column]
-    near = surfaces[np.arange(len(positions)), view.part[row, column]]
-    seen = ((first == instance) & near) | (behind <= 0)
+    own_skin = surfaces[np.arange(len(positions)), view.part[row, column]]
+    seen = ((first == instance) & own_skin) | (behind <= 0)
     visible = np.where(inside, np.where(seen, VISIBLE, OCCLUDED), OUTSIDE)
-    thing = np.isin(first, [0, *objects])
-    hider = np.where(thing, THING, np.where(first == instance, SELF, PERSON))
+    is_thing = np.isin(first, [0, *objects])
+    occluder = np.where(is_thing, THING, np.where(first == instance, SELF, PERSON))
     occluded = visible == OCCLUDED
     return JointView(
         optical,
         pixels,
         visible.astype(np.uint8),
-        np.where(occluded, hider, NOTHING).astype(np.uint8),
+        np.where(occluded, occluder, NOTHING).astype(np.uint8),
         np.where(occluded, first, 0).astype(np.uint16),
         behind.astype(np.float32),
     )
@@ -80,8 +88,10 @@ def view_joints(
 def nearest_pixels(
     pixels: Array, size: tuple[int, int]
 ) -> tuple[NDArray[np.bool_], NDArray[np.intp], NDArray[np.intp]]:
-    """Which of the points (N, 2) fall into an image of a size (width, height), and the row and column (N,) of
-    the pixel whose centre is nearest; 0, 0 for those that do not.
+    """Find the nearest pixels of points (N, 2) in an image of a size (width, height).
+
+    Returns:
+        Mask (N,) of the points inside the image, and row and column (N,) of their pixels; 0, 0 outside.
     """
     inside = np.all((pixels > -0.5) & (pixels < np.array(size) - 0.5), axis=-1)  # false for NaN
     column, row = np.where(inside[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(np.intp).T
@@ -89,10 +99,10 @@ def nearest_pixels(
 
 
 def joint_surfaces(human: Human) -> NDArray[np.bool_]:
-    """(J, 256) which part labels are skin around each ground-truth joint: of the bones that meet there."""
+    """Part labels (J, 256) that are skin around each joint: those of the bones that meet there."""
     skeleton = human.skeleton
-    with_surface = set((human.triangle_parts - 1).tolist())
-    neighbours: list[set[int]] = []
+    with_skin = set((human.triangle_parts - 1).tolist())
+    bones_of_joints: list[set[int]] = []
     for joint, bone in enumerate(skeleton.joint_bones):
         is_end = joint >= len(skeleton)
         meeting = {bone} if is_end else {bone, *_siblings(skeleton.parents, skeleton.heads, bone)}
@@ -100,12 +110,12 @@ def joint_surfaces(human: Human) -> NDArray[np.bool_]:
             meeting.add(int(skeleton.parents[bone]))
         if skeleton.parents[bone] < 0:
             meeting |= set(np.flatnonzero(skeleton.parents == bone).tolist())
-        # a connector bone has no skin: what it connects meets here instead
-        for bare in meeting - with_surface:
+        # a connector bone has no skin: the bones that it connects meet here
+        for bare in meeting - with_skin:
             meeting |= {int(skeleton.parents[bare]), *np.flatnonzero(skeleton.parents == bare).tolist()}
-        neighbours.append(meeting - {-1})
-    table = np.zeros((len(neighbours), 256), dtype=bool)
-    for joint, bones in enumerate(neighbours):
+        bones_of_joints.append(meeting - {-1})
+    table = np.zeros((len(bones_of_joints), 256), dtype=bool)
+    for joint, bones in enumerate(bones_of_joints):
         table[joint, [bone + 1 for bone in bones]] = True
     return table
 

@@ -95,6 +95,7 @@ class CameraNode(SceneNode):
             raise CameraError(error.message, path=error.path or url, line=error.line, key=error.key) from None
 
     def close(self) -> None:
+        """Free the renderer, unless it belongs to a rig."""
         if not self._in_rig:
             self._renderer.close()
 
@@ -148,6 +149,7 @@ class CameraNode(SceneNode):
 
 
 def main() -> int:
+    """Run the node; returns its exit code."""
     return run_node(CameraNode)
 
 

@@ -57,6 +57,7 @@ class CameraRigNode(SceneNode):
 
     @property
     def nodes(self) -> Sequence[SceneNode]:
+        """This node and its cameras."""
         return [self, *self.cameras]
 
     def publish_frame(self, state: SceneState) -> None:
@@ -70,6 +71,7 @@ class CameraRigNode(SceneNode):
         self.report_lateness(state.stamp)
 
     def close(self) -> None:
+        """Close all cameras and free the renderer."""
         for camera in self.cameras:
             camera.close()
             camera.destroy_node()
@@ -77,6 +79,7 @@ class CameraRigNode(SceneNode):
 
 
 def main() -> int:
+    """Run the node; returns its exit code."""
     return run_node(CameraRigNode)
 
 

@@ -224,6 +224,7 @@ class MotionPlayerNode(SceneNode):
 
 
 def main() -> int:
+    """Run the node; returns its exit code."""
     return run_node(MotionPlayerNode)
 
 

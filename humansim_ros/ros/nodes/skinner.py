@@ -121,6 +121,7 @@ class SkinnerNode(SceneNode):
 
 
 def main() -> int:
+    """Run the node; returns its exit code."""
     return run_node(SkinnerNode)
 
 

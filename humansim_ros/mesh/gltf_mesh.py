@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, vstack
 
 from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.io.srgb import encode_srgb
 from humansim_ros.mesh.atlas import PLAIN, atlas_mesh, plain_tile
 from humansim_ros.mesh.gltf_document import Gltf, Primitive
 from humansim_ros.mesh.gltf_material import read_image, read_material
@@ -93,10 +94,10 @@ def _material_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     material = read_material(gltf, pieces[0].material, has_uv=bool(coordinates))
     linear = np.concatenate([np.ones_like(p.vertices) if p.colors is None else p.colors for p in pieces])
     if not coordinates:  # the mean colour of a texture without texture coordinates
-        srgb = _srgb(linear) * texture.reshape(-1, 3).mean(axis=0)
+        srgb = encode_srgb(linear) * texture.reshape(-1, 3).mean(axis=0)
         return Mesh(vertices, faces, colors=np.rint(srgb).astype(np.uint8), material=material)
     uv = np.concatenate(coordinates) * [1, -1] + [0, 1]
-    colors = None if (linear == 1).all() else np.rint(255 * _srgb(linear)).astype(np.uint8)
+    colors = None if (linear == 1).all() else np.rint(255 * encode_srgb(linear)).astype(np.uint8)
     return Mesh(vertices, faces, uv, faces, colors, texture, material=material)
 
 
@@ -255,15 +256,10 @@ def _texture(gltf: Gltf, number: int | None) -> NDArray[np.uint8]:
     """Texture (H, W, 3) of a material times its colour; a small tile of the colour without a texture."""
     pbr = gltf.material(number).pbrMetallicRoughness
     factor = np.clip(np.array(pbr.baseColorFactor[:3]), 0.0, 1.0)
-    srgb = _srgb(factor)
+    srgb = encode_srgb(factor)
     image = None if pbr.baseColorTexture is None else read_image(gltf, pbr.baseColorTexture)
     if image is None:
         return plain_tile(srgb)
     if (factor < 1).any():
         image = np.rint(image * srgb).astype(np.uint8)
     return image
-
-
-def _srgb(linear: Array) -> Array:
-    """Encode linear light as sRGB, 0 to 1."""
-    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)

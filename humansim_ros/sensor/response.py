@@ -1,4 +1,4 @@
-"""Light to numbers and back: response curves, colour filters."""
+"""Response curves and colour filters."""
 
 from __future__ import annotations
 
@@ -8,43 +8,33 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.sensor.optics import Light
-from humansim_ros.types import Array
+from humansim_ros.io.srgb import encode_srgb
+from humansim_ros.types import Float32Array, Image
 
-#: The largest number of the converter behind the pixels.
+#: Largest value of the analog-to-digital converter.
 LEVELS = 65535
-#: Share of red, green and blue of linear sRGB in its luminance (IEC 61966-2-1, ITU-R BT.709).
+#: Weights of red, green and blue of linear sRGB in the luminance (IEC 61966-2-1, ITU-R BT.709).
 _LUMINANCE = np.array([[0.2126, 0.7152, 0.0722]], np.float32)
 
 
-def srgb_to_light(values: Array) -> Array:
-    """Linear light (0..1) of sRGB values (0..1) (IEC 61966-2-1)."""
-    return np.where(values <= 0.04045, values / 12.92, ((values + 0.055) / 1.055) ** 2.4)
-
-
-def light_to_srgb(light: Array) -> Array:
-    """sRGB values (0..1) of linear light (0..1) (IEC 61966-2-1)."""
-    return np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
-
-
-def response_table(response: str | float) -> NDArray[np.uint8]:
-    """What number (65536,) each level of the converter becomes."""
+def response_table(response: str | float) -> Image:
+    """8-bit value (65536,) of each level of the converter."""
     light = np.arange(LEVELS + 1) / LEVELS
     if response == "srgb":
-        values = light_to_srgb(light)
+        values = encode_srgb(light)
     else:
         values = light if response == "linear" else light ** (1 / float(response))
     return np.rint(255 * values).astype(np.uint8)
 
 
-def luminance(light: Light) -> Light:
+def luminance(light: Float32Array) -> Float32Array:
     """Luminance (H, W) of light (H, W, 3)."""
     return np.asarray(cv2.transform(light, _LUMINANCE), dtype=np.float32).reshape(light.shape[:2])
 
 
-def mosaic(picture: NDArray[Any]) -> NDArray[Any]:
-    """What (H, W) of a picture (H, W, 3) passes colour filters that begin red, green / green, blue."""
-    out = np.array(picture[..., 1], order="C")
-    out[0::2, 0::2] = picture[0::2, 0::2, 0]
-    out[1::2, 1::2] = picture[1::2, 1::2, 2]
+def bayer_mosaic(image: NDArray[Any]) -> NDArray[Any]:
+    """Samples (H, W) of an image (H, W, 3) behind a Bayer filter: red, green / green, blue."""
+    out = np.array(image[..., 1], order="C")
+    out[0::2, 0::2] = image[0::2, 0::2, 0]
+    out[1::2, 1::2] = image[1::2, 1::2, 2]
     return out

@@ -69,7 +69,8 @@ class Sensor:
         self.active = self._changes_light or bool(changed & {"encoding", "jpeg"})
         aberration = config.chromatic_aberration
         if aberration and max(abs(aberration.red), abs(aberration.blue)) > corner_distance(camera) / 2:
-            message = "is larger than half of the distance from the principal point to the image corner"
+            width, height = camera.size
+            message = f"shifts by more than half of the distance to the corner of {width}x{height} pixels"
             raise CameraError(message, key="sensor.chromatic_aberration")
 
     def times(self) -> Array:

@@ -1,4 +1,4 @@
-"""Bodies whose vertices we know: MakeHuman's, whatever their shape, size and pose."""
+"""Joints of MakeHuman bodies, recognised by their topology."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from humansim_ros.types import Array
 
 
 def known_joints(mesh: Mesh) -> dict[str, Array] | None:
-    """Joint centres (3,) in the mesh's own space, by the bone whose head they are, and ``<bone>_end`` of the
-    leaves; None if the mesh is no MakeHuman body.
+    """Joint centres (3,) in the space of the mesh, or None if the mesh is not a MakeHuman body.
 
-    It is one if its first 13380 vertices are joined by MakeHuman's faces (eyes, clothes and helpers may
-    follow). Each joint is a combination of skin vertices around it that holds for any shape and any pose of
-    the arms and legs (tools/assets/fit_joint_places.py).
+    Keys are the bone whose head the joint is, and ``<bone>_end`` for leaves. A mesh is a MakeHuman body if
+    its first 13380 vertices have the faces of MakeHuman (eyes, clothes and helpers may follow). Each joint is
+    a weighted mean of skin vertices around it, valid for every shape and every pose of the limbs
+    (tools/assets/fit_joint_places.py).
     """
-    known: dict[str, Any] = joint_file()["makehuman"]
-    count: int = known["vertices"]
+    table: dict[str, Any] = joint_file()["makehuman"]
+    count: int = table["vertices"]
     if len(mesh.vertices) < count:
         return None
-    own = mesh.faces[(mesh.faces < count).all(axis=1)]
-    if len(own) != known["quads"] or own.min() < 0 or topology(own) != known["faces"]:
+    body = mesh.faces[(mesh.faces < count).all(axis=1)]
+    if len(body) != table["quads"] or body.min() < 0 or topology(body) != table["faces"]:
         return None
     return {
         name: np.asarray(ring["shares"]) @ mesh.vertices[ring["vertices"]] / sum(ring["shares"])
-        for name, ring in known["joints"].items()
+        for name, ring in table["joints"].items()
     }
 
 
 def topology(faces: NDArray[np.integer]) -> str:
-    """Digest of quads (F, 4), whichever comes first and wherever each begins."""
+    """Digest of quads (F, 4), independent of their order and of their first corners."""
     start = np.argmin(faces, axis=1)
     order = (start[:, None] + np.arange(4)) % 4
     turned = np.take_along_axis(faces, order, axis=1).astype("<i4")

@@ -1,4 +1,4 @@
-"""Which way a mesh of a standing person is up and facing."""
+"""Up axis and facing direction of a mesh of a standing person."""
 
 from __future__ import annotations
 
@@ -10,25 +10,24 @@ from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
 
-#: Points that stand for a surface: mean distance 1 % of a person's height.
+#: Samples of a surface: their mean distance is 1 % of a person's height.
 _SAMPLES = 12_000
-#: Mirrored left-right a person is this many times more like itself than mirrored any other way.
-_CLEARLY = 1.6
-#: A standing person is this many times taller than deep at least.
+#: Least ratio of the mirror errors of another axis and of the left-right axis.
+_SYMMETRY = 1.6
+#: Least ratio of height to depth of a standing person.
 _SLENDER = 1.4
-#: Parts of the body, shares of its height: head and feet; shins; soles; the top of the head.
+#: Heights of body parts as shares of the body height: head and feet; shins; soles; top of the head.
 _END, _SHINS, _FEET, _CROWN = 0.12, (0.08, 0.16), 0.05, 0.06
 _POSE = "a mesh must hold one person, standing in a T or A pose"
 _AXES = {"x": 0, "y": 1, "z": 2}
 
 
 def body_from_file(mesh: Mesh, up: str | None = None, facing: str | None = None) -> Array:
-    """Rotation (3, 3), made of axis swaps, from the mesh's space to y up, facing +z, x to the left.
+    """Rotation (3, 3), a permutation of axes, from the space of the mesh to y up, facing +z, x to the left.
 
-    ``up``, ``facing``: the file's axes, such as ``z`` or ``-y``, where they are known. What is not given is
-    found: a person is symmetric left-right, taller than deep, has its head over its middle and its feet
-    beside it, and its toes ahead of its shins. Raises MeshError, which says what to give or do, where that
-    does not tell.
+    ``up``, ``facing``: axes of the file, such as ``z`` or ``-y``. Missing axes are detected: a person is
+    symmetric left-right, taller than deep, with the head over the middle, the feet beside the middle, and
+    the toes in front of the shins. Raises MeshError, which says how to solve it, if the detection fails.
     """
     upward, forward = _axis(up, "up"), _axis(facing, "facing")
     if upward is not None and forward is not None:
@@ -38,7 +37,7 @@ def body_from_file(mesh: Mesh, up: str | None = None, facing: str | None = None)
     points = surface_samples(mesh)
     extent = np.ptp(points, axis=0)
     if extent.min() <= 1e-6 * extent.max():
-        raise MeshError("the mesh is flat: it is no person")
+        raise MeshError("the mesh is flat, not a person")
     points = (points - (points.min(0) + points.max(0)) / 2) / extent.max()
     side = _side(points, upward, forward)
     rest = [axis for axis in range(3) if axis != side]
@@ -50,7 +49,7 @@ def body_from_file(mesh: Mesh, up: str | None = None, facing: str | None = None)
         tall = max(rest, key=lambda axis: extent[axis])
     deep = next(axis for axis in rest if axis != tall)
     if upward is None and forward is None and extent[tall] < _SLENDER * extent[deep]:
-        raise MeshError(f"the mesh is as deep as it is tall: {_POSE}, or say which axes are up and facing")
+        raise MeshError(f"the mesh is as deep as it is tall: {_POSE}, or give the up and facing axes")
     if upward is None:
         upward = np.eye(3)[tall] * _up_sign(points[:, tall], points[:, side])
     if forward is None:
@@ -70,11 +69,11 @@ def check_one_person(points: Array) -> None:
 
 
 def surface_samples(mesh: Mesh) -> Array:
-    """Points (P, 3) spread evenly over the surface, always the same ones. MeshError if it has no area."""
+    """Deterministic, evenly spread samples (P, 3) of the surface. Raises MeshError if it has no area."""
     corners = mesh.vertices[mesh.triangles]
     size = float(np.abs(corners).max())
     if not 0 < size < 1e100:
-        raise MeshError("the mesh is no larger than a point, or larger than numbers can say")
+        raise MeshError("the mesh has no size, or a size out of range")
     corners = corners / size
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     total = np.cumsum(area)
@@ -83,7 +82,7 @@ def surface_samples(mesh: Mesh) -> Array:
     step = np.arange(_SAMPLES)
     chosen = np.searchsorted(total, (step + 0.5) / _SAMPLES * total[-1])
     chosen = np.minimum(chosen, len(area) - 1)
-    # the R2 sequence (Roberts, 2018) fills triangles evenly
+    # R2 sequence [Roberts 2018]
     a, b = (0.5 + step * 0.7548776662466927) % 1, (0.5 + step * 0.5698402909980532) % 1
     over = a + b > 1
     a, b = np.where(over, 1 - a, a), np.where(over, 1 - b, b)
@@ -92,7 +91,7 @@ def surface_samples(mesh: Mesh) -> Array:
 
 
 def _axis(name: str | None, what: str) -> Array | None:
-    """The unit vector (3,) of an axis such as ``-y``."""
+    """Unit vector (3,) of an axis such as ``-y``."""
     if name is None:
         return None
     letter = name.strip().lower().lstrip("+-")
@@ -102,25 +101,22 @@ def _axis(name: str | None, what: str) -> Array | None:
 
 
 def _side(points: Array, upward: Array | None, forward: Array | None) -> int:
-    """The axis that the cloud is symmetric about, left-right."""
-    known = [axis for axis in (upward, forward) if axis is not None]
-    free = [axis for axis in range(3) if all(vector[axis] == 0 for vector in known)]
+    """Axis of the left-right symmetry of the points."""
+    given = [axis for axis in (upward, forward) if axis is not None]
+    free = [axis for axis in range(3) if all(vector[axis] == 0 for vector in given)]
     tree = cKDTree(points)
-    unlike = []
+    errors = []
     for axis in free:
         mirrored = points[::4] * np.where(np.arange(3) == axis, -1.0, 1.0)
-        unlike.append(float(tree.query(mirrored)[0].mean()))
-    order = np.argsort(unlike)
-    if len(free) > 1 and unlike[order[1]] < _CLEARLY * unlike[order[0]]:
-        raise MeshError(
-            "left and right, up and down, front and back cannot be told apart: "
-            f"{_POSE}, or say which axes are up and facing"
-        )
+        errors.append(float(tree.query(mirrored)[0].mean()))
+    order = np.argsort(errors)
+    if len(free) > 1 and errors[order[1]] < _SYMMETRY * errors[order[0]]:
+        raise MeshError(f"the axes of the body cannot be detected: {_POSE}, or give the up and facing axes")
     return free[int(order[0])]
 
 
 def _up_sign(high: Array, side: Array) -> float:
-    """1 if the head is where ``high`` is large: it is over the middle, the feet are beside it."""
+    """1 if the head is at the large values of ``high``: it is over the middle, the feet are beside it."""
     low, top = high.min(), high.max()
     reach = _END * (top - low)
     head, feet = np.abs(side[high > top - reach]), np.abs(side[high < low + reach])
@@ -130,24 +126,24 @@ def _up_sign(high: Array, side: Array) -> float:
     apart = (feet.mean() - head.mean()) / (0.04 * unit)
     between = ((head < 0.02 * unit).mean() - (feet < 0.02 * unit).mean()) / 0.15
     if abs(apart + between) < 0.3:
-        raise MeshError(f"head and feet cannot be told apart: {_POSE}, or say which axis is up")
+        raise MeshError(f"head and feet cannot be distinguished: {_POSE}, or give the up axis")
     return 1.0 if apart + between > 0 else -1.0
 
 
 def _forward_sign(high: Array, deep: Array) -> float:
-    """1 if the toes are where ``deep`` is large."""
+    """1 if the toes are at the large values of ``deep``."""
     share = (high - high.min()) / np.ptp(high)
     feet, shins = deep[share < _FEET], deep[(share > _SHINS[0]) & (share < _SHINS[1])]
     if not len(feet) or not len(shins):
         raise MeshError(f"no feet at the lower end of the mesh: {_POSE}")
     ahead, behind = feet.max() - shins.mean(), shins.mean() - feet.min()
     if abs(ahead - behind) < 0.1 * abs(ahead + behind):
-        raise MeshError("no toes tell where the mesh faces: say which axis it faces")
+        raise MeshError("the facing direction cannot be detected from the toes: give the facing axis")
     return 1.0 if ahead > behind else -1.0
 
 
 def used_vertices(mesh: Mesh) -> NDArray[np.float64]:
-    """Vertices (U, 3) that faces use: others are not seen and say nothing of the size."""
+    """Vertices (U, 3) that faces use; others do not count for the size."""
     used = np.zeros(len(mesh.vertices), dtype=bool)
     used[mesh.faces[mesh.faces >= 0]] = True
     return mesh.vertices[used]

@@ -1,4 +1,4 @@
-"""Automatic rigging: which bones a vertex follows (thesis S3, chapter 5)."""
+"""Automatic rigging: skinning weights from a mesh and a skeleton [thesis §5]."""
 
 from __future__ import annotations
 
@@ -16,23 +16,33 @@ from humansim_ros.rotations import angle_between
 from humansim_ros.types import Array
 
 RigRule = Literal["heat", "thesis", "thesis-printed"]
-#: Vertices whose angles to all bones are computed at once.
+#: Vertices per block in the computation of angles.
 _BLOCK = 16_384
 
 
 def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
-    """Skinning weights (V, B) of a mesh that stands in the skeleton's rest pose; rows sum to one.
+    """Compute skinning weights (V, B) of a mesh in the rest pose of a skeleton; rows sum to one.
 
-    ``rule``: ``heat`` lets warmth of the bones spread over the skin, smoothly, over at most four bones
-    (:mod:`humansim_ros.body.heat_weights`). ``thesis``: a vertex goes to the bone that it sees under
-    the largest angle head-vertex-tail; bones on the other side of the body do not count; near the bone's head
-    it is shared with the parent. The share is where the thesis disagrees with itself. Its pseudo-code gives
-    the bone ``angle / 60`` of the vertex, with the angle between (vertex - head) and (tail - head): zero for
-    a vertex out along the bone, so that finger tips would follow the forearm. Its text says the opposite
-    ("the weight factor is decreased for vertices with larger angle"), and its figures agree with the text:
-    ``thesis`` gives ``min(1, 60 / angle)``, and ``thesis-printed`` follows the pseudo-code to the letter.
+    ``rule``:
 
-    Raises MeshError if the skeleton has no bone for a side of the mesh, or for ``heat`` no human's bones.
+    - ``heat``: smooth weights of at most four bones (:mod:`humansim_ros.body.heat_weights`).
+    - ``thesis``: a vertex belongs to the bone with the largest angle head-vertex-tail. Bones of the other
+      side of the body do not count. Near the head of the bone it is shared with the parent: the weight of the
+      bone is ``min(1, 60 / angle)``, where ``angle`` is between (vertex - head) and (tail - head) in degrees.
+    - ``thesis-printed``: the same with ``angle / 60``, as the pseudo-code of [thesis §5] has it. It is zero
+      for vertices beyond the tail, so that finger tips would follow the forearm. Text and figures of the
+      thesis contradict the pseudo-code ("the weight factor is decreased for vertices with larger angle").
+
+    Raises:
+        MeshError: The skeleton has no bone on a side of the mesh, or for ``heat`` not the bones of a human.
+
+    Example:
+        >>> from humansim_ros import load_human
+        >>> from humansim_ros.resources import resource_path
+        >>> child = load_human(resource_path("assets/humans/child.npz"))
+        >>> weights = rig(child.mesh, child.skeleton, "thesis")
+        >>> weights.shape == (len(child.mesh.vertices), 22)
+        True
     """
     if rule == "heat":
         return heat_weights(mesh, skeleton)
@@ -53,8 +63,8 @@ def rig(mesh: Mesh, skeleton: Skeleton, rule: RigRule = "heat") -> csr_matrix:
 
 
 def _by_angle(vertices: Array, skeleton: Skeleton, printed: bool) -> tuple[NDArray[np.intp], Array]:
-    """The bone (V,) that each vertex sees under the largest angle, and its weight (V,)."""
-    angles = _angle_seen(vertices, skeleton)
+    """Bone (V,) with the largest angle head-vertex-tail, and its weight (V,)."""
+    angles = _viewing_angles(vertices, skeleton)
     sides = np.array([side_of(name) for name in skeleton.names])
     angles[sides[None, :] * np.sign(vertices[:, :1]) < 0] = -1.0
     best = np.argmax(angles, axis=1)
@@ -66,20 +76,18 @@ def _by_angle(vertices: Array, skeleton: Skeleton, printed: bool) -> tuple[NDArr
 
 
 def dominant_bones(weights: csr_matrix) -> NDArray[np.intp]:
-    """(V,) the bone each vertex follows most."""
+    """Bone (V,) with the largest weight of each vertex."""
     return np.asarray(weights.argmax(axis=1)).ravel().astype(np.intp)
 
 
 def triangle_parts(triangles: NDArray[np.integer], weights: csr_matrix) -> NDArray[np.uint8]:
-    """(N,) the bone each triangle follows most, by the sum of its corners' weights: its body part label less
-    one.
-    """
+    """Bone (N,) with the largest weight of each triangle, summed over its corners: its part label minus 1."""
     total = weights[triangles[:, 0]] + weights[triangles[:, 1]] + weights[triangles[:, 2]]
     return np.asarray(total.argmax(axis=1)).ravel().astype(np.uint8)
 
 
-def _angle_seen(vertices: Array, skeleton: Skeleton) -> Array:
-    """(V, B) angle head-vertex-tail at the vertex, radians."""
+def _viewing_angles(vertices: Array, skeleton: Skeleton) -> Array:
+    """Angles (V, B) head-vertex-tail at the vertices, radians."""
     to_head = skeleton.heads[None] - vertices[:, None]
     to_tail = skeleton.tails[None] - vertices[:, None]
     return angle_between(to_head, to_tail)

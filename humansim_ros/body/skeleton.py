@@ -1,6 +1,4 @@
-"""Skeletons of bones: rest pose, forward kinematics and the general H-Anim skeleton of the thesis (table
-4.1).
-"""
+"""Skeletons: rest pose, forward kinematics, and the general H-Anim skeleton [thesis table 4.1]."""
 
 from __future__ import annotations
 
@@ -21,8 +19,8 @@ class Skeleton:
     """Bones in body space (metres, y up, faces +z, +x is the person's left), parents before children.
 
     ``names``: B names. ``parents``: (B,) parent index or -1. ``heads``, ``tails``: (B, 3). ``rolls``: (B,)
-    radians, the turn of the bone's frame about its own y axis, as in Blender. Raises MeshError if these do
-    not make a tree.
+    radians, rotation of the bone frame about its y axis, as in Blender. Raises MeshError if they are not a
+    tree.
     """
 
     names: tuple[str, ...]
@@ -51,7 +49,7 @@ class Skeleton:
         return len(self.names)
 
     def bone(self, name: str) -> int:
-        """Index of a bone; MeshError if there is none of that name."""
+        """Index of a bone. Raises MeshError for an unknown name."""
         try:
             return self.names.index(name)
         except ValueError:
@@ -64,7 +62,7 @@ class Skeleton:
 
     @cached_property
     def rest(self) -> Array:
-        """Bone frames at rest (B, 4, 4) in body space: origin at the head, y along the bone (thesis 9.5).
+        """Bone frames at rest (B, 4, 4) in body space: origin at the head, y along the bone [thesis §9.5].
 
         With roll 0 the frame is the shortest rotation from +y to the bone, as Blender's
         ``bone.matrix_local``.
@@ -89,9 +87,9 @@ class Skeleton:
     def pose(self, rotations: NDArray[np.float64], root: NDArray[np.float64] | None = None) -> Array:
         """Posed bone frames (..., B, 4, 4).
 
-        ``rotations``: (..., B, 4) quaternions xyzw in bone space; ``root``: (..., 4, 4) transform put in
-        front of everything (identity: body space; give world-from-body to get world frames).
-        ``pose[b] = pose[parent] rest[parent]^-1 rest[b] R(q_b)`` (thesis 9.5, Blender's armature).
+        ``rotations``: (..., B, 4) quaternions xyzw in bone space. ``root``: (..., 4, 4) transform of body
+        space, such as world-from-body; identity if absent.
+        ``pose[b] = pose[parent] rest[parent]^-1 rest[b] R(q_b)`` [thesis §9.5], as Blender's armatures.
         """
         local = self.rest_in_parent @ transform(quaternion_to_matrix(rotations), np.zeros(3))
         first, *rest = self.levels
@@ -110,24 +108,22 @@ class Skeleton:
 
     @cached_property
     def levels(self) -> tuple[NDArray[np.intp], ...]:
-        """Bones by their depth in the tree, roots first."""
+        """Bones by depth in the tree, roots first."""
         return levels(self.parents)
 
     @cached_property
     def leaves(self) -> tuple[int, ...]:
-        """Bones without children, whose tails are joints too (top of the head, finger tips, toes)."""
+        """Bones without children. Their tails are joints too (top of the head, finger tips, toes)."""
         return tuple(sorted(set(range(len(self))) - {int(p) for p in self.parents}))
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """The J ground-truth joints: every bone's head under the bone's name, then ``<bone>_end`` of the
-        leaves.
-        """
+        """Names of the J ground-truth joints: heads of all bones, then ``<bone>_end`` of the leaves."""
         return (*self.names, *(f"{self.names[bone]}_end" for bone in self.leaves))
 
     @property
     def joint_bones(self) -> tuple[int, ...]:
-        """The bone that each of :attr:`joint_names` belongs to."""
+        """Bone of each of :attr:`joint_names`."""
         return (*range(len(self)), *self.leaves)
 
     def joint_transforms(self, posed: Array) -> Array:
@@ -139,7 +135,7 @@ class Skeleton:
 
 
 def side_of(name: str) -> int:
-    """Side of the body that a bone or joint belongs to by its H-Anim name: 1 left, -1 right, 0 neither."""
+    """Side of the body of a bone or joint by its H-Anim name: 1 left, -1 right, 0 neither."""
     if name.startswith("l_") or "_l_" in name:
         return 1
     return -1 if name.startswith("r_") or "_r_" in name else 0
@@ -162,12 +158,19 @@ _LEFT = (
     ("l_elbow", (0.410, 1.379, -0.062), (0.659, 1.393, -0.052), "l_shoulder"),
     ("l_wrist", (0.659, 1.393, -0.052), (0.840, 1.391, -0.042), "l_elbow"),
 )
-#: The table is not quite symmetric: the right collar joint stands elsewhere.
+#: The right collar joint of the table is not the mirror image of the left one.
 _RIGHT_COLLAR = (-0.0694, 1.4600, -0.0330)
 
 
 def hanim_skeleton() -> Skeleton:
-    """The general skeleton of 22 bones, T pose (thesis table 4.1, with the shoulders' parents corrected)."""
+    """Create the general skeleton of 22 bones in T pose [thesis table 4.1], with the shoulders' parents
+    corrected.
+
+    Example:
+        >>> skeleton = hanim_skeleton()
+        >>> len(skeleton), skeleton.names[0]
+        (22, 'HumanoidRoot')
+    """
 
     def mirrored(point: tuple[float, float, float]) -> tuple[float, float, float]:
         return (-point[0], point[1], point[2])

@@ -1,6 +1,6 @@
-"""Skinning: vertices follow their bones, linearly (thesis S13, section 9.6) or by dual quaternions.
+"""Skinning: linear blending [thesis §9.6] and dual quaternions [Kavan 2008].
 
-Both ways are called alike, see :class:`SkinningFunction`; docs/skinning.md compares them.
+Both methods are a :class:`SkinningFunction`; docs/skinning.md compares them.
 """
 
 from __future__ import annotations
@@ -17,46 +17,71 @@ from humansim_ros.mesh.skinned import normalise_weights
 from humansim_ros.rotations import cross, matrix_to_quaternion
 from humansim_ros.types import Array, FloatArray
 
-#: Frames that one sparse product takes: more gain nothing and need memory.
+#: Frames in one sparse product; more frames need memory and are not faster.
 _FRAMES_AT_ONCE = 16
-#: How far a rotation may be from one, as R^T R - 1.
+#: Tolerance of R^T R - 1 for rotations.
 _RIGID = 1e-4
 
 
 class SkinningFunction(Protocol):
-    """The skin of one body."""
+    """Function that moves the vertices of one mesh with its bones."""
 
     def __call__(self, transforms: FloatArray) -> FloatArray:
-        """Posed vertices (..., V, 3) from rest-to-posed transforms (..., B, 4, 4), as precise as the skinner.
+        """Posed vertices (..., V, 3) from rest-to-posed transforms (..., B, 4, 4), in its precision.
 
-        Raises MeshError on transforms of another shape, that are not finite, or that cannot be blended.
+        Raises MeshError for transforms with a wrong shape, that are not finite, or that cannot be blended.
         """
 
     def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
-        """Unit directions (..., V, 3) at the vertices, carried along by the bones from ``rest`` (V, 3).
+        """Unit directions (..., V, 3) at the vertices, rotated with the bones from ``rest`` (V, 3).
 
-        Normals and tangents, quickly: those of the bent surface differ somewhat near joints
-        (docs/skinning.md); :class:`humansim_ros.mesh.normals.SurfaceNormals` works them out anew.
+        A fast approximation of normals and tangents; near joints those of the deformed surface differ
+        (docs/skinning.md). :class:`humansim_ros.mesh.normals.SurfaceNormals` computes exact normals.
         """
 
 
 def make_skinner(
     method: str, vertices: FloatArray, weights: csr_matrix, dtype: type[np.floating] = np.float32
 ) -> SkinningFunction:
-    """The skin of a body: ``method`` "linear" or "dual_quaternion", vertices (V, 3), weights (V, B).
+    """Create the skinning function of a mesh.
 
-    Raises MeshError on another method, and on shapes and weights that cannot be.
+    Args:
+        method: ``linear`` or ``dual_quaternion``.
+        vertices: Vertices at rest, (V, 3).
+        weights: Sparse weights (V, B); rows are scaled to sum one.
+        dtype: Precision of the results.
+
+    Raises:
+        MeshError: Unknown method, or wrong shapes or weights.
     """
     if method not in SKINNERS:
-        raise MeshError(f"{method[:30]!r} is no way of skinning; there are {', '.join(SKINNERS)}")
+        raise MeshError(f"{method[:30]!r} is not a skinning method; methods are {', '.join(SKINNERS)}")
     return SKINNERS[method](vertices, weights, dtype)
 
 
 def skin(vertices: FloatArray, weights: csr_matrix, transforms: FloatArray, method: str = "linear") -> Array:
-    """Posed vertices (..., V, 3) in double precision, by a :class:`SkinningFunction` for once.
+    """Skin a mesh once, in double precision. :func:`make_skinner` is faster for many calls.
 
-    ``vertices``: (V, 3) at rest. ``weights``: (V, B) sparse. ``transforms``: (..., B, 4, 4) from rest to
-    posed, that is ``pose[b] rest[b]^-1``. Raises MeshError as :func:`make_skinner` and the skinner do.
+    Args:
+        vertices: Vertices at rest, (V, 3).
+        weights: Sparse weights (V, B).
+        transforms: Rest-to-posed transforms of the bones, (..., B, 4, 4): ``pose[b] rest[b]^-1``.
+        method: ``linear`` or ``dual_quaternion``.
+
+    Returns:
+        Posed vertices, (..., V, 3).
+
+    Raises:
+        MeshError: Wrong shapes, weights or transforms, or an unknown method.
+
+    Example:
+        >>> import numpy as np
+        >>> from scipy.sparse import csr_matrix
+        >>> up = np.eye(4)
+        >>> up[1, 3] = 2.0
+        >>> weights = csr_matrix([[0.5, 0.5]])
+        >>> skin(np.zeros((1, 3)), weights, np.stack([np.eye(4), up])).tolist()
+        [[0.0, 1.0, 0.0]]
     """
     vertices, transforms = np.asarray(vertices), np.asarray(transforms)
     bones = transforms.shape[-3] if transforms.ndim >= 3 else 0
@@ -71,9 +96,9 @@ def skin(vertices: FloatArray, weights: csr_matrix, transforms: FloatArray, meth
 class LinearBlend:
     """Linear blend skinning: ``v' = sum_b w_b T_b v`` (Blender's armature modifier).
 
-    Every vertex is a fixed linear function of the bones' matrices: ``v'_i = sum_b T_b[:3] (w_ib [v_i, 1])``,
-    so that frames are one product of a sparse (V, 4 B) matrix, made once, with the bones' stacked (4 B, 3)
-    matrices. T may be any affine transforms.
+    Each vertex is a linear function of the bone matrices: ``v'_i = sum_b T_b[:3] (w_ib [v_i, 1])``. So frames
+    are one product of a sparse (V, 4 B) matrix, computed once, with the stacked bone matrices (4 B, 3). T may
+    be any affine transform.
     """
 
     matrix: csr_matrix
@@ -111,7 +136,7 @@ class LinearBlend:
         x, y, z = _checked_directions(rest, self.weights)
         out = np.empty((len(batch), len(x), 3), dtype=self.weights.dtype)
         for frame, one in zip(out, batch.astype(out.dtype), strict=True):
-            # columns of the matrices first: coordinates that lie together in memory are quick to work on
+            # matrix components first: contiguous components are faster
             m = np.ascontiguousarray((self.weights @ one[:, :3, :3].reshape(-1, 9)).T)
             carried = [m[3 * i] * x + m[3 * i + 1] * y + m[3 * i + 2] * z for i in range(3)]
             length = np.sqrt(carried[0] ** 2 + carried[1] ** 2 + carried[2] ** 2)
@@ -123,11 +148,10 @@ class LinearBlend:
 
 @dataclass(frozen=True, init=False)
 class DualQuaternion:
-    """Dual quaternion linear blending (Kavan et al., Geometric skinning with approximate dual quaternion
-    blending, 2008): every vertex moves rigidly, so that bent and twisted limbs keep their thickness.
+    """Dual quaternion linear blending [Kavan 2008]: bent and twisted limbs keep their thickness.
 
-    T must be rigid motions, but for one size that all bones share in a frame. Of the two quaternions of each
-    bone, a vertex takes the one on the side of its heaviest bone (the first of equals).
+    T must be rigid, up to one scale that all bones of a frame share. Of the two quaternions q and -q of each
+    bone, a vertex takes the one on the side of the bone with its largest weight (the first of equals).
     """
 
     vertices: FloatArray
@@ -147,12 +171,12 @@ class DualQuaternion:
         rows = np.repeat(np.arange(len(counts)), counts)
         heaviest_first = np.lexsort((normalised.indices, -normalised.data, rows))
         pivots = columns[heaviest_first[normalised.indptr[:-1]]]
-        kept = csr_matrix(
+        columns_in_use = csr_matrix(
             (normalised.data.astype(dtype), columns.astype(np.int32), normalised.indptr),
             shape=(len(vertices), len(used)),
         )
         object.__setattr__(self, "vertices", np.ascontiguousarray(vertices.T, dtype=dtype))
-        object.__setattr__(self, "weights", kept)
+        object.__setattr__(self, "weights", columns_in_use)
         object.__setattr__(self, "used", used)
         object.__setattr__(self, "bones", normalised.shape[1])
         object.__setattr__(self, "pairs", pivots[rows] * len(used) + columns)
@@ -162,10 +186,10 @@ class DualQuaternion:
         batch, shape = _checked_transforms(transforms, self.bones)
         out = np.empty((len(batch), self.vertices.shape[1], 3), dtype=self.vertices.dtype)
         quaternions, translations, sizes = self._rigid(batch)
-        # what all bones move by is added last: small numbers are precise numbers
+        # the mean translation is added last, for precision in single floats
         middle = translations.mean(axis=1)
         duals = _dual_parts(quaternions, translations - middle[:, None])
-        for frame, q, dual, size, way in zip(out, quaternions, duals, sizes, middle, strict=True):
+        for frame, q, dual, size, shift in zip(out, quaternions, duals, sizes, middle, strict=True):
             blend = self._blend(np.concatenate([q, dual], axis=1))
             d, w, e, f = blend[:3], blend[3], blend[4:7], blend[7]
             v = self.vertices if size == 1 else self.vertices * self.vertices.dtype.type(size)
@@ -176,7 +200,7 @@ class DualQuaternion:
             moved *= 2 / (d[0] * d[0] + d[1] * d[1] + d[2] * d[2] + w * w)
             moved += v
             for i in range(3):
-                np.add(moved[i], way[i], out=frame[:, i], casting="same_kind")
+                np.add(moved[i], shift[i], out=frame[:, i], casting="same_kind")
         return out.reshape(*shape, *out.shape[1:])
 
     def directions(self, transforms: FloatArray, rest: FloatArray) -> FloatArray:
@@ -195,7 +219,7 @@ class DualQuaternion:
         return out.reshape(*shape, *out.shape[1:])
 
     def _blend(self, quaternions: Array) -> FloatArray:
-        """Weighted sums (Q, V) of what (B, Q) begins with the bones' quaternions, their signs made alike."""
+        """Weighted sums (Q, V) of (B, Q), whose first columns are quaternions, with consistent signs."""
         q = quaternions[:, :4]
         signs = np.where(q @ q.T < 0, -1, 1).astype(self.weights.dtype)
         weights = self.weights
@@ -206,7 +230,7 @@ class DualQuaternion:
         return blended
 
     def _rigid(self, batch: Array) -> tuple[Array, Array, Array]:
-        """Quaternions (F, B, 4), translations (F, B, 3) and sizes (F,) of the bones in use."""
+        """Quaternions (F, B, 4), translations (F, B, 3) and scales (F,) of the bones in use."""
         linear = batch[:, self.used, :3, :3]
         sizes = np.cbrt(np.linalg.det(linear))
         size = sizes[:, :1]
@@ -216,10 +240,10 @@ class DualQuaternion:
         rigid = (off < _RIGID) & (sizes > 0)
         if not rigid.all():
             frame, bone = np.argwhere(~rigid)[0]
-            what = "mirrors" if sizes[frame, bone] < 0 else "stretches, shears or is of another size"
+            what = "mirrors" if sizes[frame, bone] < 0 else "stretches, shears or has another scale"
             raise MeshError(
                 f"the transform of bone {self.used[bone]} {what}: dual quaternions blend rigid motions "
-                "and one size of the whole body; use linear skinning"
+                "with one scale for all bones; use linear skinning"
             )
         one = np.where(np.abs(size - 1) < 1e-9, 1.0, size)
         return matrix_to_quaternion(rotations), batch[:, self.used][..., :3, 3], one[:, 0]
@@ -243,7 +267,7 @@ def _checked_body(vertices: FloatArray, weights: csr_matrix) -> tuple[Array, csr
 
 
 def _checked_transforms(transforms: FloatArray, bones: int) -> tuple[Array, tuple[int, ...]]:
-    """The transforms as (F, B, 4, 4), and the shape that the F frames had."""
+    """Reshape transforms to (F, B, 4, 4); also return the original shape of the F frames."""
     given: Array = np.asarray(transforms, dtype=float)
     if given.ndim < 3 or given.shape[-3:] != (bones, 4, 4):
         raise MeshError(f"transforms of shape {given.shape} do not fit {bones} bones: (..., {bones}, 4, 4)")
@@ -258,7 +282,7 @@ def _checked_transforms(transforms: FloatArray, bones: int) -> tuple[Array, tupl
 
 
 def _checked_directions(rest: FloatArray, weights: csr_matrix) -> FloatArray:
-    """Coordinates (3, V), each together in memory."""
+    """Check directions (V, 3), and return them as contiguous components (3, V)."""
     rest = np.asarray(rest)
     if rest.shape != (weights.shape[0], 3):
         raise MeshError(f"directions of shape {rest.shape} do not fit {weights.shape[0]} vertices")
@@ -266,12 +290,12 @@ def _checked_directions(rest: FloatArray, weights: csr_matrix) -> FloatArray:
 
 
 def _points(array: FloatArray) -> NDArray[Any]:
-    """(...,) of an array (..., 3), each point one item: copied three times as fast."""
+    """View of an array (..., 3) with one item per point, which copies three times as fast."""
     return array.view(f"V{3 * array.itemsize}")[..., 0]
 
 
 def _dual_parts(quaternions: Array, translations: Array) -> Array:
-    """(..., 4) xyzw: half the product of translations (..., 3) and quaternions (..., 4)."""
+    """Dual parts (..., 4) xyzw: half the product of translations (..., 3) and quaternions (..., 4)."""
     vector, scalar = quaternions[..., :3], quaternions[..., 3:]
     out = np.empty_like(quaternions)
     out[..., :3] = scalar * translations + np.cross(translations, vector)

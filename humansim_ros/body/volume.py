@@ -1,4 +1,4 @@
-"""The inside of a mesh as small cubes: sound for open, torn and many-piece surfaces."""
+"""Voxels of the inside of a mesh; robust for open surfaces and surfaces in many pieces."""
 
 from __future__ import annotations
 
@@ -12,75 +12,77 @@ from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
 
-#: Cubes at most; a person of 160 cubes' height has a twentieth of it.
-_MAX_CUBES = 20_000_000
-#: Sides of six to which the inside sees the surface.
+#: Limit for all voxels; a person of 160 voxels' height has a twentieth of it.
+_MAX_VOXELS = 20_000_000
+#: Directions out of six in which an inner voxel must have surface.
 _SIDES = 5
 
 
 @dataclass(frozen=True)
 class Volume:
-    """``filled``: (X, Y, Z) whether a cube is inside or holds surface. ``origin``: (3,) centre of cube 0 0 0;
-    ``spacing``: edge of the cubes.
+    """Voxel grid of a solid.
+
+    ``filled``: (X, Y, Z) whether a voxel is inside or contains surface. ``origin``: (3,) centre of voxel
+    0 0 0. ``spacing``: edge length of a voxel.
     """
 
     filled: NDArray[np.bool_]
     origin: Array
     spacing: float
 
-    def centres(self, cubes: NDArray[np.integer]) -> Array:
-        """Points (N, 3) at the centres of cubes (N, 3)."""
-        return np.asarray(self.origin + self.spacing * cubes)
+    def centres(self, voxels: NDArray[np.integer]) -> Array:
+        """Centres (N, 3) of voxels (N, 3)."""
+        return np.asarray(self.origin + self.spacing * voxels)
 
-    def cube_of(self, points: Array) -> NDArray[np.intp]:
-        """The cubes (N, 3) that points (N, 3) lie in, or the nearest ones at the border."""
-        cubes = np.rint((points - self.origin) / self.spacing).astype(np.intp)
-        return np.clip(cubes, 0, np.array(self.filled.shape) - 1)
+    def voxel_of(self, points: Array) -> NDArray[np.intp]:
+        """Voxels (N, 3) that contain points (N, 3), or the nearest voxels of the grid."""
+        voxels = np.rint((points - self.origin) / self.spacing).astype(np.intp)
+        return np.clip(voxels, 0, np.array(self.filled.shape) - 1)
 
 
 def solid(mesh: Mesh, spacing: float) -> Volume:
-    """The inside of a mesh, in cubes of edge ``spacing``.
+    """Fill a mesh with voxels of edge length ``spacing``.
 
-    A cube is inside if the surface encloses it in a slice along one of the axes at least, and if it sees
-    surface to five sides of six at least: a hole (an open neck, a sleeve without a hand) does not empty the
-    body. Raises MeshError if there would be too many cubes.
+    A voxel is inside if the surface encloses it in a slice across at least one axis, and if there is surface
+    in at least five of the six axis directions. So holes (an open neck, an empty sleeve) do not empty the
+    body. Raises MeshError if there would be too many voxels.
     """
     points = surface_points(mesh, 0.7 * spacing)
-    low = spacing * (np.floor(points.min(0) / spacing) - 2)  # cubes lie alike left and right
+    low = spacing * (np.floor(points.min(0) / spacing) - 2)  # same grid left and right
     shape = np.ceil((points.max(0) - low) / spacing).astype(np.int64) + 3
-    if np.prod(shape.astype(float)) > _MAX_CUBES:
+    if np.prod(shape.astype(float)) > _MAX_VOXELS:
         raise MeshError("the mesh is far wider or deeper than a person of its height")
     surface = np.zeros(tuple(shape), dtype=bool)
     surface[tuple(np.rint((points - low) / spacing).astype(np.intp).T)] = True
-    seen, enclosed = np.zeros(surface.shape, dtype=np.uint8), np.zeros(surface.shape, dtype=bool)
+    sides, enclosed = np.zeros(surface.shape, dtype=np.uint8), np.zeros(surface.shape, dtype=bool)
     for axis in range(3):
-        seen += np.logical_or.accumulate(surface, axis=axis)
-        seen += np.flip(np.logical_or.accumulate(np.flip(surface, axis), axis=axis), axis)
+        sides += np.logical_or.accumulate(surface, axis=axis)
+        sides += np.flip(np.logical_or.accumulate(np.flip(surface, axis), axis=axis), axis)
         enclosed |= _enclosed(surface, axis)
-    return Volume(surface | (enclosed & (seen >= _SIDES)), low, spacing)
+    return Volume(surface | (enclosed & (sides >= _SIDES)), low, spacing)
 
 
 def _enclosed(surface: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
-    """The cubes that cannot be reached from the border within slices across an axis."""
+    """Voxels that cannot be reached from the border within slices across an axis."""
     neighbours = np.array(ndimage.generate_binary_structure(3, 1))
     index = [slice(None)] * 3
     for side in (0, 2):
         index[axis] = slice(side, side + 1)
         neighbours[tuple(index)] = False
-    # the border is empty all round, so all that is outside a slice has the number of its corner
-    number, _ = ndimage.label(~surface, structure=neighbours)
+    # the border is empty, so the outside of a slice has the label of its corner
+    label, _ = ndimage.label(~surface, structure=neighbours)
     corner = [slice(0, 1)] * 3
     corner[axis] = slice(None)
-    return np.asarray(~surface & (number != number[tuple(corner)]))
+    return np.asarray(~surface & (label != label[tuple(corner)]))
 
 
 def surface_points(mesh: Mesh, spacing: float) -> Array:
-    """Points (P, 3) all over the faces, none of them farther than ``spacing`` from its neighbours."""
+    """Sample all faces with points (P, 3), at most ``spacing`` apart."""
     corners = mesh.vertices[mesh.triangles]
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     parts = np.ceil(sides / spacing).astype(np.int64)
-    if (parts.astype(float) ** 2 / 2).sum() > _MAX_CUBES:
-        raise MeshError("the mesh has faces far larger than a person's")
+    if (parts.astype(float) ** 2 / 2).sum() > _MAX_VOXELS:
+        raise MeshError("the mesh has faces far larger than those of a person")
     points = [mesh.vertices[np.unique(mesh.triangles)]]
     for count in np.unique(parts[parts > 1]):
         i, j = np.indices((count + 1, count + 1)).reshape(2, -1)

@@ -1,16 +1,16 @@
-"""Skinning weights as such: how many bones a vertex may follow."""
+"""Limit the number of bones per vertex in skinning weights."""
 
 from __future__ import annotations
 
 import numpy as np
 from scipy.sparse import csr_matrix
 
-#: Bones that a vertex follows at most, as in every game engine.
+#: Usual limit of game engines.
 MAX_BONES_PER_VERTEX = 4
 
 
 def limit_bones(weights: csr_matrix, most: int = MAX_BONES_PER_VERTEX) -> csr_matrix:
-    """Weights (V, B) with the largest ``most`` of each row, rows summing to what they summed to."""
+    """Keep the ``most`` largest weights of each row of (V, B), and scale them to the previous row sum."""
     weights = csr_matrix(weights, copy=True)
     weights.sum_duplicates()
     counts = np.diff(weights.indptr)

@@ -204,9 +204,9 @@ def surface(people: list[Person], faces: NDArray[np.int32]) -> dict[str, list[fl
     def along(name: str) -> Any:
         def place(m: Measures, j: dict[str, Array]) -> float:
             arm = m.arms[0]
-            part = (arm.places > 0.05) & (arm.places < 0.35)
-            nearest = np.linalg.norm(arm.middle[part] - j[name], axis=1).argmin()
-            return float(arm.places[part][nearest])
+            part = (arm.distances > 0.05) & (arm.distances < 0.35)
+            nearest = np.linalg.norm(arm.centres[part] - j[name], axis=1).argmin()
+            return float(arm.distances[part][nearest])
 
         return place
 
@@ -251,7 +251,7 @@ def main() -> None:
     base = read_base(source, {})
     faces = body_faces(base)
     people = list(random_people(source, options.seed, options.people))
-    landmarks.places = lambda: {"groin": [0.47], "neck": [0.87, 0.0]}  # type: ignore[assignment]
+    landmarks.coefficients = lambda: {"groin": [0.47], "neck": [0.87, 0.0]}  # type: ignore[assignment]
     known = rings(people, base)
     found = {
         "license": "CC0-1.0, from MakeHuman's base mesh and targets",

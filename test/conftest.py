@@ -75,7 +75,9 @@ def _functions(value: Any) -> list[FunctionType]:
 @functools.cache
 def _words(code: CodeType) -> frozenset[str]:
     inner = [_words(each) for each in code.co_consts if isinstance(each, CodeType)]
-    return frozenset(code.co_names).union((c for c in code.co_consts if isinstance(c, str)), *inner)
+    return frozenset(code.co_names).union(
+        (c.partition(".")[0] for c in code.co_consts if isinstance(c, str)), *inner
+    )
 
 
 @pytest.fixture(scope="session")

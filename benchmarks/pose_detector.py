@@ -78,6 +78,7 @@ def draw_people(folder: Path, all_outfits: bool) -> dict[str, list[list[float]]]
     from humansim_ros.scene.actor import Actor
     from humansim_ros.scene.config import MotionConfig
     from humansim_ros.scene.room import furnished_room
+    from humansim_ros.scene.source import SceneSource
 
     truth = {}
     renderer = GLRenderer(furnished_room((14.0, 14.0, 2.8)))
@@ -86,7 +87,7 @@ def draw_people(folder: Path, all_outfits: bool) -> dict[str, list[list[float]]]
         for outfit in human.outfits if all_outfits else human.outfits[:1]:
             dressed = human.wearing(outfit)
             motion = MotionConfig(file="walk", anchor="center")
-            actor = Actor.build(name, 1, dressed, motion, ROOT / "scene.yaml")
+            actor = Actor.build(name, 1, dressed, motion, SceneSource())
             for phase, time in enumerate(PHASES):
                 state = actor.at(time)
                 for side, camera in enumerate(cameras_around(state.vertices, human)):

@@ -9,6 +9,8 @@ from __future__ import annotations
 import os
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 
@@ -41,6 +43,24 @@ class HumansimError(Exception):
         )
         parts = [part for part in (where, self.key, self.message) if part]
         return ": ".join(parts)
+
+    def within(self, section: str) -> HumansimError:
+        """The same error seen from a file that has its key in ``section``, or names its file there."""
+        if self.path is not None:
+            return type(self)(str(self), key=section)
+        return type(self)(self.message, key=f"{section}.{self.key}" if self.key else section)
+
+
+@contextmanager
+def in_section(section: str) -> Iterator[None]:
+    """Put ``section`` before the keys of errors; an error in another file becomes an error of that key.
+
+    The code that has read the file adds path and line. ``__cause__`` is the error in the other file.
+    """
+    try:
+        yield
+    except HumansimError as error:
+        raise error.within(section) from (error.__cause__ if error.path is None else error)
 
 
 class ResourceError(HumansimError):

@@ -153,8 +153,8 @@ def reading_scene(path: Path) -> None:
         for camera in list(scene.moving_cameras.values())[:5]:
             assert np.isfinite(camera.at(camera.pose(seconds)).P).all()
     # (not the room, which takes a second to paint)
-    standing = [thing.standing() for thing in scene.objects.values()]
-    assert all(np.isfinite(mesh.vertices).all() for mesh in (*scene.environment.placed, *standing))
+    standing = [thing.static_mesh() for thing in scene.objects.values()]
+    assert all(np.isfinite(mesh.vertices).all() for mesh in (*scene.environment.mesh_files, *standing))
 
 
 def reading_world(path: Path) -> None:

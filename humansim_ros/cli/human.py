@@ -127,9 +127,9 @@ def rig(
 
 def built_in_humans() -> list[str]:
     """Names of the humans in assets/humans."""
-    from humansim_ros.scene.config import built_in_names
+    from humansim_ros.io.assets import built_in_names
 
-    return built_in_names("humans", ".npz")
+    return built_in_names("humans")
 
 
 def describe_human(human: Human) -> dict[str, Any]:
@@ -174,9 +174,9 @@ def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
 
 def _load(who: str, outfit: str | None = None) -> Human:
     from humansim_ros.humans.loading import load_human
-    from humansim_ros.scene.config import find_human
+    from humansim_ros.io.assets import find_asset
 
-    return load_human(find_human(who, Path.cwd() / "scene.yaml", "body"), outfit)
+    return load_human(find_asset(who, "humans"), outfit)
 
 
 def _write(human: Human, output: Path, preview: Path | None) -> None:

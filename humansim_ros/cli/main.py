@@ -115,14 +115,17 @@ def _scene_with(
     room.
     """
     from humansim_ros.errors import SceneError
-    from humansim_ros.scene.config import load_config
+    from humansim_ros.scene.config import load_config, map_files
+    from humansim_ros.scene.source import SceneSource
     from humansim_ros.scene.variety import with_variety
 
-    config = with_variety(load_config(path), path).model_dump(mode="json", exclude_none=True)
+    source = SceneSource.of_file(path)
+    with source.locating_errors():
+        scene = with_variety(load_config(path), source)
+    config = map_files(scene.model_dump(exclude_none=True), lambda name: _absolute_in(source.folder, name))
     config.setdefault("room", None)
     if not config["humans"]:
         raise SceneError("the scene has no human to give a motion or mesh to", path=path, key="humans")
-    _make_absolute(config, path.resolve().parent)
     human = next(iter(config["humans"].values()))
     if mesh:
         human["body"] = _absolute(mesh)
@@ -136,33 +139,12 @@ def _scene_with(
     return changed
 
 
-#: Keys of a scene file that name files.
-_FILES = {"file", "body", "joint_names", "mesh", "calibration", "background", "environment"}
-
-
-def _make_absolute(section: Any, base: Path) -> None:
-    """Files that a scene names from its own folder by their whole path, in place."""
-    if isinstance(section, dict):
-        for key, value in section.items():
-            if key in _FILES:
-                section[key] = _made_absolute(value, base)
-            else:
-                _make_absolute(value, base)
-    elif isinstance(section, (list, tuple)):
-        for part in section:
-            _make_absolute(part, base)
-
-
-def _made_absolute(value: Any, base: Path) -> Any:
-    """A file, or one for each camera; what is not there may be built in."""
-    if isinstance(value, dict):
-        return {key: _made_absolute(file, base) for key, file in value.items()}
-    if not isinstance(value, str) or not value:
-        return value
-    there = base / value.split("#")[0]
-    # a folder may have the name of something built in
-    known = (exists(there) and (there.is_file() or "/" in value)) or "{name}" in value
-    return str(base / value) if known else value
+def _absolute_in(folder: Path, name: str) -> str:
+    """Absolute path of a file that a scene names; names of built-ins stay."""
+    path = folder / name.split("#")[0]
+    # a folder may have the name of a built-in
+    is_path = (exists(path) and (path.is_file() or "/" in name)) or "{name}" in name
+    return str(folder / name if is_path else name)
 
 
 def _absolute(name: str) -> str:

@@ -291,9 +291,9 @@ def _read(file: str, positions: Positions) -> Motion:
 
 def _human(body: str) -> Any:
     from humansim_ros.humans.loading import load_human
-    from humansim_ros.scene.config import find_human
+    from humansim_ros.io.assets import find_asset
 
-    return load_human(find_human(body, Path.cwd() / "scene.yaml", "body"))
+    return load_human(find_asset(body, "humans"))
 
 
 def _root_scale(text: str | None) -> Any:

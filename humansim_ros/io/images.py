@@ -14,20 +14,23 @@ from humansim_ros.errors import MeshError
 MAX_PIXELS = 1 << 26
 
 
-def decode_image(encoded: NDArray[np.uint8] | bytes) -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 sRGB of a PNG or JPEG file. MeshError where it is none, or larger than MAX_PIXELS."""
+def decode_image(encoded: NDArray[np.uint8] | bytes, noun: str = "texture") -> NDArray[np.uint8]:
+    """(H, W, 3) uint8 sRGB of a PNG or JPEG file. ``noun``: its use, for messages.
+
+    Raises MeshError if it is no such file or larger than MAX_PIXELS.
+    """
     data = bytes(encoded)
     size = declared_size(data)
     if size is None:
-        raise MeshError("the texture is no PNG or JPEG image")
+        raise MeshError(f"the {noun} is no PNG or JPEG image")
     if not 0 < size[0] * size[1] <= MAX_PIXELS:
-        raise MeshError(f"a texture of {size[0]} x {size[1]} pixels is too large; at most 8192 x 8192")
+        raise MeshError(f"a {noun} of {size[0]} x {size[1]} pixels is too large; at most 8192 x 8192")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
         image = None
     if image is None:
-        raise MeshError("the texture cannot be decoded: the image is damaged")
+        raise MeshError(f"the {noun} cannot be decoded: the image is damaged")
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 

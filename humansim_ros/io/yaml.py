@@ -112,8 +112,8 @@ def line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
     line = None
     for key in keys:
         children = node.value if isinstance(node, (yaml.MappingNode, yaml.SequenceNode)) else []
-        if isinstance(node, yaml.SequenceNode) and isinstance(key, int) and key < len(children):
-            node = children[key]
+        if isinstance(node, yaml.SequenceNode) and str(key).isdecimal() and int(key) < len(children):
+            node = children[int(key)]
             line = node.start_mark.line + 1
             continue
         found = (
@@ -130,7 +130,7 @@ def validation_error(
     reason: ValidationError,
     tree: yaml.Node | None,
     error: type[HumansimError],
-    path: str | os.PathLike[str],
+    path: str | os.PathLike[str] | None,
     known: Callable[[list[Any]], str] = lambda keys: "",
 ) -> HumansimError:
     """What pydantic finds wrong first in a file's data, with line and key. ``known``: what to say of a path

@@ -99,7 +99,7 @@ def comparing_with(frame: AdjacentName, channels: Collection[str] = ALL_CHANNELS
     return {name for name in compared if name in channels}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class View:
     """Channels of one camera at one stamp, on one pixel grid: (H, W, ...); None if not requested.
 
@@ -135,3 +135,14 @@ class View:
     alpha: dict[int, NDArray[np.uint8]] | None = None
     amodal: dict[int, NDArray[np.bool_]] | None = None
     shadow: NDArray[np.uint8] | None = None
+
+    def __repr__(self) -> str:
+        channels = {name: value for name in CHANNEL_TABLE if (value := getattr(self, name)) is not None}
+        images = (image for value in channels.values() for image in _images(value))
+        size = next((f"{image.shape[1]}x{image.shape[0]}: " for image in images), "")
+        return f"View({size}{', '.join(channels)})"
+
+
+def _images(value: Any) -> Collection[NDArray[Any]]:
+    """Images of a channel of a view."""
+    return value.values() if isinstance(value, dict) else (value,)

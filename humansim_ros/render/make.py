@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Literal
 
-from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.lighting import Lighting
-from humansim_ros.render.renderer import Body
-
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # the schema of scene files imports this module without OpenCV and OpenGL
+    from humansim_ros.mesh.mesh import Mesh
     from humansim_ros.render.gl import GLRenderer
+    from humansim_ros.render.lighting import Lighting
     from humansim_ros.render.pyrender import PyrenderRenderer
+    from humansim_ros.render.renderer import Body
 
 #: Name of a renderer in scene files.
 RendererName = Literal["moderngl", "pyrender"]
@@ -36,7 +35,6 @@ def make_renderer(
     Raises:
         RenderError: A library or the device is missing. The message says what to install.
     """
-    # imported here so that scene files can be read without OpenGL
     if name == "pyrender":
         from humansim_ros.render.pyrender import PyrenderRenderer
 

@@ -55,7 +55,7 @@ class CameraPosePublisher:
 
     def exposure(self, state: SceneState) -> Exposure:
         """Exposure of the camera at a scene state; publishes the camera's pose at its stamp."""
-        exposure = state.shot(self._camera)
+        exposure = state.exposure(self._camera)
         if self._poses:
             if self._pose_at(state.stamp) is not self._last:  # a resting camera has the same object
                 self._last_motion = state.stamp

@@ -108,10 +108,9 @@ def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
     """Names of the cameras in the calibration file of the scene."""
     if not content.get("rig"):
         return []
-    from humansim_ros.scene.config import load_config  # imports more libraries
-    from humansim_ros.scene.rig import rig_cameras
+    from humansim_ros.scene.rig import rig_camera_names  # imports more libraries
 
-    return list(rig_cameras(load_config(path).rig, path))
+    return rig_camera_names(path)
 
 
 def _names(content: Mapping[str, Any], key: str, path: Path) -> list[str]:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.errors import in_section
 from humansim_ros.humans.human import Human
-from humansim_ros.io.files import resolve_relative
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.file_frame import detect_file_frame
-from humansim_ros.motion.files import read_motion, split_name
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
 from humansim_ros.motion.keyframe_tracks import SPACE_JOINTS, KeyframeTrack, undo_keyframes
@@ -21,10 +19,8 @@ from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.render import Body
 from humansim_ros.rotations import matrix_to_quaternion, moved
-from humansim_ros.scene.config import (
-    MotionConfig,
-    find_file,
-)
+from humansim_ros.scene.config import MotionConfig
+from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
 
@@ -77,21 +73,28 @@ class Actor:
         instance: int,
         human: Human,
         config: MotionConfig,
-        scene: Path,
+        source: SceneSource,
         motion: Motion | None = None,
     ) -> Actor:
-        """A human with the motion of a scene file, which may have been read already (``motion``). Raises
-        HumansimError naming what is wrong with it.
+        """Create a human with a motion.
+
+        Args:
+            name: Name in the scene.
+            instance: Instance label, from 1.
+            human: The body.
+            config: Section ``motion`` of a scene file.
+            source: Finds the motion and the joint table.
+            motion: The motion, if it has been read already.
+
+        Raises:
+            HumansimError: The human cannot play the motion; ``key`` is relative to the section.
         """
         if motion is None:
-            file, animation = split_name(config.file)
-            path = find_file(file, "motions", ".bvh", scene, f"humans.{name}.motion.file")
-            motion = read_motion(path if animation is None else f"{path}#{animation}", config.positions)
-        table = config.joint_names
-        if table is not None:
-            own, there = resolve_relative(scene, table)
-            table = str(own) if there and own.is_file() else table
-        match = match_motion(motion, table).with_extra_bones(human.skeleton.names, motion.joint_names)
+            with in_section("file"):
+                motion = source.motion(config.file, config.positions)
+        table = None if config.joint_names is None else source.joint_table(config.joint_names)
+        with in_section("file" if table is None else "joint_names"):
+            match = match_motion(motion, table).with_extra_bones(human.skeleton.names, motion.joint_names)
         world = WorldMotion(
             motion,
             match,
@@ -109,11 +112,9 @@ class Actor:
             world = replace(world, correction=FootContacts.detect(world, retargeter))
         return cls(name, instance, human, world, retargeter, config.offset)
 
-    def with_motion(self, config: MotionConfig, scene: Path, motion: Motion | None = None) -> Actor:
-        """The same human doing something else; files are looked for as from the scene file, but for a
-        ``motion`` that has been read already.
-        """
-        changed = Actor.build(self.name, self.instance, self.human, config, scene, motion)
+    def with_motion(self, config: MotionConfig, source: SceneSource, motion: Motion | None = None) -> Actor:
+        """The same human with another motion; parameters as in :meth:`build`."""
+        changed = Actor.build(self.name, self.instance, self.human, config, source, motion)
         return replace(changed, keyframes=self.keyframes)
 
     @property

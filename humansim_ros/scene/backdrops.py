@@ -1,66 +1,57 @@
-"""Photographs and panoramas that a scene file names, read with errors that say where."""
+"""Read the photographs and panoramas of backdrops."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import HumansimError, MeshError, SceneError
-from humansim_ros.io.files import read_bytes, resolve_relative
+from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.io.files import read_bytes
 from humansim_ros.io.images import MAX_PIXELS, declared_size, decode_image
 from humansim_ros.render.backdrops import ImageBackdrop
-from humansim_ros.scene.config import line_of_key
 
 _RADIANCE = re.compile(rb"^#\?(RADIANCE|RGBE)\b.*?\n\s*?\n-Y (\d{1,6}) \+X (\d{1,6})\n", re.DOTALL)
 _EXR = b"\x76\x2f\x31\x01"
-#: Columns of the largest panorama that is kept: a camera of 60 degrees sees 700 of them.
-_WIDEST = 4096
+#: Columns of the largest panorama in memory: a camera of 60 degrees sees 700 of them.
+_MAX_WIDTH = 4096
 
 
-def scene_file(name: str, scene: Path, key: str) -> Path:
-    """A file that a scene names, from the scene's folder. SceneError with the key if there is none."""
-    path, there = resolve_relative(scene, name)
-    if not there:
-        raise SceneError(f"no such file {str(path)!r}", path=scene, line=line_of_key(scene, key), key=key)
-    return path
+def load_backdrop(path: Path) -> ImageBackdrop:
+    """Read a photograph (PNG or JPEG). Raises SceneError with the path."""
+    with _naming(path):
+        return ImageBackdrop(decode_image(read_bytes(path, SceneError, "photograph"), "photograph"))
 
 
-def load_backdrop(name: str, scene: Path, key: str) -> ImageBackdrop:
-    """A photograph (PNG or JPEG). SceneError with the scene's key and the file if it cannot be read."""
-    path = scene_file(name, scene, key)
-    try:
-        return ImageBackdrop(decode_image(read_bytes(path, SceneError, "photograph")))
-    except HumansimError as error:
-        raise _unreadable(path, error, scene, key) from None
+def load_panorama(path: Path) -> NDArray[np.float32]:
+    """Read a panorama: Radiance (.hdr), OpenEXR if its package is installed, PNG or JPEG with 1 as white.
 
+    Returns:
+        Linear light (H, W, 3), at most 4096 columns.
 
-def load_panorama(name: str, scene: Path, key: str) -> NDArray[np.float32]:
-    """(H, W, 3) linear light of a panorama: Radiance .hdr; OpenEXR where its package is installed; PNG or
-    JPEG, with 1 as its white. SceneError with the scene's key and the file if it cannot be read.
+    Raises:
+        SceneError: With the path, if the file is no panorama.
     """
-    path = scene_file(name, scene, key)
-    try:
+    with _naming(path):
         data = read_bytes(path, SceneError, "panorama")
-        radiance = _light(_read_exr(path) if data[:4] == _EXR else _decoded(data))
-    except HumansimError as error:
-        raise _unreadable(path, error, scene, key) from None
-    height, width = radiance.shape[:2]
-    if not 1.9 < width / height < 2.1:
-        message = f"a panorama is twice as wide as high, this one is {width} x {height}"
-        raise _unreadable(path, SceneError(message), scene, key)
-    if width > _WIDEST:
-        size = (_WIDEST, round(height * _WIDEST / width))
+        radiance = _finite(_read_exr(path) if data[:4] == _EXR else _decode(data))
+        height, width = radiance.shape[:2]
+        if not 1.9 < width / height < 2.1:
+            raise SceneError(f"a panorama is twice as wide as high, this one is {width} x {height}")
+    if width > _MAX_WIDTH:
+        size = (_MAX_WIDTH, round(height * _MAX_WIDTH / width))
         radiance = np.asarray(cv2.resize(radiance, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
     return radiance
 
 
-def _decoded(data: bytes) -> NDArray[np.float32]:
+def _decode(data: bytes) -> NDArray[np.float32]:
     if declared_size(data) is not None:
-        return np.asarray((decode_image(data) / np.float32(255)) ** 2, dtype=np.float32)
+        return np.asarray((decode_image(data, "panorama") / np.float32(255)) ** 2, dtype=np.float32)
     header = _RADIANCE.match(data[:65536])
     if header is None:
         raise SceneError("this is no panorama: neither Radiance (.hdr) nor OpenEXR, PNG or JPEG")
@@ -75,13 +66,11 @@ def _decoded(data: bytes) -> NDArray[np.float32]:
 
 
 def _read_exr(path: Path) -> NDArray[np.float32]:
-    """(H, W, 3) the first part of an OpenEXR file."""
+    """(H, W, 3) of the first part of an OpenEXR file."""
     try:
         import OpenEXR
     except ImportError:
-        message = (
-            "OpenEXR is read by a package of its own: pip install OpenEXR; or save it as Radiance (.hdr)"
-        )
+        message = "to read OpenEXR files, pip install OpenEXR; or save the panorama as Radiance (.hdr)"
         raise SceneError(message) from None
     try:
         with OpenEXR.File(str(path), header_only=True) as file:
@@ -105,14 +94,16 @@ def _check_size(width: int, height: int) -> None:
         raise SceneError(f"a panorama of {width} x {height} pixels is too large")
 
 
-def _light(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """What can be light of an image."""
+def _finite(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Light without NaN, infinity and negative values."""
     light = np.nan_to_num(image, nan=0.0, posinf=65504.0)
     return np.ascontiguousarray(np.clip(light, 0.0, 65504.0), dtype=np.float32)
 
 
-def _unreadable(path: Path, error: HumansimError, scene: Path, key: str) -> SceneError:
-    message = error.message.replace("the texture", "the picture") if isinstance(error, MeshError) else None
-    return SceneError(
-        f"{path}: {message or error.message}", path=scene, line=line_of_key(scene, key), key=key
-    )
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Make errors SceneErrors with the path."""
+    try:
+        yield
+    except HumansimError as error:
+        raise SceneError(error.message, path=path) from None

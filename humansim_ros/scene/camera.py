@@ -1,27 +1,28 @@
-"""How the cameras of a scene take pictures: where they are, what their sensors make of what is drawn."""
+"""Cameras of a scene: intrinsics, pose over time, sensor and backdrop."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cached_property
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera
+from humansim_ros.camera import Camera, load_calibration
 from humansim_ros.camera.idealize import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.errors import CameraError, warn_about
-from humansim_ros.io.files import resolve_relative
+from humansim_ros.errors import CameraError, in_section
 from humansim_ros.motion.joint_poses import VELOCITY_STEP, Velocity
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.backdrops import load_backdrop
-from humansim_ros.scene.config import CameraConfig, RigConfig, line_of_key
+from humansim_ros.scene.config import CameraConfig, RigConfig
+from humansim_ros.scene.source import SceneSource
 from humansim_ros.sensor import Sensor
 from humansim_ros.types import Array
 
@@ -74,24 +75,24 @@ class SceneCamera:
     backdrop: Backdrop | None = None
 
     @classmethod
-    def build(cls, name: str, config: CameraConfig, scene: Path) -> SceneCamera:
-        """A camera of a scene file. Raises CameraError or SceneError naming what is wrong with it."""
-        path = None
-        if config.trajectory is not None:
-            path = Trajectory.read(
-                _found(config.trajectory.file, scene, "trajectory.file"), config.trajectory.end
-            )
-        whole = _camera(config, scene)
-        offset, speed = 0.0, 1.0
-        if path is not None and config.trajectory is not None:
-            offset, speed = config.trajectory.offset, config.trajectory.speed
-            r, t = path.pose(speed * offset)
-            whole = replace(whole, R=r, t=t)
-        roi = config.roi
-        region = Region(None if roi is None else (roi.x, roi.y, roi.width, roi.height), config.binning)
-        sensor = Sensor(config.sensor, region.of(whole), name)
-        key = f"cameras.{name}.background"
-        backdrop = None if config.background is None else load_backdrop(config.background, scene, key)
+    def build(cls, name: str, config: CameraConfig, source: SceneSource) -> SceneCamera:
+        """Create a camera from its section. Raises HumansimError; ``key`` is relative to ``cameras``."""
+        with in_section(name), _scene_keys():
+            path, offset, speed = None, 0.0, 1.0
+            whole = _camera(name, config, source)
+            if config.trajectory is not None:
+                with in_section("trajectory.file"):
+                    path = Trajectory.read(source.find_url(config.trajectory.file), config.trajectory.end)
+                offset, speed = config.trajectory.offset, config.trajectory.speed
+                r, t = path.pose(speed * offset)
+                whole = replace(whole, R=r, t=t)
+            roi = config.roi
+            region = Region(None if roi is None else (roi.x, roi.y, roi.width, roi.height), config.binning)
+            sensor = Sensor(config.sensor, region.of(whole), name)
+            backdrop = None
+            if config.background is not None:
+                with in_section("background"):
+                    backdrop = load_backdrop(source.find(config.background))
         return cls(name, whole, region, sensor, path, offset, speed, backdrop)
 
     def with_calibration(self, calibrated: Camera) -> SceneCamera:
@@ -146,14 +147,14 @@ class SceneCamera:
         return image if self.rectified is None else self.rectified.to_ideal(image)
 
 
-def _camera(config: CameraConfig, scene: Path) -> Camera:
-    """What a scene file says of a camera; at the origin where its place comes from elsewhere."""
+def _camera(name: str, config: CameraConfig, source: SceneSource) -> Camera:
+    """Camera of a section; at the origin if its pose comes from a trajectory."""
     if config.calibration is not None:
-        camera = _calibrated(config, scene)
+        camera = _calibrated(config, source)
     elif config.P is not None:
-        camera = Camera.from_projection_matrix(config.P, config.size or _SIZE)
+        camera = Camera.from_projection_matrix(config.P, config.size or _DEFAULT_SIZE)
     else:
-        size = config.size or _SIZE
+        size = config.size or _DEFAULT_SIZE
         k = _intrinsics(config.fov_deg, size) if config.K is None else np.array(config.K)
         stereo = (np.array(m) if m is not None else None for m in (config.rectification, config.rectified))
         lens = (config.distortion, config.distortion_model)
@@ -161,67 +162,72 @@ def _camera(config: CameraConfig, scene: Path) -> Camera:
     if config.R is not None and config.t is not None:
         return replace(camera, R=np.array(config.R), t=np.array(config.t))
     if config.position is not None and config.look_at is not None:
-        there = Camera.look_at(config.position, config.look_at, camera.size, up=config.up)
-        return replace(camera, R=there.R, t=there.t)
-    nowhere = np.array_equal(camera.R, np.eye(3)) and not camera.t.any()
-    if nowhere and config.calibration is not None and config.trajectory is None:
-        warn_about(scene, f"{config.calibration} says no place: its camera is at the origin and looks up")
+        placed = Camera.look_at(config.position, config.look_at, camera.size, up=config.up)
+        return replace(camera, R=placed.R, t=placed.t)
+    without_pose = np.array_equal(camera.R, np.eye(3)) and not camera.t.any()
+    if without_pose and config.calibration is not None and config.trajectory is None:
+        source.warn(
+            f"cameras.{name}.calibration",
+            f"{config.calibration} has no pose: the camera is at the origin and looks up",
+        )
     return camera
 
 
-def _calibrated(config: CameraConfig, scene: Path) -> Camera:
-    """A camera of a calibration file."""
+def _calibrated(config: CameraConfig, source: SceneSource) -> Camera:
+    """Camera of a calibration file."""
     assert config.calibration is not None
     file = config.calibration
-    cameras = _read(file, "calibration", scene, config)
+    cameras = read_cameras(file, "calibration", config, source)
     if config.camera is None and len(cameras) > 1:
-        raise CameraError(
-            f"{file} has {len(cameras)} cameras ({', '.join(cameras)}): say which", key="camera"
-        )
+        raise CameraError(f"{file} has {len(cameras)} cameras ({', '.join(cameras)}): name one", key="camera")
     if config.camera is not None and config.camera not in cameras:
         known = ", ".join(cameras)
         raise CameraError(f"no camera {config.camera!r} in {file}; there are {known}", key="camera")
     return next(iter(cameras.values())) if config.camera is None else cameras[config.camera]
 
 
-def _read(file: str, key: str, scene: Path, config: CameraConfig | RigConfig) -> dict[str, Camera]:
-    from humansim_ros.camera.calibration import load_calibration
+def read_cameras(
+    file: str, key: str, config: CameraConfig | RigConfig, source: SceneSource
+) -> dict[str, Camera]:
+    """Read a calibration file with the size, unit and up axis of a section.
 
-    read = load_calibration(_found(file, scene, key), size=config.size, unit=config.unit, up=config.up_axis)
+    Args:
+        file: Path or URL.
+        key: Key of the section that names the file.
+        config: The section.
+        source: Finds the file.
+
+    Raises:
+        HumansimError: With the key, relative to the section.
+    """
+    with in_section(key):
+        path = source.find_url(file)
+    try:
+        read = load_calibration(path, size=config.size, unit=config.unit, up=config.up_axis)
+    except CameraError as error:
+        if error.path is None:  # of size, unit or up axis
+            raise
+        raise error.within(key) from error
     for name, (width, height) in read.sizes.items():
         if config.size not in (None, (width, height)):
             raise CameraError(f"camera {name} of {file} has images of {width}x{height} pixels", key="size")
     return read.cameras
 
 
-def _found(file: str, scene: Path, key: str) -> Path:
-    """A file or URL of a scene; CameraError with the key that says it where there is none."""
-    from humansim_ros.camera.calibration import resolve_url
-
-    if "://" not in file:
-        path, there = resolve_relative(scene, file)
-    else:
-        try:
-            path = resolve_url(file)
-        except CameraError as error:
-            raise CameraError(f"{file}: {error.message}", key=key) from None
-        there = path.exists()
-    if not there:
-        raise CameraError(f"no such file {str(path)!r}", key=key)
-    return path
+@contextmanager
+def _scene_keys() -> Iterator[None]:
+    """Give errors of a camera the keys of scene files."""
+    try:
+        yield
+    except CameraError as error:
+        if error.path is None and error.key in _SCENE_KEYS:
+            raise CameraError(error.message, key=_SCENE_KEYS[error.key]) from None
+        raise
 
 
-def _placed(error: CameraError, scene: Path, section: str) -> CameraError:
-    """An error of a camera with its place in the scene file, but that of another file."""
-    if error.path is not None:
-        return error
-    key = section + (f".{_SCENE_KEYS.get(error.key, error.key)}" if error.key else "")
-    return CameraError(error.message, path=scene, line=line_of_key(scene, key), key=key)
-
-
-#: What parts of a camera are called in scene files.
+#: Parameters of a camera that have another name in scene files.
 _SCENE_KEYS = {"model": "distortion_model", "fov": "fov_deg"}
-_SIZE = (640, 480)
+_DEFAULT_SIZE = (640, 480)
 
 
 def _intrinsics(fov_deg: float | None, size: tuple[int, int]) -> Array:

@@ -6,17 +6,22 @@ from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from humansim_ros.render import AdjacentFrame, Body, Renderer, View
 from humansim_ros.scene.camera import CameraPose, SceneCamera
+from humansim_ros.types import Image
 
 
 @dataclass(frozen=True)
 class Exposure:
-    """All there is to be seen around one instant. ``bodies_at``: as they stand so many seconds after it;
-    ``pose_at``: where the camera is then. ``moving``: whether the camera may be elsewhere in the next frame.
-    ``after``, ``before``: the next and the previous frame, where channels need them.
+    """Bodies and camera pose around one stamp.
+
+    Attributes:
+        bodies_at: Returns the bodies at a time in seconds after the stamp.
+        pose_at: Returns the camera pose at that time.
+        moving: Whether the camera may have another pose in the next frame.
+        next_frame: The next frame, if a channel needs it.
+        previous_frame: The previous frame, if a channel needs it.
     """
 
     bodies_at: Callable[[float], Sequence[Body]]
@@ -25,39 +30,53 @@ class Exposure:
     next_frame: AdjacentFrame | None = None
     previous_frame: AdjacentFrame | None = None
 
-    def neighbour(self, camera: SceneCamera) -> AdjacentFrame:
-        """Its instant as one that another frame is compared with."""
+    def adjacent_frame(self, camera: SceneCamera) -> AdjacentFrame:
+        """Bodies and camera at the stamp, as the adjacent frame of another frame."""
         return AdjacentFrame(self.bodies_at(0.0), camera.at(self.pose_at(0.0)))
 
 
 def capture(
-    renderer: Renderer, camera: SceneCamera, shot: Exposure, channels: Collection[str], stamp: int
+    renderer: Renderer, camera: SceneCamera, exposure: Exposure, channels: Collection[str], stamp: int
 ) -> View:
-    """What a camera sees of a shot: the truth of its instant, the middle of the exposure, and the picture
-    that the sensor makes. ``stamp``: nanoseconds; the sensor's noise depends on it.
+    """Render what a camera sees during its exposure, and apply its sensor to rgb.
+
+    Args:
+        renderer: Renderer of the scene.
+        camera: The camera with its sensor.
+        exposure: Bodies and camera pose around the stamp, which is the middle of the exposure time.
+        channels: Names of the channels. All but rgb show the scene at the stamp.
+        stamp: Nanoseconds; the sensor's noise depends on it.
     """
     times = camera.sensor.times() if "rgb" in channels else np.zeros(1)
-    at_once = len(times) == 1
-    here, bodies = camera.at(shot.pose_at(0.0)), shot.bodies_at(0.0)
-    drawn = [channel for channel in channels if at_once or channel != "rgb"]
+    single = len(times) == 1
+    rendered = [channel for channel in channels if single or channel != "rgb"]
     view = View()
-    if drawn:
+    if rendered:
         view = renderer.render(
-            bodies, here, drawn, shot.moving, shot.next_frame, shot.previous_frame, camera.backdrop
+            exposure.bodies_at(0.0),
+            camera.at(exposure.pose_at(0.0)),
+            rendered,
+            exposure.moving,
+            exposure.next_frame,
+            exposure.previous_frame,
+            camera.backdrop,
         )
     if "rgb" not in channels or not camera.sensor.active:
         return view
-    if at_once:
+    if single:
         assert view.rgb is not None
         return replace(view, rgb=camera.sensor.expose([view.rgb], stamp))
 
-    def pictures() -> Iterator[NDArray[np.uint8]]:
+    def images() -> Iterator[Image]:
         for time in times.tolist():
-            there = camera.at(shot.pose_at(time))
-            seen = renderer.render(
-                shot.bodies_at(time), there, ("rgb",), moving_camera=shot.moving, backdrop=camera.backdrop
+            sample = renderer.render(
+                exposure.bodies_at(time),
+                camera.at(exposure.pose_at(time)),
+                ("rgb",),
+                moving_camera=exposure.moving,
+                backdrop=camera.backdrop,
             )
-            assert seen.rgb is not None
-            yield seen.rgb
+            assert sample.rgb is not None
+            yield sample.rgb
 
-    return replace(view, rgb=camera.sensor.expose(pictures(), stamp))
+    return replace(view, rgb=camera.sensor.expose(images(), stamp))

@@ -1,155 +1,176 @@
-"""The scene file: which humans, motions and cameras there are (YAML, checked key by key)."""
+"""Schema of scene files: sections, keys, defaults and limits; imports no renderer and no OpenCV."""
 
 from __future__ import annotations
 
 import os
-from pathlib import Path
-from typing import Annotated, Any, Literal, get_args
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    StringConstraints,
+    ValidationError,
+    model_validator,
+)
 
 from humansim_ros.errors import SceneError
-from humansim_ros.io.files import resolve_relative
 from humansim_ros.io.schema import Axis, ByteColor, Section
-from humansim_ros.io.yaml import line_of, read_yaml, validation_error
+from humansim_ros.io.yaml import read_yaml, validation_error
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.make import RendererName
-from humansim_ros.resources import resource_path
 from humansim_ros.sensor.config import SensorConfig
 
-Vector3 = tuple[float, float, float]
-Row4 = tuple[float, float, float, float]
-#: Metres or degrees; what is beyond is a mistake.
-Bounded = Annotated[float, Field(ge=-1e6, le=1e6)]
-#: Linear light.
-LinearColor = tuple[
-    Annotated[float, Field(ge=0, le=1e4)],
-    Annotated[float, Field(ge=0, le=1e4)],
-    Annotated[float, Field(ge=0, le=1e4)],
-]
-Size = Annotated[float, Field(gt=0, le=1e6)]
+if TYPE_CHECKING:
+    import yaml
+
+
+class _FileName(str):
+    """Value of a key that names a file."""
+
+
+#: A path, or the name of a built-in where the key says so. Relative paths start from the scene's folder.
+FileName = Annotated[str, AfterValidator(_FileName)]
+_Vector3 = tuple[float, float, float]
+_Row4 = tuple[float, float, float, float]
+#: Metres or degrees; values beyond are mistakes.
+_Bounded = Annotated[float, Field(ge=-1e6, le=1e6)]
+_BoundedVector3 = tuple[_Bounded, _Bounded, _Bounded]
+_Radiance = Annotated[float, Field(ge=0, le=1e4)]
+_LinearColor = tuple[_Radiance, _Radiance, _Radiance]
+_Size = Annotated[float, Field(gt=0, le=1e6)]
 #: Names become parts of ROS topics and frames.
-Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+_Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 
 
-class MotionConfig(Section):
-    """What a human does."""
+class _FileSection(Section):
+    """Section that a text alone can stand for: the name of its file."""
 
-    file: str = Field(
-        default="walk", description="a motion that comes with the package (walk), or a BVH file"
+    _file_key: ClassVar = "file"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _file_alone(cls, value: Any) -> Any:
+        return {cls._file_key: value} if isinstance(value, str) else value
+
+
+class MotionConfig(_FileSection):
+    """Motion of a human."""
+
+    file: FileName = Field(default="walk", description="name of a built-in motion, or a BVH or glTF file")
+    joint_names: FileName | None = Field(
+        default=None, description="name of a built-in joint table, or a YAML file; detected if absent"
     )
-    joint_names: str | None = Field(
-        default=None, description="joint table: a built-in name or a YAML file; found by itself if absent"
-    )
-    unit: float | None = Field(
-        default=None, gt=0, description="metres per file unit; found by itself if absent"
-    )
+    unit: float | None = Field(default=None, gt=0, description="metres per file unit; detected if absent")
     position: tuple[float, float] = Field(
-        default=(0.0, 0.0), description="where the anchor goes: x, y in map, metres"
+        default=(0.0, 0.0), description="position of the anchor: x, y in map, metres"
     )
     yaw_deg: float = Field(
         default=0.0, description="heading of the motion's forward direction, degrees from +x to the left"
     )
-    anchor: Literal["start", "center", "file"] = Field(default="start", description="what goes to position")
-    loop: Literal["none", "repeat", "continue"] = Field(
-        default="repeat", description="what follows the last frame"
+    anchor: Literal["start", "center", "file"] = Field(
+        default="start", description="the point that is placed at position"
     )
-    offset: float = Field(default=0.0, description="seconds of the scene that the motion is ahead by")
-    start: float = Field(default=0.0, ge=0, description="where in the file it starts, seconds of the file")
+    loop: Literal["none", "repeat", "continue"] = Field(
+        default="repeat", description="behaviour after the last frame"
+    )
+    offset: float = Field(default=0.0, description="time that the motion is ahead of the scene, seconds")
+    start: float = Field(default=0.0, ge=0, description="first time that is played, seconds of the file")
     end: float | None = Field(
-        default=None, gt=0, description="where in the file it ends, seconds of the file; its end if absent"
+        default=None, gt=0, description="last time that is played, seconds of the file; its end if absent"
     )
     speed: float = Field(default=1.0, ge=0, le=100, description="seconds of the file per second")
     blend: float = Field(
-        default=0.0, ge=0, description="seconds of the file over which the end fades into the next start"
+        default=0.0,
+        ge=0,
+        description="time over which the end fades into the next start, seconds of the file",
     )
-    mirror: bool = Field(default=False, description="left and right change sides")
-    up: Axis | None = Field(default=None, description="the file's up axis; found by itself if absent")
+    mirror: bool = Field(default=False, description="exchange left and right")
+    up: Axis | None = Field(default=None, description="up axis of the file; detected if absent")
     facing: Axis | None = Field(
-        default=None, description="the file's axis that the person faces at rest; found by itself if absent"
+        default=None, description="axis of the file that the person faces at rest; detected if absent"
     )
     positions: Literal["auto", "replace", "add"] = Field(
         default="auto", description="whether position channels replace the OFFSET or are added to it"
     )
     retarget: Literal["full", "thesis"] = Field(
-        default="full", description="whole rotations with twist, or the thesis' bones parallel to links only"
+        default="full", description="full rotations with twist, or bones parallel to links as in the thesis"
     )
     root_scale: Literal["height", "legs"] | Annotated[float, Field(gt=0, le=100)] | None = Field(
         default=None,
-        description="what the root's way is scaled by: legs (if absent; height with retarget: thesis), "
-        "height, or a number",
+        description="scale of the root's path: legs (if absent; height with retarget: thesis), height, or a "
+        "number",
     )
-    clamp: bool = Field(default=False, description="bones are kept within the limits of their joints")
-    pin_feet: bool = Field(default=False, description="feet that stand are kept from sliding")
+    clamp: bool = Field(default=False, description="clamp bones to the limits of their joints")
+    pin_feet: bool = Field(default=False, description="keep standing feet from sliding")
 
 
-class KeyframesConfig(Section):
-    """What moves, turns and sizes a human or an object: a file, and which of its objects."""
+class KeyframesConfig(_FileSection):
+    """Keyframes that move, rotate and scale a human or an object: a file, and one of its objects."""
 
-    file: str = Field(description="a keyframe animation file (XML)")
+    file: FileName = Field(description="a keyframe animation file (XML)")
     object: str | None = Field(
-        default=None, description="name in that file; that of the human or object if absent"
+        default=None, description="name in the file; the name of the human or object if absent"
     )
 
-    @model_validator(mode="before")
-    @classmethod
-    def _file_alone(cls, value: Any) -> Any:
-        return {"file": value} if isinstance(value, str) else value
 
+class HumanConfig(_FileSection):
+    """One human."""
 
-class HumanConfig(Section):
-    """One person."""
+    _file_key = "body"
 
-    body: str = Field(
+    body: FileName = Field(
         default="adult_man",
-        description="a body that comes with the package, or a file: .npz, .yaml, .obj, .gltf, .glb",
+        description="name of a built-in human, or a file: .npz, .yaml, .obj, .gltf, .glb",
     )
-    outfit: str | None = Field(default=None, description="what it wears; the body's first outfit if absent")
+    outfit: str | None = Field(default=None, description="name of an outfit; the first if absent")
     skinning: Literal["linear", "dual_quaternion"] | None = Field(
-        default=None, description="how skin follows bones; as the body says if absent"
+        default=None, description="skinning function; as the human's file says if absent"
     )
     motion: MotionConfig = MotionConfig()
     keyframes: KeyframesConfig | None = Field(
-        default=None, description="moves, turns and sizes the person on top of the motion"
+        default=None, description="move, rotate and scale the human on top of the motion"
     )
 
 
-class ObjectConfig(Section):
-    """A thing that stands in the scene or moves."""
+class ObjectConfig(_FileSection):
+    """One object, static or moving."""
 
-    mesh: str = Field(default="box", description="box, sphere, cylinder, or an .obj file (z up, metres)")
+    _file_key = "mesh"
+
+    mesh: FileName = Field(
+        default="box", description="box, sphere, cylinder, or a file: .obj (z up, metres), .gltf, .glb"
+    )
     color: ByteColor = Field(default=(170, 150, 130), description="red, green, blue; 0 to 255")
-    size: tuple[Size, Size, Size] = Field(
-        default=(1.0, 1.0, 1.0), description="along its own x, y, z: metres for a built-in mesh, else factors"
+    size: tuple[_Size, _Size, _Size] = Field(
+        default=(1.0, 1.0, 1.0),
+        description="size along its own x, y, z: metres for a built-in mesh, else factors",
     )
-    position: tuple[Bounded, Bounded, Bounded] = Field(
-        default=(0.0, 0.0, 0.0), description="where its middle goes (the origin of a file)"
+    position: _BoundedVector3 = Field(
+        default=(0.0, 0.0, 0.0), description="position of its center (of the origin of a file)"
     )
-    rotation_deg: tuple[Bounded, Bounded, Bounded] = Field(
+    rotation_deg: _BoundedVector3 = Field(
         default=(0.0, 0.0, 0.0), description="degrees about the x axis of map, then y, then z"
     )
-    keyframes: KeyframesConfig | None = Field(default=None, description="moves, turns and sizes it")
-    label: bool = Field(default=False, description="it has an instance label, as humans have")
+    keyframes: KeyframesConfig | None = Field(default=None, description="move, rotate and scale the object")
+    label: bool = Field(default=False, description="give it an instance label, as humans have")
 
 
-class TrajectoryConfig(Section):
-    """What moves a camera."""
+class TrajectoryConfig(_FileSection):
+    """Trajectory of a camera."""
 
-    file: str = Field(description="a trajectory in the form of the TUM RGB-D benchmark")
+    file: FileName = Field(description="a trajectory in the format of the TUM RGB-D benchmark")
     end: Literal["clamp", "loop", "ping_pong"] = Field(
-        default="clamp", description="after the last pose: it stays, begins anew, or goes back"
+        default="clamp", description="after the last pose: stay, start again, or go back"
     )
-    offset: float = Field(default=0.0, description="seconds of the scene that it is ahead by")
+    offset: float = Field(default=0.0, description="time that the trajectory is ahead of the scene, seconds")
     speed: float = Field(default=1.0, ge=0, le=100, description="seconds of the file per second")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _file_alone(cls, value: Any) -> Any:
-        return {"file": value} if isinstance(value, str) else value
 
 
 class RegionConfig(Section):
-    """A part of the sensor, in its pixels."""
+    """Region of interest in pixels of the sensor."""
 
     x: int = Field(default=0, ge=0)
     y: int = Field(default=0, ge=0)
@@ -158,53 +179,57 @@ class RegionConfig(Section):
 
 
 class CameraConfig(Section):
-    """One camera: what it sees by (fov_deg, K, P or calibration), and where it is (position and look_at, R
-    and t, trajectory, P or calibration).
+    """One camera: its intrinsics (fov_deg, K, P or calibration) and its pose (position and look_at, R and t,
+    trajectory, P or calibration).
     """
 
-    model_config = ConfigDict(coerce_numbers_to_str=True)  # files call their cameras 0, 1, 2
+    model_config = ConfigDict(coerce_numbers_to_str=True)  # cameras of files may have the names 0, 1, 2
 
     size: tuple[int, int] | None = Field(
-        default=None, description="width, height in pixels; as the calibration says, else 640, 480"
+        default=None, description="width, height in pixels; from the calibration, or 640, 480, if absent"
     )
-    calibration: str | None = Field(
-        default=None, description="a calibration file, or file:// or package:// URL"
+    calibration: FileName | None = Field(
+        default=None, description="a calibration file, or a file:// or package:// URL"
     )
-    camera: str | None = Field(default=None, description="which camera of that file; its only one if absent")
+    camera: str | None = Field(
+        default=None, description="name of a camera in that file; its only camera if absent"
+    )
     unit: float | None = Field(
-        default=None, gt=0, description="metres per unit of that file; as its form has it if absent"
+        default=None, gt=0, description="metres per unit of that file; as its format defines if absent"
     )
     up_axis: Axis | None = Field(
-        default=None, description="the axis of that file that points up; as its form has it if absent"
+        default=None, description="up axis of that file; as its format defines if absent"
     )
-    position: Vector3 | None = None
-    look_at: Vector3 | None = None
-    up: Vector3 = Field(default=(0.0, 0.0, 1.0), description="what is up in the image; goes with look_at")
+    position: _Vector3 | None = None
+    look_at: _Vector3 | None = None
+    up: _Vector3 = Field(
+        default=(0.0, 0.0, 1.0), description="direction that points up in the image; with look_at only"
+    )
     fov_deg: float | None = Field(
-        default=None, gt=0, lt=180, description="horizontal field of view (without the lens' distortion)"
+        default=None, gt=0, lt=180, description="horizontal field of view without distortion"
     )
-    K: tuple[Vector3, Vector3, Vector3] | None = None
-    R: tuple[Vector3, Vector3, Vector3] | None = None
-    t: Vector3 | None = None
-    P: tuple[Row4, Row4, Row4] | None = None
-    distortion: tuple[float, ...] = Field(default=(), description="coefficients, in ROS's order")
+    K: tuple[_Vector3, _Vector3, _Vector3] | None = None
+    R: tuple[_Vector3, _Vector3, _Vector3] | None = None
+    t: _Vector3 | None = None
+    P: tuple[_Row4, _Row4, _Row4] | None = None
+    distortion: tuple[float, ...] = Field(default=(), description="coefficients in the order of ROS")
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] | None = Field(
-        default=None, description="found by the number of coefficients if absent"
+        default=None, description="chosen by the number of coefficients if absent"
     )
-    rectification: tuple[Vector3, Vector3, Vector3] | None = Field(
-        default=None, description="R of CameraInfo: turns the optical frame to that of image_rect"
+    rectification: tuple[_Vector3, _Vector3, _Vector3] | None = Field(
+        default=None, description="R of CameraInfo: rotation from the optical frame to that of image_rect"
     )
-    rectified: tuple[Row4, Row4, Row4] | None = Field(
+    rectified: tuple[_Row4, _Row4, _Row4] | None = Field(
         default=None, description="P of CameraInfo, with the baseline of a stereo camera"
     )
-    trajectory: TrajectoryConfig | None = Field(default=None, description="a file that moves it")
+    trajectory: TrajectoryConfig | None = Field(default=None, description="moves the camera")
     binning: tuple[int, int] = Field(
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
-    roi: RegionConfig | None = Field(default=None, description="the part of the sensor that is sent")
-    sensor: SensorConfig = Field(default=SensorConfig(), description="what the sensor does to the picture")
-    background: str | None = Field(
-        default=None, description="a photograph that shows where nothing is; as the world has it if absent"
+    roi: RegionConfig | None = Field(default=None, description="region of interest of the sensor")
+    sensor: SensorConfig = Field(default=SensorConfig(), description="model of the sensor")
+    background: FileName | None = Field(
+        default=None, description="image behind everything; the background of the world if absent"
     )
 
     @model_validator(mode="after")
@@ -213,23 +238,19 @@ class CameraConfig(Section):
         seeing = {"fov_deg": self.fov_deg, "K": self.K, "P": self.P, "calibration": self.calibration}
         given = [key for key, value in seeing.items() if value is not None]
         if len(given) > 1:
-            raise ValueError(
-                f"what a camera sees by is given as {' and as '.join(given)}: give it in one of them"
-            )
+            raise ValueError(f"the intrinsics are given by {' and by '.join(given)}: give one of them")
         for pair in (("position", "look_at"), ("R", "t")):
             if (getattr(self, pair[0]) is None) != (getattr(self, pair[1]) is None):
-                raise ValueError(f"{pair[0]} and {pair[1]} go together: give the whole of it")
+                raise ValueError(f"{pair[0]} and {pair[1]} go together: give both")
         standing = {"position, look_at": self.position, "R, t": self.R, "trajectory": self.trajectory}
         places = [key for key, value in standing.items() if value is not None]
         sources = [*places, "P"] if self.P is not None else places
         if len(sources) > 1:
-            raise ValueError(
-                f"where a camera is comes from {' and from '.join(sources)}: give it in one of them"
-            )
+            raise ValueError(f"the pose is given by {' and by '.join(sources)}: give one of them")
         if not places and not whole:
             raise ValueError(
-                "where is this camera? give position and look_at, or R and t, or a trajectory, or P, "
-                "or a calibration file: one of them"
+                "the camera has no pose: give position and look_at, R and t, a trajectory, P, or a "
+                "calibration file"
             )
         if whole and (self.distortion or self.distortion_model):
             raise ValueError("distortion goes with K or fov_deg only")
@@ -240,38 +261,33 @@ class CameraConfig(Section):
         return self
 
 
-class RigConfig(Section):
-    """All cameras of a calibration file."""
+class RigConfig(_FileSection):
+    """Cameras of a calibration file."""
 
     model_config = ConfigDict(coerce_numbers_to_str=True)
 
-    file: str = Field(description="a calibration file, or file:// or package:// URL")
+    file: FileName = Field(description="a calibration file, or a file:// or package:// URL")
     cameras: tuple[str, ...] | None = Field(
-        default=None, min_length=1, description="which of that file; all if absent"
+        default=None, min_length=1, description="names of cameras in the file; all if absent"
     )
     size: tuple[int, int] | None = Field(
-        default=None, description="width, height in pixels where the file does not say"
+        default=None, description="width, height in pixels, if the file has none"
     )
     unit: float | None = Field(
-        default=None, gt=0, description="metres per unit of that file; as its form has it if absent"
+        default=None, gt=0, description="metres per unit of that file; as its format defines if absent"
     )
     up_axis: Axis | None = Field(
-        default=None, description="the axis of that file that points up; as its form has it if absent"
+        default=None, description="up axis of that file; as its format defines if absent"
     )
     binning: tuple[int, int] = Field(
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
-    sensor: SensorConfig = Field(default=SensorConfig(), description="what their sensors do to the pictures")
-    background: str | dict[str, str] | None = Field(
+    sensor: SensorConfig = Field(default=SensorConfig(), description="model of the sensors")
+    background: FileName | dict[str, FileName] | None = Field(
         default=None,
-        description="a photograph for all, with {name} for the camera's name in the file, or one for each by "
-        "that name; as the world has it if absent",
+        description="image behind everything: one file, where {name} is the name of the camera in the "
+        "calibration file, or a file for each of these names; the background of the world if absent",
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _file_alone(cls, value: Any) -> Any:
-        return {"file": value} if isinstance(value, str) else value
 
 
 class RoomConfig(Section):
@@ -280,7 +296,7 @@ class RoomConfig(Section):
     size: tuple[float, float, float] = Field(
         default=(7.0, 6.4, 2.8), description="length along x, width along y, height; metres"
     )
-    seed: int = Field(default=1, ge=0, description="another seed, another room")
+    seed: int = Field(default=1, ge=0, description="the same seed gives the same room")
 
     @model_validator(mode="after")
     def _big_enough(self) -> RoomConfig:
@@ -290,152 +306,152 @@ class RoomConfig(Section):
 
 
 class VarietyConfig(Section):
-    """People drawn at random from a seed."""
+    """Random humans from a seed."""
 
-    count: int = Field(ge=0, le=1000, description="how many people")
-    seed: int = Field(default=1, ge=0, description="another seed, other people")
-    name: Name = Field(default="person", description="they are called person_1, person_2 …")
-    bodies: tuple[str, ...] | None = Field(
-        default=None, min_length=1, description="bodies to draw from; the built-in ones if absent"
+    count: int = Field(ge=0, le=1000, description="number of humans")
+    seed: int = Field(default=1, ge=0, description="the same seed gives the same humans")
+    name: _Name = Field(default="person", description="prefix of their names: person_1, person_2 …")
+    bodies: tuple[FileName, ...] | None = Field(
+        default=None, min_length=1, description="bodies to choose from; the built-in humans if absent"
     )
-    motions: tuple[str, ...] | None = Field(
-        default=None, min_length=1, description="motions to draw from; built-in ones if absent"
+    motions: tuple[FileName, ...] | None = Field(
+        default=None, min_length=1, description="motions to choose from; built-in motions if absent"
     )
-    area: tuple[Bounded, Bounded, Bounded, Bounded] | None = Field(
-        default=None, description="where they go: x, y of two corners; the middle of the room if absent"
+    area: tuple[_Bounded, _Bounded, _Bounded, _Bounded] | None = Field(
+        default=None,
+        description="area of their positions: x, y of two corners; the middle of the room if absent",
     )
-    spacing: float = Field(default=0.9, ge=0, le=100, description="metres between any two at least")
+    spacing: float = Field(default=0.9, ge=0, le=100, description="least distance between two, metres")
     speed: tuple[Annotated[float, Field(gt=0, le=10)], Annotated[float, Field(gt=0, le=10)]] = Field(
-        default=(0.9, 1.1), description="slowest and fastest, times the motion's own"
+        default=(0.9, 1.1), description="least and greatest factor of the motion's speed"
     )
 
 
 class LightConfig(Section):
-    """How everything is lit, and how that is shown. Colours are linear light: 1 shows a surface as it is."""
+    """Light, shadows and tone mapping. Colours are linear light: 1 shows a surface in its own colour."""
 
     mode: Literal["lit", "shadeless"] = Field(
-        default="lit", description="shadeless: colours as they are, without light and shadow"
+        default="lit", description="shadeless: colours of surfaces without light and shadow"
     )
-    sun: Vector3 = Field(default=Lighting.sun, description="direction to the sun")
-    sun_color: LinearColor = Field(default=Lighting.sun_color, description="light of the sun")
-    sky_color: LinearColor = Field(
+    sun: _Vector3 = Field(default=Lighting.sun, description="direction to the sun")
+    sun_color: _LinearColor = Field(default=Lighting.sun_color, description="light of the sun")
+    sky_color: _LinearColor = Field(
         default=Lighting.sky_color,
-        description="light from above; with world.environment its mean, if absent",
+        description="light from above; if absent, with world.environment the mean of its upper half",
     )
-    ground_color: LinearColor = Field(
+    ground_color: _LinearColor = Field(
         default=Lighting.ground_color,
-        description="light from below; with world.environment its mean, if absent",
+        description="light from below; if absent, with world.environment the mean of its lower half",
     )
-    strength: float = Field(default=1.0, ge=0, le=1e4, description="times all of these")
+    strength: float = Field(default=1.0, ge=0, le=1e4, description="factor of all three")
     shadows: Literal["contact", "soft", "none"] = Field(
         default="contact",
-        description="contact: a dark patch on the floor under everybody; soft: of the sun, on everything",
+        description="contact: a dark patch on the floor under each body; soft: shadows of the sun",
     )
     sun_size_deg: float = Field(
         default=Lighting.sun_size_deg,
         gt=0,
         le=45,
-        description="angle that the sun takes up in the sky: the larger, the softer its shadows",
+        description="angular diameter of the sun: the larger, the softer its shadows",
     )
     tone_mapping: Literal["none", "filmic"] = Field(
-        default="none", description="filmic: bright colours fade to white instead of being cut off"
+        default="none", description="filmic: bright colours fade to white instead of being clipped"
     )
-    exposure: float = Field(default=0.0, ge=-20, le=20, description="stops: one more is twice as bright")
+    exposure: float = Field(
+        default=0.0, ge=-20, le=20, description="exposure in stops: one more is twice as bright"
+    )
     materials: bool = Field(
-        default=True, description="skin and cloth answer light as such; false: all surfaces are matt"
+        default=True, description="materials of skin and cloth; false: all surfaces are matt"
     )
 
     ambient_occlusion: bool = Field(
         default=True,
-        description="corners are darker: light from around does not reach where something stands",
+        description="darken corners that less light from sky and ground reaches",
     )
 
     @model_validator(mode="after")
-    def _sun_somewhere(self) -> LightConfig:
+    def _has_sun_direction(self) -> LightConfig:
         if not 1e-9 < sum(x * x for x in self.sun) < 1e18:
-            raise ValueError("sun is a direction: it cannot be 0 0 0")
+            raise ValueError("sun is a direction: it must not be 0 0 0")
         return self
 
 
-class WorldMeshConfig(Section):
-    """A mesh file that stands in the world."""
+class WorldMeshConfig(_FileSection):
+    """A static mesh file."""
 
-    file: str = Field(description="an .obj, .gltf or .glb file, with its materials and textures")
-    position: tuple[Bounded, Bounded, Bounded] = Field(
-        default=(0.0, 0.0, 0.0), description="where its origin goes"
-    )
-    rotation_deg: tuple[Bounded, Bounded, Bounded] = Field(
+    file: FileName = Field(description="an .obj, .gltf or .glb file, with its materials and textures")
+    position: _BoundedVector3 = Field(default=(0.0, 0.0, 0.0), description="position of its origin")
+    rotation_deg: _BoundedVector3 = Field(
         default=(0.0, 0.0, 0.0), description="degrees about the x axis of map, then y, then z"
     )
-    scale: Size = Field(default=1.0, description="metres per unit of the file")
+    scale: _Size = Field(default=1.0, description="metres per unit of the file")
     up_axis: Literal["y", "z"] | None = Field(
-        default=None, description="the file's axis that points up; y for glTF and z for OBJ, if absent"
+        default=None, description="up axis of the file; y for glTF and z for OBJ if absent"
     )
-
-    @model_validator(mode="before")
-    @classmethod
-    def _file_alone(cls, value: Any) -> Any:
-        return {"file": value} if isinstance(value, str) else value
 
 
 class WorldConfig(Section):
-    """What is around the people besides the room."""
+    """Static surroundings besides the room."""
 
-    meshes: tuple[WorldMeshConfig, ...] = Field(default=(), description="mesh files that stand still")
-    background: ByteColor | str | None = Field(
-        default=None, description="where nothing is: red, green, blue, or a photograph for all cameras"
+    meshes: tuple[WorldMeshConfig, ...] = Field(default=(), description="static mesh files")
+    background: ByteColor | FileName | None = Field(
+        default=None, description="background: red, green, blue, or an image for all cameras"
     )
-    environment: str | None = Field(
-        default=None, description="a panorama (.hdr) endlessly far away; its light is sky and ground light"
+    environment: FileName | None = Field(
+        default=None, description="panorama (.hdr) at infinity; its light is the light of sky and ground"
     )
     shadow_catcher: bool = Field(
-        default=False, description="the ground z = 0 takes shadows where nothing is but a picture behind it"
+        default=False, description="show shadows on the invisible ground z = 0 in front of a backdrop"
     )
-    environment_yaw_deg: Bounded = Field(
-        default=0.0, description="turns the panorama to the left; at 0 its middle is along +x"
+    environment_yaw_deg: _Bounded = Field(
+        default=0.0, description="rotation of the panorama to the left, degrees; at 0 its center is along +x"
     )
 
 
 class JitterConfig(Section):
-    """How far cameras are moved and turned at random."""
+    """Random changes of camera poses."""
 
-    position: float = Field(default=0.0, ge=0, le=100, description="metres along each axis of map at most")
+    position: float = Field(default=0.0, ge=0, le=100, description="most metres along each axis of map")
     rotation_deg: float = Field(
-        default=0.0, ge=0, le=180, description="degrees about each axis of the camera at most"
+        default=0.0, ge=0, le=180, description="most degrees about each axis of the camera"
     )
 
 
 class RandomiseConfig(Section):
-    """What is drawn at random from a seed."""
+    """Random variations from a seed."""
 
-    seed: int = Field(default=1, ge=0, description="another seed, another draw; the same, the same")
-    light: bool = Field(default=False, description="where the sun is, its colour, and that of sky and ground")
-    colours: bool = Field(default=False, description="colours of the room, the world and standing objects")
-    textures: bool = Field(default=False, description="patterns in place of their textures")
-    clutter: int = Field(
-        default=0, ge=0, le=1000, description="boxes, cylinders and balls on the floor, where nobody walks"
+    seed: int = Field(default=1, ge=0, description="the same seed gives the same variations")
+    light: bool = Field(
+        default=False, description="random direction and colour of the sun, random colours of sky and ground"
     )
-    clutter_label: bool = Field(default=False, description="these have instance labels")
+    colours: bool = Field(
+        default=False, description="random colours of the room, the world and static objects"
+    )
+    textures: bool = Field(default=False, description="random patterns instead of their textures")
+    clutter: int = Field(
+        default=0, ge=0, le=1000, description="number of random objects on the floor where nobody walks"
+    )
+    clutter_label: bool = Field(default=False, description="give these objects instance labels")
     camera_jitter: JitterConfig = JitterConfig()
 
 
 class SceneConfig(Section):
-    """A scene file."""
+    """Content of a scene file."""
 
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
-    renderer: RendererName = Field(default="moderngl", description="what draws; pyrender to compare with")
-    room: RoomConfig | None = Field(default=RoomConfig(), description="null for an empty world")
-    humans: dict[Name, HumanConfig] = Field(default_factory=dict)
-    variety: VarietyConfig | None = Field(default=None, description="more humans, drawn at random")
-    objects: dict[Name, ObjectConfig] = Field(default_factory=dict)
+    renderer: RendererName = Field(default="moderngl", description="pyrender is for comparisons")
+    room: RoomConfig | None = Field(default=RoomConfig(), description="furnished room; null for none")
+    humans: dict[_Name, HumanConfig] = Field(default_factory=dict)
+    variety: VarietyConfig | None = Field(default=None, description="random humans besides these")
+    objects: dict[_Name, ObjectConfig] = Field(default_factory=dict)
     rig: RigConfig | None = Field(default=None, description="cameras of a calibration file")
-    cameras: dict[Name, CameraConfig] = Field(default_factory=dict)
-    world: WorldConfig = Field(default=WorldConfig(), description="mesh files, and what is behind them")
+    cameras: dict[_Name, CameraConfig] = Field(default_factory=dict)
+    world: WorldConfig = Field(default=WorldConfig(), description="mesh files and background")
     light: LightConfig = Field(default=LightConfig(), description="light and shadows")
-    randomise: RandomiseConfig | None = Field(default=None, description="looks drawn at random")
+    randomise: RandomiseConfig | None = Field(default=None, description="random looks")
 
     @model_validator(mode="after")
-    def _something_to_see(self) -> SceneConfig:
+    def _has_cameras_and_labels(self) -> SceneConfig:
         if not self.cameras and self.rig is None:
             raise ValueError(
                 "a scene needs at least one camera: in 'cameras', or in a calibration file as 'rig'"
@@ -452,6 +468,13 @@ class SceneConfig(Section):
 def load_config(path: str | os.PathLike[str]) -> SceneConfig:
     """Read and check a scene file. Raises SceneError with file, line and key."""
     data, tree = read_yaml(path, SceneError, "scene")
+    return check_config(data, path, tree)
+
+
+def check_config(
+    data: Any, path: str | os.PathLike[str] | None = None, tree: yaml.Node | None = None
+) -> SceneConfig:
+    """Check the content of a scene file. ``tree``: its YAML nodes. Raises SceneError with line and key."""
     if not isinstance(data, dict):
         raise SceneError("a scene is a mapping with 'humans' and 'cameras'", path=path)
     try:
@@ -460,49 +483,25 @@ def load_config(path: str | os.PathLike[str]) -> SceneConfig:
         raise validation_error(reason, tree, SceneError, path, _known_keys) from None
 
 
+def map_files(value: Any, change: Callable[[str], str]) -> Any:
+    """Copy of a configuration, as ``model_dump`` gives it, with all file names changed."""
+    if isinstance(value, _FileName):
+        return change(value)
+    if isinstance(value, dict):
+        return {key: map_files(part, change) for key, part in value.items()}
+    return [map_files(part, change) for part in value] if isinstance(value, (list, tuple)) else value
+
+
 def _known_keys(keys: list[Any]) -> str:
     model: type[BaseModel] = SceneConfig
     for key in keys[:-1]:
-        if key in model.model_fields:  # a name of a human or camera is none
+        if key in model.model_fields:  # other keys are names of humans, cameras, objects
             model = _section(model.model_fields[key].annotation) or model
     return f"; known here: {', '.join(model.model_fields)}"
 
 
 def _section(annotation: Any) -> type[BaseModel] | None:
-    """The section that a key's type is, has as an alternative, or maps names to."""
+    """Section that is the type of a key, one of its alternatives, or the type of its values."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for inner in get_args(annotation) if (found := _section(inner))), None)
-
-
-def line_of_key(path: str | os.PathLike[str], key: str) -> int | None:
-    """Line of a dotted key in a scene file, or of as much of it as is there; None if it cannot be read."""
-    try:
-        return line_of(read_yaml(path, SceneError, "scene")[1], key.split("."))
-    except SceneError:
-        return None
-
-
-def built_in_names(folder: str, suffix: str) -> list[str]:
-    """What there is in ``assets/<folder>``."""
-    return sorted(path.stem for path in resource_path(f"assets/{folder}").glob(f"*{suffix}"))
-
-
-def find_human(name: str, scene: Path, key: str) -> Path:
-    """A built-in human, or a file with one; SceneError if there is none."""
-    return find_file(name, "humans", ".npz", scene, key)
-
-
-def find_file(name: str, folder: str, suffix: str, scene: Path, key: str) -> Path:
-    """A file named in a scene: a built-in of ``assets/<folder>``, or a path from the scene's folder.
-
-    Raises SceneError naming the scene file and ``key`` if there is no such file.
-    """
-    if name in built_in_names(folder, suffix):
-        return resource_path(f"assets/{folder}") / f"{name}{suffix}"
-    path, there = resolve_relative(scene, name)
-    if not there:
-        known = ", ".join(built_in_names(folder, suffix))
-        where = f"no such file {str(path)!r}" if Path(name).suffix else f"no {name!r}"
-        raise SceneError(f"{where}; the built-in {folder} are {known}", path=scene, key=key)
-    return path
+    return next((section for inner in get_args(annotation) if (section := _section(inner))), None)

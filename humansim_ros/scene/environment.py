@@ -1,53 +1,59 @@
-"""The world around the people of a scene: its room and mesh files, what is behind them, and its light."""
+"""Static surroundings of a scene: room, mesh files, lighting and backdrop."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.errors import MeshError, warn_about
+from humansim_ros.errors import in_section
 from humansim_ros.mesh.load import read_materials_z_up
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.backdrops import Panorama, ambient
 from humansim_ros.render.lighting import Lighting, tone_mapped
 from humansim_ros.render.renderer import Backdrop
-from humansim_ros.scene.backdrops import load_backdrop, load_panorama, scene_file
+from humansim_ros.scene.backdrops import load_backdrop, load_panorama
 from humansim_ros.scene.config import LightConfig, RoomConfig, SceneConfig, WorldMeshConfig
 from humansim_ros.scene.randomise import random_light
 from humansim_ros.scene.room import furnished_room
+from humansim_ros.scene.source import SceneSource
 
-#: Metres beyond which a mesh is more likely in another unit than meant so.
+#: Sizes in metres beyond which the unit of a mesh file is probably wrong.
 _LARGE, _SMALL = 1000.0, 0.02
 
 
 @dataclass(frozen=True)
 class Environment:
-    """What stands still whatever people do. ``placed``: its mesh files. ``backdrop``: what cameras see where
-    nothing is.
+    """Static surroundings of a scene.
+
+    Attributes:
+        mesh_files: Meshes of its mesh files, in ``map``, metres.
+        room: Size and seed of the furnished room; None for no room.
+        lighting: Light, shadows and tone mapping.
+        backdrop: Image behind everything; a plain colour if None.
     """
 
-    placed: tuple[Mesh, ...] = ()
+    mesh_files: tuple[Mesh, ...] = ()
     room: RoomConfig | None = None
     lighting: Lighting = field(default_factory=Lighting)
     backdrop: Backdrop | None = None
 
     @classmethod
-    def load(cls, config: SceneConfig, scene: Path) -> Environment:
-        """The world of a scene file. Raises SceneError with its key, or MeshError with the mesh's file."""
+    def load(cls, config: SceneConfig, source: SceneSource) -> Environment:
+        """Load the environment of a scene. Raises HumansimError with the key."""
         world, meshes = config.world, list[Mesh]()
         for number, mesh in enumerate(world.meshes):
-            meshes += _placed(mesh, scene, f"world.meshes.{number}")
+            meshes += _load_meshes(mesh, source, f"world.meshes.{number}")
         random = config.randomise is not None and config.randomise.light
         light = random_light(config.light, config.randomise) if random and config.randomise else config.light
         lighting = replace(_lighting(light), shadow_catcher=world.shadow_catcher)
         backdrop: Backdrop | None = None
         if world.environment is not None:
-            radiance = load_panorama(world.environment, scene, "world.environment")
+            with in_section("world.environment"):
+                radiance = load_panorama(source.find(world.environment))
             backdrop = Panorama(tone_mapped(radiance, lighting), math.radians(world.environment_yaw_deg))
             sky, ground = ambient(radiance)
             if "sky_color" not in light.model_fields_set:
@@ -55,41 +61,38 @@ class Environment:
             if "ground_color" not in light.model_fields_set:
                 lighting = replace(lighting, ground_color=ground)
         if isinstance(world.background, str):
-            backdrop = load_backdrop(world.background, scene, "world.background")
+            with in_section("world.background"):
+                backdrop = load_backdrop(source.find(world.background))
         elif world.background is not None:
             lighting = replace(lighting, background=world.background)
         return cls(tuple(meshes), config.room, lighting, backdrop)
 
     @cached_property
     def meshes(self) -> tuple[Mesh, ...]:
-        """The room, and what is placed."""
+        """Meshes of the room and of the mesh files."""
         room = [] if self.room is None else furnished_room(self.room.size, self.room.seed)
-        return (*room, *self.placed)
+        return (*room, *self.mesh_files)
 
 
 def _lighting(light: LightConfig) -> Lighting:
     return Lighting(**light.model_dump())
 
 
-def _placed(config: WorldMeshConfig, scene: Path, key: str) -> list[Mesh]:
-    """A mesh file where it stands."""
-    path = scene_file(config.file, scene, f"{key}.file")
-    try:
-        meshes = read_materials_z_up(path, config.up_axis)
-    except MeshError as error:
-        raise MeshError(
-            error.message, path=error.path or path, line=error.line, key=error.key or f"{key}.file"
-        ) from None
-    turn = config.scale * Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_matrix()
-    placed = [replace(m, vertices=m.vertices @ turn.T + np.array(config.position)) for m in meshes]
-    points = np.concatenate([mesh.vertices for mesh in placed])
+def _load_meshes(config: WorldMeshConfig, source: SceneSource, key: str) -> list[Mesh]:
+    """Meshes of a mesh file in ``map``."""
+    with in_section(f"{key}.file"):
+        mesh = source.mesh(config.file)
+        meshes = read_materials_z_up(source.find(config.file), config.up_axis) if mesh is None else [mesh]
+    rotation = config.scale * Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_matrix()
+    meshes = [replace(m, vertices=m.vertices @ rotation.T + np.array(config.position)) for m in meshes]
+    points = np.concatenate([mesh.vertices for mesh in meshes])
     side = float(np.ptp(points, axis=0).max())
     if side > _LARGE:
-        warn_about(
-            scene,
-            f"{key}: {config.file} is {side:.0f} m large, and nothing is drawn beyond 200 m: if its unit is "
-            "a millimetre, say scale: 0.001",
+        source.warn(
+            key,
+            f"{config.file} is {side:.0f} m large, and nothing is rendered beyond 200 m: if its unit is "
+            "a millimetre, give scale: 0.001",
         )
     elif side < _SMALL:
-        warn_about(scene, f"{key}: {config.file} is {1000 * side:.2g} mm large: say its scale")
-    return placed
+        source.warn(key, f"{config.file} is {1000 * side:.2g} mm large: give its scale")
+    return meshes

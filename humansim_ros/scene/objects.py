@@ -1,21 +1,16 @@
-"""Things of a scene that are no people: they stand or move, show in rgb and depth, hide what is behind them,
-and have labels if they are asked to. And the keyframes that move people and things.
-"""
+"""Objects of a scene, static or moved by keyframes; and the keyframes of humans and objects."""
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.errors import HumansimWarning, MotionError, SceneError
-from humansim_ros.io.files import resolve_relative
+from humansim_ros.errors import MotionError, in_section, warn_about
 from humansim_ros.mesh.load import read_mesh_z_up
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.joint_poses import Velocity
@@ -23,18 +18,23 @@ from humansim_ros.motion.keyframe_tracks import KeyframeTrack
 from humansim_ros.motion.keyframes import Keyframes, read_keyframes
 from humansim_ros.render import Body
 from humansim_ros.rotations import quaternion_to_matrix
-from humansim_ros.scene.config import KeyframesConfig, ObjectConfig, SceneConfig
+from humansim_ros.scene.config import ObjectConfig, SceneConfig
+from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
 #: Segments around a sphere or a cylinder.
-_ROUND = 48
+_SEGMENTS = 48
 
 
 @dataclass(frozen=True)
 class ObjectPose:
-    """``position`` (3,) in ``map``, metres; ``rotation`` (4,) xyzw; ``size`` (3,) along the own axes:
-    factors of the mesh, which are metres for the built-in ones. A point x of the mesh is at
-    ``position + rotation (size * x)``. ``velocity``: how it moves; None if that is not known.
+    """Pose and size of an object: a point x of its mesh is at ``position + rotation (size * x)``.
+
+    Attributes:
+        position: (3,) in ``map``, metres.
+        rotation: (4,) quaternion xyzw.
+        size: (3,) factors along the axes of the mesh; metres for a built-in mesh.
+        velocity: Velocity at this time; None if unknown.
     """
 
     position: Array
@@ -43,7 +43,7 @@ class ObjectPose:
     velocity: Velocity | None = None
 
     def moved(self, seconds: float) -> ObjectPose:
-        """Where it is some time later, or before, as it moves now."""
+        """Pose ``seconds`` later at constant velocity."""
         if self.velocity is None or seconds == 0:
             return self
         turn = Rotation.from_rotvec(seconds * self.velocity.angular)
@@ -51,74 +51,96 @@ class ObjectPose:
         return replace(self, position=position, rotation=(turn * Rotation.from_quat(self.rotation)).as_quat())
 
     def apply(self, points: Array) -> Array:
-        """Where points (..., 3) of the mesh are in ``map``."""
+        """Transform points (..., 3) of the mesh to ``map``."""
         turned = (points * self.size) @ quaternion_to_matrix(self.rotation).T
         return np.asarray(turned + self.position)
 
 
 @dataclass(frozen=True)
 class SceneObject:
-    """A thing: its ``mesh`` at size 1 about its own origin, where it ``stands``, and the keys that move it.
+    """An object of a scene.
 
-    ``shape``: box, sphere, cylinder, or the path of the mesh's file. ``instance``: the label it is drawn
-    with, 0 if it has none.
+    Attributes:
+        name: Name in the scene.
+        shape: box, sphere, cylinder, or the path of the mesh file.
+        color: Red, green, blue; sRGB.
+        mesh: Mesh at size 1 about its own origin.
+        initial_pose: Pose without keyframes.
+        keyframes: Keyframes that move the object; None if it is static.
+        instance: Instance label; 0 for none.
     """
 
     name: str
     shape: str
     color: tuple[int, int, int]
     mesh: Mesh
-    stands: ObjectPose
+    initial_pose: ObjectPose
     keyframes: KeyframeTrack | None = None
     instance: int = 0
 
     @classmethod
     def build(
-        cls, name: str, config: ObjectConfig, scene: Path, keyframes: KeyframeTrack | None, instance: int
+        cls,
+        name: str,
+        config: ObjectConfig,
+        source: SceneSource,
+        keyframes: KeyframeTrack | None,
+        instance: int,
     ) -> SceneObject:
-        """A thing of a scene file. Raises SceneError or MeshError naming what is wrong with it."""
-        if config.mesh in SHAPES:
-            shape, mesh = config.mesh, SHAPES[config.mesh]()
-        else:
-            key = f"objects.{name}.mesh"
-            known = f"the built-in meshes are {', '.join(SHAPES)}"
-            path = _existing(config.mesh, scene, key, known)
-            shape = str(path.resolve())
-            mesh = read_mesh_z_up(path)
+        """Create an object.
+
+        Args:
+            name: Name in the scene.
+            config: Section of a scene file.
+            source: Finds the mesh file.
+            keyframes: Keyframes that move the object, if any.
+            instance: Instance label; 0 for none.
+
+        Raises:
+            HumansimError: The mesh cannot be read; ``key`` is relative to the section.
+        """
+        with in_section("mesh"):
+            in_memory = source.mesh(config.mesh)
+            if in_memory is not None:
+                shape, mesh = config.mesh, in_memory
+            elif config.mesh in SHAPES:
+                shape, mesh = config.mesh, SHAPES[config.mesh]()
+            else:
+                path = source.find(config.mesh, f"the built-in meshes are {', '.join(SHAPES)}")
+                shape, mesh = str(path.resolve()), read_mesh_z_up(path)
         plain = mesh.texture is None or "color" in config.model_fields_set
         colors = np.tile(np.array(config.color, np.uint8), (len(mesh.vertices), 1)) if plain else None
-        turn = Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_quat()
-        stands = ObjectPose(np.array(config.position), turn, np.array(config.size))
-        return cls(name, shape, config.color, replace(mesh, colors=colors), stands, keyframes, instance)
+        rotation = Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_quat()
+        pose = ObjectPose(np.array(config.position), rotation, np.array(config.size))
+        return cls(name, shape, config.color, replace(mesh, colors=colors), pose, keyframes, instance)
 
     @property
     def moves(self) -> bool:
+        """Whether keyframes move it; a static object otherwise."""
         return self.keyframes is not None
 
     def at(self, seconds: float) -> ObjectPose:
-        """Where it is at a time since the start of the scene, and how it moves: its place, moved as the
-        keyframes say.
-        """
+        """Pose and velocity at a time since the start of the scene."""
         if self.keyframes is None:
-            return self.stands
+            return self.initial_pose
         times, key = self.keyframes.around(seconds)
         turn = Rotation.from_quat(key.quaternion)
-        position = key.position + turn.apply(key.size * self.stands.position)
-        rotation = (turn * Rotation.from_quat(self.stands.rotation)).as_quat()
+        position = key.position + turn.apply(key.size * self.initial_pose.position)
+        rotation = (turn * Rotation.from_quat(self.initial_pose.rotation)).as_quat()
         velocity = Velocity.between(position[::2], rotation[::2], times[2] - times[0])
-        return ObjectPose(position[1], rotation[1], key.size[1] * self.stands.size, velocity)
+        return ObjectPose(position[1], rotation[1], key.size[1] * self.initial_pose.size, velocity)
 
     def body(self, pose: ObjectPose) -> Body:
-        """What a renderer needs to draw it; it has no parts."""
+        """Body for renderers, without parts."""
         return self._body(self.mesh, pose.apply(self.mesh.vertices))
 
-    def standing(self) -> Mesh:
-        """Its mesh in ``map`` where it stands."""
-        return replace(self.mesh, vertices=self.stands.apply(self.mesh.vertices))
+    def static_mesh(self) -> Mesh:
+        """Mesh in ``map`` at the initial pose."""
+        return replace(self.mesh, vertices=self.initial_pose.apply(self.mesh.vertices))
 
-    def standing_body(self, standing: Mesh) -> Body:
-        """The same as a renderer draws it frame by frame, with the looks of :meth:`standing` or others."""
-        return self._body(replace(standing, vertices=self.mesh.vertices), standing.vertices)
+    def static_body(self, mesh: Mesh) -> Body:
+        """Body of a static mesh (:meth:`static_mesh`, whose colours and texture may have been changed)."""
+        return self._body(replace(mesh, vertices=self.mesh.vertices), mesh.vertices)
 
     def _body(self, mesh: Mesh, vertices: Array) -> Body:
         return Body(mesh, vertices.astype(np.float32), self._parts, self.instance, "object")
@@ -128,55 +150,55 @@ class SceneObject:
         return np.zeros(len(self.mesh.triangles), np.uint8)
 
 
-def load_tracks(config: SceneConfig, scene: Path) -> dict[tuple[str, str], KeyframeTrack]:
-    """The keyframes of a scene's people and things, by section ("humans", "objects") and name.
+def load_tracks(config: SceneConfig, source: SceneSource) -> dict[tuple[str, str], KeyframeTrack]:
+    """Read the keyframes of humans and objects, each file once.
 
-    Every file is read once. A HumansimWarning names what a file moves that is not in the scene. Raises
-    SceneError where a file is not there, MotionError where it is wrong, moves no such object, or sizes a
-    person differently along x, y and z.
+    A HumansimWarning names what a file moves that is not in the scene.
+
+    Returns:
+        Keyframes by section ("humans", "objects") and name.
+
+    Raises:
+        HumansimError: With the key, if a file cannot be read, does not move the human or object, or scales a
+            human differently along x, y and z.
     """
     files: dict[Path, Keyframes] = {}
     used: set[tuple[Path, str]] = set()
     tracks = {}
-    sections: dict[str, dict[str, Any]] = {"humans": config.humans, "objects": config.objects}
-    for section, things in sections.items():
-        for name, thing in things.items():
-            keyframes: KeyframesConfig | None = thing.keyframes
-            if keyframes is None:
-                continue
-            path = _existing(keyframes.file, scene, f"{section}.{name}.keyframes")
+    for section, name, keyframes in (
+        *(("humans", name, human.keyframes) for name, human in config.humans.items()),
+        *(("objects", name, thing.keyframes) for name, thing in config.objects.items()),
+    ):
+        if keyframes is None:
+            continue
+        with in_section(f"{section}.{name}.keyframes.file"):
+            path = source.find(keyframes.file)
             if path not in files:
                 files[path] = read_keyframes(path)
-            wanted = keyframes.object or name
-            track = files[path].track(wanted)
-            used.add((path, wanted))
-            if section == "humans" and np.ptp(track.sizes, axis=1).any():
-                frame = int(track.frames[np.argmax(np.ptp(track.sizes, axis=1) > 0)])
-                raise MotionError(
-                    f"{wanted!r} moves a person: its size must be the same along x, y and z (frame {frame})",
-                    path=path,
-                )
-            tracks[section, name] = track
+            target = keyframes.object or name
+            track = files[path].track(target)
+            if section == "humans":
+                _check_uniform(track, target, path)
+        used.add((path, target))
+        tracks[section, name] = track
     for path, content in files.items():
-        idle = [name for name in content.tracks if (path, name) not in used]
-        if idle:
-            warnings.warn(
-                f"{path}: nothing in {scene} is moved by {', '.join(idle[:20])}",
-                HumansimWarning,
-                stacklevel=3,
-            )
+        unused = [name for name in content.tracks if (path, name) not in used]
+        if unused:
+            origin = "the scene" if source.path is None else source.path
+            warn_about(path, f"nothing in {origin} is moved by {', '.join(unused[:20])}")
     return tracks
 
 
-def _existing(name: str, scene: Path, key: str, known: str = "") -> Path:
-    path, there = resolve_relative(scene, name)
-    if not there:
-        raise SceneError(f"no such file {str(path)!r}" + (f"; {known}" if known else ""), path=scene, key=key)
-    return path
+def _check_uniform(track: KeyframeTrack, target: str, path: Path) -> None:
+    """Raise MotionError if keyframes scale a human differently along x, y and z."""
+    if np.ptp(track.sizes, axis=1).any():
+        frame = int(track.frames[np.argmax(np.ptp(track.sizes, axis=1) > 0)])
+        message = f"{target!r} moves a person: its size must be the same along x, y and z (frame {frame})"
+        raise MotionError(message, path=path)
 
 
 def _box() -> Mesh:
-    """A cube with sides of 1, centred. Its sides share no vertices, so that edges are sharp when lit."""
+    """Cube with sides of 1, centred. Its sides share no vertices: its edges are sharp in shading."""
     side = np.array([(-1, -1), (1, -1), (1, 1), (-1, 1)]) / 2
     vertices = []
     for axis in range(3):
@@ -188,37 +210,34 @@ def _box() -> Mesh:
 
 
 def _sphere() -> Mesh:
-    """A ball of diameter 1, centred."""
-    rings = _ROUND // 2
+    """Sphere of diameter 1, centred."""
+    rings = _SEGMENTS // 2
     polar = np.linspace(0, np.pi, rings + 1)[1:-1, None]
-    around = np.linspace(0, 2 * np.pi, _ROUND, endpoint=False)
-    flat = np.sin(polar)
-    grid = np.stack(
-        [flat * np.cos(around), flat * np.sin(around), np.broadcast_to(np.cos(polar), (rings - 1, _ROUND))],
-        -1,
-    ).reshape(-1, 3)
+    azimuth = np.linspace(0, 2 * np.pi, _SEGMENTS, endpoint=False)
+    flat, height = np.sin(polar), np.broadcast_to(np.cos(polar), (rings - 1, _SEGMENTS))
+    grid = np.stack([flat * np.cos(azimuth), flat * np.sin(azimuth), height], -1).reshape(-1, 3)
     vertices = np.concatenate([grid, [[0, 0, 1], [0, 0, -1]]]) / 2
-    i, j = np.arange(_ROUND), (np.arange(_ROUND) + 1) % _ROUND
-    none = np.full(_ROUND, -1)
-    top, bottom, last = len(grid), len(grid) + 1, len(grid) - _ROUND
-    faces = [np.column_stack([i, j, np.full(_ROUND, top), none])]
+    i, j = np.arange(_SEGMENTS), (np.arange(_SEGMENTS) + 1) % _SEGMENTS
+    none = np.full(_SEGMENTS, -1)
+    top, bottom, last = len(grid), len(grid) + 1, len(grid) - _SEGMENTS
+    faces = [np.column_stack([i, j, np.full(_SEGMENTS, top), none])]
     faces += [
-        np.column_stack([i + low, j + low, j + low - _ROUND, i + low - _ROUND])
-        for low in range(_ROUND, len(grid), _ROUND)
+        np.column_stack([i + low, j + low, j + low - _SEGMENTS, i + low - _SEGMENTS])
+        for low in range(_SEGMENTS, len(grid), _SEGMENTS)
     ]
-    faces += [np.column_stack([j + last, i + last, np.full(_ROUND, bottom), none])]
+    faces += [np.column_stack([j + last, i + last, np.full(_SEGMENTS, bottom), none])]
     return Mesh(vertices, np.concatenate(faces).astype(np.int32))
 
 
 def _cylinder() -> Mesh:
-    """A cylinder of diameter and height 1 along z, centred; its caps share no vertices with its side."""
-    around = np.linspace(0, 2 * np.pi, _ROUND, endpoint=False)
-    ring = np.column_stack([np.cos(around), np.sin(around), np.zeros(_ROUND)]) / 2
+    """Cylinder of diameter and height 1 along z, centred; its caps share no vertices with its side."""
+    azimuth = np.linspace(0, 2 * np.pi, _SEGMENTS, endpoint=False)
+    ring = np.column_stack([np.cos(azimuth), np.sin(azimuth), np.zeros(_SEGMENTS)]) / 2
     half = np.array([0, 0, 0.5])
     low, high = ring - half, ring + half
     vertices = np.concatenate([low, high, low, high, [[0, 0, -0.5], [0, 0, 0.5]]])
-    i, j = np.arange(_ROUND), (np.arange(_ROUND) + 1) % _ROUND
-    none, n = np.full(_ROUND, -1), _ROUND
+    i, j = np.arange(_SEGMENTS), (np.arange(_SEGMENTS) + 1) % _SEGMENTS
+    none, n = np.full(_SEGMENTS, -1), _SEGMENTS
     faces = [
         np.column_stack([i, j, j + n, i + n]),
         np.column_stack([j + 2 * n, i + 2 * n, np.full(n, 4 * n), none]),
@@ -227,5 +246,5 @@ def _cylinder() -> Mesh:
     return Mesh(vertices, np.concatenate(faces).astype(np.int32))
 
 
-#: Built-in meshes, of 1 m, centred.
+#: Built-in meshes of 1 m, centred.
 SHAPES = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from humansim_ros.errors import MotionError
+from humansim_ros.errors import MotionError, in_section
 from humansim_ros.motion.joint_poses import JointPoses, Velocity
 from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.scene.actor import Actor
@@ -195,6 +195,10 @@ class Playback:
         file (joint table, unit, start, end …) does not hold for another; for the scene's own, what the scene
         says of it does.
         """
+        with in_section(f"humans.{name}.motion"):
+            return self._prepare(name, settings)
+
+    def _prepare(self, name: str, settings: Mapping[str, Any]) -> Change:
         old, before = self.settings[name], self.actors[name]
         new = _with(old, settings, self.scene.config.humans[name].motion)
         different = {key for key in MotionConfig.model_fields if getattr(new, key) != getattr(old, key)}
@@ -203,7 +207,7 @@ class Playback:
             actor = replace(before, motion=replace(before.motion, speed=new.speed))
         else:
             read_again = different & {"file", "positions"}
-            actor = before.with_motion(new, self.scene.path, None if read_again else before.motion.motion)
+            actor = before.with_motion(new, self.scene.source, None if read_again else before.motion.motion)
         actor.motion.sample(0.0)  # what is worked out for all frames at once is worked out now
         return Change(name, new, actor, bool(different & _BEGINNING), bool(different & _OF_THE_ROUND))
 

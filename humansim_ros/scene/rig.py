@@ -1,95 +1,95 @@
-"""The cameras of a scene: those of its rig (a calibration file) and those of its ``cameras`` section."""
+"""Cameras of a scene: those of its rig (a calibration file) and those of its ``cameras`` section."""
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Sequence
-from pathlib import Path
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.region import Region
-from humansim_ros.errors import CameraError, SceneError
+from humansim_ros.errors import CameraError, SceneError, in_section
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.scene.backdrops import load_backdrop
-from humansim_ros.scene.camera import SceneCamera, _placed, _read
-from humansim_ros.scene.config import RigConfig, SceneConfig, line_of_key
+from humansim_ros.scene.camera import SceneCamera, read_cameras
+from humansim_ros.scene.config import RigConfig, SceneConfig, load_config
+from humansim_ros.scene.source import SceneSource
 from humansim_ros.sensor import Sensor
 
 
-def build_cameras(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
-    """The cameras of a scene file, those of its rig first. Raises CameraError or SceneError with file and
-    key.
-    """
-    cameras = build_rig(config, scene)
-    for name, camera in config.cameras.items():
-        if name in cameras:
-            key = f"cameras.{name}"
-            line = line_of_key(scene, key)
-            raise SceneError("the rig has a camera of this name already", path=scene, line=line, key=key)
-        try:
-            cameras[name] = SceneCamera.build(name, camera, scene)
-        except CameraError as error:
-            raise _placed(error, scene, f"cameras.{name}") from None
-    return cameras
-
-
-def build_rig(config: SceneConfig, scene: Path) -> dict[str, SceneCamera]:
-    """The cameras that a scene file takes from a calibration file as its rig. Raises CameraError, or
-    SceneError for their photographs.
-    """
-    rig, found = config.rig, rig_cameras(config.rig, scene)
-    if rig is None:
-        return {}
-    region, cameras = Region(None, rig.binning), dict[str, SceneCamera]()
-    backdrops = _backdrops(rig, [original for original, _ in found.values()], scene)
-    try:
-        for name, (original, whole) in found.items():
-            sensor = Sensor(rig.sensor, region.of(whole), name)
-            cameras[name] = SceneCamera(name, whole, region, sensor, backdrop=backdrops.get(original))
-    except CameraError as error:
-        raise _placed(error, scene, "rig") from None
-    return cameras
-
-
-def rig_cameras(rig: RigConfig | None, scene: Path) -> dict[str, tuple[str, Camera]]:
-    """By their names in ROS, what the cameras of a rig are called in their file, and what they are there.
-    Raises CameraError.
-    """
-    if rig is None:
-        return {}
-    cameras: dict[str, tuple[str, Camera]] = {}
-    try:
-        found = _read(rig.file, "file", scene, rig)
-        missing = set(rig.cameras or ()) - set(found)
-        if missing:
-            known = ", ".join(found)
-            raise CameraError(f"no camera {min(missing)!r} in {rig.file}; there are {known}", key="cameras")
-        for original in rig.cameras or found:
-            name = _topic_name(original)
+def build_cameras(config: SceneConfig, source: SceneSource) -> dict[str, SceneCamera]:
+    """Create the cameras of a scene by name, those of its rig first. Raises HumansimError with the key."""
+    cameras: dict[str, SceneCamera] = {}
+    if config.rig is not None:
+        with in_section("rig"):
+            cameras = _build_rig(config.rig, source)
+    with in_section("cameras"):
+        for name, camera in config.cameras.items():
             if name in cameras:
-                raise CameraError(f"two of its cameras would be {name} in ROS: rename one", key="cameras")
-            cameras[name] = original, found[original]
-    except CameraError as error:
-        raise _placed(error, scene, "rig") from None
+                raise SceneError("the rig has a camera of this name already", key=name)
+            cameras[name] = SceneCamera.build(name, camera, source)
     return cameras
 
 
-def _backdrops(rig: RigConfig, names: Sequence[str], scene: Path) -> dict[str, Backdrop]:
-    """Photographs of a rig by the names that cameras have in its file. SceneError with the key."""
-    key = "rig.background"
+def rig_camera_names(path: str | os.PathLike[str]) -> list[str]:
+    """Names of the cameras that a scene file takes from its rig. Raises HumansimError with path and key."""
+    rig, source = load_config(path).rig, SceneSource.of_file(path)
+    if rig is None:
+        return []
+    with source.locating_errors(), in_section("rig"):
+        return list(_rig_cameras(rig, source))
+
+
+def _build_rig(rig: RigConfig, source: SceneSource) -> dict[str, SceneCamera]:
+    cameras = _rig_cameras(rig, source)
+    region = Region(None, rig.binning)
+    with in_section("background"):
+        backdrops = _backdrops(rig, [original for original, _ in cameras.values()], source)
+    return {
+        name: SceneCamera(
+            name,
+            whole,
+            region,
+            Sensor(rig.sensor, region.of(whole), name),
+            backdrop=backdrops.get(original),
+        )
+        for name, (original, whole) in cameras.items()
+    }
+
+
+def _rig_cameras(rig: RigConfig, source: SceneSource) -> dict[str, tuple[str, Camera]]:
+    """Name in the file and camera, by name in ROS."""
+    cameras: dict[str, tuple[str, Camera]] = {}
+    read = read_cameras(rig.file, "file", rig, source)
+    missing = set(rig.cameras or ()) - set(read)
+    if missing:
+        known = ", ".join(read)
+        raise CameraError(f"no camera {min(missing)!r} in {rig.file}; there are {known}", key="cameras")
+    for original in rig.cameras or read:
+        name = _topic_name(original)
+        if name in cameras:
+            raise CameraError(f"two of its cameras would be {name} in ROS: rename one", key="cameras")
+        cameras[name] = original, read[original]
+    return cameras
+
+
+def _backdrops(rig: RigConfig, names: Sequence[str], source: SceneSource) -> dict[str, Backdrop]:
+    """Photographs by the names of cameras in the rig's file."""
     if isinstance(rig.background, str):
         files = {name: rig.background.replace("{name}", name) for name in names}
-        # by file: one that all cameras have is kept once
-        read = {file: load_backdrop(file, scene, key) for file in dict.fromkeys(files.values())}
+        # by file: one photograph for all cameras is in memory once
+        read = {file: load_backdrop(source.find(file)) for file in dict.fromkeys(files.values())}
         return {name: read[file] for name, file in files.items()}
-    files = rig.background or {}
-    for name in files.keys() - {*names}:
-        key, message = f"{key}.{name}", f"no camera {name!r} in this rig; there are {', '.join(names)}"
-        raise SceneError(message, path=scene, line=line_of_key(scene, key), key=key)
-    return {name: load_backdrop(file, scene, f"{key}.{name}") for name, file in files.items()}
+    backdrops: dict[str, Backdrop] = {}
+    for name, file in (rig.background or {}).items():
+        with in_section(name):
+            if name not in names:
+                raise SceneError(f"no camera {name!r} in this rig; there are {', '.join(names)}")
+            backdrops[name] = load_backdrop(source.find(file))
+    return backdrops
 
 
 def _topic_name(name: str) -> str:
-    """A camera's name in a file as ROS topics may have it."""
+    """Name of a camera that is valid in ROS topics."""
     plain = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_")
     return plain if plain[:1].isalpha() else f"camera_{plain}"

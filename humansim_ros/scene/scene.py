@@ -1,4 +1,4 @@
-"""A scene ready to run: humans with their motions, cameras, the static world."""
+"""A scene that is ready to play: humans with motions, objects, cameras and the environment."""
 
 from __future__ import annotations
 
@@ -7,44 +7,65 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import SceneError
-from humansim_ros.humans.loading import load_human
+from humansim_ros.errors import SceneError, in_section
+from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframe_tracks import KeyframeTrack
+from humansim_ros.motion.kinematics import Motion
 from humansim_ros.render import Body, GLRenderer, PyrenderRenderer, make_renderer
 from humansim_ros.resources import resource_path
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import SceneCamera
-from humansim_ros.scene.config import (
-    HumanConfig,
-    ObjectConfig,
-    SceneConfig,
-    find_human,
-    line_of_key,
-    load_config,
-)
+from humansim_ros.scene.clutter import Obstacles, clutter
+from humansim_ros.scene.config import HumanConfig, ObjectConfig, SceneConfig, check_config, load_config
 from humansim_ros.scene.environment import Environment
 from humansim_ros.scene.objects import SceneObject, load_tracks
-from humansim_ros.scene.randomise import Around, clutter, jittered, restyled
+from humansim_ros.scene.randomise import random_cameras, random_looks
 from humansim_ros.scene.rig import build_cameras
+from humansim_ros.scene.source import SceneSource, name_objects
 from humansim_ros.scene.variety import with_variety
 from humansim_ros.truth import joint_surfaces
 
 DEMO_SCENE = "config/scenes/demo.yaml"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scene:
-    """Everything that is simulated. Humans are numbered from 1 in the file's order, then the objects that are
-    to have labels, then clutter that is: their instance labels.
+    """Humans with motions, objects, cameras and environment of a simulation.
+
+    Make one with :meth:`load` (scene file), :meth:`from_dict` (the same keys as a mapping) or :meth:`build`
+    (keywords, with objects in memory). Instance labels count from 1: humans in the order of the scene, then
+    labelled objects, then labelled clutter.
+
+    Attributes:
+        source: Where the scene comes from.
+        config: Its checked configuration.
+        actors: Humans by name.
+        scene_cameras: Cameras with sensor and trajectory by name; ``cameras`` has their geometry only.
+        objects: Objects by name.
+        environment: Static surroundings.
+
+    Example:
+        >>> scene = Scene.from_dict(
+        ...     {
+        ...         "room": None,
+        ...         "humans": {"anna": {"body": "adult_woman", "motion": "walk"}},
+        ...         "cameras": {"front": {"position": [4, 0, 1.5], "look_at": [0, 0, 1]}},
+        ...     }
+        ... )
+        >>> scene
+        Scene(humans=['anna'], objects=[], cameras=['front'], rate=30)
+        >>> scene.actors["anna"].at(0.5).positions.shape
+        (27, 3)
     """
 
-    path: Path
+    source: SceneSource
     config: SceneConfig
     actors: dict[str, Actor]
     scene_cameras: dict[str, SceneCamera]
@@ -53,59 +74,125 @@ class Scene:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
-        """Load a scene file (the demo scene if none is given). Raises HumansimError naming file and key."""
+        """Load a scene file; the demo scene if None. Raises HumansimError with file, line and key."""
         path = resource_path(DEMO_SCENE) if path is None else Path(path)
-        return cls.build(with_variety(load_config(path), path), path)
+        return cls.from_config(load_config(path), SceneSource.of_file(path))
 
     @classmethod
-    def build(cls, config: SceneConfig, path: Path) -> Scene:
-        """The scene of a checked configuration; files it names are looked for from the folder of ``path``."""
-        tracks = load_tracks(config, path)
+    def from_dict(cls, scene: Mapping[str, Any], folder: str | os.PathLike[str] = ".") -> Scene:
+        """Make a scene from a mapping with the keys of a scene file (docs/scene.md).
+
+        Values may also be objects in memory, see :meth:`build`.
+
+        Args:
+            scene: The mapping.
+            folder: Folder that relative file names start from.
+
+        Raises:
+            HumansimError: With the key.
+        """
+        objects: dict[str, Human | Motion | Mesh] = {}
+        data = {section: name_objects(value, section, objects) for section, value in scene.items()}
+        source = SceneSource(folder=Path(folder).resolve(), objects=objects)
+        return cls.from_config(check_config(data), source)
+
+    @classmethod
+    def build(
+        cls,
+        *,
+        cameras: Mapping[str, Camera | Mapping[str, Any]],
+        humans: Mapping[str, Human | str | Mapping[str, Any]] | None = None,
+        objects: Mapping[str, Mesh | str | Mapping[str, Any]] | None = None,
+        folder: str | os.PathLike[str] = ".",
+        **sections: Any,
+    ) -> Scene:
+        """Make a scene from keywords; objects in memory may stand where a scene file names a file.
+
+        Args:
+            cameras: By name: a Camera, or the keys of a camera in a scene file.
+            humans: By name: a Human, a name or path, or the keys of a human in a scene file. Its ``body`` may
+                be a Human, its ``motion`` (or the ``file`` of its motion) a Motion.
+            objects: By name: a Mesh, a name or path, or the keys of an object, whose ``mesh`` may be a Mesh.
+            folder: Folder that relative file names start from.
+            **sections: Other sections and keys of a scene file: ``rate``, ``room``, ``light`` …
+
+        Raises:
+            HumansimError: With the key.
+
+        Example:
+            >>> from humansim_ros import read_motion
+            >>> from humansim_ros.resources import resource_path
+            >>> wave = read_motion(resource_path("assets/motions/wave.bvh"))
+            >>> camera = Camera.look_at((4, 0, 1.5), (0, 0, 1), size=(320, 240))
+            >>> Scene.build(humans={"anna": {"motion": wave}}, cameras={"front": camera}, room=None, rate=25)
+            Scene(humans=['anna'], objects=[], cameras=['front'], rate=25)
+        """
+        scene = {"humans": humans or {}, "cameras": cameras, "objects": objects or {}, **sections}
+        return cls.from_dict(scene, folder)
+
+    @classmethod
+    def from_config(cls, config: SceneConfig, source: SceneSource | None = None) -> Scene:
+        """Make a scene from a checked configuration. ``source`` finds its files and locates its errors."""
+        source = source or SceneSource()
+        with source.locating_errors():
+            return cls._from_config(with_variety(config, source), source)
+
+    @classmethod
+    def _from_config(cls, config: SceneConfig, source: SceneSource) -> Scene:
+        tracks = load_tracks(config, source)
         actors = {
-            name: _actor(name, number, human, path, tracks.get(("humans", name)))
+            name: _actor(name, number, human, source, tracks.get(("humans", name)))
             for number, (name, human) in enumerate(config.humans.items(), 1)
         }
         objects: dict[str, SceneObject] = {}
-        _add_objects(objects, config.objects, path, tracks, actors)
-        environment = Environment.load(config, path)
+        _add_objects(objects, config.objects, source, tracks, actors)
+        environment = Environment.load(config, source)
         cameras = {
             name: replace(camera, backdrop=camera.backdrop or environment.backdrop)
-            for name, camera in build_cameras(config, path).items()
+            for name, camera in build_cameras(config, source).items()
         }
         if config.randomise is not None:
-            cameras = jittered(cameras, config.randomise)
+            cameras = random_cameras(cameras, config.randomise)
         if config.randomise is not None and config.randomise.clutter:
-            still = [
+            static = [
                 *environment.meshes,
-                *(thing.standing() for thing in objects.values() if not thing.moves),
+                *(thing.static_mesh() for thing in objects.values() if not thing.moves),
             ]
-            things = clutter(config, path, Around.of(actors.values(), cameras, objects, still))
-            _add_objects(objects, things, path, tracks, actors)
+            obstacles = Obstacles.of_scene(actors.values(), cameras, objects, static)
+            _add_objects(objects, clutter(config, source, obstacles), source, tracks, actors)
         distorted = [name for name, camera in cameras.items() if camera.camera.distorted]
         if config.renderer == "pyrender" and distorted:
             raise SceneError(
-                f"pyrender knows no lens distortion, such as that of {distorted[0]}: take moderngl",
-                path=path,
-                line=line_of_key(path, "renderer"),
+                f"pyrender does not render distorted lenses, such as that of {distorted[0]}: use moderngl",
                 key="renderer",
             )
-        return cls(path, config, actors, cameras, objects, environment)
+        return cls(source, config, actors, cameras, objects, environment)
+
+    def __repr__(self) -> str:
+        humans, objects, cameras = list(self.actors), list(self.objects), list(self.scene_cameras)
+        return f"Scene(humans={humans}, objects={objects}, cameras={cameras}, rate={self.config.rate:g})"
+
+    @property
+    def path(self) -> Path | None:
+        """The scene file; None for a scene that is made in memory."""
+        return self.source.path
 
     def make_renderer(self, device: int | None = None) -> GLRenderer | PyrenderRenderer:
-        """A renderer of the kind that the scene asks for, in its static world. ``device``: number of the GPU
-        as EGL counts them; the first that works if None. Raises RenderError.
+        """Create the renderer of the scene with its static meshes.
+
+        ``device``: number of the GPU as EGL counts; the first that works if None. Raises RenderError.
         """
         light = self.environment.lighting
         return make_renderer(self.config.renderer, self.static_meshes, light, device, self.static_bodies)
 
     @cached_property
     def cameras(self) -> dict[str, Camera]:
-        """The cameras of image_raw, as they stand at the start."""
+        """Cameras of ``image_raw`` by name, at their initial poses."""
         return {name: camera.camera for name, camera in self.scene_cameras.items()}
 
     @cached_property
     def moving_cameras(self) -> dict[str, SceneCamera]:
-        """The cameras that trajectories move."""
+        """Cameras with a trajectory by name."""
         return {name: camera for name, camera in self.scene_cameras.items() if camera.moves}
 
     @property
@@ -114,17 +201,17 @@ class Scene:
         return 1 / self.config.rate
 
     def frame_time(self, index: int) -> int:
-        """Nanoseconds from the start to frame ``index``: round(index * period), so that no error adds up."""
+        """Nanoseconds from the start to frame ``index``, round(index * period): errors do not accumulate."""
         return round(index * 1_000_000_000 / self.config.rate)
 
     @cached_property
     def labels(self) -> dict[str, int]:
-        """Instance labels by name: of all humans, then of the objects that have one."""
+        """Instance labels by name: of all humans, then of the labelled objects."""
         return {name: actor.instance for name, actor in self.actors.items()} | self.object_labels
 
     @cached_property
     def object_labels(self) -> dict[str, int]:
-        """Instance labels of the objects that have one, by name."""
+        """Instance labels of the labelled objects by name."""
         return {name: thing.instance for name, thing in self.objects.items() if thing.instance}
 
     @cached_property
@@ -134,58 +221,55 @@ class Scene:
 
     @cached_property
     def static_meshes(self) -> list[Mesh]:
-        """The world that stands still and has no labels."""
-        meshes, standing = self._standing
-        return [*meshes, *(mesh for name, mesh in standing.items() if not self.objects[name].instance)]
+        """Meshes of the environment and of static objects without label, in ``map``, with random looks."""
+        meshes, static = self._static
+        return [*meshes, *(mesh for name, mesh in static.items() if not self.objects[name].instance)]
 
     @cached_property
     def static_bodies(self) -> list[Body]:
-        """The objects with labels that stand still: always the same bodies."""
-        things = ((self.objects[name], mesh) for name, mesh in self._standing[1].items())
-        return [thing.standing_body(mesh) for thing, mesh in things if thing.instance]
+        """Bodies of static objects with label, always the same ones."""
+        things = ((self.objects[name], mesh) for name, mesh in self._static[1].items())
+        return [thing.static_body(mesh) for thing, mesh in things if thing.instance]
 
     @cached_property
-    def _standing(self) -> tuple[list[Mesh], dict[str, Mesh]]:
-        """The world, and the objects that stand still by name, in ``map`` with the looks they have."""
-        standing = {name: thing.standing() for name, thing in self.objects.items() if not thing.moves}
-        meshes = [*self.environment.meshes, *standing.values()]
+    def _static(self) -> tuple[list[Mesh], dict[str, Mesh]]:
+        """Meshes of the environment, and of static objects by name, in ``map``, with random looks."""
+        static = {name: thing.static_mesh() for name, thing in self.objects.items() if not thing.moves}
+        meshes = [*self.environment.meshes, *static.values()]
         if self.config.randomise is not None:
-            meshes = restyled(meshes, self.config.randomise)
+            meshes = random_looks(meshes, self.config.randomise)
         count = len(self.environment.meshes)
-        return meshes[:count], dict(zip(standing, meshes[count:], strict=True))
+        return meshes[:count], dict(zip(static, meshes[count:], strict=True))
 
     @cached_property
     def moving_objects(self) -> dict[str, SceneObject]:
-        """The things that keyframes move."""
+        """Objects with keyframes by name."""
         return {name: thing for name, thing in self.objects.items() if thing.moves}
 
 
 def _actor(
-    name: str, instance: int, config: HumanConfig, scene: Path, keyframes: KeyframeTrack | None
+    name: str, instance: int, config: HumanConfig, source: SceneSource, keyframes: KeyframeTrack | None
 ) -> Actor:
-    body = find_human(config.body, scene, f"humans.{name}.body")
-    human = load_human(body, config.outfit, config.skinning)
-    return replace(Actor.build(name, instance, human, config.motion, scene), keyframes=keyframes)
+    with in_section(f"humans.{name}"):
+        human = source.human(config.body, config.outfit, config.skinning)
+        with in_section("motion"):
+            actor = Actor.build(name, instance, human, config.motion, source)
+    return replace(actor, keyframes=keyframes)
 
 
 def _add_objects(
     objects: dict[str, SceneObject],
     configs: Mapping[str, ObjectConfig],
-    scene: Path,
+    source: SceneSource,
     tracks: Mapping[tuple[str, str], KeyframeTrack],
     actors: Mapping[str, Actor],
 ) -> None:
-    """Build objects and put them to those that are there. Labels go on from those of humans and objects."""
+    """Add objects; their labels continue those of humans and objects."""
     last = len(actors) + sum(thing.instance > 0 for thing in objects.values())
     for name, config in configs.items():
-        if config.label and name in actors:
-            key = f"objects.{name}"
-            raise SceneError(
-                "there is a human of this name: an object with a label needs one of its own",
-                path=scene,
-                line=line_of_key(scene, key),
-                key=key,
-            )
-        last += config.label
-        number = last if config.label else 0
-        objects[name] = SceneObject.build(name, config, scene, tracks.get(("objects", name)), number)
+        with in_section(f"objects.{name}"):
+            if config.label and name in actors:
+                raise SceneError("a human has this name: a labelled object needs a name of its own")
+            last += config.label
+            label = last if config.label else 0
+            objects[name] = SceneObject.build(name, config, source, tracks.get(("objects", name)), label)

@@ -1,10 +1,11 @@
-"""The whole flow in one process, without ROS: motion, skinning, rendering, ground truth."""
+"""Simulate a scene in one process, without ROS: motion, skinning, rendering, ground truth."""
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,17 +22,24 @@ from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.state import JointMotion, SceneState
 from humansim_ros.truth import BodyBox, CameraTruth, JointView
 
-#: What there is at one time of the scene.
-_Found = tuple[ScenePoses, dict[str, HumanState], SceneState]
+#: Poses, humans and state at one scene time.
+_Snapshot = tuple[ScenePoses, dict[str, HumanState], SceneState]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Frame:
-    """One instant of a scene. ``stamp``: nanoseconds. ``humans``: by name. ``views``: by camera name.
+    """Everything of a scene at one stamp.
 
-    ``truth``: by camera name; its numbers are computed on first access. ``objects``: poses of the moving
-    objects by name. ``cameras``: cameras with their poses by name. ``bodies``: all bodies, humans first.
-    ``labels``: instance labels by name.
+    Attributes:
+        index: Number of the frame, from 0.
+        stamp: Nanoseconds.
+        humans: Joints and vertices by human.
+        views: Channels by camera.
+        truth: Ground truth by camera; its numbers are computed on first access.
+        objects: Poses of moving objects by name.
+        cameras: Cameras of ``views`` at their poses by name.
+        bodies: All bodies, humans first.
+        labels: Instance labels of humans and labelled objects by name.
     """
 
     index: int
@@ -43,6 +51,10 @@ class Frame:
     cameras: dict[str, Camera] = field(default_factory=dict)
     bodies: Sequence[Body] = ()
     labels: Mapping[str, int] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        humans, views = list(self.humans), list(self.views)
+        return f"Frame(index={self.index}, stamp={self.stamp}, humans={humans}, views={views})"
 
     @property
     def joints(self) -> dict[str, dict[str, JointView]]:
@@ -69,11 +81,28 @@ class Frame:
 
 
 class Simulation:
-    """Iterate over a scene's frames without end, or call :meth:`frame` for any of them.
+    """Play a scene: iterate over its frames without end, or get :meth:`frames` or one :meth:`frame`.
 
-    ``channels``: what the cameras render. ``start``: stamp of frame 0 in nanoseconds. The same scene gives
-    the same frames. ``playback``: what plays; ``simulation.playback.change("anna", speed=0.5)`` changes
-    it from the frame shown last on, as the parameters of the motion player do.
+    The same scene gives the same frames. Use it in a ``with`` statement, or call :meth:`close`, to free the
+    renderer.
+
+    Args:
+        scene: The scene.
+        channels: Channels that the cameras render (docs/ground_truth.md).
+        start: Stamp of frame 0, nanoseconds.
+        renderer: Renderer to use; a new one (moderngl needs EGL) if None.
+
+    Attributes:
+        channels: Names of the channels.
+        playback: Clock and motions. ``simulation.playback.change("anna", speed=0.5)`` changes a motion after
+            the frame that was shown last, as the parameters of the motion player do.
+
+    Example:
+        >>> with Simulation(Scene.load(), channels=("rgb", "depth")) as simulation:  # doctest: +SKIP
+        ...     for frame in simulation.frames(2):
+        ...         print(frame.stamp, frame.views["camera_1"])
+        1 View(640x480: rgb, depth)
+        33333334 View(640x480: rgb, depth)
     """
 
     def __init__(
@@ -85,82 +114,90 @@ class Simulation:
     ) -> None:
         self.scene = scene
         self.playback = Playback(scene)
-        self.channels = tuple(channels)
+        self.channels: tuple[str, ...] = tuple(channels)
         self.start = start
-        self._recent: deque[tuple[int, tuple[Actor, ...], _Found]] = deque(maxlen=3)
+        self._recent: deque[tuple[int, tuple[Actor, ...], _Snapshot]] = deque(maxlen=3)
         self.renderer: Renderer = renderer or scene.make_renderer()
 
     def __iter__(self) -> Iterator[Frame]:
-        index = 0
-        while True:
-            yield self.frame(index)
-            index += 1
+        return (self.frame(index) for index in count())
+
+    def __enter__(self) -> Simulation:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def frames(self, count: int) -> Iterator[Frame]:
+        """The first ``count`` frames, one after the other."""
+        return (self.frame(index) for index in range(count))
 
     def frame(self, index: int) -> Frame:
-        """Frame ``index``, at ``start + round(index * period)``."""
-        elapsed = self.scene.frame_time(index)
-        asked = [frame for frame in ADJACENT_NAMES if comparing_with(frame, self.channels)]
-        beside = {
-            which: self._at(self.scene.frame_time(index + step))[2]
-            for which, step in (("next_frame", 1), ("previous_frame", -1))
-            if which in asked
+        """Frame ``index``; its stamp is ``start + round(index * period)``."""
+        adjacent: dict[AdjacentName, SceneState] = {
+            name: self._at(self.scene.frame_time(index + step))[2]
+            for name, step in zip(ADJACENT_NAMES, (1, -1), strict=True)
+            if comparing_with(name, self.channels)
         }
-        moment, humans, instant = self._at(elapsed)
+        poses, humans, state = self._at(self.scene.frame_time(index))
         cameras = {
-            name: camera.at(moment.cameras[name]) if camera.moves else camera.camera
+            name: camera.at(poses.cameras[name]) if camera.moves else camera.camera
             for name, camera in self.scene.scene_cameras.items()
         }
         views = {
-            name: self._view(camera, instant, beside) for name, camera in self.scene.scene_cameras.items()
+            name: self._view(camera, state, adjacent) for name, camera in self.scene.scene_cameras.items()
         }
-        truth = {name: instant.camera_truth(cameras[name], view) for name, view in views.items()}
         return Frame(
-            index,
-            instant.stamp,
-            humans,
-            views,
-            truth,
-            moment.objects,
-            cameras,
-            instant.bodies,
-            self.scene.labels,
+            index=index,
+            stamp=state.stamp,
+            humans=humans,
+            views=views,
+            truth={name: state.camera_truth(cameras[name], view) for name, view in views.items()},
+            objects=poses.objects,
+            cameras=cameras,
+            bodies=state.bodies,
+            labels=self.scene.labels,
         )
-
-    def _view(
-        self, camera: SceneCamera, instant: SceneState, beside: Mapping[AdjacentName, SceneState]
-    ) -> View:
-        """What a camera sees. ``beside``: the frames after and before, where channels need them."""
-        after, before = (
-            other.shot(camera).neighbour(camera) if (other := beside.get(which)) else None
-            for which in ADJACENT_NAMES
-        )
-        shot = replace(instant.shot(camera), next_frame=after, previous_frame=before)
-        return capture(self.renderer, camera, shot, self.channels, instant.stamp)
-
-    def _at(self, elapsed: int) -> _Found:
-        """All there is at a time of the scene in nanoseconds. The last few are kept: with flow, frames are
-        neighbours of others, and what renderers worked out of their bodies serves again.
-        """
-        actors = tuple(self.playback.actors.values())
-        for known, then, found in self._recent:
-            if known == elapsed and all(a is b for a, b in zip(actors, then, strict=True)):
-                self.playback.elapsed = elapsed
-                return found
-        moment = self.playback.show(elapsed)
-        humans = {name: actor.state(moment.poses[name]) for name, actor in self.playback.actors.items()}
-        found = moment, humans, self._instant(elapsed, humans, moment)
-        if any(comparing_with(frame, self.channels) for frame in ADJACENT_NAMES):
-            self._recent.append((elapsed, actors, found))
-        return found
-
-    def _instant(self, elapsed: int, humans: dict[str, HumanState], moment: ScenePoses) -> SceneState:
-        def joints_of(name: str) -> JointMotion:
-            return JointMotion(humans[name].joints, humans[name].linear, humans[name].angular)
-
-        vertices = {name: state.vertices for name, state in humans.items()}
-        stamp, actors = self.start + elapsed, self.playback.actors
-        return SceneState(stamp, self.scene, actors, vertices, joints_of, moment.objects, moment.cameras)
 
     def close(self) -> None:
         """Free the renderer."""
         self.renderer.close()
+
+    def _view(
+        self, camera: SceneCamera, state: SceneState, adjacent: Mapping[AdjacentName, SceneState]
+    ) -> View:
+        next_frame, previous_frame = (
+            other.exposure(camera).adjacent_frame(camera) if (other := adjacent.get(name)) else None
+            for name in ADJACENT_NAMES
+        )
+        exposure = replace(state.exposure(camera), next_frame=next_frame, previous_frame=previous_frame)
+        return capture(self.renderer, camera, exposure, self.channels, state.stamp)
+
+    def _at(self, elapsed: int) -> _Snapshot:
+        """Everything at a scene time in nanoseconds.
+
+        The last ones are cached: with flow a frame is adjacent to others, and renderers reuse its bodies.
+        """
+        actors = tuple(self.playback.actors.values())
+        for time, cached_actors, snapshot in self._recent:
+            if time == elapsed and all(a is b for a, b in zip(actors, cached_actors, strict=True)):
+                self.playback.elapsed = elapsed
+                return snapshot
+        poses = self.playback.show(elapsed)
+        humans = {name: actor.state(poses.poses[name]) for name, actor in self.playback.actors.items()}
+
+        def joints_of(name: str) -> JointMotion:
+            return JointMotion(humans[name].joints, humans[name].linear, humans[name].angular)
+
+        state = SceneState(
+            stamp=self.start + elapsed,
+            scene=self.scene,
+            actors=self.playback.actors,
+            vertices={name: human.vertices for name, human in humans.items()},
+            joints_of=joints_of,
+            objects=poses.objects,
+            cameras=poses.cameras,
+        )
+        if any(comparing_with(name, self.channels) for name in ADJACENT_NAMES):
+            self._recent.append((elapsed, actors, (poses, humans, state)))
+        return poses, humans, state

@@ -1,8 +1,7 @@
-"""One instant of a scene: everything that moves, as it stands, and as it stands a moment before or after.
+"""State of a scene at one stamp: all bodies, objects and cameras, extrapolated during an exposure.
 
-What a shutter sees while it is open follows from what is known at the instant itself: people go on at the
-velocities of their joints, objects and cameras at their own. Frames before it do not matter: time may have
-jumped since.
+During an exposure, joints, objects and cameras move at the velocities that they have at the stamp. Earlier
+frames are not used: the scene time may have jumped since.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ from humansim_ros.types import Array
 
 @dataclass(frozen=True)
 class JointMotion:
-    """Joints of a human in ``map``: poses (J, 4, 4), velocities (J, 3) in m/s and rad/s, or None."""
+    """Joints of a human in ``map``: poses (J, 4, 4), velocities (J, 3) in m/s and rad/s or None."""
 
     joints: Array
     linear: Array | None
@@ -39,11 +38,18 @@ class JointMotion:
         return self.joints[:, :3, 3]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class SceneState:
-    """All humans, moving objects and moving cameras of a scene at one stamp (nanoseconds).
+    """All bodies, objects and cameras of a scene at one stamp.
 
-    ``vertices``: (V, 3) float32 by human; ``joints_of``: a human's joints, asked for only where they matter.
+    Attributes:
+        stamp: Nanoseconds.
+        scene: The scene.
+        actors: Humans by name.
+        vertices: (V, 3) float32 in ``map`` by human.
+        joints_of: Returns the joints of a human by name; called only if they are needed.
+        objects: Poses of moving objects by name.
+        cameras: Poses of moving cameras by name.
     """
 
     stamp: int
@@ -57,13 +63,13 @@ class SceneState:
 
     @cached_property
     def bodies(self) -> Sequence[Body]:
-        """What is to be drawn."""
+        """Humans, moving objects, then static bodies."""
         bodies = [actor.body(self.vertices[name]) for name, actor in self.actors.items()]
         bodies += [thing.body(self.objects[name]) for name, thing in self.scene.moving_objects.items()]
         return bodies + self.scene.static_bodies
 
-    def shot(self, camera: SceneCamera) -> Exposure:
-        """What there is to be seen by a camera."""
+    def exposure(self, camera: SceneCamera) -> Exposure:
+        """Bodies and camera pose around the stamp."""
         return Exposure(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), camera.moves)
 
     def camera_truth(self, camera: Camera, view: View) -> CameraTruth:
@@ -79,7 +85,7 @@ class SceneState:
         )
 
     def _bodies_at(self, seconds: float) -> Sequence[Body]:
-        """What is to be drawn so many seconds later: once for all cameras that expose alike."""
+        """Bodies ``seconds`` after the stamp, cached for cameras with the same exposure."""
         if seconds == 0:
             return self.bodies
         if seconds not in self._moved:

@@ -1,39 +1,37 @@
-"""People drawn at random: bodies, outfits, motions and places; the same seed gives the same people."""
+"""Random humans: bodies, outfits, motions and positions; the same seed gives the same humans."""
 
 from __future__ import annotations
 
 import math
-import random
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TypeVar
 
-from humansim_ros.errors import SceneError
-from humansim_ros.humans.loading import load_human
+from humansim_ros.errors import SceneError, in_section
+from humansim_ros.io.assets import built_in_names
 from humansim_ros.scene.config import (
     HumanConfig,
     MotionConfig,
     SceneConfig,
     VarietyConfig,
-    built_in_names,
-    find_human,
 )
 from humansim_ros.scene.names import variety_names
+from humansim_ros.scene.randomise import random_numbers
+from humansim_ros.scene.source import SceneSource
 
-#: Motions of the package that look right when they begin again and again.
+#: Built-in motions that can be repeated without a visible jump.
 MOTIONS = ("walk", "run", "wave", "pick_up", "sit_stand", "turn_in_place")
-#: Metres of a room that furniture and walls take on every side.
+#: Metres on each side of a room where furniture may be.
 _FURNITURE = 1.4
-#: Places tried for one person before the area counts as full.
+#: Positions tried for one human before the area counts as full.
 _TRIES = 2000
 Item = TypeVar("Item")
 
 
-def with_variety(config: SceneConfig, scene: Path) -> SceneConfig:
-    """A scene's configuration with the people that its ``variety`` section draws among its humans.
+def with_variety(config: SceneConfig, source: SceneSource) -> SceneConfig:
+    """Configuration with the random humans of its ``variety`` section among its humans.
 
-    Each person is drawn from the seed and its number alone, so that more people do not change the first, and
-    places keep apart. Raises SceneError where there is no room for them.
+    A human depends on the seed and its number only: more humans do not change the first ones. Raises
+    SceneError with the key if there is no space for them.
     """
     variety = config.variety
     if variety is None:
@@ -43,38 +41,37 @@ def with_variety(config: SceneConfig, scene: Path) -> SceneConfig:
     taken = [human.motion.position for human in humans.values()]
     for name in variety_names(variety.name, variety.count):
         if name in humans:
-            raise SceneError(f"there is a human {name} already", path=scene, key="variety.name")
-        humans[name] = _person(name, variety, area, taken, scene)
+            raise SceneError(f"there is a human {name} already", key="variety.name")
+        humans[name] = _random_human(name, variety, area, taken, source)
         taken.append(humans[name].motion.position)
     return config.model_copy(update={"humans": humans, "variety": None})
 
 
-def _person(
+def _random_human(
     name: str,
     variety: VarietyConfig,
     area: Sequence[float],
     taken: Sequence[tuple[float, float]],
-    scene: Path,
+    source: SceneSource,
 ) -> HumanConfig:
-    # random.random() is the same for a seed in every Python; its other functions need not be
-    drawn = random.Random(f"{variety.seed}/{name}").random
-    body = _one_of(variety.bodies or built_in_names("humans", ".npz"), drawn())
-    outfits = load_human(find_human(body, scene, "variety.bodies")).outfits
-    outfit = _one_of(outfits, drawn())
-    motion = _one_of(variety.motions or MOTIONS, drawn())
-    yaw, ahead, mirror = 360 * drawn() - 180, 10 * drawn(), drawn() < 0.5
+    uniform = random_numbers(variety.seed, name)
+    body = _one_of(variety.bodies or built_in_names("humans"), uniform())
+    with in_section("variety"):
+        outfits = source.human(body, key="bodies").outfits
+    outfit = _one_of(outfits, uniform())
+    motion = _one_of(variety.motions or MOTIONS, uniform())
+    yaw, ahead, mirror = 360 * uniform() - 180, 10 * uniform(), uniform() < 0.5
     low, high = variety.speed
-    speed = low + (high - low) * drawn()
+    speed = low + (high - low) * uniform()
     for _ in range(_TRIES):
         x0, y0, x1, y1 = area
-        place = (x0 + (x1 - x0) * drawn(), y0 + (y1 - y0) * drawn())
-        if all(math.dist(place, other) >= variety.spacing for other in taken):
+        position = (x0 + (x1 - x0) * uniform(), y0 + (y1 - y0) * uniform())
+        if all(math.dist(position, other) >= variety.spacing for other in taken):
             break
     else:
         raise SceneError(
-            f"{len(taken)} people stand here already, and {name} finds no place {variety.spacing:g} m from "
-            "all of them: give a larger area, a smaller spacing, or fewer people",
-            path=scene,
+            f"the area has {len(taken)} humans already, and {name} finds no position {variety.spacing:g} m "
+            "from all of them: give a larger area, a smaller spacing, or fewer humans",
             key="variety.count",
         )
     return HumanConfig(
@@ -82,7 +79,7 @@ def _person(
         outfit=outfit,
         motion=MotionConfig(
             file=motion,
-            position=(round(place[0], 4), round(place[1], 4)),
+            position=(round(position[0], 4), round(position[1], 4)),
             yaw_deg=round(yaw, 3),
             anchor="center",
             offset=round(ahead, 3),
@@ -93,7 +90,7 @@ def _person(
 
 
 def _area(variety: VarietyConfig, config: SceneConfig) -> tuple[float, float, float, float]:
-    """Where people go: what is said, else the middle of the room."""
+    """Area of the positions: as configured, else the middle of the room."""
     if variety.area is not None:
         return variety.area
     size = (6.0, 6.0) if config.room is None else config.room.size[:2]

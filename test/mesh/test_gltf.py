@@ -22,6 +22,7 @@ from humansim_ros.humans.loading import load_human
 from humansim_ros.motion import read_motion
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import MotionConfig
+from humansim_ros.scene.source import SceneSource
 
 Document = dict[str, Any]
 
@@ -77,7 +78,7 @@ def test_an_animation_bends_the_elbow_as_its_keys_say(tmp_path: Path) -> None:
 def test_a_figure_moves_as_its_own_animation_has_it(tmp_path: Path) -> None:
     """Vertices by the retargeter and our skeleton are those that the file's joints and weights give."""
     path = written(tmp_path, *figures.gltf())
-    actor = Actor.build("x", 1, load_human(path), MotionConfig(file=str(path)), tmp_path / "scene.yaml")
+    actor = Actor.build("x", 1, load_human(path), MotionConfig(file=str(path)), SceneSource())
     vertices, _, weights = figures.boxes()
     elbow = figures.NAMES.index("LeftForeArm")
     below = [elbow, *(figures.NAMES.index(name) for name in ("LeftHand", "LeftHandMiddle1"))]
@@ -108,7 +109,7 @@ def test_shared_figures_move_as_blender_moves_them(
     human = load_human(path)
     assert 1.4 < np.ptp(human.mesh.vertices[:, 1]) < 1.6
     assert {"l_hip", "r_wrist", "vt3"} <= set(human.skeleton.names)
-    actor = Actor.build("x", 1, human, MotionConfig(file=str(path), loop="none"), ROOT / "scene.yaml")
+    actor = Actor.build("x", 1, human, MotionConfig(file=str(path), loop="none"), SceneSource())
     with np.load(ROOT / "test" / "data" / "blender_gltf.npz") as judge:
         for seconds, theirs in zip(judge["seconds"], judge[path.stem].astype(float), strict=True):
             ours = actor.at(float(seconds)).vertices[:: int(judge["step"])].astype(float)

@@ -171,7 +171,7 @@ def test_another_motion_starts_at_its_start_and_after_rewinding_is_as_in_the_sce
     config = MotionConfig(
         file="walk", loop="none", position=(-0.5, 0.8), yaw_deg=-20, anchor="center", offset=0.5
     )
-    expected = scene.actors["second"].with_motion(config, scene.path)
+    expected = scene.actors["second"].with_motion(config, scene.source)
     playback.show(3 * SECOND // 2)
     playback.change("second", file="walk", loop="none")
     assert playback.settings["second"] == config
@@ -439,7 +439,7 @@ def test_a_changed_motion_gives_the_truth_it_would_have_from_the_scene_file(play
     player.frames(2)
     _, body = player.frames(2, kind="joints")[-1]
     config = MotionConfig(file="walk_straight", mirror=True, position=(0.0, -1.59), loop="continue")
-    actor = player.player.scene.actors["first"].with_motion(config, player.player.scene.path)
+    actor = player.player.scene.actors["first"].with_motion(config, player.player.scene.source)
     np.testing.assert_allclose(body.positions[0], actor.at(1.5).positions, atol=1e-9)
     (legend,) = player.client.received[f"/{player.namespace}/humans/first/motion/legend"].values()
     assert (

@@ -228,8 +228,8 @@ def test_the_same_seed_draws_the_same_and_another_another(tmp_path: Path) -> Non
         tmp_path, (RANDOM % 3).replace("light: true", "light: false").replace("clutter: 8", "clutter: 3")
     )
     assert np.array_equal(alone.cameras["eye"].P, first.cameras["eye"].P)
-    assert [alone.objects[n].stands.position.tolist() for n in alone.objects] == [
-        first.objects[n].stands.position.tolist() for n in list(first.objects)[:3]
+    assert [alone.objects[n].initial_pose.position.tolist() for n in alone.objects] == [
+        first.objects[n].initial_pose.position.tolist() for n in list(first.objects)[:3]
     ]
 
 
@@ -252,9 +252,9 @@ def test_clutter_stands_on_the_floor_and_in_nobodys_way(tmp_path: Path, seed: in
         [actor.at(t).vertices[:, :2] for actor in scene.actors.values() for t in np.arange(0, 12, 0.5)]
     )
     for thing in things:
-        corners = thing.standing().vertices
+        corners = thing.static_mesh().vertices
         assert corners[:, 2].min() == pytest.approx(0, abs=1e-3)
-        centre = thing.stands.position[:2]
+        centre = thing.initial_pose.position[:2]
         reach = np.linalg.norm(corners[:, :2] - centre, axis=1).max()
         assert np.linalg.norm(people - centre, axis=1).min() > reach
         assert (np.abs(corners[:, :2]).max(0) < (3.5, 3.2)).all()
@@ -263,13 +263,15 @@ def test_clutter_stands_on_the_floor_and_in_nobodys_way(tmp_path: Path, seed: in
     room = np.concatenate([mesh.vertices for mesh in scene.environment.meshes])
     standing = room[(room[:, 2] > 0.2) & (room[:, 2] < 1.5)][:, :2]
     for thing in things:
-        radius = min(thing.stands.size[:2]) / 2
-        assert np.linalg.norm(standing - thing.stands.position[:2], axis=1).min() > radius
+        radius = min(thing.initial_pose.size[:2]) / 2
+        assert np.linalg.norm(standing - thing.initial_pose.position[:2], axis=1).min() > radius
 
 
 @pytest.mark.slow
 def test_clutter_that_finds_no_place_is_told(tmp_path: Path) -> None:
-    with pytest.warns(HumansimWarning, match=r"only \d+ of 150 things find a place"):
+    with pytest.warns(
+        HumansimWarning, match=r"scene\.yaml:3: randomise\.clutter: only \d+ of 150 objects find a position"
+    ):
         scene = load(tmp_path, "randomise: {clutter: 150}")
     assert 5 < len(scene.objects) < 150
 
@@ -330,7 +332,12 @@ def test_a_wrong_mesh_is_refused_with_its_file(tmp_path: Path, name: str) -> Non
     _write_bad(tmp_path)
     with pytest.raises(MeshError) as caught:
         load(tmp_path, f"world: {{meshes: [{name}]}}")
-    assert str(tmp_path / name) == caught.value.path
+    assert caught.value.path == str(tmp_path / "scene.yaml")
+    assert (caught.value.line, caught.value.key) == (3, "world.meshes.0.file")
+    cause = caught.value.__cause__
+    assert isinstance(cause, MeshError)
+    assert str(tmp_path / name) == cause.path
+    assert caught.value.message == str(cause)
 
 
 def test_a_texture_that_cannot_be_read_is_named(tmp_path: Path) -> None:
@@ -363,8 +370,8 @@ def test_an_openexr_panorama_is_that_of_the_same_light(tmp_path: Path) -> None:
     grey = {"type": openexr.scanlineimage}
     with openexr.File(grey, {"Y": np.ones((32, 64), np.float32)}) as file:
         file.write(str(tmp_path / "grey.exr"))
-    read = load_panorama("sky.exr", tmp_path / "scene.yaml", "world.environment")
+    read = load_panorama(tmp_path / "sky.exr")
     expected = np.where(np.isnan(light), 0, np.minimum(light, 65504))
     np.testing.assert_array_equal(read, expected)
     with pytest.raises(SceneError, match="no channel R; there are Y"):
-        load_panorama("grey.exr", tmp_path / "scene.yaml", "world.environment")
+        load_panorama(tmp_path / "grey.exr")

@@ -309,7 +309,7 @@ def test_clutter_has_labels_if_asked_for_and_stands_where_it_did(tmp_path: Path)
     assert labelled.labels == NUMBERS | {"clutter_1": 7, "clutter_2": 8, "clutter_3": 9}
     for name in ("clutter_1", "clutter_3"):
         one, other = plain.objects[name], labelled.objects[name]
-        np.testing.assert_array_equal(one.standing().vertices, other.standing().vertices)
+        np.testing.assert_array_equal(one.static_mesh().vertices, other.static_mesh().vertices)
     assert len(labelled.static_meshes) == len(plain.static_meshes) - 3
 
 
@@ -339,7 +339,7 @@ def test_labels_of_one_file_or_mesh_are_told_apart(tmp_path: Path) -> None:
         ("label: true}", "label: maybe}", r":8: objects\.screen\.label: .*bool"),
         ("label: true}", "label: [1]}", r":8: objects\.screen\.label: .*bool"),
         ("label: true}", "labels: true}", r"objects\.screen\.labels: unknown key; known here: .*label"),
-        ("  crate:", "  anna:", r":9: objects\.anna: there is a human of this name"),
+        ("  crate:", "  anna:", r":9: objects\.anna: a human has this name"),
         ("room: null", "randomise: {clutter_label: 7}", r"randomise\.clutter_label: .*bool"),
     ],
 )

@@ -26,6 +26,7 @@ from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.live import Follower, JointSource
+from humansim_ros.scene.source import SceneSource
 
 LINKS = {
     "l_elbow": ("LeftForeArm", "LeftHand"),
@@ -142,7 +143,7 @@ def test_a_table_beside_the_scene_file_tells_names_that_nobody_knows(ros: None, 
 def test_a_legend_gives_the_truth_of_a_changed_motion(actor: Actor, tmp_path: Path) -> None:
     """Another person's motion, of other names: with the legend exactly as if the scene had it."""
     config = MotionConfig(file="walk_straight", retarget="thesis", root_scale="height", mirror=True)
-    other = actor.with_motion(config, tmp_path / "scene.yaml")
+    other = actor.with_motion(config, SceneSource(folder=tmp_path))
     names = {name: MIXAMO.get(name, name) for name in other.motion.names}
     legend = JointSource.of_actor(other).to_dict()
     legend["joint_names"] = [names[name] for name in legend["joint_names"]]

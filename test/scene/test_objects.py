@@ -148,7 +148,7 @@ def test_a_mesh_file_is_coloured_sized_and_stood_up(tmp_path: Path) -> None:
     ("old", "new", "message"),
     [
         ("mesh: sphere", "mesh: cone", "objects.ball.mesh: no such file .*built-in meshes are box, sphere"),
-        ("keyframes: moves.xml}", "keyframes: gone.xml}", r"objects.*keyframes: no such file"),
+        ("keyframes: moves.xml}", "keyframes: gone.xml}", r"objects.*keyframes\.file: no such file"),
         ("[0.05, 0.9, 2]", "[0.05, 0, 2]", r":6: objects\.screen\.size\.1: .*greater than 0"),
         ("[250, 30, 30]", "[256, 30, 30]", r"objects\.ball\.color\.0: .*255"),
         ("color:", "colour:", r"unknown key; known here: mesh, color, size, position, rotation_deg"),

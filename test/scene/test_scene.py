@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from humansim_ros.errors import CameraError, HumansimError, MeshError, MotionError, SceneError
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import SceneConfig, load_config
+from humansim_ros.scene.source import SceneSource
 
 GOOD = """\
 rate: 25
@@ -160,7 +161,7 @@ def test_frame_times_are_exact_over_a_million_frames(index: int) -> None:
         config = SceneConfig.model_validate(
             {"rate": rate, "cameras": {"c": {"position": [1, 0, 1], "look_at": [0, 0, 1]}}}
         )
-        scene = Scene(Path("x"), config, {}, {})
+        scene = Scene(SceneSource(), config, {}, {})
         assert scene.frame_time(index) == round(Fraction(index * 10**9, rate))
 
 
@@ -248,16 +249,16 @@ WRONG: list[tuple[str, str, int | None, str | None, str]] = [
         "cameras.left",
         "one of them",
     ),
-    ("half a camera", GOOD.replace("    t: [0, 1, 4]\n", ""), 15, "cameras.right", "whole"),
-    ("fov with K", GOOD + "    fov_deg: 50\n", 15, "cameras.right", "fov_deg and as K"),
-    ("a calibration with K", GOOD + "    calibration: a.yaml\n", 15, "cameras.right", "K and as calibration"),
-    ("two places", GOOD + "    trajectory: a.txt\n", 15, "cameras.right", "R, t and from trajectory"),
+    ("half a camera", GOOD.replace("    t: [0, 1, 4]\n", ""), 15, "cameras.right", "give both"),
+    ("fov with K", GOOD + "    fov_deg: 50\n", 15, "cameras.right", "fov_deg and by K"),
+    ("a calibration with K", GOOD + "    calibration: a.yaml\n", 15, "cameras.right", "K and by calibration"),
+    ("two places", GOOD + "    trajectory: a.txt\n", 15, "cameras.right", "R, t and by trajectory"),
     (
         "nowhere",
         GOOD.replace("    R: [[1, 0, 0], [0, 0, -1], [0, 1, 0]]\n    t: [0, 1, 4]\n", ""),
         15,
         "cameras.right",
-        "where is this camera",
+        "the camera has no pose",
     ),
     ("a unit of nothing", GOOD + "    unit: 0.001\n", 15, "cameras.right", "go with a calibration"),
     (

@@ -196,12 +196,17 @@ def test_a_wrong_calibration_is_said_with_its_own_key(folder: Path) -> None:
     (folder / "usb.yaml").write_text(INFO.replace("-0.33, 0.1", "-0.33, .nan"))
     with pytest.raises(HumansimError, match="not finite") as caught:
         load(folder, f"cameras: {{left: {{calibration: usb.yaml, {PLACE}}}}}")
-    assert caught.value.path == str(folder / "usb.yaml")
-    assert (caught.value.key, caught.value.line) == ("distortion_coefficients.data", 6)
+    assert caught.value.path == str(folder / "scene.yaml")
+    assert (caught.value.key, caught.value.line) == ("cameras.left.calibration", 1)
+    cause = caught.value.__cause__
+    assert isinstance(cause, HumansimError)
+    assert cause.path == str(folder / "usb.yaml")
+    assert (cause.key, cause.line) == ("distortion_coefficients.data", 6)
+    assert caught.value.message == str(cause)
 
 
 def test_a_camera_that_nobody_has_placed_is_warned_of(folder: Path) -> None:
-    with pytest.warns(HumansimWarning, match="usb.yaml says no place"):
+    with pytest.warns(HumansimWarning, match="scene.yaml:1: cameras.left.calibration: usb.yaml has no pose"):
         load(folder, "cameras: {left: {calibration: usb.yaml}}")
 
 

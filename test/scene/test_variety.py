@@ -14,6 +14,7 @@ from humansim_ros.errors import SceneError
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.config import HumanConfig, load_config
+from humansim_ros.scene.source import SceneSource
 from humansim_ros.scene.variety import with_variety
 
 CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0, 0, 1]}}
@@ -21,7 +22,7 @@ CAMERA = {"eye": {"size": [160, 120], "position": [3.2, 2.9, 2.2], "look_at": [0
 
 def drawn(folder: Path, **variety: Any) -> dict[str, HumanConfig]:
     path = scene(folder, **variety)
-    return with_variety(load_config(path), path).humans
+    return with_variety(load_config(path), SceneSource.of_file(path)).humans
 
 
 def scene(folder: Path, humans: Any = None, **variety: Any) -> Path:

@@ -23,7 +23,6 @@ from humansim_ros.errors import CameraError
 from humansim_ros.render import View
 from humansim_ros.rotations import moved
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.scene.config import SceneConfig
 from humansim_ros.sensor import ChromaticAberration, Noise, Sensor, SensorConfig, Vignetting
 
 Picture = NDArray[np.uint8]
@@ -312,7 +311,7 @@ def test_bodies_moved_at_constant_velocity_are_where_the_motion_takes_them(
         "cameras": {"camera": {"position": (3, 3, 2), "look_at": (0, 0, 1)}},
         "room": None,
     }
-    actor = Scene.build(SceneConfig.model_validate(config), tmp_path / "scene.yaml").actors["one"]
+    actor = Scene.from_dict(config, tmp_path).actors["one"]
     errors, ways = [], []
     for seconds in np.arange(0.3, 1.5, 0.1):
         now, later = actor.at(seconds), actor.at(seconds + 0.008)
@@ -350,7 +349,7 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, View]:
             name: {**camera, "sensor": {"response": "linear", **sensor}} for name, sensor in sensors.items()
         },
     }
-    scene = Scene.build(SceneConfig.model_validate(config), folder / "scene.yaml")
+    scene = Scene.from_dict(config, folder)
     simulation = Simulation(scene, renderer=renderer_or_skip(scene.static_meshes))
     views = simulation.frame(10).views
     simulation.close()

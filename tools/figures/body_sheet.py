@@ -20,9 +20,9 @@ from humansim_ros.cli.human import built_in_humans  # noqa: E402
 from humansim_ros.drawing.humans import HumanArtist  # noqa: E402
 from humansim_ros.drawing.motions import SkinnedArtist  # noqa: E402
 from humansim_ros.humans.loading import load_human  # noqa: E402
+from humansim_ros.io.assets import find_asset  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
 from humansim_ros.motion.info import world_of  # noqa: E402
-from humansim_ros.scene.config import find_human  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 
 SIZE = (230, 300)
@@ -31,7 +31,7 @@ SHOTS = (("walk", 0.25), ("walk", 0.75), ("run", 0.3), ("sit_stand", 2.0), ("pic
 
 def row(body: str) -> Image:
     """One body in all its poses."""
-    human = load_human(find_human(body, Path.cwd() / "scene.yaml", "body"))
+    human = load_human(find_asset(body, "humans"))
     artist = HumanArtist(human, SIZE)
     pictures = [artist.draw(human, 30)]
     artist.close()

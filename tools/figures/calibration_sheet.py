@@ -25,11 +25,9 @@ from humansim_ros.camera import Camera  # noqa: E402
 from humansim_ros.camera.calibration import load_calibration  # noqa: E402
 from humansim_ros.errors import HumansimError, HumansimWarning  # noqa: E402
 from humansim_ros.render import Body, GLRenderer  # noqa: E402
-from humansim_ros.resources import resource_path  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 from humansim_ros.scene.config import SceneConfig  # noqa: E402
 from humansim_ros.scene.room import furnished_room  # noqa: E402
-from humansim_ros.scene.scene import DEMO_SCENE  # noqa: E402
 from humansim_ros.types import (  # noqa: E402
     Array,
     Image,
@@ -56,7 +54,6 @@ _SMALL = ("templeSR_par", 11.0, "y", -0.038)
 
 def people() -> list[Body]:
     """Three people about the origin."""
-    path = resource_path(DEMO_SCENE)
     humans = {
         body: {"body": body, "motion": {"file": motion, "yaw_deg": yaw}}
         for body, (motion, yaw, _) in _PEOPLE.items()
@@ -64,7 +61,7 @@ def people() -> list[Body]:
     camera = {"position": _PLACE, "look_at": _TARGET}
     config = SceneConfig.model_validate({"room": None, "humans": humans, "cameras": {"any": camera}})
     bodies = []
-    for name, actor in Scene.build(config, path).actors.items():
+    for name, actor in Scene.from_config(config).actors.items():
         vertices = actor.at(_SECONDS).vertices
         away = np.array([*_PEOPLE[name][2], 0]) - [*vertices[:, :2].mean(axis=0), 0]
         bodies.append(actor.body((vertices + away).astype(np.float32)))

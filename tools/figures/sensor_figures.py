@@ -14,13 +14,15 @@ import cv2
 import numpy as np
 
 from humansim_ros.camera import Camera
+from humansim_ros.io.assets import built_in_names
 from humansim_ros.render import GLRenderer
 from humansim_ros.resources import resource_path
 from humansim_ros.rotations import moved
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import Actor
-from humansim_ros.scene.config import SceneConfig, built_in_names, load_config
+from humansim_ros.scene.config import SceneConfig, load_config
 from humansim_ros.scene.scene import DEMO_SCENE
+from humansim_ros.scene.source import SceneSource
 from humansim_ros.sensor import Sensor, SensorConfig
 from humansim_ros.types import Image
 
@@ -52,7 +54,7 @@ def scene_of(motion: str, room: bool = True) -> Scene:
     path = resource_path(DEMO_SCENE)
     human = {"motion": {"file": motion, "anchor": "center", "yaw_deg": 20}}
     config = load_config(path).model_dump() | {"humans": {"one": human}} | ({} if room else {"room": None})
-    return Scene.build(SceneConfig.model_validate(config), path)
+    return Scene.from_config(SceneConfig.model_validate(config), SceneSource.of_file(path))
 
 
 def draw(scene: Scene, renderer: GLRenderer, config: SensorConfig) -> Image:
@@ -107,7 +109,7 @@ def velocity(milliseconds: list[float]) -> None:
         "| motion | ms | way, mean / 99 % / largest, mm | error, mean / 99 % / largest, mm |\n"
         "|---|---|---|---|"
     )
-    for motion in built_in_names("motions", ".bvh"):
+    for motion in built_in_names("motions"):
         actor = scene_of(motion, room=False).actors["one"]
         for step in milliseconds:
             cells = [

@@ -119,7 +119,10 @@ class CameraNode(SceneNode):
         if previous is None:
             self._publish_view(state, exposure, channels - _FORWARD - _BACKWARD)
             return
-        frame, previous_frame = exposure.neighbour(self._camera), previous[1].neighbour(self._camera)
+        frame, previous_frame = (
+            exposure.adjacent_frame(self._camera),
+            previous[1].adjacent_frame(self._camera),
+        )
         self._publish_view(state, replace(exposure, previous_frame=previous_frame), channels - _FORWARD)
         if channels & _FORWARD:
             previous_stamp, previous_exposure = previous

@@ -17,7 +17,6 @@ from std_msgs.msg import String
 from visualization_msgs.msg import MarkerArray
 
 from humansim_ros.errors import HumansimError, SceneError
-from humansim_ros.io.files import resolve_relative
 from humansim_ros.motion.joint_tables import built_in_tables, load_table
 from humansim_ros.ros.messages import (
     MarkerBuilder,
@@ -71,8 +70,7 @@ class SkinnerNode(SceneNode):
         """Built-in joint table, or path of a table, relative to the scene file if it exists there."""
         if not name:
             return None
-        own, there = resolve_relative(self.scene.path, name)
-        path = str(own) if there and own.is_file() else name
+        path = self.scene.source.joint_table(name)
         if not any(table.name == path for table in built_in_tables()):
             load_table(path)
         return path

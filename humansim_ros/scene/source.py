@@ -1,0 +1,169 @@
+"""Origin of a scene: files that it names are found here, and its errors get file and line."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from humansim_ros.camera import Camera, resolve_url
+from humansim_ros.errors import HumansimError, SceneError, in_section, warn_about
+from humansim_ros.humans.human import Human, Skinning
+from humansim_ros.humans.loading import load_human
+from humansim_ros.io.assets import find_asset
+from humansim_ros.io.files import exists, expand_user
+from humansim_ros.io.yaml import line_of, read_yaml
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.motion.bvh import Positions
+from humansim_ros.motion.files import read_motion, split_name
+from humansim_ros.motion.kinematics import Motion
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class SceneSource:
+    """Scene file, or objects in memory, that a scene is made of.
+
+    Attributes:
+        path: The scene file; None for a scene that is made in memory.
+        folder: Folder that relative file names start from.
+        objects: Humans, motions and meshes in memory, by their names in the configuration.
+    """
+
+    path: Path | None = None
+    folder: Path = field(default_factory=Path.cwd)
+    objects: Mapping[str, Human | Motion | Mesh] = field(default_factory=dict)
+
+    @classmethod
+    def of_file(cls, path: str | os.PathLike[str]) -> SceneSource:
+        """Source of the scene in a file."""
+        return cls(Path(path), Path(path).resolve().parent)
+
+    @contextmanager
+    def locating_errors(self) -> Iterator[None]:
+        """Add the scene file and the line of their key to errors."""
+        try:
+            yield
+        except HumansimError as error:
+            if error.path is not None or self.path is None:
+                raise
+            line = self._line(error.key)
+            located = type(error)(error.message, path=self.path, line=line, key=error.key)
+            raise located from error.__cause__
+
+    def warn(self, key: str, message: str) -> None:
+        """Issue a HumansimWarning about a key of the scene."""
+        line = self._line(key)
+        where = "scene" if self.path is None else f"{self.path}{'' if line is None else f':{line}'}"
+        warn_about(where, f"{key}: {message}")
+
+    def find(self, name: str, hint: str = "") -> Path:
+        """Path of an existing file or folder. ``hint``: what to use instead, for the SceneError."""
+        path = self.folder / expand_user(name)
+        if not exists(path):
+            raise SceneError(f"no such file {str(path)!r}" + (f"; {hint}" if hint else ""))
+        return path
+
+    def find_url(self, name: str) -> Path:
+        """Path of an existing file or folder from a path or a ``file://`` or ``package://`` URL."""
+        if "://" not in name:
+            return self.find(name)
+        try:
+            path = resolve_url(name)
+        except HumansimError as error:
+            raise SceneError(f"{name}: {error.message}") from None
+        if not exists(path):
+            raise SceneError(f"no such file {str(path)!r}")
+        return path
+
+    def joint_table(self, name: str) -> str:
+        """Path of a joint table in the scene's folder, else the name itself (of a built-in)."""
+        path = self.folder / expand_user(name)
+        return str(path) if exists(path) and path.is_file() else name
+
+    def human(
+        self, name: str, outfit: str | None = None, skinning: Skinning | None = None, key: str = "body"
+    ) -> Human:
+        """Load a human.
+
+        Args:
+            name: Name of a built-in, path, or name of an object in memory.
+            outfit: Name of an outfit; the first if None.
+            skinning: Skinning function; that of the file if None.
+            key: Key of the scene that has the name, for errors.
+        """
+        with in_section(key):
+            human = self._object(name, Human)
+            if human is None:
+                human = load_human(find_asset(name, "humans", self.folder, SceneError))
+        if outfit is not None:
+            with in_section("outfit"):
+                human = human.wearing(outfit)
+        return human if skinning is None else replace(human, skinning=skinning)
+
+    def motion(self, name: str, positions: Positions) -> Motion:
+        """Read a motion by name or path."""
+        motion = self._object(name, Motion)
+        if motion is not None:
+            return motion
+        file, animation = split_name(name)
+        path = find_asset(file, "motions", self.folder, SceneError)
+        return read_motion(path if animation is None else f"{path}#{animation}", positions)
+
+    def mesh(self, name: str) -> Mesh | None:
+        """A mesh in memory; None if the name is that of a file."""
+        return self._object(name, Mesh)
+
+    def _object(self, name: str, kind: type[T]) -> T | None:
+        value = self.objects.get(name)
+        if value is None or isinstance(value, kind):
+            return value
+        raise SceneError(f"must be a {kind.__name__}, not a {type(value).__name__}")
+
+    def _line(self, key: str | None) -> int | None:
+        """Line of a dotted key, or of its deepest section that is in the file."""
+        if self.path is None or key is None:
+            return None
+        try:
+            _, tree = read_yaml(self.path, SceneError, "scene")
+        except SceneError:
+            return None
+        return line_of(tree, key.split("."))
+
+
+def name_objects(value: Any, key: str, objects: dict[str, Human | Motion | Mesh]) -> Any:
+    """Copy of a scene's mapping in which names stand for objects in memory.
+
+    Args:
+        value: Value of ``key``. Cameras in it become their keys of a scene file, arrays become lists.
+        key: Where the value is in the scene, such as ``humans.anna``.
+        objects: The humans, motions and meshes are added here, by name.
+    """
+    if isinstance(value, (Human, Motion, Mesh)):
+        name = f"<{type(value).__name__} {key}>"
+        objects[name] = value
+        return name
+    if isinstance(value, Camera):
+        return _camera_keys(value)
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {name: name_objects(part, f"{key}.{name}", objects) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [name_objects(part, f"{key}.{index}", objects) for index, part in enumerate(value)]
+    return value
+
+
+def _camera_keys(camera: Camera) -> dict[str, Any]:
+    keys = {"size": camera.size, "K": camera.K.tolist(), "R": camera.R.tolist(), "t": camera.t.tolist()}
+    keys |= {"distortion": camera.distortion, "distortion_model": camera.model}
+    for name in ("rectification", "rectified"):
+        matrix = getattr(camera, name)
+        keys[name] = None if matrix is None else matrix.tolist()
+    return keys

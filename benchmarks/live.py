@@ -1,17 +1,17 @@
-"""How many images a second arrive, live: all nodes of the demo scene as processes, and one subscriber.
+"""Live rates and latencies: all nodes of the demo scene as processes, and one subscriber.
 
     python benchmarks/live.py [--seconds 10] [--repeat 5] [--processes 1 2 4] [--table] [--json FILE]
 
-For each set of topics: the lowest rate at which a topic reached the subscriber's callback, the share of the
-player's frames that did, how many frames came whole (all topics of all cameras with one stamp), the time from
-a frame's stamp to the callback of image_raw, what nodes and subscriber took of the CPU per frame, and how
-many cores others were using meanwhile: with those, the rest means little. Below it, who took that CPU time,
-and when after its stamp a frame left each node, was whole at the cameras, and reached the subscriber from
-each camera (medians). With ``--repeat``, the medians of several runs. Frames that come until 0.3 s after a
-run are its, too.
+A row for each set of topics: the lowest rate at which a topic reached the subscriber's callback, the share of
+the player's frames that arrived, the share of complete frames (all topics of all cameras with one stamp), the
+time from a frame's stamp to the callback of image_raw, CPU time of nodes and subscriber per frame, and the
+number of cores that other processes used meanwhile; figures mean little if these are many. Below: CPU time of
+each process, and the times after the stamp at which a frame left each node, was complete at the cameras, and
+reached the subscriber from each camera (medians). With ``--repeat``, medians of several runs. Frames that
+arrive until 0.3 s after a run are counted.
 
-The subscriber has the executor that our nodes have; with ``--plain-spin`` rclpy's default one, which takes
-4 to 6 ms more of the CPU per frame.
+The subscriber uses the executor of the nodes; with ``--plain-spin`` rclpy's default one, which takes 4 to 6
+ms more CPU time per frame.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ from humansim_ros.ros.supervisor import Supervisor
 from humansim_ros.scene import Scene
 from humansim_ros.scene.scene import DEMO_SCENE
 
-#: What one subscriber listens to, per camera, and how many cameras there are.
+#: Number of cameras, and topics of each camera that the subscriber subscribes to.
 CASES = {
     "rgb": (4, ("image_raw",)),
     "rgb + info": (4, ("image_raw", "camera_info")),
@@ -57,28 +57,26 @@ CASES = {
     "rgb, 8 cameras": (8, ("image_raw",)),
     "rgb as JPEG": (4, ("image_raw/compressed",)),
 }
-KINDS = {"camera_info": CameraInfo, "image_raw/compressed": CompressedImage}
-#: Frames of every topic that come before a run: scenes are drawn, and cameras find the pace they can keep.
+MESSAGE_TYPES = {"camera_info": CameraInfo, "image_raw/compressed": CompressedImage}
+#: Frames of every topic before a run: cameras render their static scene and adapt their stride.
 WARM_UP = 100
-#: Nanoseconds after which no frame of a run is awaited any more.
+#: Nanoseconds after a run for which its last frames are awaited.
 STRAGGLERS = 300_000_000
-#: What is said of a run, and how.
+#: Heading and format of the figures of a run.
 COLUMNS = {
     "lowest_hz": ("Hz", "6.1f"),
     "received": ("received", "9.1%"),
-    "whole_frames": ("whole", "8.1%"),
+    "complete_frames": ("complete", "8.1%"),
     "latency_ms_median": ("median", "8.1f"),
     "latency_ms_p99": ("p99 ms", "8.1f"),
     "cpu_ms_per_frame": ("CPU ms", "8.1f"),
-    "cores_of_others": ("others", "7.2f"),
+    "other_cores": ("others", "7.2f"),
 }
 
 
 @dataclass(frozen=True)
 class Setting:
-    """What is subscribed to, over how many processes cameras are spread, and what else is not as it is by
-    default.
-    """
+    """Subscribed topics, number of camera processes, and options that differ from the defaults."""
 
     case: str
     processes: int
@@ -107,26 +105,26 @@ TABLE = (
 
 @dataclass(frozen=True)
 class Times:
-    """Seconds of CPU that have been used: by some processes, and by all."""
+    """Used CPU seconds: by process, and of the whole machine."""
 
-    ours: dict[str, float]
-    all: float
+    processes: dict[str, float]
+    machine: float
 
     @classmethod
     def now(cls, processes: dict[str, int]) -> Times:
         tick = os.sysconf("SC_CLK_TCK")
-        ours = {}
+        seconds = {}
         for name, pid in processes.items():
             fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-            ours[name] = (int(fields[11]) + int(fields[12])) / tick
-        everybody = [int(n) for n in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
-        used = sum(everybody) - everybody[3] - everybody[4]  # idle, waiting for a disk
-        return cls(ours, used / tick)
+            seconds[name] = (int(fields[11]) + int(fields[12])) / tick
+        machine = [int(n) for n in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
+        used = sum(machine) - machine[3] - machine[4]  # without idle and waiting for a disk
+        return cls(seconds, used / tick)
 
 
-def prefer(pids: Iterable[int], nice: int) -> None:
-    """Let processes go before those of others (below 0, which needs root), or after. A session that is
-    started anew, as every node is, is a group that Linux schedules as a whole.
+def set_nice(pids: Iterable[int], nice: int) -> None:
+    """Set the nice value of processes, and of their sessions: every node has a session of its own, and Linux
+    schedules a session as a group.
     """
     for pid in pids:
         os.setpriority(os.PRIO_PROCESS, pid, nice)
@@ -135,13 +133,13 @@ def prefer(pids: Iterable[int], nice: int) -> None:
 
 
 def with_cameras(scene: Path, number: int, folder: Path) -> Path:
-    """The demo scene with so many of its cameras, or more of them around the same spot."""
+    """Write the demo scene with ``number`` cameras: some of its own, or more on a circle around it."""
     content = yaml.safe_load(scene.read_text())
     cameras = content["cameras"]
     for i in range(len(cameras), number):
         angle = 2 * np.pi * (i + 0.5) / (number - len(cameras))
-        place = [round(float(x), 3) for x in (3.2 * np.cos(angle), 2.9 * np.sin(angle), 2.0)]
-        cameras[f"camera_{i + 1}"] = {**next(iter(cameras.values())), "position": place}
+        position = [round(float(x), 3) for x in (3.2 * np.cos(angle), 2.9 * np.sin(angle), 2.0)]
+        cameras[f"camera_{i + 1}"] = {**next(iter(cameras.values())), "position": position}
     content["cameras"] = dict(list(cameras.items())[:number])
     changed = folder / f"{number}_cameras.yaml"
     changed.write_text(yaml.safe_dump(content, sort_keys=False))
@@ -149,6 +147,11 @@ def with_cameras(scene: Path, number: int, folder: Path) -> Path:
 
 
 def measure(setting: Setting, folder: Path, seconds: float, nice: int) -> dict[str, Any]:
+    """Run the nodes and the subscriber with a setting for some seconds.
+
+    Returns:
+        Figures of the run, see COLUMNS.
+    """
     number, kinds = CASES[setting.case]
     scene = with_cameras(resource_path(DEMO_SCENE), number, folder)
     cameras = list(Scene.load(scene).cameras)
@@ -157,30 +160,30 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int) -> dict[s
     executor.add_node(node)
     player: dict[str, Any] = {} if setting.lead is None else {"lead": setting.lead}
     arrived: dict[str, dict[int, float]] = defaultdict(dict)
-    said: dict[str, list[float]] = defaultdict(list)
+    diagnostics: dict[str, list[float]] = defaultdict(list)
 
-    def keeper(topic: str) -> Any:
-        def keep(data: bytes) -> None:
+    def callback(topic: str) -> Any:
+        def on_message(data: bytes) -> None:
             now = time.time_ns()
             stamp = serialised_stamp(data)
             arrived[topic][stamp] = (now - stamp) * 1e-6
 
-        return keep
+        return on_message
 
-    def keep_said(message: DiagnosticArray) -> None:
+    def on_diagnostics(message: DiagnosticArray) -> None:
         for status in message.status:
             values = {item.key: item.value for item in status.values}
-            for what in ("arrival", "lateness"):
-                if f"{what}_median_ms" in values:
-                    said[f"{what} {status.name[1:]}"].append(float(values[f"{what}_median_ms"]))
+            for event in ("arrival", "lateness"):
+                if f"{event}_median_ms" in values:
+                    diagnostics[f"{event} {status.name[1:]}"].append(float(values[f"{event}_median_ms"]))
 
     for camera in cameras:
         for kind in kinds:
             topic = f"/{camera}/{kind}"
-            message = KINDS.get(kind, Image)
-            node.create_subscription(message, topic, keeper(topic), qos_profile_sensor_data, raw=True)
-    node.create_subscription(MultiDOFJointState, "/humans/walker/motion", keeper("motion"), DATA, raw=True)
-    node.create_subscription(DiagnosticArray, "/diagnostics", keep_said, DATA)
+            message = MESSAGE_TYPES.get(kind, Image)
+            node.create_subscription(message, topic, callback(topic), qos_profile_sensor_data, raw=True)
+    node.create_subscription(MultiDOFJointState, "/humans/walker/motion", callback("motion"), DATA, raw=True)
+    node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, DATA)
     topics = [f"/{camera}/{kind}" for camera in cameras for kind in kinds]
     started = [
         replace(process, parameters={**process.parameters, **player})
@@ -191,7 +194,7 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int) -> dict[s
     with Supervisor(started) as nodes:
         running = {"subscriber": os.getpid(), **nodes.pids}
         if nice:
-            prefer(running.values(), nice)
+            set_nice(running.values(), nice)
         limit = time.monotonic() + 60
         while any(len(arrived[topic]) < WARM_UP for topic in topics):
             executor.spin_once(timeout_sec=0.05)
@@ -199,7 +202,7 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int) -> dict[s
                 raise SystemExit(
                     f"no images on {[t for t in topics if not arrived[t]]}; dead node: {nodes.dead()}"
                 )
-        said.clear()
+        diagnostics.clear()
         begin, before = time.time_ns(), Times.now(running)
         end = begin + round(1e9 * seconds)
         while time.time_ns() < end:
@@ -212,28 +215,28 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int) -> dict[s
     arrived = {topic: {s: ms for s, ms in at.items() if begin <= s < end} for topic, at in arrived.items()}
     played = max(1, len(arrived["motion"]))
     counts = {topic: len(arrived[topic]) for topic in topics}
-    whole = set.intersection(*(set(arrived[topic]) for topic in topics))
-    late = np.array([ms for camera in cameras for ms in arrived[f"/{camera}/{kinds[0]}"].values()])
-    ours = {name: after.ours[name] - before.ours[name] for name in running}
+    complete = set.intersection(*(set(arrived[topic]) for topic in topics))
+    latencies = np.array([ms for camera in cameras for ms in arrived[f"/{camera}/{kinds[0]}"].values()])
+    cpu = {name: after.processes[name] - before.processes[name] for name in running}
     stages = {"motion": arrived["motion"], **{name: arrived[f"/{name}/{kinds[0]}"] for name in cameras}}
     return {
         "lowest_hz": min(counts.values()) / seconds,
         "received": min(counts.values()) / played,
-        "whole_frames": len(whole) / played,
-        "latency_ms_median": float(np.median(late)),
-        "latency_ms_p99": float(np.percentile(late, 99)),
-        "cpu_ms_per_frame": 1e3 * sum(ours.values()) / played,
-        "cores_of_others": (after.all - before.all - sum(ours.values())) / seconds,
-        "cpu_ms": {name: 1e3 * used / played for name, used in ours.items()},
+        "complete_frames": len(complete) / played,
+        "latency_ms_median": float(np.median(latencies)),
+        "latency_ms_p99": float(np.percentile(latencies, 99)),
+        "cpu_ms_per_frame": 1e3 * sum(cpu.values()) / played,
+        "other_cores": (after.machine - before.machine - sum(cpu.values())) / seconds,
+        "cpu_ms": {name: 1e3 * used / played for name, used in cpu.items()},
         "after_stamp_ms": {
-            **{name: float(np.median(times)) for name, times in said.items()},
+            **{name: float(np.median(times)) for name, times in diagnostics.items()},
             **{f"received {name}": float(np.median(list(times.values()))) for name, times in stages.items()},
         },
     }
 
 
 def medians(runs: list[dict[str, Any]]) -> dict[str, Any]:
-    """The median of every number of some runs."""
+    """Median of every figure of several runs."""
     return {
         key: medians([run[key] for run in runs])
         if isinstance(value, dict)
@@ -247,19 +250,21 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seconds", type=float, default=10.0)
-    parser.add_argument("--repeat", type=int, default=1, help="runs of each setting, turn and turn about")
-    parser.add_argument("--processes", type=int, nargs="+", help="share the cameras; one per core if absent")
+    parser.add_argument("--repeat", type=int, default=1, help="runs of each setting, in turn")
+    parser.add_argument(
+        "--processes", type=int, nargs="+", help="numbers of camera processes; one per core if absent"
+    )
     parser.add_argument("--cases", nargs="+", choices=CASES, default=list(CASES))
     parser.add_argument(
         "--plain-spin",
         action="store_true",
-        help="the subscriber spins as rclpy.spin does, not told of events",
+        help="the subscriber uses the default executor of rclpy.spin",
     )
-    parser.add_argument("--lead", type=float, help="the player's, seconds; as it is by default if absent")
     parser.add_argument(
-        "--table", action="store_true", help="the settings of docs/performance.md, and its table"
+        "--lead", type=float, help="lead of the motion player in seconds; the default if absent"
     )
-    parser.add_argument("--nice", type=int, default=0, help="how nice all are to others; below 0 needs root")
+    parser.add_argument("--table", action="store_true", help="settings of docs/performance.md, and its table")
+    parser.add_argument("--nice", type=int, default=0, help="nice value of all processes; below 0 needs root")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     settings = [
@@ -279,13 +284,15 @@ def main() -> None:
                 print(row(setting, runs[setting][-1]), flush=True)
     rclpy.try_shutdown()
     print(f"\nmedians of {arguments.repeat}")
-    results = {setting: medians(of_setting) for setting, of_setting in runs.items()}
+    results = {setting: medians(runs_of_setting) for setting, runs_of_setting in runs.items()}
     for setting, result in results.items():
         print(row(setting, result))
-        for what in ("cpu_ms", "after_stamp_ms"):
-            print(f"    {what}:", ", ".join(f"{name} {ms:.1f}" for name, ms in result[what].items()))
+        for group in ("cpu_ms", "after_stamp_ms"):
+            print(f"    {group}:", ", ".join(f"{name} {ms:.1f}" for name, ms in result[group].items()))
     if arguments.table:
-        print("\n| subscribed, per camera | processes | Hz | received | whole | median | p99 | CPU a frame |")
+        print(
+            "\n| subscribed, per camera | processes | Hz | received | complete | median | p99 | CPU a frame |"
+        )
         print("|---|---|---|---|---|---|---|---|")
         for setting, result in results.items():
             print(table_row(setting, result))
@@ -306,7 +313,7 @@ def row(setting: Setting, result: dict[str, Any]) -> str:
 def table_row(setting: Setting, r: dict[str, Any]) -> str:
     return (
         f"| {setting.name} | {setting.processes} | {r['lowest_hz']:.1f} | {r['received']:.1%} "
-        f"| {r['whole_frames']:.1%} | {r['latency_ms_median']:.0f} ms | {r['latency_ms_p99']:.0f} ms "
+        f"| {r['complete_frames']:.1%} | {r['latency_ms_median']:.0f} ms | {r['latency_ms_p99']:.0f} ms "
         f"| {r['cpu_ms_per_frame']:.1f} ms |"
     ).replace("%", " %")
 

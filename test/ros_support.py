@@ -1,4 +1,4 @@
-"""What the ROS tests share: a domain of their own, and a client that collects messages by stamp."""
+"""Support of the ROS tests: a separate ROS domain, and a client that collects messages by stamp."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed (pip install '.[ros]')")
 
-#: Two people and two small cameras, one of them with a principal point off centre and oblong pixels.
+#: Two people and two small cameras, one with an off-centre principal point and non-square pixels.
 SMALL_SCENE = """
 rate: 20
 humans:
@@ -43,8 +43,8 @@ def write_scene(folder: Path, text: str = SMALL_SCENE) -> Path:
 
 
 class Client:
-    """Subscribes to topics and keeps every message by topic and stamp, as a tracker under test would.
-    ``executor``: rclpy's default one if None.
+    """Subscribes to topics and stores all messages by topic and stamp. ``executor``: rclpy's default one if
+    None.
     """
 
     def __init__(self, name: str = "client", executor: Any = None) -> None:
@@ -59,23 +59,23 @@ class Client:
         from rclpy.qos import qos_profile_sensor_data
 
         for topic in topics:
-            self.node.create_subscription(kind, topic, self._keeper(topic), qos or qos_profile_sensor_data)
+            self.node.create_subscription(kind, topic, self._callback(topic), qos or qos_profile_sensor_data)
 
-    def _keeper(self, topic: str) -> Callable[[Any], None]:
-        def keep(message: Any) -> None:
+    def _callback(self, topic: str) -> Callable[[Any], None]:
+        def on_message(message: Any) -> None:
             from humansim_ros.ros.messages import to_nanoseconds
 
             stamp = to_nanoseconds(message.header.stamp) if hasattr(message, "header") else 0
             self.received[topic][stamp] = message
 
-        return keep
+        return on_message
 
     def common_stamps(self) -> list[int]:
-        """Stamps at which every topic that has spoken at all has a message."""
+        """Stamps at which every topic with messages has one."""
         return sorted(set.intersection(*(set(messages) for messages in self.received.values())))
 
     def spin_until(self, done: Callable[[], bool], limit: float = 30.0) -> bool:
-        """Spin until something is true; False where the time is up."""
+        """Spin until ``done`` is true; False after ``limit`` seconds."""
         end = time.monotonic() + limit
         while time.monotonic() < end:
             self.executor.spin_once(timeout_sec=0.05)
@@ -91,8 +91,9 @@ class Client:
 def whole_flow(
     scene: Path, namespace: str, topics: Mapping[Any, Sequence[str]], frames: int
 ) -> Iterator[Client]:
-    """A client of a player, a skinner and a camera of a scene, once it has so many frames of which every
-    topic (by the type of its messages) has arrived.
+    """Run a player, a skinner and a camera of a scene, and yield a client with ``frames`` complete frames.
+
+    ``topics``: topics of a complete frame, by message type.
     """
     from rclpy.parameter import Parameter
     from rclpy.qos import QoSProfile
@@ -117,7 +118,7 @@ def whole_flow(
         return len(client.received) == number and len(client.common_stamps()) >= frames
 
     done = client.spin_until(enough, 60)
-    assert done, f"heard {sorted(client.received)}, {len(client.common_stamps())} common stamps"
+    assert done, f"received {sorted(client.received)}, {len(client.common_stamps())} common stamps"
     yield client
     for node in nodes:
         node.close()

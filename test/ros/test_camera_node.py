@@ -1,4 +1,4 @@
-"""Camera nodes as drivers of real cameras: lenses, sensors, calibrations, and cameras that move."""
+"""Camera nodes behave as drivers of real cameras: lenses, sensors, calibrations, moving cameras."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PLACE = "size: [128, 96], position: [3, 0.4, 1.4], look_at: [0, 0, 1]"
 BENT = "K: [[120, 1, 66], [0, 118, 46], [0, 0, 1]], distortion: [-0.3, 0.09, 0.001, -0.002]"
 BLUR = "exposure_time: 0.03, rolling_shutter: 0.0001, samples: 4"
 NOISE = "noise: {full_well: 3000}, vignetting: {cos4: true}"
-#: The first one has everything at once.
+#: The first camera has lens, binning and sensor effects together.
 STUDIO = f"""\
 rate: 20
 room: null
@@ -65,7 +65,7 @@ SHOWN = (3, 4, 5, 6)
 
 
 def write_files(folder: Path, scene: str) -> Path:
-    """A scene beside a keyframe file and a trajectory: along a wall, turning."""
+    """Write a scene, a keyframe file, and a trajectory along a wall with a rotation."""
     (folder / "moves.xml").write_text(MOVES)
     start = Camera.look_at((3, -0.5, 1.3), (0, 0, 1))
     turns = [Rotation.from_rotvec([0, 0, a]) * Rotation.from_matrix(start.R.T) for a in (0.0, 0.2)]
@@ -79,8 +79,8 @@ def write_files(folder: Path, scene: str) -> Path:
     return path
 
 
-class Set:
-    """Nodes of a scene in one executor, and a client that hears them; what they shall show can be sent."""
+class NodeSet:
+    """Nodes of a scene and a client in one executor; the client can publish, too."""
 
     def __init__(self, namespace: str, scene: Path) -> None:
         self.namespace, self.scene = namespace, scene
@@ -107,13 +107,13 @@ class Set:
         return self.received[f"/{self.namespace}/{topic}"]
 
     def next(self, *topics: str, count: int = 1) -> list[int]:
-        """The newest stamps after so many more at which all these topics have been heard."""
+        """Wait for ``count`` new stamps at which all these topics have arrived, and return them."""
         before = max((stamp for topic in topics for stamp in self.heard(topic)), default=0)
 
         def common() -> list[int]:
             return sorted(s for s in set.intersection(*(set(self.heard(t)) for t in topics)) if s > before)
 
-        assert self.client.spin_until(lambda: len(common()) >= count), f"{topics} were not heard"
+        assert self.client.spin_until(lambda: len(common()) >= count), f"{topics} did not arrive"
         return common()
 
     def send(self, topic: str, message: Any) -> None:
@@ -139,35 +139,35 @@ class Set:
 
 
 @pytest.fixture
-def make(ros: None, tmp_path: Path) -> Iterator[Callable[[str, str], Set]]:
-    made: list[Set] = []
+def make(ros: None, tmp_path: Path) -> Iterator[Callable[[str, str], NodeSet]]:
+    made: list[NodeSet] = []
 
-    def make_set(namespace: str, scene: str) -> Set:
-        made.append(Set(namespace, write_files(tmp_path, scene)))
+    def make_nodes(namespace: str, scene: str) -> NodeSet:
+        made.append(NodeSet(namespace, write_files(tmp_path, scene)))
         return made[-1]
 
-    yield make_set
+    yield make_nodes
     for one in made:
         one.close()
 
 
 def pixels(message: Any) -> NDArray[np.uint8]:
-    """(H, W) or (H, W, 3) of an image of bytes."""
+    """Pixels (H, W) or (H, W, 3) of an image with 8 bits per sample."""
     image = np.frombuffer(message.data, np.uint8).reshape(message.height, message.step)
     return image if message.step == message.width else image.reshape(message.height, message.width, 3)
 
 
-# --- what is sent is what Simulation makes
+# --- published images are those of Simulation
 
 
 @pytest.fixture(scope="module")
 def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """Four camera nodes that are sent some frames of Simulation."""
+    """Four camera nodes that receive some frames of Simulation."""
     from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
     path = write_files(tmp_path_factory.mktemp("studio"), STUDIO)
     simulation = Simulation(Scene.load(path), start=START)
-    one = Set("studio", path)
+    one = NodeSet("studio", path)
     for name in ENCODINGS:
         one.add(CameraNode, camera=name)
     images = [
@@ -191,8 +191,8 @@ def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]
     simulation.close()
 
 
-def send_frame(one: Set, scene: Scene, frame: Frame) -> None:
-    """What player and skinner send of a frame."""
+def send_frame(one: NodeSet, scene: Scene, frame: Frame) -> None:
+    """Publish a frame as player and skinner do."""
     state, stamp = frame.humans["anna"], frame.stamp
     one.send("humans/anna/joints", messages.joints_message(state, stamp))
     box = frame.objects["box"]
@@ -205,21 +205,21 @@ def send_frame(one: Set, scene: Scene, frame: Frame) -> None:
 
 
 @pytest.mark.parametrize("name", ENCODINGS)
-def test_live_pictures_are_simulations_to_the_byte(studio: Any, name: str) -> None:
-    """Lens, binning, blur, shutter, noise, mosaic and compression included."""
+def test_live_images_equal_those_of_simulation_to_the_byte(studio: Any, name: str) -> None:
+    """With lens, binning, blur, shutter, noise, mosaic and compression."""
     for stamp, frame in studio.frames.items():
         view = frame.views[name]
         live = pixels(studio.set.heard(f"{name}/image_raw")[stamp])
         assert view.rgb is not None and live.shape == view.rgb.shape
-        # a pose goes as a quaternion, and comes back with other last digits
+        # a pose is sent as a quaternion, and read with other last digits
         same = np.mean(live == view.rgb)
         assert same > 0.999 if name == "moving" else same == 1
         for channel, (kind, topic) in TRUTH.items():
             message = studio.set.heard(f"{name}/{topic}")[stamp]
-            wanted = getattr(view, channel)
-            image = np.frombuffer(message.data, kind).reshape(wanted.shape)
-            assert np.array_equal(image, wanted) or name == "moving"
-            assert np.mean(np.isclose(image, wanted, atol=1e-5)) > 0.999
+            expected = getattr(view, channel)
+            image = np.frombuffer(message.data, kind).reshape(expected.shape)
+            assert np.array_equal(image, expected) or name == "moving"
+            assert np.mean(np.isclose(image, expected, atol=1e-5)) > 0.999
         joints = messages.read_joint_view(studio.set.heard(f"{name}/joints")[stamp])
         np.testing.assert_allclose(joints["u"], frame.joints[name]["anna"].pixels[:, 0], atol=1e-4)
 
@@ -235,7 +235,7 @@ def test_images_have_the_encoding_of_their_sensor(studio: Any) -> None:
             assert message.header.frame_id == f"{name}_optical_frame"
 
 
-def test_camera_info_is_of_the_lens_that_is_rendered(studio: Any) -> None:
+def test_camera_info_has_the_rendered_lens(studio: Any) -> None:
     stamp = max(studio.frames)
     info = studio.set.heard("real/camera_info")[stamp]
     assert (info.width, info.height, info.binning_x, info.binning_y) == (128, 96, 2, 1)
@@ -247,7 +247,7 @@ def test_camera_info_is_of_the_lens_that_is_rendered(studio: Any) -> None:
     assert not any(studio.set.heard("bgr/camera_info")[stamp].d)
 
 
-def test_image_rect_is_there_where_the_lens_bends_and_is_the_picture_of_p(studio: Any) -> None:
+def test_image_rect_is_published_for_distorting_lenses_and_fits_p(studio: Any) -> None:
     count = studio.set.client.node.count_publishers
     assert [count(f"/studio/{name}/image_rect") for name in ENCODINGS] == [1, 0, 0, 1]
     for name in ("real", "bayer"):
@@ -257,7 +257,7 @@ def test_image_rect_is_there_where_the_lens_bends_and_is_the_picture_of_p(studio
         assert rect.encoding == "rgb8" and image.shape[2] == 3
         raw = frame.views[name].rgb
         np.testing.assert_array_equal(image, studio.scene.scene_cameras[name].rectify(raw))
-        # where P puts the joints is where their body is
+        # joints projected with P are on their body
         info = studio.set.heard(f"{name}/camera_info")[stamp]
         joints = messages.read_joint_view(studio.set.heard(f"{name}/joints")[stamp])
         seen = joints[joints["visible"] == 2]
@@ -289,8 +289,8 @@ distortion_coefficients: {rows: 1, cols: 4, data: [0.02, -0.01, 0.001, 0]}
 """
 
 
-def test_what_set_camera_info_is_given_is_said_and_kept_and_changes_no_lens(
-    make: Callable[[str, str], Set], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_set_camera_info_replaces_and_saves_camera_info_and_changes_no_lens(
+    make: Callable[[str, str], NodeSet], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from sensor_msgs.msg import CameraInfo, Image
     from sensor_msgs.srv import SetCameraInfo
@@ -303,20 +303,20 @@ def test_what_set_camera_info_is_given_is_said_and_kept_and_changes_no_lens(
     stamp = one.next("left/camera_info", "left/image_raw")[-1]
     before, picture = one.heard("left/camera_info")[stamp], one.heard("left/image_raw")[stamp]
 
-    def ask(**changed: Any) -> Any:
+    def request(**changed: Any) -> Any:
         info = CameraInfo(width=128, height=96, distortion_model="equidistant", d=[0.02, -0.01, 0.001, 0.0])
         info.k, info.p = [90.0, 0, 60, 0, 91, 50, 0, 0, 1], [88.0, 0, 61, 0, 0, 88, 49, 0, 0, 0, 1, 0]
         for field, value in changed.items():
             setattr(info, field, value)
         answer = one.call("left/set_camera_info", SetCameraInfo, camera_info=info)
         stamp = one.next("left/camera_info", "left/image_raw", count=2)[-1]
-        said, seen = one.heard("left/camera_info")[stamp], one.heard("left/image_raw")[stamp]
-        assert bytes(seen.data) == bytes(picture.data)
+        published, image = one.heard("left/camera_info")[stamp], one.heard("left/image_raw")[stamp]
+        assert bytes(image.data) == bytes(picture.data)
         assert answer.status_message
-        return answer, said
+        return answer, published
 
     nan = float("nan")
-    for wrong, said in (
+    for wrong, reason in (
         ({"width": 64}, "64x96"),
         ({"d": [0.1, nan, 0.0, 0.0]}, "finite"),
         ({"d": [0.1] * 9}, "coefficients"),
@@ -326,35 +326,35 @@ def test_what_set_camera_info_is_given_is_said_and_kept_and_changes_no_lens(
         ({"p": [-88.0, 0, 61, 0, 0, 88, 49, 0, 0, 0, 1, 0]}, "focal length"),
         ({"distortion_model": "thick"}, "unknown distortion model 'thick'"),
     ):
-        answer, info = ask(**wrong)
+        answer, info = request(**wrong)
         assert not answer.success
-        assert said in answer.status_message
+        assert reason in answer.status_message
         assert (list(info.k), list(info.d)) == (list(before.k), list(before.d))
     assert not (tmp_path / "ros home").exists()
 
-    answer, info = ask()
+    answer, info = request()
     assert answer.success
     assert info.distortion_model == "equidistant"
     assert list(info.d) == [0.02, -0.01, 0.001, 0.0]
     assert list(info.k) == [90, 0, 60, 0, 91, 50, 0, 0, 1]
     assert list(info.p) == [88, 0, 61, 0, 0, 88, 49, 0, 0, 0, 1, 0]
     assert info.header.frame_id == "left_optical_frame"
-    kept = read_calibration(tmp_path / "ros home" / "camera_info" / "left.yaml")
-    assert list(kept) == ["left"]
-    assert kept["left"].model == "equidistant"
-    np.testing.assert_array_equal(kept["left"].K, np.reshape(info.k, (3, 3)))
-    np.testing.assert_array_equal(kept["left"].rectified_projection, np.reshape(info.p, (3, 4)))
+    saved = read_calibration(tmp_path / "ros home" / "camera_info" / "left.yaml")
+    assert list(saved) == ["left"]
+    assert saved["left"].model == "equidistant"
+    np.testing.assert_array_equal(saved["left"].K, np.reshape(info.k, (3, 3)))
+    np.testing.assert_array_equal(saved["left"].rectified_projection, np.reshape(info.p, (3, 4)))
 
-    # what cannot be written is said all the same, and told
+    # a calibration that cannot be saved is published all the same
     monkeypatch.setenv("ROS_HOME", str(tmp_path / "scene.yaml"))
-    answer, info = ask(k=[95.0, 0, 60, 0, 91, 50, 0, 0, 1])
+    answer, info = request(k=[95.0, 0, 60, 0, 91, 50, 0, 0, 1])
     assert not answer.success
     assert "not saved" in answer.status_message
     assert info.k[0] == 95
 
 
-def test_camera_info_url_is_the_lens_and_published_info_url_what_is_said(
-    make: Callable[[str, str], Set], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_camera_info_url_sets_the_lens_and_published_info_url_sets_camera_info(
+    make: Callable[[str, str], NodeSet], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from sensor_msgs.msg import CameraInfo, Image
 
@@ -407,7 +407,7 @@ def test_camera_info_url_is_the_lens_and_published_info_url_what_is_said(
         ("published_info_url", CALIBRATION.replace("128", "64"), "64x96 pixels, the camera has 128x96"),
     ],
 )
-def test_a_wrong_calibration_ends_the_node_with_code_2_and_its_file(
+def test_an_invalid_calibration_is_an_error_that_names_the_file(
     ros: None, tmp_path: Path, parameter: str, content: str | None, message: str
 ) -> None:
     from rclpy.parameter import Parameter
@@ -454,7 +454,7 @@ def test_a_scene_for_a_renderer_that_is_not_installed_ends_the_process_with_code
 
 @pytest.fixture
 def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
-    """What cameras send on /tf and /tf_static, message by message; tf2_msgs, not on PyPI, may be absent."""
+    """Messages of cameras on /tf and /tf_static; tf2_msgs, which is not on PyPI, may be absent."""
     sent: dict[str, list[Any]] = defaultdict(list)
 
     class Recorder:
@@ -478,18 +478,18 @@ def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
     return sent
 
 
-def place_of(message: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def pose_of(message: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rotation (3, 3) and position (3,) of a TransformStamped."""
     p, q = message.transform.translation, message.transform.rotation
     return Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix(), np.array([p.x, p.y, p.z])
 
 
 def points_of(depth: Any, info: Any, extrinsics: Any) -> NDArray[np.float64]:
-    """Points (N, 3) in the world that a depth image of an ideal camera shows, of received messages only."""
+    """Points (N, 3) in the world from a depth image of an ideal camera, from received messages only."""
     image = np.frombuffer(depth.data, np.float32).reshape(depth.height, depth.width)
     rows, columns = np.nonzero(np.isfinite(image))
     rays = np.linalg.solve(np.reshape(info.k, (3, 3)), np.stack([columns, rows, np.ones(len(rows))]))
-    rotation, position = place_of(extrinsics)
+    rotation, position = pose_of(extrinsics)
     return (rays * image[rows, columns]).T @ rotation.T + position
 
 
@@ -506,7 +506,7 @@ cameras:
 
 
 def test_trajectories_move_all_cameras_at_the_same_stamp_until_the_player_pauses(
-    make: Callable[[str, str], Set], tf: dict[str, list[Any]]
+    make: Callable[[str, str], NodeSet], tf: dict[str, list[Any]]
 ) -> None:
     from geometry_msgs.msg import TransformStamped
     from sensor_msgs.msg import CameraInfo, Image, PointCloud2
@@ -543,7 +543,7 @@ def test_trajectories_move_all_cameras_at_the_same_stamp_until_the_player_pauses
             message = move.heard(f"{name}/extrinsics")[stamp]
             assert message.header.frame_id == "map"
             assert transforms[f"{name}_optical_frame", stamp] == message
-            rotation, position = place_of(message)
+            rotation, position = pose_of(message)
             pose = scene.scene_cameras[name].pose((stamp - begun) * 1e-9)
             np.testing.assert_allclose(rotation.T, pose.R, atol=1e-9)
             np.testing.assert_allclose(position, -pose.R.T @ pose.t, atol=1e-9)
@@ -554,7 +554,7 @@ def test_trajectories_move_all_cameras_at_the_same_stamp_until_the_player_pauses
             assert shown[~on_the_wall, 0].min(initial=0) > -1  # the person
             cloud = messages.read_joint_view(move.heard(f"{name}/joints")[stamp])
             joints.append(np.stack([cloud["x"], cloud["y"], cloud["z"]], -1) @ rotation.T + position)
-        # both see the same person at the same place
+        # both see the same person at the same position
         np.testing.assert_allclose(joints[0], joints[1], atol=1e-5)
         places.append(position)
     assert np.abs(np.diff(places, axis=0)).max() > 0.01
@@ -568,14 +568,14 @@ def test_trajectories_move_all_cameras_at_the_same_stamp_until_the_player_pauses
         assert all(message.transform == seen[0].transform for message in seen)
         pictures = [bytes(move.heard(f"{name}/image_raw")[stamp].data) for stamp in still]
         assert len(set(pictures)) == 1
-        rotation, position = place_of(seen[0])
+        rotation, position = pose_of(seen[0])
         k = np.reshape(move.heard(f"{name}/camera_info")[still[0]].k, (3, 3))
         p = np.reshape(move.heard(f"{name}/projection")[0].data, (3, 4))
         np.testing.assert_allclose(p, k @ np.column_stack([rotation.T, -rotation.T @ position]), atol=1e-9)
 
 
-def test_a_pose_moves_a_camera_and_a_wrong_one_is_told(
-    make: Callable[[str, str], Set], tf: dict[str, list[Any]], capfd: pytest.CaptureFixture[str]
+def test_a_pose_moves_a_camera_and_an_invalid_pose_is_logged(
+    make: Callable[[str, str], NodeSet], tf: dict[str, list[Any]], capfd: pytest.CaptureFixture[str]
 ) -> None:
     from geometry_msgs.msg import PoseStamped, TransformStamped
     from sensor_msgs.msg import CameraInfo, Image
@@ -588,12 +588,12 @@ def test_a_pose_moves_a_camera_and_a_wrong_one_is_told(
     one.hear(CameraInfo, "left/camera_info")
     one.hear(Image, "left/depth/image")
     one.next("left/depth/image", "left/camera_info")
-    # where it stands is said once
+    # the static pose is published once
     assert one.client.spin_until(lambda: len(one.heard("left/projection")) == 1)
     assert one.client.spin_until(lambda: len(one.heard("left/extrinsics")) == 1)
     ((static,),) = tf["/tf_static"]
     assert static == next(iter(one.heard("left/extrinsics").values()))
-    np.testing.assert_allclose(place_of(static)[1], (3, 0.4, 1.4), atol=1e-12)
+    np.testing.assert_allclose(pose_of(static)[1], (3, 0.4, 1.4), atol=1e-12)
     assert tf["/tf"] == []
 
     def pose(position: tuple[float, float, float], yaw: float, stamp: int = 0) -> PoseStamped:
@@ -603,7 +603,7 @@ def test_a_pose_moves_a_camera_and_a_wrong_one_is_told(
         return message
 
     def is_at(stamp: int, position: Any) -> bool:
-        return bool(np.allclose(place_of(one.heard("left/extrinsics")[stamp])[1], position, atol=1e-6))
+        return bool(np.allclose(pose_of(one.heard("left/extrinsics")[stamp])[1], position, atol=1e-6))
 
     one.send("left/pose", pose((1.5, -0.3, 1.2), 0.2))
     topics = ("left/extrinsics", "left/depth/image", "left/camera_info")
@@ -614,12 +614,12 @@ def test_a_pose_moves_a_camera_and_a_wrong_one_is_told(
         assert is_at(stamp, (1.5, -0.3, 1.2))
         extrinsics, depth, info = (one.heard(topic)[stamp] for topic in topics)
         np.testing.assert_allclose(points_of(depth, info, extrinsics)[:, 0], -2, atol=1e-3)
-        rotation, position = place_of(extrinsics)
+        rotation, position = pose_of(extrinsics)
         p = np.reshape(one.heard("left/projection")[0].data, (3, 4))
         k = np.reshape(info.k, (3, 3))
         np.testing.assert_allclose(p, k @ np.column_stack([rotation.T, -rotation.T @ position]), atol=1e-9)
         assert [extrinsics] in tf["/tf"]
-    assert tf["/tf_static"][-1] == []  # who joins late does not hear where it was
+    assert tf["/tf_static"][-1] == []  # late joiners do not get the old pose
 
     # between two poses
     now = node.now()
@@ -633,7 +633,7 @@ def test_a_pose_moves_a_camera_and_a_wrong_one_is_told(
             points_of(one.heard(topics[1])[stamp], info, one.heard(topics[0])[stamp])[:, 0], -2, atol=1e-3
         )
 
-    # a wrong one: it stays
+    # an invalid pose does not move it
     one.send("left/pose", pose((2, 0, 1), 0, now + 10_000_000_000))
     stranger, nan, bent = (pose((9, 9, 9), 0) for _ in range(3))
     stranger.header.frame_id, nan.pose.position.y, bent.pose.orientation.w = "odom", float("nan"), 2.0
@@ -641,43 +641,43 @@ def test_a_pose_moves_a_camera_and_a_wrong_one_is_told(
     for wrong in (stranger, nan, bent):
         one.send("left/pose", wrong)
         for stamp in one.next(*topics, count=2):
-            assert place_of(one.heard("left/extrinsics")[stamp])[1].max() < 4
-    told = capfd.readouterr().err
-    assert "pose not used: a camera's pose must be in map, this is in 'odom'" in told
+            assert pose_of(one.heard("left/extrinsics")[stamp])[1].max() < 4
+    log = capfd.readouterr().err
+    assert "pose not used: a camera's pose must be in map, this is in 'odom'" in log
 
 
-def test_a_camera_that_is_posed_now_and_then_is_not_taken_to_rest_between(
-    make: Callable[[str, str], Set], monkeypatch: pytest.MonkeyPatch
+def test_a_camera_with_rare_poses_counts_as_moving_between_them(
+    make: Callable[[str, str], NodeSet], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What stands still is drawn finely, and kept, only where the camera stays for a while."""
+    """The static scene is cached only for a camera that rests for a while."""
     from sensor_msgs.msg import Image
 
     monkeypatch.setattr(camera_pose, "_MOVING_FOR", 400_000_000)
     one = make("restless", f"rate: 20\nroom: null\n{WALL}cameras: {{left: {{{PLACE}}}}}")
     node = one.add(CameraNode)
-    passing: list[bool] = []
+    moving_flags: list[bool] = []
     render = node._renderer.render
 
     def watch(bodies: Any, camera: Any, channels: Any, moves: bool = False, *rest: Any) -> Any:
-        passing.append(moves)
+        moving_flags.append(moves)
         return render(bodies, camera, channels, moves, *rest)
 
     monkeypatch.setattr(node._renderer, "render", watch)
     one.hear(Image, "left/image_raw")
     one.next("left/image_raw", count=2)
-    assert not any(passing)
+    assert not any(moving_flags)
     for x in (1.0, 1.1, 1.2):
         there = Camera.look_at((x, 0, 1), (0, 0, 1))
         one.send("left/pose", messages.pose_message(camera_pose.CameraPose.of(there), node.now()))
         one.next("left/image_raw", count=4)
-    assert passing[-8:] == [True] * 8
-    assert one.client.spin_until(lambda: passing[-2:] == [False] * 2)
+    assert moving_flags[-8:] == [True] * 8
+    assert one.client.spin_until(lambda: moving_flags[-2:] == [False] * 2)
 
 
-def test_a_frame_is_smeared_as_the_camera_moves_not_by_where_it_was_before(
-    make: Callable[[str, str], Set],
+def test_motion_blur_follows_the_velocity_of_the_camera_not_its_last_pose(
+    make: Callable[[str, str], NodeSet],
 ) -> None:
-    """A camera that has shown the scene as at its start, and a player that is sent back: both jump."""
+    """A camera that has shown the start of the scene, and a player that seeks backwards: both jump."""
     from sensor_msgs.msg import Image
 
     moving = f"{{size: [64, 48], trajectory: way.txt, sensor: {{{BLUR}}}}}"
@@ -697,8 +697,10 @@ def test_a_frame_is_smeared_as_the_camera_moves_not_by_where_it_was_before(
     assert not np.array_equal(pictures[0], pictures[1])
 
 
-def test_through_pyrender_there_are_the_topics_that_it_draws(make: Callable[[str, str], Set]) -> None:
-    """Who asks for another, as a recorder of everything does, takes none away from the others."""
+def test_with_pyrender_there_are_only_the_topics_that_it_supports(
+    make: Callable[[str, str], NodeSet],
+) -> None:
+    """A subscriber to an unsupported topic, such as a recorder of all topics, does not disturb others."""
     from sensor_msgs.msg import Image, PointCloud2
 
     renderer_or_skip(name="pyrender").close()
@@ -714,7 +716,7 @@ def test_through_pyrender_there_are_the_topics_that_it_draws(make: Callable[[str
 
 
 def test_depth_alone_is_rendered_once_a_frame_whatever_the_sensor(
-    make: Callable[[str, str], Set], monkeypatch: pytest.MonkeyPatch
+    make: Callable[[str, str], NodeSet], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from sensor_msgs.msg import Image
 
@@ -723,20 +725,24 @@ def test_depth_alone_is_rendered_once_a_frame_whatever_the_sensor(
         f"room: null\n{WALL}cameras: {{left: {{{PLACE}, sensor: {{exposure_time: 0.03, samples: 64}}}}}}",
     )
     node = one.add(CameraNode)
-    asked: list[set[str]] = []
+    requested: list[set[str]] = []
     render = node._renderer.render
 
     def watch(bodies: Any, camera: Any, channels: Any, *rest: Any, **named: Any) -> Any:
-        asked.append(set(channels))
+        requested.append(set(channels))
         return render(bodies, camera, channels, *rest, **named)
 
     monkeypatch.setattr(node._renderer, "render", watch)
     one.hear(Image, "left/depth/image")
     one.next("left/depth/image", count=3)
-    assert asked.count({"depth"}) == len(asked) == pytest.approx(len(one.heard("left/depth/image")), abs=1)
+    assert (
+        requested.count({"depth"})
+        == len(requested)
+        == pytest.approx(len(one.heard("left/depth/image")), abs=1)
+    )
     one.hear(Image, "left/image_raw")
     one.next("left/image_raw", "left/depth/image")
-    assert {"rgb"} in asked
+    assert {"rgb"} in requested
 
 
 # --- rigs
@@ -776,7 +782,7 @@ def test_the_cameras_of_a_rig_run_as_nodes(ros: None, tmp_path: Path) -> None:
     client.close()
 
 
-def test_a_rig_that_is_not_there_is_refused_before_anything_starts(tmp_path: Path) -> None:
+def test_a_missing_rig_file_is_an_error_before_any_process_starts(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text("rig: rig.json\n")
     with pytest.raises(HumansimError, match="no such file"):
         scene_processes(tmp_path / "scene.yaml")

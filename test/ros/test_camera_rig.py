@@ -1,4 +1,4 @@
-"""Several cameras in one process: the pictures of Simulation by one renderer; none holds up another."""
+"""Several cameras in one process render the images of Simulation with one renderer, independently."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from humansim_ros.scene import Scene, Simulation
 
 START = 7_000_000_000
 CAMERAS = ("left", "right")
-#: Number type and shape at the end of every channel that has one image.
+#: Topic, element type and pixel shape of every channel that has one image.
 CHANNELS: dict[str, tuple[str, Any, tuple[int, ...]]] = {
     "rgb": ("image_raw", np.uint8, (3,)),
     "depth": ("depth/image", np.float32, ()),
@@ -42,7 +42,7 @@ HUMANS = ("first", "second")
 
 
 class Stage:
-    """A rig, and a client that sends it what skinners would and hears its cameras."""
+    """A rig, and a client that publishes as skinners do and subscribes to its cameras."""
 
     def __init__(self, namespace: str, scene: Path, **parameters: Any) -> None:
         from sensor_msgs.msg import MultiDOFJointState, PointCloud2
@@ -51,7 +51,7 @@ class Stage:
         overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in values.items()]
         self.namespace = namespace
         self.rig = CameraRigNode(parameter_overrides=overrides, namespace=namespace)
-        self.client = Client(f"{namespace}_client", make_executor())  # the one that processes have
+        self.client = Client(f"{namespace}_client", make_executor())  # as in node processes
         for node in self.rig.nodes:
             self.client.executor.add_node(node)
         self.senders = {
@@ -91,7 +91,7 @@ def scene_path(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def played(ros: None, scene_path: Path) -> Iterator[Any]:
-    """Some frames of Simulation, sent to a rig that is watched while it draws them."""
+    """Some frames of Simulation, sent to a rig, and the images that it publishes."""
     from sensor_msgs.msg import Image, PointCloud2
 
     channels = (*CHANNELS, "alpha", "amodal")
@@ -110,7 +110,7 @@ def played(ros: None, scene_path: Path) -> Iterator[Any]:
     for index in range(3, 7):
         frame = frames[START + simulation.scene.frame_time(index)] = simulation.frame(index)
         stage.send(frame)
-        # the first has no frame before it
+        # the first frame has no previous frame
         awaited = [t for t in topics if index > 3 or "flow_back" not in t]
         done = stage.client.spin_until(lambda s=frame.stamp, a=awaited: all(s in stage.heard(t) for t in a))
         assert done, [t for t in awaited if frame.stamp not in stage.heard(t)]
@@ -120,7 +120,7 @@ def played(ros: None, scene_path: Path) -> Iterator[Any]:
 
 
 @pytest.mark.parametrize("camera", CAMERAS)
-def test_the_pictures_of_a_rig_are_those_of_simulation_to_the_byte(played: Any, camera: str) -> None:
+def test_images_of_a_rig_equal_those_of_simulation_to_the_byte(played: Any, camera: str) -> None:
     for stamp, frame in list(played.frames.items())[1:]:
         view = frame.views[camera]
         for channel, (topic, kind, end) in CHANNELS.items():
@@ -131,12 +131,12 @@ def test_the_pictures_of_a_rig_are_those_of_simulation_to_the_byte(played: Any, 
         for channel in ("alpha", "amodal"):
             for human in HUMANS:
                 data = played.stage.heard(f"{camera}/{channel}/{human}/image")[stamp].data
-                wanted = getattr(view, channel)[played.scene.actors[human].instance]
+                expected = getattr(view, channel)[played.scene.actors[human].instance]
                 full = 255 if channel == "amodal" else 1
-                assert bytes(data) == (wanted * np.uint8(full)).astype(np.uint8).tobytes(), channel
+                assert bytes(data) == (expected * np.uint8(full)).astype(np.uint8).tobytes(), channel
 
 
-def test_what_is_worked_out_of_a_body_serves_all_cameras(
+def test_a_posed_mesh_is_computed_once_for_all_cameras(
     ros: None, scene_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from sensor_msgs.msg import Image
@@ -146,38 +146,38 @@ def test_what_is_worked_out_of_a_body_serves_all_cameras(
     topics = [f"{camera}/{topic}" for camera in CAMERAS for topic in ("image_raw", "depth/image")]
     stage.hear(Image, *topics)
     frames = [simulation.frame(index) for index in (0, 1)]
-    worked_out = 0
+    computed = 0
     make = PosedMesh.__init__
 
     def count(self: Any, *rest: Any) -> None:
-        nonlocal worked_out
-        worked_out += 1
+        nonlocal computed
+        computed += 1
         make(self, *rest)
 
     for frame in frames:
-        if frame is frames[1]:  # the first one has more to do
+        if frame is frames[1]:  # the first frame needs more work
             monkeypatch.setattr(PosedMesh, "__init__", count)
         stage.send(frame)
         assert stage.client.spin_until(lambda s=frame.stamp: all(s in stage.heard(t) for t in topics))
-    assert worked_out == len(HUMANS)
+    assert computed == len(HUMANS)
     stage.close()
     simulation.close()
 
 
-def test_every_human_is_heard_once_and_every_camera_is_a_node(played: Any) -> None:
+def test_a_rig_subscribes_once_to_each_human_and_has_a_node_for_each_camera(played: Any) -> None:
     node = played.stage.client.node
     for human in HUMANS:
         for kind in ("vertices", "joints"):
-            (listener,) = node.get_subscriptions_info_by_topic(f"/rig/humans/{human}/{kind}")
-            assert listener.node_name == "camera_rig"
+            (subscriber,) = node.get_subscriptions_info_by_topic(f"/rig/humans/{human}/{kind}")
+            assert subscriber.node_name == "camera_rig"
     names = {name for name, namespace in node.get_node_names_and_namespaces() if namespace == "/rig"}
     assert {"camera_rig", "camera_left", "camera_right"} <= names
     for camera in CAMERAS:
-        (speaker,) = node.get_publishers_info_by_topic(f"/rig/{camera}/image_raw")
-        assert speaker.node_name == f"camera_{camera}"
+        (publisher,) = node.get_publishers_info_by_topic(f"/rig/{camera}/image_raw")
+        assert publisher.node_name == f"camera_{camera}"
 
 
-def test_a_frame_with_a_vertex_that_is_no_number_is_skipped_and_said_and_the_next_one_shows(
+def test_a_frame_with_a_vertex_that_is_not_finite_is_skipped_and_logged_and_the_next_is_rendered(
     played: Any, capfd: pytest.CaptureFixture[str]
 ) -> None:
     stage = played.stage
@@ -196,11 +196,11 @@ def test_a_frame_with_a_vertex_that_is_no_number_is_skipped_and_said_and_the_nex
     assert stage.client.spin_until(lambda: all(stamp in stage.heard(f"{c}/image_raw") for c in CAMERAS))
     for camera in CAMERAS:
         assert not {last + 50_000_000, last + 100_000_000} & set(stage.heard(f"{camera}/image_raw"))
-    said = capfd.readouterr().err
-    assert "frame skipped" in said and "not finite" in said
+    log = capfd.readouterr().err
+    assert "frame skipped" in log and "not finite" in log
 
 
-def test_a_camera_that_fails_does_not_hold_up_the_others(
+def test_a_camera_that_fails_does_not_stop_the_others(
     ros: None, scene_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     from sensor_msgs.msg import Image
@@ -225,7 +225,7 @@ def test_a_camera_that_fails_does_not_hold_up_the_others(
     simulation.close()
 
 
-def test_a_rig_has_the_cameras_it_is_told(ros: None, scene_path: Path) -> None:
+def test_a_rig_has_the_cameras_of_its_parameter(ros: None, scene_path: Path) -> None:
     def made(*cameras: str) -> list[str]:
         values = {"scene": str(scene_path), **({"cameras": list(cameras)} if cameras else {})}
         overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in values.items()]
@@ -243,7 +243,7 @@ def test_a_rig_has_the_cameras_it_is_told(ros: None, scene_path: Path) -> None:
 
 
 def test_a_process_with_a_name_and_a_list_of_cameras(ros: None, tmp_path: Path) -> None:
-    """As humansim run and launch start it; a camera is called as YAML calls what is not so."""
+    """As humansim run and launch start it; one camera is named off, a boolean in YAML."""
     scene = write_scene(tmp_path, SMALL_SCENE.replace("  left:", "  'off':"))
     (process,) = [p for p in scene_processes(scene, 1) if p.executable == "camera_rig"]
     command = [sys.executable, "-m", "humansim_ros.ros.nodes", process.executable, *process.ros_arguments]
@@ -259,10 +259,10 @@ def test_a_process_with_a_name_and_a_list_of_cameras(ros: None, tmp_path: Path) 
         return sorted(name for name, namespace in found if namespace == "/" and name.startswith("camera"))
 
     try:
-        wanted = ["camera_off", "camera_rig_1", "camera_right"]
-        assert client.spin_until(lambda: names() == wanted), names()
+        expected = ["camera_off", "camera_rig_1", "camera_right"]
+        assert client.spin_until(lambda: names() == expected), names()
     finally:
         running.send_signal(signal.SIGINT)
-        said = running.communicate(timeout=20)[1]
+        log = running.communicate(timeout=20)[1]
         client.close()
-    assert running.returncode == 0 and "Traceback" not in said, said
+    assert running.returncode == 0 and "Traceback" not in log, log

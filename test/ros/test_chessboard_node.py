@@ -1,4 +1,4 @@
-"""A driver is calibrated as one calibrates a driver: from image_raw, and it is what camera_info says."""
+"""Calibration of a camera node from its image_raw, as of a real camera, gives its camera_info."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 
-#: Squares as a file of their own, whose outlines are blended, before a white board.
+#: Squares are a separate mesh, with anti-aliased outlines, in front of a white board.
 SCENE = """
 rate: 20
 room: null
@@ -48,14 +48,14 @@ cameras:
 
 
 def obj(quads: NDArray[np.floating]) -> str:
-    """A file of quads (N, 4, 3)."""
+    """OBJ file of quads (N, 4, 3)."""
     lines = ["v {:g} {:g} {:g}".format(*corner) for corner in quads.reshape(-1, 3)]
     lines += ["f {} {} {} {}".format(*range(4 * n + 1, 4 * n + 5)) for n in range(len(quads))]
     return "\n".join(lines) + "\n"
 
 
 def test_image_raw_calibrates_to_its_camera_info(tmp_path: Path, ros: None) -> None:
-    """A camera node that sees a board waved before it, with a region of interest, binning and noise."""
+    """A camera node with a region of interest, binning and noise, and a moving board."""
     from rclpy.parameter import Parameter
     from sensor_msgs.msg import CameraInfo, Image
 
@@ -64,7 +64,7 @@ def test_image_raw_calibrates_to_its_camera_info(tmp_path: Path, ros: None) -> N
     (tmp_path / "squares.obj").write_text(obj(square + np.array(places)[:, None]))
     (tmp_path / "board.obj").write_text(obj(board().vertices[None] + (0, 0, 0.3)))
     (tmp_path / "scene.yaml").write_text(SCENE)
-    # as the image has it, to hold the board up in it
+    # camera of the image, to place the board in it
     k = np.array([[540, 0, 314.25], [0, 533, 226.625], [0, 0, 1]])
     camera = Camera((620, 460), k, np.eye(3), np.zeros(3), BARREL)
     rng, keys = np.random.default_rng(1), []
@@ -104,14 +104,14 @@ def test_image_raw_calibrates_to_its_camera_info(tmp_path: Path, ros: None) -> N
         node.destroy_node()
     client.close()
 
-    # as calibrators do, without views in which a corner was taken for another
+    # as calibration tools do, without views in which corners were confused
     taken = [v for v in views.values() if len(v)]
     boards, corners = [CORNERS] * len(taken), [v.astype(np.float32) for v in taken]
     errors = cv2.calibrateCameraExtended(boards, corners, (620, 460), None, None)[-1].ravel()
     taken = [v for v, error in zip(taken, errors, strict=True) if error < 3 * np.median(errors)]
     assert len(taken) >= VIEWS
     result = calibrate(CORNERS, taken, (620, 460), info.distortion_model)
-    # of the image, as image_geometry has it
+    # K of the image, as in image_geometry
     k = np.reshape(info.k, (3, 3)) - [[0, 0, info.roi.x_offset], [0, 0, info.roi.y_offset], [0, 0, 0]]
     assert_finds(result, k / [[info.binning_x], [info.binning_y], [1]])
     np.testing.assert_allclose(result.D, info.d, atol=0.01)

@@ -1,4 +1,4 @@
-"""Compressed topics: OpenCV decodes them to what the raw topics show, and nothing is encoded for nobody."""
+"""Compressed topics: OpenCV decodes them to the raw images; nothing is encoded without subscribers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ cameras:
 
 @pytest.fixture(scope="module")
 def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A rig of cameras of every encoding before a box that stands still."""
+    """A rig with a camera of every encoding in front of a static box."""
     path = tmp_path_factory.mktemp("compressed") / "scene.yaml"
     path.write_text(SCENE)
     scene = rclpy.parameter.Parameter("scene", value=str(path))
@@ -46,7 +46,7 @@ def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]
 
 
 def newest(studio: Any, raw: str, packed: str) -> tuple[Any, Any]:
-    """A raw and a compressed message of one stamp, heard from now on."""
+    """A raw and a compressed message of one stamp that arrive from now on."""
     from sensor_msgs.msg import CompressedImage, Image
 
     client = studio.client
@@ -61,7 +61,7 @@ def newest(studio: Any, raw: str, packed: str) -> tuple[Any, Any]:
 
 
 def change(studio: Any, encoding: str, **values: Any) -> list[Any]:
-    """Set parameters of a camera's compressed topic; __ stands for a dot."""
+    """Set parameters of a camera's compressed topic; __ means a dot."""
     node = studio.cameras[encoding]
     named = {f"{encoding}.{name.replace('__', '.')}": value for name, value in values.items()}
     return node.set_parameters([rclpy.parameter.Parameter(n, value=v) for n, v in named.items()])
@@ -74,15 +74,15 @@ def test_a_png_is_the_raw_image(studio: Any, encoding: str) -> None:
     raw, packed = newest(studio, f"{encoding}/image_raw", f"{encoding}/image_raw/compressed")
     image = np.frombuffer(raw.data, np.uint8).reshape(raw.height, raw.width, -1)
     decoded = cv2.imdecode(np.frombuffer(packed.data, np.uint8), cv2.IMREAD_UNCHANGED)
-    wanted = image[..., ::-1] if encoding == "rgb8" else image
-    assert np.array_equal(decoded.reshape(image.shape), wanted)
+    expected = image[..., ::-1] if encoding == "rgb8" else image
+    assert np.array_equal(decoded.reshape(image.shape), expected)
     assert np.ptp(image) > 50
     colour = "bgr8" if image.shape[2] == 3 else ""
     assert packed.format == f"{encoding}; png compressed {colour}"
     assert packed.header == raw.header
 
 
-def test_jpeg_is_what_comes_unless_one_asks_and_its_quality_counts(studio: Any) -> None:
+def test_jpeg_is_the_default_and_has_the_set_quality(studio: Any) -> None:
     sizes = []
     for quality in (95, 20):
         assert all(
@@ -105,7 +105,7 @@ def test_jpeg_is_what_comes_unless_one_asks_and_its_quality_counts(studio: Any) 
 
 
 def restored(message: Any) -> Any:
-    """Depth in metres as the subscriber of compressedDepth restores it (NaN where it does not know)."""
+    """Depth in metres as a subscriber of compressedDepth decodes it; NaN where it is not encoded."""
     kind, a, b = struct.unpack("<iff", bytes(message.data[:12]))
     assert kind == 0
     levels = cv2.imdecode(np.frombuffer(message.data[12:], np.uint8), cv2.IMREAD_UNCHANGED)
@@ -134,14 +134,14 @@ def test_compressed_depth_is_depth_to_its_quantisation(studio: Any) -> None:
         assert (np.abs(seen - depth)[known] <= 0.51 * depth[known] ** 2 / a + 1e-6).all()
 
 
-def test_depth_too_near_for_sixteen_bits_is_the_nearest_there_is() -> None:
+def test_depth_too_near_for_sixteen_bits_is_the_nearest_value() -> None:
     depth = np.array([[0.05, 0.1516, 9.9999, 10.0, np.inf, np.nan]], dtype=np.float32)
     form, data = encode_depth(depth, 10.0, 100.0, 3)
     seen, _ = restored(SimpleNamespace(format=form, data=data))
     np.testing.assert_allclose(seen[0], [0.1518, 0.1518, 10.0, np.nan, np.nan, np.nan], rtol=2e-3)
 
 
-def test_wrong_settings_are_refused_and_named(studio: Any, tmp_path: Path) -> None:
+def test_invalid_settings_are_refused_with_their_name(studio: Any, tmp_path: Path) -> None:
     for name, value in (("format", "tiff"), ("jpeg_quality", 0), ("png_level", 10)):
         (result,) = change(studio, "mono8", **{f"image_raw__compressed__{name}": value})
         assert not result.successful and f"mono8.image_raw.compressed.{name}" in result.reason, name
@@ -152,7 +152,7 @@ def test_wrong_settings_are_refused_and_named(studio: Any, tmp_path: Path) -> No
         CameraRigNode(parameter_overrides=overrides, namespace="wrong")
 
 
-def test_nothing_is_encoded_for_nobody(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_nothing_is_encoded_without_subscribers(studio: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     from sensor_msgs.msg import CompressedImage, Image
 
     encoded: list[str] = []
@@ -171,7 +171,7 @@ def test_nothing_is_encoded_for_nobody(studio: Any, monkeypatch: pytest.MonkeyPa
     topic = "/packed/bgr8/image_raw"
     client.subscribe(Image, [topic])
     assert client.spin_until(lambda: len(client.received[topic]) >= 4)
-    encoded.clear()  # who listened until now may only just have gone
+    encoded.clear()  # the last subscriber may have left only just now
     assert client.spin_until(lambda: len(client.received[topic]) >= 8)
     assert encoded == []
     client.subscribe(CompressedImage, [f"{topic}/compressed"])

@@ -1,4 +1,4 @@
-"""Objects with labels over the nodes: the same numbers and the same bytes as Simulation has."""
+"""Labelled objects over the nodes: the same numbers and bytes as in Simulation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from humansim_ros.ros import messages
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.truth.joints import OCCLUDED
 
-#: A box passes before a person, who stands before a crate; its place tells the time.
+#: A box passes in front of a person in front of a crate; its position gives the scene time.
 SCENE = """\
 rate: 4
 humans:
@@ -51,12 +51,12 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     (folder / "moves.xml").write_text(MOVES)
     (folder / "scene.yaml").write_text(SCENE)
     images = [*IMAGES, *(f"{kind}/{name}/image" for kind in ("alpha", "amodal") for name in NUMBERS)]
-    wanted = {
+    topics = {
         Marker: ["/labels/objects/box/marker"],
         Image: [f"/labels/left/{topic}" for topic in images],
         PointCloud2: [f"/labels/left/{topic}" for topic in ("joints", "boxes", "visible_vertices")],
     }
-    with whole_flow(folder / "scene.yaml", "labels", wanted, frames=3) as client:
+    with whole_flow(folder / "scene.yaml", "labels", topics, frames=3) as client:
         simulation = Simulation(Scene.load(folder / "scene.yaml"), CHANNELS)
         stamps = client.common_stamps()[-3:]
         yield SimpleNamespace(client=client, stamps=stamps, simulation=simulation)
@@ -68,13 +68,13 @@ def heard(flow: Any, topic: str, stamp: int) -> Any:
 
 
 def frame_of(flow: Any, stamp: int) -> Any:
-    """The same frame from Simulation: the box goes 10 cm a second."""
+    """The same frame of Simulation: the box moves 10 cm a second."""
     index = 40 * messages.read_object(heard(flow, "objects/box/marker", stamp)).position[1]
     assert index == pytest.approx(round(index), abs=1e-6)
     return flow.simulation.frame(round(index))
 
 
-def test_images_of_objects_have_the_bytes_that_simulation_has(flow: Any) -> None:
+def test_images_of_objects_equal_those_of_simulation_to_the_byte(flow: Any) -> None:
     for stamp in flow.stamps:
         view = frame_of(flow, stamp).views["left"]
         for topic, channel in IMAGES.items():
@@ -86,7 +86,7 @@ def test_images_of_objects_have_the_bytes_that_simulation_has(flow: Any) -> None
             assert mask.any() or name.startswith("clutter")
 
 
-def test_what_is_said_of_objects_is_what_simulation_says(flow: Any) -> None:
+def test_boxes_vertices_and_joints_equal_those_of_simulation(flow: Any) -> None:
     hidden: set[int] = set()
     for stamp in flow.stamps:
         frame = frame_of(flow, stamp)
@@ -112,7 +112,7 @@ def test_what_is_said_of_objects_is_what_simulation_says(flow: Any) -> None:
     assert hidden >= {NUMBERS["box"]}
 
 
-def test_legends_say_whose_number_is_whose(flow: Any) -> None:
+def test_legends_name_the_labels_of_humans_and_objects(flow: Any) -> None:
     from std_msgs.msg import String
 
     from humansim_ros.ros.qos import LATCHED

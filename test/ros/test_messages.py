@@ -1,4 +1,4 @@
-"""Messages carry what they are given; rosbags, which knows nothing of rclpy, reads it from their bytes."""
+"""Messages have the given content; rosbags, which is independent of rclpy, reads it from their bytes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def scene() -> Scene:
 
 @pytest.fixture(scope="module")
 def read_outside() -> Any:
-    """Deserialises CDR with rosbags' own message definitions."""
+    """Deserialiser of CDR with the message definitions of rosbags."""
     rosbags_typesys = pytest.importorskip("rosbags.typesys")
     from rclpy.serialization import serialize_message
 
@@ -130,13 +130,13 @@ def test_camera_info_is_that_of_an_undistorted_driver(read_outside: Any) -> None
     assert np.array_equal(info.p, [300, 0, 150, 0, 0, 310, 120, 0, 0, 0, 1, 0])
 
 
-def test_extrinsics_put_the_optical_frame_where_tf_would(read_outside: Any) -> None:
+def test_extrinsics_are_the_pose_of_the_optical_frame_as_in_tf(read_outside: Any) -> None:
     camera = Camera.look_at([2.0, -1.0, 1.5], [0.0, 0.0, 1.0])
     message = read_outside(messages.extrinsics_message("cam", camera, STAMP))
     assert (message.header.frame_id, message.child_frame_id) == ("map", "cam_optical_frame")
     t, q = message.transform.translation, message.transform.rotation
     assert np.allclose([t.x, t.y, t.z], [2.0, -1.0, 1.5], atol=1e-12)
-    # the optical axis, turned into the world, runs to the target
+    # the optical axis, rotated to the world, points to the target
     axis = Rotation.from_quat([q.x, q.y, q.z, q.w]).apply([0, 0, 1])
     assert np.allclose(axis, np.array([-2.0, 1.0, -0.5]) / np.sqrt(5.25), atol=1e-12)
 
@@ -149,7 +149,7 @@ def test_projection_is_the_camera_matrix_row_by_row(read_outside: Any) -> None:
     assert np.allclose(image[:2] / image[2], [319.5, 239.5], atol=1e-9)
 
 
-def test_joint_view_has_the_layout_its_fields_say(read_outside: Any) -> None:
+def test_joint_view_has_the_layout_of_its_fields(read_outside: Any) -> None:
     view = JointView(
         optical=np.array([[0.1, 0.2, 3.0], [0.0, 0.0, -1.0]]),
         pixels=np.array([[12.5, 100.25], [np.nan, np.nan]]),
@@ -173,7 +173,7 @@ def test_joint_view_has_the_layout_its_fields_say(read_outside: Any) -> None:
 
 
 def columns_of(cloud: Any) -> dict[str, np.ndarray]:
-    """The fields of a PointCloud2, cut out of its bytes."""
+    """Fields of a PointCloud2, read from its bytes."""
     kinds = {7: "<f4", 6: "<u4", 4: "<u2", 2: "u1"}
     rows = cloud.data.reshape(cloud.width, cloud.point_step)
     return {
@@ -184,7 +184,7 @@ def columns_of(cloud: Any) -> dict[str, np.ndarray]:
     }
 
 
-def test_boxes_have_the_layout_their_fields_say(read_outside: Any) -> None:
+def test_boxes_have_the_layout_of_their_fields(read_outside: Any) -> None:
     one = BodyBox(np.array([9.5, -0.5, 70.5, 100.5]), np.array([-20.25, -30, 71, 101.5]), 0.25, 0.5, 4321)
     none = BodyBox(np.full(4, np.nan), np.full(4, np.nan), 1.0, np.nan, 0)
     message = messages.boxes_message([(3, one), (700, none)], STAMP, "cam_optical_frame")
@@ -215,7 +215,7 @@ def test_visible_vertices_are_listed_by_human(read_outside: Any) -> None:
     assert (nobody.width, len(messages.read_visible_vertices(nobody))) == (0, 0)
 
 
-def test_joints_that_were_recorded_with_fewer_fields_are_read() -> None:
+def test_joints_recorded_with_fewer_fields_are_read() -> None:
     kinds = {"x": "<f4", "y": "<f4", "z": "<f4", "u": "<f4", "v": "<f4", "visible": "u1"}
     old = np.zeros(3, np.dtype([*kinds.items(), ("human", "<u2"), ("joint", "<u2")], align=True))
     old["u"], old["joint"] = [1, 2, 3], [0, 1, 2]
@@ -226,7 +226,7 @@ def test_joints_that_were_recorded_with_fewer_fields_are_read() -> None:
 
 
 @pytest.mark.parametrize("fault", ["field", "step", "bytes", "offset", "endian", "twice"])
-def test_points_that_are_not_laid_out_as_they_say_are_refused(fault: str) -> None:
+def test_points_with_an_inconsistent_layout_are_refused(fault: str) -> None:
     box = BodyBox(np.zeros(4), np.zeros(4), 0.0, 1.0, 1)
     message = messages.boxes_message([(1, box)], STAMP, "cam_optical_frame")
     if fault == "field":

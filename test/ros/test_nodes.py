@@ -1,4 +1,4 @@
-"""The nodes in one process: every message of a frame shows the same instant, and says so."""
+"""The nodes in one process: all messages of a frame have the same stamp and belong to it."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     for node in nodes:
         client.executor.add_node(node)
     topics = [f"/humans/{human}/{kind}" for human in HUMANS for kind in ("motion", "joints")]
-    # one thread runs all nodes here: what waits meanwhile must not be lost
+    # one thread runs all nodes here: messages that wait must not be lost
     client.subscribe(MultiDOFJointState, topics, rclpy.qos.QoSProfile(depth=500))
     client.subscribe(PointCloud2, [f"/humans/{human}/vertices" for human in HUMANS])
     client.subscribe(PointCloud2, [f"/{camera}/joints" for camera in CAMERAS])
@@ -74,7 +74,7 @@ def frames(flow: Any) -> Iterator[tuple[int, dict[str, Any]]]:
 
 
 def camera_of(messages_: dict[str, Any], camera: str, flow: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """K, R, t from what was received only."""
+    """K, R, t from received messages only."""
     info = messages_[f"/{camera}/camera_info"]
     transform = flow.extrinsics[camera].transform
     q, p = transform.rotation, transform.translation
@@ -84,7 +84,7 @@ def camera_of(messages_: dict[str, Any], camera: str, flow: Any) -> tuple[np.nda
 
 @pytest.fixture(scope="module")
 def late(flow: Any) -> dict[str, Any]:
-    """What a client gets that joins when everything is long running."""
+    """Messages that a late joiner gets."""
     from geometry_msgs.msg import TransformStamped
     from shape_msgs.msg import Mesh
     from std_msgs.msg import Float64MultiArray, String
@@ -101,7 +101,7 @@ def late(flow: Any) -> dict[str, Any]:
         flow.client.executor.spin_once(timeout_sec=0.0)
         return len(late_client.received) == expected
 
-    assert late_client.spin_until(done), f"a late joiner heard only {sorted(late_client.received)}"
+    assert late_client.spin_until(done), f"a late joiner received only {sorted(late_client.received)}"
     received = {topic: next(iter(by_stamp.values())) for topic, by_stamp in late_client.received.items()}
     late_client.close()
     flow.extrinsics = {camera: received[f"/{camera}/extrinsics"] for camera in CAMERAS}
@@ -113,8 +113,8 @@ def test_every_message_of_a_frame_has_the_same_stamp(flow: Any) -> None:
     played = set(received["/humans/first/motion"])
     for topic, by_stamp in received.items():
         if "markers" not in topic:
-            # a topic's stamps are the player's, none is made up on the way (but for a camera that is up
-            # before the first frame has come through, and shows the still scene until then)
+            # a topic has only stamps of the player (except a camera that starts before the first frame has
+            # arrived, and shows the scene at its start until then)
             arrived = list(by_stamp)  # in the order of arrival
             begun = next(number for number, stamp in enumerate(arrived) if stamp in played)
             assert set(arrived[begun:]) <= played, topic
@@ -178,7 +178,7 @@ def test_vertices_projected_with_the_received_camera_land_on_their_body(flow: An
                 )
                 inside &= optical[:, 2] > 0
                 column, row, z = column[inside], row[inside], optical[inside, 2]
-                # every vertex projects to a pixel of its body, or next to one, unless something hides it
+                # every vertex projects to a pixel of its body, or next to one, unless it is occluded
                 hidden = depth[row, column] < z - 0.002
                 near = np.zeros(len(row), bool)
                 for dy in (-1, 0, 1):
@@ -186,7 +186,7 @@ def test_vertices_projected_with_the_received_camera_land_on_their_body(flow: An
                         near |= labels[row + dy, column + dx] == number
                 missed += int((~(near | hidden)).sum())
                 checked += len(row)
-    # but for a few at the edges of what hides them, where one pixel holds both
+    # except a few at the edges of occluders, where one pixel shows both
     assert checked > 10_000
     assert missed < 0.005 * checked
 
@@ -208,19 +208,19 @@ def test_visible_joints_are_on_their_own_body(flow: Any) -> None:
     assert seen > 100
 
 
-def test_published_velocities_are_how_the_joints_move(flow: Any) -> None:
-    """Against the positions of the frames before and after: right to the acceleration within a period."""
-    heard = flow.client.received["/humans/second/joints"]
+def test_published_velocities_are_those_of_the_joint_positions(flow: Any) -> None:
+    """Compared with the adjacent frames: exact up to the acceleration within a period."""
+    received = flow.client.received["/humans/second/joints"]
 
-    def neighbours() -> list[tuple[int, int, int]]:
-        """Frames with those just before and after them."""
-        return [(s - 50_000_000, s, s + 50_000_000) for s in sorted(heard)
-                if s - 50_000_000 in heard and s + 50_000_000 in heard]  # fmt: skip
+    def triples() -> list[tuple[int, int, int]]:
+        """Frames with their adjacent frames."""
+        return [(s - 50_000_000, s, s + 50_000_000) for s in sorted(received)
+                if s - 50_000_000 in received and s + 50_000_000 in received]  # fmt: skip
 
-    # on a busy machine it may take a while until no frame of three is left out
-    assert flow.client.spin_until(lambda: len(neighbours()) >= 5, 60)
+    # on a busy machine it may take a while until no frame of three is skipped
+    assert flow.client.spin_until(lambda: len(triples()) >= 5, 60)
     errors, speeds = [], []
-    for before, now, after in neighbours():
+    for before, now, after in triples():
         position = {
             s: messages.read_joints(flow.client.received["/humans/second/joints"][s])
             for s in (before, now, after)
@@ -235,7 +235,7 @@ def test_published_velocities_are_how_the_joints_move(flow: Any) -> None:
     assert np.median(errors) < 0.05 * np.median(speeds)
 
 
-def test_a_late_joiner_gets_what_is_latched(late: dict[str, Any], flow: Any) -> None:
+def test_a_late_joiner_gets_latched_messages(late: dict[str, Any], flow: Any) -> None:
     mesh = late["/humans/first/mesh"]
     frame = dict(frames(flow).__next__()[1])
     assert len(mesh.vertices) == frame["/humans/first/vertices"].width
@@ -254,10 +254,10 @@ def test_a_late_joiner_gets_what_is_latched(late: dict[str, Any], flow: Any) -> 
         assert legend["joint"]["first"] == frame["/humans/first/joints"].joint_names
 
 
-def test_markers_come_when_somebody_asks(flow: Any) -> None:
+def test_markers_are_published_to_subscribers(flow: Any) -> None:
     from visualization_msgs.msg import MarkerArray
 
-    # a client of its own: markers have no stamp, and would leave the frames of the others none in common
+    # a separate client: markers have no stamp, and frames would have no stamp in common with them
     watcher = Client("watcher")
     watcher.subscribe(MarkerArray, ["/humans/first/markers"])
 
@@ -271,28 +271,28 @@ def test_markers_come_when_somebody_asks(flow: Any) -> None:
     assert {marker.header.frame_id for marker in array.markers} == {"map"}
 
 
-def test_diagnostics_tell_when_frames_come_and_leave(flow: Any) -> None:
+def test_diagnostics_have_the_times_of_arrival_and_sending(flow: Any) -> None:
     from diagnostic_msgs.msg import DiagnosticArray
 
-    said: dict[str, dict[str, float]] = {}
+    reported: dict[str, dict[str, float]] = {}
 
     def keep(message: DiagnosticArray) -> None:
         for status in message.status:
-            said[status.name] = {item.key: float(item.value) for item in status.values}
+            reported[status.name] = {item.key: float(item.value) for item in status.values}
 
     subscription = flow.client.node.create_subscription(DiagnosticArray, "/diagnostics", keep, 20)
     names = {node.get_fully_qualified_name() for node in flow.nodes}
     assert flow.client.spin_until(
-        lambda: names <= set(said) and all(said[name].get("frames") for name in names)
+        lambda: names <= set(reported) and all(reported[name].get("frames") for name in names)
     )
     flow.client.node.destroy_subscription(subscription)
     for name in names:
-        assert said[name]["lateness_median_ms"] <= said[name]["lateness_ms"]
+        assert reported[name]["lateness_median_ms"] <= reported[name]["lateness_ms"]
     for name in (node.get_fully_qualified_name() for node in flow.nodes if isinstance(node, CameraNode)):
-        assert 0 <= said[name]["arrival_median_ms"] <= said[name]["lateness_median_ms"]
+        assert 0 <= reported[name]["arrival_median_ms"] <= reported[name]["lateness_median_ms"]
 
 
-def test_publishers_are_as_rep_2003_has_them(flow: Any, late: Any) -> None:
+def test_publishers_have_the_qos_of_rep_2003(flow: Any, late: Any) -> None:
     from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 
     def qos(topic: str) -> Any:
@@ -306,7 +306,7 @@ def test_publishers_are_as_rep_2003_has_them(flow: Any, late: Any) -> None:
         assert qos(topic).durability == QoSDurabilityPolicy.TRANSIENT_LOCAL
 
 
-def test_every_parameter_says_what_it_is_and_how_far_it_goes(flow: Any) -> None:
+def test_every_parameter_has_a_description_and_limits(flow: Any) -> None:
     for node in flow.nodes:
         own = [name for name in node._parameters if name not in ("use_sim_time",) and "qos" not in name]
         own = [name for name in own if not name.startswith("start_type_description")]
@@ -383,7 +383,7 @@ def test_a_skinner_outlives_a_motion_it_cannot_use(ros: None, tmp_path: Path) ->
 
 
 @pytest.mark.parametrize(("node", "key"), [(SkinnerNode, "human"), (CameraNode, "camera")])
-def test_a_name_that_the_scene_lacks_is_refused_with_those_it_has(
+def test_a_name_that_the_scene_lacks_is_refused_with_the_names_it_has(
     ros: None, tmp_path: Path, node: type, key: str
 ) -> None:
     with pytest.raises(SceneError, match=r"nobody.*(first|left)"):
@@ -391,7 +391,7 @@ def test_a_name_that_the_scene_lacks_is_refused_with_those_it_has(
 
 
 def test_a_camera_follows_a_clock_that_is_set_back(ros: None, tmp_path: Path) -> None:
-    """As when a bag is played a second time: what comes then is shown, and not taken for late."""
+    """As when a bag is played a second time: its frames are rendered, and do not count as late."""
     from sensor_msgs.msg import Image, MultiDOFJointState, PointCloud2
 
     node = CameraNode(**parameters(scene=str(write_scene(tmp_path))), namespace="jump")
@@ -427,10 +427,10 @@ def test_a_camera_follows_a_clock_that_is_set_back(ros: None, tmp_path: Path) ->
     client.close()
 
 
-def test_a_slower_player_is_not_taken_for_lost_frames(
+def test_frames_of_a_slower_player_do_not_count_as_lost(
     ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Its rate can change while it plays: here from the scene's 20 to 5 frames a second."""
+    """Its rate changes while it plays, from 20 frames per second of the scene to 5."""
     from sensor_msgs.msg import Image, MultiDOFJointState, PointCloud2
 
     node = CameraNode(**parameters(scene=str(write_scene(tmp_path))), namespace="slow")

@@ -1,4 +1,4 @@
-"""Keyframes through the nodes: people and things of a frame show one instant, that of Simulation."""
+"""Keyframes through the nodes: humans and objects of a frame are those of one frame of Simulation."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from humansim_ros.errors import RosError
 from humansim_ros.ros import messages
 from humansim_ros.scene import Scene, Simulation
 
-#: A person is carried, turned and made larger; a box passes before it, whose place tells the time.
+#: A person is moved, rotated and scaled; a box passes in front; its position gives the scene time.
 SCENE = """\
 rate: 20
 room: null
@@ -58,43 +58,45 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     folder = tmp_path_factory.mktemp("lift")
     (folder / "moves.xml").write_text(MOVES)
     scene = write_scene(folder, SCENE)
-    wanted = {
+    topics = {
         MultiDOFJointState: TOPICS[:2],
         PointCloud2: [TOPICS[2], "/lift/left/joints"],
         Marker: ["/lift/objects/box/marker"],
         TwistStamped: ["/lift/objects/box/twist"],
         Image: [f"/lift/left/{kind}" for kind in IMAGES],
     }
-    with whole_flow(scene, "lift", wanted, frames=8) as client:
+    with whole_flow(scene, "lift", topics, frames=8) as client:
         simulation = Simulation(Scene.load(scene))
         yield SimpleNamespace(received=client.received, stamps=client.common_stamps(), simulation=simulation)
         simulation.close()
 
 
 def frame_of(flow: Any, stamp: int) -> Any:
-    """The same frame from Simulation; where the box is tells which."""
+    """The same frame of Simulation; the position of the box gives its index."""
     pose = messages.read_object(flow.received["/lift/objects/box/marker"][stamp])
     index = (pose.position[1] + 1) * 20
     assert index == pytest.approx(round(index), abs=1e-4)
     return flow.simulation.frame(round(index))
 
 
-def test_people_and_things_of_a_frame_have_the_same_stamp(flow: Any) -> None:
+def test_humans_and_objects_of_a_frame_have_the_same_stamp(flow: Any) -> None:
     played = set(flow.received["/lift/objects/box/marker"])
     assert len(flow.stamps) >= 8
     for topic, by_stamp in flow.received.items():
-        # what is heard last may be half of a frame
+        # the last messages may belong to an incomplete frame
         assert {s for s in by_stamp if flow.stamps[0] <= s <= flow.stamps[-1]} <= played, topic
 
 
-def test_things_say_how_they_move(flow: Any) -> None:
+def test_twists_are_the_velocities_of_objects(flow: Any) -> None:
     for stamp in flow.stamps:
-        said = messages.read_twist(flow.received["/lift/objects/box/twist"][stamp])
+        published = messages.read_twist(flow.received["/lift/objects/box/twist"][stamp])
         frame = frame_of(flow, stamp)
         truth = frame.objects["box"].velocity
-        np.testing.assert_allclose([said.linear, said.angular], [truth.linear, truth.angular], atol=1e-9)
-        if frame.index > 0:  # before, it stood
-            np.testing.assert_allclose(said.linear, [0, 1, 0], atol=1e-9)
+        np.testing.assert_allclose(
+            [published.linear, published.angular], [truth.linear, truth.angular], atol=1e-9
+        )
+        if frame.index > 0:  # before, it rested
+            np.testing.assert_allclose(published.linear, [0, 1, 0], atol=1e-9)
 
 
 def test_the_live_body_is_that_of_the_simulation(flow: Any) -> None:
@@ -114,22 +116,22 @@ def test_the_live_body_is_that_of_the_simulation(flow: Any) -> None:
 def test_live_images_are_those_of_the_simulation(flow: Any) -> None:
     for stamp in flow.stamps:
         view = frame_of(flow, stamp).views["left"]
-        for kind, wanted in zip(IMAGES, (view.rgb, view.depth, view.instance, view.part), strict=True):
+        for kind, expected in zip(IMAGES, (view.rgb, view.depth, view.instance, view.part), strict=True):
             message = flow.received[f"/lift/left/{kind}"][stamp]
-            image = np.frombuffer(message.data, IMAGES[kind]).reshape(wanted.shape)
+            image = np.frombuffer(message.data, IMAGES[kind]).reshape(expected.shape)
             # vertices may differ in their last bit, and with them a pixel on an edge
-            same = np.isclose(image, wanted, atol=1e-5) if kind == "depth/image" else image == wanted
+            same = np.isclose(image, expected, atol=1e-5) if kind == "depth/image" else image == expected
             assert same.mean() > 0.9995, kind
 
 
-def test_joints_behind_the_thing_that_passes_are_occluded_live(flow: Any) -> None:
+def test_joints_behind_the_passing_object_are_occluded_live(flow: Any) -> None:
     for stamp in flow.stamps:
         truth = frame_of(flow, stamp).joints["left"]["anna"]
         live = messages.read_joint_view(flow.received["/lift/left/joints"][stamp])
         assert (live["visible"] == truth.visible).mean() > 0.95
 
 
-def test_an_object_of_another_kind_shows_its_file(flow: Any, tmp_path: Path) -> None:
+def test_the_marker_of_a_mesh_object_names_its_file(flow: Any, tmp_path: Path) -> None:
     from visualization_msgs.msg import Marker
 
     (tmp_path / "a b.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
@@ -150,11 +152,11 @@ def test_an_object_of_another_kind_shows_its_file(flow: Any, tmp_path: Path) -> 
             messages.read_object(broken)
 
 
-def test_the_bones_shown_are_as_large_as_the_person(flow: Any) -> None:
+def test_bones_of_markers_have_the_size_of_the_person(flow: Any) -> None:
     actor = flow.simulation.scene.actors["anna"]
     state = actor.at(50.0)
     lines = messages.MarkerBuilder(actor.human).build("anna", 1, state, 0).markers[0].points
     knee = lines[2 * actor.human.skeleton.bone("l_hip") + 1]
-    place = state.positions[actor.human.skeleton.bone("l_knee")]
+    position = state.positions[actor.human.skeleton.bone("l_knee")]
     assert state.size == pytest.approx(5.9)
-    np.testing.assert_allclose([knee.x, knee.y, knee.z], place, atol=1e-6)
+    np.testing.assert_allclose([knee.x, knee.y, knee.z], position, atol=1e-6)

@@ -1,4 +1,4 @@
-"""The topics of everything that a pixel shows carry what Simulation has, on the same stamp."""
+"""Topics of all channels and of the ground truth have the content of Simulation at the same stamp."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ DTYPES = {"32SC1": np.int32, "32FC1": np.float32, "32FC2": np.float32, "32FC3": 
 #: Channel, topic and what of the view it is.
 DETAILS = [c for c in ALL_CHANNELS if c not in CHANNELS]
 
-#: Topics on the people that a camera sees.
+#: Topics of ground truth.
 CLOUDS = ("joints", "boxes", "visible_vertices")
 
 
@@ -48,12 +48,12 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     (folder / "moves.xml").write_text(MOVES)
     scene = write_scene(folder, SCENE)
     topics = {c: f"/detail/left/{CHANNEL_TABLE[c].topic.format(body='anna')}" for c in DETAILS}
-    wanted = {
+    subscriptions = {
         Marker: ["/detail/objects/box/marker"],
         Image: list(topics.values()),
         PointCloud2: [f"/detail/left/{kind}" for kind in CLOUDS],
     }
-    with whole_flow(scene, "detail", wanted, frames=4) as client:
+    with whole_flow(scene, "detail", subscriptions, frames=4) as client:
         simulation = Simulation(Scene.load(scene), ALL_CHANNELS)
         yield SimpleNamespace(
             received=client.received, stamps=client.common_stamps(), topics=topics, simulation=simulation
@@ -62,13 +62,13 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
 
 
 def index_of(flow: Any, stamp: int) -> float:
-    """Which frame of the scene has a stamp: the box goes a metre a second. -1 before the scene plays."""
+    """Index of the frame with a stamp: the box moves a metre a second. -1 before the scene plays."""
     marker = flow.received["/detail/objects/box/marker"].get(stamp)
     return -1.0 if marker is None else float((messages.read_object(marker).position[1] + 1) * 4)
 
 
 @pytest.mark.parametrize("channel", DETAILS)
-def test_a_topic_has_what_simulation_has(flow: Any, channel: str) -> None:
+def test_a_topic_has_the_channel_of_simulation(flow: Any, channel: str) -> None:
     whole = 0
     shown = flow.received[flow.topics["alpha"]]
     indices = {round(index_of(flow, stamp)) for stamp in shown if stamp >= flow.stamps[0] - 300_000_000}
@@ -88,20 +88,22 @@ def test_a_topic_has_what_simulation_has(flow: Any, channel: str) -> None:
         same = np.isclose(image, truth, atol=2e-3, equal_nan=True)
         beside = index + (-1 if "back" in channel else 1)
         if channel.startswith("flow") and round(beside) not in indices:
-            continue  # the frame beside it was left out, or the scene stood still before
+            continue  # the adjacent frame was skipped, or showed the scene at its start
         whole += 1
         assert same.mean() > 0.995
-        assert len(np.unique(np.nan_to_num(truth))) > 1, "somebody is there"
+        assert len(np.unique(np.nan_to_num(truth))) > 1, "the image is empty"
     assert whole > 0
 
 
-def test_what_is_said_of_people_is_what_simulation_says(flow: Any) -> None:
+def test_joints_boxes_and_vertices_are_those_of_simulation(flow: Any) -> None:
     for stamp in flow.stamps:
         frame = flow.simulation.frame(round(index_of(flow, stamp)))
         joints, boxes, vertices = (flow.received[f"/detail/left/{kind}"][stamp] for kind in CLOUDS)
-        said, seen = messages.read_joint_view(joints), frame.joints["left"]["anna"]
-        assert np.mean((said["visible"] == seen.visible) & (said["occluder"] == seen.occluder)) > 0.9
-        assert np.median(np.abs(said["behind"] - seen.behind)) < 1e-4
+        published, truth = messages.read_joint_view(joints), frame.joints["left"]["anna"]
+        assert (
+            np.mean((published["visible"] == truth.visible) & (published["occluder"] == truth.occluder)) > 0.9
+        )
+        assert np.median(np.abs(published["behind"] - truth.behind)) < 1e-4
         (box,) = messages.read_boxes(boxes)
         truth = frame.boxes["left"]["anna"]
         assert (box["instance"], box["kind"]) == (1, messages.BODY_KINDS["human"])
@@ -109,7 +111,7 @@ def test_what_is_said_of_people_is_what_simulation_says(flow: Any) -> None:
         np.testing.assert_allclose(whole, truth.whole, atol=1e-3)
         assert box["pixels"] == pytest.approx(truth.pixels, rel=0.01)
         assert box["visible_fraction"] == pytest.approx(truth.visible_fraction, abs=0.01)
-        heard = np.zeros(len(frame.humans["anna"].vertices), bool)
-        heard[messages.read_visible_vertices(vertices)["vertex"]] = True
-        assert np.mean(heard == frame.visible_vertices("left")["anna"]) > 0.99
-        assert heard.any()
+        visible = np.zeros(len(frame.humans["anna"].vertices), bool)
+        visible[messages.read_visible_vertices(vertices)["vertex"]] = True
+        assert np.mean(visible == frame.visible_vertices("left")["anna"]) > 0.99
+        assert visible.any()

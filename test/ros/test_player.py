@@ -1,4 +1,4 @@
-"""A player that is steered while it plays: parameters, services, and what is refused."""
+"""Control of the motion player while it plays: parameters, services, and rejected values."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def due(clock: PlaybackClock, seconds: float) -> Tick:
     return tick
 
 
-def test_frames_leave_at_start_plus_round_k_periods() -> None:
+def test_frames_are_due_at_start_plus_round_k_periods() -> None:
     clock = PlaybackClock(rate=30)
     start = due(clock, 5.0).stamp
     for frame in range(1, 100):
@@ -51,7 +51,7 @@ def test_frames_leave_at_start_plus_round_k_periods() -> None:
     assert due(clock, 5.0 + 110 / 30).dropped == 10
 
 
-def test_the_scene_stands_while_paused_and_goes_on_without_a_jump() -> None:
+def test_scene_time_stops_while_paused_and_continues_without_a_jump() -> None:
     clock = PlaybackClock(rate=10)
     due(clock, 1.0), due(clock, 1.1)
     clock.pause(True)
@@ -65,7 +65,7 @@ def test_the_scene_stands_while_paused_and_goes_on_without_a_jump() -> None:
     assert (due(clock, 1.6).elapsed, due(clock, 1.7).elapsed) == (0.2 * SECOND, 0.2 * SECOND)
 
 
-def test_steps_are_frames_of_the_scene_at_once_and_their_stamps_do_not_run_ahead() -> None:
+def test_steps_show_frames_at_once_and_their_stamps_do_not_run_ahead() -> None:
     clock = PlaybackClock(rate=30)
     due(clock, 1.0)
     clock.pause(True)
@@ -80,7 +80,7 @@ def test_steps_are_frames_of_the_scene_at_once_and_their_stamps_do_not_run_ahead
     assert np.all(np.diff(stamps) > 0)
 
 
-def test_seeking_shows_that_time_at_once_and_goes_on_from_there() -> None:
+def test_seeking_shows_that_time_at_once_and_continues_from_there() -> None:
     clock = PlaybackClock(rate=20, seconds=3.0)
     assert due(clock, 9.0).elapsed == 3 * SECOND
     tick = clock.seek(7.25, round(9.01 * SECOND))
@@ -92,16 +92,16 @@ def test_seeking_shows_that_time_at_once_and_goes_on_from_there() -> None:
 def test_stamps_rise_and_time_runs_on_when_the_rate_changes(before: float, after: float) -> None:
     clock = PlaybackClock(before)
     first = due(clock, 1.0)
-    early = first.stamp - 5  # a frame may leave a little before its time
+    early = first.stamp - 5  # a frame may be sent a little early
     tick = clock.set_rate(after, early)
     assert tick.stamp == first.stamp + 1
     assert tick.elapsed == first.elapsed + 1
     assert due(clock, 1.0 + 1 / after).stamp == tick.stamp + round(SECOND / after)
 
 
-def test_a_clock_that_is_set_back_is_followed_and_the_scene_goes_on() -> None:
+def test_a_clock_that_is_set_back_is_followed_and_scene_time_continues() -> None:
     clock = PlaybackClock(rate=10)
-    assert clock.due(0) is None  # simulated time that has not begun
+    assert clock.due(0) is None  # simulated time that has not started
     due(clock, 100.0), due(clock, 100.1)
     tick = due(clock, 3.0)
     assert (tick.stamp, tick.elapsed, tick.dropped) == (3 * SECOND, SECOND // 10, 0)
@@ -116,7 +116,7 @@ def test_a_slow_clock_sends_frames_when_they_are_due() -> None:
     assert clock.due(round(110.1 * SECOND)) is None
 
 
-# What plays, without ROS
+# Playback, without ROS
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def hips(poses: JointPoses) -> np.ndarray:
     return poses.positions[0, 0]
 
 
-def test_unchanged_the_scene_is_played_as_it_is(scene: Scene) -> None:
+def test_without_changes_the_scene_is_played_as_its_file_says(scene: Scene) -> None:
     playback = Playback(scene)
     for frame in (300, 0, 7):
         elapsed = scene.frame_time(frame)
@@ -149,8 +149,10 @@ def test_velocities_are_per_second_of_the_wall(scene: Scene) -> None:
 
 
 @pytest.mark.parametrize("speeds", [(3.0, 0.25), (0.0, 2.0)])
-def test_at_another_speed_a_motion_goes_on_from_where_it_is(scene: Scene, speeds: tuple[float, ...]) -> None:
-    """Through a standstill, too; and what the other human does is its own affair."""
+def test_at_another_speed_a_motion_continues_from_its_position(
+    scene: Scene, speeds: tuple[float, ...]
+) -> None:
+    """Also after speed 0; the other human is not affected."""
     playback, elapsed = Playback(scene), 7 * SECOND // 10
     played = 0.7
     for speed in speeds:
@@ -165,8 +167,10 @@ def test_at_another_speed_a_motion_goes_on_from_where_it_is(scene: Scene, speeds
         np.testing.assert_allclose(playback.show(elapsed).poses["first"].positions, expected, atol=1e-9)
 
 
-def test_another_motion_starts_at_its_start_and_after_rewinding_is_as_in_the_scene_file(scene: Scene) -> None:
-    """For "second", whose offset of half a second counts from the start of the scene only."""
+def test_another_motion_begins_at_its_start_and_after_rewind_equals_that_of_the_scene_file(
+    scene: Scene,
+) -> None:
+    """For "second", whose offset of half a second is relative to the start of the scene."""
     playback = Playback(scene)
     config = MotionConfig(
         file="walk", loop="none", position=(-0.5, 0.8), yaw_deg=-20, anchor="center", offset=0.5
@@ -183,8 +187,8 @@ def test_another_motion_starts_at_its_start_and_after_rewinding_is_as_in_the_sce
     np.testing.assert_array_equal(again.positions, expected.joint_poses(0.3).positions)
 
 
-def test_looping_otherwise_keeps_the_place_in_the_round(scene: Scene) -> None:
-    """A walk goes once round in two seconds; in its third round it is to walk on the spot."""
+def test_another_loop_keeps_the_position_in_the_repetition(scene: Scene) -> None:
+    """A walk repeats every two seconds; in its third repetition it changes to walking on the spot."""
     playback = Playback(scene)
     playback.show(round(4.9 * SECOND))
     playback.change("first", loop="repeat")
@@ -192,7 +196,7 @@ def test_looping_otherwise_keeps_the_place_in_the_round(scene: Scene) -> None:
     np.testing.assert_allclose(shown, scene.actors["first"].joint_poses(0.9).positions, atol=1e-9)
 
 
-def test_what_is_said_of_one_file_does_not_hold_for_another_but_comes_back_with_it(tmp_path: Path) -> None:
+def test_settings_of_a_file_are_not_used_for_another_file_but_return_with_it(tmp_path: Path) -> None:
     text = "humans: {giant: {motion: {file: walk, unit: 0.02, start: 0.5, speed: 2.0}}}\n"
     text += "cameras: {c: {position: [3, 0, 1], look_at: [0, 0, 1]}}\n"
     playback = Playback(Scene.load(write_scene(tmp_path, text)))
@@ -212,8 +216,8 @@ def test_what_is_said_of_one_file_does_not_hold_for_another_but_comes_back_with_
 # With ROS
 
 
-class Steered:
-    """A player with a client that hears its motions, sets its parameters and calls its services."""
+class PlayerClient:
+    """A player with a client that receives its motions, sets its parameters and calls its services."""
 
     def __init__(self, folder: Path, namespace: str, skinner: bool = False) -> None:
         from rclpy.parameter import Parameter
@@ -226,7 +230,7 @@ class Steered:
         self.nodes = [self.player]
         if skinner:
             self.nodes.append(SkinnerNode(parameter_overrides=scene, namespace=namespace))
-        self.client = Client(f"{namespace}_client", make_executor())  # the one that processes have
+        self.client = Client(f"{namespace}_client", make_executor())  # as in node processes
         for node in self.nodes:
             self.client.executor.add_node(node)
         self.namespace = namespace
@@ -240,10 +244,10 @@ class Steered:
         return self.client.received[f"/{self.namespace}/humans/{human}/{kind}"]
 
     def frames(self, count: int, human: str = "first", kind: str = "motion") -> list[tuple[int, JointPoses]]:
-        """The next so many frames."""
+        """The next ``count`` frames."""
         before = len(self.heard(human, kind))
         assert self.client.spin_until(lambda: len(self.heard(human, kind)) >= before + count), (
-            "no frames come"
+            "no frames arrive"
         )
         items = sorted(self.heard(human, kind).items())[-count:]
         return [(stamp, messages.read_joints(message)) for stamp, message in items]
@@ -285,15 +289,15 @@ class Steered:
 
 
 @pytest.fixture(scope="module")
-def steered(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Steered]:
-    one = Steered(tmp_path_factory.mktemp("player"), "steer", skinner=True)
-    yield one
-    one.close()
+def steered(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[PlayerClient]:
+    client = PlayerClient(tmp_path_factory.mktemp("player"), "steer", skinner=True)
+    yield client
+    client.close()
 
 
 @pytest.fixture
-def player(steered: Steered) -> Iterator[Steered]:
-    """The player, left as the scene has it."""
+def player(steered: PlayerClient) -> Iterator[PlayerClient]:
+    """The player, reset after the test to the values of the scene."""
     from std_srvs.srv import SetBool
 
     yield steered
@@ -304,7 +308,7 @@ def player(steered: Steered) -> Iterator[Steered]:
 
 
 def stamp_of(answer: Any) -> int:
-    """The stamp that a service's answer tells."""
+    """Stamp in the answer of a service."""
     seconds, nanoseconds = answer.message.rsplit(" ", 1)[1].split(".")
     return int(seconds) * SECOND + int(nanoseconds)
 
@@ -313,7 +317,9 @@ def moves(frames: list[tuple[int, JointPoses]]) -> bool:
     return bool(np.abs(frames[0][1].positions - frames[-1][1].positions).max() > 1e-3)
 
 
-def test_a_paused_player_shows_the_same_pose_with_new_stamps_and_steps_by_frames(player: Steered) -> None:
+def test_a_paused_player_shows_the_same_pose_with_new_stamps_and_steps_by_frames(
+    player: PlayerClient,
+) -> None:
     from std_srvs.srv import SetBool, Trigger
 
     paused = player.call("pause", SetBool, data=True)
@@ -339,7 +345,7 @@ def test_a_paused_player_shows_the_same_pose_with_new_stamps_and_steps_by_frames
 
 
 @pytest.mark.parametrize("paused", [True, False])
-def test_restart_and_seek_show_that_second_of_the_scene_at_once(player: Steered, paused: bool) -> None:
+def test_restart_and_seek_show_that_scene_time_at_once(player: PlayerClient, paused: bool) -> None:
     from std_srvs.srv import SetBool, Trigger
 
     player.call("pause", SetBool, data=paused)
@@ -357,9 +363,9 @@ def test_restart_and_seek_show_that_second_of_the_scene_at_once(player: Steered,
     assert is_shown(0.0, stamp_of(player.call("restart", Trigger)))
 
 
-def test_the_rate_changes_and_frames_are_a_period_apart_to_the_nanosecond(player: Steered) -> None:
+def test_the_rate_changes_and_frames_are_a_period_apart_to_the_nanosecond(player: PlayerClient) -> None:
     player.frames(2)
-    assert player.set(rate=40) == ""  # an integer, as people type it
+    assert player.set(rate=40) == ""  # an integer, as users type it
     player.frames(1)
     stamps = [stamp for stamp, _ in player.frames(6)]
     steps = np.diff(stamps) / 25_000_000
@@ -367,7 +373,7 @@ def test_the_rate_changes_and_frames_are_a_period_apart_to_the_nanosecond(player
     assert np.all(np.diff(sorted(player.heard())) > 0)
 
 
-def test_speeds_of_the_clock_and_of_one_human(player: Steered) -> None:
+def test_speeds_of_the_clock_and_of_one_human(player: PlayerClient) -> None:
     assert player.set(speed=0.0) == ""
     player.frames(2)
     assert not moves(player.frames(3))
@@ -375,17 +381,17 @@ def test_speeds_of_the_clock_and_of_one_human(player: Steered) -> None:
     player.frames(1)
     ((_, poses),) = player.frames(1)
     assert poses.linear is not None
-    assert np.linalg.norm(poses.linear[0, 0]) > 2.5  # the hips of somebody who walks four times as fast
+    assert np.linalg.norm(poses.linear[0, 0]) > 2.5  # hips of a person who walks four times as fast
     assert player.set(first__speed=0.0) == ""
     player.frames(2)
     assert not moves(player.frames(3))
     assert moves(player.frames(4, "second"))
 
 
-def test_what_is_set_for_all_is_set_for_each_and_the_parameters_say_what_holds(player: Steered) -> None:
+def test_values_for_all_are_set_for_each_and_parameters_return_present_values(player: PlayerClient) -> None:
     assert player.set(second__start=0.25, second__end=1.0) == ""
     assert player.set(motion="walk") == ""
-    # another file plays from its start to its end
+    # another file is played from start to end
     names = ("motion", "first.motion", "second.motion", "second.start", "second.end")
     assert player.get(*names) == ["walk", "walk", "walk", 0.0, 0.0]
     assert player.set(loop="none", mirror=True) == ""
@@ -397,7 +403,7 @@ def test_what_is_set_for_all_is_set_for_each_and_the_parameters_say_what_holds(p
     assert player.get("loop") == ["repeat"]
 
 
-def test_one_human_is_left_to_another_source(player: Steered) -> None:
+def test_one_human_can_be_left_to_another_source(player: PlayerClient) -> None:
     assert player.set(second__play=False) == ""
     player.frames(1)
     last = max(player.heard("second"))
@@ -407,16 +413,16 @@ def test_one_human_is_left_to_another_source(player: Steered) -> None:
     player.frames(2, "second")
 
 
-def test_part_loop_and_mirror_change_what_is_sent(player: Steered) -> None:
+def test_start_end_loop_and_mirror_change_the_motion(player: PlayerClient) -> None:
     assert player.set(start=0.5, end=1.0, loop="none", speed=5.0) == ""
-    end = read_bvh(WALK).world_positions(60)  # second 1, where it stands
+    end = read_bvh(WALK).world_positions(60)  # second 1, where it ends
 
-    def stands() -> bool:
+    def is_at_the_end() -> bool:
         poses = player.frames(1)[0][1].positions[0]
         heights = poses[:, 2] - poses[0, 2]
         return bool(np.abs(heights - (end[:, 1] - end[0, 1]) * 0.01).max() < 1e-6)
 
-    assert player.client.spin_until(stands)
+    assert player.client.spin_until(is_at_the_end)
     before = player.frames(1)[0][1]
     assert player.set(first__mirror=True) == ""
     player.frames(1)
@@ -429,8 +435,8 @@ def test_part_loop_and_mirror_change_what_is_sent(player: Steered) -> None:
     np.testing.assert_allclose(after.positions[0], mirrored, atol=1e-9)
 
 
-def test_a_changed_motion_gives_the_truth_it_would_have_from_the_scene_file(player: Steered) -> None:
-    """Through the skinner, which hears of it by the legend: joints to the last digits of the JSON."""
+def test_a_changed_motion_gives_the_same_truth_as_in_the_scene_file(player: PlayerClient) -> None:
+    """Through the skinner, which uses the legend: joints agree to the last digits of the JSON."""
     from std_srvs.srv import SetBool
 
     assert player.set(first__motion="walk_straight", first__mirror=True) == ""
@@ -449,8 +455,10 @@ def test_a_changed_motion_gives_the_truth_it_would_have_from_the_scene_file(play
     )
 
 
-def test_what_cannot_be_played_is_refused_and_the_old_goes_on(player: Steered, tmp_path: Path) -> None:
-    """Also a file that is gone: what plays needs it no more."""
+def test_values_that_cannot_be_played_are_rejected_and_the_old_motion_continues(
+    player: PlayerClient, tmp_path: Path
+) -> None:
+    """Also with a deleted file: a motion that plays is in memory."""
     (tmp_path / "broken.bvh").write_text("HIERARCHY\nROOT a\n{\n")
     (tmp_path / "chain.bvh").write_text(
         "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Zrotation\n}\nMOTION\nFrames: 1\nFrame Time: 1\n0\n"
@@ -461,7 +469,7 @@ def test_what_cannot_be_played_is_refused_and_the_old_goes_on(player: Steered, t
     assert player.set(first__mirror=True, first__end=1.5) == ""
     settings, actors = dict(player.player._playback.settings), dict(player.player._playback.actors)
     names = ("first.motion", "first.mirror", "first.start", "second.loop", "rate", "seek")
-    told = player.get(*names)
+    values_before = player.get(*names)
     for values, reason in (
         ({"motion": "nothing"}, "no 'nothing'; the built-in motions are"),
         ({"first.motion": str(tmp_path / "gone.bvh")}, "gone.bvh"),
@@ -484,11 +492,13 @@ def test_what_cannot_be_played_is_refused_and_the_old_goes_on(player: Steered, t
         )
         assert player.player._playback.settings == settings, values
         assert all(player.player._playback.actors[name] is actors[name] for name in actors), values
-    assert player.get(*names) == told
+    assert player.get(*names) == values_before
     assert moves(player.frames(4))
 
 
-def test_frames_go_on_while_a_motion_is_read(player: Steered, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_frames_are_sent_while_a_motion_is_read(
+    player: PlayerClient, monkeypatch: pytest.MonkeyPatch
+) -> None:
     prepare = Playback.prepare
 
     def slow(self: Playback, name: str, settings: Any) -> Any:
@@ -504,7 +514,7 @@ def test_frames_go_on_while_a_motion_is_read(player: Steered, monkeypatch: pytes
     assert moves([(stamp, messages.read_joints(player.heard()[stamp])) for stamp in during[:5]])
 
 
-def test_parameters_at_the_start_win_over_the_scene(ros: None, tmp_path: Path) -> None:
+def test_parameters_at_the_start_have_priority_over_the_scene(ros: None, tmp_path: Path) -> None:
     from rclpy.parameter import Parameter
 
     def made(**given: Any) -> MotionPlayerNode:
@@ -517,22 +527,22 @@ def test_parameters_at_the_start_win_over_the_scene(ros: None, tmp_path: Path) -
     node = made(motion="walk_straight", second__motion="walk", second__start=0.5, seek=3.0)
     files = {name: motion.file for name, motion in node._playback.settings.items()}
     assert files == {"first": "walk_straight", "second": "walk"}
-    expected = node._playback.actors["second"].motion.sample(3.5)  # half a second ahead, from its start
+    expected = node._playback.actors["second"].motion.sample(
+        3.5
+    )  # with an offset of half a second, from its start
     shown = node._playback.show(node._playback_clock.cut(5).elapsed).poses["second"]
     np.testing.assert_array_equal(shown.positions, expected.positions)
     node.destroy_node()
-    for wrong in ({"rate": 0.0}, {"speed": "fast"}, {"motion": "nothing"}, {"first__loop": "often"}):
+    for invalid in ({"rate": 0.0}, {"speed": "fast"}, {"motion": "nothing"}, {"first__loop": "often"}):
         with pytest.raises(HumansimError, match=r"rate|speed|nothing|loop"):
-            made(**wrong)
+            made(**invalid)
     assert issubclass(RosError, HumansimError)
 
 
-def test_a_motion_leaves_ahead_of_its_stamp_and_nothing_of_its_body_before_it(
-    ros: None, tmp_path: Path
-) -> None:
+def test_a_motion_is_sent_before_its_stamp_and_its_body_is_not(ros: None, tmp_path: Path) -> None:
     from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 
-    stage = Steered(tmp_path, "early", skinner=True)
+    stage = PlayerClient(tmp_path, "early", skinner=True)
     ahead: dict[str, list[int]] = {"motion": [], "joints": [], "vertices": []}
 
     def keeper(kind: str) -> Any:
@@ -541,7 +551,7 @@ def test_a_motion_leaves_ahead_of_its_stamp_and_nothing_of_its_body_before_it(
 
         return keep
 
-    listener = Client("clock_watcher")  # rclpy's other executor fails where a callback asks for times
+    listener = Client("clock_watcher")  # rclpy's other executor fails if a callback takes message info
     for kind in ahead:
         what = PointCloud2 if kind == "vertices" else MultiDOFJointState
         listener.node.create_subscription(what, f"/early/humans/first/{kind}", keeper(kind), 50)
@@ -558,7 +568,7 @@ def test_a_motion_leaves_ahead_of_its_stamp_and_nothing_of_its_body_before_it(
     listener.close()
 
 
-def test_frames_leave_at_their_stamps_however_late_the_first_one_was(
+def test_frames_are_sent_at_their_stamps_even_if_the_first_was_late(
     ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from rclpy.executors import SingleThreadedExecutor

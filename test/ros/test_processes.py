@@ -1,4 +1,4 @@
-"""The nodes as real processes, started and stopped by ``humansim run``, and what the command line refuses."""
+"""The nodes as processes, started and stopped by ``humansim run``, and input that it refuses."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def running(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
 
 
 def children(pid: int) -> dict[int, str]:
-    """Processes started by one, with their command lines."""
+    """Child processes of a process, with their command lines."""
     found = {}
     for entry in Path("/proc").iterdir():
         try:
@@ -102,7 +102,7 @@ def test_a_node_that_dies_is_named_and_the_others_stop(
     assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
 
 
-def test_nodes_do_not_outlive_a_run_that_is_killed(running: subprocess.Popen[str]) -> None:
+def test_nodes_end_with_a_run_that_is_killed(running: subprocess.Popen[str]) -> None:
     nodes = wait_for_nodes(running, 5)
     time.sleep(2.0)
     running.kill()
@@ -124,7 +124,7 @@ def humansim(*arguments: str | Path, **environment: str) -> subprocess.Completed
 
 
 def refused(result: subprocess.CompletedProcess[str], *words: str) -> None:
-    """Exit code 2, one message with these words, no traceback."""
+    """Check exit code 2 and one message with these words, without a traceback."""
     assert result.returncode == 2, result.stdout + result.stderr
     assert "Traceback" not in result.stderr
     assert result.stderr.startswith("error: ")
@@ -220,12 +220,12 @@ def test_a_wrong_option_is_refused() -> None:
     refused(humansim("no-such-command"), "no-such-command")
 
 
-def test_a_folder_that_cannot_be_made_is_refused(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_created_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     refused(humansim("demo", "-o", tmp_path / "file" / "pictures"), "file/pictures", "folder")
 
 
-def test_without_opengl_the_packages_are_named(tmp_path: Path) -> None:
+def test_without_opengl_the_missing_packages_are_named(tmp_path: Path) -> None:
     nothing = str(tmp_path / "nothing")
     without = {"__EGL_VENDOR_LIBRARY_DIRS": nothing, "__EGL_VENDOR_LIBRARY_FILENAMES": nothing}
     refused(humansim("run", "--duration", "5", **without), "libegl1", "libgl1-mesa-dri")
@@ -233,7 +233,7 @@ def test_without_opengl_the_packages_are_named(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_ros_the_way_to_install_it_is_named() -> None:
+def test_without_ros_its_installation_is_named() -> None:
     hide = "import sys; sys.modules['rclpy'] = None; from humansim_ros.cli.main import main; sys.exit(main())"
     for command in ("run", "demo"):
         result = subprocess.run(
@@ -242,7 +242,7 @@ def test_without_ros_the_way_to_install_it_is_named() -> None:
         refused(result, "ROS 2", "pip install")
 
 
-def test_a_node_refuses_wrong_input_with_exit_code_2(tmp_path: Path) -> None:
+def test_a_node_refuses_invalid_input_with_exit_code_2(tmp_path: Path) -> None:
     for node, parameter in (
         ("camera", "camera:=nobody"),
         ("skinner", "human:=nobody"),

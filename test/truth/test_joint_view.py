@@ -1,4 +1,4 @@
-"""Joints as a camera sees them, on label images made by hand."""
+"""Visibility and occluders of joints, on synthetic label images."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from humansim_ros.truth.joints import (
 )
 from humansim_ros.types import Array
 
-#: 8 x 6 pixels, looking along world z from the origin: a point (x, y, 1) falls on pixel (x, y).
+#: 8 x 6 pixels, at the origin, looking along world z: a point (x, y, 1) projects to pixel (x, y).
 CAMERA = Camera((8, 6), np.eye(3), np.eye(3), np.zeros(3))
 
 
@@ -39,14 +39,14 @@ def labels(instance: int, part: int, depth: float = 0.9) -> View:
 
 
 def skin_of(*parts: int) -> NDArray[np.bool_]:
-    """For one joint, the part labels that are skin around it."""
+    """Table of the part labels that are skin around one joint."""
     table = np.zeros((1, 256), dtype=bool)
     table[0, list(parts)] = True
     return table
 
 
 def look(pixel: tuple[float, float], view: View, parts: tuple[int, ...] = (5,)) -> JointView:
-    """A joint of human 3, one metre away."""
+    """View of a joint of human 3, one metre away."""
     seen = view_joints(CAMERA, np.array([[*pixel, 1.0]]), view, 3, skin_of(*parts))
     kinds = (seen.visible.dtype, seen.occluder.dtype, seen.by.dtype, seen.behind.dtype)
     assert kinds == (np.uint8, np.uint8, np.uint16, np.float32)
@@ -84,14 +84,14 @@ def test_a_joint_behind_the_scene_is_occluded() -> None:
     ],
     ids=["skin", "self", "person", "thing"],
 )
-def test_what_hides_a_joint_is_said(view: View, visible: int, occluder: int, by: int) -> None:
+def test_the_occluder_of_a_joint(view: View, visible: int, occluder: int, by: int) -> None:
     seen = look((4, 2), view)
     assert (seen.visible[0], seen.occluder[0], seen.by[0]) == (visible, occluder, by)
     assert seen.behind[0] == pytest.approx(0.1, abs=1e-6)
 
 
 @pytest.mark.parametrize("instance", [0, 2, 3])
-def test_nothing_hides_a_joint_that_lies_before_the_first_surface(instance: int) -> None:
+def test_nothing_hides_a_joint_in_front_of_the_first_surface(instance: int) -> None:
     for depth, behind in ((1.25, -0.25), (np.inf, -np.inf)):
         seen = look((4, 2), labels(instance, 9, depth))
         assert (seen.visible[0], seen.occluder[0], seen.by[0]) == (VISIBLE, NOTHING, 0)
@@ -99,7 +99,7 @@ def test_nothing_hides_a_joint_that_lies_before_the_first_surface(instance: int)
 
 
 @pytest.mark.parametrize("point", [(9.0, 2.0, 1.0), (4.0, 2.0, -1.0), (np.nan, 0.0, 1.0)])
-def test_nothing_is_known_of_what_is_before_a_joint_outside(point: tuple[float, float, float]) -> None:
+def test_a_joint_outside_has_no_occluder_and_no_depth_difference(point: tuple[float, float, float]) -> None:
     seen = view_joints(CAMERA, np.array([point]), labels(2, 5), 3, skin_of(5))
     assert (seen.visible[0], seen.occluder[0], seen.by[0]) == (OUTSIDE, NOTHING, 0)
     assert np.isnan(seen.behind[0])
@@ -135,8 +135,8 @@ def test_a_joint_behind_the_camera_is_outside_and_has_no_pixel() -> None:
 
 @pytest.mark.parametrize("column", range(8))
 @pytest.mark.parametrize("row", [0, 5])
-def test_a_joint_looks_at_the_pixel_whose_centre_is_nearest(column: int, row: int) -> None:
-    """Only one pixel of the image shows the skin: columns and rows must not be swapped."""
+def test_a_joint_uses_the_pixel_with_the_nearest_centre(column: int, row: int) -> None:
+    """Only one pixel of the image shows skin: columns and rows must not be swapped."""
     view = labels(0, 0)
     assert view.instance is not None
     assert view.part is not None
@@ -147,7 +147,7 @@ def test_a_joint_looks_at_the_pixel_whose_centre_is_nearest(column: int, row: in
         assert see((column + dx, row), view) in (OCCLUDED, OUTSIDE)
 
 
-def test_positions_pixels_and_depth_are_the_cameras() -> None:
+def test_positions_and_pixels_are_those_of_the_camera() -> None:
     camera = Camera.look_at((2, 1, 1.5), (0, 0, 1), (64, 48))
     points: Array = np.random.default_rng(0).normal(size=(20, 3))
     zeros = [np.zeros((48, 64), kind) for kind in (np.float32, np.uint16, np.uint8)]
@@ -157,7 +157,7 @@ def test_positions_pixels_and_depth_are_the_cameras() -> None:
     np.testing.assert_array_equal(seen.pixels, camera.project(points)[0])
 
 
-# Which parts are skin around a joint
+# Parts that are skin around a joint
 
 
 @pytest.fixture(scope="module")
@@ -170,7 +170,7 @@ def around(man: Human, joint: str) -> set[str]:
     return {man.skeleton.names[label - 1] for label in np.flatnonzero(row)}
 
 
-def test_at_a_joint_the_bones_that_meet_there_have_its_skin(man: Human) -> None:
+def test_the_skin_of_a_joint_belongs_to_the_bones_that_meet_there(man: Human) -> None:
     assert around(man, "l_knee") == {"l_hip", "l_knee"}
     assert around(man, "r_elbow") == {"r_shoulder", "r_elbow"}
     assert around(man, "l_wrist_end") == {"l_wrist"}
@@ -181,18 +181,18 @@ def test_the_background_is_skin_of_no_joint(man: Human) -> None:
     assert not joint_surfaces(man)[:, 0].any()
 
 
-def test_every_joint_has_skin_that_is_drawn(man: Human) -> None:
-    drawn = np.zeros(256, dtype=bool)
-    drawn[np.unique(man.triangle_parts)] = True
+def test_every_joint_has_skin_with_triangles(man: Human) -> None:
+    with_triangles = np.zeros(256, dtype=bool)
+    with_triangles[np.unique(man.triangle_parts)] = True
     bare = [
         name
         for name, row in zip(man.skeleton.joint_names, joint_surfaces(man), strict=True)
-        if not (row & drawn).any()
+        if not (row & with_triangles).any()
     ]
     assert bare == []
 
 
-def test_the_skin_nearest_to_a_limb_joint_is_among_its_own(man: Human) -> None:
+def test_the_skin_nearest_to_a_limb_joint_is_in_its_table(man: Human) -> None:
     table = joint_surfaces(man)
     centres = man.mesh.vertices[man.mesh.triangles].mean(1)
     for side in "lr":

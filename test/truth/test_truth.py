@@ -1,7 +1,7 @@
-"""Truth per person and camera against rays: what hides joints and vertices, boxes, points of the surface.
+"""Ground truth per person and camera compared with ray casting: occluders, visible vertices, boxes, surface.
 
-Three scenes with two people and things before them: a furnished room seen by an ideal camera, a screen that
-passes before a fisheye, and a camera with a bent lens that flies round them.
+Three scenes with two people and occluders: a furnished room and an ideal camera, a screen that passes a
+fisheye, and a camera with a distorting lens that orbits them.
 """
 
 from __future__ import annotations
@@ -71,8 +71,8 @@ FRAMES = (0, 3, 7, 11, 15, 19)
 
 
 @dataclass(frozen=True)
-class Shot:
-    """A frame, and its world as rays meet it: the humans' surfaces and then all things."""
+class RayCaster:
+    """A frame, and ray casting in its scene: labelled bodies, then everything else."""
 
     scene: Scene | SimpleNamespace
     frame: Frame
@@ -86,8 +86,9 @@ class Shot:
         return [b for b in self.frame.bodies if b.instance]
 
     def cast(self, points: NDArray[np.floating]) -> tuple[NDArray[np.generic], ...]:
-        """What the rays from the camera through points (N, 3) meet first: depth (inf: nothing), label (0: a
-        thing), triangle.
+        """Cast rays from the camera through points (N, 3).
+
+        Returns depth (inf without hit), label (0: no labelled body) and triangle of the first hit.
         """
         surfaces = [(b.vertices.astype(float), b.mesh.triangles, b.instance) for b in self.people]
         things = [b for b in self.frame.bodies if not b.instance]
@@ -98,34 +99,36 @@ class Shot:
         triangles = np.concatenate([t + n for (_, t, _), n in zip(surfaces, starts, strict=False)])
         labels = np.concatenate([np.full(len(t), label) for _, t, label in surfaces])
         numbers = np.concatenate([np.arange(len(t)) for _, t, _ in surfaces])
-        ways = points - self.camera.center
+        rays = points - self.camera.center
         mesh = trimesh.Trimesh(vertices, triangles, process=False)
         hit, ray = mesh.ray.intersects_id(
-            np.broadcast_to(self.camera.center, ways.shape), ways, multiple_hits=False
+            np.broadcast_to(self.camera.center, rays.shape), rays, multiple_hits=False
         )[:2]
         corners = vertices[triangles[hit]]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         share = np.einsum("ij,ij->i", normals, corners[:, 0] - self.camera.center)
-        share /= np.einsum("ij,ij->i", normals, ways[ray])
-        depth, label, number = np.full(len(ways), np.inf), np.zeros(len(ways), int), np.full(len(ways), -1)
-        depth[ray] = share * (ways[ray] @ self.camera.R[2])
+        share /= np.einsum("ij,ij->i", normals, rays[ray])
+        depth, label, number = np.full(len(rays), np.inf), np.zeros(len(rays), int), np.full(len(rays), -1)
+        depth[ray] = share * (rays[ray] @ self.camera.R[2])
         label[ray], number[ray] = labels[hit], numbers[hit]
         return depth, label, number
 
     def around(self, pixels: NDArray[np.floating]) -> tuple[NDArray[np.generic], ...]:
-        """The same (9, N) of pixels (N, 2) and the eight around each."""
+        """Cast rays (9, N) through pixels (N, 2) and the eight around each."""
         beside = [(x, y) for y in (0, -1, 1) for x in (0, -1, 1)]
         nine = np.concatenate([pixels + offset for offset in beside])
         return tuple(a.reshape(9, -1) for a in self.cast(self.camera.unproject(nine, np.ones(len(nine)))))
 
 
-#: Scenes and what draws them; pyrender knows ideal lenses only, and no faces.
+#: Scenes and their renderers; pyrender supports ideal lenses only, and no faces.
 OURS = [(name, "moderngl") for name in SCENES]
 ALL = [*OURS, ("room", "pyrender")]
 
 
 @pytest.fixture(scope="module", params=ALL, ids="-".join)
-def shots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Iterator[list[Shot]]:
+def casters(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[list[RayCaster]]:
     name, renderer = request.param
     folder = tmp_path_factory.mktemp(name)
     (folder / "scene.yaml").write_text(PEOPLE + SCENES[name])
@@ -135,60 +138,60 @@ def shots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     channels = CHANNELS if renderer == "moderngl" else tuple(set(CHANNELS) - {"face", "uv"})
     drawing = renderer_or_skip(scene.static_meshes, name=renderer)
     simulation = Simulation(scene, channels, renderer=drawing)
-    yield [Shot(scene, simulation.frame(number)) for number in FRAMES]
+    yield [RayCaster(scene, simulation.frame(number)) for number in FRAMES]
     simulation.close()
 
 
 @pytest.mark.slow
-def test_what_hides_joints_is_what_rays_meet(shots: list[Shot]) -> None:
+def test_occluders_of_joints_are_those_of_ray_casting(casters: list[RayCaster]) -> None:
     compared = agreed = 0
     kinds: set[int] = set()
-    for shot in shots:
-        for name, actor in shot.scene.actors.items():
-            seen = shot.frame.joints["camera"][name]
-            positions = shot.frame.humans[name].positions
-            size = np.array(shot.camera.size)
+    for caster in casters:
+        for name, actor in caster.scene.actors.items():
+            seen = caster.frame.joints["camera"][name]
+            positions = caster.frame.humans[name].positions
+            size = np.array(caster.camera.size)
             inside = np.all((seen.pixels > -0.5) & (seen.pixels < size - 0.5), axis=1)
             assert ((seen.visible == OUTSIDE) == ~inside).all()
-            depth, label, triangle = shot.around(np.where(inside[:, None], seen.pixels, 100.0))
+            depth, label, triangle = caster.around(np.where(inside[:, None], seen.pixels, 100.0))
             parts = np.zeros(label.shape, int)
-            for b in shot.people:
+            for b in caster.people:
                 parts[label == b.instance] = b.parts[triangle[label == b.instance]]
             own = label == actor.instance
             skin = own & np.take_along_axis(joint_surfaces(actor.human), parts.T, axis=1).T
-            z = (positions - shot.camera.center) @ shot.camera.R[2]
+            z = (positions - caster.camera.center) @ caster.camera.R[2]
             visible = np.where(skin | (depth > z), VISIBLE, OCCLUDED)
-            hider = np.select([visible == VISIBLE, own, label > 0], [NOTHING, SELF, PERSON], THING)
+            occluder = np.select([visible == VISIBLE, own, label > 0], [NOTHING, SELF, PERSON], THING)
             by = np.where(visible == OCCLUDED, label, 0)
-            calm = inside & (label == label[0]).all(0) & (visible == visible[0]).all(0)
+            uniform = inside & (label == label[0]).all(0) & (visible == visible[0]).all(0)
             with np.errstate(invalid="ignore"):
-                same = (seen.visible == visible[0]) & (seen.occluder == hider[0]) & (seen.by == by[0])
+                same = (seen.visible == visible[0]) & (seen.occluder == occluder[0]) & (seen.by == by[0])
                 near = (seen.behind >= z - depth.max(0) - 1e-3) & (seen.behind <= z - depth.min(0) + 1e-3)
-            compared += calm.sum()
-            agreed += (same & near)[calm].sum()
-            kinds |= set(seen.occluder[calm].tolist())
+            compared += uniform.sum()
+            agreed += (same & near)[uniform].sum()
+            kinds |= set(seen.occluder[uniform].tolist())
     assert compared > 250
     assert agreed >= 0.995 * compared
     assert kinds >= {NOTHING, SELF, PERSON, THING}
 
 
 @pytest.mark.slow
-def test_vertices_are_seen_where_rays_reach_them(shots: list[Shot]) -> None:
+def test_visible_vertices_are_those_that_rays_reach(casters: list[RayCaster]) -> None:
     compared = agreed = seen_at_all = 0
-    for shot in shots[::2]:
-        for name, seen in shot.frame.visible_vertices("camera").items():
-            vertices = shot.frame.humans[name].vertices.astype(float)
+    for caster in casters[::2]:
+        for name, seen in caster.frame.visible_vertices("camera").items():
+            vertices = caster.frame.humans[name].vertices.astype(float)
             assert seen.shape == (len(vertices),)
-            pixels, z = shot.camera.project(vertices)
-            inside = np.all((pixels > -0.5) & (pixels < np.array(shot.camera.size) - 0.5), axis=1)
+            pixels, z = caster.camera.project(vertices)
+            inside = np.all((pixels > -0.5) & (pixels < np.array(caster.camera.size) - 0.5), axis=1)
             assert not seen[~inside].any()
             pick = np.random.default_rng(5).choice(np.flatnonzero(inside), 2000, replace=False)
-            reached = shot.cast(vertices[pick])[0] > z[pick] * (1 - 1e-4)
-            # at the rim of a room or an object the pixel may show the other of the two
-            beside = shot.around(pixels[pick])[1]
-            calm = (beside > 0).all(0) | (beside == 0).all(0)
-            compared += calm.sum()
-            agreed += (seen[pick] == reached)[calm].sum()
+            reached = caster.cast(vertices[pick])[0] > z[pick] * (1 - 1e-4)
+            # at the outline of the room or an object the pixel may show either of two surfaces
+            beside = caster.around(pixels[pick])[1]
+            uniform = (beside > 0).all(0) | (beside == 0).all(0)
+            compared += uniform.sum()
+            agreed += (seen[pick] == reached)[uniform].sum()
             seen_at_all += seen[pick].sum()
     assert compared > 8_000
     assert agreed > 0.999 * compared
@@ -196,46 +199,46 @@ def test_vertices_are_seen_where_rays_reach_them(shots: list[Shot]) -> None:
 
 
 @pytest.mark.slow
-def test_boxes_are_round_the_rays_that_meet_a_person(shots: list[Shot]) -> None:
-    for shot in shots[::3]:
-        width, height = shot.camera.size
+def test_boxes_contain_the_rays_that_hit_a_person(casters: list[RayCaster]) -> None:
+    for caster in casters[::3]:
+        width, height = caster.camera.size
         columns, rows = np.meshgrid(np.arange(width), np.arange(height))
         pixels = np.column_stack([columns.ravel(), rows.ravel()]).astype(float)
-        label = shot.cast(shot.camera.unproject(pixels, np.ones(len(pixels))))[1]
-        for (name, actor), person in zip(shot.scene.actors.items(), shot.people, strict=True):
-            found = shot.frame.boxes["camera"][name]
+        label = caster.cast(caster.camera.unproject(pixels, np.ones(len(pixels))))[1]
+        for (name, actor), person in zip(caster.scene.actors.items(), caster.people, strict=True):
+            box_of_person = caster.frame.boxes["camera"][name]
             mine = pixels[label == actor.instance]
             if len(mine):
                 expected = [*(mine.min(0) - 0.5), *(mine.max(0) + 0.5)]
-                np.testing.assert_allclose(found.visible, expected, atol=1.01)
+                np.testing.assert_allclose(box_of_person.visible, expected, atol=1.01)
             else:
-                assert np.isnan(found.visible).all()
-            assert abs(found.pixels - len(mine)) <= 0.01 * len(mine)
-            places = opencv_pixels(shot.camera, person.vertices)
-            np.testing.assert_allclose(found.whole, [*places.min(0), *places.max(0)], atol=1e-3)
-            # if nothing else were there
-            near = np.all((pixels > places.min(0) - 2) & (pixels < places.max(0) + 2), axis=1)
+                assert np.isnan(box_of_person.visible).all()
+            assert abs(box_of_person.pixels - len(mine)) <= 0.01 * len(mine)
+            projected = opencv_pixels(caster.camera, person.vertices)
+            np.testing.assert_allclose(box_of_person.whole, [*projected.min(0), *projected.max(0)], atol=1e-3)
+            # without any other body
+            near = np.all((pixels > projected.min(0) - 2) & (pixels < projected.max(0) + 2), axis=1)
             alone = trimesh.Trimesh(person.vertices, person.mesh.triangles, process=False)
-            ways = shot.camera.unproject(pixels[near], np.ones(near.sum())) - shot.camera.center
-            met = alone.ray.intersects_any(np.broadcast_to(shot.camera.center, ways.shape), ways)
-            assert found.visible_fraction == pytest.approx(len(mine) / met.sum(), abs=0.01)
+            rays = caster.camera.unproject(pixels[near], np.ones(near.sum())) - caster.camera.center
+            met = alone.ray.intersects_any(np.broadcast_to(caster.camera.center, rays.shape), rays)
+            assert box_of_person.visible_fraction == pytest.approx(len(mine) / met.sum(), abs=0.01)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("shots", OURS, indirect=True, ids="-".join)
-def test_the_point_of_the_surface_is_the_one_that_the_ray_meets(shots: list[Shot]) -> None:
-    shot = shots[3]
-    view = shot.frame.views["camera"]
-    points = rest_points(shot.camera, shot.frame.bodies, view)
+@pytest.mark.parametrize("casters", OURS, indirect=True, ids="-".join)
+def test_rest_points_are_those_of_the_surface_that_rays_hit(casters: list[RayCaster]) -> None:
+    caster = casters[3]
+    view = caster.frame.views["camera"]
+    points = rest_points(caster.camera, caster.frame.bodies, view)
     assert (np.isnan(points).all(axis=2) == (view.instance == 0)).all()
     rows, columns = np.nonzero(view.instance)
     pick = np.random.default_rng(3).choice(len(rows), 3000, replace=False)
     rows, columns = rows[pick], columns[pick]
-    world = shot.camera.unproject(np.column_stack([columns, rows]), np.ones(len(rows)))
-    depth, label, triangle = shot.cast(world)
-    met = shot.camera.unproject(np.column_stack([columns, rows]), depth)
+    world = caster.camera.unproject(np.column_stack([columns, rows]), np.ones(len(rows)))
+    depth, label, triangle = caster.cast(world)
+    met = caster.camera.unproject(np.column_stack([columns, rows]), depth)
     compared = 0
-    for person in shot.people:
+    for person in caster.people:
         mine = (label == person.instance) & (view.instance[rows, columns] == person.instance)
         corners = person.mesh.triangles[triangle[mine]]
         bary = trimesh.triangles.points_to_barycentric(person.vertices.astype(float)[corners], met[mine])
@@ -246,16 +249,16 @@ def test_the_point_of_the_surface_is_the_one_that_the_ray_meets(shots: list[Shot
     assert compared > 2500
 
 
-@pytest.mark.parametrize("shots", OURS, indirect=True, ids="-".join)
-def test_part_u_and_v_belong_to_one_triangle_only(shots: list[Shot]) -> None:
-    """Found again in the texture's plane, as somebody would who has only this image and the mesh."""
-    shot = shots[0]
-    view = shot.frame.views["camera"]
+@pytest.mark.parametrize("casters", OURS, indirect=True, ids="-".join)
+def test_part_u_and_v_identify_one_triangle(casters: list[RayCaster]) -> None:
+    """The triangle is found in the texture plane from this image and the mesh alone."""
+    caster = casters[0]
+    view = caster.frame.views["camera"]
     image = part_u_v(view)
     assert image.dtype == np.float32 and image.shape == (*view.instance.shape, 3)
     assert (image[view.instance == 0][:, 0] == 0).all()
     assert np.isnan(image[view.instance == 0][:, 1:]).all()
-    person = shot.people[1]
+    person = caster.people[1]
     uv = person.mesh.uv[person.mesh.uv_triangles]
     rows, columns = np.nonzero(view.instance == person.instance)
     right = 0
@@ -272,16 +275,16 @@ def cross(a: NDArray[np.floating], b: NDArray[np.floating], p: list[float]) -> N
     return (b[:, 0] - a[:, 0]) * (p[1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (p[0] - a[:, 0])
 
 
-# A body that leaves the image, is behind the camera, or round it
+# Bodies that leave the image, are behind the camera, or surround it
 
 
 def straight(size: tuple[int, int] = (100, 80)) -> Camera:
-    """At the origin, looking along world z, x right and y down; 100 pixels per unit of x / z."""
+    """Camera at the origin, looking along world z, x right and y down; 100 pixels per unit of x / z."""
     return Camera(size, np.array([[100.0, 0, 49.5], [0, 100, 39.5], [0, 0, 1]]), np.eye(3), np.zeros(3))
 
 
 def plate(x0: float, y0: float, x1: float, y1: float, z: float) -> Body:
-    """An upright rectangle that faces the camera."""
+    """An upright rectangle that faces the camera, with label 7."""
     return body(quad([(x0, y0, z), (x0, y1, z), (x1, y1, z), (x1, y0, z)]), instance=7)
 
 
@@ -294,7 +297,7 @@ def boxes_of(thing: Body, name: RendererName) -> tuple[NDArray[np.floating], flo
 
 @pytest.mark.parametrize("name", RENDERERS)
 def test_truncation_is_the_share_of_the_box_outside_the_image(name: RendererName) -> None:
-    # from the middle of the image to as much again beyond its right edge
+    # from the middle of the image to the same distance beyond its right edge
     whole, share, fraction, pixels = boxes_of(plate(0.0, -0.2, 1.0, 0.2, 1.0), name)
     np.testing.assert_allclose(whole, [49.5, 19.5, 149.5, 59.5], atol=1e-5)
     assert share == pytest.approx(0.5, abs=1e-6)
@@ -313,8 +316,8 @@ def test_a_body_behind_the_camera_has_no_boxes(name: RendererName) -> None:
 
 
 @pytest.mark.parametrize("name", RENDERERS)
-def test_of_a_body_round_the_camera_the_box_is_that_of_what_is_before_it(name: RendererName) -> None:
-    """A floor one metre below, from two metres behind to ten before: cut at 5 cm."""
+def test_the_box_of_a_body_around_the_camera_is_that_of_its_part_in_front(name: RendererName) -> None:
+    """A floor one metre below, from two metres behind to ten in front: cut at 5 cm."""
     floor = body(quad([(-1, 1, -2), (1, 1, -2), (1, 1, 10), (-1, 1, 10)]), instance=7)
     whole, share, _, pixels = boxes_of(floor, name)
     near = 100 / 0.05
@@ -324,8 +327,8 @@ def test_of_a_body_round_the_camera_the_box_is_that_of_what_is_before_it(name: R
 
 
 @pytest.mark.slow
-def test_vertices_of_people_who_stand_round_a_fisheye() -> None:
-    """Some of both is behind it; triangles that pass its plane hide what is beside it."""
+def test_visible_vertices_of_people_around_a_fisheye() -> None:
+    """Parts of both are behind it; triangles that intersect its plane hide vertices beside it."""
     there = Camera.look_at((0, 0, 1.3), (3, 0, 1.0))
     k = np.array([[255.0, 0, 399.5], [0, 255, 399.5], [0, 0, 1]])
     camera = Camera((800, 800), k, there.R, there.t, (0, 0, 0, 0), "equidistant")
@@ -334,17 +337,17 @@ def test_vertices_of_people_who_stand_round_a_fisheye() -> None:
     view = renderer.render(bodies, camera, ["depth", "instance"])
     renderer.close()
     empty = SimpleNamespace(static_meshes=())
-    shot = Shot(empty, Frame(0, 0, {}, {"camera": view}, cameras={"camera": camera}, bodies=bodies))
+    caster = RayCaster(empty, Frame(0, 0, {}, {"camera": view}, cameras={"camera": camera}, bodies=bodies))
     seen = np.concatenate(list(visible_vertices(camera, bodies, view).values()))
     vertices = np.concatenate([b.vertices for b in bodies]).astype(float)
     pixels, z = camera.project(vertices)
     inside = (z > 0.006) & np.isfinite(pixels).all(axis=1)
     assert 0.5 * len(z) < inside.sum() < len(z) - 1000
-    reached = shot.cast(vertices[inside])[0] > z[inside] * (1 - 1e-4)
+    reached = caster.cast(vertices[inside])[0] > z[inside] * (1 - 1e-4)
     assert (seen[inside] == reached).mean() > 0.995
 
 
-def test_vertices_at_the_back_are_not_seen_and_nobody_sees_behind_the_camera() -> None:
+def test_vertices_of_back_faces_and_behind_the_camera_are_not_visible() -> None:
     camera, renderer = straight(), renderer_or_skip()
     before, behind = box((0, 0, 2), 0.2), box((0, 0, -2), 0.2)
     bodies = [body(before, 3), body(behind, 4)]

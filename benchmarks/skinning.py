@@ -220,11 +220,11 @@ def body(path: Path) -> dict[str, NDArray[np.floating]]:
     from humansim_ros.humans.loading import load_human
     from humansim_ros.mesh.normals import SurfaceNormals
     from humansim_ros.motion import read_bvh
-    from humansim_ros.motion.info import world_of
+    from humansim_ros.motion.info import to_world
     from humansim_ros.motion.retarget import Retargeter
 
     human = load_human(path)
-    world = world_of(read_bvh(ROOT / "assets" / "motions" / "walk.bvh"))
+    world = to_world(read_bvh(ROOT / "assets" / "motions" / "walk.bvh"))
     times = world.frame_times
     times = times[np.linspace(0, len(times) - 1, FRAMES).astype(int)]
     posed = Retargeter.fit(world, human.skeleton).pose(world.sample(times))

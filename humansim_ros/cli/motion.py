@@ -70,10 +70,10 @@ def info(
     positions: Channels = Positions.auto,
 ) -> None:
     """What a motion file is: joints, units, axes, how well it fits, what is odd."""
-    from humansim_ros.motion.info import describe_motion, read_quietly
+    from humansim_ros.motion.info import describe_motion, read_with_warnings
 
     _check_unit(unit)
-    read = read_quietly(_path(file), positions.value)
+    read = read_with_warnings(_path(file), positions.value)
     facts = describe_motion(read, joint_names, unit, up, facing).to_dict()
     say(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
@@ -134,7 +134,7 @@ def retarget(
     from humansim_ros.body import hanim_skeleton
     from humansim_ros.motion.contacts import FootContacts
     from humansim_ros.motion.export import PosedBones, check_suffix, write_bones
-    from humansim_ros.motion.info import world_of
+    from humansim_ros.motion.info import to_world
     from humansim_ros.motion.limits import load_limits
     from humansim_ros.motion.retarget import Retargeter
     from humansim_ros.motion.world_motion import Placement
@@ -150,7 +150,7 @@ def retarget(
     motion = _read(file, positions)
     number = _frame_number(frame or 0, motion)
     placement = Placement(position, math.radians(yaw_deg))
-    world = world_of(motion, joint_names, unit, up, facing, placement=placement, mirror=mirror)
+    world = to_world(motion, joint_names, unit, up, facing, placement=placement, mirror=mirror)
     skeleton = hanim_skeleton() if body is None else _human(body).skeleton
     retargeter = Retargeter.fit(world, skeleton, mode.value, _root_scale(root_scale))
     if pin_feet:
@@ -239,7 +239,7 @@ def render(
         check_suffix,
         write_motion_image,
     )
-    from humansim_ros.motion.info import world_of
+    from humansim_ros.motion.info import to_world
 
     _check_unit(unit)
     if min(size) < 40 or max(size) > 2000:
@@ -250,7 +250,7 @@ def render(
     artists: list[Artist] = []
     try:
         try:
-            world = world_of(motion, joint_names, unit, up, facing)
+            world = to_world(motion, joint_names, unit, up, facing)
         except MotionError as error:
             if joint_names or facing or unit is not None:
                 raise

@@ -1,7 +1,7 @@
-"""Biovision hierarchy (BVH) files: read as they are found, written so that every program reads them.
+"""Read and write Biovision hierarchy (BVH) motion files.
 
-Nothing is converted: positions stay in the file's own units and axes. Position channels replace the OFFSET
-(as in Blender), but for files of old programs that want them added and are found by that.
+Nothing is converted: positions stay in the units and axes of the file. Position channels replace the OFFSET,
+as in Blender; files of old programs that add them are detected.
 """
 
 from __future__ import annotations
@@ -15,42 +15,50 @@ from typing import Literal
 
 import numpy as np
 
-from humansim_ros.errors import MotionError
+from humansim_ros.errors import MotionError, warn_about
 from humansim_ros.io.files import atomic_path, reading_errors
-from humansim_ros.motion.bvh_parser import FRAME_TIMES, LARGEST, LONGEST_NAME, Parser, warn
+from humansim_ros.motion.bvh_parser import FRAME_TIMES, LARGEST, LONGEST_NAME, Parser
 from humansim_ros.motion.kinematics import CHANNEL_NAMES, Motion
 
-__all__ = ["CHANNEL_NAMES", "Motion", "Positions", "read_bvh", "write_bvh"]
+__all__ = ["CHANNEL_NAMES", "Motion", "PositionChannels", "read_bvh", "write_bvh"]
 
-#: How position channels and OFFSET go together; "auto" finds it out.
-Positions = Literal["auto", "replace", "add"]
+#: Whether position channels replace the OFFSET or are added to it; ``auto`` detects it.
+PositionChannels = Literal["auto", "replace", "add"]
 
-#: Positions are added to OFFSETs if there is less than this part of an OFFSET in them.
-_NEAR_ZERO = 0.1
-#: Positions that vary less than this part of the skeleton's size are as good as constant.
-_STILL = 0.005
-#: OFFSETs of fewer standard deviations of the positions do not tell what these mean.
-_CLEAR = 3.0
-#: Deeper joints are not indented more: a chain of thousands would be mostly tabs.
-_DEEPEST_INDENT = 40
+#: Positions are added to OFFSETs if they contain less than this share of the OFFSET.
+_ADDED_SHARE = 0.1
+#: Positions that vary by less than this share of the skeleton's size count as constant.
+_CONSTANT_SHARE = 0.005
+#: An OFFSET decides if it is at least this many standard deviations of the positions long.
+_MIN_SIGNIFICANCE = 3.0
+#: Deeper joints are not indented further: a chain of thousands would be mostly tabs.
+_MAX_INDENT = 40
 
 
-def read_bvh(path: str | os.PathLike[str], positions: Positions = "auto") -> Motion:
-    """Read a BVH file: text in UTF-8 or Latin-1 with any line ends.
+def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
+    """Read a BVH motion file: text in UTF-8 or Latin-1 with any line ends.
 
-    ``positions``: whether position channels replace the OFFSET, as nearly all programs mean them, or are
-    added to it; "auto" finds the files of those that add: their positions stay near 0 beside large OFFSETs.
+    ``positions``: whether position channels ``replace`` the OFFSET, as in nearly all programs, or are to
+    ``add`` to it. ``auto`` detects files that add: their positions stay near 0 beside large OFFSETs.
 
-    Raises MotionError, with file and line, on anything that cannot be understood. Warns (HumansimWarning)
-    where something is odd but its meaning clear: a wrong ``Frames:`` count (the rows decide), a wrong
-    ``CHANNELS`` count (the names decide), frames broken over lines (if ``Frames:`` fits), no MOTION or no
-    frames (a static pose), joints of one name (they are numbered), names that are not UTF-8, added positions.
+    Warns (HumansimWarning) where something is odd but its meaning clear: a wrong ``Frames:`` count (the rows
+    decide), a wrong ``CHANNELS`` count (the names decide), frames that are broken over lines (if ``Frames:``
+    fits), no MOTION or no frames (a static pose), joints of the same name (they get numbers), names that are
+    not UTF-8, added positions. Needs about twice the memory of the values, whatever the header says.
 
-    Needs about twice the memory of the values, whatever the file's length or header says.
+    Raises:
+        MotionError: The file is not valid; with file and line.
+
+    Example:
+        >>> from humansim_ros import read_bvh
+        >>> from humansim_ros.resources import resource_path
+        >>> motion = read_bvh(resource_path("assets/motions/walk.bvh"))
+        >>> motion.joint_names[:3], motion.n_frames, round(motion.duration, 3)
+        (('Hips', 'Chest', 'Neck'), 121, 2.0)
     """
     if positions not in ("auto", "replace", "add"):
         raise MotionError(f"positions are 'auto', 'replace' or 'add', not {positions!r}", path=path)
-    # Latin-1 takes every byte; the hierarchy is decoded again
+    # Latin-1 decodes any byte; the parser decodes the lines of the hierarchy again
     with reading_errors(path, MotionError, "BVH motion"), Path(path).open(encoding="latin-1") as file:
         motion = Parser(path, file).parse()
     if positions != "auto":
@@ -58,9 +66,10 @@ def read_bvh(path: str | os.PathLike[str], positions: Positions = "auto") -> Mot
     added = _joints_with_added_positions(motion)
     if not added:
         return motion
-    warn(
-        f"{motion.path}: the positions of {_some(motion.joint_names[joint] for joint in added)} stay near 0 "
-        "beside large OFFSETs: added to them (positions='replace' takes them as they are)"
+    warn_about(
+        motion.path,
+        f"the positions of {_some(motion.joint_names[joint] for joint in added)} stay near 0 "
+        "beside large OFFSETs: added to them (positions='replace' takes them as they are)",
     )
     return replace(motion, positions="add")
 
@@ -71,11 +80,10 @@ def _some(names: Iterable[str]) -> str:
 
 
 def _joints_with_added_positions(motion: Motion) -> list[int]:
-    """Joints whose positions have next to nothing of their OFFSETs in them, if they are most of those that
-    tell.
+    """Joints whose positions contain nearly nothing of their OFFSETs, if most joints that decide do.
 
-    The share of the OFFSET is a least-squares fit in which each axis weighs the more, the less the joint
-    moves along it: the height of a person who walks about says more than the place on the floor.
+    The share of the OFFSET is a least-squares fit. An axis weighs more, the less the joint moves along it:
+    the height of a walking person decides more than the place on the floor.
     """
     by_joint: dict[int, dict[int, int]] = {}
     for joint, axis, column in motion.position_columns:
@@ -86,39 +94,51 @@ def _joints_with_added_positions(motion: Motion) -> list[int]:
     columns = [[by_joint[joint][axis] for axis in range(3)] for joint in joints.tolist()]
     values = motion.values[:: max(1, motion.n_frames // 1000)][:, columns]
     offsets = motion.offsets[joints]
-    still = _STILL * float(np.ptp(motion.rest_positions(), axis=0).max())
-    with np.errstate(invalid="ignore", divide="ignore"):  # a skeleton of one point tells nothing
-        weights = offsets / (values.var(axis=0) + still * still)
-        clear = (weights * offsets).sum(axis=-1)
-        share = (np.median(values, axis=0) * weights).sum(axis=-1) / clear
-        telling = clear > _CLEAR**2
-        added = telling & (np.abs(share) < _NEAR_ZERO)
-    return joints[added].tolist() if 2 * added.sum() > telling.sum() else []
+    noise = _CONSTANT_SHARE * float(np.ptp(motion.rest_positions(), axis=0).max())
+    with np.errstate(invalid="ignore", divide="ignore"):  # a skeleton of one point
+        weights = offsets / (values.var(axis=0) + noise * noise)
+        significance = (weights * offsets).sum(axis=-1)
+        share = (np.median(values, axis=0) * weights).sum(axis=-1) / significance
+        deciding = significance > _MIN_SIGNIFICANCE**2
+        added = deciding & (np.abs(share) < _ADDED_SHARE)
+    return joints[added].tolist() if 2 * added.sum() > deciding.sum() else []
 
 
 def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
-    """Write a motion as a BVH file (UTF-8) that :func:`read_bvh` and other programs read back the same.
+    """Write a motion as a BVH file (UTF-8) that :func:`read_bvh` and other programs read back exactly.
 
-    Numbers are written with all the digits they have. Positions that are added to OFFSETs are written as
-    positions that replace them, as all programs read them. Warns (HumansimWarning) where the positions would
-    be taken for added ones unless ``read_bvh`` is told otherwise.
+    Numbers have all their digits. Positions that are added to OFFSETs are written as positions that replace
+    them, which all programs read. Warns (HumansimWarning) where ``read_bvh`` would detect added positions.
 
-    Raises MotionError if a name or number cannot be written so that it is read back.
+    Raises:
+        MotionError: A BVH file cannot hold a name or a number of the motion.
+
+    Example:
+        >>> from humansim_ros import read_bvh, write_bvh
+        >>> from humansim_ros.resources import resource_path
+        >>> motion = read_bvh(resource_path("assets/motions/wave.bvh"))
+        >>> from pathlib import Path
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as folder:
+        ...     write_bvh(Path(folder, "copy.bvh"), motion)
+        ...     (read_bvh(Path(folder, "copy.bvh")).values == motion.values).all().item()
+        True
     """
     if motion.positions == "add":
         motion = _with_replacing_positions(motion)
     _check_writable(path, motion)
     if added := _joints_with_added_positions(motion):
-        warn(
-            f"{os.fspath(path)}: the positions of {_some(motion.joint_names[j] for j in added)} stay near 0 "
-            "beside large OFFSETs: read it with positions='replace'"
+        warn_about(
+            path,
+            f"the positions of {_some(motion.joint_names[j] for j in added)} stay near 0 "
+            "beside large OFFSETs: read it with positions='replace'",
         )
     with atomic_path(Path(path)) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-        file.writelines(line + "\n" for line in _written(motion))
+        file.writelines(line + "\n" for line in _lines(motion))
 
 
 def _check_writable(path: str | os.PathLike[str], motion: Motion) -> None:
-    seen: set[str] = set()
+    names: set[str] = set()
     for name in motion.joint_names:
         if (
             name != name.strip()
@@ -126,9 +146,9 @@ def _check_writable(path: str | os.PathLike[str], motion: Motion) -> None:
             or re.search("[{}\r\n\0\ud800-\udfff]", name)
         ):
             raise MotionError(f"a BVH file cannot have a joint named {name!r}", path=path)
-        if name in seen:
+        if name in names:
             raise MotionError(f"two joints are named {name!r}", path=path)
-        seen.add(name)
+        names.add(name)
     for numbers in (motion.offsets, motion.values):
         if not (np.abs(numbers) <= LARGEST).all():
             raise MotionError(f"the motion has values that are not finite, or beyond {LARGEST:g}", path=path)
@@ -136,8 +156,8 @@ def _check_writable(path: str | os.PathLike[str], motion: Motion) -> None:
         raise MotionError(f"the frame time must be above zero, not {motion.frame_time:g}", path=path)
 
 
-def _written(motion: Motion) -> Iterator[str]:
-    """The lines of a file."""
+def _lines(motion: Motion) -> Iterator[str]:
+    """Lines of a BVH file."""
     yield "HIERARCHY"
     children: list[list[int]] = [[] for _ in motion.joint_names]
     for joint, parent in enumerate(motion.parents):
@@ -149,7 +169,7 @@ def _written(motion: Motion) -> Iterator[str]:
     columns: list[int] = []
     while stack:
         joint, depth, closing = stack.pop()
-        indent = "\t" * min(depth, _DEEPEST_INDENT)
+        indent = "\t" * min(depth, _MAX_INDENT)
         if closing:
             yield f"{indent}}}"
             continue
@@ -173,7 +193,7 @@ def _written(motion: Motion) -> Iterator[str]:
 
 
 def _number(value: float) -> str:
-    """The shortest text that is read back as this number, without an exponent."""
+    """Shortest text, without an exponent, that reads back as this number."""
     text = repr(float(value))
     return np.format_float_positional(value, trim="0") if "e" in text else text
 

@@ -1,53 +1,49 @@
-"""The parser of BVH files: what is written becomes a Motion, or an error that knows its line."""
+"""Parser of BVH files, with the line of each error."""
 
 from __future__ import annotations
 
 import os
 import re
-import warnings
 from collections.abc import Iterator
 from typing import TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import HumansimWarning, MotionError
+from humansim_ros.errors import MotionError, warn_about
 from humansim_ros.motion.kinematics import AXES, CHANNEL_NAMES, Motion
 from humansim_ros.types import Array
 
 _CANONICAL = {name.lower(): name for name in CHANNEL_NAMES}
-#: Characters of rows that are read at a time, at least and at most: large blocks are faster, and need memory
-#: beside the values.
-_BLOCKS = 1 << 12, 1 << 16
-#: Characters that no line of a hierarchy and no number has.
-_TOO_LONG = 1 << 20
-#: Characters that a joint's name may have: every end site repeats the name of its joint.
+#: Smallest and largest number of characters of a block of rows. Larger blocks are faster and need more
+#: memory.
+_BLOCK_SIZES = 1 << 12, 1 << 16
+#: Largest number of characters of a line of the hierarchy, or of a number.
+_MAX_CHARACTERS = 1 << 20
+#: Most characters of a joint's name: every end site repeats the name of its joint.
 LONGEST_NAME = 1000
-#: Numbers beyond are no measures of anything, and their squares not finite.
+#: Larger numbers cannot be measurements, and their squares may be infinite.
 LARGEST = 1e15
-#: Seconds that a frame may take.
+#: Smallest and largest frame time, seconds.
 FRAME_TIMES = 1e-9, 1e6
-#: The characters of plain numbers and of white space, by their codes.
+#: Whether a character, by its code, is part of plain numbers and white space.
 _PLAIN = np.isin(np.arange(256), list(b"0123456789+-.eE \t\n\v\f"))
 _BRACE = re.compile(r"([{}])")
-#: A minus sign that starts a new number although no space stands before it ("1.5-2.5"), but not in "1e-5".
+#: A minus sign that starts a new number without a space before it ("1.5-2.5"), but not that of "1e-5".
 _GLUED_MINUS = re.compile(r"(?<=[0-9.])-")
 
 
-def warn(message: str) -> None:
-    """Tells of input that is odd but clear."""
-    warnings.warn(message, HumansimWarning, stacklevel=3)
-
-
 class Parser:
-    """One file, read once from its start to its end. The hierarchy is read statement by statement; the rows,
-    which are nearly all of a file, in blocks, and word by word only where something is wrong with a block.
+    """Parser of one file, from its start to its end.
+
+    The hierarchy is read statement by statement. The rows, which are nearly all of a file, are read in
+    blocks, and word by word only where a block is not plain.
     """
 
     def __init__(self, path: str | os.PathLike[str], file: TextIO) -> None:
         self.path = os.fspath(path)
         self.file = file
-        self.line = 0  # number of the last line read
+        self.line = 0  # number of the last line that was read
         self.names: list[str] = []
         self.is_end: list[bool] = []
         self.joint_lines: list[int] = []
@@ -57,11 +53,13 @@ class Parser:
         self.is_latin = False
 
     def error(self, message: str, line: int | None = None) -> MotionError:
+        """Error at a line; by default the last line that was read."""
         return MotionError(message, path=self.path, line=self.line if line is None else line)
 
     def parse(self) -> Motion:
+        """The motion of the file; position channels replace the OFFSET."""
         has_motion = self._hierarchy()
-        self._name_apart()
+        self._make_names_unique()
         values, frame_time = self._motion(has_motion)
         return Motion(
             joint_names=tuple(self.names),
@@ -74,8 +72,8 @@ class Parser:
         )
 
     def _next_line(self) -> str:
-        """The next line, with its end; "" after the last."""
-        text = self.file.readline(_TOO_LONG)
+        """Next line with its line end; "" after the last."""
+        text = self.file.readline(_MAX_CHARACTERS)
         if not text:
             return text
         self.line += 1
@@ -83,15 +81,15 @@ class Parser:
             raise MotionError("this is UTF-16 text: save it as UTF-8", path=self.path)
         if "\0" in text:
             raise MotionError("this is a binary file, not a BVH motion text file", path=self.path)
-        if len(text) == _TOO_LONG:
-            raise self.error(f"not a BVH file: a line of more than {_TOO_LONG} characters")
+        if len(text) == _MAX_CHARACTERS:
+            raise self.error(f"not a BVH file: a line of more than {_MAX_CHARACTERS} characters")
         if text.isascii():
             return text
         try:
             return text.encode("latin-1").decode("utf-8-sig" if self.line == 1 else "utf-8")
         except UnicodeDecodeError:
             if not self.is_latin:
-                warn(f"{self.path}:{self.line}: not UTF-8: read as Latin-1; names may look odd")
+                warn_about(f"{self.path}:{self.line}", "not UTF-8: read as Latin-1; names may look odd")
             self.is_latin = True
             return text
 
@@ -103,7 +101,7 @@ class Parser:
                     yield statement
 
     def _hierarchy(self) -> bool:
-        """Fill the joints; returns whether a MOTION section follows."""
+        """Read the joints; True if a MOTION section follows."""
         statements = self._statements()
         first = next(statements, None)
         if first is None:
@@ -121,7 +119,7 @@ class Parser:
                 return True
             if keyword in ("ROOT", "JOINT") or (keyword == "END" and rest.upper().startswith("SITE")):
                 if pending is not None:
-                    raise self.error(f"'{{' expected after {self._called(pending)}")
+                    raise self.error(f"'{{' expected after {self._description(pending)}")
                 pending = self._add_joint(keyword, rest.strip(), stack[-1] if stack else -1)
             elif statement == "{":
                 if pending is None:
@@ -133,14 +131,14 @@ class Parser:
                     raise self.error("'}' without a matching '{'")
                 joint = stack.pop()
                 if not self.offsets[joint]:
-                    raise self.error(f"{self._called(joint)} has no OFFSET")
+                    raise self.error(f"{self._description(joint)} has no OFFSET")
             elif keyword == "OFFSET" and stack:
                 if self.offsets[stack[-1]]:
-                    raise self.error(f"{self._called(stack[-1])} has a second OFFSET")
+                    raise self.error(f"{self._description(stack[-1])} has a second OFFSET")
                 self.offsets[stack[-1]] = self._offset(rest)
             elif keyword == "CHANNELS" and stack:
                 if self.channels[stack[-1]] is not None:
-                    raise self.error(f"{self._called(stack[-1])} has a second CHANNELS")
+                    raise self.error(f"{self._description(stack[-1])} has a second CHANNELS")
                 self.channels[stack[-1]] = self._channels(rest)
             else:
                 raise self.error(f"cannot understand {statement[:40]!r} in the hierarchy")
@@ -148,7 +146,7 @@ class Parser:
             raise self.error("the file ends inside the hierarchy: it is truncated")
         return False
 
-    def _called(self, joint: int) -> str:
+    def _description(self, joint: int) -> str:
         return "an End Site" if self.is_end[joint] else f"joint {self.names[joint]!r}"
 
     def _add_joint(self, keyword: str, name: str, parent: int) -> int:
@@ -168,10 +166,8 @@ class Parser:
         self.channels.append(None)
         return len(self.names) - 1
 
-    def _name_apart(self) -> None:
-        """Joints of one name are numbered as Blender does, since names are what joints are asked for by; end
-        sites are named after their joints.
-        """
+    def _make_names_unique(self) -> None:
+        """Number joints of the same name as Blender does; name end sites after their joints."""
         if not self.names:
             raise self.error("the hierarchy has no joints")
         given = {name for name, is_end in zip(self.names, self.is_end, strict=True) if not is_end}
@@ -192,7 +188,9 @@ class Parser:
         if numbered:
             (line, name, unique), others = numbered[0], len(numbered) - 1
             more = f"; so are {others} more" if others else ""
-            warn(f"{self.path}:{line}: a second joint is named {name!r}: it is called {unique!r}{more}")
+            warn_about(
+                f"{self.path}:{line}", f"a second joint is named {name!r}: it is called {unique!r}{more}"
+            )
 
     def _offset(self, rest: str) -> list[float]:
         try:
@@ -200,7 +198,7 @@ class Parser:
         except ValueError:
             values = []
         if len(values) != 3 or not all(abs(value) <= LARGEST for value in values):
-            hint = _about_commas(rest)
+            hint = _comma_hint(rest)
             raise self.error(f"OFFSET needs three finite numbers, not {rest.strip()[:40]!r}{hint}")
         return values
 
@@ -209,17 +207,18 @@ class Parser:
         names = tuple(_CANONICAL.get(word.lower(), "") for word in words)
         if not (count.isascii() and count.isdigit()) or "" in names or len(set(names)) != len(names):
             raise self.error(f"CHANNELS needs a count and names such as Zrotation, not {rest.strip()[:60]!r}")
-        # compared as text: Python does not make numbers of thousands of digits
+        # compared as text: Python does not convert numbers of thousands of digits
         if (count.lstrip("0") or "0") != str(len(names)):
-            warn(
-                f"{self.path}:{self.line}: CHANNELS says {count[:20]} but names {len(names)}; the names count"
+            warn_about(
+                f"{self.path}:{self.line}",
+                f"CHANNELS says {count[:20]} but names {len(names)}; the names count",
             )
         return names
 
     def _motion(self, has_motion: bool) -> tuple[Array, float]:
         if not has_motion:
-            warn(f"{self.path}: no MOTION section: a static pose")
-            return self._resting(), 1 / 30
+            warn_about(self.path, "no MOTION section: a static pose")
+            return self._rest_row(), 1 / 30
         header: dict[str, tuple[int, str]] = {}
         while len(header) < 2 and (text := self._next_line()):
             key, colon, value = text.partition(":")
@@ -237,15 +236,15 @@ class Parser:
         rows = self._rows(n_frames)
         if len(rows) == 0:
             if n_frames == 0:
-                warn(f"{self.path}: no frames: a static pose")
-                return self._resting(), frame_time
+                warn_about(self.path, "no frames: a static pose")
+                return self._rest_row(), frame_time
             raise self.error("no frames after 'Frame Time:': the file is truncated")
         if len(rows) != n_frames:
-            warn(f"{self.path}: says {n_frames:g} frames but has {len(rows)}; the rows count")
+            warn_about(self.path, f"says {n_frames:g} frames but has {len(rows)}; the rows count")
         return rows, frame_time
 
-    def _resting(self) -> Array:
-        """The row of channel values (1, C) that leaves every joint at rest."""
+    def _rest_row(self) -> Array:
+        """Channel values (1, C) of the rest pose."""
         pairs = zip(self.offsets, self.channels, strict=True)
         values = [
             offset[AXES[name[0]]] if name.endswith("position") else 0.0
@@ -255,33 +254,33 @@ class Parser:
         return np.array(values).reshape(1, -1)
 
     def _header_number(self, header: dict[str, tuple[int, str]], key: str) -> float:
-        found = header.get("".join(key.lower().split()))
-        if found is None:
+        entry = header.get("".join(key.lower().split()))
+        if entry is None:
             raise self.error(f"'{key}:' is missing after MOTION: the file is truncated or damaged")
-        number, text = found
+        line, text = entry
         try:
             value = _float(text)
         except ValueError:
             value = float("nan")
         if not np.isfinite(value):
-            raise self.error(f"'{key}:' needs a number, not {text[:40]!r}{_about_commas(text)}", number)
+            raise self.error(f"'{key}:' needs a number, not {text[:40]!r}{_comma_hint(text)}", line)
         return value
 
     def _rows(self, n_frames: float) -> Array:
-        """The rest of the file as rows of channel values (F, C)."""
+        """Channel values (F, C) of the rest of the file."""
         n_channels = sum(len(names or ()) for names in self.channels)
         layout = _Layout(n_channels)
         blocks = []
         for text in self._blocks():
             if n_channels == 0 and text.strip():
                 raise self.error("a value, but no joint has channels", self.line + 1)
-            found = _fast_values(text)
-            if found is None:
+            parsed = _fast_values(text)
+            if parsed is None:
                 text = _GLUED_MINUS.sub(" -", text)
-                found = _fast_values(text) or self._slow_values(text)
-            blocks.append(found[0])
-            layout.add(*found, self.line + 1)
-            self.line += len(found[1])
+                parsed = _fast_values(text) or self._slow_values(text)
+            blocks.append(parsed[0])
+            layout.add(*parsed, self.line + 1)
+            self.line += len(parsed[1])
             if layout.is_broken:
                 break
         if n_channels == 0:
@@ -290,28 +289,29 @@ class Parser:
         n_values = sum(map(len, blocks))
         if layout.odd_line is not None:
             if layout.is_broken or n_values != n_frames * n_channels:
-                # nothing after a row that is too short
+                # a short row at the end of the file is a truncated file
                 is_cut = layout.odd_line == layout.last_line and layout.odd_count < n_channels
                 raise self.error(
                     f"a frame needs {n_channels} values, this has {layout.odd_count}"
                     + ("; the file is truncated" if is_cut else ""),
                     layout.odd_line,
                 )
-            warn(
-                f"{self.path}:{layout.odd_line}: not one frame on a line ({layout.odd_count} of {n_channels} "
-                f"values): there are as many values as {n_frames:g} frames have, which are taken in order"
+            warn_about(
+                f"{self.path}:{layout.odd_line}",
+                f"not one frame on a line ({layout.odd_count} of {n_channels} "
+                f"values): there are as many values as {n_frames:g} frames have, which are taken in order",
             )
         return np.concatenate([np.empty(0), *blocks]).reshape(-1, n_channels)
 
     def _blocks(self) -> Iterator[str]:
-        """The rest of the file, cut behind white space."""
+        """The rest of the file in blocks that end with white space."""
         rest, n_read = "", 0
-        while text := self.file.read(min(max(_BLOCKS[0], n_read // 16), _BLOCKS[1])):
+        while text := self.file.read(min(max(_BLOCK_SIZES[0], n_read // 16), _BLOCK_SIZES[1])):
             n_read += len(text)
             text = rest + text
             cut = max(text.rfind(" "), text.rfind("\n"), text.rfind("\t")) + 1
-            if len(text) - cut > _TOO_LONG:
-                raise self.error(f"a word of more than {_TOO_LONG} characters", self.line + 1)
+            if len(text) - cut > _MAX_CHARACTERS:
+                raise self.error(f"a word of more than {_MAX_CHARACTERS} characters", self.line + 1)
             rest = text[cut:]
             if cut:
                 yield text[:cut]
@@ -319,7 +319,7 @@ class Parser:
             yield rest
 
     def _slow_values(self, text: str) -> tuple[Array, NDArray[np.intp]]:
-        """As :func:`_fast_values`, for text of any white space; errors know their line."""
+        """As :func:`_fast_values`, for any white space and with the line of an error."""
         values: list[float] = []
         ends: list[int] = []
         for number, line in enumerate(text.split("\n"), self.line + 1):
@@ -327,7 +327,7 @@ class Parser:
                 try:
                     values.append(_float(word))
                 except ValueError:
-                    message = f"{word[:40]!r} is not a number{_about_commas(word)}"
+                    message = f"{word[:40]!r} is not a number{_comma_hint(word)}"
                     raise self.error(message, number) from None
                 if not abs(values[-1]) <= LARGEST:
                     raise self.error(f"{word[:40]!r} is not finite, or beyond {LARGEST:g}", number)
@@ -336,24 +336,26 @@ class Parser:
 
 
 class _Layout:
-    """How rows of C values are laid out on lines. One on each is usual; a line may also hold several whole
-    rows, or a part of one row: then it is clear where each starts, if nothing is missing in the end.
+    """Layout of rows of C values on lines.
+
+    One row on a line is usual. A line may also hold several whole rows, or a part of one: the start of each
+    row is clear if the number of all values fits.
     """
 
     def __init__(self, n_channels: int) -> None:
         self.n_channels = n_channels
-        #: The first line that does not hold just one row, and its number of values.
+        #: First line without exactly one row, and its number of values.
         self.odd_line: int | None = None
         self.odd_count = 0
-        #: The last line that holds anything.
+        #: Last line with a value.
         self.last_line = 0
         #: Whether a line holds the end of a row and the start of the next.
         self.is_broken = False
-        self._on_line = 0  # values so far on the line that is not at its end
-        self._in_row = 0  # values so far in the row that is not at its end
+        self._on_line = 0  # values so far on the current line
+        self._in_row = 0  # values so far in the current row
 
     def add(self, values: Array, ends: NDArray[np.intp], line: int) -> None:
-        """More text: its values, how many of them stand before each of its line ends, its first line."""
+        """Add values, the number of them before each line end, and the number of the first line."""
         if len(ends) == 0:
             self._on_line += len(values)
             return
@@ -364,7 +366,7 @@ class _Layout:
         self._add_lines(counts, line)
 
     def end(self, line: int) -> None:
-        """The file has no more; the number of its last line."""
+        """End of the file, at its last line."""
         self._add_lines(np.array([self._on_line]), line)
 
     def _add_lines(self, counts: NDArray[np.intp], line: int) -> None:
@@ -387,23 +389,21 @@ class _Layout:
         self._in_row = int(ends[-1]) % self.n_channels
 
 
-def _about_commas(text: str) -> str:
+def _comma_hint(text: str) -> str:
     return "; decimals need a point, not a comma" if "," in text else ""
 
 
 def _float(word: str) -> float:
-    """A number as files write it; ValueError for what only Python takes for one ("1_000")."""
+    """Number of a file; ValueError for numbers that only Python accepts ("1_000")."""
     if "_" in word or not word.isascii():
         raise ValueError
     return float(word)
 
 
 def _fast_values(text: str) -> tuple[Array, NDArray[np.intp]] | None:
-    """The values in a text of plain finite numbers, and how many stand before each line end; None if there is
-    anything else.
-    """
+    """Values of a text of plain finite numbers, and the number of them before each line end; else None."""
     characters = np.frombuffer(text.encode("latin-1"), dtype=np.uint8)
-    # only what a plain number is written with: nothing is left that only Python takes for a number
+    # with these characters only, Python accepts no more than files do
     if not _PLAIN[characters].all():
         return None
     blank = characters <= 32

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-from humansim_ros.motion.bvh import Positions, read_bvh
+from humansim_ros.motion.bvh import PositionChannels, read_bvh
 from humansim_ros.motion.kinematics import Motion
 
 _GLTF = (".gltf", ".glb")
@@ -20,7 +20,7 @@ def split_name(name: str | os.PathLike[str]) -> tuple[str, str | None]:
     return text, None
 
 
-def read_motion(path: str | os.PathLike[str], positions: Positions = "auto") -> Motion:
+def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
     """Read a BVH file, or an animation of a glTF file (``figure.glb#Walk``, or its first). MotionError if it
     is neither. ``positions``: what position channels of BVH mean.
     """

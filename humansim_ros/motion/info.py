@@ -1,4 +1,4 @@
-"""What a motion file is: everything that was found out about it, in numbers and words."""
+"""Summary of a motion file: contents, joints, units, axes, and how well it fits the general skeleton."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
-from humansim_ros.motion.bvh import Positions
+from humansim_ros.motion.bvh import PositionChannels
 from humansim_ros.motion.file_frame import axis_vector, detect_file_frame
 from humansim_ros.motion.files import read_motion
 from humansim_ros.motion.joint_match import JointMatch
@@ -28,32 +28,32 @@ from humansim_ros.motion.world_motion import WorldMotion, floor_height
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
-#: Frames, all over the motion, that are looked at for where it is; more would tell the same.
-_SAMPLES = 2000
-#: Frames, one after the other from the first, that feet, limits and limbs are looked at in.
+#: Most frames, spread over the motion, from which bounds, floor and heading are measured.
+_MAX_SAMPLES = 2000
+#: Most frames, from the first on, that are checked for feet, limits and penetration.
 _MAX_CHECKED = 4000
-#: Headings of which this little is left when they are averaged have no common direction.
-_COMMON = 0.3
+#: Headings have a common direction if their mean is at least this long.
+_MIN_MEAN_HEADING = 0.3
 
 
 @dataclass(frozen=True)
 class MotionInfo:
-    """What is known about a motion file; None where it could not be known (``unknown`` says why).
+    """Summary of a motion file; ``unknown`` is the reason why values from ``table`` on are None.
 
-    Of the file: ``joints`` without its ``end_sites``; ``channel_layouts``: how many joints have which
-    channels, as "Zrotation Xrotation Yrotation"; ``positions``: whether position channels replace the OFFSET
-    or are added, and the joints that have some; ``bounds``: lowest and highest joint position, file units and
-    axes.
+    File: ``joints`` (without ``end_sites``); ``channel_layouts``: channels in their order, such as
+    ``Zrotation Xrotation Yrotation`` -> number of joints; ``positions``: whether position channels replace
+    the OFFSET or are added to it; ``position_joints``: joints that have some; ``bounds``: lowest and highest
+    joint position in file units and axes.
 
-    Of the person: ``table``, ``found_by``, ``confidence``, ``roles`` (role -> joint) and ``missing_bones``
-    (that nothing drives) of the joints; ``up`` and ``facing``: file axes, and the ``rest`` pose they are
-    found in; ``unit``: metres; ``stature``: metres; ``floor``: its height on the up axis, file units;
-    ``root_scale``: what the root's way is scaled by onto the general skeleton; ``speed``: metres a second
-    over the floor, on average; ``travel``: x and y from the first frame to the last and ``heading_deg``:
-    where it faces on average, both with the rest pose facing +x, y to its left; None if it faces all ways.
+    Person: ``table``, ``found_by``, ``confidence``, ``roles`` (role -> joint) and ``missing_bones`` of the
+    joint match; ``up``, ``facing``: file axes; ``rest``: rest pose from which they are detected; ``unit``,
+    ``stature``: metres; ``floor``: its height on the up axis, file units; ``root_scale``: scale of the root's
+    movement onto the general skeleton; ``speed``: mean speed over the floor, m/s; ``travel``: x and y from
+    the first frame to the last; ``heading_deg``: mean heading, or None without a common one. Both are
+    relative to the rest pose facing +x, with y to its left.
 
-    In the first ``checked_frames``: ``stances`` and ``slide`` (mm over the floor of a standing foot, mean of
-    them); ``limits``: joint limits that are passed; ``penetration``: the worst of limbs in each other.
+    First ``checked_frames``: ``stances``; ``slide``: mean slide of a standing foot, mm; ``limits``:
+    violations of joint limits; ``penetration``: the deepest self-penetration.
     """
 
     path: str
@@ -94,28 +94,28 @@ class MotionInfo:
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON can hold it."""
+        """The summary as JSON types."""
         return {**asdict(self), "warnings": list(self.warnings)}
 
 
 @dataclass(frozen=True)
-class Read:
-    """A motion file as it was read, with what there was to warn of."""
+class LoadedMotion:
+    """A motion and the warnings of its reader."""
 
     motion: Motion
     warnings: tuple[str, ...]
 
 
-def read_quietly(path: Path, positions: Positions = "auto") -> Read:
-    """Read a motion file and keep its warnings."""
+def read_with_warnings(path: Path, positions: PositionChannels = "auto") -> LoadedMotion:
+    """Read a motion file, and collect its warnings."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         motion = read_motion(path, positions)
     texts = [str(w.message) for w in caught if issubclass(w.category, HumansimWarning)]
-    return Read(motion, tuple(texts))
+    return LoadedMotion(motion, tuple(texts))
 
 
-def world_of(
+def to_world(
     motion: Motion,
     table: str | None = None,
     unit: float | None = None,
@@ -123,68 +123,87 @@ def world_of(
     facing: str | None = None,
     **options: Any,
 ) -> WorldMotion:
-    """A motion in the world, by what is found or said. ``options``: those of :class:`WorldMotion`."""
+    """Place a motion in ``map``, with joints and file frame detected where they are not given.
+
+    Args:
+        motion: Motion of a person.
+        table: Joint table: name of a built-in table, or YAML file.
+        unit: Metres per file unit.
+        up: File axis that points up.
+        facing: File axis that the person faces at rest.
+        options: Other fields of :class:`WorldMotion`; ``loop`` is ``none`` by default.
+
+    Raises:
+        MotionError: The motion is not that of a person, or a given value does not fit it.
+    """
     match = match_motion(motion, table)
     frame = detect_file_frame(motion, match, unit, up, facing)
     return WorldMotion(motion, match, frame, **{"loop": "none", **options})
 
 
 def describe_motion(
-    read: Read,
+    loaded: LoadedMotion,
     table: str | None = None,
     unit: float | None = None,
     up: str | None = None,
     facing: str | None = None,
 ) -> MotionInfo:
-    """All that can be said of a motion; of one that is no person, less.
+    """Summarise a motion; of a motion without a person, only the file.
 
-    ``table``, ``unit``, ``up`` and ``facing`` may be said instead of found. Raises MotionError where they are
-    wrong.
+    Args:
+        loaded: The motion and its warnings.
+        table: Joint table, as in :func:`to_world`.
+        unit: Metres per file unit.
+        up: File axis that points up.
+        facing: File axis that the person faces at rest.
+
+    Raises:
+        MotionError: A given value does not fit the motion.
     """
     for axis in (up, facing):
         if axis is not None:
             axis_vector(axis)
     try:
-        world = world_of(read.motion, table, unit, up, facing)
+        world = to_world(loaded.motion, table, unit, up, facing)
     except MotionError as error:
-        if table is not None or _is_known(read.motion):
-            raise  # it is what was said that does not fit
-        return MotionInfo(**_of_file(read), unknown=error.message)
-    return MotionInfo(**_of_file(read), **_of_person(world, hanim_skeleton()))
+        if table is not None or _is_person(loaded.motion):
+            raise  # a given value is the reason
+        return MotionInfo(**_file_summary(loaded), unknown=error.message)
+    return MotionInfo(**_file_summary(loaded), **_person_summary(world, hanim_skeleton()))
 
 
 def headings(match: JointMatch, poses: JointPoses) -> Array:
-    """Where the hips face (N, 2): x and y in ``map``, of length 0 to 1 as they are upright."""
+    """Headings (N, 2) of the hips: x and y in ``map``; their length is 1 for upright hips, else less."""
     hips = quaternion_to_matrix(poses.rotations[:, match.roles["Hips"]])
     return np.asarray(hips[:, :2, 0])
 
 
 def mean_heading(match: JointMatch, poses: JointPoses) -> float | None:
-    """Direction (radians in ``map``) of all :func:`headings` together; None if they have none in common."""
+    """Direction (radians in ``map``) of the mean of :func:`headings`; None if they have no common one."""
     x, y = headings(match, poses).mean(0)
-    return float(np.arctan2(y, x)) if np.hypot(x, y) > _COMMON else None
+    return float(np.arctan2(y, x)) if np.hypot(x, y) > _MIN_MEAN_HEADING else None
 
 
-def _is_known(motion: Motion) -> bool:
+def _is_person(motion: Motion) -> bool:
     try:
-        world_of(motion)
+        to_world(motion)
     except MotionError:
         return False
     return True
 
 
-def _spread(frames: int) -> NDArray[np.intp]:
-    """Numbers of some frames, all over a motion."""
-    return np.unique(np.linspace(0, frames - 1, _SAMPLES).astype(np.intp))
+def _sample_frames(frames: int) -> NDArray[np.intp]:
+    """Frame numbers spread over a motion."""
+    return np.unique(np.linspace(0, frames - 1, _MAX_SAMPLES).astype(np.intp))
 
 
-def _of_file(read: Read) -> dict[str, Any]:
-    motion = read.motion
-    points = motion.world_positions(_spread(motion.n_frames))
+def _file_summary(loaded: LoadedMotion) -> dict[str, Any]:
+    motion = loaded.motion
+    points = motion.world_positions(_sample_frames(motion.n_frames))
     ends = [
         j for j, name in enumerate(motion.joint_names) if name.endswith("_end") and not motion.channels[j]
     ]
-    moved = [
+    position_joints = [
         name
         for name, channels in zip(motion.joint_names, motion.channels, strict=True)
         if any(channel.endswith("position") for channel in channels)
@@ -204,18 +223,18 @@ def _of_file(read: Read) -> dict[str, Any]:
         "channels": motion.values.shape[1],
         "channel_layouts": dict(layouts),
         "positions": motion.positions,
-        "position_joints": moved,
+        "position_joints": position_joints,
         "bounds": [points.min((0, 1)).tolist(), points.max((0, 1)).tolist()],
-        "warnings": read.warnings,
+        "warnings": loaded.warnings,
     }
 
 
-def _of_person(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
+def _person_summary(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
     motion, match, frame = world.motion, world.match, world.frame
     retargeter = Retargeter.fit(world, skeleton)
-    poses = world.sample(_spread(motion.n_frames) * motion.frame_time)
+    poses = world.sample(_sample_frames(motion.n_frames) * motion.frame_time)
     hips = poses.positions[:, match.roles["Hips"], :2]
-    way = np.linalg.norm(np.diff(hips, axis=0), axis=-1).sum()
+    distance = np.linalg.norm(np.diff(hips, axis=0), axis=-1).sum()
     heading = mean_heading(match, poses)
     return {
         "table": match.table,
@@ -231,22 +250,22 @@ def _of_person(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
         "stature": frame.stature,
         "floor": _floor(world),
         "root_scale": retargeter.scale,
-        "speed": float(way / motion.duration) if motion.duration > 0 else 0.0,
+        "speed": float(distance / motion.duration) if motion.duration > 0 else 0.0,
         "travel": (hips[-1] - hips[0]).tolist(),
         "heading_deg": None if heading is None else float(np.degrees(heading)),
-        **_checked(world, retargeter),
+        **_check_summary(world, retargeter),
     }
 
 
 def _floor(world: WorldMotion) -> float:
     """Height of the floor on the file's up axis, file units."""
     upward = axis_vector(world.frame.up)
-    points = world.motion.world_positions(_spread(world.motion.n_frames))
+    points = world.motion.world_positions(_sample_frames(world.motion.n_frames))
     return floor_height((points @ upward).min(-1)) * float(upward.sum())
 
 
-def _checked(world: WorldMotion, retargeter: Retargeter) -> dict[str, Any]:
-    """What is right or wrong with it on a skeleton."""
+def _check_summary(world: WorldMotion, retargeter: Retargeter) -> dict[str, Any]:
+    """Feet, joint limits and penetration on a skeleton."""
     times = world.frame_times[:_MAX_CHECKED]
     poses = world.sample(times)
     posed = retargeter.pose(poses)

@@ -10,7 +10,7 @@ from conftest import ROOT, SHARED_DATA, needs_shared_data
 
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.motion import Motion, read_bvh
-from humansim_ros.motion.bvh import Positions
+from humansim_ros.motion.bvh import PositionChannels
 
 REFERENCE = ROOT / "test" / "data" / "blender_fk.npz"
 
@@ -30,7 +30,7 @@ pytestmark = [
 ]
 
 
-def read(stem: str, positions: Positions = "replace") -> Motion:
+def read(stem: str, positions: PositionChannels = "replace") -> Motion:
     return read_bvh(SHARED_DATA / "bvh" / f"{stem}.bvh", positions)
 
 

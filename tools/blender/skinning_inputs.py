@@ -23,7 +23,7 @@ from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.load import read_mesh
 from humansim_ros.motion.bvh import read_bvh
-from humansim_ros.motion.info import world_of
+from humansim_ros.motion.info import to_world
 from humansim_ros.motion.retarget import Retargeter
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -37,7 +37,7 @@ Arrays = dict[str, NDArray[Any]]
 def man(human: Human, random: np.random.Generator) -> Arrays:
     rotations = []
     for path in sorted((ROOT / "assets" / "motions").glob("*.bvh")):
-        world = world_of(read_bvh(path))
+        world = to_world(read_bvh(path))
         times = world.frame_times[[len(world.frame_times) // 3, 2 * len(world.frame_times) // 3]]
         rotations.append(Retargeter.fit(world, human.skeleton).apply(world.sample(times))[0])
     skeleton, weights = human.skeleton, human.weights.toarray().astype(np.float32)

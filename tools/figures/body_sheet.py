@@ -22,7 +22,7 @@ from humansim_ros.drawing.motions import SkinnedArtist  # noqa: E402
 from humansim_ros.humans.loading import load_human  # noqa: E402
 from humansim_ros.io.assets import find_asset  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
-from humansim_ros.motion.info import world_of  # noqa: E402
+from humansim_ros.motion.info import to_world  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 
 SIZE = (230, 300)
@@ -36,7 +36,7 @@ def row(body: str) -> Image:
     pictures = [artist.draw(human, 30)]
     artist.close()
     for motion, time in SHOTS:
-        world = world_of(read_motion(ROOT / "assets" / "motions" / f"{motion}.bvh"))
+        world = to_world(read_motion(ROOT / "assets" / "motions" / f"{motion}.bvh"))
         skinned = SkinnedArtist(human, world, SIZE)
         pictures.append(skinned.draw(time))
         skinned.close()

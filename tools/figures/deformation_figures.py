@@ -24,7 +24,7 @@ from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
 from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.motion.bvh import read_bvh
-from humansim_ros.motion.info import world_of
+from humansim_ros.motion.info import to_world
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.types import Array
 
@@ -154,7 +154,7 @@ def _areas(vertices: Array, triangles: NDArray[np.int32]) -> Array:
 
 def motion_transforms(human: Human, path: Path, rate: float = 10.0) -> Array:
     """Rest-to-posed transforms (F, B, 4, 4) of a motion, some frames a second."""
-    world = world_of(read_bvh(path))
+    world = to_world(read_bvh(path))
     times = world.frame_times
     some = times[:: max(1, round(1 / (rate * (times[1] - times[0]))))]
     return Retargeter.fit(world, human.skeleton).pose(world.sample(some)) @ human.skeleton.rest_inverse

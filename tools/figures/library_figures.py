@@ -9,7 +9,7 @@ import numpy as np
 
 from humansim_ros.humans.loading import load_human
 from humansim_ros.motion.bvh import read_bvh
-from humansim_ros.motion.info import world_of
+from humansim_ros.motion.info import to_world
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.motion.penetration import fit_capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
@@ -34,7 +34,7 @@ def main() -> int:
     print("| " + " | ".join(heads) + " |")
     print("|---|---|---|---|---|---|")
     for path in sorted((ROOT / "assets" / "motions").glob("*.bvh")):
-        world = world_of(read_bvh(path))
+        world = to_world(read_bvh(path))
         retargeter = Retargeter.fit(world, skeleton)
         times = world.frame_times
         poses = world.sample(times)

@@ -15,7 +15,7 @@ import numpy as np
 from humansim_ros.drawing.motions import SkinnedArtist
 from humansim_ros.errors import HumansimError
 from humansim_ros.humans.loading import load_human
-from humansim_ros.motion.info import read_quietly, world_of
+from humansim_ros.motion.info import read_with_warnings, to_world
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -29,9 +29,9 @@ def main() -> int:
     human = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     tiles = []
     for path in sorted(options.folder.glob("*.bvh")):
-        motion = read_quietly(path).motion
+        motion = read_with_warnings(path).motion
         try:
-            world = world_of(motion)
+            world = to_world(motion)
         except HumansimError as error:
             print(f"left out: {path.name}: {error.message[:80]}")
             continue

@@ -34,7 +34,7 @@ from humansim_ros.humans.loading import load_human  # noqa: E402
 from humansim_ros.mesh.load import read_mesh  # noqa: E402
 from humansim_ros.mesh.mesh import Mesh  # noqa: E402
 from humansim_ros.motion import read_motion  # noqa: E402
-from humansim_ros.motion.info import world_of  # noqa: E402
+from humansim_ros.motion.info import to_world  # noqa: E402
 from humansim_ros.motion.retarget import Retargeter  # noqa: E402
 from humansim_ros.types import (  # noqa: E402
     Array,
@@ -167,7 +167,7 @@ def poses(human: Human) -> Array:
     """Transforms (F, B, 4, 4) of the human's bones through the motion library."""
     found = []
     for path in sorted((ROOT / "assets" / "motions").glob("*.bvh")):
-        world = world_of(read_motion(path))
+        world = to_world(read_motion(path))
         times = np.linspace(0, world.cycle_length, FRAMES, endpoint=False)
         rotations, root = Retargeter.fit(world, human.skeleton).apply(world.sample(times))
         found.append(human.skeleton.pose(rotations, root) @ human.skeleton.rest_inverse)
@@ -291,7 +291,7 @@ def pose_sheet(human: Human) -> Image:
         one = rigged(human, rule)
         pictures = []
         for motion, moment in SHOTS:
-            world = world_of(read_motion(ROOT / "assets" / "motions" / f"{motion}.bvh"))
+            world = to_world(read_motion(ROOT / "assets" / "motions" / f"{motion}.bvh"))
             skinned = SkinnedArtist(one, world, SIZE)
             pictures.append(skinned.draw(moment))
             skinned.close()

@@ -114,14 +114,13 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
         MotionError: A BVH file cannot hold a name or a number of the motion.
 
     Example:
+        >>> from tempfile import TemporaryDirectory
         >>> from humansim_ros import read_bvh, write_bvh
         >>> from humansim_ros.resources import resource_path
         >>> motion = read_bvh(resource_path("assets/motions/wave.bvh"))
-        >>> from pathlib import Path
-        >>> from tempfile import TemporaryDirectory
         >>> with TemporaryDirectory() as folder:
-        ...     write_bvh(Path(folder, "copy.bvh"), motion)
-        ...     (read_bvh(Path(folder, "copy.bvh")).values == motion.values).all().item()
+        ...     write_bvh(f"{folder}/copy.bvh", motion)
+        ...     print(read_bvh(f"{folder}/copy.bvh").n_frames == motion.n_frames)
         True
     """
     if motion.positions == "add":

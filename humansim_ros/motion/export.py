@@ -1,4 +1,4 @@
-"""Retargeted motions for other programs: all bones of all frames as BVH, NumPy arrays or JSON."""
+"""Write retargeted motions for other programs: all bones of all frames as BVH, NumPy arrays or JSON."""
 
 from __future__ import annotations
 
@@ -34,46 +34,49 @@ class PosedBones:
 
     @property
     def heads(self) -> Array:
-        """(N, B, 3) metres."""
+        """Heads (N, B, 3), metres."""
         return self.posed[..., :3, 3]
 
     @property
     def tails(self) -> Array:
-        """(N, B, 3) metres."""
+        """Tails (N, B, 3), metres."""
         return self.heads + self.posed[..., :3, 1] * self.skeleton.lengths[:, None]
 
     @property
     def rotations(self) -> Array:
-        """Turns of the bones' frames in ``map`` (y along the bone), (N, B, 4) xyzw."""
+        """Rotations (N, B, 4) xyzw of the bone frames (y along the bone) in ``map``."""
         return matrix_to_quaternion(self.posed[..., :3, :3])
 
     def to_dicts(self) -> list[dict[str, dict[str, list[float]]]]:
         """Per frame: bone -> head, tail, rotation_xyzw."""
-        heads, tails, turns = self.heads.tolist(), self.tails.tolist(), self.rotations.tolist()
+        heads, tails, rotations = self.heads.tolist(), self.tails.tolist(), self.rotations.tolist()
         return [
             {
-                name: {"head": head, "tail": tail, "rotation_xyzw": turn}
-                for name, head, tail, turn in zip(self.skeleton.names, *frame, strict=True)
+                name: {"head": head, "tail": tail, "rotation_xyzw": rotation}
+                for name, head, tail, rotation in zip(self.skeleton.names, *frame, strict=True)
             }
-            for frame in zip(heads, tails, turns, strict=True)
+            for frame in zip(heads, tails, rotations, strict=True)
         ]
 
     def to_motion(self) -> Motion:
-        """A BVH motion whose joints are the bones' heads: y up, facing +z, centimetres, rest as the
-        skeleton's; end sites are the tails of the last bones.
+        """A motion for BVH: y up, facing +z, centimetres, in the rest pose of the skeleton.
+
+        Joints are the heads of the bones. End sites are the tails of the last bones.
         """
         skeleton = self.skeleton
         parents = skeleton.parents
-        turns = WORLD_FROM_BODY.T @ self.posed[..., :3, :3] @ np.swapaxes(skeleton.rest[:, :3, :3], -1, -2)
-        above = np.where((parents < 0)[:, None, None], np.eye(3), turns[:, parents])
-        local = Rotation.from_matrix((np.swapaxes(above, -1, -2) @ turns).reshape(-1, 3, 3))
-        angles = np.unwrap(local.as_euler(_ORDER, degrees=True).reshape(*turns.shape[:2], 3), 360.0, axis=0)
-        places = self.heads @ WORLD_FROM_BODY * _CENTIMETRES
+        rest = skeleton.rest[:, :3, :3]
+        rotations = WORLD_FROM_BODY.T @ self.posed[..., :3, :3] @ np.swapaxes(rest, -1, -2)
+        above = np.where((parents < 0)[:, None, None], np.eye(3), rotations[:, parents])
+        local = Rotation.from_matrix((np.swapaxes(above, -1, -2) @ rotations).reshape(-1, 3, 3))
+        angles = local.as_euler(_ORDER, degrees=True).reshape(*rotations.shape[:2], 3)
+        angles = np.unwrap(angles, 360.0, axis=0)
+        positions = self.heads @ WORLD_FROM_BODY * _CENTIMETRES
 
-        turning = tuple(f"{axis}rotation" for axis in _ORDER)
-        moving = ("Xposition", "Yposition", "Zposition")
+        rotation_channels = tuple(f"{axis}rotation" for axis in _ORDER)
+        position_channels = ("Xposition", "Yposition", "Zposition")
         names: list[str] = []
-        above_joint: list[int] = []
+        joint_parents: list[int] = []
         offsets: list[Array] = []
         channels: list[tuple[str, ...]] = []
         values: list[Array] = []
@@ -81,18 +84,18 @@ class PosedBones:
         for bone, parent in enumerate(parents.tolist()):
             joint_of[bone] = len(names)
             names.append(skeleton.names[bone])
-            above_joint.append(joint_of[parent] if parent >= 0 else -1)
+            joint_parents.append(joint_of[parent] if parent >= 0 else -1)
             offsets.append(skeleton.heads[bone] - (skeleton.heads[parent] if parent >= 0 else 0.0))
-            channels.append(turning if parent >= 0 else moving + turning)
-            values += [angles[:, bone]] if parent >= 0 else [places[:, bone], angles[:, bone]]
+            channels.append(rotation_channels if parent >= 0 else position_channels + rotation_channels)
+            values += [angles[:, bone]] if parent >= 0 else [positions[:, bone], angles[:, bone]]
             if bone in skeleton.leaves:
                 names.append(f"{skeleton.names[bone]}_end")
-                above_joint.append(joint_of[bone])
+                joint_parents.append(joint_of[bone])
                 offsets.append(skeleton.tails[bone] - skeleton.heads[bone])
                 channels.append(())
         return Motion(
             tuple(names),
-            np.array(above_joint, dtype=np.intp),
+            np.array(joint_parents, dtype=np.intp),
             np.array(offsets) * _CENTIMETRES,
             tuple(channels),
             np.concatenate(values, axis=1),
@@ -101,8 +104,10 @@ class PosedBones:
 
 
 def write_bones(path: str | os.PathLike[str], bones: PosedBones) -> None:
-    """Write all frames, whole or not at all: .bvh (:meth:`PosedBones.to_motion`), .npz (``bones``,
-    ``parents``, ``times``, ``heads``, ``tails``, ``rotations_xyzw``) or .json (``frame_time``, ``frames``).
+    """Write all frames to a file; on an error no file is written.
+
+    ``.bvh``: :meth:`PosedBones.to_motion`. ``.npz``: arrays ``bones``, ``parents``, ``times``, ``heads``,
+    ``tails``, ``rotations_xyzw``. ``.json``: ``frame_time`` and ``frames`` (:meth:`PosedBones.to_dicts`).
     """
     check_suffix(path)
     suffix = Path(path).suffix.lower()
@@ -118,7 +123,7 @@ def write_bones(path: str | os.PathLike[str], bones: PosedBones) -> None:
 
 
 def check_suffix(path: str | os.PathLike[str]) -> None:
-    """MotionError for a file of a kind that bones are not written as."""
+    """Raise MotionError for a suffix that bones cannot be written to."""
     if Path(path).suffix.lower() not in SUFFIXES:
         raise MotionError(
             "bones are written as .bvh, .npz or .json: give the file one of these names", path=path

@@ -1,4 +1,4 @@
-"""Motion files of any kind we read."""
+"""Read motion files of any supported format."""
 
 from __future__ import annotations
 
@@ -11,22 +11,33 @@ from humansim_ros.motion.kinematics import Motion
 _GLTF = (".gltf", ".glb")
 
 
+def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
+    """Read a BVH file, or an animation of a glTF file (``figure.glb#Walk``, or the first).
+
+    ``positions``: meaning of the position channels of BVH; see :func:`~humansim_ros.motion.bvh.read_bvh`.
+
+    Raises:
+        MotionError: The file is not valid, or has no such animation.
+
+    Example:
+        >>> from humansim_ros import read_motion
+        >>> from humansim_ros.resources import resource_path
+        >>> round(read_motion(resource_path("assets/motions/run.bvh")).duration, 2)
+        1.4
+    """
+    file, animation = split_name(path)
+    if Path(file).suffix.lower() in _GLTF:
+        # imported on use: it takes as long as all other imports together
+        from humansim_ros.motion.gltf_motion import read_gltf_motion
+
+        return read_gltf_motion(file, animation)
+    return read_bvh(file, positions)
+
+
 def split_name(name: str | os.PathLike[str]) -> tuple[str, str | None]:
-    """File and animation of a name such as ``figure.glb#Walk``; None for the first animation."""
+    """File and animation of a name such as ``figure.glb#Walk``; None without an animation."""
     text = os.fspath(name)
     file, mark, animation = text.rpartition("#")
     if mark and Path(file).suffix.lower() in _GLTF:
         return file, animation
     return text, None
-
-
-def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
-    """Read a BVH file, or an animation of a glTF file (``figure.glb#Walk``, or its first). MotionError if it
-    is neither. ``positions``: what position channels of BVH mean.
-    """
-    file, animation = split_name(path)
-    if Path(file).suffix.lower() in _GLTF:
-        from humansim_ros.motion.gltf_motion import read_gltf_motion  # half of what starting takes
-
-        return read_gltf_motion(file, animation)
-    return read_bvh(file, positions)

@@ -1,7 +1,7 @@
-"""Motions as files have them, channel values of joints per frame, and their forward kinematics.
+"""Motions as files have them, channel values of joints in each frame, and their forward kinematics.
 
-Conventions (agree with Blender's importer): a joint's rotation is ``R_channel1 R_channel2 R_channel3`` in the
-order of its channels, on column vectors; the translation is outermost wherever its channels stand.
+Conventions, as in Blender's importer: the rotation of a joint is ``R_channel1 R_channel2 R_channel3`` in the
+order of its channels, on column vectors. The translation is outermost, wherever its channels are.
 """
 
 from __future__ import annotations
@@ -17,30 +17,37 @@ from numpy.typing import NDArray
 from humansim_ros.errors import MotionError
 from humansim_ros.hierarchy import levels
 from humansim_ros.rotations import quaternion_to_matrix, transform
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Indices
 
 CHANNEL_NAMES = ("Xposition", "Yposition", "Zposition", "Xrotation", "Yrotation", "Zrotation")
-#: A frame number, a slice of them, or an array or list of them.
-Frames = int | slice | Sequence[int] | NDArray[np.integer]
+#: A frame number, a slice, or an array or list of frame numbers.
+FrameIndex = int | slice | Sequence[int] | NDArray[np.integer]
 _ALL = slice(None)
 AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
 @dataclass(frozen=True)
 class Motion:
-    """A skeleton of joints and what its channels say in each frame, exactly as in the file.
+    """A joint hierarchy and the values of its channels in each frame, as in the file.
 
-    ``joint_names``: J names, parents before children; end sites are joints without channels named
-    ``<parent>_end``.
-    ``parents``: (J,) index of each parent, -1 for a root. ``offsets``: (J, 3) in file units.
-    ``channels``: per joint the names of its channels. ``values``: (F, C) channel values (file units and
-    degrees).
-    ``frame_time``: seconds. ``positions``: whether position channels replace the OFFSET or are added to it.
-    ``unit``: metres per file unit, where the file's format says so.
+    ``joint_names``: J names, parents before children; an end site is a joint without channels named
+    ``<parent>_end``. ``parents``: (J,) index of the parent, -1 for a root. ``offsets``: (J, 3) file units.
+    ``channels``: names of the channels of each joint. ``values``: (F, C) file units and degrees.
+    ``frame_time``: seconds. ``path``: file. ``positions``: whether position channels replace the OFFSET or
+    are added to it. ``unit``: metres per file unit, where the file format defines it.
+
+    Example:
+        >>> from humansim_ros import read_motion
+        >>> from humansim_ros.resources import resource_path
+        >>> motion = read_motion(resource_path("assets/motions/walk.bvh"))
+        >>> motion.world_positions().shape  # frames, joints, xyz
+        (121, 23, 3)
+        >>> motion.world_positions(0)[motion.joint("Hips")].round(1).tolist()
+        [8.5, 93.3, 1.0]
     """
 
     joint_names: tuple[str, ...]
-    parents: NDArray[np.intp]
+    parents: Indices
     offsets: Array
     channels: tuple[tuple[str, ...], ...]
     values: Array
@@ -51,10 +58,12 @@ class Motion:
 
     @property
     def n_frames(self) -> int:
+        """Number of frames F."""
         return len(self.values)
 
     @property
     def n_joints(self) -> int:
+        """Number of joints J, end sites included."""
         return len(self.joint_names)
 
     @property
@@ -63,7 +72,7 @@ class Motion:
         return (self.n_frames - 1) * self.frame_time
 
     def joint(self, name: str) -> int:
-        """Index of a joint; MotionError if there is none of that name."""
+        """Index of a joint; MotionError if no joint has that name."""
         try:
             return self.joint_names.index(name)
         except ValueError:
@@ -72,7 +81,7 @@ class Motion:
             ) from None
 
     @cached_property
-    def _levels(self) -> tuple[NDArray[np.intp], ...]:
+    def _levels(self) -> tuple[Indices, ...]:
         return levels(self.parents)
 
     @cached_property
@@ -95,10 +104,8 @@ class Motion:
             if name.endswith("position")
         )
 
-    def local_translations(self, frames: Frames = _ALL) -> Array:
-        """Translation of each joint in its parent (..., J, 3), file units; position channels replace the
-        OFFSET, or are added to it, as :attr:`positions` says.
-        """
+    def local_translations(self, frames: FrameIndex = _ALL) -> Array:
+        """Translation of each joint in its parent (..., J, 3), file units; see :attr:`positions`."""
         values = self.values[frames]
         out = np.broadcast_to(self.offsets, (*values.shape[:-1], *self.offsets.shape)).copy()
         for joint, axis, column in self.position_columns:
@@ -106,31 +113,30 @@ class Motion:
             out[..., joint, axis] = base + values[..., column]
         return out
 
-    def local_rotations(self, frames: Frames = _ALL) -> Array:
+    def local_rotations(self, frames: FrameIndex = _ALL) -> Array:
         """Rotation of each joint in its parent (..., J, 4), quaternions xyzw."""
         values = self.values[frames]
         out = np.zeros((*values.shape[:-1], self.n_joints, 4))
         out[..., 3] = 1.0
         by_order: dict[tuple[int, ...], list[tuple[int, list[int]]]] = {}
         for joint, (names, start) in enumerate(zip(self.channels, self._columns, strict=True)):
-            turns = [(AXES[n[0]], c) for c, n in enumerate(names, start) if n.endswith("rotation")]
-            if turns:
-                by_order.setdefault(tuple(a for a, _ in turns), []).append((joint, [c for _, c in turns]))
+            rotations = [(AXES[n[0]], c) for c, n in enumerate(names, start) if n.endswith("rotation")]
+            if rotations:
+                order = tuple(axis for axis, _ in rotations)
+                by_order.setdefault(order, []).append((joint, [column for _, column in rotations]))
         for axes, group in by_order.items():
             columns = np.array([c for _, c in group])
             half = np.radians(values[..., columns]) / 2
             out[..., [joint for joint, _ in group], :] = _compose(np.sin(half), np.cos(half), axes)
         return out
 
-    def world_transforms(self, frames: Frames = _ALL) -> Array:
-        """Joint frames in file space (..., J, 4, 4) for a frame number, a slice or frame numbers."""
+    def world_transforms(self, frames: FrameIndex = _ALL) -> Array:
+        """Joint frames (..., J, 4, 4) in file units and axes; (J, 4, 4) for one frame number."""
         rotations = quaternion_to_matrix(self.local_rotations(frames))
         return self.compose_world(self.local_translations(frames), rotations)
 
     def compose_world(self, translations: Array, rotations: Array) -> Array:
-        """Joint frames (..., J, 4, 4) from local translations (..., J, 3) and rotation matrices (..., J, 3,
-        3).
-        """
+        """Joint frames (..., J, 4, 4) of local translations (..., J, 3) and rotations (..., J, 3, 3)."""
         world_r, world_t = self._world(translations, rotations)
         return transform(world_r, world_t)
 
@@ -146,27 +152,27 @@ class Motion:
             world_r[..., level, :, :] = parent_r @ world_r[..., level, :, :]
         return world_r, world_t
 
-    def world_positions(self, frames: Frames = _ALL) -> Array:
+    def world_positions(self, frames: FrameIndex = _ALL) -> Array:
         """Joint positions (..., J, 3) in file units and axes; (J, 3) for one frame number."""
         rotations = quaternion_to_matrix(self.local_rotations(frames))
         return self._world(self.local_translations(frames), rotations)[1]
 
     def rest_positions(self) -> Array:
-        """Joint positions (J, 3), every rotation zero and every joint at its OFFSET, file units and axes."""
+        """Joint positions (J, 3) with zero rotations and joints at their OFFSETs, in file units and axes."""
         return self._world(self.offsets, np.broadcast_to(np.eye(3), (self.n_joints, 3, 3)))[1]
 
 
 def _compose(sine: Array, cosine: Array, axes: Sequence[int]) -> Array:
-    """Quaternion product of turns about coordinate axes; half-angle sines and cosines (..., N, len(axes))."""
+    """Quaternions (..., N, 4) of rotations about axes, by sines and cosines of half angles (..., N, axes)."""
     total = np.zeros((*sine.shape[:-1], 4))
     total[..., 3] = 1.0
     for k, axis in enumerate(axes):
         s, c = sine[..., k], cosine[..., k]
         j, l = (axis + 1) % 3, (axis + 2) % 3  # noqa: E741
-        turned = np.empty_like(total)
-        turned[..., axis] = total[..., axis] * c + total[..., 3] * s
-        turned[..., j] = total[..., j] * c + total[..., l] * s
-        turned[..., l] = total[..., l] * c - total[..., j] * s
-        turned[..., 3] = total[..., 3] * c - total[..., axis] * s
-        total = turned
+        rotated = np.empty_like(total)
+        rotated[..., axis] = total[..., axis] * c + total[..., 3] * s
+        rotated[..., j] = total[..., j] * c + total[..., l] * s
+        rotated[..., l] = total[..., l] * c - total[..., j] * s
+        rotated[..., 3] = total[..., 3] * c - total[..., axis] * s
+        total = rotated
     return total

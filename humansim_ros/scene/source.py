@@ -19,7 +19,7 @@ from humansim_ros.io.assets import find_asset
 from humansim_ros.io.files import exists, expand_user
 from humansim_ros.io.yaml import line_of, read_yaml
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.motion.bvh import Positions
+from humansim_ros.motion.bvh import PositionChannels
 from humansim_ros.motion.files import read_motion, split_name
 from humansim_ros.motion.kinematics import Motion
 
@@ -107,7 +107,7 @@ class SceneSource:
                 human = human.wearing(outfit)
         return human if skinning is None else replace(human, skinning=skinning)
 
-    def motion(self, name: str, positions: Positions) -> Motion:
+    def motion(self, name: str, positions: PositionChannels) -> Motion:
         """Read a motion by name or path."""
         motion = self._object(name, Motion)
         if motion is not None:

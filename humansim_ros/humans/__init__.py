@@ -1,4 +1,4 @@
-"""Humans: a mesh with a skeleton, weights and outfits; read from files, or made of meshes and sliders."""
+"""Humans: mesh, skeleton, weights and outfits; read from files, or made from meshes and sliders."""
 
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human, make_human

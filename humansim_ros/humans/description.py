@@ -1,4 +1,4 @@
-"""Descriptions of humans (YAML): what they are made from, and how they look."""
+"""Human descriptions (YAML): a mesh or MakeHuman sliders, and outfits."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ OutfitName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$
 
 
 class Clothes(Section):
-    """How a mesh looks: a texture, or a colour for what would be skin, hair, shirt, trousers and shoes."""
+    """Outfit of a mesh: a texture, or colours of skin, hair, shirt, trousers and shoes."""
 
     texture: str | None = Field(default=None, description="a PNG or JPEG file, from the folder of this file")
     skin: ByteColor = (208, 158, 130)
@@ -28,8 +28,8 @@ class Clothes(Section):
     shoes: ByteColor = (44, 38, 36)
 
 
-#: Looks of a mesh that brings none, so that a grey export looks dressed (a detector finds it so).
-DRESSED = {
+#: Outfits of a mesh without colours, so that person detectors recognise it.
+DEFAULT_OUTFITS = {
     "blue": Clothes(),
     "red": Clothes(
         skin=(150, 104, 78), hair=(28, 24, 24), shirt=(168, 58, 52), trousers=(96, 84, 66), shoes=(70, 46, 30)
@@ -45,21 +45,21 @@ DRESSED = {
 
 
 class MeshHuman(Section):
-    """How a mesh becomes a human."""
+    """Human made from a mesh."""
 
     mesh: str = Field(default="", description=".obj, .gltf, .glb, or an SMPL model (.npz)")
     betas: tuple[float, ...] = Field(default=(), max_length=400, description="shape of an SMPL model")
     rigging: Literal["heat", "thesis"] = Field(
-        default="heat", description="how an unrigged mesh gets its weights"
+        default="heat", description="rigging method of a mesh without skeleton"
     )
     skeleton: Literal["fitted", "general"] = Field(
-        default="fitted", description="joints found in the mesh, or those of the general skeleton"
+        default="fitted", description="detected joints, or those of the general skeleton"
     )
     unit: float | None = Field(default=None, gt=0, le=1e6, description="metres per unit of the file")
     stature: float | None = Field(default=None, ge=0.2, le=5, description="height of the person, metres")
-    up: Axis | None = Field(default=None, description="the file's up axis; found by itself if absent")
+    up: Axis | None = Field(default=None, description="the file's up axis; detected if absent")
     facing: Axis | None = Field(
-        default=None, description="the file's axis that the person faces; found by itself if absent"
+        default=None, description="the file's axis that the person faces; detected if absent"
     )
     skinning: Skinning | None = Field(default=None, description="linear, if absent, or dual_quaternion")
     outfits: dict[OutfitName, Clothes] = Field(default_factory=dict, description="the first is the default")
@@ -72,7 +72,7 @@ class MeshHuman(Section):
 
 
 class ParametricHuman(Section):
-    """A person made of MakeHuman's sliders."""
+    """Human made from MakeHuman sliders."""
 
     makehuman: MakeHumanConfig
     outfits: dict[OutfitName, Outfit] = Field(min_length=1, description="the first is the default")
@@ -80,10 +80,10 @@ class ParametricHuman(Section):
 
 
 def read_description(path: str | os.PathLike[str]) -> MeshHuman | ParametricHuman:
-    """Read a description. Raises MeshError with file, line and key."""
+    """Read a human description. Raises MeshError with file, line and key."""
     data, tree = read_yaml(path, MeshError, "human")
     if not isinstance(data, dict) or ("mesh" in data) == ("makehuman" in data):
-        raise MeshError("a human is described by 'mesh' or by 'makehuman', one of them", path=path)
+        raise MeshError("a human description needs exactly one of the keys 'mesh' and 'makehuman'", path=path)
     model: type[MeshHuman | ParametricHuman] = MeshHuman if "mesh" in data else ParametricHuman
     try:
         return model.model_validate(data)

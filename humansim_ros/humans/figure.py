@@ -1,4 +1,4 @@
-"""Figures that bring a skeleton of their own (glTF, SMPL): its joints take our names, whatever theirs are."""
+"""Convert skinned meshes (glTF, SMPL) to humans: body space, and bone names of the general skeleton."""
 
 from __future__ import annotations
 
@@ -20,35 +20,46 @@ from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.types import Array
 
-#: Statures (metres) of people, a baby's to a giant's: a figure that is no such size is in another unit.
+#: Range of statures, metres; a mesh of another size has another unit.
 PLAUSIBLE_STATURE = (0.4, 2.6)
-#: Length of bones that end nowhere, metres.
+#: Length of bones without a child or skin, metres.
 _STUB = 0.03
 
 
 def to_body_space(
     figure: SkinnedMesh, unit: float | None = None, up: str | None = None, facing: str | None = None
 ) -> tuple[Mesh, Skeleton, csr_matrix]:
-    """A figure in body space (metres, y up, facing +z, soles at height 0), its skeleton, its weights (V, B).
+    """Move a skinned mesh into body space, and name its bones as in the general skeleton.
 
-    The joints that are those of our skeleton take its names, by their own names and kinship, or by the shape
-    of the skeleton; all others stay under theirs and follow. Joints that we have and the figure has not are
-    put in between, without skin. ``unit``: metres per file unit. Raises MeshError if it is no person.
+    Joints are matched by name and hierarchy, or by the shape of the skeleton. Other joints keep their names.
+    Bones of the general skeleton without a joint are inserted without skin.
+
+    Args:
+        figure: Skinned mesh of a person.
+        unit: Metres per unit of the file; guessed from the stature if absent.
+        up: Up axis of the file; detected if absent.
+        facing: Axis of the file that the person faces; detected if absent.
+
+    Returns:
+        Mesh in body space (metres, y up, facing +z, soles at height 0), skeleton, and weights (V, B).
+
+    Raises:
+        MeshError: The skeleton is not that of a person standing upright.
     """
     rest = _rest_motion(figure)
     try:
         match = match_motion(rest)
         frame = detect_file_frame(rest, match, unit, up, facing)
     except MotionError as error:
-        raise MeshError(f"its skeleton is no person's: {error.message}") from None
+        raise MeshError(f"the skeleton is not that of a person: {error.message}") from None
     if frame.rest_from_body.ndim != 2:
-        raise MeshError("the figure does not stand upright in its rest pose: export it in a T or A pose")
+        raise MeshError("the rest pose does not stand upright: export the mesh in a T or A pose")
     stature = float(np.ptp(figure.mesh.vertices @ frame.rest_from_body[:, 1]))
     scale = 1.0 if unit is None else unit
     if unit is None and not PLAUSIBLE_STATURE[0] <= stature <= PLAUSIBLE_STATURE[1]:
         scale = frame.unit
-        person = f"a person of {stature * scale:.2f} m"
-        warn_about(figure.name, f"{stature:.3g} units tall: taken as {frame.unit_name}, {person}")
+        assumed = f"{frame.unit_name} assumed, a stature of {stature * scale:.2f} m"
+        warn_about(figure.name, f"the person is {stature:.3g} units tall: {assumed}")
     vertices = scale * figure.mesh.vertices @ frame.rest_from_body
     joints = scale * figure.joints @ frame.rest_from_body
     hips = joints[[match.roles["LeftHip"], match.roles["RightHip"]]].mean(0)
@@ -71,27 +82,27 @@ def _rest_motion(figure: SkinnedMesh) -> Motion:
     return Motion(figure.joint_names, parents, offsets, no_channels, np.zeros((1, 0)), 1.0)
 
 
-def own_joints(match: JointMatch) -> dict[str, int]:
-    """The joint that each of our bones turns about; each joint once, for the bone nearest the root."""
+def joints_of_bones(match: JointMatch) -> dict[str, int]:
+    """Joint at the head of each general bone; each joint once, for the bone nearest the root."""
     skeleton = hanim_skeleton()
-    own: dict[str, int] = {}
+    joints: dict[str, int] = {}
     for bone in skeleton.names:
         joint = match.parallel[bone][0] if bone in match.parallel else match.difference.get(bone)
-        if joint is not None and joint not in own.values():
-            own[bone] = joint
-    return own
+        if joint is not None and joint not in joints.values():
+            joints[bone] = joint
+    return joints
 
 
 def _skeleton(
     figure: SkinnedMesh, match: JointMatch, joints: Array, vertices: Array
 ) -> tuple[Skeleton, list[int]]:
-    """The figure's skeleton under our names, and the bone of each of its joints."""
+    """Skeleton with the bone names of the general skeleton, and the bone of each joint."""
     general = hanim_skeleton()
     parent_of = {
         n: general.names[p] if p >= 0 else None for n, p in zip(general.names, general.parents, strict=True)
     }
-    own = own_joints(match)
-    bone_of = {joint: bone for bone, joint in own.items()}
+    matched = joints_of_bones(match)
+    bone_of = {joint: bone for bone, joint in matched.items()}
     taken = set(general.names)
     names: list[str] = []
     parents: list[str | None] = []
@@ -107,15 +118,15 @@ def _skeleton(
         above = name_of[int(figure.parents[joint])] if figure.parents[joint] >= 0 else None
         bone = bone_of.get(joint)
         if bone is None:
-            bone = _free_name(figure.joint_names[joint], taken)
+            bone = _unique_name(figure.joint_names[joint], taken)
             add(bone, above, joints[joint])
         else:
-            # our bones that lead to this one and that no joint of the figure stands for
+            # bones of the general skeleton on the way to this one that have no joint
             chain: list[str] = []
-            lead = parent_of[bone]
-            while lead is not None and lead not in own and lead not in names:
-                chain.insert(0, lead)
-                lead = parent_of[lead]
+            ancestor = parent_of[bone]
+            while ancestor is not None and ancestor not in matched and ancestor not in names:
+                chain.insert(0, ancestor)
+                ancestor = parent_of[ancestor]
             start = heads[names.index(above)] if above is not None else joints[joint] - [0.0, _STUB, 0.0]
             for step, name in enumerate(chain):
                 share = step / len(chain)
@@ -123,10 +134,10 @@ def _skeleton(
                 above = name
             add(bone, above, joints[joint])
         name_of[joint] = bone
-    for name in general.names:  # what is left ends nowhere
+    for name in general.names:  # remaining bones, without joints
         if name not in names:
-            lead = parent_of[name]
-            add(name, lead, heads[names.index(lead)] if lead is not None else joints[0])
+            parent = parent_of[name]
+            add(name, parent, heads[names.index(parent)] if parent is not None else joints[0])
     tails = _tails(figure, match, names, parents, heads, name_of, joints, vertices)
     skeleton = Skeleton(
         tuple(names),
@@ -148,8 +159,8 @@ def _tails(
     joints: Array,
     vertices: Array,
 ) -> Array:
-    """Where each bone ends: at the end of its link, where its only child (or its next of our bones) begins,
-    or at the end of its skin.
+    """Tails (B, 3): at the end of the link, at the only child (or next bone of the general skeleton), or at
+    the end of the skin.
     """
     general = hanim_skeleton()
     joint_of = {name: joint for joint, name in name_of.items()}
@@ -157,15 +168,15 @@ def _tails(
     tails = np.array(heads)
     for number, name in enumerate(names):
         children = [i for i, parent in enumerate(parents) if parent == name]
-        ours = [i for i in children if names[i] in general.names]
+        named = [i for i in children if names[i] in general.names]
         head = heads[number]
         if name in match.parallel and joint_of.get(name) == match.parallel[name][0]:
             goal = joints[match.parallel[name][1]]
-        elif len(ours) == 1 or (ours and len(children) == 1):
-            goal = heads[ours[0]]
-        elif ours:  # the trunk branches: up along the middle
-            middle = [i for i in ours if "_" not in names[i]]
-            goal = heads[middle[0]] if middle else np.mean([heads[i] for i in ours], axis=0)
+        elif len(named) == 1 or (named and len(children) == 1):
+            goal = heads[named[0]]
+        elif named:  # branches of the trunk: the middle one
+            middle = [i for i in named if "_" not in names[i]]
+            goal = heads[middle[0]] if middle else np.mean([heads[i] for i in named], axis=0)
         elif children:
             goal = np.mean([heads[i] for i in children], axis=0)
         else:
@@ -181,7 +192,7 @@ def _tails(
 
 
 def _along(number: int, names: list[str], parents: list[str | None], heads: list[Array]) -> Array:
-    """Unit direction (3,) in which a bone without a next one goes on: that of its parent; feet forwards."""
+    """Unit direction (3,) of a bone without a child: that of its parent; forwards for feet."""
     if names[number] in ("l_ankle", "r_ankle"):
         return np.array([0.0, 0.0, 1.0])
     if names[number] == "vt3":
@@ -196,12 +207,12 @@ def _along(number: int, names: list[str], parents: list[str | None], heads: list
     return np.array([0.0, 1.0, 0.0])
 
 
-def _free_name(name: str, taken: set[str]) -> str:
-    """A bone's name that no other bone has."""
-    plain = name or "joint"
-    free, number = plain, 0
-    while free in taken:
+def _unique_name(name: str, taken: set[str]) -> str:
+    """Make a bone name unique."""
+    base = name or "joint"
+    unique, number = base, 0
+    while unique in taken:
         number += 1
-        free = f"{plain}.{number:03d}"
-    taken.add(free)
-    return free
+        unique = f"{base}.{number:03d}"
+    taken.add(unique)
+    return unique

@@ -1,4 +1,4 @@
-"""A human ready to be posed: surface, skeleton and the weights that tie them; and its file."""
+"""The Human class: mesh, skeleton, weights and outfits; and its file format (.npz)."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.skinned import normalise_weights
 from humansim_ros.types import Array
 
-#: The outfit of a human that has one look only.
-PLAIN = "default"
-#: How skin follows bones.
+#: Name of the only outfit of a human.
+DEFAULT_OUTFIT = "default"
+#: Skinning method.
 Skinning = Literal["linear", "dual_quaternion"]
-_LOOK = "texture_"
+_OUTFIT_PREFIX = "texture_"
 
 
 @dataclass(frozen=True)
 class Human:
-    """A body at rest in body space (metres, y up, faces +z).
+    """Human in the rest pose, in body space (metres, y up, facing +z).
 
-    ``weights``: (V, B), rows sum to one. ``looks``: what it can wear, by name: (N,) bytes of a PNG or JPEG
-    texture, or (V, 3) colours of the vertices, uint8 sRGB; ``outfit`` is the one that ``mesh`` wears.
-    ``notes``: where it is from (``license``, ``source``).
+    ``weights``: (V, B), rows sum to one. ``looks``: outfits by name, each a PNG or JPEG texture as (N,) bytes
+    or vertex colours (V, 3) uint8 sRGB. ``outfit``: name of the outfit of ``mesh``. ``notes``: ``license``
+    and ``source``.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Human:
     skeleton: Skeleton
     weights: csr_matrix
     looks: Mapping[str, NDArray[np.uint8]] = field(default_factory=dict)
-    outfit: str = PLAIN
+    outfit: str = DEFAULT_OUTFIT
     skinning: Skinning = "linear"
     notes: Mapping[str, str] = field(default_factory=dict)
 
@@ -59,16 +59,15 @@ class Human:
 
     @property
     def outfits(self) -> tuple[str, ...]:
-        """Names of what it can wear, the first is what it wears by itself."""
+        """Names of all outfits; the first is the default."""
         return tuple(self.looks) or (self.outfit,)
 
     def wearing(self, outfit: str) -> Human:
-        """The same human in another outfit. MeshError if there is none of that name."""
+        """Return the human in another outfit. Raises MeshError for an unknown outfit."""
         if outfit == self.outfit and (self.mesh.texture is not None or self.mesh.colors is not None):
             return self
         if outfit not in self.looks:
-            known = ", ".join(self.outfits)
-            raise MeshError(f"{self.name} has no outfit {outfit!r}; there are {known}")
+            raise MeshError(f"{self.name} has no outfit {outfit!r}; outfits are {', '.join(self.outfits)}")
         look = self.looks[outfit]
         if look.ndim == 1:
             mesh = replace(self.mesh, texture=decode_image(look), colors=None)
@@ -78,33 +77,44 @@ class Human:
 
     @cached_property
     def triangle_parts(self) -> NDArray[np.uint8]:
-        """(N,) label of each triangle: 1 + the bone it follows most."""
+        """Part labels (N,) of the triangles: 1 + the bone with the largest weight."""
         return triangle_parts(self.mesh.triangles, self.weights) + np.uint8(1)
 
     @cached_property
     def skinner(self) -> SkinningFunction:
-        """The skinning function of this body, single precision."""
+        """Skinning function of the mesh, single precision."""
         return make_skinner(self.skinning, self.mesh.vertices, self.weights)
 
     def pose(self, posed: Array) -> NDArray[np.float32]:
-        """Vertices (V, 3) float32 from posed bone frames (B, 4, 4), in the space of those frames."""
+        """Pose the human: vertices (V, 3) float32, in the space of the posed bone frames (B, 4, 4).
+
+        Example:
+            >>> import numpy as np
+            >>> from humansim_ros import load_human
+            >>> from humansim_ros.resources import resource_path
+            >>> child = load_human(resource_path("assets/humans/child.npz"))
+            >>> rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(child.skeleton), 1))
+            >>> vertices = child.pose(child.skeleton.pose(rotations))
+            >>> np.allclose(vertices, child.mesh.vertices, atol=1e-5)
+            True
+        """
         return np.asarray(self.skinner(posed @ self.skeleton.rest_inverse), dtype=np.float32)
 
 
-#: Most bones of a human: their number is a label of 8 bits.
+#: Part labels have 8 bits, and 0 is the background.
 MAX_BONES = 255
 _SKELETON = ("bone_names", "bone_parents", "bone_heads", "bone_tails", "bone_rolls")
-_NEEDED = ("vertices", "faces", *_SKELETON, "weight_bones", "weight_values")
+_REQUIRED = ("vertices", "faces", *_SKELETON, "weight_bones", "weight_values")
 
 
 def read_human(path: str | os.PathLike[str]) -> Human:
-    """Read a built human (docs/humans.md lists the arrays). Raises MeshError with the file and the array."""
+    """Read a human file (docs/humans.md lists the arrays). Raises MeshError with the file and the array."""
     arrays = read_npz(path, MeshError, "human")
-    missing = [key for key in _NEEDED if key not in arrays]
+    missing = [key for key in _REQUIRED if key not in arrays]
     if missing:
         raise MeshError("not a human file: an array is missing", path=path, key=missing[0])
     try:
-        return human_of_arrays(arrays, Path(path).stem)
+        return human_from_arrays(arrays, Path(path).stem)
     except KeyError as reason:
         raise MeshError("not a human file: an array is missing", path=path, key=str(reason.args[0])) from None
     except (ValueError, TypeError, IndexError, OverflowError) as reason:
@@ -114,7 +124,7 @@ def read_human(path: str | os.PathLike[str]) -> Human:
 
 
 def write_human(path: str | os.PathLike[str], human: Human) -> None:
-    """Write a built human; the same human gives the same bytes. The file appears whole or not at all."""
+    """Write a human file atomically; equal humans give equal bytes."""
     mesh, skeleton = human.mesh, human.skeleton
     counts = np.diff(human.weights.indptr)
     width = int(counts.max())
@@ -137,7 +147,7 @@ def write_human(path: str | os.PathLike[str], human: Human) -> None:
         arrays |= {"uv": mesh.uv.astype(np.float32), "uv_faces": mesh.uv_faces.astype(np.int32)}
     if human.looks:
         arrays["outfits"] = np.array(human.outfits)
-        arrays |= {f"{_LOOK}{name}": np.asarray(look) for name, look in human.looks.items()}
+        arrays |= {f"{_OUTFIT_PREFIX}{name}": np.asarray(look) for name, look in human.looks.items()}
     elif mesh.colors is not None:
         arrays["colors"] = mesh.colors
     if mesh.skin is not None:
@@ -148,8 +158,8 @@ def write_human(path: str | os.PathLike[str], human: Human) -> None:
     write_npz(path, arrays)
 
 
-def human_of_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
-    """The human that a file with these arrays holds; MeshError, KeyError or ValueError if it holds none."""
+def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
+    """Make a human of the arrays of a file. Raises MeshError, KeyError or ValueError if they are wrong."""
     vertices = arrays["vertices"].astype(float)
     uv = arrays.get("uv")
     mesh = Mesh(
@@ -186,31 +196,33 @@ def human_of_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
     notes: dict[str, str] = {key: str(arrays[key]) for key in ("license", "source") if key in arrays}
     skinning = str(arrays.get("skinning", "linear"))
     if skinning not in ("linear", "dual_quaternion"):
-        raise MeshError(f"{skinning[:30]!r} is no way of skinning", key="skinning")
-    known: Skinning = "linear" if skinning == "linear" else "dual_quaternion"
-    human = Human(name, mesh, skeleton, normalise_weights(weights), looks, skinning=known, notes=notes)
+        raise MeshError(
+            f"{skinning[:30]!r} is not a skinning method; use linear or dual_quaternion", key="skinning"
+        )
+    method: Skinning = "linear" if skinning == "linear" else "dual_quaternion"
+    human = Human(name, mesh, skeleton, normalise_weights(weights), looks, skinning=method, notes=notes)
     return human.wearing(human.outfits[0]) if looks else human
 
 
 def _skin(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:
-    """Where the textures of a file show skin."""
+    """Share of skin in each texel."""
     skin = arrays.get("skin")
     if skin is not None and (skin.dtype != np.uint8 or skin.ndim != 2):
-        raise MeshError(f"it is (H, W), uint8, not {skin.shape} {skin.dtype}", key="skin")
+        raise MeshError(f"must be (H, W) uint8, not {skin.shape} {skin.dtype}", key="skin")
     return skin
 
 
 def _looks(arrays: dict[str, NDArray[Any]], n_vertices: int) -> dict[str, NDArray[np.uint8]]:
-    """The outfits of a file."""
+    """Outfits of a file."""
     if "outfits" in arrays:
-        looks = {str(name): arrays[f"{_LOOK}{name}"] for name in arrays["outfits"].ravel()}
+        looks = {str(name): arrays[f"{_OUTFIT_PREFIX}{name}"] for name in arrays["outfits"].ravel()}
     else:
-        looks = {PLAIN: arrays["texture"]} if "texture" in arrays else {}
+        looks = {DEFAULT_OUTFIT: arrays["texture"]} if "texture" in arrays else {}
     for name, look in looks.items():
         if look.dtype != np.uint8 or (look.ndim != 1 and look.shape != (n_vertices, 3)):
             raise MeshError(
                 f"an outfit is image bytes (N,) or colours (V, 3), uint8, not {look.shape} {look.dtype}",
-                key=f"{_LOOK}{name}",
+                key=f"{_OUTFIT_PREFIX}{name}",
             )
         if look.ndim == 1 and "uv" not in arrays:
             raise MeshError("a texture needs texture coordinates", key="uv")

@@ -1,4 +1,4 @@
-"""Any file with a person in it as a human: built ones, descriptions, meshes, rigged figures, SMPL models."""
+"""Load humans from human files, descriptions, meshes, skinned meshes and SMPL models."""
 
 from __future__ import annotations
 
@@ -18,9 +18,15 @@ from humansim_ros.body.rigging import dominant_bones, rig
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.cache import cached, content_key
-from humansim_ros.humans.description import DRESSED, Clothes, MeshHuman, ParametricHuman, read_description
+from humansim_ros.humans.description import (
+    DEFAULT_OUTFITS,
+    Clothes,
+    MeshHuman,
+    ParametricHuman,
+    read_description,
+)
 from humansim_ros.humans.figure import to_body_space
-from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_of_arrays, read_human
+from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arrays, read_human
 from humansim_ros.humans.makehuman.building import build
 from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
@@ -32,7 +38,7 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.obj import material_files, read_obj
 from humansim_ros.mesh.skinned import SkinnedMesh
 
-#: Files that a human is loaded from.
+#: Suffixes of files with a human.
 SUFFIXES = (".npz", ".yaml", ".yml", ".obj", ".gltf", ".glb")
 _GLTF = (".gltf", ".glb")
 _SKIN_BONES = ("vt3", "l_wrist", "r_wrist", "l_elbow", "r_elbow")
@@ -46,7 +52,25 @@ _TROUSER_BONES = (
 def load_human(
     path: str | os.PathLike[str], outfit: str | None = None, skinning: Skinning | None = None
 ) -> Human:
-    """What :meth:`humansim_ros.body.Human.load` does."""
+    """Load a human from a file.
+
+    The file is a human (.npz), a description (.yaml), a mesh (.obj, .gltf, .glb) or an SMPL model (.npz).
+    Meshes without skeleton are rigged. Results of slow steps are cached on disk (docs/humans.md).
+
+    Args:
+        path: File to read.
+        outfit: Name of the outfit to wear; the default outfit if absent.
+        skinning: ``linear`` or ``dual_quaternion``; as the file says if absent.
+
+    Raises:
+        MeshError: The file is missing or wrong, or there is no such outfit.
+
+    Example:
+        >>> from humansim_ros.resources import resource_path
+        >>> human = load_human(resource_path("assets/humans/adult_man.npz"))
+        >>> len(human.skeleton), human.weights.shape[1]
+        (22, 22)
+    """
     try:
         human = _load(Path(path))
         if outfit is not None:
@@ -59,22 +83,22 @@ def load_human(
 
 
 def make_human(path: str | os.PathLike[str], options: MeshHuman | None = None) -> Human:
-    """A human made of a mesh, figure or SMPL model, without the cache. Raises MeshError."""
+    """Make a human from a mesh, a skinned mesh or an SMPL model, without the cache. Raises MeshError."""
     options = options or MeshHuman()
     suffix = Path(path).suffix.lower()
-    made: Mesh | SkinnedMesh
+    source: Mesh | SkinnedMesh
     if suffix == ".npz":
-        made = read_smpl(path, options.betas)
+        source = read_smpl(path, options.betas)
     elif suffix in _GLTF:
-        made = read_gltf(path)
+        source = read_gltf(path)
     else:
-        made = read_obj(path)
-    if isinstance(made, SkinnedMesh):
-        mesh, skeleton, weights = to_body_space(made, options.unit, options.up, options.facing)
+        source = read_obj(path)
+    if isinstance(source, SkinnedMesh):
+        mesh, skeleton, weights = to_body_space(source, options.unit, options.up, options.facing)
         if options.stature is not None:
             mesh, skeleton = _resized(mesh, skeleton, options.stature)
     else:
-        mesh, skeleton, weights = _rigged(made, options)
+        mesh, skeleton, weights = _rigged(source, options)
     if len(skeleton) > MAX_BONES:
         raise MeshError(f"{len(skeleton)} bones; at most {MAX_BONES}", path=path)
     human = Human(Path(path).stem, mesh, skeleton, weights, skinning=options.skinning or "linear")
@@ -99,18 +123,19 @@ def _load(path: Path) -> Human:
 def _described(path: Path) -> Human:
     description = read_description(path)
     if isinstance(description, ParametricHuman):
-        source = find_data()
-        key = content_key([b"makehuman", repr(description).encode(), source.version.encode()])
+        data = find_data()
+        key = content_key([b"makehuman", repr(description).encode(), data.version.encode()])
 
-        def made() -> Human:
-            arrays = build(source, description.makehuman, description.outfits)
-            return _from_arrays(arrays, description, path)
+        def make() -> Human:
+            arrays = build(data, description.makehuman, description.outfits)
+            human = human_from_arrays(arrays, path.stem)
+            return replace(human, skinning=description.skinning or "linear")
 
-        return cached(key, path.stem, made)
-    mesh, there = resolve_relative(path, description.mesh)
+        return cached(key, path.stem, make)
+    mesh, exists = resolve_relative(path, description.mesh)
     if mesh.suffix.lower() not in SUFFIXES or mesh.suffix.lower() in (".yaml", ".yml"):
         raise MeshError("a mesh is .obj, .gltf, .glb or an SMPL model (.npz)", path=path, key="mesh")
-    if not there or not mesh.is_file():
+    if not exists or not mesh.is_file():
         raise MeshError(f"no such file {str(mesh)!r}", path=path, key="mesh")
     options = description.model_copy(
         update={
@@ -127,7 +152,7 @@ def _described(path: Path) -> Human:
 
 
 def _array_names(path: Path) -> list[str]:
-    """Names of the arrays of an archive, none if it is no archive."""
+    """Names of the arrays of an archive; empty if the file is not an archive."""
     data = read_bytes(path, MeshError, "human")
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -137,7 +162,7 @@ def _array_names(path: Path) -> list[str]:
 
 
 def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
-    """All that a human is made of."""
+    """All content that a human is made from."""
     yield options.model_dump_json().encode()
     yield read_bytes(path, MeshError, "mesh")
     if path.suffix.lower() in _GLTF:
@@ -151,7 +176,7 @@ def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
 
 
 def _rigged(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton, csr_matrix]:
-    """A bare mesh fitted and rigged."""
+    """Fit a skeleton to a mesh, and rig it."""
     fitted, skeleton = fit_skeleton(
         mesh,
         options.skeleton,
@@ -170,26 +195,26 @@ def _resized(mesh: Mesh, skeleton: Skeleton, stature: float) -> tuple[Mesh, Skel
 
 
 def _looks(human: Human, outfits: Mapping[str, Clothes], path: Path) -> dict[str, NDArray[np.uint8]]:
-    """What a mesh wears: what is asked for, else its own texture, else colours by body part."""
+    """Outfits of a mesh: those of the options, else its own texture, else colours by body part."""
     mesh = human.mesh
     if not outfits and mesh.texture is not None:
         return {"default": encode_image(mesh.texture)}
     looks = {}
-    for name, clothes in (outfits or DRESSED).items():
+    for name, clothes in (outfits or DEFAULT_OUTFITS).items():
         if clothes.texture is None:
-            looks[name] = _dressed(human, clothes)
+            looks[name] = _part_colors(human, clothes)
             continue
         key = f"outfits.{name}.texture"
         if mesh.uv is None:
-            raise MeshError("the mesh has no texture coordinates: give colours", path=path, key=key)
+            raise MeshError("the mesh has no texture coordinates: use colours", path=path, key=key)
         data = read_bytes(clothes.texture, MeshError, "texture")
-        decode_image(data)  # so that a wrong one is told now
+        decode_image(data)  # raises the error of a wrong image now
         looks[name] = np.frombuffer(data, np.uint8)
     return looks
 
 
-def _dressed(human: Human, clothes: Clothes) -> NDArray[np.uint8]:
-    """Colours (V, 3) by the bone that a vertex follows most, or the nearest of ours above it."""
+def _part_colors(human: Human, clothes: Clothes) -> NDArray[np.uint8]:
+    """Vertex colours (V, 3) by the dominant bone, or its nearest ancestor in the general skeleton."""
     skeleton, general = human.skeleton, set(hanim_skeleton().names)
     palette = np.empty((len(skeleton), 3), np.uint8)
     for bone, parent in enumerate(skeleton.parents):
@@ -205,19 +230,12 @@ def _dressed(human: Human, clothes: Clothes) -> NDArray[np.uint8]:
         else:
             palette[bone] = palette[parent]
     colors = palette[dominant_bones(human.weights)]
-    # the head is about an eighth of the height; hair grows on the top and the back of it
+    # the head is about an eighth of the height, with hair on its top and back
     vertices = human.mesh.vertices
-    tall = float(np.ptp(vertices[:, 1]))
-    up = 1 + (vertices[:, 1] - vertices[:, 1].max()) / (0.13 * tall)  # 0 at the chin, 1 on top
+    height = float(np.ptp(vertices[:, 1]))
+    up = 1 + (vertices[:, 1] - vertices[:, 1].max()) / (0.13 * height)  # 0 at the chin, 1 on top
     middle = vertices[up > 0.5, 2]
-    ahead = (vertices[:, 2] - (middle.min() + middle.max()) / 2) / (0.13 * tall)
+    ahead = (vertices[:, 2] - (middle.min() + middle.max()) / 2) / (0.13 * height)
     hair = (up > 0.40) & (up - 0.75 * ahead > 0.54)
     colors[hair & (colors == np.array(clothes.skin, np.uint8)).all(1)] = clothes.hair
     return colors
-
-
-def _from_arrays(
-    arrays: Mapping[str, NDArray[np.generic]], description: ParametricHuman, path: Path
-) -> Human:
-    human = human_of_arrays(dict(arrays), path.stem)
-    return replace(human, skinning=description.skinning or "linear")

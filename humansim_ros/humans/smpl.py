@@ -1,7 +1,7 @@
-"""SMPL, SMPL+H and SMPL-X models (.npz), which their users have a licence for and bring along.
+"""SMPL, SMPL+H and SMPL-X models (.npz) [Loper 2015]; users need their own licence and files.
 
-Loper et al., SMPL: A Skinned Multi-Person Linear Model, 2015: the rest shape is the template plus shape
-directions times betas; joints are a linear function of it. Pose-dependent corrections are not applied.
+The rest shape is the template plus shape directions times betas; joints are a linear function of it.
+Pose-dependent corrections are not applied.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from humansim_ros.io.npz import read_npz
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.skinned import SkinnedMesh, normalise_weights
 
-_WANTED = ("v_template", "f", "weights", "kintree_table", "J_regressor", "J", "shapedirs", "vt", "ft")
+_ARRAYS = ("v_template", "f", "weights", "kintree_table", "J_regressor", "J", "shapedirs", "vt", "ft")
 _BODY = (
     *("pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle"),
     *("right_ankle", "spine3", "left_foot", "right_foot", "neck", "left_collar", "right_collar", "head"),
@@ -42,13 +42,13 @@ _NAMES = {
 
 
 def is_smpl(names: Sequence[str]) -> bool:
-    """Whether arrays of these names make an SMPL model."""
+    """Whether an archive with these array names is an SMPL model."""
     return {"v_template", "kintree_table", "weights"} <= set(names)
 
 
 def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> SkinnedMesh:
-    """A model's body at rest with the shape ``betas``. Raises MeshError naming the file and the array."""
-    arrays = read_npz(path, MeshError, "SMPL", _WANTED)
+    """Read a model at rest with the shape ``betas``. Raises MeshError with the file and the array."""
+    arrays = read_npz(path, MeshError, "SMPL", _ARRAYS)
 
     def get(name: str, *shape: int | None) -> NDArray[Any]:
         if name not in arrays:
@@ -58,9 +58,9 @@ def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Skin
             n in (None, m) for n, m in zip(shape, array.shape, strict=True)
         )
         if not fits or array.dtype.kind not in "fiu":
-            wanted = ", ".join("?" if n is None else str(n) for n in shape)
+            expected = ", ".join("?" if n is None else str(n) for n in shape)
             raise MeshError(
-                f"must be numbers ({wanted}), not {array.shape} {array.dtype}", path=path, key=name
+                f"must be numbers ({expected}), not {array.shape} {array.dtype}", path=path, key=name
             )
         if array.dtype.kind == "f" and not np.isfinite(array).all():
             raise MeshError("a number is not finite (NaN or infinity)", path=path, key=name)
@@ -77,13 +77,13 @@ def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Skin
     weights = get("weights", len(vertices), None).astype(float)
     n = weights.shape[1]
     table = get("kintree_table", 2, n).astype(np.int64)
-    # the root's parent is -1, written as such or as the largest number of its type
+    # the parent of the root is -1, also written as the largest unsigned integer
     parents = np.where((table[0] < 0) | (table[0] >= n), -1, table[0]).astype(np.intp)
     if n not in _NAMES:
         raise MeshError(f"{n} joints; SMPL has 24, SMPL+H 52, SMPL-X 55", path=path, key="kintree_table")
     if not (parents < np.arange(n)).all() or (parents < 0).sum() != 1:
         raise MeshError("a joint's parent must come before it", path=path, key="kintree_table")
-    # the joints of the shape, or, where the file has them only, of the template
+    # joints of the shape, or of the template if the file has no regressor
     by_shape = "J_regressor" in arrays and arrays["J_regressor"].ndim == 2
     joints = get("J_regressor", n, len(vertices)) @ vertices if by_shape else get("J", n, 3)
     if not by_shape and len(betas):

@@ -165,7 +165,7 @@ def test_a_human_changes_its_outfit(tmp_path: Path) -> None:
     assert man.mesh.texture is not None
     assert (other.mesh.texture != man.mesh.texture).mean() > 0.3
     assert other.mesh.vertices is man.mesh.vertices
-    with pytest.raises(MeshError, match="no outfit 'armour'; there are red"):
+    with pytest.raises(MeshError, match="no outfit 'armour'; outfits are red"):
         man.wearing("armour")
 
 
@@ -198,7 +198,7 @@ def test_a_description_gives_a_mesh_its_size_and_looks(tmp_path: Path, figure: P
     [
         ("mesh: nobody.obj", "mesh", "no such file"),
         ("mesh: figure.stl", "mesh", ".obj, .gltf, .glb"),
-        ("rigging: heat", None, "'mesh' or by 'makehuman'"),
+        ("rigging: heat", None, "exactly one of the keys 'mesh' and 'makehuman'"),
         ("mesh: figure.glb\nstature: -1", "stature", "greater than or equal"),
         ("mesh: figure.glb\nstature: 1\nunit: 1", None, "not both"),
         ("mesh: figure.glb\ncolour: red", "colour", "unknown key; known here: mesh"),

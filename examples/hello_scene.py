@@ -24,7 +24,8 @@ def main() -> None:
     print(frame)
     print(frame.views["front"])
     for name, human in frame.humans.items():
-        head = human.positions[human.joint_names.index("skullbase")]
+        # the end of the topmost bone
+        head = human.positions[human.joint_names.index("vt3_end")]
         print(f"{name}: the head is at {head.round(3)} m in map")
 
 

@@ -85,7 +85,7 @@ def test_limbs_run_from_parent_to_child_in_every_matched_file(shared_data: Path)
                 if bone.startswith(side):
                     name = motion.joint_names[match.parallel[bone][0]].lower()
                     assert any(word in name for word in words)
-    assert matched == 12
+    assert matched >= 18  # of the 23 files, some are broken on purpose, one is a dog
 
 
 @pytest.mark.parametrize(

@@ -48,10 +48,10 @@ def renderer_or_skip(
     static: Iterable[Mesh] = (),
     lighting: Lighting | None = None,
     name: RendererName = "moderngl",
-    standing: Sequence[Body] = (),
+    static_bodies: Sequence[Body] = (),
 ) -> GLRenderer | PyrenderRenderer:
     try:
-        return make_renderer(name, tuple(static), lighting, standing=standing)
+        return make_renderer(name, tuple(static), lighting, static_bodies=static_bodies)
     except RenderError as reason:
         pytest.skip(str(reason))
 

@@ -1,242 +1,221 @@
-"""Bodies on the device, and where their vertices fall in the image."""
+"""Bodies on the device, for as long as their meshes live."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from functools import cached_property
+import weakref
+from dataclasses import dataclass
 
 import moderngl
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.render.caches import LruCache, WeakCache
 from humansim_ros.render.contact_shadow import REACH, ContactShadow
-from humansim_ros.render.edge_antialiasing import ImageEdges
-from humansim_ros.render.lens_tessellation import NEAR, LensView, TessellatedMesh
+from humansim_ros.render.lens_tessellation import LensView, TessellatedMesh
+from humansim_ros.render.mesh_buffers import ExpandedMesh, MaterialBuffers, TriangleBuffers
 from humansim_ros.render.posed_mesh import PosedMesh, Topology
+from humansim_ros.render.projected_points import wider_than
 from humansim_ros.render.renderer import Body
-from humansim_ros.render.static_scene import ExpandedMesh, MaterialBuffers, TriangleBuffers
-from humansim_ros.render.target import Rectangle
-from humansim_ros.types import Array, Float32Array
+from humansim_ros.types import Float32Array
 
-#: Pixels by which a triangle that is said to miss the centres of all pixels surely does: places are computed
-#: in single precision, here and on the device, which rounds them to 1/256 of a pixel.
-_SURELY = np.float32(1 / 64)
-#: Poses of a body of which is kept what was worked out: those of some frames, and of an exposure.
+#: Poses of a body whose derived arrays are cached: those of some frames, and of an exposure.
 _MAX_POSES = 12
 
 
-class BodyBuffers:
-    """A mesh on the device. Vertices on texture seams are there twice, once per texture coordinate."""
+class BodyCache:
+    """Buffers of bodies on the device. They are released some time after their mesh is gone.
+
+    ``lit``, ``ids``: programs that draw bodies with colour, and without.
+    """
+
+    def __init__(self, ctx: moderngl.Context, lit: moderngl.Program, ids: moderngl.Program) -> None:
+        self._ctx, self._programs = ctx, (lit, ids)
+        self._meshes: WeakCache[_MeshBuffers] = WeakCache()
+
+    def __len__(self) -> int:
+        return len(self._meshes)
+
+    def pose(self, body: Body) -> PosedBody:
+        """Upload a body. It must be drawn before another body with its mesh and instance is uploaded."""
+        buffers = self._meshes.get(body.mesh)
+        if buffers is None:
+            buffers = self._meshes.put(body.mesh, _MeshBuffers(self._ctx, body.mesh, self._programs))
+        return buffers.body(body.instance).pose(body)
+
+    def release_unused(self) -> None:
+        """Release the buffers of meshes that are gone. The OpenGL context must be current."""
+        for buffers in self._meshes.take_orphans():
+            buffers.release()
+
+
+class _MeshBuffers:
+    """Parts of bodies that follow from their mesh alone."""
 
     def __init__(
-        self,
-        ctx: moderngl.Context,
-        topology: Topology,
-        body: Body,
-        lit: moderngl.Program,
-        truth: moderngl.Program,
+        self, ctx: moderngl.Context, mesh: Mesh, programs: tuple[moderngl.Program, moderngl.Program]
     ) -> None:
-        self._ctx = ctx
-        self.topology = topology
-        mesh = topology.mesh
-        self._expanded = ExpandedMesh(mesh)
-        self._source, self._corners = self._expanded.source, self._expanded.corners
-        looks = self._expanded.looks
-        self.dressed = mesh.texture is not None and mesh.skin is not None
-        self._look = MaterialBuffers(ctx, mesh)
-        self._positions, self._normals = (ctx.buffer(reserve=len(looks) * 12, dynamic=True) for _ in range(2))
-        self._looks = ctx.buffer(looks.tobytes())
-        self._index = ctx.buffer(self._corners.tobytes(), dynamic=True)
+        self.ctx, self.programs = ctx, programs
+        self.topology, self.expanded, self.material = (
+            Topology(mesh),
+            ExpandedMesh(mesh),
+            MaterialBuffers(ctx, mesh),
+        )
+        self.closed = mesh.closed
+        self.has_skin_mask = mesh.texture is not None and mesh.skin is not None
+        self.uv_colors = ctx.buffer(self.expanded.uv_colors.tobytes())
+        self._bodies: dict[int, _BodyBuffers] = {}
+
+    def body(self, instance: int) -> _BodyBuffers:
+        """Return the buffers of an instance: bodies of one frame may share a mesh."""
+        if instance not in self._bodies:
+            self._bodies[instance] = _BodyBuffers(self)
+        return self._bodies[instance]
+
+    def release(self) -> None:
+        for body in self._bodies.values():
+            body.release()
+        self.material.release()
+        self.uv_colors.release()
+
+
+class _BodyBuffers:
+    """Positions, normals and visible triangles of a body on the device."""
+
+    def __init__(self, mesh: _MeshBuffers) -> None:
+        ctx, expanded, (lit, ids) = mesh.ctx, mesh.expanded, mesh.programs
+        self.mesh = mesh
+        size = len(expanded.source) * 12
+        self.positions, self.normals = (ctx.buffer(reserve=size, dynamic=True) for _ in range(2))
+        self._index = ctx.buffer(expanded.corners.tobytes(), dynamic=True)
         self._lit = ctx.vertex_array(
             lit,
             [
-                (self._positions, "3f", "position"),
-                # (without light nobody asks for them)
-                *([(self._normals, "3f", "normal")] if "normal" in lit else []),
-                (self._looks, "2f 3f", "uv", "color"),
+                (self.positions, "3f", "position"),
+                # (unlit shaders have no normals)
+                *([(self.normals, "3f", "normal")] if "normal" in lit else []),
+                (mesh.uv_colors, "2f 3f", "uv", "color"),
             ],
             index_buffer=self._index,
         )
-        self._truth = ctx.vertex_array(truth, [(self._positions, "3f", "position")], index_buffer=self._index)
+        self._ids = ctx.vertex_array(ids, [(self.positions, "3f", "position")], index_buffer=self._index)
         self._depths: moderngl.VertexArray | None = None
-        self._kept: dict[int, tuple[Body, PosedMesh]] = {}
-        self._pose(body)
-
-    @property
-    def near_floor(self) -> bool:
-        """Whether it may leave a shadow under it."""
-        return self.body.kind == "human" or float(self.posed.points[2].min()) < REACH
-
-    @property
-    def shadow(self) -> ContactShadow:
-        """What it leaves on the floor."""
-        return self.posed.shadow if self.body.kind == "human" else self.posed.shadow_of_thing
-
-    def stand(self, body: Body) -> None:
-        """Take up the body's pose."""
-        if body is not self.body:
-            self._pose(body)
-
-    def _pose(self, body: Body) -> None:
-        kept = self._kept.pop(id(body), None)
-        self.body, self.posed = body, PosedMesh(self.topology, body.vertices) if kept is None else kept[1]
-        self._kept[id(body)] = body, self.posed  # with the body, so that its id stays its own
-        if len(self._kept) > _MAX_POSES:
-            self._kept.pop(next(iter(self._kept)))
-        self._upload(self._positions, body.vertices)
+        self._all: moderngl.Buffer | None = None
+        self._poses: LruCache[int, tuple[weakref.ref[Body], PosedMesh]] = LruCache(_MAX_POSES)
+        self._uploaded: PosedMesh | None = None
         self._normals_of: PosedMesh | None = None
 
-    def draw(self, lit: bool, shown: NDArray[np.intp]) -> None:
-        """Draw the triangles of the numbers ``shown`` (M,)."""
-        if lit and self._normals_of is not self.posed:
-            self._upload(self._normals, self.posed.normals)
-            self._normals_of = self.posed
-        corners = self._corners.take(shown, axis=0)
+    def pose(self, body: Body) -> PosedBody:
+        """Upload the positions of a body."""
+        key = id(body)
+        entry = self._poses.get(key)
+        if entry is None or entry[0]() is not body:
+            poses = self._poses
+            reference = weakref.ref(body, lambda _: poses.discard(key))
+            entry = poses.put(key, (reference, PosedMesh(self.mesh.topology, body.vertices)))
+        posed = entry[1]
+        if posed is not self._uploaded:
+            self._upload(self.positions, posed.vertices)
+            self._uploaded = posed
+        return PosedBody(body, posed, self)
+
+    def upload_normals(self, posed: PosedMesh) -> None:
+        if self._normals_of is not posed:
+            self._upload(self.normals, posed.normals)
+            self._normals_of = posed
+
+    def draw(self, lit: bool, triangles: NDArray[np.intp]) -> None:
+        corners = self.mesh.expanded.corners.take(triangles, axis=0)
         if not len(corners):
             return
         self._index.orphan()
         self._index.write(corners)
-        self._look.texture.use(0)
-        (self._lit if lit else self._truth).render(moderngl.TRIANGLES, vertices=corners.size)
+        self.mesh.material.texture.use(0)
+        (self._lit if lit else self._ids).render(moderngl.TRIANGLES, vertices=corners.size)
 
     def draw_depths(self, program: moderngl.Program) -> None:
-        """Draw all triangles with a program that needs their places alone, always the same one."""
         if self._depths is None:
-            index = self._ctx.buffer(self._corners.tobytes())
-            self._depths = self._ctx.vertex_array(
-                program, [(self._positions, "3f", "position")], index_buffer=index
+            ctx = self.mesh.ctx
+            self._all = ctx.buffer(self.mesh.expanded.corners.tobytes())
+            self._depths = ctx.vertex_array(
+                program, [(self.positions, "3f", "position")], index_buffer=self._all
             )
         self._depths.render(moderngl.TRIANGLES)
 
-    def refined(self, camera: Camera, angle: float) -> TessellatedMesh | None:
-        """What is to be drawn where a lens bends edges, which are seen under more than an angle, visibly; or
-        None.
+    def release(self) -> None:
+        for one in (self._lit, self._ids, self._depths, self._all, self.positions, self.normals, self._index):
+            if one is not None:
+                one.release()
+
+    def _upload(self, buffer: moderngl.Buffer, values: Float32Array) -> None:
+        buffer.orphan()
+        buffer.write(values.take(self.mesh.expanded.source, axis=0))
+
+
+@dataclass(frozen=True, eq=False)
+class PosedBody:
+    """A body whose pose is on the device, for the duration of one draw."""
+
+    body: Body
+    posed: PosedMesh
+    _buffers: _BodyBuffers
+
+    @property
+    def topology(self) -> Topology:
+        return self._buffers.mesh.topology
+
+    @property
+    def closed(self) -> bool:
+        """See :attr:`humansim_ros.mesh.mesh.Mesh.closed`."""
+        return self._buffers.mesh.closed
+
+    @property
+    def has_skin_mask(self) -> bool:
+        return self._buffers.mesh.has_skin_mask
+
+    @property
+    def near_floor(self) -> bool:
+        """Whether the body may cast a contact shadow."""
+        return self.body.kind == "human" or float(self.posed.points[2].min()) < REACH
+
+    @property
+    def contact_shadow(self) -> ContactShadow:
+        return self.posed.human_shadow if self.body.kind == "human" else self.posed.object_shadow
+
+    def draw(self, lit: bool, triangles: NDArray[np.intp]) -> None:
+        """Draw the triangles of some indices (M,)."""
+        if lit:
+            self._buffers.upload_normals(self.posed)
+        self._buffers.draw(lit, triangles)
+
+    def draw_depths(self, program: moderngl.Program) -> None:
+        """Draw all triangles with a program that needs positions only. It must be the same in each call."""
+        self._buffers.draw_depths(program)
+
+    def tessellated(self, camera: Camera, angle: float) -> TessellatedMesh | None:
+        """Return the body tessellated for a lens; None if the lens bends no edge visibly.
+
+        ``angle``: radians below which edges are visibly straight.
         """
-        away = self.posed.points - camera.center.astype(np.float32)[:, None]
-        closest = float(np.sqrt(np.einsum("ij,ij->j", away, away).min()))
+        offsets = self.posed.points - camera.center.astype(np.float32)[:, None]
+        closest = float(np.sqrt(np.einsum("ij,ij->j", offsets, offsets).min()))
         vertices = self.posed.vertices
-        # objects may be sized as one likes
+        # objects may have any size
         edges = self.topology.edges
         if self.body.kind == "human":
             edges = self.topology.edges_longer(angle * closest)
         starts, ends = vertices[edges.T]
-        wide = _wide(starts, ends, camera, angle)
-        view = LensView(camera)
+        wide = wider_than(angle, starts, ends, camera)
+        view, expanded = LensView(camera), self._buffers.mesh.expanded
         if not view.bent(camera.to_optical(starts[wide]), camera.to_optical(ends[wide])).any():
             return None
-        return view.refine(self._expanded.attributes(self.posed).astype(float), self._corners.astype(np.intp))
+        return view.tessellate(
+            expanded.attributes(self.posed).astype(float), expanded.corners.astype(np.intp)
+        )
 
-    def draw_refined(self, program: moderngl.Program, refined: TessellatedMesh) -> None:
-        """Draw triangles cut to pieces."""
-        with TriangleBuffers(self._ctx, refined.attributes, refined.triangles) as pieces:
-            pieces.draw(program, [self._look], [len(refined.triangles)])
-
-    def _upload(self, buffer: moderngl.Buffer, values: Float32Array) -> None:
-        buffer.orphan()
-        buffer.write(values.take(self._source, axis=0))
-
-
-class ProjectedPoints:
-    """Where points (3, N) of the world fall before a camera.
-
-    ``near``: some of them are so near that the camera may be inside what they span; ``behind``: none of them
-    is before it. ``plane``: two of (N,), columns and rows, or where the lens distorts x and y of the
-    normalised image plane; not to be used where ``near``.
-    """
-
-    def __init__(self, points: Float32Array, camera: Camera) -> None:
-        self.camera = camera
-        p = (camera.optical_from_world[:3] if camera.distorted else camera.P).astype(np.float32)
-        x, y, self.depth = p[:, :3] @ points + p[:, 3:]
-        self.near, self.behind = bool(self.depth.min() < 2 * NEAR), bool(self.depth.max() < 0)
-        if not self.near:
-            x /= self.depth
-            y /= self.depth
-        self.plane = x, y
-
-    @cached_property
-    def pixels(self) -> tuple[Float32Array, Float32Array]:
-        """Columns and rows (N,); NaN for what the lens does not see."""
-        camera = self.camera
-        if not camera.distorted:
-            return self.plane
-        x, y = camera.K[:2, :2] @ camera.lens.distort(np.stack(self.plane, axis=1)).T + camera.K[:2, 2:]
-        return x.astype(np.float32), y.astype(np.float32)
-
-    def covering(self, corners: Sequence[NDArray[np.intp]]) -> NDArray[np.bool_]:
-        """(M,) which triangles of corners, three of (M,), may cover the centre of a pixel.
-
-        The others, half of a person's, leave no trace in the picture.
-        """
-        covering: NDArray[np.bool_] = np.ones(len(corners[0]), bool)
-        for places in self.pixels:
-            a, b, c = (places.take(corner) for corner in corners)
-            low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-            covering &= ~(np.floor(high + _SURELY) < np.ceil(low - _SURELY))  # true for NaN
-        return covering
-
-
-def touched(clouds: Sequence[ProjectedPoints], camera: Camera) -> Rectangle:
-    """The pixels that surfaces spanned by points can touch: the whole image if one comes too near."""
-    width, height = camera.size
-    low: Array = np.full(2, np.inf)
-    high: Array = np.full(2, -np.inf)
-    for cloud in clouds:
-        if cloud.behind:
-            continue
-        if cloud.near:
-            return Rectangle(0, 0, width, height, near=True)
-        low = np.minimum(low, [places.min() for places in cloud.plane])
-        high = np.maximum(high, [places.max() for places in cloud.plane])
-    if camera.distorted:
-        low, high = LensView(camera).image_of(low, high)
-    if not np.isfinite(low).all():
-        return Rectangle(0, 0, 0, 0)
-    x0, y0 = np.clip(np.floor(low) - 2, 0, camera.size).astype(int)
-    x1, y1 = np.clip(np.ceil(high) + 3, 0, camera.size).astype(int)
-    return Rectangle(int(x0), int(y0), int(x1), int(y1))
-
-
-def straight_angle(camera: Camera, rectangle: Rectangle) -> float:
-    """Radians: edges that are seen under less a lens does not bend visibly within a rectangle."""
-    return LensView(camera).straight_angle(rectangle.low, rectangle.high) if camera.distorted else 0.0
-
-
-def contour(
-    posed: PosedMesh, fallen: ProjectedPoints, facing: NDArray[np.bool_], angle: float
-) -> list[ImageEdges]:
-    """The edges of a body that all outlines lie on. ``fallen``: where its vertices do; ``facing``: (N,) its
-    triangles that face the camera; ``angle``: :func:`straight_angle`.
-    """
-    starts, ends = posed.contour(facing)
-    camera, vertices = fallen.camera, posed.vertices
-    bent: NDArray[np.bool_] = np.zeros(len(starts), bool)
-    if camera.distorted:
-        bent = _wide(vertices.take(starts, axis=0), vertices.take(ends, axis=0), camera, angle)
-    found = []
-    if bent.any():
-        pieces = LensView(camera).divide_edges(vertices[starts[bent]], vertices[ends[bent]])
-        found.append(ImageEdges.of(camera, *pieces))
-        starts, ends = starts[~bent], ends[~bent]
-    if fallen.near:
-        found.append(ImageEdges.of(camera, vertices.take(starts, axis=0), vertices.take(ends, axis=0)))
-        return found
-    (x, y), z = fallen.pixels, fallen.depth
-    if camera.distorted:
-        seen = np.isfinite(x.take(starts)) & np.isfinite(x.take(ends))
-        starts, ends = starts[seen], ends[seen]
-    found.append(ImageEdges(*((x.take(which), y.take(which), z.take(which)) for which in (starts, ends))))
-    return found
-
-
-def _wide(starts: Float32Array, ends: Float32Array, camera: Camera, angle: float) -> NDArray[np.bool_]:
-    """Which edges (N, 3) may be seen under more than an angle, radians."""
-    eye = camera.center.astype(np.float32)
-    nearest = np.minimum(_squares(starts - eye), _squares(ends - eye))
-    return np.asarray(_squares(ends - starts) > angle * angle * nearest)
-
-
-def _squares(vectors: Float32Array) -> Float32Array:
-    """(N,) squared lengths."""
-    return np.asarray(np.einsum("ij,ij->i", vectors, vectors))
+    def draw_tessellated(self, program: moderngl.Program, tessellated: TessellatedMesh) -> None:
+        """Draw tessellated triangles."""
+        mesh = self._buffers.mesh
+        with TriangleBuffers(mesh.ctx, tessellated.attributes, tessellated.triangles) as pieces:
+            pieces.draw(program, [mesh.material], [len(tessellated.triangles)])

@@ -140,7 +140,9 @@ class LensView:
             bent = np.where(seen_a & seen_b, bent, np.where(seen_a | seen_b, rim, beyond))
         return bent, enough
 
-    def refine(self, attributes: Array, triangles: Indices, tolerance: float = TOLERANCE) -> TessellatedMesh:
+    def tessellate(
+        self, attributes: Array, triangles: Indices, tolerance: float = TOLERANCE
+    ) -> TessellatedMesh:
         """Cut triangles (N, 3) of ``attributes`` (V, 3 + k), which begin with a position in the world, until
         no edge is off by more than a tolerance, in pixels.
 
@@ -214,7 +216,7 @@ class LensView:
         return np.concatenate([*done_starts, starts]), np.concatenate([*done_ends, ends])
 
 
-def nearest(camera: Camera) -> float:
+def near_plane(camera: Camera) -> float:
     """Metres along its axis within which nothing is drawn for a camera."""
     return LensView(camera).near if camera.distorted else NEAR
 

@@ -18,19 +18,19 @@ RendererName = Literal["moderngl", "pyrender"]
 
 def make_renderer(
     name: RendererName = "moderngl",
-    static: Sequence[Mesh] = (),
+    static_meshes: Sequence[Mesh] = (),
     lighting: Lighting | None = None,
     device: int | None = None,
-    standing: Sequence[Body] = (),
+    static_bodies: Sequence[Body] = (),
 ) -> GLRenderer | PyrenderRenderer:
     """Create a renderer.
 
     Args:
         name: Name of the renderer.
-        static: Meshes of the static scene, in ``map``, metres.
+        static_meshes: Meshes of the static scene, in ``map``, metres.
         lighting: Light; the default light if None.
         device: Number of the GPU in the order of EGL; the first one that works if None.
-        standing: Bodies that never move. They are rendered with the static scene, once per camera.
+        static_bodies: Bodies that never move. They are rendered with the static scene, once per camera.
 
     Raises:
         RenderError: A library or the device is missing. The message says what to install.
@@ -38,7 +38,7 @@ def make_renderer(
     if name == "pyrender":
         from humansim_ros.render.pyrender import PyrenderRenderer
 
-        return PyrenderRenderer(static, lighting, device, standing)
+        return PyrenderRenderer(static_meshes, lighting, device, static_bodies)
     from humansim_ros.render.gl import GLRenderer
 
-    return GLRenderer(static, lighting, device, standing)
+    return GLRenderer(static_meshes, lighting, device, static_bodies)

@@ -1,4 +1,4 @@
-"""A body as it stands in a frame, ready to be drawn: what is the same for all cameras is worked out once."""
+"""Meshes posed in a frame: quantities that all cameras share are computed once."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.contact_shadow import ContactShadow, contact_shadow
 from humansim_ros.types import Float32Array, Indices
 
-#: How much longer than at rest skin may get.
+#: Largest ratio of the length of an edge to its length at rest.
 _STRETCH = 2.0
-#: Metres between points of things whose shadows are looked for, and the most of them along an edge.
+#: Metres between surface samples, and the largest number of samples along an edge.
 _SAMPLE, _MAX_PIECES = 0.04, 48
 
 
 class Topology:
-    """What never changes about a mesh of N triangles and V vertices.
+    """Triangles, edges and rest shape of a mesh of N triangles and V vertices. It does not refer to the mesh.
 
-    ``corners``: three of (N,), the triangles' vertices. ``edges``: (E, 2) vertices. ``sides``: two of (E,),
-    the triangles on either side of each edge; ``border``: (E,) where there is only one. Where more than two
-    triangles share an edge it is there once for each pair of neighbours.
+    ``corners``: three of (N,), the vertices of the triangles. ``edges``: (E, 2) vertices. ``sides``: two of
+    (E,), the triangles on both sides of each edge; ``border``: (E,) true for edges of one triangle. An edge
+    that more than two triangles share is listed once for each pair of neighbours.
     """
 
     def __init__(self, mesh: Mesh) -> None:
-        self.mesh = mesh
+        self._triangles, self._rest_vertices = mesh.triangles, mesh.vertices
         triangles = mesh.triangles.astype(np.intp)
         self.corners = tuple(np.ascontiguousarray(column) for column in triangles.T)
         edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -42,35 +42,35 @@ class Topology:
 
     @cached_property
     def _by_length(self) -> tuple[Float32Array, NDArray[np.intp]]:
-        starts, ends = self.mesh.vertices[self.edges].transpose(1, 0, 2)
+        starts, ends = self._rest_vertices[self.edges].transpose(1, 0, 2)
         length = np.linalg.norm(ends - starts, axis=1)
         order = np.argsort(length)
         return np.asarray(length[order], dtype=np.float32), self.edges[order]
 
     def edges_longer(self, length: float) -> NDArray[np.intp]:
-        """(E, 2) the edges that are longer than that, or may be when the body moves."""
+        """(E, 2) edges that are longer than ``length`` metres in some pose."""
         lengths, edges = self._by_length
         return edges[int(np.searchsorted(lengths, length / _STRETCH)) :]
 
     @cached_property
-    def around(self) -> Any:
-        """(V, N) sparse: sums over the triangles around each vertex."""
+    def vertex_triangles(self) -> Any:
+        """(V, N) sparse matrix that sums over the triangles around each vertex."""
         from scipy.sparse import csr_matrix
 
-        n = len(self.mesh.triangles)
-        rows, columns = self.mesh.triangles.ravel(), np.repeat(np.arange(n), 3)
-        shape = (len(self.mesh.vertices), n)
+        n = len(self._triangles)
+        rows, columns = self._triangles.ravel(), np.repeat(np.arange(n), 3)
+        shape = (len(self._rest_vertices), n)
         return csr_matrix((np.ones(3 * n, dtype=np.float32), (rows, columns)), shape=shape)
 
     @cached_property
     def vertex_areas(self) -> Float32Array:
-        """(V,) surface area that each vertex stands for at rest, square metres."""
-        area = np.linalg.norm(PosedMesh(self, self.mesh.vertices.astype(np.float32)).areas, axis=0)
-        return np.asarray(self.around @ area / 3, dtype=np.float32)
+        """(V,) surface area of each vertex at rest: a third of its triangles, square metres."""
+        area = np.linalg.norm(PosedMesh(self, self._rest_vertices.astype(np.float32)).areas, axis=0)
+        return np.asarray(self.vertex_triangles @ area / 3, dtype=np.float32)
 
 
 class PosedMesh:
-    """Vertices (V, 3) float32 of a topology. Arrays here have the coordinates first: (3, V), (3, N)."""
+    """A mesh with vertices (V, 3) float32. Derived arrays have the coordinates first: (3, V), (3, N)."""
 
     def __init__(self, topology: Topology, vertices: Float32Array) -> None:
         self.topology = topology
@@ -83,7 +83,7 @@ class PosedMesh:
 
     @cached_property
     def areas(self) -> Float32Array:
-        """(3, N) area vectors: along each triangle's outward normal, as long as its area."""
+        """(3, N) area vectors of the triangles: outward normal times area."""
         a = self._first_corners
         b, c = (self.points.take(corner, axis=1) - a for corner in self.topology.corners[1:])
         areas = np.empty_like(a)
@@ -99,25 +99,25 @@ class PosedMesh:
 
     @cached_property
     def normals(self) -> Float32Array:
-        """(V, 3) unit vertex normals: the area-weighted mean of the triangles around each."""
-        around = self.topology.around
-        normals = np.stack([around @ component for component in self.areas])
+        """(V, 3) unit vertex normals: area-weighted means of the triangle normals."""
+        triangles = self.topology.vertex_triangles
+        normals = np.stack([triangles @ component for component in self.areas])
         normals /= np.maximum(np.sqrt(np.einsum("ij,ij->j", normals, normals)), np.float32(1e-20))
         return np.ascontiguousarray(normals.T)
 
     @cached_property
-    def shadow(self) -> ContactShadow:
-        """What it leaves on the floor."""
+    def human_shadow(self) -> ContactShadow:
+        """Contact shadow, from the vertices."""
         return contact_shadow(self.points, self.topology.vertex_areas)
 
     @cached_property
-    def shadow_of_thing(self) -> ContactShadow:
-        """The same of a surface that may have few vertices, far from each other, and have been resized."""
+    def object_shadow(self) -> ContactShadow:
+        """Contact shadow, from samples: an object may have few vertices and may be scaled."""
         return contact_shadow(*self.samples)
 
     @property
     def samples(self) -> tuple[Float32Array, Float32Array]:
-        """Points (3, M) all over the surface, and the area (M,) that each stands for."""
+        """Points (3, M) evenly over the surface, and the area (M,) of each."""
         corners = np.stack([self.points.take(corner, axis=1) for corner in self.topology.corners])
         area = np.linalg.norm(self.areas, axis=0)
         longest = np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).max(axis=0)
@@ -126,7 +126,7 @@ class PosedMesh:
         for n in np.unique(pieces).tolist():
             chosen = np.flatnonzero(pieces == n)
             i, j = np.divmod(np.arange(n * n), n)
-            # a square of middles folded over its diagonal
+            # a square of cell centers, folded over its diagonal
             u, v = (i + 0.5) / n, (j + 0.5) / n
             u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
             weights = np.stack([1 - u - v, u, v]).astype(np.float32)
@@ -135,14 +135,14 @@ class PosedMesh:
         return np.concatenate(points, axis=1), np.concatenate(areas).astype(np.float32)
 
     def facing(self, eye: NDArray[np.floating]) -> NDArray[np.bool_]:
-        """(N,) which triangles show their outside to a point."""
-        # not by BLAS: its threads would round differently on another machine
+        """(N,) whether each triangle shows its front to a point."""
+        # without BLAS: the rounding of its threads depends on the machine
         return np.asarray(np.einsum("i,ij->j", eye.astype(np.float32), self.areas) > self._planes)
 
     def contour(self, facing: NDArray[np.bool_]) -> tuple[Indices, Indices]:
-        """Vertices (C,) at the starts and ends of the edges that all outlines lie on.
+        """Start and end vertices (C,) of the contour edges, on which all outlines lie.
 
-        They part a triangle that faces the eye from one that does not, or end the surface.
+        A contour edge separates a front face from a back face, or is a border of the surface.
         """
         first, second = self.topology.sides
         chosen = np.flatnonzero((facing.take(first) != facing.take(second)) | self.topology.border)

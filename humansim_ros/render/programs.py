@@ -1,4 +1,4 @@
-"""Shaders put together from the files in shaders/, and how they are told of cameras."""
+"""Programs of the shaders in shaders/, and their uniforms for cameras and light."""
 
 from __future__ import annotations
 
@@ -9,47 +9,85 @@ import moderngl
 import numpy as np
 
 from humansim_ros.camera import Camera
-from humansim_ros.render.lens_tessellation import nearest
+from humansim_ros.render.lens_tessellation import near_plane
+from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.uniforms import columns, set_uniform
 
-#: Metres along the axis beyond which nothing is drawn.
+#: Far plane, metres.
 _FAR = 200.0
-#: OpenGL's name for cutting off what the lens does not see.
+#: GL_CLIP_DISTANCE0: clips points beyond the field of view of the lens.
 _CLIP_DISTANCE = 0x3000
 _SHADERS = Path(__file__).parent / "shaders"
 
 
 def shader(files: Sequence[str], switches: Sequence[str] = ()) -> str:
-    """Files put together as one shader."""
+    """Join files into one shader. ``switches``: names that are defined before them."""
     head = "#version 330\n"
     texts = [(_SHADERS / file).read_text().removeprefix(head) for file in files]
     return "".join([head, *(f"#define {name}\n" for name in switches), *texts])
 
 
 def unit_square(cells: int) -> bytes:
-    """Corners of the triangles of a square of so many cells a side."""
+    """Corners of the triangles of a unit square, divided into cells."""
     low = np.stack(np.meshgrid(np.arange(cells), np.arange(cells)), axis=-1).reshape(-1, 1, 2)
     corners = low + np.array([(0, 0), (1, 0), (0, 1), (0, 1), (1, 0), (1, 1)])
     return bytes((corners / cells).astype("f4").tobytes())
 
 
 def link(ctx: moderngl.Context, vertex: str, fragment: str, switches: Sequence[str] = ()) -> moderngl.Program:
-    """A program of two files. ``switches``: names that are defined in both shaders."""
-    lit = fragment == "lit.frag"
-    before = [*(["develop.glsl"] if lit else []), *(["sunshine.glsl"] if "STILL" in switches else [])]
-    before += ["finish.glsl"] if "FINISH" in switches else []
-    answers = ["people.glsl"] if "PEOPLE" in switches else []
+    """Create a program of two files and the files that they include.
+
+    Args:
+        ctx: OpenGL context.
+        vertex: File of the vertex shader.
+        fragment: File of the fragment shader.
+        switches: Names that are defined in both shaders.
+    """
+    includes = ["tone_map.glsl"] if fragment == "lit.frag" else []
+    includes += ["soft_shadow.glsl"] if "STATIC_SHADOWS" in switches else []
+    includes += ["pbr.glsl"] if "PBR" in switches else []
+    skin = ["skin_and_cloth.glsl"] if "SKIN_AND_CLOTH" in switches else []
     return ctx.program(
-        vertex_shader=shader(["lens.glsl", *answers, vertex], switches),
-        fragment_shader=shader([*before, fragment], switches),
+        vertex_shader=shader(["lens.glsl", *skin, vertex], switches),
+        fragment_shader=shader([*includes, fragment], switches),
+    )
+
+
+def lit_program(
+    ctx: moderngl.Context, lighting: Lighting, switches: Sequence[str] = (), sun: bool = True
+) -> moderngl.Program:
+    """Create a program that draws lit surfaces.
+
+    Args:
+        ctx: OpenGL context.
+        lighting: Light.
+        switches: Switches besides those that ``lighting`` implies.
+        sun: Light the surfaces with the sun.
+    """
+    implied = (("SHADELESS", lighting.mode == "shadeless"), ("FILMIC", lighting.tone_mapping == "filmic"))
+    program = link(ctx, "lit.vert", "lit.frag", (*(name for name, used in implied if used), *switches))
+    set_uniform(program, "sun", tuple(lighting.direction))
+    set_uniform(program, "sun_color", lighting.brightness(lighting.sun_color) if sun else (0.0, 0.0, 0.0))
+    set_uniform(program, "sky_color", lighting.brightness(lighting.sky_color))
+    set_uniform(program, "ground_color", lighting.brightness(lighting.ground_color))
+    set_uniform(program, "brightness", lighting.brightness((1.0, 1.0, 1.0))[0])
+    set_uniform(program, "min_alpha", np.radians(lighting.sun_size_deg) / 4)
+    return program
+
+
+def depth_program(ctx: moderngl.Context, switches: Sequence[str] = ()) -> moderngl.Program:
+    """Create a program that draws depths only, for shadow maps."""
+    return ctx.program(
+        vertex_shader=shader(["shadow_map.vert"], switches),
+        fragment_shader=shader(["shadow_map.frag"], switches),
     )
 
 
 def use_camera(ctx: moderngl.Context, program: moderngl.Program, camera: Camera) -> None:
-    """Let what a program draws fall into a camera."""
+    """Set the uniforms of a program for a camera."""
     set_uniform(program, "optical_z", (*camera.R[2], camera.t[2]))
     set_uniform(program, "eye", tuple(camera.center.tolist()))
-    near = nearest(camera)
+    near = near_plane(camera)
     clip = camera.opengl_clip(near, _FAR)
     if not camera.distorted:
         set_uniform(program, "lens", 0)
@@ -59,8 +97,8 @@ def use_camera(ctx: moderngl.Context, program: moderngl.Program, camera: Camera)
     lens = camera.lens
     set_uniform(program, "lens", 2 if lens.model == "equidistant" else 1)
     set_uniform(program, "clip", columns(clip))
-    set_uniform(program, "optical", columns(camera.optical_from_world))
+    set_uniform(program, "optical_from_world", columns(camera.optical_from_world))
     set_uniform(program, "k", np.array((*lens.coefficients, *[0.0] * 8)[:8], dtype="f4").tobytes())
-    set_uniform(program, "reach", lens.valid_radius)
-    set_uniform(program, "nearest", near)
+    set_uniform(program, "valid_radius", lens.valid_radius)
+    set_uniform(program, "near", near)
     ctx.enable_direct(_CLIP_DISTANCE)

@@ -1,9 +1,9 @@
-"""The second renderer: pyrender 0.1.45 draws what ours draws, to check it and to compare with.
+"""A second renderer, for comparison: pyrender 0.1.45.
 
-Two passes: colour, with the light of our default renderer worked out at the vertices, twice as large and
-averaged, so that sixteen samples make a pixel; and pyrender's segmentation, one sample at the pixel's centre,
-for labels and depth, once more with each body alone for amodal masks. pyrender cannot move vertices: a body
-in a new pose is a new mesh. It draws everything anew for each camera.
+It renders two passes. Colour is lit at the vertices with the light of the default renderer, and rendered at
+twice the size and averaged, so that sixteen samples make a pixel. Labels and depth are a segmentation with
+one sample at the pixel center; amodal masks repeat it with each body alone. pyrender cannot move vertices: a
+body in a new pose is a new mesh. Nothing is cached per camera.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+import weakref
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from types import ModuleType
 from typing import Any
@@ -23,200 +24,222 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimWarning, RenderError
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.render.caches import WeakCache
 from humansim_ros.render.channels import CHANNEL_TABLE, CHANNELS, View
-from humansim_ros.render.contact_shadow import ContactShadow
 from humansim_ros.render.context import create_context, current
 from humansim_ros.render.lens_tessellation import NEAR
 from humansim_ros.render.lighting import Lighting
+from humansim_ros.render.mesh_buffers import ExpandedMesh
 from humansim_ros.render.posed_mesh import PosedMesh, Topology
-from humansim_ros.render.renderer import AdjacentFrame, Backdrop, Body, check_request
-from humansim_ros.render.static_scene import FLOOR_SLACK, ExpandedMesh
-from humansim_ros.types import Array, Float32Array
+from humansim_ros.render.renderer import Backdrop, Body, Renderer, RenderRequest
+from humansim_ros.render.static_scene import FLOOR_SLACK
+from humansim_ros.types import Array, Float32Array, Image
 
 _FAR = 200.0
 _TRIANGLES = 4
-#: Times as large as the picture that colour is drawn, of pictures of at most so many pixels a side. With the
-#: four samples of a pixel alone the middle of small things is up to 0.08 pixels off, so 0.03.
-_FINER, _FINER_UP_TO = 2, 2048
+#: Supersampling factor of colour, and the largest image side with supersampling. With the four samples of a
+#: pixel alone the middle of small things is up to 0.08 pixels off, with supersampling 0.03.
+_SUPERSAMPLING, _MAX_SUPERSAMPLED_SIDE = 2, 2048
 
 
-class PyrenderRenderer:
-    """Renders bodies in a static scene of meshes (world coordinates) with pyrender.
+class PyrenderRenderer(Renderer):
+    """Renders bodies in a static scene with pyrender, in an OpenGL context of its own.
 
-    Cameras may have skew but no distortion. It has an OpenGL context of its own, which others in the process
-    do not notice. Use it from one thread.
-    ``device``: see :func:`humansim_ros.render.context.create_context`. ``standing``: those of the bodies that
-    never move; they leave no shadow. Raises RenderError where OpenGL or pyrender is missing.
+    Cameras may have skew but no distortion. Use it from one thread.
+
+    Args:
+        static_meshes: Meshes of the static scene, in ``map``, metres.
+        lighting: Light; the default light if None. There are no soft shadows and no tone mapping.
+        device: Number of the GPU in the order of EGL; the first one that works if None.
+        static_bodies: Bodies that never move; they cast no contact shadow.
+
+    Raises:
+        RenderError: OpenGL, the device or pyrender is missing. The message says what to install.
     """
 
     channels = (*CHANNELS, "amodal")
+    name = "pyrender"
 
     def __init__(
         self,
-        static: Sequence[Mesh] = (),
+        static_meshes: Sequence[Mesh] = (),
         lighting: Lighting | None = None,
         device: int | None = None,
-        standing: Sequence[Body] = (),
+        static_bodies: Sequence[Body] = (),
     ) -> None:
         self._lighting = lighting or Lighting()
         if self._lighting.shadow == "soft" or self._lighting.tone_mapping != "none":
             warnings.warn(
-                "pyrender draws no soft shadows and maps no tones: its pictures will be without",
+                "pyrender renders no soft shadows and no tone mapping: images will be without them",
                 HumansimWarning,
                 stacklevel=2,
             )
-        self._library, self._failure = import_pyrender()
+        self._library, self._gl_error = import_pyrender()
         self._ctx = create_context(device)
-        # left to themselves they would delete what is in another context
+        # their own __del__ would delete objects of whichever context is current
         quiet = type("QuietRenderer", (self._library.Renderer,), {"__del__": lambda self: None})
-        self._passes = tuple(quiet(1, 1) for _ in range(2))
+        self._colour_pass, self._id_pass = (quiet(1, 1) for _ in range(2))
         self._closed = False
-        self._shapes: dict[int, _Shape] = {}
-        self._figures: dict[tuple[int, int], _Figure] = {}
-        whole = [
+        self._shapes: WeakCache[_Shape] = WeakCache()
+        static = [
             Body(m, m.vertices.astype(np.float32), np.zeros(len(m.triangles), np.uint8), 0, "object")
-            for m in static
+            for m in static_meshes
         ]
-        self._static = [_Figure(self._library, _Shape(self._library, body), body) for body in whole]
-        self._standing = tuple(standing)
-        still = [(mesh.vertices, mesh.triangles) for mesh in static]
-        still += [(body.vertices.astype(float), body.mesh.triangles) for body in standing]
-        self._has_floor = any((np.abs(v[t][..., 2]) < FLOOR_SLACK).all(axis=1).any() for v, t in still)
+        self._static = [_PosedShape(self._library, _Shape(self._library, body), body) for body in static]
+        self._static_bodies = tuple(static_bodies)
+        surfaces = [(body.vertices.astype(float), body.mesh.triangles) for body in static_bodies]
+        surfaces += [(mesh.vertices, mesh.triangles) for mesh in static_meshes]
+        self._has_floor = any((np.abs(v[t][..., 2]) < FLOOR_SLACK).all(axis=1).any() for v, t in surfaces)
 
     @property
     def device(self) -> str:
-        """What draws, such as ``pyrender on llvmpipe (LLVM 15.0.6, 256 bits)``."""
+        """Name of the device, such as ``pyrender on llvmpipe (LLVM 15.0.6, 256 bits)``."""
         with self._ctx:
             return f"pyrender on {self._ctx.info['GL_RENDERER']}"
 
     def close(self) -> None:
-        """Free the OpenGL context and what is in it."""
         if not self._closed:
             self._closed = True
             with self._ctx:
-                for renderer in self._passes:
+                for renderer in (self._colour_pass, self._id_pass):
                     renderer.delete()
             self._ctx.release()
 
-    def render(
-        self,
-        bodies: Sequence[Body],
-        camera: Camera,
-        channels: Collection[str] = CHANNELS,
-        moving_camera: bool = False,
-        next_frame: AdjacentFrame | None = None,
-        previous_frame: AdjacentFrame | None = None,
-        backdrop: Backdrop | None = None,
-    ) -> View:
-        """See :class:`humansim_ros.render.Renderer`. RenderError for a camera that distorts, and for channels
-        that only the default renderer has.
-        """
-        check_request(bodies, channels)
-        if others := sorted(set(channels) - set(self.channels)):
-            raise RenderError(f"pyrender does not draw {', '.join(others)}; the renderer moderngl does")
+    def render_request(self, request: RenderRequest) -> View:
+        camera, channels = request.camera, request.channels
         if camera.distorted:
             raise RenderError(
                 "pyrender knows no lens distortion: take the renderer moderngl, or an ideal camera"
             )
-        figures = [*self._static, *(self._figure(body) for body in bodies)]
+        self._shapes.take_orphans()
+        moving = [self._posed(body) for body in request.bodies]
+        shapes = [*self._static, *moving]
         view: dict[str, Any] = {}
         with current(self._ctx):
             if "rgb" in channels:
-                view["rgb"] = self._colour(figures, camera, backdrop)
-            if truth := set(channels) - {"rgb", "amodal"}:
-                view |= self._truth(figures, camera, truth)
+                static = {id(body) for body in self._static_bodies}
+                pairs = zip(request.bodies, moving, strict=True)
+                shadows = [shape for body, shape in pairs if id(body) not in static]
+                view["rgb"] = self._colour(shapes, shadows, camera, request.backdrop)
+            if labels := set(channels) - {"rgb", "amodal"}:
+                view |= self._labels(shapes, camera, labels)
             if "amodal" in channels:
-                moving = [figure for figure in figures[len(self._static) :] if figure.body.instance]
-                view["amodal"] = {f.body.instance: self._numbers([f], camera)[0] > 0 for f in moving}
+                labelled = [shape for shape in moving if shape.instance]
+                view["amodal"] = {one.instance: self._segment([one], camera)[0] > 0 for one in labelled}
         return View(**view)
 
-    def _figure(self, body: Body) -> _Figure:
-        """The body as it stands, kept while it is the same one."""
-        key = id(body.mesh), body.instance
-        if key not in self._figures or self._figures[key].body is not body:
-            shape = self._shapes.get(id(body.mesh))
-            if shape is None or shape.parts is not body.parts:
-                shape = self._shapes[id(body.mesh)] = _Shape(self._library, body)
-            self._figures[key] = _Figure(self._library, shape, body)
-        return self._figures[key]
+    def _posed(self, body: Body) -> _PosedShape:
+        """Cached shape of a body in its pose."""
+        shape = self._shapes.get(body.mesh)
+        if shape is None or not np.array_equal(shape.parts, body.parts):
+            shape = self._shapes.put(body.mesh, _Shape(self._library, body))
+        posed = shape.posed.get(body.instance)
+        if posed is None or posed.body() is not body:
+            posed = shape.posed[body.instance] = _PosedShape(self._library, shape, body)
+        return posed
 
     def _colour(
-        self, figures: Sequence[_Figure], camera: Camera, backdrop: Backdrop | None
-    ) -> NDArray[np.uint8]:
+        self,
+        shapes: Sequence[_PosedShape],
+        shadows: Sequence[_PosedShape],
+        camera: Camera,
+        backdrop: Backdrop | None,
+    ) -> Image:
+        """(H, W, 3) sRGB.
+
+        Args:
+            shapes: Surfaces of the static scene and of bodies.
+            shadows: Bodies that cast contact shadows.
+            camera: The camera.
+            backdrop: Image behind the scene.
+        """
         light = self._lighting
-        nodes = [figure.coloured(light, figure.sides(camera)) for figure in figures]
-        shadows = []
+        surfaces = [shape.coloured(light, shape.sides(camera)) for shape in shapes]
+        nodes = surfaces
         if light.shadow == "contact" and self._has_floor:
-            still = {id(body) for body in self._standing}
-            moving = [f for f in figures[len(self._static) :] if id(f.body) not in still]
-            shadows = [figure.shadow(0.01 + 1e-4 * number) for number, figure in enumerate(moving)]
-        background = np.append(np.array(light.background) / 255, 1.0)
+            nodes = [*surfaces, *(s.shadow(0.01 + 1e-4 * number) for number, s in enumerate(shadows))]
         if backdrop is None:
-            return self._averaged([*nodes, *shadows], camera, ("FLAT",), background)
-        rgb = self._averaged([*nodes, *shadows], camera, ("FLAT",), np.zeros(4))
-        alpha = self._averaged(nodes, camera, ("FLAT", "RGBA"), np.zeros(4))[..., 3:]
+            background = np.append(np.array(light.background) / 255, 1.0)
+            return self._supersampled(nodes, camera, ("FLAT",), background)
+        rgb = self._supersampled(nodes, camera, ("FLAT",), np.zeros(4))
+        alpha = self._supersampled(surfaces, camera, ("FLAT", "RGBA"), np.zeros(4))[..., 3:]
         return np.asarray(np.rint(rgb + (1 - alpha / 255) * backdrop.picture(camera)), dtype=np.uint8)
 
-    def _averaged(
-        self, nodes: Sequence[_Node], camera: Camera, how: Sequence[str], background: Array
-    ) -> NDArray[np.uint8]:
-        """A picture drawn larger than the camera's."""
-        finer = _FINER if max(camera.size) <= _FINER_UP_TO else 1
-        picture = self._draw(0, nodes, camera, how, background, finer=finer)[0]
-        return np.asarray(cv2.resize(picture, camera.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+    def _supersampled(
+        self, nodes: Sequence[_Node], camera: Camera, flags: Sequence[str], background: Array
+    ) -> Image:
+        """Image rendered at a multiple of the camera's size, and averaged."""
+        factor = _SUPERSAMPLING if max(camera.size) <= _MAX_SUPERSAMPLED_SIDE else 1
+        renderer = self._colour_pass
+        renderer.viewport_width, renderer.viewport_height = (factor * side for side in camera.size)
+        image = self._render(renderer, nodes, camera, flags, background)[0]
+        return np.asarray(cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
-    def _truth(self, figures: Sequence[_Figure], camera: Camera, channels: set[str]) -> dict[str, Any]:
-        number, depth, table = self._numbers(figures, camera, "part" in channels)
-        truth: dict[str, Any] = {}
+    def _labels(
+        self, shapes: Sequence[_PosedShape], camera: Camera, channels: set[str]
+    ) -> dict[str, NDArray[Any]]:
+        ids, depth, table = self._segment(shapes, camera, "part" in channels)
+        images: dict[str, NDArray[Any]] = {}
         if "depth" in channels:
-            truth["depth"] = np.where(number > 0, depth, np.inf).astype(np.float32)
+            images["depth"] = np.where(ids > 0, depth, np.inf).astype(np.float32)
         for column, name in enumerate(("instance", "part")):
             if name in channels:
-                truth[name] = table[:, column].astype(CHANNEL_TABLE[name].dtype)[number]
-        return truth
+                images[name] = table[:, column].astype(CHANNEL_TABLE[name].dtype)[ids]
+        return images
 
-    def _numbers(
-        self, figures: Sequence[_Figure], camera: Camera, by_part: bool = False
-    ) -> tuple[NDArray[np.uint32], NDArray[np.float32], NDArray[Any]]:
-        """Which surface (0: none) each pixel's centre shows (H, W), its depth, and the instance and part of
-        each surface.
-        """
-        numbered = [(f.body.instance, *one) for f in figures for one in f.labelled(f.sides(camera), by_part)]
-        # of the static scene and of things without a label only what they hide counts
-        table = np.array([(0, 0), *((instance, part * (instance > 0)) for instance, part, _ in numbered)])
-        colours = {node: _colour_of(number) for number, (*_, node) in enumerate(numbered, 1)}
-        colour, depth = self._draw(1, list(colours), camera, ("SEG",), None, colours)
+    def _segment(
+        self, shapes: Sequence[_PosedShape], camera: Camera, by_part: bool = False
+    ) -> tuple[NDArray[np.uint32], Float32Array, NDArray[Any]]:
+        """Surface id at each pixel center (H, W), 0 for none; depth (H, W); instance and part by id."""
+        surfaces = [
+            (shape.instance, *one) for shape in shapes for one in shape.labelled(shape.sides(camera), by_part)
+        ]
+        # surfaces without a label only occlude
+        table = np.array([(0, 0), *((instance, part * (instance > 0)) for instance, part, _ in surfaces)])
+        colours = {node: _colour_of(number) for number, (*_, node) in enumerate(surfaces, 1)}
+        renderer = self._id_pass
+        renderer.viewport_width, renderer.viewport_height = camera.size
+        colour, depth = self._render(renderer, list(colours), camera, ("SEG",), None, colours)
         return colour.astype(np.uint32) @ np.array([1, 256, 65536], np.uint32), depth, table
 
-    def _draw(
+    def _render(
         self,
-        which: int,
+        renderer: Any,
         nodes: Sequence[_Node],
         camera: Camera,
-        how: Sequence[str],
-        background: Array | None = None,
+        flags: Sequence[str],
+        background: Array | None,
         colours: dict[_Node, Array] | None = None,
-        finer: int = 1,
     ) -> tuple[NDArray[Any], NDArray[Any]]:
-        renderer, flags = self._passes[which], self._library.RenderFlags
-        renderer.viewport_width, renderer.viewport_height = (finer * side for side in camera.size)
+        """Image and depth of nodes.
+
+        Args:
+            renderer: Renderer of pyrender, with its viewport.
+            nodes: What to render.
+            camera: The camera.
+            flags: Names of pyrender's render flags.
+            background: RGBA, 0 to 1.
+            colours: Colour of each node in a segmentation.
+        """
+        names = self._library.RenderFlags
         scene = _Scene(nodes, _Eye(camera), camera.world_from_optical, background)
         try:
-            flag = sum((getattr(flags, name) for name in how), flags.OFFSCREEN)
-            picture, depth = renderer.render(scene, flag, colours)
-        except self._failure as reason:
+            flag = sum((getattr(names, name) for name in flags), names.OFFSCREEN)
+            image, depth = renderer.render(scene, flag, colours)
+        except self._gl_error as reason:
             raise RenderError(f"OpenGL failed in pyrender ({type(reason).__name__})") from None
-        return picture, depth
+        return image, depth
 
 
 class _Shape:
-    """What never changes about a body: its triangles, whole and by part, its looks.
+    """Triangles of a body, whole and by part, and its material. It does not refer to the mesh.
 
-    Sides: 1 draws the outside alone, 2 the inside as well (pyrender draws only what is counter-clockwise).
+    ``posed``: its poses, by instance.
     """
 
     def __init__(self, library: Any, body: Body) -> None:
         self.parts = body.parts
+        self.posed: dict[int, _PosedShape] = {}
         self.topology = Topology(body.mesh)
         self.expanded = ExpandedMesh(body.mesh)
         triangles = body.mesh.triangles
@@ -224,33 +247,38 @@ class _Shape:
         self.whole = _compact(triangles)
         texture = body.mesh.texture
         if texture is not None:
-            # (rows of three bytes a pixel would have to be padded)
+            # (rows of three bytes per pixel would need padding)
             texture = library.Texture(source=texture, source_channels="RGBA")
         self.material = library.MetallicRoughnessMaterial(baseColorTexture=texture)
 
 
-class _Figure:
-    """A body as it stands, as meshes of pyrender that are made when they are asked for."""
+class _PosedShape:
+    """A body in its pose, as meshes of pyrender that are created on demand. It does not refer to the body.
+
+    Sides: 1 renders front faces only, 2 both (pyrender renders counter-clockwise triangles only).
+    """
 
     def __init__(self, library: Any, shape: _Shape, body: Body) -> None:
-        self.body, self._shape, self._library = body, shape, library
+        self.body, self.instance = weakref.ref(body), body.instance
+        self._human, self._closed = body.kind == "human", body.mesh.closed
+        self._shape, self._library = shape, library
         self._posed = PosedMesh(shape.topology, body.vertices)
         self._low, self._high = body.vertices.min(0) - 2 * NEAR, body.vertices.max(0) + 2 * NEAR
-        self._made: dict[Any, Any] = {}
+        self._nodes: dict[Any, _Node] = {}
 
     def sides(self, camera: Camera) -> int:
-        """How many sides of the surface can show: the inside of a closed one only if the camera is there."""
+        """Number of sides that may be visible: a closed surface shows its inside only to a camera in it."""
         inside = ((camera.center > self._low) & (camera.center < self._high)).all()
-        return 2 if inside or not self.body.mesh.closed else 1
+        return 2 if inside or not self._closed else 1
 
     def coloured(self, lighting: Lighting, sides: int) -> _Node:
-        """The whole surface, lit."""
-        if ("rgb", sides) not in self._made:
+        """Return the whole surface, lit."""
+        if ("rgb", sides) not in self._nodes:
             expanded = self._shape.expanded
             normals = self._posed.normals.take(expanded.source, axis=0)
-            uv, plain = expanded.looks[:, :2], expanded.looks[:, 2:]
+            uv, plain = expanded.uv_colors[:, :2], expanded.uv_colors[:, 2:]
             arrays = {
-                "positions": self.body.vertices.take(expanded.source, axis=0),
+                "positions": self._posed.vertices.take(expanded.source, axis=0),
                 "texcoord_0": uv,
                 "color_0": plain * _light(lighting, normals),
             }
@@ -258,26 +286,24 @@ class _Figure:
                 arrays = {name: np.concatenate([array, array]) for name, array in arrays.items()}
                 arrays["color_0"][len(plain) :] = plain * _light(lighting, -normals)
             corners = _sided(expanded.corners, sides, len(plain))
-            self._made["rgb", sides] = self._node(corners, self._shape.material, arrays)
-        node: _Node = self._made["rgb", sides]
-        return node
+            self._nodes["rgb", sides] = self._node(corners, self._shape.material, arrays)
+        return self._nodes["rgb", sides]
 
     def labelled(self, sides: int, by_part: bool) -> Iterator[tuple[int, _Node]]:
-        """Part labels and their surfaces, or 1 and the whole one."""
+        """Yield part labels and their surfaces, or 1 and the whole surface."""
         shape = self._shape
         for part, source, corners in shape.by_part if by_part else [(1, *shape.whole)]:
             key = (part, sides, by_part)
-            if key not in self._made:
-                positions = self.body.vertices.take(source, axis=0)
-                self._made[key] = self._node(_sided(corners, sides, 0), None, {"positions": positions})
-            yield part, self._made[key]
+            if key not in self._nodes:
+                positions = self._posed.vertices.take(source, axis=0)
+                self._nodes[key] = self._node(_sided(corners, sides, 0), None, {"positions": positions})
+            yield part, self._nodes[key]
 
     def shadow(self, height: float) -> _Node:
-        """What it leaves on the floor."""
+        """Return the contact shadow at a height above the floor."""
         key = "shadow", height
-        if key not in self._made:
-            human = self.body.kind == "human"
-            shadow: ContactShadow = self._posed.shadow if human else self._posed.shadow_of_thing
+        if key not in self._nodes:
+            shadow = self._posed.human_shadow if self._human else self._posed.object_shadow
             corners = shadow.corners + np.array([0, 0, height], np.float32)
             darkness = np.dstack([np.zeros((*shadow.darkness.shape, 3), np.uint8), shadow.darkness[::-1]])
             texture = self._library.Texture(source=darkness, source_channels="RGBA")
@@ -286,9 +312,8 @@ class _Figure:
             )
             uv = np.array([(0, 0), (1, 0), (0, 1), (1, 1)], np.float32)
             arrays = {"positions": corners, "texcoord_0": uv}
-            self._made[key] = self._node(np.array([(0, 1, 2), (2, 1, 3)]), material, arrays)
-        node: _Node = self._made[key]
-        return node
+            self._nodes[key] = self._node(np.array([(0, 1, 2), (2, 1, 3)]), material, arrays)
+        return self._nodes[key]
 
     def _node(self, corners: NDArray[Any], material: Any, arrays: dict[str, NDArray[Any]]) -> _Node:
         primitive = self._library.Primitive(indices=corners, material=material, mode=_TRIANGLES, **arrays)
@@ -301,13 +326,13 @@ class _Node:
 
 
 class _Eye:
-    """A camera as pyrender asks one, with our projection."""
+    """Camera in the interface of pyrender, with our projection."""
 
     znear, zfar = NEAR, _FAR
 
     def __init__(self, camera: Camera) -> None:
         self.camera = self
-        # pyrender's window is the right way up, and turned over when it is read
+        # pyrender renders bottom row first and flips the image when it reads it
         self._projection = np.diag([1.0, -1.0, 1.0, 1.0]) @ camera.opengl_clip(NEAR, _FAR)
 
     def get_projection_matrix(self, width: int, height: int) -> Array:
@@ -315,7 +340,7 @@ class _Eye:
 
 
 class _Scene:
-    """What pyrender's renderer asks of a scene. Its own has sets, which do not always draw in one order."""
+    """Scene in the interface of pyrender's renderer. pyrender's own has sets, without a fixed draw order."""
 
     lights = light_nodes = frozenset[Any]()
 
@@ -365,8 +390,9 @@ def import_pyrender() -> tuple[Any, type[Exception]]:
 
 
 def _mend_pyopengl() -> None:
-    """PyOpenGL 3.1.0, which pyrender asks for, knows what ctypes.byref makes by a name that it has no more
-    since Python 3.12: tell it the type itself.
+    """Register the type of ctypes.byref in PyOpenGL 3.1.0, which pyrender requires.
+
+    PyOpenGL knows the type by a name that has changed in Python 3.12.
     """
     from OpenGL.arrays import arraydatatype
     from OpenGL.arrays.ctypesparameters import CtypesParameterHandler
@@ -377,7 +403,7 @@ def _mend_pyopengl() -> None:
 
 
 def _light(lighting: Lighting, normals: Float32Array) -> Float32Array:
-    """(V, 3) what vertices multiply their colour by: the formula of shaders/lit.frag."""
+    """(V, 3) factors of the vertex colours: the formula of shaders/lit.frag."""
     if lighting.mode == "shadeless":
         return np.ones_like(normals)
     colours = lighting.ground_color, lighting.sky_color, lighting.sun_color
@@ -388,16 +414,16 @@ def _light(lighting: Lighting, normals: Float32Array) -> Float32Array:
 
 
 def _compact(triangles: NDArray[np.int32]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """The vertices that triangles have, and the triangles' corners among those."""
+    """Vertices that triangles use, and the triangles as indices into them."""
     source, corners = np.unique(triangles, return_inverse=True)
     return source.astype(np.intp), corners.reshape(-1, 3).astype(np.intp)
 
 
 def _sided(corners: NDArray[Any], sides: int, offset: int) -> NDArray[Any]:
-    """Triangles, and for two sides also turned over, of vertices ``offset`` further on."""
+    """Triangles; for two sides also flipped, with vertex indices raised by ``offset``."""
     return corners if sides == 1 else np.concatenate([corners, corners[:, ::-1] + offset])
 
 
 def _colour_of(number: int) -> Array:
-    """A number as pyrender takes and gives back colours."""
+    """A number as the colour that pyrender renders and reads."""
     return np.array([number & 255, number >> 8 & 255, number >> 16 & 255])

@@ -1,10 +1,10 @@
-"""A picture as it was drawn, and every channel that follows from it."""
+"""Rendered images of the static scene and of frames, and the channels that follow from them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -13,171 +13,218 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.render.channels import CHANNEL_TABLE, View
+from humansim_ros.render.channels import CHANNEL_TABLE, AdjacentName, View
 from humansim_ros.render.edge_antialiasing import EdgeCrossings, blend
 from humansim_ros.render.pixel_geometry import PixelGeometry, VisiblePixels, optical_flow
-from humansim_ros.render.renderer import AdjacentFrame, Body
-from humansim_ros.render.target import Rectangle, StaticLayer
+from humansim_ros.render.renderer import AdjacentFrame, Backdrop, Body
+from humansim_ros.render.sun_shadows import ShadowInputs
+from humansim_ros.render.target import Rectangle, RenderTarget
 from humansim_ros.types import Float32Array, Indices
+
+#: Adjacent frames with their rendered images, which channels of occlusion need.
+AdjacentFrames = Mapping[AdjacentName, tuple[AdjacentFrame, "RenderedFrame | None"]]
 
 
 class Passes(NamedTuple):
-    """What a picture is drawn for besides depth and labels: colour, outlines, each body as if alone."""
+    """What is rendered besides depth and triangle ids: colour, outlines, each body without occluders."""
 
     lit: bool
     outlined: bool
     alone: bool
 
     @classmethod
-    def by(cls, channels: Collection[str]) -> Passes:
+    def of(cls, channels: Collection[str]) -> Passes:
         """Passes that channels need."""
         needed = {name for channel in channels for name in CHANNEL_TABLE[channel].passes}
         return cls(*(name in needed for name in cls._fields))
 
     def covers(self, other: Passes) -> bool:
-        """Whether what was drawn for this serves the other."""
-        return all(has or not wants for has, wants in zip(self, other, strict=True))
+        """Whether these passes include others."""
+        return all(has or not needs for has, needs in zip(self, other, strict=True))
 
 
 class TriangleIds:
-    """The triangles drawn of one picture's bodies: label 0 is no body, label n the n-th triangle drawn."""
+    """Triangles of the bodies of one image: id 0 is no body, id n is the n-th triangle that was drawn."""
 
     def __init__(self) -> None:
         self.count = 1
-        self._drawn: list[tuple[Body, Indices]] = []
+        self._bodies: list[tuple[int, NDArray[np.uint8], Indices]] = []
 
-    def add(self, body: Body, drawn: Indices) -> None:
-        """The triangles ``drawn`` (M,) of the next body."""
-        self.count += len(drawn)
-        self._drawn.append((body, drawn))
+    def add(self, body: Body, triangles: Indices) -> None:
+        """Append drawn triangles (M,) of the next body."""
+        self.count += len(triangles)
+        self._bodies.append((body.instance, body.parts, triangles))
 
-    def table(self, channel: str) -> NDArray[Any]:
-        """What each label is in a channel, or as ``owner`` and ``triangle``."""
-        make: dict[str, Callable[[int, Body, Indices], NDArray[Any]]] = {
-            "instance": lambda _, body, drawn: np.full(len(drawn), body.instance, np.uint16),
-            "part": lambda _, body, drawn: body.parts[drawn],
-            "owner": lambda number, _, drawn: np.full(len(drawn), number, np.intp),
-            "triangle": lambda _, __, drawn: drawn,
-            "face": lambda _, body, drawn: ((drawn + 1) * (body.instance > 0)).astype(np.int32),
+    def table(self, name: str) -> NDArray[Any]:
+        """Value of each id in a channel; or its ``owner``, index of the body, or its ``triangle``."""
+        make: dict[str, Callable[[int, int, NDArray[np.uint8], Indices], NDArray[Any]]] = {
+            "instance": lambda _, instance, __, triangles: np.full(len(triangles), instance, np.uint16),
+            "part": lambda _, __, parts, triangles: parts[triangles],
+            "owner": lambda owner, _, __, triangles: np.full(len(triangles), owner, np.intp),
+            "triangle": lambda _, __, ___, triangles: triangles,
+            "face": lambda _, instance, __, triangles: ((triangles + 1) * (instance > 0)).astype(np.int32),
         }
-        kind = CHANNEL_TABLE[channel].dtype if channel in CHANNEL_TABLE else np.intp
-        found = (make[channel](number, *one) for number, one in enumerate(self._drawn))
-        return np.concatenate([np.zeros(1, kind), *found])
+        kind = CHANNEL_TABLE[name].dtype if name in CHANNEL_TABLE else np.intp
+        values = (make[name](number, *body) for number, body in enumerate(self._bodies))
+        return np.concatenate([np.zeros(1, kind), *values])
 
 
-@dataclass(frozen=True, eq=False)
+class StaticLayer:
+    """Image of the static scene from one camera, on the device and as arrays."""
+
+    def __init__(
+        self, target: RenderTarget, backdrop: Backdrop | None, shadow_inputs: ShadowInputs | None
+    ) -> None:
+        self.target, self.shadow_inputs = target, shadow_inputs
+        self._backdrop = backdrop  # referenced: caches know it by its id
+        #: of the static bodies, once a frame needed them
+        self.labels: StaticLabels | None = None
+        self._rgb, self.rgba, depth = (target.read(name, lit=True) for name in ("rgb", "rgba", "depth"))
+        self.depth_buffer = target.read_depth_buffer()
+        self._depth = np.where(depth > 0, depth, np.float32(np.inf))
+
+    def images(self, channels: Collection[str]) -> dict[str, NDArray[Any]]:
+        """New arrays of the channels as they are without bodies."""
+        cached = {"rgb": self._rgb, "depth": self._depth}
+        shared = [c for c in map(CHANNEL_TABLE.__getitem__, channels) if not (c.per_body or c.adjacent_frame)]
+        return {
+            c.name: cached[c.name].copy() if c.name in cached else c.empty_image(self._depth.shape)
+            for c in shared
+        }
+
+    def release(self) -> None:
+        self.labels = None  # it refers to this layer
+        self.target.release()
+        if self.shadow_inputs is not None:
+            self.shadow_inputs.release()
+
+
+@dataclass(eq=False)
 class RenderedFrame:
-    """Bodies as they were drawn before a camera, within the rectangle that they can touch.
+    """Rendered images of bodies before one camera, within the rectangle that the bodies may touch.
 
-    ``labels``: (h, w), see :class:`TriangleIds`. ``depth``: (h, w) metres, 0 where no body is. ``rgba``:
-    (h, w, 4), alpha is the share of light that bodies leave. ``outline``: where outlines cross pixels.
-    ``alone``: by instance, (H, W) mask of the body without occluders. Each is None unless it is in ``asked``.
-    ``standing``: the labelled part of the static scene of ``layer``.
+    It does not refer to the bodies. ``triangle_ids``: (h, w), see :class:`TriangleIds`. ``depth``: (h, w)
+    metres, 0 where no body is. ``rgba``: (h, w, 4), alpha is the share of direct light that bodies leave.
+    ``outline``: crossings of outlines with pixels. ``alone``: by instance, (H, W) mask of the body without
+    occluders. Each is None if its pass was not requested. ``static_labels``: those of the static bodies.
     """
 
-    asked: Passes
-    bodies: Sequence[Body]
+    passes: Passes
+    instances: tuple[int, ...]
     camera: Camera
     layer: StaticLayer
     rectangle: Rectangle
-    seen: TriangleIds
-    labels: NDArray[np.uint32]
+    ids: TriangleIds
+    triangle_ids: NDArray[np.uint32]
     depth: Float32Array
     rgba: NDArray[np.uint8] | None
     outline: EdgeCrossings | None
     alone: Mapping[int, NDArray[np.bool_]] | None
-    standing: RenderedFrame | None = None
+    static_labels: StaticLabels | None = None
+    _geometry: PixelGeometry | None = field(default=None, init=False)
 
     @cached_property
     def whole_depth(self) -> Float32Array:
-        """(H, W) metres, of what is still as well; infinite where nothing is; not to be changed."""
-        whole: Float32Array = self.layer.view(("depth",))["depth"]
+        """(H, W) metres of bodies and static scene, +inf where nothing is; read-only."""
+        whole: Float32Array = self.layer.images(("depth",))["depth"]
         np.copyto(whole[self.rectangle.slices], self.depth, where=self.depth > 0)
+        whole.setflags(write=False)
         return whole
 
     @property
     def nbytes(self) -> int:
-        """About how much memory it takes."""
-        pixels = self.camera.size[0] * self.camera.size[1]
-        known = {"whole_depth": 4 * pixels, "_detail": 64 * self.labels.size}
+        """Approximate memory."""
+        pixels, own = self.camera.size[0] * self.camera.size[1], self.triangle_ids.size
         masks = 0 if self.alone is None else pixels * len(self.alone)
-        return 12 * self.labels.size + masks + sum(size for name, size in known.items() if name in vars(self))
+        depth = 4 * pixels if "whole_depth" in vars(self) else 0
+        return 12 * own + masks + depth + (0 if self._geometry is None else 64 * own)
 
-    @cached_property
-    def _detail(self) -> PixelGeometry:
-        there = np.flatnonzero(self.labels > 0)
-        label = self.labels.ravel().take(there)
-        row, column = np.divmod(there, max(self.rectangle.shape[1], 1))
-        pixels = (row + self.rectangle.y0) * self.camera.size[0] + column + self.rectangle.x0
-        owner, triangle = (self.seen.table(name).take(label) for name in ("owner", "triangle"))
-        return PixelGeometry(self.camera, self.bodies, VisiblePixels(pixels, owner, triangle))
+    def geometry(self, bodies: Sequence[Body]) -> PixelGeometry:
+        """Surface points that the pixels show. ``bodies``: those that were rendered."""
+        if self._geometry is None:
+            pixels = np.flatnonzero(self.triangle_ids > 0)
+            ids = self.triangle_ids.ravel().take(pixels)
+            row, column = np.divmod(pixels, max(self.rectangle.shape[1], 1))
+            pixels = (row + self.rectangle.y0) * self.camera.size[0] + column + self.rectangle.x0
+            owner, triangle = (self.ids.table(name).take(ids) for name in ("owner", "triangle"))
+            self._geometry = PixelGeometry(self.camera, bodies, VisiblePixels(pixels, owner, triangle))
+        return self._geometry
 
-    def view(
-        self, channels: Collection[str], others: Mapping[str, tuple[AdjacentFrame, RenderedFrame | None]]
-    ) -> View:
-        """The channels of the whole image. ``others``: the frames after and before that flow needs, and their
-        pictures, which what is hidden needs.
+    def view(self, bodies: Sequence[Body], channels: Collection[str], adjacent: AdjacentFrames) -> View:
+        """Return channels of the whole image.
+
+        Args:
+            bodies: Bodies that were rendered.
+            channels: Names of the channels.
+            adjacent: Adjacent frames that the channels need.
         """
-        view = self._still({*channels, "depth"} if self.outline is not None else channels)
+        images: dict[str, Any] = self.layer.images(
+            {*channels, "depth"} if self.outline is not None else channels
+        )
+        if self.static_labels is not None:
+            images |= self.static_labels.images(channels)
         within = self.rectangle.slices
-        if "depth" in view:
-            np.copyto(view["depth"][within], self.depth, where=self.depth > 0)
+        if "depth" in images:
+            np.copyto(images["depth"][within], self.depth, where=self.depth > 0)
         for name in {"instance", "part", "face"} & set(channels):
-            labels = self.seen.table(name).take(self.labels)
-            if self.standing is None:
-                view[name][within] = labels
+            values = self.ids.table(name).take(self.triangle_ids)
+            if self.static_labels is None:
+                images[name][within] = values
             else:
-                np.copyto(view[name][within], labels, where=self.labels > 0)
-        if self.rgba is not None and "rgb" in view:
-            # (many times faster than to assign the first three of four)
-            view["rgb"][within] = cv2.cvtColor(self.rgba, cv2.COLOR_RGBA2RGB) if self.rgba.size else 0
-        if self.rgba is not None and "shadow" in view:
-            view["shadow"][within] = 255 - self.rgba[..., 3]
+                np.copyto(images[name][within], values, where=self.triangle_ids > 0)
+        if self.rgba is not None and "rgb" in images:
+            # (many times faster than an assignment of three channels out of four)
+            images["rgb"][within] = cv2.cvtColor(self.rgba, cv2.COLOR_RGBA2RGB) if self.rgba.size else 0
+        if self.rgba is not None and "shadow" in images:
+            images["shadow"][within] = 255 - self.rgba[..., 3]
         if "alpha" in channels:
-            still = view.get("alpha", {})
-            for alpha in still.values():
-                alpha[within][self.labels > 0] = 0
-            view["alpha"] = self._covered(view.get("instance")) | still
-        blended = [*([view["rgb"]] if "rgb" in view else []), *view.get("alpha", {}).values()]
+            static = images.get("alpha", {})
+            for alpha in static.values():
+                alpha[within][self.triangle_ids > 0] = 0
+            images["alpha"] = self._masks(images.get("instance")) | static
+        blended = [*([images["rgb"]] if "rgb" in images else []), *images.get("alpha", {}).values()]
         if self.outline is not None and blended:
-            blend(blended, view["depth"], self.outline)
-        if "normal" in view:
-            view["normal"].reshape(-1, 3)[self._detail.shown.pixels] = self._detail.normals()
-        if "uv" in view:
-            view["uv"].reshape(-1, 2)[self._detail.shown.pixels] = self._detail.texture_coordinates()
-        for which, (moment, other) in others.items():
+            blend(blended, images["depth"], self.outline)
+        if "normal" in images:
+            geometry = self.geometry(bodies)
+            images["normal"].reshape(-1, 3)[geometry.visible.pixels] = geometry.normals()
+        if "uv" in images:
+            geometry = self.geometry(bodies)
+            images["uv"].reshape(-1, 2)[geometry.visible.pixels] = geometry.texture_coordinates()
+        for name, (frame, other) in adjacent.items():
             depth, touched = (None, within) if other is None else (other.whole_depth, other.rectangle.slices)
-            flow = optical_flow(self.camera, self._detail, self.whole_depth, moment, depth, touched)
-            name = "flow" if which == "next_frame" else "flow_back"
-            view[name], view[f"{name}_hidden"] = flow.flow, flow.hidden
+            geometry = self.geometry(bodies)
+            flow = optical_flow(self.camera, geometry, self.whole_depth, frame, depth, touched)
+            channel = "flow" if name == "next_frame" else "flow_back"
+            images[channel], images[f"{channel}_hidden"] = flow.flow, flow.hidden
         if "amodal" in channels and self.alone is not None:
             alone = {instance: mask.copy() for instance, mask in self.alone.items()}
-            view["amodal"] = alone | view.get("amodal", {})
-        return View(**{name: view[name] for name in channels})
+            images["amodal"] = alone | images.get("amodal", {})
+        return View(**{name: images[name] for name in channels})
 
-    def _still(self, channels: Collection[str]) -> dict[str, Any]:
-        """The channels of the whole image without bodies."""
-        view: dict[str, Any] = self.layer.view(channels)
-        return view if self.standing is None else view | self.standing._labels(channels)
-
-    def _labels(self, channels: Collection[str]) -> dict[str, Any]:
-        """Those of the channels that say what bodies are where; worked out once, to be drawn into."""
-        asked = {name for name in channels if CHANNEL_TABLE[name].labels_bodies}
-        for name in asked - self._kept.keys():
-            self._kept[name] = getattr(self.view((name,), {}), name)
-        return {name: deepcopy(self._kept[name]) for name in asked}
-
-    @cached_property
-    def _kept(self) -> dict[str, Any]:
-        return {}
-
-    def _covered(self, instances: NDArray[np.uint16] | None) -> dict[int, NDArray[np.uint8]]:
-        """By instance, (H, W) 255 where the centre of a pixel shows it."""
+    def _masks(self, instances: NDArray[np.uint16] | None) -> dict[int, NDArray[np.uint8]]:
+        """By instance, (H, W) 255 where the pixel center shows the body."""
         if instances is None:
-            instances = self.layer.view(("instance",))["instance"]
-            instances[self.rectangle.slices] = self.seen.table("instance").take(self.labels)
+            instances = self.layer.images(("instance",))["instance"]
+            instances[self.rectangle.slices] = self.ids.table("instance").take(self.triangle_ids)
         return {
-            b.instance: (instances == b.instance).view(np.uint8) * np.uint8(255)
-            for b in self.bodies
-            if b.instance
+            instance: (instances == instance).view(np.uint8) * np.uint8(255)
+            for instance in self.instances
+            if instance
         }
+
+
+class StaticLabels:
+    """Label images of the static bodies from one camera, computed once per channel."""
+
+    def __init__(self, frame: RenderedFrame, bodies: Sequence[Body]) -> None:
+        self.passes = frame.passes
+        self._frame, self._bodies = frame, bodies
+        self._images: dict[str, Any] = {}
+
+    def images(self, channels: Collection[str]) -> dict[str, Any]:
+        """New arrays of those channels that describe labelled bodies."""
+        names = {name for name in channels if CHANNEL_TABLE[name].labels_bodies}
+        for name in names - self._images.keys():
+            self._images[name] = getattr(self._frame.view(self._bodies, (name,), {}), name)
+        return {name: deepcopy(self._images[name]) for name in names}

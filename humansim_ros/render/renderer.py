@@ -1,11 +1,12 @@
-"""What a renderer is given and what it gives back, whatever draws the pixels."""
+"""The interface of renderers: bodies, requests, and the base class."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,52 +15,105 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.channels import ALL_CHANNELS, CHANNEL_TABLE, CHANNELS, AdjacentName, View
+from humansim_ros.types import Float32Array, Image
 
 _WHEN: dict[AdjacentName, str] = {"next_frame": "after", "previous_frame": "before"}
 
-#: What a body is.
+#: Kind of a body.
 Kind = Literal["human", "object"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Body:
-    """A moving surface as it stands in one frame.
+    """A surface in one frame. Create a new Body for a new frame: renderers cache results of a Body.
 
-    ``mesh``: its topology and looks (its own vertices are not used). ``vertices``: (V, 3) float32, ``map``,
-    metres. ``parts``: (N,) uint8 part label of each of ``mesh.triangles``, 0 of those that have none.
-    ``instance``: label of this body and of no other, 1 to 65535; or 0 for one that has no label, only colour,
-    depth and shadow: those need a mesh of their own each. ``kind``: what it is, labelled or not. Make a new
-    Body for a new frame: renderers keep what they worked out of one.
+    Attributes:
+        mesh: Topology and appearance; its own vertices are not used. The mesh must not change.
+        vertices: (V, 3) float32 in ``map``, metres. The body has a read-only copy, or the array itself if
+            nobody can write to it.
+        parts: (N,) uint8 part label of each triangle, 0 without a part; read-only like ``vertices``.
+        instance: Label, 1 to 65535, different for each body; or 0 for a body without labels, which has
+            colour, depth and shadow only and needs a mesh of its own.
+        kind: Human or object.
     """
 
     mesh: Mesh
-    vertices: NDArray[np.float32]
+    vertices: Float32Array
     parts: NDArray[np.uint8]
     instance: int
     kind: Kind = "human"
 
+    def __post_init__(self) -> None:
+        for name in ("vertices", "parts"):
+            object.__setattr__(self, name, _read_only(getattr(self, name)))
+
 
 @dataclass(frozen=True)
 class AdjacentFrame:
-    """What a camera has before it at another moment: the same bodies, in the same order."""
+    """The next or the previous frame of a camera: the same bodies in the same order."""
 
     bodies: Sequence[Body]
     camera: Camera
 
 
 class Backdrop(Protocol):
-    """What a camera sees where nothing is."""
+    """Image behind the scene."""
 
-    def picture(self, camera: Camera) -> NDArray[np.uint8]:
-        """(H, W, 3) uint8 sRGB of the size of the camera's image."""
+    def picture(self, camera: Camera) -> Image:
+        """(H, W, 3) uint8 sRGB at the size of the camera's image."""
         ...
 
 
-class Renderer(Protocol):
-    """Draws bodies in a static scene as a camera sees them. ``channels``: those that it can be asked for."""
+@dataclass(frozen=True, eq=False)
+class RenderRequest:
+    """Parameters of :meth:`Renderer.render`."""
 
-    @property
-    def channels(self) -> Collection[str]: ...
+    bodies: Sequence[Body]
+    camera: Camera
+    channels: Collection[str] = CHANNELS
+    moving_camera: bool = False
+    next_frame: AdjacentFrame | None = None
+    previous_frame: AdjacentFrame | None = None
+    backdrop: Backdrop | None = None
+
+    def adjacent(self, name: AdjacentName) -> AdjacentFrame | None:
+        """Return the next or the previous frame."""
+        return self.next_frame if name == "next_frame" else self.previous_frame
+
+    def check(self, renderer: Renderer) -> None:
+        """Raise RenderError if a renderer cannot satisfy the request."""
+        unknown = set(self.channels) - set(ALL_CHANNELS)
+        if unknown:
+            known = ", ".join(ALL_CHANNELS)
+            raise RenderError(f"no such channel: {', '.join(sorted(unknown))}; there are {known}")
+        check_bodies(self.bodies)
+        if missing := sorted(set(self.channels) - set(renderer.channels)):
+            raise RenderError(
+                f"{renderer.name} does not draw {', '.join(missing)}; the renderer moderngl does"
+            )
+        for channel in self.channels:
+            name = CHANNEL_TABLE[channel].adjacent_frame
+            if name is not None:
+                self._check_adjacent(channel, name)
+
+    def _check_adjacent(self, channel: str, name: AdjacentName) -> None:
+        frame = self.adjacent(name)
+        if frame is None:
+            raise RenderError(f"{channel} needs the frame {_WHEN[name]} this one")
+        if [body.vertices.shape for body in frame.bodies] != [body.vertices.shape for body in self.bodies]:
+            raise RenderError(f"the frame {_WHEN[name]} this one has other bodies")
+        check_bodies(frame.bodies)
+
+
+class Renderer(ABC):
+    """Renders bodies in a static scene as a camera sees them.
+
+    A subclass defines ``channels``, the channels that it supports, ``name``, :meth:`render_request` and
+    :meth:`close`.
+    """
+
+    channels: Collection[str]
+    name: str
 
     def render(
         self,
@@ -71,29 +125,41 @@ class Renderer(Protocol):
         previous_frame: AdjacentFrame | None = None,
         backdrop: Backdrop | None = None,
     ) -> View:
-        """The asked channels of one view.
+        """Render one view.
 
-        ``moving_camera``: the static scene is redrawn, not cached. ``next_frame``, ``previous_frame``: for
-        the channels of flow. ``backdrop``: the image behind everything; a plain colour if None.
+        Results for a Body are cached: pass the same Body objects for all cameras of a frame.
 
-        Raises RenderError if a channel is unknown, lacks what it needs, or vertices are not finite.
+        Args:
+            bodies: Bodies in the frame.
+            camera: Camera with its pose in the frame.
+            channels: Names of the channels to render, see :data:`~humansim_ros.render.ALL_CHANNELS`.
+            moving_camera: The static scene is redrawn, not cached.
+            next_frame: Next frame, for the channels ``flow`` and ``flow_hidden``.
+            previous_frame: Previous frame, for the channels ``flow_back`` and ``flow_back_hidden``.
+            backdrop: Image behind the scene; the background colour of the light if None.
+
+        Raises:
+            RenderError: A channel is unknown, not supported or lacks its adjacent frame, a body is not
+                valid, or OpenGL failed.
         """
-        ...
+        request = RenderRequest(bodies, camera, channels, moving_camera, next_frame, previous_frame, backdrop)
+        request.check(self)
+        return self.render_request(request)
 
+    @abstractmethod
+    def render_request(self, request: RenderRequest) -> View:
+        """Render a checked request."""
+
+    @abstractmethod
     def close(self) -> None:
-        """Free what the renderer holds."""
-        ...
+        """Free the OpenGL context and all resources."""
 
 
-def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
-    """RenderError for a channel nobody draws or a body that cannot be drawn."""
-    unknown = set(channels) - set(ALL_CHANNELS)
-    if unknown:
-        known = ", ".join(ALL_CHANNELS)
-        raise RenderError(f"no such channel: {', '.join(sorted(unknown))}; there are {known}")
+def check_bodies(bodies: Sequence[Body]) -> None:
+    """Raise RenderError if a body cannot be rendered, or two bodies cannot be rendered together."""
     labels = Counter(body.instance for body in bodies if body.instance)
-    things = [id(body.mesh) for body in bodies if not body.instance]
-    if len(set(things)) < len(things):
+    unlabelled = [id(body.mesh) for body in bodies if not body.instance]
+    if len(set(unlabelled)) < len(unlabelled):
         raise RenderError("two bodies without a label cannot share a mesh")
     for body in bodies:
         if body.vertices.shape != body.mesh.vertices.shape:
@@ -111,17 +177,13 @@ def check_request(bodies: Sequence[Body], channels: Collection[str]) -> None:
             raise RenderError(f"part labels of shape {body.parts.shape} do not fit a mesh of {n} triangles")
 
 
-def check_adjacent_frames(
-    bodies: Sequence[Body], channels: Collection[str], moments: Mapping[AdjacentName, AdjacentFrame | None]
-) -> None:
-    """RenderError where a channel of flow lacks the frame it needs, or that frame has other bodies."""
-    for channel in channels:
-        which = CHANNEL_TABLE[channel].adjacent_frame
-        if which is None:
-            continue
-        moment = moments[which]
-        if moment is None:
-            raise RenderError(f"{channel} needs the frame {_WHEN[which]} this one")
-        if [body.vertices.shape for body in moment.bodies] != [body.vertices.shape for body in bodies]:
-            raise RenderError(f"the frame {_WHEN[which]} this one has other bodies")
-        check_request(moment.bodies, ())
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """Return the array if neither it nor an array that it is a view of is writable, else a copy."""
+    base: Any = array
+    while isinstance(base, np.ndarray):
+        if base.flags.writeable:
+            copy = array.copy()
+            copy.setflags(write=False)
+            return copy
+        base = base.base
+    return array

@@ -1,7 +1,7 @@
-"""Soft shadows of the sun: what is nearest to it, drawn as it sees the scene, and looked up by what is lit.
+"""Shadow maps: depths of the scene from the direction of the sun.
 
-The still scene is looked at once. What moves is looked at once a frame, for all cameras; it shades the
-pictures that are kept of the still scene where it touches them (shaders/cast.frag), and itself.
+The map of the static scene is rendered once. That of bodies is rendered once per frame, for all cameras: it
+shades the bodies, and the cached images of the static scene (shaders/apply_shadows.frag).
 """
 
 from __future__ import annotations
@@ -18,52 +18,52 @@ from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.uniforms import columns, set_uniform
 from humansim_ros.types import Array, Float32Array
 
-#: Texels along a side of the maps of what is still and of what moves.
-STILL_SIDE, MOVING_SIDE = 2048, 1024
-#: Metres around what casts shadows that a map goes on, for their blurred rims.
+#: Texels along a side of the maps of the static scene and of bodies.
+STATIC_SIDE, MOVING_SIDE = 2048, 1024
+#: Metres that a map covers around the occluders, for penumbras.
 _MARGIN = 0.1
-#: Sine of the height of the sun below which the ends of shadows are not looked for on the floor.
+#: Sine of the sun's elevation below which shadows do not end on the floor.
 _LOW = 0.05
-#: Texture units: 0 is what surfaces look like.
-_UNITS = {"still": (1, 2), "moving": (3, 4)}
+#: Texture units of the samplers; unit 0 has the texture of the surface.
+_UNITS = {"static": (1, 2), "moving": (3, 4)}
 
 
 @dataclass(frozen=True)
 class ShadowView:
-    """What a map of the sun covers. ``place``: (4, 4) from the world to x and y from 0 to 1, z in metres away
+    """Volume of a shadow map. ``from_world``: (4, 4) from ``map`` to x and y from 0 to 1, z in metres away
     from the sun. ``size``: (3,) metres. ``texel``: metres.
     """
 
-    place: Array
+    from_world: Array
     size: Array
     texel: float
 
     @classmethod
     def of(cls, points: NDArray[np.floating], direction: Array, side: int) -> ShadowView:
-        """A view of points (3, N) against the ``direction`` (3,) to the sun, in a map of ``side`` texels."""
+        """View of points (3, N) with ``direction`` (3,) to the sun, in a map of ``side`` texels."""
         helper = np.eye(3)[int(np.argmin(np.abs(direction)))]
         x = np.cross(helper, direction)
         x /= np.linalg.norm(x)
         axes = np.stack([x, np.cross(direction, x), -direction])
-        seen = axes @ points
-        low, high = seen.min(axis=1) - _MARGIN, seen.max(axis=1) + _MARGIN
+        inside = axes @ points
+        low, high = inside.min(axis=1) - _MARGIN, inside.max(axis=1) + _MARGIN
         size = high - low
-        place = np.eye(4)
-        place[:3, :3], place[:3, 3] = axes, -low
-        place[:2] /= size[:2, None]
-        return cls(place, size, float(size[:2].max() / side))
+        from_world = np.eye(4)
+        from_world[:3, :3], from_world[:3, 3] = axes, -low
+        from_world[:2] /= size[:2, None]
+        return cls(from_world, size, float(size[:2].max() / side))
 
     @property
     def clip(self) -> Array:
-        """(4, 4) from the world to OpenGL's clip coordinates."""
+        """(4, 4) from ``map`` to OpenGL's clip coordinates."""
         scale = np.array([2, 2, 2 / self.size[2]])
         to_clip = np.diag([*scale, 1.0])
         to_clip[:3, 3] = -1
-        return to_clip @ self.place
+        return to_clip @ self.from_world
 
 
 class ShadowMap:
-    """Depths as the sun sees them, on the device. ``name``: what its uniforms begin with."""
+    """A shadow map on the device. ``name``: prefix of its uniforms."""
 
     def __init__(self, ctx: moderngl.Context, name: str, side: int) -> None:
         self._ctx, self._name, self._side = ctx, name, side
@@ -85,7 +85,14 @@ class ShadowMap:
         program: moderngl.Program,
         draw: Callable[[], None],
     ) -> None:
-        """Look at what ``draw`` draws, which lies within points (3, N)."""
+        """Render the map.
+
+        Args:
+            points: (3, N) points whose bounding box contains all that ``draw`` draws.
+            direction: (3,) unit vector to the sun.
+            program: Program that ``draw`` uses.
+            draw: Draws the occluders.
+        """
         self._view = ShadowView.of(points, direction, self._side)
         self._framebuffer.use()
         self._framebuffer.clear(depth=1.0)
@@ -94,7 +101,7 @@ class ShadowMap:
         draw()
 
     def use(self, program: moderngl.Program) -> None:
-        """Let a program look it up."""
+        """Bind the map to the samplers of a program, if the program has them."""
         if f"{self._name}_shadows" not in program:
             return
         for sampler, unit, kind in zip(
@@ -103,37 +110,45 @@ class ShadowMap:
             sampler.use(unit)
             set_uniform(program, f"{self._name}_{kind}", unit)
         view = self._view
-        set_uniform(program, f"{self._name}_map.place", columns(view.place))
+        set_uniform(program, f"{self._name}_map.from_world", columns(view.from_world))
         set_uniform(program, f"{self._name}_map.size", tuple(view.size.tolist()))
         set_uniform(program, f"{self._name}_map.texel", view.texel)
 
 
-def shadow_ends(points: Float32Array, lighting: Lighting, lowest: float, farthest: float) -> Float32Array:
-    """(3, M) around where the shadow of a body of points (3, N) ends, on a floor at the height ``lowest`` and
-    at most ``farthest`` metres away: with the points themselves it encloses all that the body can shade.
+def shadow_ends(points: Float32Array, lighting: Lighting, lowest: float, longest: float) -> Float32Array:
+    """Return points around the end of a body's shadow. With the body they enclose all that it may shade.
+
+    Args:
+        points: (3, N) points of the body.
+        lighting: Light.
+        lowest: Height of the lowest floor.
+        longest: Largest length of a shadow, metres.
+
+    Returns:
+        Points (3, M).
     """
     direction = lighting.direction
     z = direction[2]
-    fall = np.full(points.shape[1], farthest)
+    length = np.full(points.shape[1], longest)
     if z > _LOW:
-        fall = np.minimum(np.maximum(points[2] - lowest, 0) / z, farthest)
-    there = (points - direction[:, None] * fall).astype(np.float32)
-    blur = 0.03 + float(fall.max()) * spread(lighting)
-    if z > _LOW and fall.max() < farthest:
-        # all on one level: their convex hull says as much, in some dozens of points
-        hull = cv2.convexHull(np.ascontiguousarray(there[:2].T)).reshape(-1, 2).T
-        there = np.concatenate([hull, np.full((1, hull.shape[1]), there[2].min(), np.float32)])
-    low, high = there.min(axis=1, keepdims=True), there.max(axis=1, keepdims=True)
-    away = np.sign(there - (low + high) / 2) * np.float32(blur)
-    return np.asarray(there + away, dtype=np.float32)
+        length = np.minimum(np.maximum(points[2] - lowest, 0) / z, longest)
+    ends = (points - direction[:, None] * length).astype(np.float32)
+    blur = 0.03 + float(length.max()) * penumbra_slope(lighting)
+    if z > _LOW and length.max() < longest:
+        # all ends are on one level: their convex hull, of some dozens of points, is enough
+        hull = cv2.convexHull(np.ascontiguousarray(ends[:2].T)).reshape(-1, 2).T
+        ends = np.concatenate([hull, np.full((1, hull.shape[1]), ends[2].min(), np.float32)])
+    low, high = ends.min(axis=1, keepdims=True), ends.max(axis=1, keepdims=True)
+    away = np.sign(ends - (low + high) / 2) * np.float32(blur)
+    return np.asarray(ends + away, dtype=np.float32)
 
 
-def spread(lighting: Lighting) -> float:
-    """Metres that the rim of a shadow is wider on either side for each metre from what casts it."""
+def penumbra_slope(lighting: Lighting) -> float:
+    """Half width of the penumbra per metre of distance from the occluder."""
     return float(np.tan(np.radians(lighting.sun_size_deg) / 2))
 
 
-def encloses(points: Sequence[Float32Array]) -> Float32Array:
+def bounding_box(points: Sequence[Float32Array]) -> Float32Array:
     """(3, 8) corners of the box around clouds of points (3, N)."""
     low = np.min([cloud.min(axis=1) for cloud in points], axis=0)
     high = np.max([cloud.max(axis=1) for cloud in points], axis=0)

@@ -1,4 +1,4 @@
-"""How programs on the device are told numbers."""
+"""Uniforms of shader programs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from humansim_ros.types import Array
 
 
 def set_uniform(program: moderngl.Program, name: str, value: Any) -> None:
-    """Set a uniform, unless the compiler found the shader does not need it."""
+    """Set a uniform, unless the compiler has removed it as unused."""
     if name in program:
         uniform = program[name]
         if isinstance(value, bytes):
@@ -20,5 +20,5 @@ def set_uniform(program: moderngl.Program, name: str, value: Any) -> None:
 
 
 def columns(matrix: Array) -> bytes:
-    """A matrix as shaders take it, column by column."""
+    """Bytes of a matrix in the order of shaders, column by column."""
     return bytes(matrix.T.astype("f4").tobytes())

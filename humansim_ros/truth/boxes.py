@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
-from humansim_ros.render.lens_tessellation import nearest
+from humansim_ros.render.lens_tessellation import near_plane
 from humansim_ros.render.renderer import Kind
 from humansim_ros.types import Array
 
@@ -69,7 +69,7 @@ def whole_box(camera: Camera, body: Body) -> Array:
     The body is cut at the near plane of the renderer (5 cm along the axis, 5 mm for wide fisheyes). Points
     outside the field of view of the lens are left out.
     """
-    points, plane = camera.to_optical(body.vertices), nearest(camera)
+    points, plane = camera.to_optical(body.vertices), near_plane(camera)
     near = points[:, 2] < plane
     if near.any():
         points = np.concatenate([points[~near], _crossings(points, body.mesh.triangles, plane)])

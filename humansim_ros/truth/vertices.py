@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
-from humansim_ros.render.lens_tessellation import NEAR, nearest
+from humansim_ros.render.lens_tessellation import NEAR, near_plane
 from humansim_ros.truth.joints import nearest_pixels
 from humansim_ros.types import Array, Indices
 
@@ -39,7 +39,7 @@ def visible_vertices(camera: Camera, bodies: Sequence[Body], view: View) -> dict
     if not bodies:
         return {}
     offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
-    points, near = camera.to_optical(np.concatenate([body.vertices for body in bodies])), nearest(camera)
+    points, near = camera.to_optical(np.concatenate([body.vertices for body in bodies])), near_plane(camera)
     triangles = np.concatenate(
         [
             _occluding_triangles(body, points[offset : offset + len(body.vertices)], near) + offset

@@ -74,7 +74,7 @@ def written(folder: Path, text: str = SCENE) -> Path:
 @pytest.fixture(scope="module")
 def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulation]:
     scene = Scene.load(written(tmp_path_factory.mktemp("labels")))
-    renderer = renderer_or_skip(scene.static_meshes, standing=scene.static_bodies)
+    renderer = renderer_or_skip(scene.static_meshes, static_bodies=scene.static_bodies)
     simulation = Simulation(scene, TRUTH, renderer=renderer)
     simulation.frame = cache(simulation.frame)  # type: ignore[method-assign]
     yield simulation
@@ -139,7 +139,7 @@ def test_masks_of_objects_are_where_rays_meet_them(
     frame, scene = simulation.frame(index), simulation.scene
     view = frame.views["front"]
     if renderer == "pyrender":
-        other = renderer_or_skip(scene.static_meshes, name="pyrender", standing=scene.static_bodies)
+        other = renderer_or_skip(scene.static_meshes, name="pyrender", static_bodies=scene.static_bodies)
         masks = view.amodal
         view = other.render(frame.bodies, scene.cameras["front"], (*CHANNELS, "amodal"))
         other.close()
@@ -370,7 +370,7 @@ def test_every_channel_is_there_where_nobody_is() -> None:
     camera = oblique((3, 0.5, 1), (0, 0, 0.2))
     thing = replace(body(box((0, 0, 0.2), 0.2), 6, 0), kind="object")
     for standing in ((), (thing,)):
-        renderer, moment = renderer_or_skip(standing=standing), AdjacentFrame(standing, camera)
+        renderer, moment = renderer_or_skip(static_bodies=standing), AdjacentFrame(standing, camera)
         view = renderer.render(standing, camera, ALL_CHANNELS, next_frame=moment, previous_frame=moment)
         renderer.close()
         assert np.unique(view.instance).tolist() == [0, *(b.instance for b in standing)]

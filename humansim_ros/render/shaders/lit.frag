@@ -1,55 +1,54 @@
 #version 330
-// Lit colour, and the truth with it. Light is added in linear space; x * x and sqrt(x) stand for the sRGB curve and its
-// inverse. A face seen from behind is lit as its front would be if it looked that way. What not every scene asks for is
-// switched on by name: SHADELESS, FILMIC, the shadows of what is still (STILL) and of what moves (MOVING), PEOPLE of
-// skin and cloth, AROUND which not all light reaches, FINISH of materials, OVER what is there, which they blend with, and
-// STANDS for all that is still.
+// Lit colour, depth and triangle id. Light is added in linear space; x * x and sqrt(x) approximate the sRGB curve and its
+// inverse. A back face is lit as a front face that looks the same way. Features that not every scene needs are switched on
+// by name: SHADELESS, FILMIC, STATIC_SHADOWS and MOVING_SHADOWS of the static scene and of moving bodies, SKIN_AND_CLOTH,
+// AMBIENT_OCCLUSION, PBR for glTF materials, TRANSPARENT for surfaces that blend, STATIC_SCENE for static meshes.
 in vec4 v_normal;
 in vec2 v_uv;
 in vec3 v_color;
-uniform sampler2D surface;  // alpha: of people, 0 is skin and 1 cloth
-#ifdef STANDS
-uniform float blur;  // levels of detail by which textures are coarser than usual
+uniform sampler2D surface;  // alpha of humans: 0 is skin and 1 is cloth
+#ifdef STATIC_SCENE
+uniform float mip_bias;  // mip levels by which textures are coarser than usual
 #endif
 uniform vec3 sun;        // direction to the light
 uniform vec3 sun_color;
 uniform vec3 sky_color;  // from above
 uniform vec3 ground_color;
-uniform uint first_label;
-#ifdef OVER
+uniform uint first_id;
+#ifdef TRANSPARENT
 out vec4 rgb;
 #else
 layout(location = 0) out float depth;
-layout(location = 1) out uint label;
+layout(location = 1) out uint triangle_id;
 layout(location = 2) out vec4 rgb;
 #endif
-#if defined(STILL) || defined(FINISH)
+#if defined(STATIC_SHADOWS) || defined(PBR)
 in vec3 v_world;
 #endif
-#ifdef PEOPLE
-in vec3 v_answer;
-uniform float dressed;  // 1 where it is known what is skin, 0 where all is matt
-const vec3 DEEP = vec3(0.45, 0.22, 0.13);   // how far past its edge light goes on under skin: red farthest
-const float THROUGH = 0.008;                // metres of skin that light goes through
-const float ROUGH_EVEN = 0.92, ROUGH_MORE = 0.28;  // Oren and Nayar's A and B, as Fujii has them, for 0.3
-const vec3 TINT = vec3(1.0, 0.95, 0.93);    // of light that has been under skin, and lost what skin does not let by
-const float FUZZ = 0.25;                    // how much of grazing light the fibres of cloth send back
+#ifdef SKIN_AND_CLOTH
+in vec3 v_terms;
+uniform float has_skin_mask;  // 1 if the texture has a skin mask, 0 if all is matt
+const vec3 DEEP = vec3(0.45, 0.22, 0.13);   // light past the terminator, by scattering under skin
+const float THROUGH = 0.008;                // metres of skin that light passes
+const float ROUGH_EVEN = 0.92, ROUGH_MORE = 0.28;  // A and B of [Fujii 2012] for roughness 0.3
+const vec3 TINT = vec3(1.0, 0.95, 0.93);    // of light that was scattered under skin
+const float FUZZ = 0.25;                    // share of grazing light that fibres of cloth reflect
 #endif
-#ifdef AROUND
-uniform usampler2D seen;  // how much of sky (8 bits) and of ground (8) is seen, and 1 / (1 + depth) of that (16)
-uniform vec2 coarser;     // pixels of it for each pixel
-const float SENT_ON = 0.6;
-vec2 surroundings(float z) {
-    vec2 place = gl_FragCoord.xy * coarser - 0.5;
-    ivec2 low = ivec2(floor(place)), most = textureSize(seen, 0) - 1;
-    vec2 share = place - vec2(low), sum = vec2(0.0);
+#ifdef AMBIENT_OCCLUSION
+uniform usampler2D ao_map;  // visible share of sky (8 bits) and ground (8 bits), 1 / (1 + depth) (16 bits)
+uniform vec2 ao_scale;      // its pixels per pixel
+const float INTERREFLECTION = 0.6;
+vec2 ambient_visibility(float z) {
+    vec2 lookup = gl_FragCoord.xy * ao_scale - 0.5;
+    ivec2 low = ivec2(floor(lookup)), most = textureSize(ao_map, 0) - 1;
+    vec2 share = lookup - vec2(low), sum = vec2(0.0);
     float total = 0.0;
     for (int i = 0; i < 4; i++) {
         ivec2 step = ivec2(i & 1, i >> 1);
-        uint there = texelFetch(seen, clamp(low + step, ivec2(0), most), 0).r;
+        uint texel = texelFetch(ao_map, clamp(low + step, ivec2(0), most), 0).r;
         vec2 weights = mix(1.0 - share, share, vec2(step));
-        float weight = (weights.x * weights.y + 1e-3) / (1e-3 + abs(float(there >> 16u) / 65535.0 * (1.0 + z) - 1.0));
-        sum += weight * vec2(uvec2(there & 255u, (there >> 8u) & 255u));
+        float weight = (weights.x * weights.y + 1e-3) / (1e-3 + abs(float(texel >> 16u) / 65535.0 * (1.0 + z) - 1.0));
+        sum += weight * vec2(uvec2(texel & 255u, (texel >> 8u) & 255u));
         total += weight;
     }
     return sum / (255.0 * total);
@@ -57,14 +56,14 @@ vec2 surroundings(float z) {
 #endif
 void main() {
     vec3 n = normalize(gl_FrontFacing ? v_normal.xyz : -v_normal.xyz);
-#ifdef FINISH
-    float opaque = opaqueness(v_uv);
+#ifdef PBR
+    float opaque = opacity_at(v_uv);
     vec3 flat_n = n;
-    n = bumped(n, v_world, v_uv);
+    n = perturbed_normal(n, v_world, v_uv);
     if ((one_sided && !gl_FrontFacing) || (masked && opaque < cutoff)) discard;
 #endif
-#ifdef STANDS
-    vec4 texel = texture(surface, v_uv, blur);
+#ifdef STATIC_SCENE
+    vec4 texel = texture(surface, v_uv, mip_bias);
 #else
     vec4 texel = texture(surface, v_uv);
 #endif
@@ -72,59 +71,59 @@ void main() {
 #ifdef SHADELESS
     rgb = vec4(albedo, 1.0);
 #else
-    vec3 shown = albedo;
+    vec3 display = albedo;
     albedo *= albedo;
-    float slant = dot(n, sun), facing = max(slant, 0.0);
+    float cosine = dot(n, sun), facing = max(cosine, 0.0);
     vec3 direct = vec3(facing);
-#ifdef PEOPLE
-    float skin = dressed * (1.0 - texel.a), cloth = dressed - skin;
-    vec3 past = max(DEEP - abs(slant), 0.0);
-    direct = direct * (1.0 + cloth * (ROUGH_EVEN - 1.0 + ROUGH_MORE * v_answer.z)) + skin * past * past * (0.25 / DEEP);
+#ifdef SKIN_AND_CLOTH
+    float skin = has_skin_mask * (1.0 - texel.a), cloth = has_skin_mask - skin;
+    vec3 past = max(DEEP - abs(cosine), 0.0);
+    direct = direct * (1.0 + cloth * (ROUGH_EVEN - 1.0 + ROUGH_MORE * v_terms.z)) + skin * past * past * (0.25 / DEEP);
 #endif
     float sunlit = 1.0;
-    float unshadowed = 1.0;  // how much of its own light the surface lets through: alpha keeps what bodies leave of it
-#ifdef STILL
-    vec3 where = v_world;
-#ifdef PEOPLE
-    where += sun * (skin * THROUGH);
+    float unshadowed = 1.0;  // alpha: share of the sun that bodies leave
+#ifdef STATIC_SHADOWS
+    vec3 position = v_world;
+#ifdef SKIN_AND_CLOTH
+    position += sun * (skin * THROUGH);
 #endif
     bool lit = direct.r > 0.0;
-#ifdef FINISH
-    vec3 off = flat_n;  // what a normal map says is no place
+#ifdef PBR
+    vec3 offset = flat_n;  // a normal map does not move the surface
 #else
-    vec3 off = n;
+    vec3 offset = n;
 #endif
-    sunlit = lit ? sunshine(still_shadows, still_depths, still_map, where, off) : 0.0;
+    sunlit = lit ? sun_visibility(static_shadows, static_depths, static_map, position, offset) : 0.0;
     unshadowed = sunlit;
-#ifdef MOVING
-    float left = lit ? sunshine(moving_shadows, moving_depths, moving_map, where, n) : 0.0;
-    unshadowed = slant > 0.0 ? 1.0 - sunlit * (1.0 - left) : 0.0;
-    sunlit *= left;
+#ifdef MOVING_SHADOWS
+    float visibility = lit ? sun_visibility(moving_shadows, moving_depths, moving_map, position, n) : 0.0;
+    unshadowed = cosine > 0.0 ? 1.0 - sunlit * (1.0 - visibility) : 0.0;
+    sunlit *= visibility;
 #endif
 #endif
-    vec3 around = mix(ground_color, sky_color, 0.5 + 0.5 * n.z);
-#ifdef AROUND
-    vec2 shares = surroundings(v_normal.w);
-    around = sky_color * (0.5 + 0.5 * n.z) * shares.x + ground_color * (0.5 - 0.5 * n.z) * shares.y;
-    // what stands there sends some on
-    vec2 hidden = vec2(0.5 + 0.5 * n.z, 0.5 - 0.5 * n.z) * (1.0 - shares);
-    around *= 1.0 + SENT_ON * (hidden.x + hidden.y);
+    vec3 ambient = mix(ground_color, sky_color, 0.5 + 0.5 * n.z);
+#ifdef AMBIENT_OCCLUSION
+    vec2 shares = ambient_visibility(v_normal.w);
+    ambient = sky_color * (0.5 + 0.5 * n.z) * shares.x + ground_color * (0.5 - 0.5 * n.z) * shares.y;
+    // occluders reflect some light
+    vec2 occluded = vec2(0.5 + 0.5 * n.z, 0.5 - 0.5 * n.z) * (1.0 - shares);
+    ambient *= 1.0 + INTERREFLECTION * (occluded.x + occluded.y);
 #endif
-    vec3 light = albedo * (around + sun_color * sunlit * direct);
-#ifdef FINISH
-    if (shines > 0.0) light = finished(albedo, n, v_world, v_uv, around, sky_color, ground_color, sun, sun_color * sunlit);
+    vec3 light = albedo * (ambient + sun_color * sunlit * direct);
+#ifdef PBR
+    if (has_material > 0.0) light = shade_pbr(albedo, n, v_world, v_uv, ambient, sky_color, ground_color, sun, sun_color * sunlit);
 #endif
-#ifdef PEOPLE
-    light *= mix(vec3(1.0 - 0.1 * FUZZ * dressed), 0.92 * TINT, skin);  // what shines does not go in
-    light += skin * (around * (0.01 + 0.15 * v_answer.y) + sun_color * (sunlit * facing * v_answer.x));
-    light += cloth * FUZZ * v_answer.y * shown * (around + sun_color * (sunlit * facing));
+#ifdef SKIN_AND_CLOTH
+    light *= mix(vec3(1.0 - 0.1 * FUZZ * has_skin_mask), 0.92 * TINT, skin);  // specular light does not enter
+    light += skin * (ambient * (0.01 + 0.15 * v_terms.y) + sun_color * (sunlit * facing * v_terms.x));
+    light += cloth * FUZZ * v_terms.y * display * (ambient + sun_color * (sunlit * facing));
 #endif
-    rgb = vec4(developed(light), unshadowed);
+    rgb = vec4(tone_mapped(light), unshadowed);
 #endif
-#ifdef OVER
+#ifdef TRANSPARENT
     rgb.a = opaque;
 #else
     depth = v_normal.w;
-    label = first_label + uint(gl_PrimitiveID);
+    triangle_id = first_id + uint(gl_PrimitiveID);
 #endif
 }

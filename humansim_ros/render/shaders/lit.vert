@@ -5,26 +5,26 @@ in vec3 normal;
 in vec2 uv;
 in vec3 color;
 uniform vec4 optical_z;  // third row of the world-to-optical transform
-out vec4 v_normal;       // and the depth, to have one vector less to interpolate
+out vec4 v_normal;       // w: depth, to interpolate one vector less
 out vec2 v_uv;
 out vec3 v_color;
-#if defined(STILL) || defined(FINISH)
+#if defined(STATIC_SHADOWS) || defined(PBR)
 out vec3 v_world;
 #endif
-#ifdef PEOPLE
+#ifdef SKIN_AND_CLOTH
 uniform vec3 eye;
 uniform vec3 sun;
-out vec3 v_answer;  // of what shines: the sun, evenly from around; of cloth: what roughness adds in the sun
+out vec3 v_terms;  // specular of the sun, specular of ambient light, roughness of cloth
 #endif
 void main() {
     gl_Position = projected(position);
     v_normal = vec4(normal, dot(optical_z, vec4(position, 1.0)));
     v_uv = uv;
     v_color = color;
-#if defined(STILL) || defined(FINISH)
+#if defined(STATIC_SHADOWS) || defined(PBR)
     v_world = position;
 #endif
-#ifdef PEOPLE
-    v_answer = answer(normal, normalize(eye - position), sun);
+#ifdef SKIN_AND_CLOTH
+    v_terms = skin_and_cloth_terms(normal, normalize(eye - position), sun);
 #endif
 }

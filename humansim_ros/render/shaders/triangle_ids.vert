@@ -1,5 +1,5 @@
 #version 330
-// A surface in the world, for depth and labels.
+// A surface in the world, for depth and triangle ids.
 in vec3 position;
 uniform vec4 optical_z;  // third row of the world-to-optical transform
 out float v_z;

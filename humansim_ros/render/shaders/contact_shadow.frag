@@ -1,5 +1,5 @@
 #version 330
-// How much light the body over it keeps from the floor.
+// Share of the light that a body blocks on the floor.
 in vec2 v_uv;
 uniform sampler2D shadow;
 out vec4 rgb;

@@ -1,5 +1,5 @@
 #version 330
-// The still scene, to find out how much of sky and ground it sees.
+// The static scene, for its ambient occlusion.
 in vec3 position;
 in vec3 normal;
 uniform vec4 optical_z;

@@ -1,14 +1,14 @@
 #version 330
-// A surface as the sun sees it.
+// A surface from a direction of light.
 in vec3 position;
 uniform mat4 clip;
-#ifdef FINISH
+#ifdef PBR
 in vec2 uv;
 out vec2 v_uv;
 #endif
 void main() {
     gl_Position = clip * vec4(position, 1.0);
-#ifdef FINISH
+#ifdef PBR
     v_uv = uv;
 #endif
 }

@@ -1,5 +1,5 @@
 #version 330
-// The whole picture.
+// The whole image.
 in vec2 corner;
 void main() {
     gl_Position = vec4(2.0 * corner - 1.0, 0.0, 1.0);

@@ -1,0 +1,105 @@
+"""Bounded caches: the most recently used values, and values that live as long as an object."""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from collections.abc import Callable, Hashable
+from typing import Any, Generic, TypeVar
+
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
+
+
+class LruCache(Generic[Key, Value]):
+    """The most recently used values, up to a number of values and a number of bytes.
+
+    Args:
+        max_count: Largest number of values.
+        max_bytes: Largest sum of ``nbytes``; no limit if None.
+        min_count: Number of values that are cached even if they exceed ``max_bytes``.
+        nbytes: Returns the memory of a value; it may grow while the value is cached.
+        release: Called with each value that leaves the cache.
+    """
+
+    def __init__(
+        self,
+        max_count: int,
+        max_bytes: int | None = None,
+        min_count: int = 1,
+        nbytes: Callable[[Value], int] = lambda value: 0,
+        release: Callable[[Value], None] = lambda value: None,
+    ) -> None:
+        self._values: dict[Key, Value] = {}
+        self._max_count, self._max_bytes, self._min_count = max_count, max_bytes, min_count
+        self._nbytes, self._release = nbytes, release
+        self._lock = threading.RLock()
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def get(self, key: Key) -> Value | None:
+        """Return a cached value and mark it as used."""
+        with self._lock:
+            value = self._values.pop(key, None)
+            if value is not None:
+                self._values[key] = value
+            return value
+
+    def put(self, key: Key, value: Value) -> Value:
+        """Cache a value, and release the values for which there is no room."""
+        with self._lock:
+            self._values.pop(key, None)
+            self._values[key] = value
+            while len(self._values) > self._max_count or (
+                self._max_bytes is not None
+                and len(self._values) > self._min_count
+                and sum(self._nbytes(one) for one in self._values.values()) > self._max_bytes
+            ):
+                self._release(self._values.pop(next(iter(self._values))))
+            return value
+
+    def get_or_make(self, key: Key, make: Callable[[], Value]) -> Value:
+        """Return a cached value, or make and cache it."""
+        value = self.get(key)
+        return self.put(key, make()) if value is None else value
+
+    def discard(self, key: Key) -> None:
+        """Drop a value without releasing it."""
+        with self._lock:
+            self._values.pop(key, None)
+
+
+class WeakCache(Generic[Value]):
+    """Values that belong to objects, by identity, for as long as the object lives.
+
+    A value must not refer to its object: otherwise neither is ever freed. The object need not be hashable.
+    """
+
+    def __init__(self) -> None:
+        self._entries: dict[int, tuple[weakref.ref[Any], Value]] = {}
+        self._orphans: list[Value] = []
+
+    def __len__(self) -> int:
+        return len(self._entries)
+
+    def get(self, owner: object) -> Value | None:
+        """Return the value of an object."""
+        entry = self._entries.get(id(owner))
+        return None if entry is None or entry[0]() is not owner else entry[1]
+
+    def put(self, owner: object, value: Value) -> Value:
+        """Cache the value of an object."""
+        key, entries, orphans = id(owner), self._entries, self._orphans
+
+        def drop(reference: weakref.ref[Any]) -> None:
+            entry = entries.get(key)
+            if entry is not None and entry[0] is reference:
+                orphans.append(entries.pop(key)[1])
+
+        entries[key] = weakref.ref(owner, drop), value
+        return value
+
+    def take_orphans(self) -> list[Value]:
+        """Remove and return the values whose objects are gone since the last call."""
+        return [self._orphans.pop() for _ in range(len(self._orphans))]

@@ -1,0 +1,197 @@
+"""Meshes on the device: vertices as they are rendered, triangles, materials."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import moderngl
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.mesh.material import Material
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.render.posed_mesh import PosedMesh
+from humansim_ros.render.uniforms import set_uniform
+from humansim_ros.types import Array, Float32Array
+
+_WHITE = b"\xff\xff\xff"
+#: Texture unit of the first map of a material.
+_FIRST_MAP = 9
+#: Vertex attributes of the shaders and their numbers of components, in the order of the columns of
+#: :meth:`ExpandedMesh.attributes`.
+_LAYOUT = (("position", 3), ("normal", 3), ("uv", 2), ("color", 3))
+_FLOATS = sum(n for _, n in _LAYOUT)
+
+
+class ExpandedMesh:
+    """Vertices of a mesh as they are rendered: once per texture coordinate on texture seams.
+
+    ``source``: (E,) vertex of the mesh for each. ``corners``: (N, 3) of the triangles. ``uv_colors``: (E, 5)
+    float32, texture coordinates and colour.
+    """
+
+    def __init__(self, mesh: Mesh) -> None:
+        triangles = mesh.triangles
+        uv: Array
+        if mesh.uv is None or mesh.uv_triangles is None:
+            self.source: NDArray[Any] = np.arange(len(mesh.vertices))
+            corners: NDArray[Any] = triangles
+            uv = np.zeros((len(mesh.vertices), 2))
+        else:
+            pairs = np.stack([triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
+            unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
+            self.source = unique[:, 0]
+            corners, uv = inverse.reshape(triangles.shape), mesh.uv[unique[:, 1]]
+        colors = np.full((len(mesh.vertices), 3), 255, np.uint8) if mesh.colors is None else mesh.colors
+        self.uv_colors: Float32Array = np.concatenate([uv, colors[self.source] / 255.0], axis=1).astype("f4")
+        self.corners = np.ascontiguousarray(corners, dtype=np.int32)
+
+    def attributes(self, posed: PosedMesh) -> Float32Array:
+        """(E, 11) vertex attributes of a pose: position, normal, uv and colour."""
+        both = np.concatenate([posed.vertices, posed.normals], axis=1).take(self.source, axis=0)
+        return np.concatenate([both, self.uv_colors], axis=1)
+
+
+class MaterialBuffers:
+    """Texture and material of a mesh on the device."""
+
+    def __init__(self, ctx: moderngl.Context, mesh: Mesh) -> None:
+        self.material = material = mesh.material
+        self.texture = _texture(ctx, mesh.texture, mesh.skin)
+        self._maps: dict[str, moderngl.Texture] = {}
+        if material is not None:
+            alpha = None if material.alpha_map is None else material.alpha_map[..., None].repeat(3, axis=2)
+            self._maps = {
+                "metal_rough": _texture(ctx, material.metal_rough),
+                "normal_map": _texture(ctx, material.normals, plain=b"\x80\x80\xff"),
+                "emissive_map": _texture(ctx, material.emissive_map),
+                "alpha_map": _texture(ctx, alpha),
+            }
+            for one in (self.texture, *self._maps.values()):
+                one.repeat_x, one.repeat_y = material.wrap
+
+    @property
+    def blends(self) -> bool:
+        """Whether the material blends with the surfaces behind it."""
+        return self.material is not None and self.material.alpha == "blend"
+
+    def use(self, program: moderngl.Program) -> None:
+        """Bind the material for a program."""
+        self.texture.use(0)
+        material = self.material or Material()
+        set_uniform(program, "has_material", float(self.material is not None))
+        set_uniform(program, "masked", material.alpha == "mask")
+        set_uniform(program, "opacity", 1.0 if material.alpha == "opaque" else material.opacity)
+        set_uniform(program, "cutoff", material.cutoff)
+        set_uniform(program, "one_sided", not material.double_sided)
+        for name in ("metallic", "roughness", "specular", "emission"):
+            set_uniform(program, name, getattr(material, name))
+        set_uniform(program, "normal_scale", material.normal_scale if material.normals is not None else 0.0)
+        for unit, (name, image) in enumerate(self._maps.items(), _FIRST_MAP):
+            image.use(unit)
+            set_uniform(program, name, unit)
+
+    def release(self) -> None:
+        for one in (self.texture, *self._maps.values()):
+            one.release()
+
+
+class TriangleBuffers:
+    """Triangles (N, 3) of vertices with attributes (V, 11) on the device; ``with`` releases them."""
+
+    def __init__(self, ctx: moderngl.Context, attributes: NDArray[Any], triangles: NDArray[Any]) -> None:
+        self._ctx = ctx
+        self._empty = len(triangles) == 0
+        if not self._empty:
+            self._vertices = ctx.buffer(attributes.astype("f4").tobytes())
+            self._index = ctx.buffer(np.ascontiguousarray(triangles, dtype=np.int32).tobytes())
+
+    def __enter__(self) -> TriangleBuffers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.release()
+
+    def release(self) -> None:
+        if not self._empty:
+            self._vertices.release()
+            self._index.release()
+
+    def draw(
+        self,
+        program: moderngl.Program,
+        materials: Sequence[MaterialBuffers],
+        counts: Sequence[int],
+        selected: Sequence[bool] | None = None,
+        eye: Array | None = None,
+    ) -> None:
+        """Draw runs of triangles that follow each other, each run with its material.
+
+        Args:
+            program: Program that draws.
+            materials: Material of each run.
+            counts: Number of triangles of each run.
+            selected: The runs to draw; all if None.
+            eye: (3,) point from which the triangles are sorted, farthest first; not sorted if None.
+        """
+        if self._empty:
+            return
+        layout = " ".join(f"{n}f" if name in program else f"{4 * n}x" for name, n in _LAYOUT)
+        used = [name for name, _ in _LAYOUT if name in program]
+        starts = np.cumsum([0, *counts])[:-1].tolist()
+        chosen = [True] * len(counts) if selected is None else selected
+        runs = [
+            run for run, use in zip(zip(materials, starts, counts, strict=True), chosen, strict=True) if use
+        ]
+        runs = [run for run in runs if run[2]]
+        index = self._index
+        if eye is not None:
+            index, runs = self._farthest_first(runs, eye)
+        array = self._ctx.vertex_array(program, [(self._vertices, layout, *used)], index_buffer=index)
+        for material, first, count in runs:
+            material.use(program)
+            array.render(moderngl.TRIANGLES, vertices=3 * count, first=3 * first)
+        array.release()
+        if index is not self._index:
+            index.release()
+
+    def _farthest_first(
+        self, runs: Sequence[tuple[MaterialBuffers, int, int]], eye: Array
+    ) -> tuple[moderngl.Buffer, list[tuple[MaterialBuffers, int, int]]]:
+        """Indices of the triangles of some runs, sorted by distance, and the new runs."""
+        corners = np.frombuffer(self._index.read(), np.int32).reshape(-1, 3)
+        positions = np.frombuffer(self._vertices.read(), np.float32).reshape(-1, _FLOATS)[:, :3]
+        selected = np.concatenate([np.arange(first, first + count) for _, first, count in runs])
+        owner = np.repeat(np.arange(len(runs)), [count for _, _, count in runs])
+        middle = positions[corners[selected]].mean(axis=1) - eye.astype(np.float32)
+        order = np.argsort(-np.einsum("ij,ij->i", middle, middle), kind="stable")
+        selected, owner = selected[order], owner[order]
+        starts = np.flatnonzero(np.diff(owner, prepend=-1))
+        ends = np.append(starts[1:], len(owner))
+        new = [
+            (runs[int(owner[start])][0], int(start), int(end - start))
+            for start, end in zip(starts, ends, strict=True)
+        ]
+        return self._ctx.buffer(np.ascontiguousarray(corners[selected]).tobytes()), new
+
+
+def _texture(
+    ctx: moderngl.Context,
+    image: NDArray[np.uint8] | None,
+    skin: NDArray[np.uint8] | None = None,
+    plain: bytes = _WHITE,
+) -> moderngl.Texture:
+    """Texture of an image, or of one colour if there is no image; alpha is 0 on skin."""
+    if image is None:
+        return ctx.texture((1, 1), 3, plain, alignment=1)
+    # the texture coordinate v points up, the image's first row is on top
+    height, width = image.shape[:2]
+    if skin is not None:
+        image = np.dstack([image, 255 - skin])
+    made = ctx.texture(
+        (width, height), image.shape[2], np.ascontiguousarray(image[::-1]).tobytes(), alignment=1
+    )
+    made.build_mipmaps()
+    made.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+    return made

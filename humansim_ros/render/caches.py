@@ -7,11 +7,11 @@ import weakref
 from collections.abc import Callable, Hashable
 from typing import Any, Generic, TypeVar
 
-Key = TypeVar("Key", bound=Hashable)
-Value = TypeVar("Value")
+_Key = TypeVar("_Key", bound=Hashable)
+_Value = TypeVar("_Value")
 
 
-class LruCache(Generic[Key, Value]):
+class LruCache(Generic[_Key, _Value]):
     """The most recently used values, up to a number of values and a number of bytes.
 
     Args:
@@ -27,10 +27,10 @@ class LruCache(Generic[Key, Value]):
         max_count: int,
         max_bytes: int | None = None,
         min_count: int = 1,
-        nbytes: Callable[[Value], int] = lambda value: 0,
-        release: Callable[[Value], None] = lambda value: None,
+        nbytes: Callable[[_Value], int] = lambda value: 0,
+        release: Callable[[_Value], None] = lambda value: None,
     ) -> None:
-        self._values: dict[Key, Value] = {}
+        self._values: dict[_Key, _Value] = {}
         self._max_count, self._max_bytes, self._min_count = max_count, max_bytes, min_count
         self._nbytes, self._release = nbytes, release
         self._lock = threading.RLock()
@@ -38,7 +38,7 @@ class LruCache(Generic[Key, Value]):
     def __len__(self) -> int:
         return len(self._values)
 
-    def get(self, key: Key) -> Value | None:
+    def get(self, key: _Key) -> _Value | None:
         """Return a cached value and mark it as used."""
         with self._lock:
             value = self._values.pop(key, None)
@@ -46,7 +46,7 @@ class LruCache(Generic[Key, Value]):
                 self._values[key] = value
             return value
 
-    def put(self, key: Key, value: Value) -> Value:
+    def put(self, key: _Key, value: _Value) -> _Value:
         """Cache a value, and release the values for which there is no room."""
         with self._lock:
             self._values.pop(key, None)
@@ -59,36 +59,36 @@ class LruCache(Generic[Key, Value]):
                 self._release(self._values.pop(next(iter(self._values))))
             return value
 
-    def get_or_make(self, key: Key, make: Callable[[], Value]) -> Value:
+    def get_or_make(self, key: _Key, make: Callable[[], _Value]) -> _Value:
         """Return a cached value, or make and cache it."""
         value = self.get(key)
         return self.put(key, make()) if value is None else value
 
-    def discard(self, key: Key) -> None:
+    def discard(self, key: _Key) -> None:
         """Drop a value without releasing it."""
         with self._lock:
             self._values.pop(key, None)
 
 
-class WeakCache(Generic[Value]):
+class WeakCache(Generic[_Value]):
     """Values that belong to objects, by identity, for as long as the object lives.
 
     A value must not refer to its object: otherwise neither is ever freed. The object need not be hashable.
     """
 
     def __init__(self) -> None:
-        self._entries: dict[int, tuple[weakref.ref[Any], Value]] = {}
-        self._orphans: list[Value] = []
+        self._entries: dict[int, tuple[weakref.ref[Any], _Value]] = {}
+        self._orphans: list[_Value] = []
 
     def __len__(self) -> int:
         return len(self._entries)
 
-    def get(self, owner: object) -> Value | None:
+    def get(self, owner: object) -> _Value | None:
         """Return the value of an object."""
         entry = self._entries.get(id(owner))
         return None if entry is None or entry[0]() is not owner else entry[1]
 
-    def put(self, owner: object, value: Value) -> Value:
+    def put(self, owner: object, value: _Value) -> _Value:
         """Cache the value of an object."""
         key, entries, orphans = id(owner), self._entries, self._orphans
 
@@ -100,6 +100,6 @@ class WeakCache(Generic[Value]):
         entries[key] = weakref.ref(owner, drop), value
         return value
 
-    def take_orphans(self) -> list[Value]:
+    def take_orphans(self) -> list[_Value]:
         """Remove and return the values whose objects are gone since the last call."""
         return [self._orphans.pop() for _ in range(len(self._orphans))]

@@ -1,22 +1,14 @@
-"""Node processes of a scene, for ``humansim run`` and the launch file.
-
-Only names are read from the scene file; ``humansim_ros.scene`` checks the rest. So ``ros2 launch`` may run in
-a Python without the libraries of the nodes.
-"""
+"""Node processes of a scene, for ``humansim run`` and the launch file."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
-from humansim_ros.errors import SceneError
-from humansim_ros.io.yaml import read_yaml
-from humansim_ros.scene.names import variety_names
+from humansim_ros.scene.names import read_names
 
 #: Environment variable of nodes whose parent has shown the warnings of the scene.
 WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
@@ -52,18 +44,12 @@ def scene_processes(scene_path: str | os.PathLike[str], processes: int | None = 
     names that ROS does not accept.
     """
     path = Path(scene_path).resolve()
-    content, _ = read_yaml(path, SceneError, "scene")
-    if not isinstance(content, dict):
-        raise SceneError("this is not a scene; it needs the keys humans and cameras", path=path)
+    names = read_names(path)
     scene = {"scene": str(path)}
-    cameras = (*_rig_names(content, path), *_names(content, "cameras", path))
     return [
         NodeProcess("motion_player", "motion_player", scene),
-        *(
-            NodeProcess("skinner", f"skinner_{name}", {**scene, "human": name})
-            for name in (*_names(content, "humans", path), *_variety_names(content, path))
-        ),
-        *_camera_processes(cameras, cores() if processes is None else processes, scene),
+        *(NodeProcess("skinner", f"skinner_{name}", {**scene, "human": name}) for name in names.humans),
+        *_camera_processes(names.cameras, cores() if processes is None else processes, scene),
     ]
 
 
@@ -94,36 +80,3 @@ def render_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
         "OPENCV_FOR_THREADS_NUM": str(share),
     }
     return {name: number for name, number in threads.items() if name not in os.environ}
-
-
-def _variety_names(content: Mapping[str, Any], path: Path) -> list[str]:
-    section = content.get("variety") or {}
-    try:
-        return variety_names(str(section.get("name", "person")), min(int(section.get("count", 0)), 1000))
-    except (AttributeError, TypeError, ValueError):
-        raise SceneError("must have count, a number of people", path=path, key="variety") from None
-
-
-def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
-    """Names of the cameras in the calibration file of the scene."""
-    if not content.get("rig"):
-        return []
-    from humansim_ros.scene.rig import rig_camera_names  # imports more libraries
-
-    return rig_camera_names(path)
-
-
-def _names(content: Mapping[str, Any], key: str, path: Path) -> list[str]:
-    section = content.get(key) or {}
-    if not isinstance(section, dict):
-        raise SceneError("must map each name to its settings", path=path, key=key)
-    names = [str(name) for name in section]
-    for name in names:
-        # names become parts of node and topic names
-        if not re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name):
-            raise SceneError(
-                "ROS names consist of letters, digits and _ and do not start with a digit",
-                path=path,
-                key=f"{key}.{name}",
-            )
-    return names

@@ -1,8 +1,71 @@
-"""Names of the humans of a scene; imports no other library."""
+"""Names of the humans and cameras of a scene file, read without the schema and its libraries.
+
+``ros2 launch`` starts the nodes of a scene, and may run in a Python without the libraries of the nodes.
+"""
 
 from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from humansim_ros.errors import SceneError
+from humansim_ros.io.yaml import read_yaml
+
+
+@dataclass(frozen=True)
+class SceneNames:
+    """Names of the humans, and of the cameras with those of the rig."""
+
+    humans: tuple[str, ...]
+    cameras: tuple[str, ...]
+
+
+def read_names(path: str | os.PathLike[str]) -> SceneNames:
+    """Read the names of a scene file. Raises SceneError for names that ROS does not accept."""
+    path = Path(path)
+    content, _ = read_yaml(path, SceneError, "scene")
+    if not isinstance(content, dict):
+        raise SceneError("this is not a scene; it needs the keys humans and cameras", path=path)
+    cameras = (*_rig_names(content, path), *_section_names(content, "cameras", path))
+    return SceneNames((*_section_names(content, "humans", path), *_variety_names(content, path)), cameras)
 
 
 def variety_names(prefix: str, count: int) -> list[str]:
     """Names of the random humans of a ``variety`` section: person_1, person_2 …"""
     return [f"{prefix}_{number}" for number in range(1, count + 1)]
+
+
+def _variety_names(content: Mapping[str, Any], path: Path) -> list[str]:
+    section = content.get("variety") or {}
+    try:
+        return variety_names(str(section.get("name", "person")), min(int(section.get("count", 0)), 1000))
+    except (AttributeError, TypeError, ValueError):
+        raise SceneError("must have count, a number of people", path=path, key="variety") from None
+
+
+def _rig_names(content: Mapping[str, Any], path: Path) -> list[str]:
+    if not content.get("rig"):
+        return []
+    from humansim_ros.scene.rig import rig_camera_names  # imports more libraries
+
+    return rig_camera_names(path)
+
+
+def _section_names(content: Mapping[str, Any], key: str, path: Path) -> list[str]:
+    section = content.get(key) or {}
+    if not isinstance(section, dict):
+        raise SceneError("must map each name to its settings", path=path, key=key)
+    names = [str(name) for name in section]
+    for name in names:
+        # names become parts of node and topic names
+        if not re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name):
+            raise SceneError(
+                "ROS names consist of letters, digits and _ and do not start with a digit",
+                path=path,
+                key=f"{key}.{name}",
+            )
+    return names

@@ -1,4 +1,4 @@
-"""More of the ``humansim camera`` commands: ideal cameras, rigs of cameras, and pictures of them."""
+"""``humansim camera idealize``, ``rig`` and ``plot``: ideal cameras, new rigs, and images of rigs."""
 
 from __future__ import annotations
 
@@ -6,16 +6,25 @@ import math
 import re
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from humansim_ros.cli import camera as cli_camera
-from humansim_ros.cli.camera import Files, Image, Only, Size, Unit, Up
-from humansim_ros.cli.output import check_folder, say, warn, written
+from humansim_ros.cli.camera import load, parse_size, read_cameras, select_cameras
+from humansim_ros.cli.options import (
+    CalibrationArgument,
+    CalibrationsArgument,
+    CameraOption,
+    ImageOption,
+    OutputFolderOption,
+    SizeOption,
+    UnitOption,
+    UpOption,
+)
+from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors
 from humansim_ros.errors import CameraError, HumansimError
 
 if TYPE_CHECKING:
@@ -23,116 +32,115 @@ if TYPE_CHECKING:
     from humansim_ros.camera.calibration import Calibration
     from humansim_ros.camera.idealize import Ideal
 
-#: All commands of the group: those of cli_camera, and these.
-app = cli_camera.app
-
-#: Bytes of the largest image file that is read.
+#: Largest image file in bytes.
 _MAX_BYTES = 1 << 28
 _JPEG = (".jpg", ".jpeg")
-#: Metres between cameras and walls: furniture is less deep.
-_TO_WALLS = 1.3
+#: Distance of cameras from the walls, metres; furniture is less deep.
+_WALL_DISTANCE = 1.3
+#: Smallest room and longest side of a room, metres.
 _ROOM, _LARGEST_ROOM = (7.0, 6.4, 2.8), 100.0
-#: Radius of the circle on which the built-in walk goes round, and of the smallest rig that it fits in.
-_WALK, _ROOM_TO_WALK = 1.59, 3.0
+#: Radius of the circle of the built-in motion ``walk``, and radius of the smallest rig for it, metres.
+_WALK_RADIUS, _WALK_RIG_RADIUS = 1.59, 3.0
 
 
-class Fitting(Enum):
+class FitChoice(Enum):
+    """Choices of ``idealize --fit``."""
+
     focal = "focal"
     all = "all"
     no_black = "no_black"
 
 
-class Model(Enum):
+class LensChoice(Enum):
+    """Choices of ``rig --model``."""
+
     plumb_bob = "plumb_bob"
     rational_polynomial = "rational_polynomial"
     equidistant = "equidistant"
 
 
-Folder = Annotated[Path, typer.Option("--output", "-o", help="The folder; made if it is not there.")]
-
-
-@app.command()
 def idealize(
-    file: cli_camera.File,
-    output: Folder,
+    file: CalibrationArgument,
+    output: OutputFolderOption,
     images: Annotated[
-        list[Path] | None, typer.Argument(help="Images of that camera (.png, .jpg), to be corrected.")
+        list[Path] | None, typer.Argument(help="Images of the camera (.png, .jpg) to convert.")
     ] = None,
-    square: Annotated[bool, typer.Option("--square", help="Square pixels.")] = False,
-    keep_center: Annotated[
-        bool, typer.Option("--keep-center", help="Leave the principal point where it is.")
-    ] = False,
+    square: Annotated[bool, typer.Option("--square", help="Make pixels square.")] = False,
+    keep_center: Annotated[bool, typer.Option("--keep-center", help="Keep the principal point.")] = False,
     fit: Annotated[
-        Fitting,
-        typer.Option(help="Keep the focal lengths; show all of the image; or only what leaves no black."),
-    ] = Fitting.focal,
+        FitChoice,
+        typer.Option(
+            help="focal: keep the focal lengths; all: show the whole image; no_black: without black pixels."
+        ),
+    ] = FitChoice.focal,
     nearest: Annotated[
-        bool, typer.Option("--nearest", help="Do not mix pixels: for images of labels or depth.")
+        bool, typer.Option("--nearest", help="Do not interpolate: for images of labels or depth.")
     ] = False,
-    size: Size = None,
-    image: Image = None,
-    unit: Unit = None,
-    up: Up = None,
-    camera: Only = None,
+    size: SizeOption = None,
+    image: ImageOption = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    camera: CameraOption = None,
 ) -> None:
-    """Ideal cameras in place of real ones, and their images: no lens distortion, no skew, the principal point
-    in the middle.
-    """
-    from humansim_ros.camera.idealize import idealize as made_ideal
+    """Convert cameras and images to ideal cameras: no distortion, no skew, a centred principal point."""
+    from humansim_ros.camera.idealize import idealize as make_ideal
 
-    calibration = cli_camera.load(file, size, image, unit, up)
-    real = cli_camera.chosen(calibration.cameras, camera, file)
+    calibration = load(file, size, image, unit, up)
+    real = select_cameras(calibration.cameras, camera, file)
     if images and len(real) != 1:
         names = ", ".join(list(real)[:8])
-        raise CameraError(f"whose images are these? say --camera, one of {names}", path=file)
-    ideals = {name: made_ideal(one, square, not keep_center, fit.value) for name, one in real.items()}
+        raise CameraError(f"choose the camera of the images with --camera: one of {names}", path=file)
+    ideals = {name: make_ideal(one, square, not keep_center, fit.value) for name, one in real.items()}
     _make_folder(output)
     _write_ideal(file, output, calibration, {name: ideal.camera for name, ideal in ideals.items()})
-    _correct_all(next(iter(ideals.values())), images or [], output, nearest)
+    _convert_images(next(iter(ideals.values())), images or [], output, nearest)
 
 
-@app.command()
 def rig(
-    output: Folder,
-    ring: Annotated[int | None, typer.Option(help="So many cameras on a circle.")] = None,
-    grid: Annotated[str | None, typer.Option(help="A wall of cameras: rows and columns, as 2x4.")] = None,
-    dome: Annotated[int | None, typer.Option(help="So many cameras over half a sphere.")] = None,
-    stereo: Annotated[float | None, typer.Option(help="A stereo pair with this baseline, metres.")] = None,
-    radius: Annotated[float, typer.Option(help="Metres from the point that is looked at.")] = 4.0,
+    output: OutputFolderOption,
+    ring: Annotated[int | None, typer.Option(help="Number of cameras on a circle.")] = None,
+    grid: Annotated[str | None, typer.Option(help="Rows and columns of a wall of cameras, as 2x4.")] = None,
+    dome: Annotated[int | None, typer.Option(help="Number of cameras on a half sphere.")] = None,
+    stereo: Annotated[float | None, typer.Option(help="Baseline of a stereo pair, metres.")] = None,
+    radius: Annotated[float, typer.Option(help="Distance from the target, metres.")] = 4.0,
     height: Annotated[
-        float | None, typer.Option(help="Metres over the floor (1.8), but for a dome.", show_default=False)
+        float | None,
+        typer.Option(help="Height above the floor, metres (1.8); not for a dome.", show_default=False),
     ] = None,
     look_at: Annotated[
-        tuple[float, float, float], typer.Option(help="What all look at: x y z in map, metres.")
+        tuple[float, float, float], typer.Option(help="Target of all cameras: x y z in map, metres.")
     ] = (0.0, 0.0, 1.0),
     start_deg: Annotated[
-        float, typer.Option(help="Where the first camera stands, degrees from +x to the left.")
+        float, typer.Option(help="Azimuth of the first camera, degrees from +x towards +y.")
     ] = 0.0,
-    spacing: Annotated[float, typer.Option(help="Metres between the cameras of a grid.")] = 0.5,
-    size: Annotated[str, typer.Option(help="Size of the images.")] = "640x480",
-    fov_deg: Annotated[float, typer.Option(help="Horizontal field of view, through the lens.")] = 60.0,
+    spacing: Annotated[float, typer.Option(help="Distance of the cameras of a grid, metres.")] = 0.5,
+    size: Annotated[str, typer.Option(help="Image size.")] = "640x480",
+    fov_deg: Annotated[float, typer.Option(help="Horizontal field of view through the lens.")] = 60.0,
     distortion: Annotated[
-        str | None, typer.Option(help="Coefficients of the lens, such as '-0.3 0.1 0 0'.")
+        str | None, typer.Option(help="Distortion coefficients, such as '-0.3 0.1 0 0'.")
     ] = None,
     model: Annotated[
-        Model | None, typer.Option(help="Their model; by their number if absent.", show_default=False)
+        LensChoice | None,
+        typer.Option(
+            help="Distortion model; the number of coefficients decides if absent.", show_default=False
+        ),
     ] = None,
 ) -> None:
-    """Set up cameras around a place: a scene that `humansim run` takes, and a camera_info file for each."""
+    """Arrange cameras around a target. Writes a scene for `humansim run`, and camera_info files."""
     from humansim_ros.camera import rigs
 
-    ways = {"--ring": ring, "--grid": grid, "--dome": dome, "--stereo": stereo}
-    given = [way for way, value in ways.items() if value is not None]
+    layouts = {"--ring": ring, "--grid": grid, "--dome": dome, "--stereo": stereo}
+    given = [option for option, value in layouts.items() if value is not None]
     if len(given) != 1:
         raise HumansimError(
-            f"say one of {', '.join(ways)}" + (f", not {' and '.join(given)}" if given else "")
+            f"give one of {', '.join(layouts)}" + (f", not {' and '.join(given)}" if given else "")
         )
     if dome is not None and height is not None:
-        raise HumansimError("--height: a dome begins at the height that is looked at (--look-at)")
+        raise HumansimError("--height: a dome starts at the height of its target (--look-at)")
     if not all(map(math.isfinite, (*look_at, start_deg, fov_deg, spacing, radius, height or 0.0))):
-        raise HumansimError("the options are numbers, not nan or infinity")
+        raise HumansimError("the options must be finite numbers")
     lens = (_coefficients(distortion), model.value if model else None)
-    optics = rigs.Optics(cli_camera.parse_size(size), math.radians(fov_deg), *lens)
+    optics = rigs.Optics(parse_size(size), math.radians(fov_deg), *lens)
     start, up = math.radians(start_deg), 1.8 if height is None else height
     if ring is not None:
         cameras = rigs.ring(ring, radius, up, look_at, optics, start)
@@ -147,44 +155,43 @@ def rig(
     _write_rig(output, cameras, look_at, radius)
 
 
-@app.command()
 def plot(
-    files: Files,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The picture (.png).")],
+    files: CalibrationsArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Output image (.png).")],
     coverage: Annotated[
-        bool, typer.Option("--coverage", help="How many cameras see each place instead.")
+        bool, typer.Option("--coverage", help="Draw the number of cameras that see each position.")
     ] = False,
-    at: Annotated[float, typer.Option(help="Coverage: of a point so many metres over the floor.")] = 1.2,
-    stature: Annotated[float, typer.Option(help="Coverage: of a person so tall, metres.")] = 1.8,
+    at: Annotated[float, typer.Option(help="Coverage: height of a point above the floor, metres.")] = 1.2,
+    stature: Annotated[float, typer.Option(help="Coverage: height of a person, metres.")] = 1.8,
     area: Annotated[
         tuple[float, float, float, float] | None,
-        typer.Option(help="Coverage: x y of two corners, metres; around the rig if absent."),
+        typer.Option(help="Coverage: x y of two corners, metres; the surroundings of the rig if absent."),
     ] = None,
-    size: Size = None,
-    image: Image = None,
-    unit: Unit = None,
-    up: Up = None,
-    camera: Only = None,
+    size: SizeOption = None,
+    image: ImageOption = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    camera: CameraOption = None,
 ) -> None:
-    """The cameras of calibrations from above and in space, or what they cover."""
+    """Draw the cameras of calibrations from above and from the side, or their coverage of the floor."""
     from humansim_ros.drawing.canvas import write_png
     from humansim_ros.drawing.rigs import coverage_image, rig_image
 
     if output.suffix.lower() != ".png":
-        raise HumansimError("the picture is a .png: give the file that name", path=output)
-    check_folder(output)
-    cameras = cli_camera.chosen(cli_camera.read_cameras(files, size, image, unit, up), camera, files[0])
-    _warn_of_one_place(cameras)
-    picture = coverage_image(cameras, at, stature, area) if coverage else rig_image(cameras)
-    with written(output):
-        write_png(output, picture)
-    say(f"wrote {output}")
+        raise HumansimError("the image is a .png file: give it this suffix", path=output)
+    check_output(output)
+    cameras = select_cameras(read_cameras(files, size, image, unit, up), camera, files[0])
+    _warn_of_one_position(cameras)
+    drawing = coverage_image(cameras, at, stature, area) if coverage else rig_image(cameras)
+    with report_write_errors(output):
+        write_png(output, drawing)
+    print_text(f"wrote {output}")
 
 
 def _make_folder(folder: Path) -> None:
-    with written(folder):
+    with report_write_errors(folder):
         if folder.exists() and not folder.is_dir():
-            raise HumansimError("this is a file: name a folder", path=folder)
+            raise HumansimError("this is a file: give a folder", path=folder)
         folder.mkdir(parents=True, exist_ok=True)
 
 
@@ -192,7 +199,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _write_ideal(file: str, output: Path, read: Calibration, cameras: Mapping[str, Camera]) -> None:
-    """Ideal cameras in the form that the real ones came in."""
+    """Write ideal cameras in the format of the real ones."""
     from humansim_ros.camera.calibration import resolve_url, write_calibration
 
     source = resolve_url(file) if "://" in file else Path(file)
@@ -202,30 +209,30 @@ def _write_ideal(file: str, output: Path, read: Calibration, cameras: Mapping[st
         target = output
     _refuse_to_overwrite(source, target)
     for path in write_calibration(target, cameras, read.format.name if read.format else "scene"):
-        say(f"wrote {path}")
+        print_text(f"wrote {path}")
 
 
-def _correct_all(ideal: Ideal, images: list[Path], output: Path, nearest: bool) -> None:
-    """Corrected images in a folder. What cannot be done is named, and the rest is done all the same."""
-    done: set[str] = set()
+def _convert_images(ideal: Ideal, images: list[Path], output: Path, nearest: bool) -> None:
+    """Convert images into a folder. Images that fail are reported, and the others are converted."""
+    names: set[str] = set()
     failed = False
     for path in images:
         try:
-            if path.name in done:
-                raise CameraError("another image of this name has been written already", path=path)
+            if path.name in names:
+                raise CameraError("another image of this name has already been written", path=path)
             _refuse_to_overwrite(path, output / path.name)
-            _correct(ideal, path, output / path.name, nearest)
+            _convert_image(ideal, path, output / path.name, nearest)
         except HumansimError as error:
             failed = True
             print(f"error: {error}", file=sys.stderr)
         else:
-            done.add(path.name)
-            say(f"wrote {output / path.name}")
+            names.add(path.name)
+            print_text(f"wrote {output / path.name}")
     if failed:
         raise typer.Exit(2)
 
 
-def _correct(ideal: Ideal, path: Path, target: Path, nearest: bool) -> None:
+def _convert_image(ideal: Ideal, path: Path, target: Path, nearest: bool) -> None:
     import cv2
     import numpy as np
 
@@ -234,29 +241,29 @@ def _correct(ideal: Ideal, path: Path, target: Path, nearest: bool) -> None:
 
     if path.suffix.lower() not in (".png", *_JPEG):
         raise CameraError("images are .png or .jpg", path=path)
-    size, wanted = image_size(path), ideal.real.size
-    if size != wanted:
-        message = f"the image is {size[0]}x{size[1]} pixels, the camera {wanted[0]}x{wanted[1]}"
+    size, expected = image_size(path), ideal.real.size
+    if size != expected:
+        message = f"the image is {size[0]}x{size[1]} pixels, but the camera has {expected[0]}x{expected[1]}"
         raise CameraError(message, path=path, key="size")
     data = np.frombuffer(read_bytes(path, CameraError, "image", _MAX_BYTES), np.uint8)
     try:
         image: Any = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except cv2.error:
         image = None
-    if image is None or image.shape[:2] != wanted[::-1]:
+    if image is None or image.shape[:2] != expected[::-1]:
         raise CameraError("the image cannot be decoded: it is damaged", path=path)
-    corrected = ideal.to_ideal(image, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR)
+    converted = ideal.to_ideal(image, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR)
     quality = [cv2.IMWRITE_JPEG_QUALITY, 95] if path.suffix.lower() in _JPEG else []
-    encoded, content = cv2.imencode(path.suffix, corrected, quality)
+    encoded, content = cv2.imencode(path.suffix, converted, quality)
     if not encoded:
-        raise CameraError("the corrected image cannot be encoded", path=path)
-    with written(target), atomic_path(target) as temporary:
+        raise CameraError("the converted image cannot be encoded", path=path)
+    with report_write_errors(target), atomic_path(target) as temporary:
         temporary.write_bytes(content.tobytes())
 
 
 def _refuse_to_overwrite(source: Path, target: Path) -> None:
     if source.resolve() == target.resolve():
-        raise HumansimError("would be overwritten: give another folder as --output", path=source)
+        raise HumansimError("would be overwritten: give another folder with --output", path=source)
 
 
 # -- rig
@@ -279,7 +286,7 @@ def _rows_columns(text: str) -> tuple[int, int]:
 def _write_rig(
     output: Path, cameras: Mapping[str, Camera], look_at: tuple[float, float, float], radius: float
 ) -> None:
-    """scene.yaml, which says all of the cameras, and camera_info files, which say all but where they are."""
+    """Write scene.yaml with the cameras, and camera_info files without their poses."""
     from humansim_ros.camera.calibration import write_calibration
     from humansim_ros.camera.formats.scene import SCENE
     from humansim_ros.io.files import atomic_path
@@ -288,29 +295,33 @@ def _write_rig(
     _make_folder(folder)
     low = min(camera.center[2] for camera in cameras.values())
     if low <= 0:
-        warn(f"the lowest camera is {-low:.2f} m under the floor")
+        print_warning(f"the lowest camera is {-low:.2f} m below the floor")
     scene = output / "scene.yaml"
     text = _scene_text(cameras, look_at, radius) + SCENE.write(cameras)[""]
-    with written(scene), atomic_path(scene) as temporary:
+    with report_write_errors(scene), atomic_path(scene) as temporary:
         temporary.write_text(text, encoding="utf-8")
-    say(f"wrote {scene}; try: humansim run {scene}")
+    print_text(f"wrote {scene}; try: humansim run {scene}")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # that these have no place: the scene has them
+        warnings.simplefilter("ignore")  # camera_info does not store poses; the scene does
         for path in write_calibration(folder, cameras, "camera_info"):
-            say(f"wrote {path}")
+            print_text(f"wrote {path}")
 
 
 def _scene_text(cameras: Mapping[str, Camera], look_at: tuple[float, float, float], radius: float) -> str:
-    """A room that holds all cameras, and somebody for them to look at."""
+    """Text of a scene with a room around all cameras, and a human."""
     x, y, _ = look_at
     centers = [camera.center.tolist() for camera in cameras.values()]
-    within = [*centers, (x - _WALK, y - _WALK), (x + _WALK, y + _WALK)]
-    walls = [2 * (max(abs(place[axis]) for place in within) + _TO_WALLS) for axis in (0, 1)]
-    wanted = (*walls, max(center[2] for center in centers) + 0.3)
-    size = [round(max(pair), 1) for pair in zip(_ROOM, wanted, strict=True)]
+    within = [
+        *centers,
+        (x - _WALK_RADIUS, y - _WALK_RADIUS),
+        (x + _WALK_RADIUS, y + _WALK_RADIUS),
+    ]
+    sides = [2 * (max(abs(position[axis]) for position in within) + _WALL_DISTANCE) for axis in (0, 1)]
+    needed = (*sides, max(center[2] for center in centers) + 0.3)
+    size = [round(max(pair), 1) for pair in zip(_ROOM, needed, strict=True)]
     room = "null" if max(size) > _LARGEST_ROOM else f"{{size: {size}}}"
-    if radius >= _ROOM_TO_WALK:
-        motion = f"{{file: walk, position: [{x:g}, {y - _WALK:g}], loop: continue}}"
+    if radius >= _WALK_RIG_RADIUS:
+        motion = f"{{file: walk, position: [{x:g}, {y - _WALK_RADIUS:g}], loop: continue}}"
     else:
         motion = f"{{file: wave, position: [{x:g}, {y:g}], anchor: center}}"
     return f"rate: 30\nroom: {room}\nhumans:\n  walker: {{motion: {motion}}}\n"
@@ -319,7 +330,11 @@ def _scene_text(cameras: Mapping[str, Camera], look_at: tuple[float, float, floa
 # -- plot
 
 
-def _warn_of_one_place(cameras: Mapping[str, Camera]) -> None:
+def _warn_of_one_position(cameras: Mapping[str, Camera]) -> None:
     centers = {tuple(camera.center.tolist()) for camera in cameras.values()}
     if len(cameras) > 1 and len(centers) == 1:
-        warn("all cameras are at one place: do the files say where they stand?")
+        print_warning("all cameras are at one position: do the files have extrinsics?")
+
+
+#: Commands of this module by name.
+COMMANDS: dict[str, Callable[..., None]] = {"idealize": idealize, "rig": rig, "plot": plot}

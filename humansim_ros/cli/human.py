@@ -1,119 +1,118 @@
-"""The ``humansim human`` commands: which people there are, how they look, and how a mesh becomes one."""
+"""The ``humansim human`` commands: list, draw, describe, build and rig humans."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from humansim_ros.cli.output import check_folder, say, to_json, written
+from humansim_ros.cli.options import JsonOption
+from humansim_ros.cli.output import check_output, print_text, report_write_errors, to_json
 from humansim_ros.errors import HumansimError, MeshError
 
 if TYPE_CHECKING:
     from humansim_ros.humans.human import Human
 
-app = typer.Typer(help="Look at people, make them, rig meshes.", no_args_is_help=True)
 
+class RiggingChoice(Enum):
+    """Choices of ``rig --rigging``."""
 
-class Rule(Enum):
     heat = "heat"
     thesis = "thesis"
 
 
-class Joints(Enum):
+class SkeletonChoice(Enum):
+    """Choices of ``rig --skeleton``."""
+
     fitted = "fitted"
     general = "general"
 
 
-class Way(Enum):
+class SkinningChoice(Enum):
+    """Choices of ``rig --skinning``."""
+
     linear = "linear"
     dual_quaternion = "dual_quaternion"
 
 
-Who = Annotated[
+HumanArgument = Annotated[
     str,
-    typer.Argument(help="A built-in human (see `humansim human list`), or a file: .npz, .yaml, .obj, .glb …"),
+    typer.Argument(help="Built-in human (`humansim human list`), or a file: .npz, .yaml, .obj, .glb …"),
 ]
-Json = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
-Preview = Annotated[Path | None, typer.Option(help="A picture of it as well (.png).")]
+PreviewOption = Annotated[Path | None, typer.Option(help="Also draw the human (.png).")]
 
 
-@app.command("list")
-def list_humans(as_json: Json = False) -> None:
-    """The people that come with the package."""
-    people = [describe_human(_load(name)) for name in built_in_humans()]
+def list_humans(as_json: JsonOption = False) -> None:
+    """List the built-in humans."""
+    humans = [describe_human(_load(name)) for name in built_in_humans()]
     if as_json:
-        say(to_json(people))
+        print_text(to_json(humans))
         return
-    width = max(len(person["name"]) for person in people)
-    for person in people:
-        size = f"{person['stature']:.2f} m, {person['vertices']} vertices"
-        say(f"{person['name']:{width}}  {size}; wears {', '.join(person['outfits'])}")
+    width = max(len(human["name"]) for human in humans)
+    for human in humans:
+        size = f"{human['stature']:.2f} m, {human['vertices']} vertices"
+        print_text(f"{human['name']:{width}}  {size}; wears {', '.join(human['outfits'])}")
 
 
-@app.command()
 def show(
-    who: Who,
-    output: Annotated[Path, typer.Option("--output", "-o", help="The picture (.png).")],
-    outfit: Annotated[str | None, typer.Option(help="What it wears.")] = None,
+    who: HumanArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Output image (.png).")],
+    outfit: Annotated[str | None, typer.Option(help="Name of the outfit.")] = None,
 ) -> None:
-    """A sheet with the human from all sides, its bones, its weights and its outfits."""
-    _check_picture(output)
+    """Draw a human from all sides, with its bones, weights and outfits."""
+    _check_image(output)
     human = _load(who, outfit)
     _draw(human, output)
 
 
-@app.command()
-def info(who: Who, as_json: Json = False) -> None:
-    """What is in a file with a human: size, bones, weights, outfits, what is odd."""
+def info(who: HumanArgument, as_json: JsonOption = False) -> None:
+    """Describe a human: size, bones, weights, outfits, licence."""
     facts = describe_human(_load(who))
-    say(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
+    print_text(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
 
-@app.command()
 def build(
     config: Annotated[
-        Path, typer.Argument(help="A description (.yaml), see config/humans and docs/humans.md.")
+        Path, typer.Argument(help="Description (.yaml); see config/humans and docs/humans.md.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The human (.npz).")],
-    preview: Preview = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Output file (.npz).")],
+    preview: PreviewOption = None,
 ) -> None:
-    """Make a human of a description: of MakeHuman's sliders, or of a mesh."""
+    """Build a human from a description: MakeHuman parameters or a mesh."""
     if config.suffix.lower() not in (".yaml", ".yml"):
-        raise MeshError("a description is a .yaml file; `humansim human rig` takes meshes", path=config)
+        raise MeshError("a description is a .yaml file; use `humansim human rig` for meshes", path=config)
     _check_human(output)
-    _check_picture(preview)
+    _check_image(preview)
     _write(_load(str(config)), output, preview)
 
 
-@app.command()
 def rig(
-    mesh: Annotated[
-        Path, typer.Argument(help="A mesh in T or A pose (.obj, .gltf, .glb), or an SMPL model.")
-    ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="The human (.npz).")],
-    preview: Preview = None,
-    rigging: Annotated[Rule, typer.Option(help="How an unrigged mesh gets its weights.")] = Rule.heat,
+    mesh: Annotated[Path, typer.Argument(help="Mesh in T or A pose (.obj, .gltf, .glb), or an SMPL model.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Output file (.npz).")],
+    preview: PreviewOption = None,
+    rigging: Annotated[
+        RiggingChoice, typer.Option(help="Method for the weights of a mesh without weights.")
+    ] = RiggingChoice.heat,
     skeleton: Annotated[
-        Joints, typer.Option(help="Joints found in the mesh, or those of the general skeleton.")
-    ] = Joints.fitted,
-    skinning: Annotated[Way, typer.Option(help="How skin follows bones.")] = Way.linear,
+        SkeletonChoice, typer.Option(help="Joints detected in the mesh, or those of the general skeleton.")
+    ] = SkeletonChoice.fitted,
+    skinning: Annotated[SkinningChoice, typer.Option(help="Skinning method.")] = SkinningChoice.linear,
     unit: Annotated[float | None, typer.Option(help="Metres per unit of the file.")] = None,
     stature: Annotated[float | None, typer.Option(help="Height of the person, metres.")] = None,
-    up: Annotated[str | None, typer.Option(help="The file's up axis, such as y or -z.")] = None,
-    facing: Annotated[str | None, typer.Option(help="The file's axis that the person faces.")] = None,
+    up: Annotated[str | None, typer.Option(help="Axis of the file that points up, such as y or -z.")] = None,
+    facing: Annotated[str | None, typer.Option(help="Axis of the file that the person faces.")] = None,
 ) -> None:
-    """Fit a skeleton into a mesh, and tie its skin to the bones; a rigged figure keeps its own weights."""
+    """Fit a skeleton to a mesh and compute weights. A mesh that has weights keeps them."""
     from pydantic import ValidationError
 
     from humansim_ros.humans.description import MeshHuman
     from humansim_ros.humans.loading import make_human
 
     _check_human(output)
-    _check_picture(preview)
+    _check_image(preview)
     options = {"rigging": rigging.value, "skeleton": skeleton.value, "skinning": skinning.value}
     given = {"unit": unit, "stature": stature, "up": up, "facing": facing}
     try:
@@ -133,7 +132,7 @@ def built_in_humans() -> list[str]:
 
 
 def describe_human(human: Human) -> dict[str, Any]:
-    """What there is to say of a human, as JSON can hold it."""
+    """Facts about a human for ``humansim human info --json``."""
     import numpy as np
 
     mesh, counts = human.mesh, np.diff(human.weights.indptr)
@@ -158,15 +157,13 @@ def describe_human(human: Human) -> dict[str, Any]:
 
 def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
     yield facts["name"]
-    surface = "closed" if facts["closed"] else "open, or facing both ways in places"
+    surface = "closed" if facts["closed"] else "open, or with inconsistent normals"
     yield f"  {facts['stature']:.3f} m tall; {facts['vertices']} vertices, {facts['faces']} faces, {surface}"
     most, mean = facts["bones_per_vertex"]["most"], facts["bones_per_vertex"]["mean"]
-    yield f"  {facts['bones']} bones; a vertex follows up to {most} of them, {mean:.1f} in the mean"
+    yield f"  {facts['bones']} bones; up to {most} per vertex, {mean:.1f} on average"
     yield f"  {facts['skinning'].replace('_', ' ')} skinning"
-    look = (
-        "colours of the vertices" if facts["texture"] is None else "texture {} x {}".format(*facts["texture"])
-    )
-    yield f"  {look}; wears {', '.join(facts['outfits'])}"
+    appearance = "vertex colours" if facts["texture"] is None else "texture {} x {}".format(*facts["texture"])
+    yield f"  {appearance}; wears {', '.join(facts['outfits'])}"
     for key in ("source", "license"):
         if facts[key]:
             yield f"  {key}: {facts[key]}"
@@ -182,9 +179,9 @@ def _load(who: str, outfit: str | None = None) -> Human:
 def _write(human: Human, output: Path, preview: Path | None) -> None:
     from humansim_ros.humans.human import write_human
 
-    with written(output):
+    with report_write_errors(output):
         write_human(output, human)
-    say(f"wrote {output}")
+    print_text(f"wrote {output}")
     if preview is not None:
         _draw(human, preview)
 
@@ -193,20 +190,30 @@ def _draw(human: Human, output: Path) -> None:
     from humansim_ros.drawing.canvas import write_png
     from humansim_ros.drawing.humans import human_sheet
 
-    with written(output):
+    with report_write_errors(output):
         write_png(output, human_sheet(human))
-    say(f"wrote {output}")
+    print_text(f"wrote {output}")
 
 
 def _check_human(output: Path) -> None:
     if output.suffix.lower() != ".npz":
-        raise HumansimError("a human is written as .npz: give the file that name", path=output)
-    check_folder(output)
+        raise HumansimError("a human is written to a .npz file: give it this suffix", path=output)
+    check_output(output)
 
 
-def _check_picture(output: Path | None) -> None:
+def _check_image(output: Path | None) -> None:
     if output is None:
         return
     if output.suffix.lower() != ".png":
-        raise HumansimError("the picture is a .png: give the file that name", path=output)
-    check_folder(output)
+        raise HumansimError("the image is a .png file: give it this suffix", path=output)
+    check_output(output)
+
+
+#: Commands of this module by name.
+COMMANDS: dict[str, Callable[..., None]] = {
+    "list": list_humans,
+    "show": show,
+    "info": info,
+    "build": build,
+    "rig": rig,
+}

@@ -1,4 +1,4 @@
-"""The ``humansim`` command. Exit codes: 0 done, 1 a check or run failed, 2 the input or command was wrong."""
+"""The ``humansim`` command. Exit codes: 0 success, 1 a check or run failed, 2 wrong input or command."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import signal
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,26 +14,15 @@ import typer
 import yaml
 
 from humansim_ros import __version__
-from humansim_ros.cli import camera_rig as cli_camera_rig
-from humansim_ros.cli import human as cli_human
-from humansim_ros.cli import motion as cli_motion
+from humansim_ros.cli import camera as camera_commands
+from humansim_ros.cli import camera_rig as rig_commands
+from humansim_ros.cli import human as human_commands
+from humansim_ros.cli import motion as motion_commands
 from humansim_ros.errors import HumansimError, show_warnings
 from humansim_ros.io.files import exists, expand_user
 from humansim_ros.resources import resource_path
 
-app = typer.Typer(
-    help="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    add_completion=False,
-)
 
-app.add_typer(cli_camera_rig.app, name="camera")  # with those of cli_camera
-app.add_typer(cli_human.app, name="human")
-app.add_typer(cli_motion.app, name="motion")
-
-
-@app.callback(invoke_without_command=True)
 def _root(
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
@@ -41,24 +31,24 @@ def _root(
         raise typer.Exit
 
 
-@app.command()
 def run(
     scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
     motion: Annotated[
-        str | None, typer.Option(help="BVH file, or built-in motion, instead of the scene's.")
+        str | None, typer.Option(help="Motion file or built-in motion in place of that of the scene.")
     ] = None,
     mesh: Annotated[
-        str | None, typer.Option(help="Body (.obj, .npz or built-in) instead of the scene's.")
+        str | None, typer.Option(help="Body (.obj, .npz or built-in) in place of that of the scene.")
     ] = None,
     joint_names: Annotated[
         str | None, typer.Option(help="Joint table for the motion (name or YAML file).")
     ] = None,
-    duration: Annotated[float | None, typer.Option(help="Stop after so many seconds.", min=0.1)] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds after which to stop.", min=0.1)] = None,
     processes: Annotated[
-        int | None, typer.Option(help="Processes that share the cameras; one per core if absent.", min=1)
+        int | None,
+        typer.Option(help="Number of processes that share the cameras; one per core if absent.", min=1),
     ] = None,
 ) -> None:
-    """Start every node of a scene as a process; Ctrl-C stops them all."""
+    """Start all nodes of a scene as processes. Ctrl-C stops them."""
     from humansim_ros.ros.processes import scene_processes
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
@@ -69,7 +59,7 @@ def run(
         path = scene or resource_path("config/scenes/demo.yaml")
         if motion or mesh or joint_names:
             path = _scene_with(path, motion, mesh, joint_names, Path(folder))
-        _describe(Scene.load(path))  # everything is checked here, before anything is started
+        _describe(Scene.load(path))  # checks the scene before a process starts
         with Supervisor(scene_processes(path, processes)) as nodes:
             print("running; Ctrl-C stops", flush=True)
             try:
@@ -80,17 +70,17 @@ def run(
     if dead:
         name, code = dead
         print(
-            f"error: node {name} ended by itself (exit code {code}); the others were stopped", file=sys.stderr
+            f"error: node {name} ended unexpectedly (exit code {code}); the other nodes were stopped",
+            file=sys.stderr,
         )
-        raise typer.Exit(2 if code == 2 else 1)  # 2: the node was given wrong input, and has said so
+        raise typer.Exit(2 if code == 2 else 1)  # 2: wrong input, which the node has reported
 
 
-@app.command()
 def demo(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the pictures.")] = Path("demo"),
+    output: Annotated[Path, typer.Option("--output", "-o", help="Output folder.")] = Path("demo"),
     duration: Annotated[float, typer.Option(help="Seconds to record.", min=1.0, max=120.0)] = 10.0,
 ) -> None:
-    """Run the demo scene's nodes, subscribe to them as a client would, and write pictures of what arrived."""
+    """Run the demo scene, subscribe to its topics like a client, and draw the received messages."""
     from humansim_ros.ros.demo import record_demo
 
     _check_machine()
@@ -100,7 +90,7 @@ def demo(
 
 
 def _check_machine() -> None:
-    """Without ROS or OpenGL every node would fail: say so once, before anything starts."""
+    """Raise an error without ROS or OpenGL, once and before a process starts."""
     from humansim_ros.render.context import create_context
     from humansim_ros.ros.runtime import require_ros
 
@@ -111,8 +101,14 @@ def _check_machine() -> None:
 def _scene_with(
     path: Path, motion: str | None, mesh: str | None, joint_names: str | None, folder: Path
 ) -> Path:
-    """A copy of a scene whose first human has another motion or body, with that motion in the middle of the
-    room.
+    """Write a copy of a scene whose first human has another motion or body.
+
+    Args:
+        path: Scene file.
+        motion: Motion file or built-in motion; it is placed in the centre of the room.
+        mesh: Body of the human.
+        joint_names: Joint table of the motion.
+        folder: Folder of the copy.
     """
     from humansim_ros.errors import SceneError
     from humansim_ros.scene.config import load_config, map_files
@@ -148,7 +144,7 @@ def _absolute_in(folder: Path, name: str) -> str:
 
 
 def _absolute(name: str) -> str:
-    """A path made absolute; a bare name is left for the built-ins."""
+    """Absolute path; the name of a built-in is unchanged."""
     path = expand_user(name)
     return str(path.resolve()) if path.suffix or exists(path) else name
 
@@ -165,8 +161,38 @@ def _describe(scene: Any) -> None:
         print(f"{name}: {camera.size[0]}x{camera.size[1]}")
 
 
+def _make_app() -> typer.Typer:
+    """The command with its subcommands, which are listed here."""
+    app = typer.Typer(
+        help="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2.",
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        add_completion=False,
+    )
+    app.callback(invoke_without_command=True)(_root)
+    for command in (run, demo):
+        app.command()(command)
+    groups: dict[str, tuple[str, dict[str, Callable[..., None]]]] = {
+        "camera": (
+            "Read, convert and draw calibrations; arrange cameras to rigs.",
+            camera_commands.COMMANDS | rig_commands.COMMANDS,
+        ),
+        "human": ("List, draw, build and rig humans.", human_commands.COMMANDS),
+        "motion": ("Describe, match, retarget and draw motions.", motion_commands.COMMANDS),
+    }
+    for group, (text, commands) in groups.items():
+        subcommands = typer.Typer(help=text, no_args_is_help=True)
+        for name, function in commands.items():
+            subcommands.command(name)(function)
+        app.add_typer(subcommands, name=group)
+    return app
+
+
+app = _make_app()
+
+
 def main() -> int:
-    """Entry point: our errors become one line on standard error and exit code 2."""
+    """Entry point: errors of the package are one line on standard error and exit code 2."""
     show_warnings()
     try:
         result = app(standalone_mode=False)
@@ -180,11 +206,11 @@ def main() -> int:
     except Exception as error:
         if hasattr(error, "format_message") and hasattr(
             error, "exit_code"
-        ):  # click's own: the command was wrong
+        ):  # an error of the command-line parser
             print(f"error: {error.format_message()}", file=sys.stderr)
             return 2
         raise
-    return result if isinstance(result, int) else 0  # typer.Exit ends here as its code
+    return result if isinstance(result, int) else 0  # typer.Exit returns its code here
 
 
 if __name__ == "__main__":

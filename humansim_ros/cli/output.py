@@ -1,4 +1,4 @@
-"""What the commands print and write, and how they say that they cannot."""
+"""Output of the commands: text, JSON, warnings, progress, and errors of writing files."""
 
 from __future__ import annotations
 
@@ -14,43 +14,45 @@ from typing import Any
 from humansim_ros.errors import HumansimError
 
 
-def check_folder(output: Path) -> None:
-    """Said before the work, not after it."""
-    with written(output):
+def check_output(output: Path) -> None:
+    """Raise HumansimError if a file cannot be written; called before long work, not after it."""
+    with report_write_errors(output):
         if output.is_dir():
-            raise HumansimError("this is a folder: name a file in it", path=output)
+            raise HumansimError("this is a folder: give a file in it", path=output)
         if not output.resolve().parent.is_dir():
-            raise HumansimError("there is no such folder to write to", path=output)
+            raise HumansimError("its folder does not exist", path=output)
 
 
 @contextmanager
-def written(output: Path) -> Iterator[None]:
-    """Turns what writing a file raises into an error for people."""
+def report_write_errors(output: Path) -> Iterator[None]:
+    """Convert errors of writing a file to HumansimError with the file."""
     try:
         yield
     except OSError as reason:
         raise HumansimError(f"cannot be written: {reason.strerror or reason}", path=output) from None
 
 
-def warn(text: str) -> None:
+def print_warning(text: str) -> None:
+    """Print a warning to standard error."""
     print(f"warning: {text}", file=sys.stderr)
 
 
 def to_json(data: Any) -> str:
+    """JSON text without NaN and infinity, which JSON cannot represent."""
     try:
         return json.dumps(data, allow_nan=False)
     except ValueError:
-        raise HumansimError("there are numbers that are too large to work with") from None
+        raise HumansimError("a number is too large or not finite") from None
 
 
-def say(text: str) -> None:
-    """To standard output, whatever its encoding; a reader that has seen enough (`| head`) is no error."""
+def print_text(text: str) -> None:
+    """Print to standard output in any encoding. A closed pipe (``| head``) is not an error."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
     try:
         print(text, flush=True)
     except OSError as reason:
-        # what is still in the buffer must not be tried again when Python ends
+        # Python must not try to write the rest of the buffer again when it ends
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         if not isinstance(reason, BrokenPipeError):
             raise HumansimError(f"cannot write to standard output: {reason.strerror}") from None
@@ -58,7 +60,7 @@ def say(text: str) -> None:
 
 @contextmanager
 def progress_bar(frames: Iterable[Any], count: int) -> Iterator[Iterable[Any]]:
-    """A bar on a terminal, nothing elsewhere."""
+    """Show a progress bar on a terminal, and nothing elsewhere."""
     from rich.console import Console
     from rich.progress import Progress
 

@@ -311,7 +311,7 @@ def test_the_command_corrects_images_and_names_those_it_cannot(tmp_path: Path) -
     assert done.returncode == 2
     said = [line for line in done.stderr.splitlines() if "WARN" not in line]  # OpenCV's own
     assert [line.split(": ")[:2] for line in said] == [["error", str(tmp_path / n)] for n in names[:4]]
-    assert "160x120 pixels, the camera 320x240" in done.stderr
+    assert "160x120 pixels, but the camera has 320x240" in done.stderr
     ideal = idealize(read_calibration(tmp_path / "cam.yaml")["cam"])
     for name, image in (("colored.png", colored), ("depth.png", depth)):
         corrected = cv2.imread(str(tmp_path / "out" / name), cv2.IMREAD_UNCHANGED)

@@ -18,7 +18,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration
 from humansim_ros.camera.coverage import coverage
 from humansim_ros.camera.rigs import Optics, dome, grid, ring, stereo
-from humansim_ros.cli import camera_rig as cli_camera_rig
+from humansim_ros.cli.main import app
 from humansim_ros.drawing.rigs import coverage_image, rig_image
 from humansim_ros.errors import CameraError, HumansimError
 from humansim_ros.scene import Scene
@@ -281,15 +281,15 @@ def test_a_rig_is_a_scene_and_camera_info_files_and_can_be_drawn(tmp_path: Path)
     ("options", "said"),
     [
         (["--ring", 8, "--dome", 3], "--ring and --dome"),
-        ([], "say one of --ring"),
+        ([], "give one of --ring"),
         (["--grid", "2by3"], "such as 2x4"),
         (["--dome", 8, "--height", 2], "--height"),
         (["--ring", 8, "--distortion", "strong"], "needs numbers"),
-        (["--ring", 8, "--radius", "nan"], "not nan"),
+        (["--ring", 8, "--radius", "nan"], "must be finite numbers"),
         (["--ring", 8, "--radius", -1], "radius: must be above zero"),
     ],
 )
 def test_options_that_make_no_rig_are_explained(options: list, said: str, tmp_path: Path) -> None:
     with pytest.raises(HumansimError, match=said):
-        cli_camera_rig.app(["rig", *map(str, options), "-o", str(tmp_path / "rig")], standalone_mode=False)
+        app(["camera", "rig", *map(str, options), "-o", str(tmp_path / "rig")], standalone_mode=False)
     assert not (tmp_path / "rig").exists()

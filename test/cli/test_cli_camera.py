@@ -18,7 +18,7 @@ from numpy.testing import assert_allclose
 from humansim_ros.camera import Camera, read_calibration, write_calibration
 from humansim_ros.camera.checks import check_camera, check_rig, field_of_view
 from humansim_ros.camera.formats import FORMATS
-from humansim_ros.cli.camera import FormatName, describe_camera
+from humansim_ros.cli.camera import describe_camera
 from humansim_ros.cli.main import main
 
 
@@ -86,7 +86,7 @@ def test_show_takes_sizes_units_axes_and_names(tmp_path: Path, shared_data: Path
     facts = shown(path, "--size", "1032x776", "--unit", "1", "--up", "-z", "--camera", "0")
     assert_allclose(facts["cameras"][0]["center"], [-1586.4496078, 2109.46905869, -1104.209800652])
     said = humansim("show", path, "--camera", "9")
-    assert said.returncode == 2 and "no camera is named 9; there is 0, 1, 2" in said.stderr
+    assert said.returncode == 2 and "no camera is named 9; the names are 0, 1, 2" in said.stderr
     said = humansim("show", path, "--size", "large")
     assert said.returncode == 2 and "--size: needs width and height" in said.stderr
 
@@ -135,8 +135,11 @@ def test_convert_says_what_is_lost_or_refuses(tmp_path: Path, shared_data: Path)
     assert not (tmp_path / "p.txt").exists()
 
 
-def test_every_form_can_be_asked_for() -> None:
-    assert [form.value for form in FormatName] == [form.name for form in FORMATS]
+def test_an_unknown_format_is_answered_with_all_formats(tmp_path: Path, shared_data: Path) -> None:
+    path = shared_data / "calib/usb_cam_camera_info.yaml"
+    result = humansim("convert", path, "-o", tmp_path / "a.yaml", "--to", "nonsense")
+    assert result.returncode == 2
+    assert result.stderr.strip().endswith(f"known are {', '.join(form.name for form in FORMATS)}")
 
 
 # -- what looks wrong

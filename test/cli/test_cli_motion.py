@@ -213,7 +213,7 @@ def test_what_is_no_person_is_drawn_as_it_is(command: Command, shared_data: Path
         "render", shared_data / "bvh" / "fairmotion_sinusoidal.bvh", "-o", tmp_path / "s.png", "--phases", 2
     )
     assert code == 0
-    assert "no person" in err
+    assert "not as a person" in err
     assert cv2.imread(str(tmp_path / "s.png")).std() > 5
 
 
@@ -233,7 +233,7 @@ BAD: list[tuple[list[str], str]] = [
     (["retarget", "walk", "--body", "nobody"], "nobody"),
     (["table", "walk", "-o", "no/such/folder/t.yaml"], "no/such/folder"),
     (["render", "walk", "-o", "strip.bmp"], ".png, .mp4 or .gif"),
-    (["render", "walk", "-o", "no/such/folder/strip.png"], "no such folder"),
+    (["render", "walk", "-o", "no/such/folder/strip.png"], "its folder does not exist"),
     (["render", "walk", "-o", "s.png", "--size", "1", "1"], "40 to 2000"),
     (["render", "walk"], "output"),
     (["dance"], "dance"),

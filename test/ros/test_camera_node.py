@@ -70,8 +70,8 @@ def write_files(folder: Path, scene: str) -> Path:
     start = Camera.look_at((3, -0.5, 1.3), (0, 0, 1))
     turns = [Rotation.from_rotvec([0, 0, a]) * Rotation.from_matrix(start.R.T) for a in (0.0, 0.2)]
     rows = [
-        (t, *place, *turn.as_quat())
-        for t, place, turn in zip((0, 2), ((3, -0.5, 1.3), (3, 0.5, 1.4)), turns, strict=True)
+        (t, *position, *rotation.as_quat())
+        for t, position, rotation in zip((0, 2), ((3, -0.5, 1.3), (3, 0.5, 1.4)), turns, strict=True)
     ]
     (folder / "way.txt").write_text("\n".join(" ".join(repr(float(n)) for n in row) for row in rows))
     path = folder / "scene.yaml"
@@ -100,18 +100,20 @@ class NodeSet:
         self.client.executor.add_node(node)
         return node
 
-    def hear(self, kind: Any, *topics: str, qos: Any = None) -> None:
+    def subscribe(self, kind: Any, *topics: str, qos: Any = None) -> None:
         self.client.subscribe(kind, [f"/{self.namespace}/{topic}" for topic in topics], qos)
 
-    def heard(self, topic: str) -> dict[int, Any]:
+    def messages_of(self, topic: str) -> dict[int, Any]:
         return self.received[f"/{self.namespace}/{topic}"]
 
     def next(self, *topics: str, count: int = 1) -> list[int]:
         """Wait for ``count`` new stamps at which all these topics have arrived, and return them."""
-        before = max((stamp for topic in topics for stamp in self.heard(topic)), default=0)
+        before = max((stamp for topic in topics for stamp in self.messages_of(topic)), default=0)
 
         def common() -> list[int]:
-            return sorted(s for s in set.intersection(*(set(self.heard(t)) for t in topics)) if s > before)
+            return sorted(
+                s for s in set.intersection(*(set(self.messages_of(t)) for t in topics)) if s > before
+            )
 
         assert self.client.spin_until(lambda: len(common()) >= count), f"{topics} did not arrive"
         return common()
@@ -174,9 +176,9 @@ def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]
         f"{name}/{topic}" for name in ENCODINGS for topic in ("image_raw", *(t for _, t in TRUTH.values()))
     ]
     images += [f"{name}/image_rect" for name in ("real", "bayer")]
-    one.hear(Image, *images)
-    one.hear(CameraInfo, *(f"{name}/camera_info" for name in ENCODINGS))
-    one.hear(PointCloud2, *(f"{name}/joints" for name in ENCODINGS))
+    one.subscribe(Image, *images)
+    one.subscribe(CameraInfo, *(f"{name}/camera_info" for name in ENCODINGS))
+    one.subscribe(PointCloud2, *(f"{name}/joints" for name in ENCODINGS))
     topics = [*images, *(f"{name}/{kind}" for name in ENCODINGS for kind in ("camera_info", "joints"))]
     everything = [f"/studio/{topic}" for topic in topics]
     assert one.client.spin_until(lambda: all(one.client.node.count_publishers(t) == 1 for t in everything))
@@ -209,18 +211,18 @@ def test_live_images_equal_those_of_simulation_to_the_byte(studio: Any, name: st
     """With lens, binning, blur, shutter, noise, mosaic and compression."""
     for stamp, frame in studio.frames.items():
         view = frame.views[name]
-        live = pixels(studio.set.heard(f"{name}/image_raw")[stamp])
+        live = pixels(studio.set.messages_of(f"{name}/image_raw")[stamp])
         assert view.rgb is not None and live.shape == view.rgb.shape
         # a pose is sent as a quaternion, and read with other last digits
         same = np.mean(live == view.rgb)
         assert same > 0.999 if name == "moving" else same == 1
         for channel, (kind, topic) in TRUTH.items():
-            message = studio.set.heard(f"{name}/{topic}")[stamp]
+            message = studio.set.messages_of(f"{name}/{topic}")[stamp]
             expected = getattr(view, channel)
             image = np.frombuffer(message.data, kind).reshape(expected.shape)
             assert np.array_equal(image, expected) or name == "moving"
             assert np.mean(np.isclose(image, expected, atol=1e-5)) > 0.999
-        joints = messages.read_joint_view(studio.set.heard(f"{name}/joints")[stamp])
+        joints = messages.read_joint_view(studio.set.messages_of(f"{name}/joints")[stamp])
         np.testing.assert_allclose(joints["u"], frame.joints[name]["anna"].pixels[:, 0], atol=1e-4)
 
 
@@ -228,7 +230,7 @@ def test_images_have_the_encoding_of_their_sensor(studio: Any) -> None:
     for name, encoding in ENCODINGS.items():
         width, height = studio.scene.cameras[name].size
         for stamp in studio.frames:
-            message = studio.set.heard(f"{name}/image_raw")[stamp]
+            message = studio.set.messages_of(f"{name}/image_raw")[stamp]
             assert (message.encoding, message.width, message.height) == (encoding, width, height)
             assert message.step == width * (3 if encoding in ("rgb8", "bgr8") else 1)
             assert len(message.data) == message.step * height
@@ -237,14 +239,14 @@ def test_images_have_the_encoding_of_their_sensor(studio: Any) -> None:
 
 def test_camera_info_has_the_rendered_lens(studio: Any) -> None:
     stamp = max(studio.frames)
-    info = studio.set.heard("real/camera_info")[stamp]
+    info = studio.set.messages_of("real/camera_info")[stamp]
     assert (info.width, info.height, info.binning_x, info.binning_y) == (128, 96, 2, 1)
     assert info.distortion_model == "plumb_bob"
     assert list(info.d) == [-0.3, 0.09, 0.001, -0.002, 0.0]
     assert list(info.k) == [120, 1, 66, 0, 118, 46, 0, 0, 1]
-    image = studio.set.heard("real/image_raw")[stamp]
+    image = studio.set.messages_of("real/image_raw")[stamp]
     assert (image.width, image.height) == (64, 96)
-    assert not any(studio.set.heard("bgr/camera_info")[stamp].d)
+    assert not any(studio.set.messages_of("bgr/camera_info")[stamp].d)
 
 
 def test_image_rect_is_published_for_distorting_lenses_and_fits_p(studio: Any) -> None:
@@ -252,14 +254,14 @@ def test_image_rect_is_published_for_distorting_lenses_and_fits_p(studio: Any) -
     assert [count(f"/studio/{name}/image_rect") for name in ENCODINGS] == [1, 0, 0, 1]
     for name in ("real", "bayer"):
         stamp, frame = list(studio.frames.items())[-1]
-        rect = studio.set.heard(f"{name}/image_rect")[stamp]
+        rect = studio.set.messages_of(f"{name}/image_rect")[stamp]
         image = pixels(rect)
         assert rect.encoding == "rgb8" and image.shape[2] == 3
         raw = frame.views[name].rgb
         np.testing.assert_array_equal(image, studio.scene.scene_cameras[name].rectify(raw))
         # joints projected with P are on their body
-        info = studio.set.heard(f"{name}/camera_info")[stamp]
-        joints = messages.read_joint_view(studio.set.heard(f"{name}/joints")[stamp])
+        info = studio.set.messages_of(f"{name}/camera_info")[stamp]
+        joints = messages.read_joint_view(studio.set.messages_of(f"{name}/joints")[stamp])
         seen = joints[joints["visible"] == 2]
         points = np.stack([seen["x"], seen["y"], seen["z"], np.ones(len(seen))]).astype(float)
         u, v, w = np.reshape(info.p, (3, 4)) @ points
@@ -298,10 +300,10 @@ def test_set_camera_info_replaces_and_saves_camera_info_and_changes_no_lens(
     monkeypatch.setenv("ROS_HOME", str(tmp_path / "ros home"))
     one = make("driver", DRIVER)
     one.add(CameraNode)
-    one.hear(CameraInfo, "left/camera_info")
-    one.hear(Image, "left/image_raw")
+    one.subscribe(CameraInfo, "left/camera_info")
+    one.subscribe(Image, "left/image_raw")
     stamp = one.next("left/camera_info", "left/image_raw")[-1]
-    before, picture = one.heard("left/camera_info")[stamp], one.heard("left/image_raw")[stamp]
+    before, picture = one.messages_of("left/camera_info")[stamp], one.messages_of("left/image_raw")[stamp]
 
     def request(**changed: Any) -> Any:
         info = CameraInfo(width=128, height=96, distortion_model="equidistant", d=[0.02, -0.01, 0.001, 0.0])
@@ -310,7 +312,10 @@ def test_set_camera_info_replaces_and_saves_camera_info_and_changes_no_lens(
             setattr(info, field, value)
         answer = one.call("left/set_camera_info", SetCameraInfo, camera_info=info)
         stamp = one.next("left/camera_info", "left/image_raw", count=2)[-1]
-        published, image = one.heard("left/camera_info")[stamp], one.heard("left/image_raw")[stamp]
+        published, image = (
+            one.messages_of("left/camera_info")[stamp],
+            one.messages_of("left/image_raw")[stamp],
+        )
         assert bytes(image.data) == bytes(picture.data)
         assert answer.status_message
         return answer, published
@@ -367,11 +372,11 @@ def test_camera_info_url_sets_the_lens_and_published_info_url_sets_camera_info(
     other.add(CameraNode, published_info_url="file://${ROS_HOME}/camera_info/${NAME}.yaml")
     pictures, infos = [], []
     for each in (one, other):
-        each.hear(Image, "left/image_raw")
-        each.hear(CameraInfo, "left/camera_info")
+        each.subscribe(Image, "left/image_raw")
+        each.subscribe(CameraInfo, "left/camera_info")
         stamp = each.next("left/image_raw", "left/camera_info")[-1]
-        pictures.append(pixels(each.heard("left/image_raw")[stamp]))
-        infos.append(each.heard("left/camera_info")[stamp])
+        pictures.append(pixels(each.messages_of("left/image_raw")[stamp]))
+        infos.append(each.messages_of("left/camera_info")[stamp])
     for info in infos:
         assert (info.distortion_model, info.k[0]) == ("equidistant", 90)
 
@@ -523,10 +528,10 @@ def test_trajectories_move_all_cameras_at_the_same_stamp_until_the_player_pauses
         TransformStamped: ("extrinsics",),
     }  # fmt: skip
     for kind, names in topics.items():
-        move.hear(
+        move.subscribe(
             kind, *(f"{c}/{name}" for c in cameras for name in names), qos=rclpy.qos.QoSProfile(depth=100)
         )
-    move.hear(Float64MultiArray, *(f"{c}/projection" for c in cameras), qos=LATCHED)
+    move.subscribe(Float64MultiArray, *(f"{c}/projection" for c in cameras), qos=LATCHED)
     together = [f"{c}/{name}" for c in cameras for names in topics.values() for name in names]
     move.next(*together)
     stamps = move.next(*together, count=6)
@@ -536,41 +541,44 @@ def test_trajectories_move_all_cameras_at_the_same_stamp_until_the_player_pauses
     transforms = {
         (t.child_frame_id, messages.to_nanoseconds(t.header.stamp)): t for ts in tf["/tf"] for t in ts
     }
-    places = []
+    positions = []
     for stamp in stamps:
         joints = []
         for name in cameras:
-            message = move.heard(f"{name}/extrinsics")[stamp]
+            message = move.messages_of(f"{name}/extrinsics")[stamp]
             assert message.header.frame_id == "map"
             assert transforms[f"{name}_optical_frame", stamp] == message
             rotation, position = pose_of(message)
             pose = scene.scene_cameras[name].pose((stamp - begun) * 1e-9)
             np.testing.assert_allclose(rotation.T, pose.R, atol=1e-9)
             np.testing.assert_allclose(position, -pose.R.T @ pose.t, atol=1e-9)
-            depth, info = move.heard(f"{name}/depth/image")[stamp], move.heard(f"{name}/camera_info")[stamp]
+            depth, info = (
+                move.messages_of(f"{name}/depth/image")[stamp],
+                move.messages_of(f"{name}/camera_info")[stamp],
+            )
             shown = points_of(depth, info, message)
             on_the_wall = np.abs(shown[:, 0] + 2) < 2e-3
             assert on_the_wall.mean() > 0.5
             assert shown[~on_the_wall, 0].min(initial=0) > -1  # the person
-            cloud = messages.read_joint_view(move.heard(f"{name}/joints")[stamp])
+            cloud = messages.read_joint_view(move.messages_of(f"{name}/joints")[stamp])
             joints.append(np.stack([cloud["x"], cloud["y"], cloud["z"]], -1) @ rotation.T + position)
         # both see the same person at the same position
         np.testing.assert_allclose(joints[0], joints[1], atol=1e-5)
-        places.append(position)
-    assert np.abs(np.diff(places, axis=0)).max() > 0.01
+        positions.append(position)
+    assert np.abs(np.diff(positions, axis=0)).max() > 0.01
     assert tf["/tf_static"] == []
 
     assert move.call("motion_player/pause", SetBool, data=True).success
     move.next(*together, count=2)  # on their way
     still = move.next(*together, count=3)
     for name in cameras:
-        seen = [move.heard(f"{name}/extrinsics")[stamp] for stamp in still]
+        seen = [move.messages_of(f"{name}/extrinsics")[stamp] for stamp in still]
         assert all(message.transform == seen[0].transform for message in seen)
-        pictures = [bytes(move.heard(f"{name}/image_raw")[stamp].data) for stamp in still]
+        pictures = [bytes(move.messages_of(f"{name}/image_raw")[stamp].data) for stamp in still]
         assert len(set(pictures)) == 1
         rotation, position = pose_of(seen[0])
-        k = np.reshape(move.heard(f"{name}/camera_info")[still[0]].k, (3, 3))
-        p = np.reshape(move.heard(f"{name}/projection")[0].data, (3, 4))
+        k = np.reshape(move.messages_of(f"{name}/camera_info")[still[0]].k, (3, 3))
+        p = np.reshape(move.messages_of(f"{name}/projection")[0].data, (3, 4))
         np.testing.assert_allclose(p, k @ np.column_stack([rotation.T, -rotation.T @ position]), atol=1e-9)
 
 
@@ -583,16 +591,16 @@ def test_a_pose_moves_a_camera_and_an_invalid_pose_is_logged(
 
     one = make("posed", f"rate: 20\nroom: null\n{WALL}cameras: {{left: {{{PLACE}}}}}")
     node = one.add(CameraNode)
-    one.hear(TransformStamped, "left/extrinsics", qos=LATCHED)
-    one.hear(Float64MultiArray, "left/projection", qos=LATCHED)
-    one.hear(CameraInfo, "left/camera_info")
-    one.hear(Image, "left/depth/image")
+    one.subscribe(TransformStamped, "left/extrinsics", qos=LATCHED)
+    one.subscribe(Float64MultiArray, "left/projection", qos=LATCHED)
+    one.subscribe(CameraInfo, "left/camera_info")
+    one.subscribe(Image, "left/depth/image")
     one.next("left/depth/image", "left/camera_info")
     # the static pose is published once
-    assert one.client.spin_until(lambda: len(one.heard("left/projection")) == 1)
-    assert one.client.spin_until(lambda: len(one.heard("left/extrinsics")) == 1)
+    assert one.client.spin_until(lambda: len(one.messages_of("left/projection")) == 1)
+    assert one.client.spin_until(lambda: len(one.messages_of("left/extrinsics")) == 1)
     ((static,),) = tf["/tf_static"]
-    assert static == next(iter(one.heard("left/extrinsics").values()))
+    assert static == next(iter(one.messages_of("left/extrinsics").values()))
     np.testing.assert_allclose(pose_of(static)[1], (3, 0.4, 1.4), atol=1e-12)
     assert tf["/tf"] == []
 
@@ -603,19 +611,19 @@ def test_a_pose_moves_a_camera_and_an_invalid_pose_is_logged(
         return message
 
     def is_at(stamp: int, position: Any) -> bool:
-        return bool(np.allclose(pose_of(one.heard("left/extrinsics")[stamp])[1], position, atol=1e-6))
+        return bool(np.allclose(pose_of(one.messages_of("left/extrinsics")[stamp])[1], position, atol=1e-6))
 
     one.send("left/pose", pose((1.5, -0.3, 1.2), 0.2))
     topics = ("left/extrinsics", "left/depth/image", "left/camera_info")
     assert one.client.spin_until(
-        lambda: any(is_at(s, (1.5, -0.3, 1.2)) for s in one.heard("left/extrinsics"))
+        lambda: any(is_at(s, (1.5, -0.3, 1.2)) for s in one.messages_of("left/extrinsics"))
     )
     for stamp in one.next(*topics, count=3):
         assert is_at(stamp, (1.5, -0.3, 1.2))
-        extrinsics, depth, info = (one.heard(topic)[stamp] for topic in topics)
+        extrinsics, depth, info = (one.messages_of(topic)[stamp] for topic in topics)
         np.testing.assert_allclose(points_of(depth, info, extrinsics)[:, 0], -2, atol=1e-3)
         rotation, position = pose_of(extrinsics)
-        p = np.reshape(one.heard("left/projection")[0].data, (3, 4))
+        p = np.reshape(one.messages_of("left/projection")[0].data, (3, 4))
         k = np.reshape(info.k, (3, 3))
         np.testing.assert_allclose(p, k @ np.column_stack([rotation.T, -rotation.T @ position]), atol=1e-9)
         assert [extrinsics] in tf["/tf"]
@@ -630,7 +638,9 @@ def test_a_pose_moves_a_camera_and_an_invalid_pose_is_logged(
         share = (stamp - now + 1e9) / 1e10
         assert is_at(stamp, (1.5 + 2 * share, 0, 1.2 + share))
         np.testing.assert_allclose(
-            points_of(one.heard(topics[1])[stamp], info, one.heard(topics[0])[stamp])[:, 0], -2, atol=1e-3
+            points_of(one.messages_of(topics[1])[stamp], info, one.messages_of(topics[0])[stamp])[:, 0],
+            -2,
+            atol=1e-3,
         )
 
     # an invalid pose does not move it
@@ -641,7 +651,7 @@ def test_a_pose_moves_a_camera_and_an_invalid_pose_is_logged(
     for wrong in (stranger, nan, bent):
         one.send("left/pose", wrong)
         for stamp in one.next(*topics, count=2):
-            assert pose_of(one.heard("left/extrinsics")[stamp])[1].max() < 4
+            assert pose_of(one.messages_of("left/extrinsics")[stamp])[1].max() < 4
     log = capfd.readouterr().err
     assert "pose not used: a camera's pose must be in map, this is in 'odom'" in log
 
@@ -663,7 +673,7 @@ def test_a_camera_with_rare_poses_counts_as_moving_between_them(
         return render(bodies, camera, channels, moves, *rest)
 
     monkeypatch.setattr(node._renderer, "render", watch)
-    one.hear(Image, "left/image_raw")
+    one.subscribe(Image, "left/image_raw")
     one.next("left/image_raw", count=2)
     assert not any(moving_flags)
     for x in (1.0, 1.1, 1.2):
@@ -683,16 +693,16 @@ def test_motion_blur_follows_the_velocity_of_the_camera_not_its_last_pose(
     moving = f"{{size: [64, 48], trajectory: way.txt, sensor: {{{BLUR}}}}}"
     one = make("late_camera", DRIVER.partition("cameras")[0] + f"cameras: {{one: {moving}}}")
     node = one.add(CameraNode)
-    one.hear(Image, "one/image_raw")
-    assert one.client.spin_until(lambda: len(one.heard("one/image_raw")) > 0)
+    one.subscribe(Image, "one/image_raw")
+    assert one.client.spin_until(lambda: len(one.messages_of("one/image_raw")) > 0)
     camera, start = Scene.load(one.scene).scene_cameras["one"], node.now() + 200_000_000
     pictures = []
     for number, seconds in enumerate((0.6, 0.2, 0.6)):
         stamp, pose = start + number * 50_000_000, camera.pose(seconds)
         one.send("one/pose", messages.pose_message(pose, stamp))
         one.send("one/twist", messages.twist_message(pose.velocity, stamp))
-        assert one.client.spin_until(lambda s=stamp: s in one.heard("one/image_raw"))
-        pictures.append(pixels(one.heard("one/image_raw")[stamp]))
+        assert one.client.spin_until(lambda s=stamp: s in one.messages_of("one/image_raw"))
+        pictures.append(pixels(one.messages_of("one/image_raw")[stamp]))
     np.testing.assert_array_equal(pictures[0], pictures[2])
     assert not np.array_equal(pictures[0], pictures[1])
 
@@ -708,8 +718,8 @@ def test_with_pyrender_there_are_only_the_topics_that_it_supports(
     one = make("other", scene)
     one.add(CameraNode)
     images = ("left/image_raw", "left/depth/image", "left/amodal/anna/image")
-    one.hear(Image, *images, "left/face/image", "left/alpha/anna/image", "left/flow/image")
-    one.hear(PointCloud2, "left/boxes", "left/joints", "left/visible_vertices")
+    one.subscribe(Image, *images, "left/face/image", "left/alpha/anna/image", "left/flow/image")
+    one.subscribe(PointCloud2, "left/boxes", "left/joints", "left/visible_vertices")
     one.next(*images, "left/boxes", "left/joints", "left/visible_vertices")
     for topic in ("face/image", "alpha/anna/image", "flow/image", "shadow/image"):
         assert one.client.node.count_publishers(f"/other/left/{topic}") == 0
@@ -733,14 +743,14 @@ def test_depth_alone_is_rendered_once_a_frame_whatever_the_sensor(
         return render(bodies, camera, channels, *rest, **named)
 
     monkeypatch.setattr(node._renderer, "render", watch)
-    one.hear(Image, "left/depth/image")
+    one.subscribe(Image, "left/depth/image")
     one.next("left/depth/image", count=3)
     assert (
         requested.count({"depth"})
         == len(requested)
-        == pytest.approx(len(one.heard("left/depth/image")), abs=1)
+        == pytest.approx(len(one.messages_of("left/depth/image")), abs=1)
     )
-    one.hear(Image, "left/image_raw")
+    one.subscribe(Image, "left/image_raw")
     one.next("left/image_raw", "left/depth/image")
     assert {"rgb"} in requested
 

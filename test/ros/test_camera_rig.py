@@ -64,13 +64,13 @@ class Stage:
         matched = lambda: all(sender.get_subscription_count() for sender in self.senders.values())  # noqa: E731
         assert self.client.spin_until(matched)
 
-    def hear(self, kind: Any, *topics: str) -> None:
+    def subscribe(self, kind: Any, *topics: str) -> None:
         full = [f"/{self.namespace}/{topic}" for topic in topics]
         self.client.subscribe(kind, full)
         count = self.client.node.count_publishers
         assert self.client.spin_until(lambda: all(count(topic) == 1 for topic in full))
 
-    def heard(self, topic: str) -> dict[int, Any]:
+    def messages_of(self, topic: str) -> dict[int, Any]:
         return self.client.received[f"/{self.namespace}/{topic}"]
 
     def send(self, frame: Any) -> None:
@@ -104,16 +104,18 @@ def played(ros: None, scene_path: Path) -> Iterator[Any]:
         for kind in ("alpha", "amodal")
         for human in HUMANS
     ]
-    stage.hear(Image, *topics)
-    stage.hear(PointCloud2, *(f"{camera}/joints" for camera in CAMERAS))
+    stage.subscribe(Image, *topics)
+    stage.subscribe(PointCloud2, *(f"{camera}/joints" for camera in CAMERAS))
     frames = {}
     for index in range(3, 7):
         frame = frames[START + simulation.scene.frame_time(index)] = simulation.frame(index)
         stage.send(frame)
         # the first frame has no previous frame
         awaited = [t for t in topics if index > 3 or "flow_back" not in t]
-        done = stage.client.spin_until(lambda s=frame.stamp, a=awaited: all(s in stage.heard(t) for t in a))
-        assert done, [t for t in awaited if frame.stamp not in stage.heard(t)]
+        done = stage.client.spin_until(
+            lambda s=frame.stamp, a=awaited: all(s in stage.messages_of(t) for t in a)
+        )
+        assert done, [t for t in awaited if frame.stamp not in stage.messages_of(t)]
     yield SimpleNamespace(stage=stage, frames=frames, scene=simulation.scene)
     stage.close()
     simulation.close()
@@ -124,13 +126,13 @@ def test_images_of_a_rig_equal_those_of_simulation_to_the_byte(played: Any, came
     for stamp, frame in list(played.frames.items())[1:]:
         view = frame.views[camera]
         for channel, (topic, kind, end) in CHANNELS.items():
-            message = played.stage.heard(f"{camera}/{topic}")[stamp]
+            message = played.stage.messages_of(f"{camera}/{topic}")[stamp]
             image = np.frombuffer(message.data, kind).reshape(message.height, message.width, *end)
             assert np.array_equal(image, getattr(view, channel), equal_nan=kind == np.float32), channel
             assert message.header.frame_id == f"{camera}_optical_frame"
         for channel in ("alpha", "amodal"):
             for human in HUMANS:
-                data = played.stage.heard(f"{camera}/{channel}/{human}/image")[stamp].data
+                data = played.stage.messages_of(f"{camera}/{channel}/{human}/image")[stamp].data
                 expected = getattr(view, channel)[played.scene.actors[human].instance]
                 full = 255 if channel == "amodal" else 1
                 assert bytes(data) == (expected * np.uint8(full)).astype(np.uint8).tobytes(), channel
@@ -144,7 +146,7 @@ def test_a_posed_mesh_is_computed_once_for_all_cameras(
     stage = Stage("once", scene_path)
     simulation = Simulation(stage.rig.scene, ("depth",), start=START)
     topics = [f"{camera}/{topic}" for camera in CAMERAS for topic in ("image_raw", "depth/image")]
-    stage.hear(Image, *topics)
+    stage.subscribe(Image, *topics)
     frames = [simulation.frame(index) for index in (0, 1)]
     computed = 0
     make = PosedMesh.__init__
@@ -158,7 +160,7 @@ def test_a_posed_mesh_is_computed_once_for_all_cameras(
         if frame is frames[1]:  # the first frame needs more work
             monkeypatch.setattr(PosedMesh, "__init__", count)
         stage.send(frame)
-        assert stage.client.spin_until(lambda s=frame.stamp: all(s in stage.heard(t) for t in topics))
+        assert stage.client.spin_until(lambda s=frame.stamp: all(s in stage.messages_of(t) for t in topics))
     assert computed == len(HUMANS)
     stage.close()
     simulation.close()
@@ -193,9 +195,9 @@ def test_a_frame_with_a_vertex_that_is_not_finite_is_skipped_and_logged_and_the_
             stage.senders[human, "vertices"].publish(messages.vertices_message(vertices, stamp))
         end = time.monotonic() + 0.3
         stage.client.spin_until(lambda e=end: time.monotonic() > e)
-    assert stage.client.spin_until(lambda: all(stamp in stage.heard(f"{c}/image_raw") for c in CAMERAS))
+    assert stage.client.spin_until(lambda: all(stamp in stage.messages_of(f"{c}/image_raw") for c in CAMERAS))
     for camera in CAMERAS:
-        assert not {last + 50_000_000, last + 100_000_000} & set(stage.heard(f"{camera}/image_raw"))
+        assert not {last + 50_000_000, last + 100_000_000} & set(stage.messages_of(f"{camera}/image_raw"))
     log = capfd.readouterr().err
     assert "frame skipped" in log and "not finite" in log
 
@@ -207,7 +209,7 @@ def test_a_camera_that_fails_does_not_stop_the_others(
 
     stage = Stage("half", scene_path)
     simulation = Simulation(stage.rig.scene, ("depth",), start=START)
-    stage.hear(Image, "left/depth/image", "right/depth/image")
+    stage.subscribe(Image, "left/depth/image", "right/depth/image")
     frame = simulation.frame(0)
     render = GLRenderer.render
 
@@ -218,8 +220,8 @@ def test_a_camera_that_fails_does_not_stop_the_others(
 
     monkeypatch.setattr(GLRenderer, "render", fail)
     stage.send(frame)
-    assert stage.client.spin_until(lambda: frame.stamp in stage.heard("right/depth/image"))
-    assert not stage.heard("left/depth/image")
+    assert stage.client.spin_until(lambda: frame.stamp in stage.messages_of("right/depth/image"))
+    assert not stage.messages_of("left/depth/image")
     assert "[half.camera_left]: frame skipped: the left one is broken" in capfd.readouterr().err
     stage.close()
     simulation.close()
@@ -229,7 +231,7 @@ def test_a_rig_has_the_cameras_of_its_parameter(ros: None, scene_path: Path) -> 
     def made(*cameras: str) -> list[str]:
         values = {"scene": str(scene_path), **({"cameras": list(cameras)} if cameras else {})}
         overrides = [rclpy.parameter.Parameter(name, value=value) for name, value in values.items()]
-        rig = CameraRigNode(parameter_overrides=overrides, namespace="told")
+        rig = CameraRigNode(parameter_overrides=overrides, namespace="chosen")
         names = [node.get_name() for node in rig.cameras]
         rig.close()
         rig.destroy_node()

@@ -63,13 +63,13 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
         simulation.close()
 
 
-def heard(flow: Any, topic: str, stamp: int) -> Any:
+def message_at(flow: Any, topic: str, stamp: int) -> Any:
     return flow.client.received[f"/labels/{topic}"][stamp]
 
 
 def frame_of(flow: Any, stamp: int) -> Any:
     """The same frame of Simulation: the box moves 10 cm a second."""
-    index = 40 * messages.read_object(heard(flow, "objects/box/marker", stamp)).position[1]
+    index = 40 * messages.read_object(message_at(flow, "objects/box/marker", stamp)).position[1]
     assert index == pytest.approx(round(index), abs=1e-6)
     return flow.simulation.frame(round(index))
 
@@ -78,11 +78,16 @@ def test_images_of_objects_equal_those_of_simulation_to_the_byte(flow: Any) -> N
     for stamp in flow.stamps:
         view = frame_of(flow, stamp).views["left"]
         for topic, channel in IMAGES.items():
-            assert bytes(heard(flow, f"left/{topic}", stamp).data) == getattr(view, channel).tobytes(), topic
+            assert bytes(message_at(flow, f"left/{topic}", stamp).data) == getattr(view, channel).tobytes(), (
+                topic
+            )
         for name, number in NUMBERS.items():
-            assert bytes(heard(flow, f"left/alpha/{name}/image", stamp).data) == view.alpha[number].tobytes()
+            assert (
+                bytes(message_at(flow, f"left/alpha/{name}/image", stamp).data)
+                == view.alpha[number].tobytes()
+            )
             mask = view.amodal[number] * np.uint8(255)
-            assert bytes(heard(flow, f"left/amodal/{name}/image", stamp).data) == mask.tobytes()
+            assert bytes(message_at(flow, f"left/amodal/{name}/image", stamp).data) == mask.tobytes()
             assert mask.any() or name.startswith("clutter")
 
 
@@ -90,7 +95,7 @@ def test_boxes_vertices_and_joints_equal_those_of_simulation(flow: Any) -> None:
     hidden: set[int] = set()
     for stamp in flow.stamps:
         frame = frame_of(flow, stamp)
-        boxes = messages.read_boxes(heard(flow, "left/boxes", stamp))
+        boxes = messages.read_boxes(message_at(flow, "left/boxes", stamp))
         numbers = {number: name for name, number in NUMBERS.items()}
         assert sorted(boxes["instance"].tolist()) == list(numbers)
         for point in boxes:
@@ -100,11 +105,11 @@ def test_boxes_vertices_and_joints_equal_those_of_simulation(flow: Any) -> None:
             assert (point["pixels"], np.float32(truth.truncation)) == (truth.pixels, point["truncation"])
             whole = [point[f"whole_{side}"] for side in ("left", "top", "right", "bottom")]
             np.testing.assert_array_equal(whole, np.float32(truth.whole))
-        seen = messages.read_visible_vertices(heard(flow, "left/visible_vertices", stamp))
+        seen = messages.read_visible_vertices(message_at(flow, "left/visible_vertices", stamp))
         for name, mask in frame.visible_vertices("left").items():
             own = seen["vertex"][seen["instance"] == NUMBERS[name]]
             assert own.tolist() == np.flatnonzero(mask).tolist()
-        joints = messages.read_joint_view(heard(flow, "left/joints", stamp))
+        joints = messages.read_joint_view(message_at(flow, "left/joints", stamp))
         truth = frame.joints["left"]["anna"]
         assert joints["by"].tolist() == truth.by.tolist()
         assert joints["occluder"].tolist() == truth.occluder.tolist()

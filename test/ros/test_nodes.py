@@ -57,7 +57,7 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     done = client.spin_until(
         lambda: len(client.received) == expected and len(client.common_stamps()) >= 12, 60
     )
-    assert done, f"heard {sorted(client.received)}, {len(client.common_stamps())} common stamps"
+    assert done, f"received {sorted(client.received)}, {len(client.common_stamps())} common stamps"
     yield SimpleNamespace(client=client, nodes=nodes, scene=scene)
     for node in nodes:
         node.close()
@@ -261,11 +261,11 @@ def test_markers_are_published_to_subscribers(flow: Any) -> None:
     watcher = Client("watcher")
     watcher.subscribe(MarkerArray, ["/humans/first/markers"])
 
-    def heard() -> bool:
+    def has_markers() -> bool:
         flow.client.executor.spin_once(timeout_sec=0.0)
         return bool(watcher.received)
 
-    assert watcher.spin_until(heard)
+    assert watcher.spin_until(has_markers)
     array = next(iter(watcher.received["/humans/first/markers"].values()))
     watcher.close()
     assert {marker.header.frame_id for marker in array.markers} == {"map"}
@@ -276,11 +276,11 @@ def test_diagnostics_have_the_times_of_arrival_and_sending(flow: Any) -> None:
 
     reported: dict[str, dict[str, float]] = {}
 
-    def keep(message: DiagnosticArray) -> None:
+    def on_message(message: DiagnosticArray) -> None:
         for status in message.status:
             reported[status.name] = {item.key: float(item.value) for item in status.values}
 
-    subscription = flow.client.node.create_subscription(DiagnosticArray, "/diagnostics", keep, 20)
+    subscription = flow.client.node.create_subscription(DiagnosticArray, "/diagnostics", on_message, 20)
     names = {node.get_fully_qualified_name() for node in flow.nodes}
     assert flow.client.spin_until(
         lambda: names <= set(reported) and all(reported[name].get("frames") for name in names)
@@ -317,17 +317,17 @@ def test_every_parameter_has_a_description_and_limits(flow: Any) -> None:
                 assert descriptor.floating_point_range, f"{node.get_name()}.{descriptor.name}"
 
 
-def test_nothing_is_rendered_that_nobody_wants(
+def test_nothing_is_rendered_without_subscribers(
     ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from sensor_msgs.msg import CameraInfo, Image
 
-    asked: list[set[str]] = []
+    requested: list[set[str]] = []
     node = CameraNode(**parameters(scene=str(write_scene(tmp_path)), camera="left"), namespace="lazy")
     render = node._renderer.render
 
     def watch(bodies: Any, camera: Any, channels: Any, *rest: Any, **named: Any) -> Any:
-        asked.append(set(channels))
+        requested.append(set(channels))
         return render(bodies, camera, channels, *rest, **named)
 
     monkeypatch.setattr(node._renderer, "render", watch)
@@ -335,16 +335,16 @@ def test_nothing_is_rendered_that_nobody_wants(
     client.executor.add_node(node)
     client.subscribe(CameraInfo, ["/lazy/left/camera_info"])
     assert client.spin_until(lambda: len(client.received["/lazy/left/camera_info"]) > 5)
-    assert asked == []
+    assert requested == []
     client.subscribe(Image, ["/lazy/left/depth/image"])
     assert client.spin_until(lambda: len(client.received["/lazy/left/depth/image"]) > 2)
-    assert {frozenset(channels) for channels in asked} == {frozenset({"depth"})}
+    assert {frozenset(channels) for channels in requested} == {frozenset({"depth"})}
     node.close()
     node.destroy_node()
     client.close()
 
 
-def test_a_camera_alone_shows_the_scene_as_it_starts(ros: None, tmp_path: Path) -> None:
+def test_a_camera_alone_renders_the_scene_at_its_start(ros: None, tmp_path: Path) -> None:
     from sensor_msgs.msg import Image
 
     node = CameraNode(**parameters(scene=str(write_scene(tmp_path))), namespace="alone")
@@ -359,7 +359,7 @@ def test_a_camera_alone_shows_the_scene_as_it_starts(ros: None, tmp_path: Path) 
     client.close()
 
 
-def test_a_skinner_outlives_a_motion_it_cannot_use(ros: None, tmp_path: Path) -> None:
+def test_a_skinner_skips_motions_that_it_cannot_use(ros: None, tmp_path: Path) -> None:
     from sensor_msgs.msg import MultiDOFJointState
 
     node = SkinnerNode(**parameters(scene=str(write_scene(tmp_path)), human="first"), namespace="outlive")
@@ -435,7 +435,9 @@ def test_frames_of_a_slower_player_do_not_count_as_lost(
 
     node = CameraNode(**parameters(scene=str(write_scene(tmp_path))), namespace="slow")
     dropped: list[int] = []
-    monkeypatch.setattr(node, "count", lambda what, number=1: dropped.append(number * (what == "drops")))
+    monkeypatch.setattr(
+        node, "count", lambda counter, number=1: dropped.append(number * (counter == "drops"))
+    )
     client = Client("slow_sender")
     client.executor.add_node(node)
     client.subscribe(Image, ["/slow/left/part/image"])

@@ -32,7 +32,7 @@ MOVES = """<animation startframe="0" endframe="4000" rate="10">
 </animation>
 """
 DTYPES = {"32SC1": np.int32, "32FC1": np.float32, "32FC2": np.float32, "32FC3": np.float32, "mono8": np.uint8}
-#: Channel, topic and what of the view it is.
+#: Channels that are not rendered by default.
 DETAILS = [c for c in ALL_CHANNELS if c not in CHANNELS]
 
 #: Topics of ground truth.

@@ -240,21 +240,21 @@ class PlayerClient:
         self.client.subscribe(String, [f"/{namespace}/humans/first/motion/legend"], LATCHED)
         self.frames(2)
 
-    def heard(self, human: str = "first", kind: str = "motion") -> dict[int, Any]:
+    def messages_of(self, human: str = "first", kind: str = "motion") -> dict[int, Any]:
         return self.client.received[f"/{self.namespace}/humans/{human}/{kind}"]
 
     def frames(self, count: int, human: str = "first", kind: str = "motion") -> list[tuple[int, JointPoses]]:
         """The next ``count`` frames."""
-        before = len(self.heard(human, kind))
-        assert self.client.spin_until(lambda: len(self.heard(human, kind)) >= before + count), (
+        before = len(self.messages_of(human, kind))
+        assert self.client.spin_until(lambda: len(self.messages_of(human, kind)) >= before + count), (
             "no frames arrive"
         )
-        items = sorted(self.heard(human, kind).items())[-count:]
+        items = sorted(self.messages_of(human, kind).items())[-count:]
         return [(stamp, messages.read_joints(message)) for stamp, message in items]
 
     def of_stamp(self, stamp: int, human: str = "first", kind: str = "motion") -> JointPoses:
-        assert self.client.spin_until(lambda: stamp in self.heard(human, kind))
-        return messages.read_joints(self.heard(human, kind)[stamp])
+        assert self.client.spin_until(lambda: stamp in self.messages_of(human, kind))
+        return messages.read_joints(self.messages_of(human, kind)[stamp])
 
     def wait(self, future: Any) -> Any:
         assert self.client.spin_until(future.done)
@@ -356,10 +356,10 @@ def test_restart_and_seek_show_that_scene_time_at_once(player: PlayerClient, pau
         expected = {human: actors[human].joint_poses(seconds).positions for human in HUMANS}
         return all(np.allclose(shown[human], expected[human], rtol=0, atol=1e-9) for human in HUMANS)
 
-    before = max(player.heard())
+    before = max(player.messages_of())
     assert player.set(seek=1.25) == ""
     player.frames(1)
-    assert sum(is_shown(1.25, stamp) for stamp in sorted(player.heard()) if stamp > before) >= 1
+    assert sum(is_shown(1.25, stamp) for stamp in sorted(player.messages_of()) if stamp > before) >= 1
     assert is_shown(0.0, stamp_of(player.call("restart", Trigger)))
 
 
@@ -370,7 +370,7 @@ def test_the_rate_changes_and_frames_are_a_period_apart_to_the_nanosecond(player
     stamps = [stamp for stamp, _ in player.frames(6)]
     steps = np.diff(stamps) / 25_000_000
     assert np.array_equal(steps, np.round(steps))
-    assert np.all(np.diff(sorted(player.heard())) > 0)
+    assert np.all(np.diff(sorted(player.messages_of())) > 0)
 
 
 def test_speeds_of_the_clock_and_of_one_human(player: PlayerClient) -> None:
@@ -406,9 +406,9 @@ def test_values_for_all_are_set_for_each_and_parameters_return_present_values(pl
 def test_one_human_can_be_left_to_another_source(player: PlayerClient) -> None:
     assert player.set(second__play=False) == ""
     player.frames(1)
-    last = max(player.heard("second"))
+    last = max(player.messages_of("second"))
     player.frames(4)
-    assert max(player.heard("second")) == last
+    assert max(player.messages_of("second")) == last
     assert player.set(second__play=True) == ""
     player.frames(2, "second")
 
@@ -508,10 +508,10 @@ def test_frames_are_sent_while_a_motion_is_read(
     monkeypatch.setattr(Playback, "prepare", slow)
     start = player.player.now()
     assert player.set(first__motion="walk_straight") == ""
-    assert player.client.spin_until(lambda: max(player.heard()) > start + SECOND)
-    during = [stamp for stamp in sorted(player.heard()) if start < stamp < start + SECOND]
+    assert player.client.spin_until(lambda: max(player.messages_of()) > start + SECOND)
+    during = [stamp for stamp in sorted(player.messages_of()) if start < stamp < start + SECOND]
     assert len(during) >= 5
-    assert moves([(stamp, messages.read_joints(player.heard()[stamp])) for stamp in during[:5]])
+    assert moves([(stamp, messages.read_joints(player.messages_of()[stamp])) for stamp in during[:5]])
 
 
 def test_parameters_at_the_start_have_priority_over_the_scene(ros: None, tmp_path: Path) -> None:

@@ -161,6 +161,10 @@ def _describe(scene: Any) -> None:
         print(f"{name}: {camera.size[0]}x{camera.size[1]}")
 
 
+#: Commands of this module by name.
+COMMANDS: dict[str, Callable[..., None]] = {"run": run, "demo": demo}
+
+
 def _make_app() -> typer.Typer:
     """The command with its subcommands, which are listed here."""
     app = typer.Typer(
@@ -170,8 +174,8 @@ def _make_app() -> typer.Typer:
         add_completion=False,
     )
     app.callback(invoke_without_command=True)(_root)
-    for command in (run, demo):
-        app.command()(command)
+    for name, function in COMMANDS.items():
+        app.command(name)(function)
     groups: dict[str, tuple[str, dict[str, Callable[..., None]]]] = {
         "camera": (
             "Read, convert and draw calibrations; arrange cameras to rigs.",

@@ -36,18 +36,40 @@ _HUE_STEP = 0.61803398875
 
 
 def draw_line(image: Image, pixels: ArrayLike, color: Color, width: int = 1) -> None:
-    """Draw lines from point to point (N, 2) of a polyline."""
+    """Draw a polyline.
+
+    Args:
+        image: Image that is drawn on.
+        pixels: Points of the polyline, (N, 2).
+        color: Colour of the line.
+        width: Width of the line in pixels.
+    """
     cv2.polylines(image, [_fixed_point(pixels)], False, color, width, cv2.LINE_AA, _SHIFT)
 
 
 def draw_disc(image: Image, pixel: ArrayLike, radius: float, color: Color, width: int = -1) -> None:
-    """Draw a disc, or a circle where ``width`` is positive, around a point (2,)."""
+    """Draw a disc or a circle.
+
+    Args:
+        image: Image that is drawn on.
+        pixel: Centre, (2,).
+        radius: Radius in pixels.
+        color: Colour of the disc or circle.
+        width: Width of the circle in pixels; -1 for a disc.
+    """
     x, y = _fixed_point(pixel).tolist()
     cv2.circle(image, (x, y), round(radius * 2**_SHIFT), color, width, cv2.LINE_AA, _SHIFT)
 
 
 def fill_polygon(image: Image, pixels: ArrayLike, color: Color, opacity: float) -> None:
-    """Fill a polygon (N, 2); ``opacity`` is between 0 and 1."""
+    """Fill a polygon.
+
+    Args:
+        image: Image that is drawn on.
+        pixels: Corners of the polygon, (N, 2).
+        color: Colour of the polygon.
+        opacity: Opacity between 0 and 1.
+    """
     over = image.copy()
     cv2.fillPoly(over, [_fixed_point(pixels)], color, cv2.LINE_AA, _SHIFT)
     cv2.addWeighted(over, opacity, image, 1 - opacity, 0, dst=image)

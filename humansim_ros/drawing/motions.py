@@ -76,11 +76,17 @@ class Artist(Protocol):
     """Draws an animated figure at a time in seconds."""
 
     @property
-    def figure(self) -> AnimatedFigure: ...
+    def figure(self) -> AnimatedFigure:
+        """Figure that is drawn."""
+        ...
 
-    def draw(self, time: float) -> Image: ...
+    def draw(self, time: float) -> Image:
+        """Draw the figure at a time in seconds."""
+        ...
 
-    def close(self) -> None: ...
+    def close(self) -> None:
+        """Release the renderer, if there is one."""
+        ...
 
 
 class _TrackingCamera:
@@ -239,6 +245,7 @@ class StickFigureArtist:
         return cls(figure, motion.parents, sides, size, viewpoint)
 
     def draw(self, time: float) -> Image:
+        """Draw the stick figure at a time in seconds."""
         points = self.figure.points(np.array([time]))[0]
         camera = self._tracking.camera(time)
         image = self._tracking.floor(camera, time)
@@ -256,7 +263,7 @@ class StickFigureArtist:
         return image
 
     def close(self) -> None:
-        pass
+        """Do nothing; there is no renderer."""
 
 
 class SkinnedArtist:
@@ -294,6 +301,7 @@ class SkinnedArtist:
         self._renderer = GLRenderer([], Lighting(sun=tuple(sun), background=PAPER))
 
     def draw(self, time: float) -> Image:
+        """Render the human at a time in seconds."""
         human = self._human
         camera = self._tracking.camera(time)
         vertices = human.pose(self._retargeter.pose(self._world.sample(time))[0])
@@ -308,6 +316,7 @@ class SkinnedArtist:
         return np.where(view.instance[..., None] > 0, view.rgb, shaded)
 
     def close(self) -> None:
+        """Release the renderer."""
         self._renderer.close()
 
 

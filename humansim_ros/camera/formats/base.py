@@ -147,7 +147,15 @@ class CalibrationFile:
     def add(
         self, cameras: dict[str, RawCamera], name: str, camera: RawCamera, *keys: Key, line: int | None = None
     ) -> None:
-        """Add a camera under a unique name."""
+        """Add a camera under a unique name.
+
+        Args:
+            cameras: Cameras of the file by name, to which it is added.
+            name: Name of the camera.
+            camera: Camera in the unit and axes of the file.
+            keys: Key path of the camera, for errors.
+            line: Line of the camera, for errors.
+        """
         if name in cameras:
             raise self.error(f"there are two cameras of the name {name!r}", *keys, line=line)
         if len(cameras) >= MAX_CAMERAS:

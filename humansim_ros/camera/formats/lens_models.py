@@ -59,7 +59,14 @@ def find_model(
 def check_count(
     file: CalibrationFile, model: str, distortion: Array, distortion_keys: tuple[Key, ...]
 ) -> None:
-    """Raise CameraError if the number of coefficients does not fit the model."""
+    """Raise CameraError if the number of coefficients does not fit the model.
+
+    Args:
+        file: File that is being read.
+        model: Name of the distortion model.
+        distortion: Coefficients, (N,).
+        distortion_keys: Key path of the coefficients.
+    """
     counts = _FILE_COUNTS[model]
     used = len(np.trim_zeros(distortion, "b"))
     if used and (used > max(counts) or len(distortion) < min(counts)):

@@ -52,6 +52,7 @@ def run(
     from humansim_ros.ros.processes import scene_processes
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
+    from humansim_ros.scene.config import load_config
 
     _check_machine()
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
@@ -59,7 +60,10 @@ def run(
         path = scene or resource_path("config/scenes/demo.yaml")
         if motion or mesh or joint_names:
             path = _scene_with(path, motion, mesh, joint_names, Path(folder))
-        _describe(Scene.load(path))  # checks the scene before a process starts
+            loaded = Scene.from_config(load_config(path))  # errors do not name the temporary file
+        else:
+            loaded = Scene.load(path)
+        _describe(loaded)  # checks the scene before a process starts
         with Supervisor(scene_processes(path, processes)) as nodes:
             print("running; Ctrl-C stops", flush=True)
             try:

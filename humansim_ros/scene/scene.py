@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import SceneError, in_section
+from humansim_ros.errors import HumansimError, SceneError, in_section
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframe_tracks import KeyframeTrack
@@ -135,15 +135,20 @@ class Scene:
         """Make a scene from a checked configuration. ``source`` finds its files and locates its errors."""
         source = source or SceneSource()
         with source.locating_errors():
-            return cls._from_config(with_variety(config, source), source)
+            return cls._from_config(with_variety(config, source), source, set(config.humans))
 
     @classmethod
-    def _from_config(cls, config: SceneConfig, source: SceneSource) -> Scene:
+    def _from_config(cls, config: SceneConfig, source: SceneSource, named: Set[str]) -> Scene:
+        """``named``: the humans of the section ``humans``; the others are from ``variety``."""
         tracks = load_tracks(config, source)
-        actors = {
-            name: _actor(name, number, human, source, tracks.get(("humans", name)))
-            for number, (name, human) in enumerate(config.humans.items(), 1)
-        }
+        actors: dict[str, Actor] = {}
+        for number, (name, human) in enumerate(config.humans.items(), 1):
+            try:
+                actors[name] = _actor(name, number, human, source, tracks.get(("humans", name)))
+            except HumansimError as error:
+                if name in named:
+                    raise
+                raise type(error)(error.message, key="variety.motions") from error.__cause__
         objects: dict[str, SceneObject] = {}
         _add_objects(objects, config.objects, source, tracks, actors)
         environment = Environment.load(config, source)
@@ -248,7 +253,11 @@ class Scene:
 
 
 def _actor(
-    name: str, instance: int, config: HumanConfig, source: SceneSource, keyframes: KeyframeTrack | None
+    name: str,
+    instance: int,
+    config: HumanConfig,
+    source: SceneSource,
+    keyframes: KeyframeTrack | None,
 ) -> Actor:
     with in_section(f"humans.{name}"):
         human = source.human(config.body, config.outfit, config.skinning)

@@ -92,7 +92,7 @@ class Scene:
             HumansimError: With the key.
         """
         objects: dict[str, Human | Motion | Mesh] = {}
-        data = {section: name_objects(value, section, objects) for section, value in scene.items()}
+        data = name_objects(scene, "", objects)
         source = SceneSource(folder=Path(folder).resolve(), objects=objects)
         return cls.from_config(check_config(data), source)
 
@@ -109,7 +109,8 @@ class Scene:
         """Make a scene from keywords; objects in memory may stand where a scene file names a file.
 
         Args:
-            cameras: By name: a Camera, or the keys of a camera in a scene file.
+            cameras: By name: a Camera, or the keys of a camera in a scene file; its ``calibration`` may be a
+                Camera.
             humans: By name: a Human, a name or path, or the keys of a human in a scene file. Its ``body`` may
                 be a Human, its ``motion`` (or the ``file`` of its motion) a Motion.
             objects: By name: a Mesh, a name or path, or the keys of an object, whose ``mesh`` may be a Mesh.

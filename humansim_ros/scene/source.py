@@ -142,7 +142,7 @@ def name_objects(value: Any, key: str, objects: dict[str, Human | Motion | Mesh]
 
     Args:
         value: Value of ``key``. Cameras in it become their keys of a scene file, arrays become lists.
-        key: Where the value is in the scene, such as ``humans.anna``.
+        key: Position in the scene, such as ``humans.anna``; empty for the scene itself.
         objects: The humans, motions and meshes are added here, by name.
     """
     if isinstance(value, (Human, Motion, Mesh)):
@@ -154,10 +154,23 @@ def name_objects(value: Any, key: str, objects: dict[str, Human | Motion | Mesh]
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, Mapping):
-        return {name: name_objects(part, f"{key}.{name}", objects) for name, part in value.items()}
+        if isinstance(value.get("calibration"), Camera):
+            value = _with_camera(value)
+        return {
+            name: name_objects(part, f"{key}.{name}".removeprefix("."), objects)
+            for name, part in value.items()
+        }
     if isinstance(value, (list, tuple)):
         return [name_objects(part, f"{key}.{index}", objects) for index, part in enumerate(value)]
     return value
+
+
+def _with_camera(section: Mapping[str, Any]) -> dict[str, Any]:
+    """Section of a camera with a Camera in place of a calibration file; a pose in the section wins."""
+    keys = _camera_keys(section["calibration"])
+    if section.keys() & {"position", "R", "trajectory"}:
+        del keys["R"], keys["t"]
+    return keys | {key: value for key, value in section.items() if key != "calibration"}
 
 
 def _camera_keys(camera: Camera) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Images behind a scene: photographs and panoramas."""
+"""Backdrops: images behind a scene."""
 
 from __future__ import annotations
 
@@ -13,31 +13,33 @@ from humansim_ros.camera import Camera
 from humansim_ros.render.pixel_geometry import ray_grid
 from humansim_ros.types import LinearColor
 
-#: Texels of the blend from one side of a panorama to the other, which are neighbours.
+#: Columns that a panorama repeats at each side, to interpolate across the seam.
 _WRAP = 2
 
 
 @dataclass(frozen=True, eq=False)
 class ImageBackdrop:
-    """A photograph ``image`` (H, W, 3) uint8 behind the scene, as large as to cover the camera's image."""
+    """A photograph ``image`` (H, W, 3) uint8 sRGB, scaled to cover the camera's image."""
 
     image: NDArray[np.uint8]
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:
         (width, height), (h, w) = camera.size, self.image.shape[:2]
         scale = max(width / w, height / h)
-        # the part of the photograph that shows, in its middle
+        # the visible part, at the center of the photograph
         part_w, part_h = min(w, max(1, round(width / scale))), min(h, max(1, round(height / scale)))
         x, y = (w - part_w) // 2, (h - part_h) // 2
         part = self.image[y : y + part_h, x : x + part_w]
-        how = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-        return np.asarray(cv2.resize(part, camera.size, interpolation=how), dtype=np.uint8)
+        interpolation = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+        return np.asarray(cv2.resize(part, camera.size, interpolation=interpolation), dtype=np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
 class Panorama:
-    """Surroundings endlessly far away: ``image`` (H, W, 3) uint8 sRGB, equirectangular. Its middle is in
-    direction +x of ``map``, turned to the left by ``yaw`` radians, its first row straight up.
+    """An equirectangular panorama at infinite distance.
+
+    ``image``: (H, W, 3) uint8 sRGB; its center is in direction +x of ``map``, its first row is straight up.
+    ``yaw``: rotation of the panorama to the left, radians.
     """
 
     image: NDArray[np.uint8]
@@ -45,29 +47,31 @@ class Panorama:
 
     @cached_property
     def _wrapped(self) -> NDArray[np.uint8]:
-        """The same with its sides repeated beside it, so that they are blended with each other."""
+        """The image with the columns of each side repeated at the other."""
         return np.pad(self.image, ((0, 0), (_WRAP, _WRAP), (0, 0)), mode="wrap")
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:
         height, width = self.image.shape[:2]
-        with np.errstate(invalid="ignore"):  # where the lens is dark
+        with np.errstate(invalid="ignore"):  # beyond the field of view of the lens
             x, y, z = np.moveaxis(ray_grid(camera) @ camera.R, -1, 0)
             left = np.arctan2(y, x) - self.yaw
             up = np.arctan2(z, np.hypot(x, y))
         column = np.mod(0.5 - left / (2 * np.pi), 1.0) * width - 0.5 + _WRAP
         row = np.clip((0.5 - up / np.pi) * height - 0.5, 0, height - 1)
         across, down = (np.nan_to_num(axis, nan=-10.0).astype(np.float32) for axis in (column, row))
-        seen = cv2.remap(self._wrapped, across, down, interpolation=cv2.INTER_LINEAR)
-        return np.asarray(seen, dtype=np.uint8)
+        image = cv2.remap(self._wrapped, across, down, interpolation=cv2.INTER_LINEAR)
+        return np.asarray(image, dtype=np.uint8)
 
 
 def ambient(radiance: NDArray[np.float32]) -> tuple[LinearColor, LinearColor]:
-    """Mean colours of the upper and of the lower half of a panorama (H, W, 3) of linear light: what lights
-    level ground from above, and what lights it from below.
+    """Compute the ambient light of a panorama (H, W, 3) of linear light.
+
+    Returns:
+        Colours that light level surfaces from above and from below.
     """
     rows = len(radiance)
     up = np.pi * (0.5 - (np.arange(rows) + 0.5) / rows)
-    # of a row: its share of the sphere, and how steeply its light falls
+    # per row: share of the sphere, and cosine to the vertical
     weight = np.cos(up) * np.abs(np.sin(up))
     means = radiance.mean(axis=1, dtype=float)
     sky, ground = (

@@ -1,4 +1,4 @@
-"""The soft shadow that a body leaves on the floor under it (a picture's cue, not a light simulation)."""
+"""Contact shadows: a dark patch on the floor under a body. It is a visual cue, not a light simulation."""
 
 from __future__ import annotations
 
@@ -8,20 +8,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+#: Cells along a side of a shadow.
 CELLS = 64
-#: Metres around the body that the shadow may reach.
+#: Metres around the body that the shadow covers.
 _MARGIN = 0.35
-#: Metres above the floor at which a surface's shadow has faded to 1/e.
+#: Height in metres at which the shadow of a surface has faded to 1/e.
 _FADE = 0.22
-#: Metres above the floor from which on a surface leaves no shadow (it would be 1 % there).
+#: Height in metres above which a surface has no shadow. It would be 1 % there.
 REACH = 1.0
 _STRENGTH = 0.62
 
 
 @dataclass(frozen=True)
 class ContactShadow:
-    """Darkness on the floor: ``darkness`` (64, 64) uint8, 255 is black, rows along y from ``corner`` (x, y),
-    ``side`` metres.
+    """A shadow on the floor.
+
+    ``corner``: lowest x and y, metres. ``side``: length of a side, metres. ``darkness``: (64, 64) uint8, 255
+    is black, rows along y.
     """
 
     corner: tuple[float, float]
@@ -30,15 +33,15 @@ class ContactShadow:
 
     @property
     def corners(self) -> NDArray[np.float32]:
-        """(4, 3) of the square on the floor."""
+        """(4, 3) corners of the square on the floor."""
         (x, y), s = self.corner, self.side
         return np.array([(x, y, 0), (x + s, y, 0), (x, y + s, 0), (x + s, y + s, 0)], dtype=np.float32)
 
 
 def contact_shadow(points: NDArray[np.float32], areas: NDArray[np.float32]) -> ContactShadow:
-    """Shadow of a body on the floor z = 0: its surface seen from below, fading with height, blurred.
+    """Compute the shadow of a body on the floor z = 0: its surface from below, faded with height, blurred.
 
-    ``points``: (3, V) vertices. ``areas``: (V,) the surface that each stands for, square metres.
+    ``points``: (3, V) points on the surface. ``areas``: (V,) surface area of each, square metres.
     """
     low, high = points[:2].min(axis=1) - _MARGIN, points[:2].max(axis=1) + _MARGIN
     side = float((high - low).max())
@@ -47,7 +50,7 @@ def contact_shadow(points: NDArray[np.float32], areas: NDArray[np.float32]) -> C
     x, y = ((points[:2, below] - low[:, None]) / np.float32(cell)).astype(np.intp)
     amount = areas[below] * np.exp(-np.maximum(points[2, below], 0) / np.float32(_FADE))
     grid = np.bincount(y * CELLS + x, amount, CELLS * CELLS).reshape(CELLS, CELLS)
-    # a closed surface covers each cell at least twice, from below and from above
+    # a closed surface covers each cell at least twice
     coverage = np.minimum(grid / (2 * cell * cell), 1.0).astype(np.float32)
     near = cv2.GaussianBlur(coverage, (0, 0), 0.03 / cell)
     wide = cv2.GaussianBlur(coverage, (0, 0), 0.11 / cell)

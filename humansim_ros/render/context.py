@@ -1,4 +1,4 @@
-"""OpenGL contexts: made, made current, found lost."""
+"""OpenGL contexts through EGL: creation, use, and detection of lost contexts."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ import moderngl
 
 from humansim_ros.errors import RenderError
 
-#: Devices that are tried where one works.
+#: Largest number of devices that are tried.
 _MAX_DEVICES = 16
 
 
 def create_context(device: int | None = None) -> moderngl.Context:
-    """A standalone OpenGL 3.3 context through EGL, on a device by its number as EGL counts them, GPUs first;
-    None: the first that works. RenderError, naming the packages to install or the devices there are, where
-    there is none.
+    """Create an OpenGL 3.3 context through EGL.
+
+    ``device``: number of the device in the order of EGL, GPUs first; the first one that works if None.
+
+    Raises:
+        RenderError: There is no such device, or OpenGL is missing. The message names the packages to install.
     """
     reasons: list[str] = []
     for number in itertools.count() if device is None else [device]:
@@ -37,14 +40,16 @@ def create_context(device: int | None = None) -> moderngl.Context:
 
 @contextmanager
 def current(ctx: moderngl.Context) -> Iterator[None]:
-    """The context is the current one of this thread, which others may have made theirs, for as long as
-    ``with`` lasts. RenderError if it has been released or lost, or OpenGL fails otherwise.
+    """Make a context current in this thread for the duration of ``with``.
+
+    Raises:
+        RenderError: The context has been released or lost, or OpenGL failed.
     """
     if isinstance(ctx.mglo, moderngl.InvalidObject):
         raise RenderError("this renderer has been closed")
     with ctx:
         try:
-            # without a context OpenGL fails in silence, and what is read is any memory: ask it for something
+            # without a context OpenGL fails silently and reads arbitrary memory: test it with an allocation
             ctx.buffer(reserve=4).release()
         except moderngl.Error:
             raise RenderError(

@@ -1,7 +1,7 @@
-"""Triangles cut so small that a lens may bend their edges: between vertices all lines drawn are straight.
+"""Tessellation for lenses: OpenGL draws straight edges, a lens bends them.
 
-Edges are halved until their middles fall within a fraction of a pixel of where they would be drawn. That an
-edge is halved depends on its two ends alone, so that triangles which share one stay together.
+Edges are halved until the middle of each is within a fraction of a pixel of its correct projection. The
+decision depends on the two ends alone, so that triangles with a common edge stay connected.
 """
 
 from __future__ import annotations
@@ -18,31 +18,32 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.lens import Lens
 from humansim_ros.types import Array, Indices
 
-#: Pixels that an edge may be away from where it should be; and, where edges are cut, how near they come: all
-#: lines of a surface are bent to one side, so that what is left of it shifts its picture as a whole.
+#: Error of an edge in pixels from which it is tessellated, and the error that tessellation leaves. The second
+#: is smaller, because a lens bends all edges of a surface to one side, which shifts its image as a whole.
 VISIBLE, TOLERANCE = 0.03, 0.01
-#: The halves of an arc that is off by less than so many times the tolerance surely are near enough.
-_SURELY = 3.5
-#: Edges longer than so many pixels are halved anyway: their middle alone says too little.
-_LONGEST = 48.0
-#: Beside the image by so many pixels it does not matter how edges shorter than that are drawn.
-_BESIDE = 16.0
-#: Beyond this tangent of the angle to the axis edges may be off by more, as it grows: depth changes so fast
-#: there that edges would become shorter than pixels.
-_FAR_OFF = 4.0
-#: Edges at the rim of what the lens sees are cut down to this share of their distance.
+#: The halves of an edge are accurate enough if its own error is below this multiple of the tolerance.
+_ERROR_RATIO = 3.5
+#: Longer edges, in pixels, are always halved: the error at the middle alone is not enough.
+_MAX_LENGTH = 48.0
+#: Pixels outside the image from which the error of an edge has no effect.
+_OUTSIDE = 16.0
+#: Tangent of the angle to the axis beyond which the tolerance grows with it: depth changes so fast there that
+#: edges would become shorter than pixels.
+_WIDE_TANGENT = 4.0
+#: Largest length of edges over their distance: of those that cross the border of the field of view, and of
+#: those beyond it.
 _RIM, _BEYOND = 0.01, 0.1
-#: Points along each side of the image at which the lens is looked at.
+#: Points along each side of the image at which the lens is sampled.
 _GRID = 65
 _ROUNDS, _MAX_TRIANGLES = 14, 4_000_000
-#: Metres along the axis within which nothing is drawn; and for lenses that see farther off the axis than this
-#: tangent: what is beside a camera is far away, and yet its depth is small.
-NEAR, _NEAR_BESIDE, _BESIDE_FROM = 0.05, 0.005, 5.0
+#: Near plane in metres; that of wide lenses; and the tangent of the angle to the axis from which a lens is
+#: wide: points beside the camera have a small depth at any distance.
+NEAR, _WIDE_NEAR, _WIDE_LENS = 0.05, 0.005, 5.0
 
 
 @dataclass(frozen=True)
 class TessellatedMesh:
-    """``attributes`` (V, k), ``triangles`` (N, 3) of them, ``parents`` (N,): what these are parts of."""
+    """Vertex ``attributes`` (V, k), ``triangles`` (N, 3), and ``parents`` (N,): the original triangles."""
 
     attributes: Array
     triangles: Indices
@@ -51,7 +52,7 @@ class TessellatedMesh:
 
 @dataclass(frozen=True, eq=False)
 class LensView:
-    """How much a camera's lens bends straight lines, and what it sees at all."""
+    """Field of view and distortion of a camera's lens."""
 
     camera: Camera
 
@@ -62,23 +63,23 @@ class LensView:
 
     @property
     def partly_dark(self) -> bool:
-        """Whether the lens leaves pixels of the image dark."""
+        """Whether some pixels are beyond the field of view of the lens."""
         return self._field.partly_dark
 
     @property
     def bounds(self) -> tuple[Array, Array]:
-        """Lowest and highest x and y of the normalised image plane that the image can show."""
+        """Lowest and highest x and y, (2,) each, of the image in the normalised image plane."""
         return self._field.low, self._field.high
 
     @property
     def near(self) -> float:
-        """Metres along the axis within which nothing is drawn."""
+        """Near plane, metres."""
         widest = max(float(np.abs(bound).max()) for bound in self.bounds)
-        return NEAR if widest < _BESIDE_FROM else _NEAR_BESIDE
+        return NEAR if widest < _WIDE_LENS else _WIDE_NEAR
 
     def straight_angle(self, low: tuple[int, int], high: tuple[int, int]) -> float:
-        """The angle, radians, of edges that surely are not bent visibly between the pixels ``low`` and
-        ``high``: their length over their distance.
+        """Return the largest angle (radians) of edges without visible bend between pixels ``low`` and
+        ``high``. The angle of an edge is its length over its distance.
         """
         bends = self._field.bends
         cells = np.maximum(np.array(self.camera.size) - 1, 1) / (_GRID - 1)
@@ -88,15 +89,16 @@ class LensView:
         return float(np.sqrt(8 * VISIBLE / max(bend, 1e-9)))
 
     def _sides_beyond(self, points: Array) -> NDArray[np.uint8]:
-        """Beyond which sides of the image points (V, 3), optical frame, surely are: a bit each."""
+        """(V,) bit mask of the sides of the image that points (V, 3), optical frame, are beyond."""
         x, y, z = points.T
         (left, top), (right, bottom) = self.bounds
         beyond = [z < self.near, x < left * z, x > right * z, y < top * z, y > bottom * z]
         return np.packbits(beyond, axis=0)[0]
 
     def image_of(self, low: Array, high: Array) -> tuple[Array, Array]:
-        """Lowest and highest pixels, each (2,), of what lies between ``low`` and ``high`` of the normalised
-        image plane; infinite and -infinite where nothing of it is seen.
+        """Return the lowest and highest pixel, (2,) each, of a rectangle of the normalised image plane.
+
+        They are inf and -inf if it is outside the image. ``low``, ``high``: (2,) corners of the rectangle.
         """
         nothing = np.full(2, np.inf), np.full(2, -np.inf)
         low, high = np.maximum(low, self._field.low), np.minimum(high, self._field.high)
@@ -111,8 +113,9 @@ class LensView:
         return pixels.min(axis=0) - 1, pixels.max(axis=0) + 1
 
     def bent(self, starts: Array, ends: Array, *, tolerance: float = VISIBLE) -> NDArray[np.bool_]:
-        """Which edges (E, 3), optical frame, are to be halved so that none is off by more than a tolerance,
-        in pixels.
+        """(E,) whether edges must be halved so that no error exceeds ``tolerance`` pixels.
+
+        ``starts``, ``ends``: (E, 3) in the optical frame.
         """
         points = starts, ends, (starts + ends) / 2
         return self._bent(points, [self.camera.project_optical(p)[0] for p in points], tolerance)[0]
@@ -120,37 +123,40 @@ class LensView:
     def _bent(
         self, points: Sequence[Array], pixels: Sequence[Array], tolerance: float
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Which edges are to be halved, and whether their halves need not be looked at.
+        """(E,) whether edges must be halved, and whether their halves are accurate without a test.
 
-        ``points``: their starts, ends and middles (E, 3), optical frame; ``pixels``: the same (E, 2).
+        ``points``: starts, ends and middles (E, 3), optical frame; ``pixels``: their projections (E, 2).
         """
         (start, end, middle), (a, b, m) = points, pixels
-        seen_a, seen_b = np.isfinite(a[:, 0]), np.isfinite(b[:, 0])
+        visible_a, visible_b = np.isfinite(a[:, 0]), np.isfinite(b[:, 0])
         with np.errstate(invalid="ignore", divide="ignore"):
             za, zb = start[:, 2:], end[:, 2:]
-            off = _length(m - (a * za + b * zb) / (za + zb))
+            error = _length(m - (a * za + b * zb) / (za + zb))
             span = _length(a - b)
-            before, behind = np.maximum(a, b) < -_BESIDE, np.minimum(a, b) > np.add(self.camera.size, _BESIDE)
-            allowed = tolerance * np.maximum(1.0, _length(middle[:, :2]) / (middle[:, 2] * _FAR_OFF))
-            bent = ((off > allowed) & ~(before | behind).any(axis=1)) | (span > _LONGEST)
-            enough = (off < _SURELY * allowed) & (span < _LONGEST)
-        if not (seen_a & seen_b).all():
+            before, behind = (
+                np.maximum(a, b) < -_OUTSIDE,
+                np.minimum(a, b) > np.add(self.camera.size, _OUTSIDE),
+            )
+            allowed = tolerance * np.maximum(1.0, _length(middle[:, :2]) / (middle[:, 2] * _WIDE_TANGENT))
+            bent = ((error > allowed) & ~(before | behind).any(axis=1)) | (span > _MAX_LENGTH)
+            enough = (error < _ERROR_RATIO * allowed) & (span < _MAX_LENGTH)
+        if not (visible_a & visible_b).all():
             length, distance = _length(end - start), _length(start + end) / 2
             rim, beyond = length > _RIM * distance, length > _BEYOND * distance
-            bent = np.where(seen_a & seen_b, bent, np.where(seen_a | seen_b, rim, beyond))
+            bent = np.where(visible_a & visible_b, bent, np.where(visible_a | visible_b, rim, beyond))
         return bent, enough
 
     def tessellate(
         self, attributes: Array, triangles: Indices, tolerance: float = TOLERANCE
     ) -> TessellatedMesh:
-        """Cut triangles (N, 3) of ``attributes`` (V, 3 + k), which begin with a position in the world, until
-        no edge is off by more than a tolerance, in pixels.
+        """Tessellate triangles; those outside the image are left out.
 
-        What is outside the image is left out.
+        ``attributes``: (V, 3 + k) vertex attributes; the first three are the position in ``map``.
+        ``triangles``: (N, 3). ``tolerance``: largest error of an edge in pixels.
         """
         corners, parents = triangles.astype(np.intp), np.arange(len(triangles), dtype=np.intp)
-        # each round has its own edges: their ends (E, 2), and which of them the sides ab, bc, ca of each
-        # triangle are; -1 for sides that are straight
+        # edges of the round: ends (E, 2), and the edges of the sides ab, bc, ca of each triangle, -1 for
+        # straight sides
         sides = np.sort(corners[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
         keys, inverse = np.unique(sides[:, 0] * len(attributes) + sides[:, 1], return_inverse=True)
         ends = np.stack([keys // len(attributes), keys % len(attributes)], axis=1)
@@ -160,26 +166,28 @@ class LensView:
         done, count = [(corners[:0], parents[:0])], 0
         for _ in range(_ROUNDS):
             a, b, c = beyond[corners].T
-            kept = (a & b & c) == 0
-            straight = kept & (edges < 0).all(axis=1)
+            inside = (a & b & c) == 0
+            straight = inside & (edges < 0).all(axis=1)
             done.append((corners[straight], parents[straight]))
-            kept &= ~straight
-            corners, edges, parents = corners[kept], edges[kept], parents[kept]
+            inside &= ~straight
+            corners, edges, parents = corners[inside], edges[inside], parents[inside]
             count += len(corners)
             if not len(corners) or count > _MAX_TRIANGLES:
                 break
             used = np.zeros(len(ends) + 1, bool)
             used[edges] = True
-            looked_at = np.flatnonzero(used[:-1])
-            first, second = ends[looked_at].T
+            tested = np.flatnonzero(used[:-1])
+            first, second = ends[tested].T
             middles = (points[first] + points[second]) / 2
-            fallen = self.camera.project_optical(middles)[0]
+            projected = self.camera.project_optical(middles)[0]
             halved, enough = self._bent(
-                (points[first], points[second], middles), (pixels[first], pixels[second], fallen), tolerance
+                (points[first], points[second], middles),
+                (pixels[first], pixels[second], projected),
+                tolerance,
             )
-            cut, further = looked_at[halved], ~enough[halved]
+            cut, further = tested[halved], ~enough[halved]
             new = 2 * int(np.count_nonzero(further))
-            # by edge; the last one stands for -1
+            # by edge; the last entry is that of edge -1
             middle, half = np.full((2, len(ends) + 1), -1)
             middle[cut] = len(points) + np.arange(len(cut))
             half[cut[further]] = np.arange(0, new, 2)
@@ -187,7 +195,7 @@ class LensView:
             pieces = _divided(corners, middle[edges], halves, new)
             attributes = np.concatenate([attributes, attributes[ends[cut]].mean(axis=1)])
             points = np.concatenate([points, middles[halved]])
-            pixels = np.concatenate([pixels, fallen[halved]])
+            pixels = np.concatenate([pixels, projected[halved]])
             beyond = np.concatenate([beyond, self._sides_beyond(middles[halved])])
             between = np.repeat(middle[cut[further], None], 2, axis=1)
             ends = np.concatenate(
@@ -200,7 +208,7 @@ class LensView:
     def divide_edges(
         self, starts: NDArray[np.floating], ends: NDArray[np.floating]
     ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
-        """Edges (E, 3), world, cut into pieces (P, 3) that are straight in the image."""
+        """Divide edges (E, 3) in ``map`` into pieces (P, 3) that are straight in the image."""
         done_starts, done_ends = [starts[:0]], [ends[:0]]
         for _ in range(_ROUNDS):
             halved = self.bent(
@@ -217,16 +225,15 @@ class LensView:
 
 
 def near_plane(camera: Camera) -> float:
-    """Metres along its axis within which nothing is drawn for a camera."""
+    """Return the near plane of a camera, metres."""
     return LensView(camera).near if camera.distorted else NEAR
 
 
 @dataclass(frozen=True)
 class _Field:
-    """What a lens shows: bounds in the normalised image plane, and whether they leave the image partly dark.
+    """Field of view of a lens: bounds in the normalised image plane, and whether the image is partly dark.
 
-    ``bends``: on a grid over the image, by how many pixels the image of a line may be bent, per square of the
-    angle that the line spans (radians).
+    ``bends``: on a grid over the image, bend of a line in pixels per square of its angle (radians).
     """
 
     low: Array
@@ -242,7 +249,7 @@ def _field(lens: Lens, size: tuple[int, int], k: tuple[float, ...]) -> _Field:
     rim = camera.rays(_border(x, y))[:, :2]
     dark = bool(np.isnan(rim).any())
     low, high = rim.min(axis=0), rim.max(axis=0)
-    if dark:  # the rim of what it sees lies inside the image
+    if dark:  # the border of the field of view is inside the image
         low, high = np.full(2, -lens.valid_radius), np.full(2, lens.valid_radius)
     n = camera.rays(np.stack(np.meshgrid(x, y), axis=-1))[..., :2]
     spread = 1 + np.einsum("...i,...i->...", n, n)
@@ -252,11 +259,13 @@ def _field(lens: Lens, size: tuple[int, int], k: tuple[float, ...]) -> _Field:
         change = lens.jacobian(n + step * axis) - lens.jacobian(n - step * axis)
         second += ((change / (2 * step[..., None])) ** 2).sum(axis=(-1, -2))
     bends = np.nan_to_num(np.sqrt(second) * spread**2) * float(np.abs(camera.K[:2, :2]).max())
+    for array in (low, high, bends):
+        array.setflags(write=False)
     return _Field(low, high, dark, bends)
 
 
 def _border(x: Array, y: Array) -> Array:
-    """Points (P, 2) on the sides of the rectangle that x and y (rising) span."""
+    """Points (P, 2) on the sides of a rectangle; ``x``, ``y``: ascending coordinates."""
     across, down = np.ones_like(x), np.ones_like(y)
     sides = [(x, y[0] * across), (x, y[-1] * across), (x[0] * down, y), (x[-1] * down, y)]
     return np.concatenate([np.stack(side, axis=1) for side in sides])
@@ -268,10 +277,10 @@ def _length(vectors: Array) -> Array:
 
 
 def _halves(corners: Indices, ends: Indices, half: Indices) -> Indices:
-    """Edges (N, 3, 2) that the halves of the sides of triangles (N, 3) become, that at a side's start first.
+    """(N, 3, 2) edges of the halves of the sides of triangles (N, 3), the half at the start of a side first.
 
-    ``ends`` (N, 3, 2) of the edges that the sides were; ``half`` (N, 3): the edge that the half at the first
-    of these ends becomes, the other half becomes the next one; or -1.
+    ``ends``: (N, 3, 2) of the edges of the sides. ``half``: (N, 3) edge of the half at the first end; that of
+    the other half is the next one; or -1.
     """
     turned = (ends[..., 0] != corners).astype(np.intp)
     both = np.stack([half + turned, half + 1 - turned], axis=2)
@@ -279,9 +288,9 @@ def _halves(corners: Indices, ends: Indices, half: Indices) -> Indices:
 
 
 class _Pieces(NamedTuple):
-    """``corners`` (P, 3) and ``edges`` (P, 3) of pieces, ``parts`` (P,): which triangle each is a piece of.
+    """``corners`` (P, 3) and ``edges`` (P, 3) of pieces; ``parts``: (P,) the triangle that each is from.
 
-    ``within``: ends (E, 2) of the edges between the pieces of a triangle.
+    ``within``: (E, 2) ends of the edges between the pieces of a triangle.
     """
 
     corners: Indices
@@ -290,14 +299,14 @@ class _Pieces(NamedTuple):
     within: Indices
 
 
-#: Pieces of a triangle, by how many of its sides are halved: corners, edges, and ends of the edges within.
+#: Pieces of a triangle by the number of its halved sides: corners, edges, and ends of the inner edges.
 #: Corners: 0 1 2 (a b c), 3 4 5 (middles of ab bc ca). Edges: 0 straight, 1 to 6 halves of ab bc ca, 7 8 9
-#: those within.
+#: inner edges.
 _CUTS: dict[int, tuple[list[tuple[int, int, int]], list[tuple[int, int, int]], list[tuple[int, int]]]] = {
     0: ([(0, 1, 2)], [(0, 0, 0)], []),
-    # turned so that ab is halved
+    # rotated so that ab is halved
     1: ([(0, 3, 2), (3, 1, 2)], [(1, 7, 0), (2, 0, 7)], [(3, 2)]),
-    # turned so that ca is the side that stays
+    # rotated so that ca is not halved
     2: ([(3, 1, 4), (0, 3, 4), (0, 4, 2)], [(2, 3, 7), (1, 7, 8), (8, 4, 0)], [(3, 4), (0, 4)]),
     3: (
         [(0, 3, 5), (3, 1, 4), (5, 4, 2), (3, 4, 5)],
@@ -308,16 +317,19 @@ _CUTS: dict[int, tuple[list[tuple[int, int, int]], list[tuple[int, int, int]], l
 
 
 def _divided(corners: Indices, middles: Indices, halves: Indices, first: int) -> _Pieces:
-    """Triangles (N, 3) whose sides ab, bc, ca have a vertex ``middles`` (N, 3) or -1, in pieces.
+    """Divide triangles.
 
-    ``halves`` (N, 3, 2): edges that the halves of their sides become. ``first``: number of the first edge
-    between pieces.
+    Args:
+        corners: (N, 3) triangles.
+        middles: (N, 3) vertices in the middle of the sides ab, bc, ca, or -1.
+        halves: (N, 3, 2) edges of the halves of the sides.
+        first: Number of the first inner edge.
     """
     count = (middles >= 0).sum(axis=1)
     turns = np.zeros(len(corners), np.intp)
     turns[count == 1] = np.argmax(middles[count == 1] >= 0, axis=1)
     turns[count == 2] = np.argmax(middles[count == 2] < 0, axis=1) + 1
-    found = []
+    divided = []
     for number, (pieces, edges, within) in _CUTS.items():
         rows = np.flatnonzero(count == number)
         order = (np.arange(3) + turns[rows, None]) % 3
@@ -326,7 +338,7 @@ def _divided(corners: Indices, middles: Indices, halves: Indices, first: int) ->
         new = first + np.arange(len(rows) * len(within), dtype=np.intp).reshape(len(rows), len(within))
         first += new.size
         ten = np.concatenate([np.full_like(at, -1), halves[at, order].reshape(-1, 6), new], axis=1)
-        found.append(
+        divided.append(
             _Pieces(
                 six[:, pieces].reshape(-1, 3),
                 ten[:, edges].reshape(-1, 3),
@@ -334,4 +346,4 @@ def _divided(corners: Indices, middles: Indices, halves: Indices, first: int) ->
                 six[:, np.reshape(within, (-1, 2)).astype(np.intp)].reshape(-1, 2),
             )
         )
-    return _Pieces(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+    return _Pieces(*(np.concatenate(parts) for parts in zip(*divided, strict=True)))

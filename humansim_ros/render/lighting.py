@@ -1,4 +1,4 @@
-"""How a scene is lit, and what is behind everything: plain data that renderers are given."""
+"""Light of a scene, background colour, and tone mapping."""
 
 from __future__ import annotations
 
@@ -13,15 +13,28 @@ from humansim_ros.types import Array, LinearColor
 
 @dataclass(frozen=True)
 class Lighting:
-    """Linear-light colours and the direction to the sun, ``map`` frame.
+    """Light of a scene. Colours are linear light, directions are in ``map``.
 
-    ``mode``: shadeless shows colours as they are. ``strength``: times all light. ``shadows``: contact is a
-    soft dark patch on the floor z = 0 under each body; soft is the shadow that the sun casts on everything,
-    the blurrier the larger the sun appears, ``sun_size_deg``. ``tone_mapping``: filmic lets bright colours
-    fade to white. ``exposure``: in stops, one is twice as bright. ``materials``: skin and cloth of people
-    answer light as such; all is matt otherwise. ``ambient_occlusion``: light from around does not reach where
-    something stands before it. ``shadow_catcher``: the ground z = 0 takes shadows where nothing is, as if
-    the picture behind it showed it. ``background``: sRGB, where nothing is.
+    Attributes:
+        sun: Direction to the sun, (3,); any length.
+        sun_color: Direct light of a surface that faces the sun.
+        sky_color: Ambient light of a surface that faces up.
+        ground_color: Ambient light of a surface that faces down.
+        background: Colour where nothing is, sRGB, 0 to 255.
+        mode: ``shadeless`` renders colours without light.
+        strength: Factor of all light.
+        shadows: ``contact``: a dark patch on the floor z = 0 under each body. ``soft``: shadows of the sun on
+            all surfaces.
+        sun_size_deg: Angular size of the sun: the larger it is, the softer the shadows.
+        tone_mapping: ``filmic``: bright colours fade to white.
+        exposure: In stops; one stop doubles the brightness.
+        materials: Humans have the reflectance of skin and cloth; all is matt otherwise.
+        ambient_occlusion: Surfaces nearby block ambient light.
+        shadow_catcher: The ground z = 0 shows shadows where nothing is, as if the backdrop showed the ground.
+
+    Example:
+        >>> Lighting(exposure=1.0).brightness((0.5, 0.25, 1.0))
+        (1.0, 0.5, 2.0)
     """
 
     sun: LinearColor = (0.45, 0.3, 0.84)
@@ -41,7 +54,7 @@ class Lighting:
 
     @property
     def shadow(self) -> Literal["contact", "soft", "none"]:
-        """The shadows that are drawn: none where nothing is lit."""
+        """Kind of the rendered shadows: none in shadeless mode."""
         return "none" if self.mode == "shadeless" else self.shadows
 
     @property
@@ -49,21 +62,25 @@ class Lighting:
         """(3,) unit vector to the sun."""
         return np.array(self.sun) / np.linalg.norm(self.sun)
 
-    def on_ground(self, left: NDArray[np.floating]) -> Array:
-        """(..., 3) light of level ground that ``left`` (...) of the sun reaches, as a share of all of it."""
+    def on_ground(self, visibility: NDArray[np.floating]) -> Array:
+        """(..., 3) light of level ground, relative to light without shadow.
+
+        ``visibility``: (...) visible share of the sun.
+        """
         sun = np.array(self.sun_color) * max(float(self.direction[2]), 0.0)
         sky = np.array(self.sky_color)
-        return np.asarray((sky + sun * np.asarray(left)[..., None]) / np.maximum(sky + sun, 1e-9))
+        return np.asarray((sky + sun * np.asarray(visibility)[..., None]) / np.maximum(sky + sun, 1e-9))
 
     def brightness(self, color: LinearColor) -> LinearColor:
-        """Linear light of that colour that reaches a picture."""
+        """Linear light of a colour, with strength and exposure."""
         factor = self.strength * 2.0**self.exposure
         return (color[0] * factor, color[1] * factor, color[2] * factor)
 
 
 def tone_mapped(radiance: NDArray[np.floating], lighting: Lighting) -> NDArray[np.uint8]:
-    """(..., 3) uint8 sRGB of linear light as the shader makes it: exposure, tone mapping, and a square root
-    for the sRGB curve.
+    """Convert linear light (..., 3) to uint8 sRGB as the shaders do.
+
+    The steps are exposure, tone mapping, and a square root for the sRGB curve.
     """
     light = np.maximum(np.asarray(radiance, dtype=np.float32), 0) * np.float32(2.0**lighting.exposure)
     if lighting.tone_mapping == "filmic":
@@ -72,6 +89,6 @@ def tone_mapped(radiance: NDArray[np.floating], lighting: Lighting) -> NDArray[n
 
 
 def filmic(light: NDArray[np.float32]) -> NDArray[np.float32]:
-    """The ACES film curve as fitted by K. Narkowicz (2015), for linear light."""
+    """Apply a fit of the ACES film curve to linear light [Narkowicz 2015]."""
     x = np.minimum(light, np.float32(1e4))
     return np.asarray((x * (2.51 * x + 0.03)) / (x * (2.43 * x + 0.59) + 0.14), dtype=np.float32)

@@ -1,4 +1,4 @@
-"""How the C library keeps memory."""
+"""Settings of the C library's memory allocation."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ _MALLOPT = ((-3, 32 << 20), (-1, 512 << 20), (-2, 64 << 20))
 
 
 def keep_image_blocks() -> None:
-    """Let image-sized blocks stay in the heap instead of being mapped and unmapped for every picture, page by
-    page. Nothing happens where the C library is not glibc.
+    """Allocate image-sized blocks on the heap, instead of mapping and unmapping their pages for every image.
+
+    Without glibc the function has no effect.
     """
     with suppress(OSError, AttributeError):
         libc = ctypes.CDLL("libc.so.6")

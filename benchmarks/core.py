@@ -1,11 +1,10 @@
-"""What a camera-frame costs without ROS, beside a bare OpenGL draw and other renderers: one human, the demo
-scene.
+"""Cost of one camera and frame without ROS: one human in the demo scene, compared with other renderers.
 
-All contestants draw the same posed triangles for the same cameras, turn and turn about: what else the machine
-does hits them alike. The figures are medians of wall-clock milliseconds, and of those of the CPU, all threads
-together, which other work changes less; read the ratios. We draw in the furnished room, with shadow and
-lighting; the others draw the body alone. aitviewer, Open3D and Blender draw in processes of their own, by the
-Python that an option or HUMANSIM_BENCH_AITVIEWER, _OPEN3D, _BLENDER names.
+All renderers draw the same posed triangles for the same cameras, interleaved, so that other load affects all
+of them. The figures are medians of wall-clock milliseconds, and of CPU milliseconds of all threads, which
+depend less on other load; read the ratios. humansim_ros renders the furnished room, shadow and light too; the
+others render the body alone. aitviewer, Open3D and Blender run in processes of their own, with the Python
+that an option or HUMANSIM_BENCH_AITVIEWER, _OPEN3D, _BLENDER names.
 """
 
 from __future__ import annotations
@@ -42,14 +41,14 @@ from humansim_ros.scene import Scene
 from humansim_ros.scene.objects import SHAPES, ObjectPose
 
 _NEAR, _FAR = 0.05, 200.0
-#: Renderers that draw in processes of their own, slow ones: one of so many rounds is enough.
+#: Renderers in processes of their own. They are slow: they take part in one round of several.
 GUESTS = ("aitviewer", "open3d", "blender")
 _GUEST_ROUNDS = 5
 
 
 @dataclass(frozen=True)
 class Shot:
-    """One thing to draw: frame ``number`` of a body that moves, ``frames``, and the camera that sees it."""
+    """One frame to render: ``number`` of the ``frames`` of a moving body, and the camera."""
 
     number: int
     frames: Sequence[Body]
@@ -61,9 +60,7 @@ class Shot:
 
 
 def shots(scene: Scene, count: int) -> list[Shot]:
-    """``count`` frames of the scene's first human that follow each other; cameras take turns, some frames
-    each.
-    """
+    """Consecutive frames of the scene's first human; each camera has some of them."""
     actor = next(iter(scene.actors.values()))
     cameras = list(scene.cameras.values())
     times = 1.0 + scene.period * np.arange(count + 2)
@@ -72,7 +69,7 @@ def shots(scene: Scene, count: int) -> list[Shot]:
 
 
 FOUR = "humansim_ros: rgb (anti-aliased), depth, instance, part"
-EVERYTHING = "humansim_ros: all channels there are"
+EVERYTHING = "humansim_ros: all channels"
 BARE = "bare draw: rgb, id, depth; no anti-aliasing"
 SEGMENTED = "pyrender: rgb, depth, SEG pass by part"
 CHANNEL_ROWS: dict[str, Sequence[str]] = {
@@ -80,16 +77,14 @@ CHANNEL_ROWS: dict[str, Sequence[str]] = {
     "humansim_ros: rgb alone": ("rgb",),
     "humansim_ros: depth, instance, part": ("depth", "instance", "part"),
     **{
-        f"those four and {channel}": (*CHANNELS, channel)
-        for channel in ALL_CHANNELS
-        if channel not in CHANNELS
+        f"the four and {channel}": (*CHANNELS, channel) for channel in ALL_CHANNELS if channel not in CHANNELS
     },
     EVERYTHING: ALL_CHANNELS,
 }
 
 
 class BareDraw:
-    """The least one can do: the mesh with its texture, unlit, into rgb, id and depth, all three read back."""
+    """Lower bound: the textured mesh, unlit, into rgb, id and depth, all three read back."""
 
     VERTEX = """#version 330
         in vec3 position; in vec2 uv; uniform mat4 clip; uniform vec4 optical_z; out vec2 v_uv; out float v_z;
@@ -143,7 +138,7 @@ class BareDraw:
 
 
 class Pyrender:
-    """pyrender with the mesh added anew each frame, as its vertices cannot be changed."""
+    """pyrender with a new mesh in each frame, because it cannot change vertices."""
 
     def __init__(self, shot: Shot, by_part: bool) -> None:
         import trimesh
@@ -199,8 +194,7 @@ def ours(renderer: GLRenderer, channels: Sequence[str]) -> Callable[[Shot], obje
     frames: list[Body] = []
 
     def draw(shot: Shot) -> object:
-        # each contestant its own: of Bodies that it knows the renderer keeps what it has worked out, as it
-        # does of a frame that was another's neighbour
+        # bodies of its own: the renderer caches results for a Body, and frames that were adjacent frames
         if shot.number == 1 or not frames:
             frames[:] = [replace(body) for body in shot.frames]
         after, before = (AdjacentFrame([frames[shot.number + step]], shot.camera) for step in (1, -1))
@@ -212,7 +206,7 @@ def ours(renderer: GLRenderer, channels: Sequence[str]) -> Callable[[Shot], obje
 
 
 def pictured(order: Sequence[Shot], path: Path) -> None:
-    """Write what the guests are to draw."""
+    """Write the input of the renderers in other processes."""
     mesh = order[0].body.mesh
     assert mesh.uv is not None and mesh.uv_triangles is not None and mesh.texture is not None
     pairs = np.stack([mesh.triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
@@ -231,8 +225,10 @@ def pictured(order: Sequence[Shot], path: Path) -> None:
 
 @contextmanager
 def guest(name: str, python: str, order: Sequence[Shot]) -> Iterator[tuple[str, Callable[[Shot], float]]]:
-    """A renderer in another Python: what it is called, and how to have it draw, for milliseconds of its own.
-    Without it: an empty name.
+    """Start a renderer in another Python.
+
+    Yields:
+        Its title, empty if it is not installed, and a function that renders a frame and returns milliseconds.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "shots.npz"
@@ -260,7 +256,7 @@ def guest(name: str, python: str, order: Sequence[Shot]) -> Iterator[tuple[str, 
 
 
 def beside(renderer: GLRenderer, shape: str, count: int) -> Callable[[Shot], object]:
-    """All channels of the body and of ``count`` things that turn beside it, 0.3 m large."""
+    """The body and ``count`` rotating objects of 0.3 m next to it."""
     meshes = [SHAPES[shape]() for _ in range(count)]
     parts = np.zeros(len(meshes[0].triangles), np.uint8)
     turn = iter(np.arange(0.0, 1e6, 0.1))
@@ -284,13 +280,20 @@ def interleave(
     rounds: int,
     guests: dict[str, Callable[[Shot], float]],
 ) -> tuple[dict[str, list[float]], dict[str, list[float]]]:
-    """Milliseconds of each call, wall-clock and CPU: all contestants draw one shot, then the next."""
+    """Measure wall-clock and CPU milliseconds of each call.
+
+    Args:
+        contestants: Renderers in this process, by title.
+        order: Frames to render.
+        rounds: Number of frames.
+        guests: Renderers in other processes, by title.
+    """
     random.seed(1)
     times: dict[str, list[float]] = {name: [] for name in (*contestants, *guests)}
     cpu: dict[str, list[float]] = {name: [] for name in contestants}
-    for number in range(-len(order), rounds):  # the first time round warms up
+    for number in range(-len(order), rounds):  # the first pass warms up
         shot = order[number % len(order)]
-        # in any order: who comes after another finds the caches and the OpenGL context full of the other's
+        # in random order: a renderer finds the caches and the OpenGL context of the previous one
         for name, draw in random.sample(list(contestants.items()), len(contestants)):
             start, start_cpu = time.perf_counter(), time.process_time()
             draw(shot)
@@ -328,15 +331,15 @@ def table(times: dict[str, list[float]], cpu: dict[str, list[float]], title: str
 
 
 def targets(times: dict[str, list[float]], cpu: dict[str, list[float]]) -> list[dict[str, object]]:
-    """The ratios that matter: of medians, and the median of the ratios of draws that followed each other."""
-    wanted = (
+    """Ratios with a bound: of medians, and medians of the ratios of consecutive calls."""
+    bounds = (
         (FOUR, BARE, "at most", 1.0),
         (EVERYTHING, BARE, "at most", 2.0),
         (SEGMENTED, FOUR, "at least", 8.0),
     )
     rows: list[dict[str, object]] = []
     print(f"\n{'ratios':<74} {'medians':>8} {'paired':>8} {'CPU':>8}")
-    for what, beside, bound, limit in wanted:
+    for what, beside, bound, limit in bounds:
         if what in times and beside in times:
             of_medians = float(np.median(times[what]) / np.median(times[beside]))
             paired = float(np.median(np.divide(times[what], times[beside])))
@@ -359,18 +362,18 @@ def targets(times: dict[str, list[float]], cpu: dict[str, list[float]]) -> list[
 
 
 def stages(shot: Shot, repeat: int) -> list[dict[str, object]]:
-    """What the parts of a frame that run on the CPU cost, each on its own."""
+    """Cost of the stages of a frame on the CPU, one by one."""
     topology, vertices, camera = Topology(shot.body.mesh), shot.body.vertices, shot.camera
     posed = PosedMesh(topology, vertices)
     areas, facing = topology.vertex_areas, posed.facing(camera.center)
-    fallen = ProjectedPoints(posed.points, camera)
-    edges = contour(posed, fallen, facing, 0.0)
+    projected = ProjectedPoints(posed.points, camera)
+    edges = contour(posed, projected, facing, 0.0)
     work: dict[str, Callable[[], object]] = {
         "area vectors of the triangles": lambda: PosedMesh(topology, vertices).areas,
         "area vectors and vertex normals": lambda: PosedMesh(topology, vertices).normals,
         "contact shadow": lambda: contact_shadow(posed.points, areas),
-        "what faces the camera": lambda: posed.facing(camera.center),
-        "contour edges": lambda: contour(posed, fallen, facing, 0.0),
+        "triangles that face the camera": lambda: posed.facing(camera.center),
+        "contour edges": lambda: contour(posed, projected, facing, 0.0),
         "crossings of the contour with pixels": lambda: edge_crossings(edges, camera.size),
     }
     print(f"\n{'stages on the CPU, ms':<58} {'median':>8} {'best':>8}")
@@ -406,7 +409,7 @@ def cpu_time(channels: Sequence[str], rounds: int) -> None:
 
 
 def threads(rounds: int) -> list[dict[str, object]]:
-    """How many threads the software rasteriser should have when each camera has its own process."""
+    """Measure numbers of threads of the software rasteriser, for one camera per process."""
     print(f"\n{'rgb alone, one camera per process, LP_NUM_THREADS':<58} {'CPU ms':>8} {'wall ms':>8}")
     rows: list[dict[str, object]] = []
     for setting in (None, "0", "1", "2"):
@@ -453,8 +456,8 @@ def main() -> None:
     )
     contestants: dict[str, Callable[[Shot], object]] = {BARE: BareDraw(order[0])}
     contestants |= {name: ours(renderer, channels) for name, channels in CHANNEL_ROWS.items()}
-    contestants["those four and a box that moves"] = beside(renderer, "box", 1)
-    contestants["those four and 4 balls that move"] = beside(renderer, "sphere", 4)
+    contestants["the four and a moving box"] = beside(renderer, "box", 1)
+    contestants["the four and 4 moving spheres"] = beside(renderer, "sphere", 4)
     if not options.no_pyrender:
         for name, by_part in (
             ("pyrender: rgb, depth", False),

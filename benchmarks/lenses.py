@@ -1,7 +1,7 @@
-"""What a lens costs: camera-frames of the demo scene through each model, beside the same without distortion.
+"""Cost of a lens: frames of the demo scene with each lens model, compared with an ideal camera.
 
-All contestants take turns in one process, frame by frame and in changing order, so that what else the machine
-does hits them alike. The figures are medians of wall-clock milliseconds; read the ratios.
+All lenses are interleaved in one process, frame by frame and in changing order, so that other load
+affects all of them. The figures are medians of wall-clock milliseconds; read the ratios.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ def through(camera: Camera, lens: str) -> Camera:
 
 
 def steady(renderer: GLRenderer, lens: str, channels: Sequence[str]) -> Draw:
-    """A frame of a camera that stands still."""
+    """Render a frame of a static camera."""
     return lambda body, camera, _: renderer.render([replace(body)], through(camera, lens), channels)
 
 
 def moving(renderer: GLRenderer, lens: str) -> Draw:
-    """A frame of a camera that is a centimetre farther in each."""
+    """Render a frame of a camera that moves one centimetre per frame."""
 
     def draw(body: Body, camera: Camera, number: int) -> object:
         there = replace(through(camera, lens), t=camera.t + 0.01 * (number % 20))
@@ -54,7 +54,7 @@ def moving(renderer: GLRenderer, lens: str) -> Draw:
 
 
 def first(renderer: GLRenderer, lens: str) -> Draw:
-    """The first frame of a camera of its own with a lens of its own: nothing is known of either."""
+    """Render the first frame of a new camera with a new lens: nothing is cached."""
     coefficients, model = LENSES[lens]
 
     def draw(body: Body, camera: Camera, number: int) -> object:
@@ -110,10 +110,10 @@ def main() -> None:
     ):
         draws = {lens: steady(renderer, lens, channels) for lens in LENSES}
         figures[title] = compare(title, draws, shots, options.rounds)
-    title = "ms: all channels, camera that moves"
+    title = "ms: rgb, depth, instance, part, moving camera"
     draws = {lens: moving(renderer, lens) for lens in LENSES}
     figures[title] = compare(title, draws, shots, max(options.rounds // 8, 1))
-    title = "ms: all channels, first frame"
+    title = "ms: rgb, depth, instance, part, first frame"
     draws = {lens: first(renderer, lens) for lens in LENSES}
     figures[title] = compare(title, draws, shots, max(options.rounds // 16, 1))
     if options.json:

@@ -1,4 +1,4 @@
-"""Things to render in tests: flat quads, boxes, and people in mid-stride."""
+"""Scenes to render in tests: quads, boxes and walking humans."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from humansim_ros.scene import Scene
 #: Even light: a white surface is white whichever way it looks.
 EVEN = Lighting(sun_color=(0, 0, 0), sky_color=(1, 1, 1), ground_color=(1, 1, 1), background=(0, 0, 0))
 
-#: Keyframes of a screen that passes and of a ball that grows and turns as it flies.
+#: Keyframes of a screen that moves past and of a ball that moves, grows and rotates.
 MOVES = """\
 <animation startframe="0" endframe="20" rate="10">
   <object name="screen">
@@ -81,27 +81,27 @@ def box(centre: ArrayLike, half: float) -> Mesh:
 
 
 def body(mesh: Mesh, instance: int = 1, part: int = 1) -> Body:
-    """Someone with a label, or something without."""
+    """A human with a label, or an object without."""
     parts = np.full(len(mesh.triangles), part, np.uint8)
     return Body(mesh, mesh.vertices.astype(np.float32), parts, instance, "human" if instance else "object")
 
 
 def along_x(size: tuple[int, int] = (320, 240), focal: float = 300.0) -> Camera:
-    """At the origin, one metre up, looking along +x."""
+    """A camera at (0, 0, 1) that looks along +x."""
     k = np.array([[focal, 0, (size[0] - 1) / 2], [0, focal, (size[1] - 1) / 2], [0, 0, 1]])
     r = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
     return Camera(size, k, r, -r @ np.array([0, 0, 1.0]))
 
 
 def oblique(position: ArrayLike, target: ArrayLike) -> Camera:
-    """Principal point off centre, pixels that are not square, and skew."""
+    """A camera with an off-center principal point, non-square pixels and skew."""
     straight = Camera.look_at(position, target, (640, 480), 1.0)
     k = np.array([[610.3, 13.7, 287.4], [0, 553.8, 268.9], [0, 0, 1]])
     return Camera((640, 480), k, straight.R, straight.t)
 
 
 def walkers(scene: Scene, seconds: float, places: Iterable[tuple[float, float]] = ((0, 0),)) -> list[Body]:
-    """The scene's first human at a moment, once for each place that it is moved to."""
+    """The scene's first human at a time, once at each position."""
     actor = next(iter(scene.actors.values()))
     vertices = actor.at(seconds).vertices
     vertices = vertices - np.float32([*vertices[:, :2].mean(0), 0])
@@ -113,7 +113,7 @@ def walkers(scene: Scene, seconds: float, places: Iterable[tuple[float, float]] 
 
 
 def finer(camera: Camera, factor: int) -> Camera:
-    """The same camera with every pixel cut into ``factor`` x ``factor``."""
+    """The same camera with every pixel divided into ``factor`` x ``factor``."""
     k = camera.K.copy()
     k[:2] *= factor
     k[:2, 2] += (factor - 1) / 2
@@ -126,14 +126,14 @@ def block_means(image: NDArray[np.generic], factor: int) -> NDArray[np.float64]:
     return blocks[..., 0] if image.ndim == 2 else blocks
 
 
-# what rays hit
+# ray casting
 
 
 BodyBuffers = tuple[NDArray[np.floating], NDArray[np.integer]]
 
 
 def cast(camera: Camera, surfaces: Sequence[BodyBuffers]) -> tuple[NDArray[np.generic], ...]:
-    """What rays through the pixels' centres hit first, (H, W): depth, which surface (-1: none), triangle."""
+    """First hits of rays through pixel centers, (H, W): depth, surface (-1: none), triangle."""
     offsets = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
     vertices = np.concatenate([vertices for vertices, _ in surfaces]).astype(float)
     triangles = np.concatenate([t + offset for (_, t), offset in zip(surfaces, offsets, strict=False)])
@@ -146,7 +146,7 @@ def cast(camera: Camera, surfaces: Sequence[BodyBuffers]) -> tuple[NDArray[np.ge
     origins = np.broadcast_to(camera.center, directions.shape)
     mesh = trimesh.Trimesh(vertices, triangles, process=False)
     hit, ray = mesh.ray.intersects_id(origins, directions, multiple_hits=False)[:2]
-    # which triangle is embree's answer; how far it is, ours, in double precision
+    # embree determines the triangle; the distance is computed here in double precision
     a, b, c = (vertices[triangles[hit, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
     distance = np.einsum("ij,ij->i", normal, a - camera.center) / np.einsum(
@@ -186,7 +186,7 @@ def assert_agrees(view: View, bodies: Sequence[Body], static: Sequence[Mesh], ca
 
 
 def centroids(weights: NDArray[np.floating], near: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weighted centroids, (N, 2), of what lies within 8 pixels of (N, 2) places."""
+    """Weighted centroids (N, 2) of the windows of 8 pixels around (N, 2) points."""
     found = []
     for x, y in near.round().astype(int):
         window = weights[y - 8 : y + 9, x - 8 : x + 9]

@@ -1,4 +1,4 @@
-"""Anti-aliased outlines, against pictures drawn much finer and averaged."""
+"""Anti-aliased outlines, compared with averaged images of a much higher resolution."""
 
 from __future__ import annotations
 
@@ -10,21 +10,20 @@ from numpy.typing import NDArray
 from render_scenes import EVEN, along_x, block_means, body, finer, quad, renderer_or_skip, walkers, wall
 
 from humansim_ros.camera import Camera
-from humansim_ros.render import Body, GLRenderer
-from humansim_ros.render import rendered_frame as drawn
+from humansim_ros.render import Body, GLRenderer, rendered_frame
 from humansim_ros.render.posed_mesh import PosedMesh, Topology
 from humansim_ros.scene import Scene
 
 
 def tilted(angle: float, half: float = 0.5, x: float = 3.0) -> Body:
-    """A white square that faces the camera, turned by an angle in degrees."""
+    """A white square that faces the camera, rotated by an angle in degrees."""
     c, s = half * np.cos(np.radians(angle)), half * np.sin(np.radians(angle))
     corners = [(x, y + 0.0123, z + 1.0077) for y, z in ((c, s), (s, -c), (-c, -s), (-s, c))]
     return body(quad(corners))
 
 
 def without_antialiasing(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drawn, "blend", lambda *_: None)
+    monkeypatch.setattr(rendered_frame, "blend", lambda *_: None)
 
 
 def coverage(renderer: GLRenderer, bodies: list[Body], camera: Camera, fine: int = 16) -> NDArray[np.float64]:

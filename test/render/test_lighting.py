@@ -1,4 +1,4 @@
-"""Light and shadows: against rays cast to the sun, and against the formula of light."""
+"""Light and shadows, compared with rays to the sun and with the formula of light."""
 
 from __future__ import annotations
 
@@ -45,8 +45,9 @@ def blocked(
 def in_shade(
     view: View, camera: Camera, bodies: list[Body], static: list[Mesh], sun: NDArray[np.floating]
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(H, W) whether rays from what each pixel shows to the sun meet a body, and the still scene, of which
-    only what faces the sun casts shadows.
+    """(H, W) whether rays from the surface at each pixel to the sun hit a body, and the static scene.
+
+    Only those triangles of the static scene that face the sun cast shadows.
     """
     rows, columns = np.nonzero(np.isfinite(view.depth))
     depth = view.depth[rows, columns].astype(float)

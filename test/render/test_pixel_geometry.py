@@ -1,4 +1,4 @@
-"""Faces, normals, texture coordinates, flow, mattes and hidden parts against rays and OpenCV."""
+"""Faces, normals, texture coordinates, flow, masks and occlusion, compared with rays and OpenCV."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def scene() -> Scene:
 
 
 def moved(camera: Camera) -> Camera:
-    """A little to the side, and turned."""
+    """The camera moved to the side and rotated."""
     turn = cv2.Rodrigues(np.array([0.01, -0.02, 0.005]))[0]
     return replace(camera, R=turn @ camera.R, t=turn @ camera.t + [0.02, 0.01, -0.03])
 
@@ -77,7 +77,7 @@ def hit_points(
 def body_pixels(
     first: NDArray[np.generic], view_instance: NDArray[np.generic], count: int
 ) -> NDArray[np.bool_]:
-    """Pixels within bodies of which rays and renderer say the same body."""
+    """Pixels within bodies for which rays and renderer agree on the body."""
     return inner(view_instance.astype(int)) & (first < count) & (first + 1 == view_instance)
 
 

@@ -1,4 +1,4 @@
-"""Labels and depth of the renderer against Blender's Cycles (test/data/README.md)."""
+"""Labels and depth of the renderer, compared with Blender's Cycles (test/data/README.md)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What renderers say where they cannot draw, and views from where a human is hard to see."""
+"""Error messages of renderers, and difficult views of a human."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ f 1/1 2/2 3/3 4/4
 
 
 def painted(folder: Path, picture: bytes | None) -> Path:
-    """A square whose red material wants a picture."""
+    """A square whose red material refers to a texture file."""
     (folder / "m.obj").write_text(PAINTED)
     (folder / "m.mtl").write_text("newmtl paint\nKd 1 0 0\nmap_Kd picture.png\n")
     if picture is not None:
@@ -209,7 +209,7 @@ except RenderError as reason:
 
 
 def attempt(what: str, before: str = "", **environment: str) -> str:
-    """What a process of its own prints."""
+    """Output of a separate process."""
     run = subprocess.run(
         [sys.executable, "-c", _TRY.format(before=before, what=what)],
         env={**os.environ, **environment},
@@ -310,7 +310,9 @@ def test_a_scene_with_a_lens_that_pyrender_does_not_know_is_refused(tmp_path: Pa
     path = tmp_path / "scene.yaml"
     camera = "{position: [3, 0, 1], look_at: [0, 0, 1], distortion: [0.1, 0, 0, 0]}"
     path.write_text(f"room: null\nrenderer: pyrender\ncameras:\n  bent: {camera}\n")
-    with pytest.raises(HumansimError, match=r"scene.yaml:2: renderer: .*distortion, such as that of bent"):
+    with pytest.raises(
+        HumansimError, match=r"scene.yaml:2: renderer: .*distorted lenses, such as that of bent"
+    ):
         Scene.load(path)
 
 

@@ -1,4 +1,4 @@
-"""Where pixels are and what they show: against the camera's projection, ray casting, and another renderer."""
+"""Positions and labels of pixels, compared with the camera's projection, rays and another renderer."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def scene() -> Scene:
 
 
 def markers(camera: Camera, rng: np.random.Generator, radius: float) -> tuple[Body, NDArray[np.float64]]:
-    """Discs of a radius in pixels that face the camera, one part label each; their centres in the world."""
+    """Discs that face the camera, of a radius in pixels, one part label each; their centers in ``map``."""
     columns, rows = np.meshgrid(np.arange(24, 620, 40), np.arange(24, 460, 40))
     pixels = np.stack([columns.ravel(), rows.ravel()], axis=1) + rng.uniform(-8, 8, (columns.size, 2))
     depths = rng.uniform(2, 6, len(pixels))

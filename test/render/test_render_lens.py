@@ -1,4 +1,4 @@
-"""What cameras with real lenses show: against OpenCV's projection and against rays."""
+"""Images of cameras with real lenses, compared with OpenCV's projection and with rays."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ FOLDING = ((-0.9, 0.1, 0.0, 0.0, 0.0), "plumb_bob")
 
 
 def with_lens(lens: tuple[tuple[float, ...], str | None], position: tuple[float, float, float]) -> Camera:
-    """A camera with skew, oblong pixels and its principal point off centre that looks at somebody."""
+    """A camera with skew, non-square pixels and an off-center principal point that looks at a human."""
     straight = Camera.look_at(position, (0, 0, 0.9), (640, 480), 1.0)
     focal = 330.0 if lens[1] == "equidistant" else 520.0
     k = np.array([[focal, 6.7, 301.4], [0, 0.94 * focal, 252.9], [0, 0, 1]])
@@ -52,7 +52,7 @@ def scene() -> Scene:
 
 
 def discs(camera: Camera, rng: np.random.Generator, radius: float) -> tuple[Body, NDArray[np.float64]]:
-    """Small discs that face the camera all over its image, a part label each; their centres in the world."""
+    """Small discs that face the camera, all over its image, one part label each; their centers in ``map``."""
     columns, rows = np.meshgrid(np.arange(24, 620, 40), np.arange(24, 460, 40))
     pixels = np.stack([columns.ravel(), rows.ravel()], axis=1) + rng.uniform(-8, 8, (columns.size, 2))
     depths = rng.uniform(2, 6, len(pixels))
@@ -95,7 +95,7 @@ def test_markers_land_where_opencv_projects_them(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", LENSES)
 def test_a_body_before_large_walls_is_what_rays_hit(scene: Scene, name: str) -> None:
-    """Walls and boxes of a few triangles are bent as the body of many is, in depth and in what hides what."""
+    """Walls and boxes of few triangles bend like bodies of many, in depth and in occlusion."""
     camera = with_lens(LENSES[name], (2.3, 1.6, 1.4))
     static = [wall(-2.0, 0, 1, 3.0), box((0.2, 0.9, 0.4), 0.3), box((-0.5, -0.6, 1.5), 0.25)]
     renderer = renderer_or_skip(static)
@@ -125,7 +125,7 @@ def test_a_moving_thing_of_two_triangles_is_bent_too(name: str, size: float) -> 
 
 
 def blending_error(camera: Camera, factor: int = 8) -> float:
-    """How far, of 255, the edges of a board are from their share of each pixel, drawn much finer."""
+    """Error (of 255) of the edges of a board, compared with a much higher resolution."""
     k = camera.K.copy()
     k[:2] *= factor
     k[:2, 2] += (factor - 1) / 2

@@ -1,4 +1,4 @@
-"""What a renderer promises: labels, colours, borderline views and bad input."""
+"""The common behaviour of renderers: labels, colours, borderline views and bad input."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How skin and cloth answer light: against the laws of light, not against pictures."""
+"""Reflection of skin and cloth, compared with the laws of light."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SKIN, CLOTH = 255, 0
 
 
 def ball(skin: int | None, color: int = 255) -> Body:
-    """A ball at (3, 0, 1), all of it skin (255), cloth (0), or nobody knows (None)."""
+    """A sphere at (3, 0, 1) of skin (255), of cloth (0), or without a mask (None)."""
     sphere = trimesh.creation.icosphere(5, 0.6)
     faces = np.column_stack([sphere.faces, np.full(len(sphere.faces), -1)]).astype(np.int32)
     texture = np.full((4, 4, 3), color, np.uint8)
@@ -40,7 +40,7 @@ def ball(skin: int | None, color: int = 255) -> Body:
 
 
 def light_of(body: Body, light: Lighting) -> tuple[NDArray[np.floating], NDArray[np.bool_]]:
-    """(H, W, 3) linear light that reaches the camera, and where the body is, without its outline."""
+    """(H, W, 3) linear light at the camera, and the mask of the body without its outline."""
     renderer = renderer_or_skip([], light)
     view = renderer.render([body], along_x(), ("rgb", "instance"))
     renderer.close()
@@ -50,7 +50,7 @@ def light_of(body: Body, light: Lighting) -> tuple[NDArray[np.floating], NDArray
 
 
 def sent_back(body: Body, light: Lighting) -> NDArray[np.floating]:
-    """(3,) light that a body sends out in all directions together."""
+    """(3,) total light that a body reflects in all directions."""
     z = 1 - (np.arange(20) + 0.5) / 10
     turn = np.pi * (1 + 5**0.5) * np.arange(20)
     out = np.stack([np.sqrt(1 - z * z) * np.cos(turn), np.sqrt(1 - z * z) * np.sin(turn), z], axis=1)

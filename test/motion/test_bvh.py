@@ -1,4 +1,4 @@
-"""BVH files: how they are written in the wild, what their channels mean, and what is said of broken ones."""
+"""BVH files: variants of the format, meaning of the channels, errors of broken files."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def test_skeleton_and_values_are_those_of_the_file(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("order", ["".join(o) for o in itertools.permutations("XYZ")] + ["XZ", "Y", "ZX"])
 def test_rotation_channels_compose_in_file_order(tmp_path: Path, order: str) -> None:
-    """SciPy's upper-case sequences turn about the moved axes: R_1 R_2 R_3 on column vectors."""
+    """SciPy's upper-case sequences rotate about the moving axes: R_1 R_2 R_3 on column vectors."""
     degrees = [25.0, -130.0, 77.0][: len(order)]
     text = one_joint(" ".join(f"{axis}rotation" for axis in order), " ".join(map(str, degrees)))
     motion = read(tmp_path, text)
@@ -115,7 +115,7 @@ def test_two_roots_are_two_trees(tmp_path: Path) -> None:
     np.testing.assert_allclose(motion.world_positions(0), [[1, 2, 3], [2, 2, 3], [4, 5, 6], [5, 5, 6]])
 
 
-def test_frames_may_be_asked_for_by_number_slice_or_list(tmp_path: Path) -> None:
+def test_frames_are_indexed_by_number_slice_or_list(tmp_path: Path) -> None:
     motion = read(tmp_path, GOOD)
     every = motion.world_positions()
     assert every.shape == (2, 3, 3)
@@ -124,7 +124,7 @@ def test_frames_may_be_asked_for_by_number_slice_or_list(tmp_path: Path) -> None
     np.testing.assert_array_equal(motion.world_positions([1, 0, 1]), every[[1, 0, 1]])
 
 
-def test_unknown_joint_is_named_with_the_known_ones(tmp_path: Path) -> None:
+def test_an_unknown_joint_is_an_error_that_lists_the_joints(tmp_path: Path) -> None:
     with pytest.raises(MotionError, match=r"no joint 'Hisp'.*Hips, Chest, Chest_end"):
         read(tmp_path, GOOD).joint("Hisp")
 
@@ -172,7 +172,7 @@ def test_spellings_of_one_file_read_alike(tmp_path: Path, spelling: str) -> None
     assert motion.frame_time == 0.04
 
 
-def test_exponents_are_not_taken_for_glued_numbers(tmp_path: Path) -> None:
+def test_exponents_are_not_split_into_two_numbers(tmp_path: Path) -> None:
     motion = read(tmp_path, GOOD.replace("4 5 6 10", "4e-1-5e-2 6 10"))
     assert motion.values[0, :4].tolist() == [0.4, -0.05, 6, 10]
 
@@ -211,7 +211,7 @@ def test_frames_broken_over_lines_are_read_if_their_number_fits(tmp_path: Path, 
 
 
 def test_lines_longer_than_a_block_are_read(tmp_path: Path) -> None:
-    """Rows are read in blocks of characters, which end anywhere on a line."""
+    """Rows are read in blocks of characters that end anywhere on a line."""
     values = np.arange(100_000 * 9.0).reshape(2, -1)
     text = GOOD[: GOOD.index(ROW)].replace("Frames: 2", "Frames: 100000")
     lines = [" ".join(map(str, row)) for row in values]
@@ -222,10 +222,10 @@ def test_lines_longer_than_a_block_are_read(tmp_path: Path) -> None:
 
 @settings(deadline=None, max_examples=300)
 @given(words=st.lists(st.text("0123456789+-.eE,x_", min_size=1, max_size=6), min_size=1, max_size=3))
-def test_no_text_is_taken_for_another_number(
+def test_no_text_is_read_as_a_different_number(
     tmp_path_factory: pytest.TempPathFactory, words: list[str]
 ) -> None:
-    """Whatever stands in a row: its numbers as Python reads them one by one, or an error."""
+    """Any text in a row gives the numbers that Python reads one by one, or an error."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HumansimWarning)
         try:
@@ -258,20 +258,20 @@ def test_rotation_before_position_at_a_real_root(shared_data: Path) -> None:
     np.testing.assert_array_equal(motion.world_positions()[:, 0], motion.values[:, [x, y, z]])
 
 
-def test_more_rows_than_announced_are_all_read_with_a_warning(tmp_path: Path) -> None:
+def test_more_rows_than_the_header_says_are_read_with_a_warning(tmp_path: Path) -> None:
     with pytest.warns(HumansimWarning, match=r"motion.bvh: says 1 frames but has 2"):
         motion = read(tmp_path, GOOD.replace("Frames: 2", "Frames: 1"))
     assert motion.n_frames == 2
 
 
 @pytest.mark.parametrize("count", ["0", "4", "9" * 5000])
-def test_channels_are_those_named_whatever_their_count_says(tmp_path: Path, count: str) -> None:
+def test_channel_names_decide_not_their_count(tmp_path: Path, count: str) -> None:
     with pytest.warns(HumansimWarning, match=rf"motion.bvh:9: CHANNELS says {count[:20]} but names 3"):
         motion = read(tmp_path, GOOD.replace("CHANNELS 3", f"CHANNELS {count}"))
     assert motion.values.tolist() == VALUES
 
 
-def test_a_promise_of_a_billion_frames_allocates_nothing(tmp_path: Path) -> None:
+def test_a_header_with_a_billion_frames_allocates_nothing(tmp_path: Path) -> None:
     tracemalloc.start()
     with pytest.warns(HumansimWarning, match="says 1e\\+09 frames but has 2"):
         read(tmp_path, GOOD.replace("Frames: 2", "Frames: 1000000000"))
@@ -373,7 +373,7 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
 
 
 @pytest.mark.parametrize(("text", "line", "message"), [b[1:] for b in BROKEN], ids=[b[0] for b in BROKEN])
-def test_broken_file_is_refused_with_file_and_line(
+def test_broken_file_is_an_error_with_file_and_line(
     tmp_path: Path, text: str | bytes, line: int | None, message: str
 ) -> None:
     with warnings.catch_warnings():
@@ -387,7 +387,7 @@ def test_broken_file_is_refused_with_file_and_line(
     assert str(caught.value).startswith(f"{where}: ")
 
 
-def test_missing_file_and_folder_are_refused(tmp_path: Path) -> None:
+def test_missing_file_and_folder_are_errors(tmp_path: Path) -> None:
     with pytest.raises(MotionError, match=r"nowhere\.bvh: no such BVH motion file"):
         read_bvh(tmp_path / "nowhere.bvh")
     with pytest.raises(MotionError, match="folder"):
@@ -569,8 +569,8 @@ Frame Time: 0.04
 """
 
 
-def test_a_walk_across_the_origin_is_not_taken_for_added_positions(tmp_path: Path) -> None:
-    """LaFAN1's roots have the place where the motion starts as OFFSET, far away on the floor."""
+def test_a_walk_across_the_origin_has_no_added_positions(tmp_path: Path) -> None:
+    """The OFFSET of LaFAN1's roots is the start of the motion, far away on the floor."""
     time = np.linspace(0, 1, 200)
     way = np.stack([-300 * time + 173.4, 90 + np.sin(40 * time), 1000 * time - 518.3], axis=-1)
     for shift, expected in ((0.0, "replace"), (-91.9, "add")):
@@ -592,7 +592,7 @@ def test_an_error_far_down_a_big_file_names_its_line(tmp_path: Path, where: floa
     assert caught.value.line == 19 + line
 
 
-def test_what_could_not_be_read_back_is_not_written(tmp_path: Path) -> None:
+def test_a_motion_that_cannot_be_read_back_is_not_written(tmp_path: Path) -> None:
     motion = read(tmp_path, GOOD)
     for name in ("", " a", "a{", "a\nb", "a\0", "\udcff"):
         with pytest.raises(MotionError, match="cannot have a joint named"):
@@ -607,7 +607,7 @@ def test_what_could_not_be_read_back_is_not_written(tmp_path: Path) -> None:
         write_bvh(tmp_path / "out.bvh", replace(motion, values=motion.values * 0))
 
 
-def test_bvhio_reads_what_we_write(tmp_path: Path) -> None:
+def test_bvhio_reads_written_files(tmp_path: Path) -> None:
     bvhio = pytest.importorskip("bvhio")
     write_bvh(tmp_path / "out.bvh", read(tmp_path, GOOD))
     root = bvhio.readAsHierarchy(str(tmp_path / "out.bvh"))

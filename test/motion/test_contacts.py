@@ -1,4 +1,4 @@
-"""Feet that stand: found, measured and pinned."""
+"""Foot contacts: detected, measured and pinned."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def pinned(world: WorldMotion) -> tuple[WorldMotion, Retargeter]:
 @pytest.mark.slow
 @stems
 def test_pinned_feet_stay_on_the_floor_where_they_stand(stem: str) -> None:
-    """Judged by the whole way of the sole's lowest point in stances found before: no more than 2 mm."""
+    """The lowest point of the sole moves 2 mm at most in the stances of the uncorrected motion."""
     world = in_world(read(stem))
     clean, retargeter = pinned(world)
     times = world.frame_times[:1500]
@@ -77,7 +77,7 @@ def test_only_legs_and_height_change_and_feet_keep_their_orientation(stem: str) 
 
 @pytest.mark.parametrize("mirror", [False, True])
 @pytest.mark.parametrize("loop", ["repeat", "continue"])
-def test_a_loop_pins_over_its_end(loop: Any, mirror: bool) -> None:
+def test_a_stance_across_the_end_of_a_loop_is_pinned(loop: Any, mirror: bool) -> None:
     world = replace(in_world(read("walk"), loop, Placement((1.0, 2.0), 0.5)), mirror=mirror)
     clean, retargeter = pinned(world)
     times = np.arange(0, 3 * world.duration, 1 / 60)
@@ -90,7 +90,7 @@ def test_a_loop_pins_over_its_end(loop: Any, mirror: bool) -> None:
         assert steps.max() < 0.11  # 6 m/s of a swinging foot: no jumps
 
 
-def test_what_is_pinned_does_not_depend_on_what_was_asked_before() -> None:
+def test_pinned_poses_do_not_depend_on_earlier_samples() -> None:
     clean, _ = pinned(in_world(read("walk"), "continue"))
     later = clean.sample([3.3]).positions
     clean.sample([0.1, 7.0])
@@ -107,8 +107,8 @@ def test_velocities_are_those_of_the_pinned_joints() -> None:
     np.testing.assert_allclose(poses.linear[0], slope, atol=0.02)
 
 
-def test_a_person_that_slides_like_a_statue_stands_still_afterwards() -> None:
-    """All joints glide 0.3 m/s: to stand, the feet would have to be left behind; they are, 25 cm at most."""
+def test_a_person_that_slides_without_steps_is_corrected_by_25_cm_at_most() -> None:
+    """All joints move at 0.3 m/s: to stand, the feet would have to stay behind, but by 25 cm at most."""
     walk = read("walk")
     values = np.zeros((61, walk.values.shape[1]))
     columns = [f"{n}{c}" for n, names in zip(walk.joint_names, walk.channels, strict=True) for c in names]
@@ -160,7 +160,7 @@ def test_two_bones_reach_their_goal_and_keep_their_lengths(
         assert abs(carried @ (new_ankle - hip)) < 1e-6
 
 
-def test_a_goal_where_the_ankle_is_moves_nothing() -> None:
+def test_a_goal_at_the_ankle_moves_nothing() -> None:
     rng = np.random.default_rng(5)
     points = rng.normal(size=(3, 20, 3))
     upper, lower = two_bone(points[0], points[1], points[2], points[2])

@@ -1,4 +1,4 @@
-"""Joint tables: which joint of a motion drives which bone."""
+"""Joint tables, and the joints of a motion that drive bones."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def edited(tmp_path: Path, **changes: object) -> Path:
     return path
 
 
-def test_every_built_in_table_says_something_of_every_bone() -> None:
+def test_every_built_in_table_has_a_driver_for_every_bone() -> None:
     for one in built_in_tables():
         assert {*one.parallel, *one.difference} == set(hanim_skeleton().names), one.name
         assert not set(one.parallel) & set(one.difference), one.name
@@ -52,7 +52,7 @@ def test_every_built_in_table_says_something_of_every_bone() -> None:
     ],
 )
 @pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
-def test_real_motions_find_their_table(shared_data: Path, stem: str, expected: str) -> None:
+def test_real_motions_match_their_table(shared_data: Path, stem: str, expected: str) -> None:
     motion = read_bvh(shared_data / "bvh" / f"{stem}.bvh")
     match = match_names(motion.joint_names)
     assert match.table == expected
@@ -62,7 +62,7 @@ def test_real_motions_find_their_table(shared_data: Path, stem: str, expected: s
 
 @pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
 def test_limbs_run_from_parent_to_child_in_every_matched_file(shared_data: Path) -> None:
-    """A clavicle taken for an upper arm, or a left for a right, would break the chain."""
+    """A clavicle matched as an upper arm, or left as right, would break the chain."""
     matched = 0
     for path in sorted((shared_data / "bvh").glob("*.bvh")):
         try:
@@ -99,11 +99,11 @@ def test_limbs_run_from_parent_to_child_in_every_matched_file(shared_data: Path)
         ("mixamorig", "mixamorig"),
     ],
 )
-def test_namespaces_are_left_out(joint: str, plain: str) -> None:
+def test_namespaces_are_removed(joint: str, plain: str) -> None:
     assert plain_name(joint) == plain
 
 
-def test_an_end_role_is_the_end_site_of_whatever_joint_has_the_role() -> None:
+def test_an_end_role_is_the_end_site_of_the_joint_of_that_role() -> None:
     names = ["Hips", "Head", "Head_end", "LeftHand", "LeftHand_end"]
     match = match_table(table("biovision"), names)
     assert match.parallel["vt3"] == (1, 2)
@@ -111,7 +111,7 @@ def test_an_end_role_is_the_end_site_of_whatever_joint_has_the_role() -> None:
     assert "l_elbow" in match.missing
 
 
-def test_no_fitting_table_is_said_with_what_is_lacking() -> None:
+def test_without_a_fitting_table_the_error_names_missing_bones_and_roles() -> None:
     names = ["Hips", "Chest", "Neck", "LeftHip", "LeftKnee", "LeftAnkle", "tail1", "tail2"]
     with pytest.raises(MotionError) as caught:
         match_names(names, path="cat.bvh")
@@ -137,7 +137,7 @@ def test_a_users_table_is_read_from_a_file(tmp_path: Path) -> None:
     assert match.complete
 
 
-def test_an_unknown_table_is_answered_with_the_known_ones() -> None:
+def test_an_unknown_table_is_an_error_that_lists_the_tables() -> None:
     with pytest.raises(MotionError, match=r"no joint table 'vicon'.*biovision.*cmu.*mixamo"):
         match_names(["Hips"], "vicon")
 
@@ -154,7 +154,7 @@ def test_an_unknown_table_is_answered_with_the_known_ones() -> None:
         ({"paralel": {}}, "paralel"),
     ],
 )
-def test_a_wrong_table_is_refused_with_file_and_reason(
+def test_a_wrong_table_is_an_error_with_file_and_reason(
     tmp_path: Path, changes: dict[str, object], message: str
 ) -> None:
     path = edited(tmp_path, **changes)
@@ -164,7 +164,7 @@ def test_a_wrong_table_is_refused_with_file_and_reason(
 
 
 @pytest.mark.parametrize("text", ["joints: [", "", "- a\n- b\n", "7", "\0"])
-def test_a_file_that_is_no_table_is_refused(tmp_path: Path, text: str) -> None:
+def test_a_file_that_is_not_a_table_is_an_error(tmp_path: Path, text: str) -> None:
     (tmp_path / "t.yaml").write_text(text)
     with pytest.raises(MotionError, match=r"t\.yaml"):
         load_table(tmp_path / "t.yaml")
@@ -240,7 +240,7 @@ def skeleton_of(family: str) -> tuple[list[str], np.ndarray]:
 
 
 @pytest.mark.parametrize("family", FAMILIES)
-def test_every_family_is_known_by_its_names_and_kinship(family: str) -> None:
+def test_every_family_is_matched_by_names_and_hierarchy(family: str) -> None:
     names, parents = skeleton_of(family)
     for kin in (parents, None):
         match = match_names(names, parents=kin)
@@ -257,7 +257,7 @@ def test_every_family_is_known_by_its_names_and_kinship(family: str) -> None:
                 assert match.parallel[twin] == pair
 
 
-def test_joints_of_right_names_in_wrong_places_are_not_taken() -> None:
+def test_joints_that_contradict_the_hierarchy_do_not_match() -> None:
     """LeftShoulder with LeftArm below it is the clavicle; with LeftElbow below it, the upper arm."""
     limbs = ["Shoulder", "Elbow", "Wrist"], ["Hip", "Knee", "Ankle"]
     names = ["Hips", "Chest", "Neck", "Head"]

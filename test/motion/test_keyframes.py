@@ -1,4 +1,4 @@
-"""Keyframe animations: what a file says, what is said about wrong ones, and people moved by them."""
+"""Keyframe animations: content of files, errors of wrong files, and persons that they move."""
 
 from __future__ import annotations
 
@@ -58,14 +58,14 @@ def test_position_angles_and_size_are_linear_between_keys(tmp_path: Path) -> Non
     np.testing.assert_allclose(place.size, np.array([[1], [1.25], [2]]) * np.ones(3))
 
 
-def test_what_a_key_leaves_out_is_as_in_the_key_before(tmp_path: Path) -> None:
+def test_a_value_that_a_key_omits_is_that_of_the_key_before(tmp_path: Path) -> None:
     place = read(tmp_path, GOOD).at("anna", 2.0)
     assert place.position.tolist() == [4, 2, 0.5]
     assert place.rotation.tolist() == [10, -20, 0]
     assert place.size.tolist() == [2, 2, 2]
 
 
-def test_the_ends_hold_or_start_over(tmp_path: Path) -> None:
+def test_the_ends_hold_or_repeat(tmp_path: Path) -> None:
     held = read(tmp_path, GOOD)
     assert held.at("anna", -5).position[0] == 1
     assert held.at("anna", 1e6).rotation.tolist() == [10, -20, 0]
@@ -96,14 +96,14 @@ def test_rotations_are_about_x_then_y_then_z_of_map(tmp_path: Path) -> None:
         (' rate="30"', ""),
     ],
 )
-def test_other_ways_to_write_it_mean_the_same(tmp_path: Path, old: str, new: str) -> None:
+def test_other_forms_of_the_file_mean_the_same(tmp_path: Path, old: str, new: str) -> None:
     assert old in GOOD
     write_keyframes(tmp_path / "a.xml", read(tmp_path, GOOD))
     write_keyframes(tmp_path / "b.xml", read(tmp_path, GOOD.replace(old, new, 1)))
     assert (tmp_path / "a.xml").read_text() == (tmp_path / "b.xml").read_text()
 
 
-def test_frames_may_hold_objects_as_well(tmp_path: Path) -> None:
+def test_frames_may_contain_objects(tmp_path: Path) -> None:
     content = read(
         tmp_path,
         '<animation startframe="0" endframe="9">'
@@ -153,7 +153,7 @@ def animations(draw: Any) -> Keyframes:
 @pytest.mark.slow
 @settings(deadline=None, max_examples=150)
 @given(animations())
-def test_what_is_written_is_read_back_exactly(
+def test_written_keyframes_are_read_back_exactly(
     tmp_path_factory: pytest.TempPathFactory, keys: Keyframes
 ) -> None:
     path = tmp_path_factory.getbasetemp() / "round.xml"
@@ -178,7 +178,7 @@ def test_what_is_written_is_read_back_exactly(
         ("sizes", [[1, 1, 1], [1, 1, 0]], "above 0"),
     ],
 )
-def test_keys_that_cannot_be_are_refused(column: str, values: list[Any], message: str) -> None:
+def test_impossible_keys_are_errors(column: str, values: list[Any], message: str) -> None:
     good = {"frames": np.array([0.0, 9]), **{c: np.ones((2, 3)) for c in ("positions", "rotations", "sizes")}}
     KeyframeTrack(KeyframeTimeline(0, 9), **good)
     with pytest.raises(MotionError, match=message):
@@ -192,7 +192,7 @@ def test_a_name_that_xml_cannot_hold_is_not_written(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_example_of_the_documentation_is_as_it_says(tmp_path: Path) -> None:
+def test_the_example_of_the_documentation_is_correct(tmp_path: Path) -> None:
     text = (ROOT / "docs" / "keyframes.md").read_text()
     example = text.split("```xml\n")[1].split("```")[0]
     content = read(tmp_path, example)
@@ -258,7 +258,7 @@ WRONG: list[tuple[str, str | bytes, int | None, str]] = [
 
 
 @pytest.mark.parametrize(("text", "line", "message"), [w[1:] for w in WRONG], ids=[w[0] for w in WRONG])
-def test_a_wrong_file_is_refused_with_its_line(
+def test_a_wrong_file_is_an_error_with_its_line(
     tmp_path: Path, text: str | bytes, line: int | None, message: str
 ) -> None:
     with pytest.raises(MotionError) as caught:
@@ -269,7 +269,7 @@ def test_a_wrong_file_is_refused_with_its_line(
         assert caught.value.line == line
 
 
-def test_a_file_too_large_to_be_one_is_not_read(tmp_path: Path) -> None:
+def test_a_file_that_is_too_large_is_not_read(tmp_path: Path) -> None:
     with (tmp_path / "huge.xml").open("wb") as file:
         file.truncate(10**10)
     with pytest.raises(MotionError, match="64 MiB"):
@@ -324,9 +324,7 @@ def actor(folder: Path, human: str = "keyframes: keys.xml", motion: str = "", fi
 
 
 @pytest.mark.parametrize("mode", ["full", "thesis"])
-def test_a_person_moved_by_keyframes_has_exactly_its_vertices_and_joints_moved(
-    tmp_path: Path, mode: str
-) -> None:
+def test_keyframes_move_vertices_and_joints_of_a_person_exactly(tmp_path: Path, mode: str) -> None:
     moved = actor(tmp_path, motion=f"retarget: {mode}")
     alone = actor(tmp_path, human="", motion=f"retarget: {mode}")
     for seconds in (0.0, 0.7, 1.9, 30.0):
@@ -363,7 +361,7 @@ def test_velocities_are_those_of_the_composed_motion(tmp_path: Path) -> None:
         np.testing.assert_allclose(state.angular, (after * before.inv()).as_rotvec() / 2e-3, atol=0.1)
 
 
-def test_a_jump_back_to_the_start_is_no_velocity(tmp_path: Path) -> None:
+def test_velocities_do_not_cross_a_jump_to_the_start(tmp_path: Path) -> None:
     moved = actor(tmp_path, file=keys(loop="repeat"))
     for seconds in (2.0, 1.9995, 2.0005):
         state = moved.at(seconds)
@@ -371,7 +369,7 @@ def test_a_jump_back_to_the_start_is_no_velocity(tmp_path: Path) -> None:
         assert np.abs(state.linear).max() < 15
 
 
-def test_the_keys_run_on_the_clock_of_the_scene_whatever_the_motion_does(tmp_path: Path) -> None:
+def test_keys_follow_scene_time_not_the_time_of_the_motion(tmp_path: Path) -> None:
     usual = actor(tmp_path).joint_poses(1.2)
     shifted = actor(tmp_path, motion="offset: 0.4, speed: 0.5").joint_poses(1.2)
     assert np.array_equal(usual.positions[:, -2:], shifted.positions[:, -2:])
@@ -383,7 +381,7 @@ def test_a_human_may_follow_an_object_of_another_name(tmp_path: Path) -> None:
     assert np.array_equal(named.at(1.0).vertices, actor(tmp_path).at(1.0).vertices)
 
 
-def test_keyframes_that_do_not_fit_the_scene_are_refused(tmp_path: Path) -> None:
+def test_keyframes_that_do_not_fit_the_scene_are_errors(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"scene\.yaml:3: humans\.anna\.keyframes\.file: no such file"):
         actor(tmp_path, "keyframes: keyz.xml")
     with pytest.raises(SceneError, match="known here: file, object"):
@@ -394,7 +392,7 @@ def test_keyframes_that_do_not_fit_the_scene_are_refused(tmp_path: Path) -> None
         actor(tmp_path, file=keys().replace('x="1.4"', 'x="2"'))
 
 
-def test_what_a_file_moves_in_vain_is_named(tmp_path: Path) -> None:
+def test_objects_of_a_file_that_move_nothing_are_warned_of(tmp_path: Path) -> None:
     both = keys().replace("</animation>", "") + keys("door").split("\n", 1)[1]
     with pytest.warns(HumansimWarning, match=r"keys\.xml: nothing in .*scene\.yaml is moved by door"):
         actor(tmp_path, file=both)

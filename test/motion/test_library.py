@@ -1,4 +1,4 @@
-"""The built-in motions: the scripts' own, on the floor, and what each is said to be."""
+"""The built-in motions: made by the scripts, on the floor, and as documented."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ def motion(name: str) -> Motion:
 
 
 def places(name: str, *joints: str) -> np.ndarray:
-    """Metres (F, len(joints), 3), y up, z ahead."""
+    """Metres (F, len(joints), 3), y up, z forward."""
     one = motion(name)
     return one.world_positions()[:, [one.joint(joint) for joint in joints]] * 0.01
 
 
 def soles(name: str, side: str) -> np.ndarray:
-    """Heel, ball and tip (F, 3, 3) of a foot, metres, carried by the ankle as at rest."""
+    """Heel, ball and tip (F, 3, 3) of a foot, metres, fixed to the ankle as at rest."""
     one = motion(name)
     ankle, end = one.joint(f"{side}Ankle"), one.joint(f"{side}Ankle_end")
     height = 100 * places("t_to_a_pose", f"{side}Ankle")[0, 0, 1]  # standing flat
@@ -60,7 +60,7 @@ def test_the_files_are_what_the_script_makes(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", MADE)
-def test_nothing_goes_through_the_floor_and_someone_stands_on_it(name: str) -> None:
+def test_soles_are_on_the_floor_and_not_below_it(name: str) -> None:
     lowest = np.stack([soles(name, side)[..., 1].min(1) for side in ("Left", "Right")])
     assert lowest.min() > -0.01
     assert np.percentile(lowest.min(0), 30) < 0.005
@@ -73,14 +73,14 @@ def test_planted_feet_do_not_move_at_all(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["sit_stand", "wave", "pick_up", "t_to_a_pose", "turn_in_place"])
-def test_what_is_repeated_ends_as_it_starts(name: str) -> None:
+def test_repeated_motions_end_as_they_start(name: str) -> None:
     first, last = motion(name).world_positions([0, -1]) * 0.01
     assert np.abs(first - last).max() < 0.004
 
 
 @pytest.mark.parametrize("name", [*MADE, "walk"])
-def test_no_joint_is_jerked(name: str) -> None:
-    """Speeds as people have them, and no jump from frame to frame."""
+def test_joint_speeds_are_plausible_and_smooth(name: str) -> None:
+    """Human speeds, and no jump between frames."""
     one = motion(name)
     speed = np.linalg.norm(np.diff(one.world_positions(), axis=0), axis=-1) * 0.01 / one.frame_time
     assert speed.max() < {"run": 8.5, "walk": 6.5, "wave": 3.6}.get(name, 3.0)
@@ -131,7 +131,7 @@ def test_waving_is_four_times_with_the_hand_above_the_shoulder_and_the_palm_ahea
     assert palm[2] > 0.7
 
 
-def test_the_turn_is_a_whole_one_on_planted_feet() -> None:
+def test_turn_in_place_is_a_full_rotation_on_planted_feet() -> None:
     one = motion("turn_in_place")
     ahead = one.world_transforms()[:, one.joint("Hips"), :3, 2]
     yaw = np.degrees(np.unwrap(np.arctan2(ahead[:, 0], ahead[:, 2])))
@@ -147,7 +147,7 @@ def test_the_turn_is_a_whole_one_on_planted_feet() -> None:
     assert (standing >= 1).all()  # never in the air
 
 
-def test_the_hand_reaches_what_lies_on_the_floor_and_lifts_it() -> None:
+def test_the_hand_reaches_the_object_and_lifts_it() -> None:
     wrist = places("pick_up", "RightWrist")[:, 0]
     low = wrist[66]  # 2.2 s
     np.testing.assert_allclose(low, [-0.16, 0.23, 0.43], atol=0.02)

@@ -1,4 +1,4 @@
-"""Joint limits: angles of poses made by hand and by SciPy, clamping by its promises, real motions."""
+"""Joint limits: angles of known poses, properties of clamping, real motions."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ GENERAL = hanim_skeleton()
 
 
 def standing(arm_angle: float = 0.0, leg_angle: float = 0.0, seed: int = 0) -> Skeleton:
-    """A person whose limbs are straight, arms so far below a T pose and legs apart (degrees), any rolls."""
+    """A person with straight limbs, arms below a T pose and legs apart (degrees), and random rolls."""
     heads, tails = GENERAL.heads.copy(), GENERAL.tails.copy()
     c, s = np.cos(np.radians([arm_angle, leg_angle])), np.sin(np.radians([arm_angle, leg_angle]))
     for side, x in (("l", 1), ("r", -1)):
@@ -57,7 +57,7 @@ NAMES = [(bone, row) for row in LIMITS.table.joints for bone in row.sides]
 
 
 def rotations(skeleton: Skeleton, turns: dict[str, Rotation]) -> Array:
-    """Bone rotations (1, B, 4) of bones turned in body axes, carried by their parents."""
+    """Bone rotations (1, B, 4) of bones rotated in body axes relative to their parents."""
     out = np.tile([0.0, 0, 0, 1], (1, len(skeleton), 1))
     for name, turn in turns.items():
         bone = skeleton.bone(name)
@@ -67,7 +67,7 @@ def rotations(skeleton: Skeleton, turns: dict[str, Rotation]) -> Array:
 
 
 def about(axes: str, *degrees: float) -> Rotation:
-    """Turns about body axes (x left, y up, z front), one after the other about those it then has."""
+    """Rotations about body axes (x left, y up, z front), one after the other about the moving axes."""
     return Rotation.from_euler(axes.upper(), degrees, degrees=True)
 
 
@@ -142,7 +142,7 @@ def test_poses_have_the_angles_a_goniometer_shows(
         ({"l_elbow": about("x", 60), "l_wrist": about("x", 60)}, "l_wrist", "pronation", 120),
     ],
 )
-def test_what_no_joint_does_is_named_with_its_degrees(
+def test_violations_are_reported_with_their_degrees(
     turns: dict[str, Rotation], bone: str, angle: str, worst: float
 ) -> None:
     still, wrong = rotations(T_POSE, {}), rotations(T_POSE, turns)
@@ -157,7 +157,7 @@ def test_what_no_joint_does_is_named_with_its_degrees(
     json.dumps([asdict(v) for v in found], allow_nan=False)
 
 
-def test_everybody_may_stand_sit_and_reach_for_the_ceiling() -> None:
+def test_standing_sitting_and_reaching_up_are_within_the_limits() -> None:
     poses = [
         {},
         {f"{s}_hip": about("x", -90) for s in "lr"} | {f"{s}_knee": about("x", 90) for s in "lr"},
@@ -180,7 +180,7 @@ quaternions = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
 def anything(rng: np.random.Generator, n: int, most: float = 180.0) -> Array:
-    """Bone rotations (n, B, 4) of up to so many degrees about any axis."""
+    """Bone rotations (n, B, 4) by up to ``most`` degrees about random axes."""
     axes = rng.normal(size=(n, len(T_POSE), 3))
     axes *= np.radians(rng.uniform(0, most, (n, len(T_POSE), 1))) / np.linalg.norm(
         axes, axis=-1, keepdims=True
@@ -195,7 +195,7 @@ def degrees_between(a: Array, b: Array) -> Array:
 
 @settings(max_examples=25, deadline=None)
 @given(rng=quaternions)
-def test_what_is_clamped_is_inside_and_stays(rng: np.random.Generator) -> None:
+def test_clamped_poses_are_within_the_limits_and_do_not_change_again(rng: np.random.Generator) -> None:
     clamped = LIMITS.clamp(anything(rng, 20))
     assert LIMITS.report(clamped) == []  # to 1e-6 degrees
     assert degrees_between(LIMITS.clamp(clamped), clamped).max() < 1e-5
@@ -204,7 +204,7 @@ def test_what_is_clamped_is_inside_and_stays(rng: np.random.Generator) -> None:
 @pytest.mark.slow
 @settings(max_examples=25, deadline=None)
 @given(rng=quaternions)
-def test_what_is_inside_is_left_alone_to_the_bit(rng: np.random.Generator) -> None:
+def test_poses_within_the_limits_stay_the_same_to_the_bit(rng: np.random.Generator) -> None:
     poses = anything(rng, 40, 25)
     inside = np.array([not LIMITS.report(pose[None]) for pose in poses])
     np.testing.assert_array_equal(LIMITS.clamp(poses)[inside], poses[inside])
@@ -212,7 +212,7 @@ def test_what_is_inside_is_left_alone_to_the_bit(rng: np.random.Generator) -> No
 
 @settings(max_examples=25, deadline=None)
 @given(rng=quaternions)
-def test_clamping_moves_what_is_outside_onto_the_limit_and_nothing_else(rng: np.random.Generator) -> None:
+def test_clamping_changes_only_angles_beyond_the_limit(rng: np.random.Generator) -> None:
     pose = anything(rng, 1, 70)
     before, after = LIMITS.angles(pose), LIMITS.angles(LIMITS.clamp(pose))
     for bone in ("sacroiliac", "vt3", "l_sternoclavicular", "r_elbow", "l_knee", "r_ankle"):
@@ -226,8 +226,8 @@ def test_clamping_moves_what_is_outside_onto_the_limit_and_nothing_else(rng: np.
 
 @settings(max_examples=25, deadline=None)
 @given(rng=quaternions)
-def test_clamping_a_cone_keeps_the_way_the_bone_went(rng: np.random.Generator) -> None:
-    """The bone ends up on the great circle from the middle of its cone, where it is furthest inside."""
+def test_clamping_a_cone_keeps_the_azimuth_of_the_bone(rng: np.random.Generator) -> None:
+    """The clamped bone is on the great circle from the middle of its cone."""
     bone = T_POSE.bone("r_hip")
     turn = about("y", rng.uniform(0, 360)) * about("x", rng.uniform(0, 170))
     pose = rotations(T_POSE, {"r_hip": turn})
@@ -241,7 +241,7 @@ def test_clamping_a_cone_keeps_the_way_the_bone_went(rng: np.random.Generator) -
 @settings(max_examples=40, deadline=None)
 @given(rng=quaternions)
 def test_clamping_is_continuous(rng: np.random.Generator) -> None:
-    """Away from where it cannot be: a hinge at a right angle out of its plane, an arm through the trunk."""
+    """Except where it cannot be: a hinge at a right angle to its plane, an arm through the trunk."""
     pose = anything(rng, 30, 70)
     kept = [
         T_POSE.bone(name)
@@ -280,7 +280,7 @@ def test_a_mirrored_pose_has_the_angles_of_the_other_side(rng: np.random.Generat
 
 
 def test_angles_do_not_depend_on_the_pose_the_skeleton_was_made_in() -> None:
-    """The same person, once built in a T pose and once with arms and legs lowered, in the same poses."""
+    """The same person at rest in a T pose, and with lowered arms and legs, in the same poses."""
     other = standing(40.0, 8.0, seed=1)
     lowered = {
         f"{side}_{name}": about("z", sign * angle)
@@ -372,7 +372,7 @@ PAIR = yaml.safe_load(TABLE.read_text())["joints"][1]["first"]
         (broken(first=None, second=None, swing=[PAIR[0]]), "needs 'along'"),
     ],
 )
-def test_a_wrong_table_is_refused_with_its_key(text: str, message: str, tmp_path: Path) -> None:
+def test_a_wrong_table_is_an_error_with_its_key(text: str, message: str, tmp_path: Path) -> None:
     path = tmp_path / "limits.yaml"
     path.write_text(text)
     with pytest.raises(MotionError, match=message) as error:

@@ -1,4 +1,4 @@
-"""Capsules in each other: distances against least squares, bodies against their own posed meshes."""
+"""Self-penetration: distances against least squares, bodies against their own posed meshes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def man_capsules() -> Capsules:
 
 
 def turned(skeleton: Skeleton, turns: dict[str, Rotation]) -> Array:
-    """Posed bones (1, B, 4, 4) with some turned about body axes (x left, y up, z front) from rest."""
+    """Posed bones (1, B, 4, 4) with some rotated about body axes (x left, y up, z front) from rest."""
     rotations = np.tile([0.0, 0, 0, 1], (1, len(skeleton), 1))
     for name, turn in turns.items():
         bone = skeleton.bone(name)
@@ -55,7 +55,7 @@ def turned(skeleton: Skeleton, turns: dict[str, Rotation]) -> Array:
 
 
 def by_least_squares(a: Array, b: Array, c: Array, d: Array) -> float:
-    """The distance of two segments as a bounded quadratic problem in the two places along them."""
+    """Distance of two segments as a bounded quadratic problem in the positions along them."""
     columns = np.stack([b - a, c - d], axis=1)
     return float(np.sqrt(2 * lsq_linear(columns, c - a, bounds=(0, 1), method="bvls").cost))
 
@@ -67,7 +67,7 @@ points = st.lists(st.integers(-4, 4).map(float), min_size=12, max_size=12).map(
 
 @given(ends=points, noise=st.booleans(), seed=st.integers(0, 1000))
 def test_segment_distance_is_that_of_least_squares(ends: Array, noise: bool, seed: int) -> None:
-    """On a coarse grid, where many are parallel, crossing, in line or points; and beside it."""
+    """On a coarse grid, where many are parallel, crossing, collinear or points; and off it."""
     if noise:
         ends = ends + np.random.default_rng(seed).normal(size=(4, 3)) * 1e-3
     assert segment_distance(*ends) == pytest.approx(by_least_squares(*ends), abs=1e-6)
@@ -94,7 +94,7 @@ def test_depths_are_those_of_each_pair_of_capsules_alone() -> None:
             assert found[frame, pair] == pytest.approx(depth, abs=1e-6)
 
 
-def test_many_poses_are_those_one_by_one() -> None:
+def test_a_batch_of_poses_equals_single_poses() -> None:
     body = man_capsules()
     posed = body.skeleton.pose(Rotation.random(400 * len(body.skeleton), 1).as_quat().reshape(400, -1, 4))
     whole = self_penetration(posed, body)
@@ -103,7 +103,7 @@ def test_many_poses_are_those_one_by_one() -> None:
 
 
 def test_an_arm_through_the_chest_is_reported_with_its_depth() -> None:
-    """Through the middle of the trunk: as deep as half of it is thick, and the forearm."""
+    """Through the middle of the trunk: half its thickness and that of the forearm."""
     body = man_capsules()
     turn = Rotation.from_euler("z", 20, degrees=True) * Rotation.from_euler("y", 180, degrees=True)
     through, still = turned(body.skeleton, {"l_shoulder": turn}), body.skeleton.rest[None]
@@ -116,9 +116,7 @@ def test_an_arm_through_the_chest_is_reported_with_its_depth() -> None:
 
 
 def hull_depth(a: Array, b: Array) -> float:
-    """How far the convex hulls of two clouds must be moved apart along the normal of one of their faces:
-    at least as far as the surfaces themselves.
-    """
+    """Distance to separate the convex hulls of two clouds along a face normal."""
     first, second = ConvexHull(a), ConvexHull(b)
     normals = np.concatenate([first.equations[:, :3], -second.equations[:, :3]])
     over = (a[first.vertices] @ normals.T).max(0) - (b[second.vertices] @ normals.T).min(0)
@@ -126,8 +124,8 @@ def hull_depth(a: Array, b: Array) -> float:
 
 
 @pytest.mark.slow
-def test_limbs_are_as_deep_in_each_other_as_the_hulls_of_their_meshes() -> None:
-    """But the two thighs, whose meshes meet between the legs."""
+def test_penetration_of_limbs_agrees_with_the_hulls_of_their_meshes() -> None:
+    """Without the two thighs, whose meshes meet between the legs."""
     body, owner = man_capsules(), dominant_bones(man().weights)
     trunk = ("HumanoidRoot", "sacroiliac", "vl5")
     held = np.array([a not in trunk and (a, b) != ("l_hip", "r_hip") for a, b in body.pair_names])
@@ -151,10 +149,8 @@ def test_limbs_are_as_deep_in_each_other_as_the_hulls_of_their_meshes() -> None:
 
 
 @pytest.mark.slow
-def test_a_hand_is_in_the_trunk_when_rays_say_so() -> None:
-    """The left arm swept through the body; which vertices of the hand are inside the rest of the mesh, and
-    how far, by ray casting.
-    """
+def test_a_hand_penetrates_the_trunk_when_rays_say_so() -> None:
+    """The left arm moves through the body; ray casting gives the depth of the hand inside the mesh."""
     body, owner = man_capsules(), dominant_bones(man().weights)
     skeleton, triangles = man().skeleton, man().mesh.triangles
     arm = [skeleton.bone(name) for name in ("l_shoulder", "l_elbow", "l_wrist")]
@@ -195,7 +191,7 @@ def test_standing_and_walking_are_clean() -> None:
     assert (report.share, report.pairs) == (0.0, ())
 
 
-def test_neighbours_and_what_touches_at_rest_are_no_pairs() -> None:
+def test_joined_bones_and_bones_that_touch_at_rest_are_not_pairs() -> None:
     for body in (man_capsules(), fit_capsules(hanim_skeleton())):
         pairs = set(body.pair_names)
         assert self_penetration(body.skeleton.rest[None], body).max() <= 0
@@ -210,7 +206,7 @@ def test_an_average_man_fits_the_skeleton_of_one() -> None:
     np.testing.assert_allclose(usual.radii, measured.radii, atol=0.005)
 
 
-def test_a_skeleton_of_strangers_is_refused() -> None:
+def test_a_skeleton_with_unknown_bones_is_an_error() -> None:
     strangers = replace(hanim_skeleton(), names=tuple(f"bone{i}" for i in range(22)))
     with pytest.raises(MeshError, match="no bone of this skeleton"):
         fit_capsules(strangers)

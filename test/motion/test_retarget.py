@@ -1,4 +1,4 @@
-"""Motions put into the world and onto the skeleton, judged by the file's own positions and by SciPy."""
+"""World motions and retargeting, compared with the positions of the file and with SciPy."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def at_frames(world: WorldMotion, frames: Array) -> JointPoses:
 
 
 def turned(motion: Motion, frame: int, joint: int) -> Rotation:
-    """A joint's turn in file space, by SciPy from the channels: the product down the tree."""
+    """Rotation of a joint in file space, by SciPy from the channels: the product down the tree."""
     if joint < 0:
         return Rotation.identity()
     start = sum(len(names) for names in motion.channels[:joint])
@@ -88,7 +88,7 @@ def unit_vectors(vectors: Array) -> Array:
 
 
 @real_and_ours
-def test_world_positions_are_the_files_turned_scaled_and_moved_as_one(stem: str) -> None:
+def test_world_positions_are_a_similarity_transform_of_the_file(stem: str) -> None:
     motion = read(stem)
     world = in_world(motion)
     frames = some_frames(motion)
@@ -115,7 +115,7 @@ def test_world_positions_are_the_files_turned_scaled_and_moved_as_one(stem: str)
     ],
 )
 @needs_shared_data
-def test_unit_and_up_axis_of_real_files_are_found(stem: str, unit: str, up: str) -> None:
+def test_unit_and_up_axis_of_real_files_are_detected(stem: str, unit: str, up: str) -> None:
     frame = in_world(read(stem)).frame
     assert (frame.unit_name, frame.up) == (unit, up)
     assert 1.45 < frame.stature < 2.0
@@ -131,20 +131,20 @@ def scaled(motion: Motion, factor: float) -> Motion:
 @pytest.mark.parametrize(
     ("factor", "name"), [(0.01, "m"), (0.1, "dm"), (10, "mm"), (1 / 2.54, "inch"), (1 / 30.48, "foot")]
 )
-def test_the_same_person_in_another_unit_stands_in_the_same_place(factor: float, name: str) -> None:
+def test_the_same_person_in_another_unit_has_the_same_pose(factor: float, name: str) -> None:
     metres = in_world(read("walk"))
     other = in_world(scaled(read("walk"), factor))
     assert (metres.frame.unit_name, other.frame.unit_name) == ("cm", name)
     np.testing.assert_allclose(other.sample(0.4).positions, metres.sample(0.4).positions, atol=1e-9)
 
 
-def test_a_giant_in_no_known_unit_is_taken_for_a_person() -> None:
+def test_without_a_known_unit_the_stature_is_1_7_m() -> None:
     frame = in_world(scaled(read("walk"), 1.7)).frame
     assert frame.unit_name == "unknown"
     assert frame.stature == pytest.approx(1.7)
 
 
-def test_a_unit_that_is_said_is_not_guessed() -> None:
+def test_a_given_unit_is_used() -> None:
     motion = read("walk")
     frame = detect_file_frame(motion, match_names(motion.joint_names), unit=0.02)
     assert frame.unit == 0.02
@@ -162,7 +162,7 @@ TURNED_FILES = {
 
 
 def in_other_axes(motion: Motion, axes: Array) -> Motion:
-    """The same motion with other file axes: offsets, positions and rotations turned by ``axes`` (3, 3)."""
+    """The same motion with other file axes: offsets, positions and rotations rotated by ``axes`` (3, 3)."""
     turn = Rotation.from_matrix(axes)
     local = Rotation.from_quat(motion.local_rotations().reshape(-1, 4))
     quaternions = (turn * local * turn.inv()).as_quat().reshape(motion.n_frames, -1, 4)
@@ -201,14 +201,14 @@ def test_file_axes_do_not_change_the_world(axes: str) -> None:
 
 
 @pytest.mark.parametrize("degrees", [30, 45, 60, 135])
-def test_a_file_that_faces_along_a_diagonal_is_turned_not_stretched(degrees: float) -> None:
+def test_a_file_that_faces_diagonally_is_rotated_not_stretched(degrees: float) -> None:
     turn = Rotation.from_euler("y", degrees, degrees=True).as_matrix()
     diagonal, expected = in_world(in_other_axes(read("walk"), turn)), in_world(read("walk"))
     np.testing.assert_allclose(diagonal.sample(0.4).positions, expected.sample(0.4).positions, atol=1e-6)
 
 
-def test_a_rest_pose_that_lies_down_is_stood_up_by_the_data() -> None:
-    """Offsets y up, root rotations that turn all to z up: as programs write that convert only the root."""
+def test_a_lying_rest_pose_is_raised_by_the_root_rotation() -> None:
+    """Offsets y up, root rotations to z up: as from programs that convert the root only."""
     motion = read("walk")
     stand = Rotation.from_euler("x", 90, degrees=True)
     quaternions = motion.local_rotations()
@@ -233,7 +233,7 @@ def test_a_rest_pose_that_lies_down_is_stood_up_by_the_data() -> None:
     assert unit_vectors(start[hip[0]] - start[hip[1]])[1] > 0.9
 
 
-def test_placement_turns_and_moves_the_start() -> None:
+def test_placement_rotates_and_moves_the_start() -> None:
     motion = read("walk")
     plain = in_world(motion).sample([0.0, 0.5]).positions
     placed = in_world(motion, placement=Placement((2.0, -3.0), np.pi / 2)).sample([0.0, 0.5]).positions
@@ -249,7 +249,7 @@ def test_anchor_center_puts_the_middle_of_the_covered_ground_in_place() -> None:
     np.testing.assert_allclose((path.min(0) + path.max(0)) / 2, [1, 2], atol=1e-9)
 
 
-def test_anchor_file_keeps_the_files_origin() -> None:
+def test_anchor_file_keeps_the_origin_of_the_file() -> None:
     motion = read("walk")
     world = in_world(motion, placement=Placement(anchor="file"))
     x_and_z = motion.world_positions(7)[0, [0, 2]] * world.frame.unit
@@ -260,7 +260,7 @@ def test_anchor_file_keeps_the_files_origin() -> None:
 # Time
 
 
-def test_between_frames_a_turn_goes_on_evenly_and_positions_straight() -> None:
+def test_between_frames_rotations_are_uniform_and_positions_linear() -> None:
     motion = read("walk")
     world = in_world(motion)
     a, b, middle = (world.sample((10 + part) * motion.frame_time) for part in (0, 1, 0.5))
@@ -273,7 +273,7 @@ def test_between_frames_a_turn_goes_on_evenly_and_positions_straight() -> None:
 
 
 def spinning(rate: float, speed: float, loop: MotionLoop) -> WorldMotion:
-    """A person that turns about the vertical at ``rate`` rad/s and glides at ``speed`` m/s, 2 s at 30 Hz."""
+    """A person that rotates about the vertical at ``rate`` rad/s and moves at ``speed`` m/s, 2 s at 30 Hz."""
     walk = read("walk")
     frames = np.arange(61)
     motion = replace(walk, values=np.zeros((61, walk.values.shape[1])))
@@ -287,8 +287,8 @@ def spinning(rate: float, speed: float, loop: MotionLoop) -> WorldMotion:
 
 
 @pytest.mark.parametrize("loop", ["none", "repeat", "continue"])
-def test_velocities_of_a_steady_turn_are_those_of_mechanics(loop: MotionLoop) -> None:
-    """v = v_root + omega x r, also at the first and last instant."""
+def test_velocities_of_a_uniform_rotation_are_those_of_mechanics(loop: MotionLoop) -> None:
+    """v = v_root + omega x r, also at the first and the last time."""
     rate, speed = 0.9, 1.4
     world = spinning(rate, speed, loop)
     # the next round of `continue` glides in another direction
@@ -304,7 +304,7 @@ def test_velocities_of_a_steady_turn_are_those_of_mechanics(loop: MotionLoop) ->
 
 
 @pytest.mark.parametrize("loop", ["none", "repeat"])
-def test_velocities_do_not_see_the_jump_back_to_the_start(loop: MotionLoop) -> None:
+def test_velocities_do_not_cross_the_jump_to_the_start(loop: MotionLoop) -> None:
     world = in_world(read("walk"), loop)
     duration = world.motion.duration
     fastest = np.abs(np.diff(world.motion.world_positions(), axis=0)).max() * world.frame.unit
@@ -316,7 +316,7 @@ def test_velocities_do_not_see_the_jump_back_to_the_start(loop: MotionLoop) -> N
 
 
 def test_velocities_are_the_slope_of_the_positions() -> None:
-    """A straight line fitted by NumPy through many samples around the instant."""
+    """A straight line fitted by NumPy through many samples around the time."""
     world = in_world(read("walk"), "continue")
     for time in (0.1042, 0.9, 2.35):
         span = np.linspace(-1e-3, 1e-3, 41)
@@ -327,7 +327,7 @@ def test_velocities_are_the_slope_of_the_positions() -> None:
         np.testing.assert_allclose(poses.linear[0], slope, atol=0.02)
 
 
-def test_a_motion_that_ends_stands_still() -> None:
+def test_velocities_are_zero_after_the_end_of_a_motion() -> None:
     world = in_world(read("walk"), "none")
     poses = world.sample_with_velocities([100.0])
     assert poses.linear is not None
@@ -355,7 +355,7 @@ def test_continue_goes_on_without_a_jump() -> None:
         assert np.linalg.norm(after - before, axis=-1).max() < 2e-3
 
 
-def test_the_walk_closes_its_circle_after_four_rounds() -> None:
+def test_the_walk_closes_its_circle_after_four_cycles() -> None:
     world = in_world(read("walk"), "continue")
     duration = world.motion.duration
     for time in (0.0, 0.5, 1.7):
@@ -365,7 +365,7 @@ def test_the_walk_closes_its_circle_after_four_rounds() -> None:
     assert np.linalg.norm(half[1] - half[0]) > 1.0
 
 
-def test_one_frame_is_a_pose_that_stays(tmp_path: Path) -> None:
+def test_one_frame_is_a_static_pose(tmp_path: Path) -> None:
     motion = replace(read("walk"), values=read("walk").values[:1])
     for loop in ("none", "repeat", "continue"):
         poses = in_world(motion, loop).sample_with_velocities([0.0, 3.7])
@@ -403,7 +403,7 @@ def test_bones_are_parallel_to_their_joint_links(stem: str, mode: RetargetMode) 
 
 
 @real_and_ours
-def test_swing_is_the_smallest_turn_from_where_the_parent_carries_the_bone(stem: str) -> None:
+def test_swing_is_the_smallest_rotation_from_the_inherited_one(stem: str) -> None:
     _, retargeter, _, _, rotations, posed = retargeted(stem, mode="thesis")
     rest = SKELETON.rest
     for name in retargeter.match.parallel:
@@ -422,7 +422,7 @@ def test_swing_is_the_smallest_turn_from_where_the_parent_carries_the_bone(stem:
         *(pytest.param(s, marks=needs_shared_data) for s in MATCHED if s != "animdraw_rokoko_jesse_dance"),
     ],
 )
-def test_difference_bones_turn_as_their_joint_has_turned_since_rest(stem: str) -> None:
+def test_difference_bones_take_the_rotation_of_their_joint_from_rest(stem: str) -> None:
     motion, retargeter, frames, frame, _, posed = retargeted(stem, 4)
     to_world = Rotation.from_matrix(frame.world_from_file)
     for name, joint in retargeter.match.difference.items():
@@ -435,8 +435,8 @@ def test_difference_bones_turn_as_their_joint_has_turned_since_rest(stem: str) -
 
 
 @needs_shared_data
-def test_offsets_that_make_no_person_take_the_straightest_frame_for_rest() -> None:
-    """In this file bones lie along x at rest; pelvis and trunk follow hips and shoulders all the same."""
+def test_without_a_standing_rest_pose_it_is_the_straightest_frame() -> None:
+    """In this file bones lie along x at rest; pelvis and trunk still follow hips and shoulders."""
     motion, retargeter, frames, frame, _, posed = retargeted("animdraw_rokoko_jesse_dance", 40)
     roles = retargeter.match.roles
     positions = motion.world_positions(frames) @ frame.world_from_file.T
@@ -461,7 +461,7 @@ def resting(stem: str) -> WorldMotion:
     "stem",
     ["walk", *(pytest.param(s, marks=needs_shared_data) for s in ("mixamo_freebvh", "aitviewer_sample"))],
 )
-def test_at_the_motions_rest_the_person_stands_upright_facing_x(stem: str) -> None:
+def test_the_rest_pose_of_the_motion_stands_upright_facing_x(stem: str) -> None:
     world = resting(stem)
     rotations, root = Retargeter.fit(world, SKELETON).apply(world.sample(0.0))
     joints = SKELETON.joint_transforms(SKELETON.pose(rotations, root))[0, :, :3, 3]
@@ -481,7 +481,7 @@ def test_at_the_motions_rest_the_person_stands_upright_facing_x(stem: str) -> No
         *(pytest.param(s, marks=needs_shared_data) for s in ("bvhtoolbox_walk01", "pybvh_cmu_12_01_walk")),
     ],
 )
-def test_walkers_face_the_way_they_walk(stem: str) -> None:
+def test_walking_persons_face_their_direction_of_travel(stem: str) -> None:
     *_, posed = retargeted(stem, 30)
     hips = posed[:, [SKELETON.bone("l_hip"), SKELETON.bone("r_hip")]][..., :3, 3]
     forward = unit_vectors(np.cross(hips[:, 0] - hips[:, 1], [0, 0, 1]))[:-1]
@@ -508,7 +508,7 @@ def test_the_head_is_above_the_feet(stem: str) -> None:
     ],
 )
 def test_the_skin_stands_on_the_floor(stem: str) -> None:
-    """Some point of the soles is within centimetres of the floor in every frame of a walk."""
+    """A point of the soles is within centimetres of the floor in every frame of a walk."""
     human = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     world = in_world(read(stem))
     retargeter = Retargeter.fit(world, human.skeleton)
@@ -539,7 +539,7 @@ def test_a_person_twice_as_tall_covers_the_same_ground_on_our_skeleton() -> None
 
 @pytest.mark.parametrize("stem", [pytest.param(s, marks=needs_shared_data) for s in STANDING_AT_REST])
 def test_ground_covered_is_scaled_by_ankle_to_head_height(stem: str) -> None:
-    """Heights measured here from the rest offsets and from table 4.1."""
+    """Heights measured from the rest offsets and from [thesis table 4.1]."""
     motion = read(stem)
     world = in_world(motion)
     retargeter = Retargeter.fit(world, SKELETON, root_scale="height")
@@ -562,7 +562,7 @@ def test_ground_covered_is_scaled_by_ankle_to_head_height(stem: str) -> None:
     assert ratio == pytest.approx((1.7504 - 0.091) / height, rel=0.2)
 
 
-def test_a_link_without_length_leaves_its_bone_where_the_parent_carries_it() -> None:
+def test_a_bone_with_a_link_without_length_inherits_its_rotation() -> None:
     motion = read("walk")
     match = match_names(motion.joint_names)
     start, end = match.parallel["l_elbow"]
@@ -574,7 +574,7 @@ def test_a_link_without_length_leaves_its_bone_where_the_parent_carries_it() -> 
     assert np.isfinite(rotations).all()
 
 
-def test_a_skeleton_without_height_is_refused() -> None:
+def test_a_skeleton_without_height_is_an_error() -> None:
     motion = read("walk")
     flat = replace(motion, offsets=motion.offsets * 0, path="flat.bvh")
     with pytest.raises(MotionError, match=r"flat\.bvh"):
@@ -584,6 +584,6 @@ def test_a_skeleton_without_height_is_refused() -> None:
 @pytest.mark.parametrize(
     "stem", [pytest.param(s, marks=needs_shared_data) for s in ("firepal_vr", "fairmotion_sinusoidal")]
 )
-def test_a_motion_of_no_person_is_refused(stem: str) -> None:
+def test_a_motion_without_a_person_is_an_error(stem: str) -> None:
     with pytest.raises(MotionError, match=f"{stem}.*no joint table fits"):
         match_names(read(stem).joint_names, path=f"{stem}.bvh")

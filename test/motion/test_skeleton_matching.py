@@ -1,4 +1,4 @@
-"""People found by the shape of their skeletons alone."""
+"""Persons matched by the shape of their skeletons alone."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def nameless(motion: Motion) -> Motion:
 
 
 def shuffled(motion: Motion, seed: int) -> tuple[Motion, list[int]]:
-    """Children in another order; and the old index of each new joint."""
+    """A motion with its children in another order, and the old index of each new joint."""
     rng = np.random.default_rng(seed)
     children: dict[int, list[int]] = {}
     for joint, parent in enumerate(motion.parents):
@@ -94,7 +94,7 @@ def test_a_person_without_names_has_the_same_limbs(stem: str) -> None:
                 assert way.max() < 0.02 * np.ptp(motion.rest_positions()), role
 
 
-def test_names_that_tell_only_the_sides_are_used() -> None:
+def test_names_that_give_only_the_sides_are_used() -> None:
     motion = read("walk")
     words = [
         f"{'left' if 'Left' in name else 'right' if 'Right' in name else 'mid'}_{number}"
@@ -111,14 +111,14 @@ def test_names_that_tell_only_the_sides_are_used() -> None:
 
 @needs_shared_data
 @pytest.mark.parametrize("stem", ["firepal_vr", "fairmotion_sinusoidal", "pybvh_rotation_first_root"])
-def test_what_is_no_person_is_none(stem: str) -> None:
+def test_a_skeleton_that_is_not_a_person_has_no_match(stem: str) -> None:
     assert match_shape(read(stem)) is None
     with pytest.raises(MotionError, match="shape of a person"):
         match_motion(read(stem))
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_other_proportions_are_found_too(seed: int) -> None:
+def test_other_proportions_are_matched(seed: int) -> None:
     """Each link up to 6 % longer or shorter on both sides."""
     motion = read("walk")
     rng = np.random.default_rng(seed)

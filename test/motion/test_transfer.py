@@ -1,4 +1,4 @@
-"""Whole rotations on the skeleton, clips, mirrored motions, live sources: judged by SciPy and by symmetry."""
+"""Retargeting of whole rotations, clips, mirrored motions, live sources: by SciPy and by symmetry."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def angle_between(a: Array, b: Array) -> Array:
 
 
 def bent(joint: str, turn: Rotation) -> WorldMotion:
-    """The walk's skeleton at rest but for one joint that is turned, in file axes."""
+    """The skeleton of the walk at rest, with one joint rotated in file axes."""
     motion = read("walk")
     quaternions = np.zeros((1, motion.n_joints, 4))
     quaternions[..., 3] = 1
@@ -85,9 +85,10 @@ def test_a_twist_about_a_link_is_the_bones_twist(joint: str, end: str, bone: str
 
 
 @pytest.mark.parametrize("stem", ["walk", *shared])
-def test_bones_turn_from_rest_as_their_joints_do(stem: str) -> None:
-    """Joint turns by SciPy down the tree; the bones' rest from the file with all rotations zero. What is not
-    rigid in a file (links over several joints) is turned on to be parallel: trunks only.
+def test_bones_rotate_from_rest_as_their_joints_do(stem: str) -> None:
+    """Joint rotations by SciPy down the tree; the rest of the bones from the file with all rotations zero.
+
+    Links over several joints are not rigid, and bones rotate further to be parallel: trunks only.
     """
     motion = read(stem)
     world, still = in_world(motion), at_rest(motion)
@@ -110,9 +111,10 @@ def test_bones_turn_from_rest_as_their_joints_do(stem: str) -> None:
         *(pytest.param(stem, marks=needs_shared_data) for stem in MATCHED if stem != "aitviewer_sample"),
     ],
 )
-def test_elbows_and_knees_bend_about_the_axes_of_our_skeleton(stem: str) -> None:
-    """A body's own knowledge, in no rest pose: the plane of a bent limb shows how its bones are twisted.
-    Knees to 10 degrees, and elbows, whose zero is the file's, to 35; swing alone is up to 78 off.
+def test_elbows_and_knees_bend_about_the_axes_of_the_skeleton(stem: str) -> None:
+    """The plane of a bent limb shows the twist of its bones, in any rest pose.
+
+    Knees to 10 degrees; elbows, whose zero is that of the file, to 35; swing alone differs by up to 78.
     """
     motion = read(stem)
     world = in_world(motion)
@@ -157,7 +159,7 @@ def test_root_scale_by_height_by_legs_or_given() -> None:
 # Clips
 
 
-def test_start_end_and_speed_play_that_part_of_the_file() -> None:
+def test_start_end_and_speed_select_the_played_part() -> None:
     plain = in_world(read("walk"), placement=Placement(anchor="file"))
     part = replace(plain, start=0.5, end=1.25, speed=2.0)
     assert part.duration == pytest.approx(0.375)
@@ -175,7 +177,7 @@ def test_start_end_and_speed_play_that_part_of_the_file() -> None:
     np.testing.assert_allclose(last[..., :2], plain.sample(1.25).positions[..., :2], atol=1e-9)
 
 
-def test_a_motion_that_stands_still_at_speed_zero() -> None:
+def test_a_motion_at_speed_zero_is_static() -> None:
     still = replace(in_world(read("walk"), "repeat"), speed=0.0).sample_with_velocities([0.0, 5.0])
     assert still.linear is not None
     np.testing.assert_array_equal(still.positions[0], still.positions[1])
@@ -183,8 +185,8 @@ def test_a_motion_that_stands_still_at_speed_zero() -> None:
 
 
 @pytest.mark.parametrize("loop", ["repeat", "continue"])
-def test_blended_rounds_have_no_jump(loop: Any) -> None:
-    """A clip that ends mid-stride, in one pose, and starts in another."""
+def test_blended_cycles_have_no_jump(loop: Any) -> None:
+    """A clip that ends within a stride and starts in another pose."""
     motion = read("walk")
     cut = replace(in_world(motion, loop), start=0.1, end=1.37)
     smooth = replace(cut, blend=0.3)
@@ -207,7 +209,7 @@ def test_blended_rounds_have_no_jump(loop: Any) -> None:
 
 
 def test_a_blended_walk_keeps_walking_around_its_circle() -> None:
-    """Over a whole loop of the walk, blending changes next to nothing: it closes anyway."""
+    """Over a whole cycle of the walk, which is closed, blending changes nearly nothing."""
     world = in_world(read("walk"), "continue")
     faded = replace(world, blend=0.2)
     speed = np.linalg.norm(np.diff(faded.sample(np.linspace(0, 7, 200)).positions[:, 0], axis=0), axis=-1)
@@ -226,7 +228,7 @@ def test_a_blended_walk_keeps_walking_around_its_circle() -> None:
         ({"blend": 1.5}, "blend"),
     ],
 )
-def test_a_clip_that_contradicts_itself_is_refused(wrong: dict[str, float], message: str) -> None:
+def test_contradicting_start_end_and_blend_are_errors(wrong: dict[str, float], message: str) -> None:
     with pytest.raises(MotionError, match=message):
         replace(in_world(read("walk"), "repeat"), **wrong)  # type: ignore[arg-type]
 
@@ -239,7 +241,7 @@ def swapped(name: str) -> str:
 
 
 @pytest.mark.parametrize("loop", ["none", "continue"])
-def test_a_mirrored_motion_is_the_reflection_with_the_sides_changed(loop: Any) -> None:
+def test_a_mirrored_motion_is_the_reflection_with_swapped_sides(loop: Any) -> None:
     placement = Placement((1.0, -2.0), 0.7)
     world = in_world(read("walk"), loop, placement)
     order = [world.names.index(swapped(name)) for name in world.names]
@@ -273,7 +275,7 @@ def test_mirrored_twice_is_the_same(yaw: float, x: float, y: float, time: float)
 
 
 def test_a_mirrored_body_is_the_body_reflected() -> None:
-    """On a skeleton that is symmetric but for its collars: hands and feet, which hang on them, to 3 cm."""
+    """On a skeleton that is symmetric except for its collars: hands and feet to 3 cm."""
     world = in_world(read("walk"), "none")
     plain, mirrored = (
         Retargeter.fit(w, SKELETON).pose(w.sample(0.4)) for w in (world, replace(world, mirror=True))
@@ -306,7 +308,7 @@ def test_opposite_joints_are_found_by_role() -> None:
 # What is said instead of found
 
 
-def test_up_and_facing_can_be_said() -> None:
+def test_given_up_and_facing_are_used() -> None:
     motion = read("walk")
     match = match_motion(motion)
     found = detect_file_frame(motion, match)
@@ -327,7 +329,7 @@ def test_up_and_facing_can_be_said() -> None:
 
 
 def convention(poses: JointPoses, seed: int) -> JointPoses:
-    """The same joints, each with axes of its own that stay as they are."""
+    """The same joints, each with constant axes of its own."""
     own = Rotation.random(len(poses.names), random_state=seed).as_matrix()
     turns = Rotation.from_quat(poses.rotations.reshape(-1, 4)).as_matrix().reshape(-1, len(own), 3, 3) @ own
     quaternions = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat().reshape(poses.rotations.shape)
@@ -341,7 +343,7 @@ def without_turns(poses: JointPoses, w: float) -> JointPoses:
 
 
 @pytest.mark.parametrize("stem", ["walk", *shared])
-def test_a_live_source_is_fitted_by_its_first_pose(stem: str) -> None:
+def test_a_live_source_is_fitted_to_its_first_pose(stem: str) -> None:
     motion = read(stem)
     world = in_world(motion)
     frames = some_frames(motion, 30)
@@ -382,7 +384,7 @@ def test_a_source_of_any_convention_has_its_limbs_parallel(stem: str, kind: str)
     assert np.degrees(np.arccos(np.clip((across * theirs).sum(-1), -1, 1))).max() < 15
 
 
-def test_joints_at_one_place_are_refused() -> None:
+def test_joints_at_one_place_are_an_error() -> None:
     world = in_world(read("walk"))
     poses = world.sample(0.0)
     with pytest.raises(MotionError, match="legs have no length"):
@@ -390,7 +392,7 @@ def test_joints_at_one_place_are_refused() -> None:
 
 
 def test_clamped_bones_stay_within_their_limits() -> None:
-    """A knee bent the wrong way and a head turned backwards."""
+    """A knee bent in the wrong direction and a head rotated backwards."""
     limits = load_limits().for_skeleton(SKELETON)
     for joint, turn in (("LeftKnee", [-1.2, 0, 0]), ("Head", [0, 2.4, 0])):
         world = bent(joint, Rotation.from_rotvec(turn))
@@ -413,7 +415,7 @@ def test_the_constants_survive_json(mode: RetargetMode) -> None:
 @pytest.mark.parametrize(
     "broken", [{"rest": [1, 2]}, {"scale": "x"}, {"mode": "half"}, {"lift": float("nan")}]
 )
-def test_broken_constants_are_refused(broken: dict[str, Any]) -> None:
+def test_broken_constants_are_errors(broken: dict[str, Any]) -> None:
     data = Retargeter.fit(in_world(read("walk")), SKELETON).to_dict()
     with pytest.raises(MotionError, match="not the constants of a retargeter"):
         Retargeter.from_dict({**data, **broken}, SKELETON)

@@ -1,4 +1,4 @@
-"""The built-in walk (tools/assets/make_walk.py) plants its feet, is above the floor and closes its loop."""
+"""The built-in walk (tools/assets/make_walk.py): feet do not slide, soles are on the floor, it loops."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ def motion(request: pytest.FixtureRequest) -> Motion:
 
 
 def yaw_matrix(degrees: float) -> Array:
-    """Turn to the left in BVH space (y up, facing +z, left is +x)."""
+    """Rotation to the left in BVH space (y up, facing +z, left is +x)."""
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]])
 
 
 def carry(motion: Motion) -> tuple[Array, Array]:
-    """Rotation and translation from the first frame to the last, as the file's name promises them."""
+    """Rotation and translation from the first frame to the last, by the name of the file."""
     rotation = yaw_matrix(TURNS[Path(motion.path).stem])
     first, last = motion.world_positions(0)[0], motion.world_positions(motion.n_frames - 1)[0]
     return rotation, last - rotation @ first
 
 
 def two_rounds(motion: Motion) -> Array:
-    """World transforms of two rounds of the loop, so that every stance is there in one piece."""
+    """World transforms of two cycles, so that they contain every stance in one piece."""
     once = motion.world_transforms()
     step = np.eye(4)
     step[:3, :3], step[:3, 3] = carry(motion)
@@ -48,7 +48,7 @@ def two_rounds(motion: Motion) -> Array:
 
 
 def sole(motion: Motion, side: str) -> dict[str, Array]:
-    """Heel and tip of the sole (F, 3) over two rounds."""
+    """Heel and tip of the sole (F, 3) over two cycles."""
     world = two_rounds(motion)[:, motion.joint(f"{side}Ankle")]
     tip = motion.offsets[motion.joint(f"{side}Ankle_end")] * [1.0, 0.0, 1.0]
     below = np.array([0.0, -world[:, 1, 3].min(), 0.0])
@@ -57,7 +57,7 @@ def sole(motion: Motion, side: str) -> dict[str, Array]:
 
 
 def contacts(heights: Array, below: float) -> list[slice]:
-    """Runs of frames in which a point is on the floor, without those cut off at either end."""
+    """Runs of frames in which a point is on the floor, without incomplete runs at the ends."""
     on = np.concatenate([[False], heights < below, [False]])
     edges = np.flatnonzero(on[1:] != on[:-1])
     runs = [slice(a, b) for a, b in zip(edges[::2], edges[1::2], strict=True)]
@@ -85,14 +85,14 @@ def test_loop_lasts_two_seconds(motion: Motion) -> None:
     assert motion.duration == pytest.approx(2.0, abs=1e-6)
 
 
-def test_last_frame_is_the_first_one_carried_on(motion: Motion) -> None:
+def test_last_frame_continues_the_first(motion: Motion) -> None:
     rotation, translation = carry(motion)
     first, last = motion.world_transforms([0, motion.n_frames - 1])
     assert np.abs(rotation @ first[:, :3, :3] - last[:, :3, :3]).max() < 1e-6
     assert np.abs(first[:, :3, 3] @ rotation.T + translation - last[:, :3, 3]).max() < 1e-6 / CENTIMETRE
 
 
-def test_four_rounds_of_the_walk_close_a_circle() -> None:
+def test_four_cycles_of_the_walk_close_a_circle() -> None:
     rotation, translation = carry(read_bvh(ASSETS / "motions" / "walk.bvh"))
     point = np.zeros(3)
     for _ in range(4):
@@ -100,7 +100,7 @@ def test_four_rounds_of_the_walk_close_a_circle() -> None:
     assert np.abs(point).max() < 1e-6 / CENTIMETRE
 
 
-def test_seam_is_as_smooth_as_the_rest(motion: Motion) -> None:
+def test_the_end_of_the_loop_is_as_smooth_as_the_rest(motion: Motion) -> None:
     positions = two_rounds(motion)[..., :3, 3] * CENTIMETRE
     acceleration = np.linalg.norm(np.diff(positions, n=2, axis=0), axis=-1).max(1) / motion.frame_time**2
     seam = motion.n_frames - 1
@@ -116,7 +116,7 @@ def test_speed_is_that_of_a_comfortable_walk(motion: Motion) -> None:
 
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("part", ["heel", "tip"])
-def test_planted_foot_stays_where_it_is(motion: Motion, side: str, part: str) -> None:
+def test_planted_foot_does_not_slide(motion: Motion, side: str, part: str) -> None:
     points = sole(motion, side)[part] * CENTIMETRE
     runs = contacts(points[:, 1], below=0.003)
     # two strides a round; the run that the end of the second round cuts off does not count
@@ -127,7 +127,7 @@ def test_planted_foot_stays_where_it_is(motion: Motion, side: str, part: str) ->
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_toe_joint_stays_while_the_heel_rises(motion: Motion, side: str) -> None:
+def test_toe_joint_does_not_slide_while_the_heel_rises(motion: Motion, side: str) -> None:
     heel, tip = (sole(motion, side)[part][:, 1] * CENTIMETRE for part in ("heel", "tip"))
     toe = motion.joint(f"{side}Ankle_end")
     positions = two_rounds(motion)[:, toe, :3, 3] * CENTIMETRE
@@ -136,7 +136,7 @@ def test_toe_joint_stays_while_the_heel_rises(motion: Motion, side: str) -> None
         assert np.ptp(positions[run][:, [0, 2]], axis=0).max() < 0.02
 
 
-def test_nothing_goes_through_the_floor(motion: Motion) -> None:
+def test_no_point_is_below_the_floor(motion: Motion) -> None:
     assert motion.world_positions()[..., 1].min() * CENTIMETRE > 0
     for side in SIDES:
         for points in sole(motion, side).values():
@@ -144,7 +144,7 @@ def test_nothing_goes_through_the_floor(motion: Motion) -> None:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_knee_bends_in_the_swing_and_never_snaps(motion: Motion, side: str) -> None:
+def test_knee_bends_in_the_swing_and_never_locks(motion: Motion, side: str) -> None:
     positions = motion.world_positions()
     hip, knee, ankle = (positions[:, motion.joint(side + name)] for name in ("Hip", "Knee", "Ankle"))
     thigh, shank = knee - hip, ankle - knee

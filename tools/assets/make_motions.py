@@ -1,16 +1,17 @@
-"""Make the motions of ``assets/motions`` other than the walks: running, sitting down and standing up, waving,
-turning in place, picking something up, T pose to A pose.
+"""Make the motions of ``assets/motions`` other than the walks.
+
+They are: running, sitting down and standing up, waving, rotating in place, picking up, T pose to A pose.
 
     python tools/assets/make_motions.py [NAME ...] [--folder assets/motions]
 
-Nobody was recorded. Pelvis, trunk, feet and hands follow key poses and published figures; legs and arms
-follow by two-bone inverse kinematics from feet that stay where they are put. Everything is in body space as
-in make_walk.py: metres, y up, z forward, x to the person's left, floor at 0; zero rotations are the T pose.
+No person was recorded. Pelvis, trunk, feet and hands follow key poses and published figures. Legs and arms
+follow by two-bone inverse kinematics; feet do not slide. Everything is in body space as in make_walk.py:
+metres, y up, z forward, x to the person's left, floor at 0; zero rotations are the T pose.
 
-Sources of the figures (typed in to some degrees, not digitised):
+Sources of the figures (to within some degrees, not digitised):
   running   T. F. Novacheck, "The biomechanics of running", Gait & Posture 7, 1998 (angles, 36 % stance)
   sitting   M. Schenkman et al., "Whole-body movements during rising to standing from sitting", Phys Ther 70,
-            1990 (phases, trunk flexed by about 45 degrees before the seat is left)
+            1990 (phases, trunk flexed by about 45 degrees before the person leaves the seat)
   reaching  T. Flash, N. Hogan, "The coordination of arm movements", J Neurosci 5, 1985 (minimum jerk)
 """
 
@@ -45,21 +46,21 @@ from scipy.spatial.transform import Rotation
 Keys = Sequence[tuple[float, float]]
 RATE = 30
 DEGREE = math.pi / 180
-#: Seconds over which key poses are rounded off.
+#: Seconds over which key poses are smoothed.
 SOFTNESS = 0.07
 ARM_HANGS = {"flexion": 3.0, "abduction": 9.0, "rotation": 18.0, "elbow": 15.0}
 
 
 def minimum_jerk(part: Array) -> Array:
-    """0 to 1 as a hand goes from rest to rest (Flash and Hogan), clamped outside."""
+    """0 to 1 as a hand moves from rest to rest (Flash and Hogan), clamped outside."""
     u = np.clip(part, 0.0, 1.0)
     return np.asarray(u**3 * (10 - 15 * u + 6 * u**2))
 
 
 def keyed(keys: Keys, time: Array) -> Array:
-    """A smooth curve that passes near its keys (seconds, value) and overshoots none."""
+    """A smooth curve near its keys (seconds, value), without overshoot."""
     at, value = np.array(keys, dtype=float).T
-    # still for a moment at both ends, so that rounding off leaves these where they are
+    # constant for a moment at both ends, so that smoothing does not change them
     at, value = (
         np.concatenate([row[:1], row[:1] + pad, row[1:-1], row[-1:] - pad, row[-1:]])
         for row, pad in ((at, 2 * SOFTNESS), (value, 0.0))
@@ -70,10 +71,10 @@ def keyed(keys: Keys, time: Array) -> Array:
 
 @dataclass(frozen=True)
 class Pose:
-    """What a motion says at each of T times; limbs follow. Rotations (T, 3, 3) and points (T, 3), world.
+    """Pose without limbs at T times: rotations (T, 3, 3) and points (T, 3), world.
 
-    ``feet``: side -> rotation of the foot and place of the ankle. ``arms``: side -> rotations of upper arm
-    and forearm, and how far the hand is turned about the forearm, radians (T,).
+    ``feet``: side -> rotation of the foot and position of the ankle. ``arms``: side -> rotations of upper arm
+    and forearm, and twist of the hand about the forearm, radians (T,).
     """
 
     pelvis: Array
@@ -108,7 +109,7 @@ class Figure:
         return out
 
     def straight(self, side: str, joint: str) -> Array:
-        """Shortest rotation that lays the link to a joint of the arm along its x axis."""
+        """Shortest rotation that aligns the link to a joint of the arm with the x axis."""
         axis, link = np.array([SIDES[side], 0.0, 0.0]), unit(self.body.link(side + joint))
         turn = np.cross(link, axis)
         sine = float(np.linalg.norm(turn))
@@ -117,7 +118,7 @@ class Figure:
         )
 
     def leg(self, side: str, pelvis: Array, hips: Array, foot: Array, ankle: Array) -> dict[str, Array]:
-        """Hip, knee and ankle of a leg that stands where its foot is; the knee points where the toes do."""
+        """Hip, knee and ankle of a leg with a given foot; the knee points in the direction of the toes."""
         body = self.body
         thigh, shank = body.link(side + "Knee"), body.link(side + "Ankle")
         a, b = float(np.linalg.norm(thigh)), float(np.linalg.norm(shank))
@@ -126,7 +127,7 @@ class Figure:
         if reach.max() > a + b:
             raise SystemExit(f"the {side.lower()} foot is out of reach by {reach.max() - a - b:.4f} m")
         down = (ankle - hip) / reach[..., None]
-        # across the foot, which no pitch turns round
+        # across the foot: independent of its pitch
         across = apply(foot @ rot("y", Foot.of(body, side).yaw), np.array([1.0, 0.0, 0.0]))
         ahead = unit(np.cross(across, [0.0, 1.0, 0.0]))
         lateral = unit(np.cross(-down, unit(ahead + pelvis[..., :, 2])))
@@ -140,7 +141,7 @@ class Figure:
         }
 
     def shoulder(self, side: str, chest: Array, hips: Array, pelvis: Array) -> Array:
-        """Where the shoulder is (T, 3)."""
+        """Position (T, 3) of the shoulder."""
         body = self.body
         return np.asarray(
             hips + apply(pelvis, body.link("Chest"))
@@ -148,13 +149,13 @@ class Figure:
         )  # fmt: skip
 
     def hand_of(self, side: str, shoulder: Array, upper: Array, fore: Array) -> Array:
-        """Where the wrist is (T, 3)."""
+        """Position (T, 3) of the wrist."""
         sign = SIDES[side]
         lengths = [float(np.linalg.norm(self.body.link(side + end))) for end in ("Elbow", "Wrist")]
         return np.asarray(shoulder + sign * (lengths[0] * upper[..., :, 0] + lengths[1] * fore[..., :, 0]))
 
     def reaching(self, side: str, shoulder: Array, wrist: Array, elbow_to: Array) -> tuple[Array, Array]:
-        """Upper arm and forearm (T, 3, 3) that bring the wrist to a place, the elbow on a side (T, 3)."""
+        """Upper arm and forearm (T, 3, 3) that bring the wrist to a point, the elbow on a side (T, 3)."""
         sign = SIDES[side]
         a, b = (float(np.linalg.norm(self.body.link(side + end))) for end in ("Elbow", "Wrist"))
         line = wrist - shoulder
@@ -174,9 +175,7 @@ class Figure:
 def arm(
     side: str, chest: Array, flexion: Array, abduction: Array, rotation: Array, elbow: Array
 ) -> tuple[Array, Array]:
-    """Upper arm and forearm (T, 3, 3) by angles in degrees: how far the arm is raised ahead and aside, turned
-    inwards about itself, and bent.
-    """
+    """Upper arm and forearm (T, 3, 3) by angles in degrees: forward, aside, twist inwards, bend."""
     sign = SIDES[side]
     hang = rot("z", -sign * (np.pi / 2 - abduction * DEGREE))
     upper = chest @ rot("x", -flexion * DEGREE) @ hang @ rot("x", rotation * DEGREE)
@@ -184,7 +183,7 @@ def arm(
 
 
 def hanging(side: str, chest: Array, time: Array, **changes: Keys) -> tuple[Array, Array, Array]:
-    """An arm that hangs, but for what keys say otherwise."""
+    """An arm that hangs, except where keys move it."""
     values = {
         name: keyed(changes[name], time) if name in changes else np.full(len(time), usual)
         for name, usual in ARM_HANGS.items()
@@ -193,7 +192,7 @@ def hanging(side: str, chest: Array, time: Array, **changes: Keys) -> tuple[Arra
 
 
 def planted(figure: Figure, count: int) -> dict[str, tuple[Array, Array]]:
-    """Both feet where they are in the T pose."""
+    """Both feet as in the T pose."""
     return {
         side: (
             np.broadcast_to(np.eye(3), (count, 3, 3)),
@@ -211,12 +210,12 @@ def trunk(
     look: Keys = ((0, 0),),
     nod: Keys = ((0, 0),),
 ) -> tuple[Array, Array, Array]:
-    """Chest, neck and head: leaning ahead and turned left against the world, and where the head looks."""
+    """Chest, neck and head (T, 3, 3): lean forward and rotation to the left in the world, and head angles."""
 
     def along(keys: Keys) -> Array:
         return keyed(keys, time) if len(keys) > 1 else np.full(len(time), float(keys[0][1]))
 
-    # whole breaths, so that what is repeated goes on
+    # whole breaths, so that repetitions are continuous
     breath = 0.6 * np.sin(2 * np.pi * time * round(time[-1] / 3.5) / time[-1])
     chest_lean, chest_turn = along(lean) + breath, along(turn)
     head_turn, head_nod = along(look), along(nod)
@@ -245,7 +244,7 @@ def t_to_a_pose(figure: Figure, time: Array) -> Pose:
 
 
 def wave(figure: Figure, time: Array) -> Pose:
-    """The right hand is raised, waved four times and lowered."""
+    """Raise the right hand, wave it four times, and lower it."""
     hips = figure.body.joints["Hips"] + xyz(
         keyed([(0, 0), (1.0, 0.018), (3.0, 0.018), (4.2, 0)], time),
         keyed([(0, -0.004), (1, -0.008), (4.2, -0.004)], time),
@@ -278,19 +277,19 @@ def wave(figure: Figure, time: Array) -> Pose:
     return Pose(pelvis, hips, chest, neck, head, planted(figure, len(time)), arms)
 
 
-#: Height of the seat, and of the hip joints over it.
+#: Height of the seat, and of the hip joints above it.
 SEAT, HIPS_OVER_SEAT = 0.45, 0.09
 
 
 def sit_stand(figure: Figure, time: Array) -> Pose:
-    """Down onto a seat 0.45 m high, a rest there, and up again; the feet stay where they are."""
+    """Sit down on a seat 0.45 m high, rest, and stand up; the feet do not move."""
     body = figure.body
     hip = (body.joints["LeftHip"] + body.joints["RightHip"]) / 2
     thigh = float(np.linalg.norm(body.link("LeftKnee")))
     ankle = body.joints["LeftAnkle"]
     drop = SEAT + HIPS_OVER_SEAT - hip[1]
     back = ankle[2] + 0.03 - math.sqrt(thigh**2 - 0.06**2) - hip[2]
-    # down in 1.8 s, up in 1.7 s: the pelvis goes back first and comes down late
+    # down in 1.8 s, up in 1.7 s: the pelvis moves back first and down late
     down, up = minimum_jerk((time - 0.6) / 1.75), minimum_jerk((time - 4.3) / 1.65)
     back_first, forward_first = minimum_jerk((time - 0.45) / 1.6), minimum_jerk((time - 4.6) / 1.5)
     hips = body.joints["Hips"] + xyz(
@@ -326,13 +325,13 @@ def sit_stand(figure: Figure, time: Array) -> Pose:
     return Pose(pelvis, hips, chest, neck, head, planted(figure, len(time)), arms)
 
 
-#: The point that the hand reaches 2.2 s after the start, and where it brings what was there: x, y, z, metres.
+#: Points that the hand reaches 2.2 s after the start, and afterwards: x, y, z, metres.
 PICKED = np.array([-0.16, 0.16, 0.46])
 HELD = np.array([-0.10, 1.12, 0.40])
 
 
 def pick_up(figure: Figure, time: Array) -> Pose:
-    """Bending down with bent knees, the right hand takes something and lifts it to the chest."""
+    """Bend down with bent knees, take an object with the right hand, and lift it to the chest."""
     body = figure.body
     low = keyed([(0, 0), (0.4, 0), (1.9, 1), (2.5, 1), (4.0, 0), (6.0, 0)], time)
     hips = body.joints["Hips"] + xyz(0.0, -0.006 - 0.36 * low, -0.23 * low)
@@ -352,7 +351,7 @@ def pick_up(figure: Figure, time: Array) -> Pose:
         for start, length in ((0.7, 1.5), (2.4, 1.6), (4.7, 1.1))
     )
     wrist = at_side + to * (PICKED - at_side) + up * (HELD - PICKED) + down * (at_side - HELD)
-    # the wrist is up from what the fingers hold
+    # the wrist is above the object in the fingers
     wrist = wrist + xyz(0.0, 0.07, -0.03) * (to - up)
     outwards = xyz(-0.6, -0.6, -0.5) + 0.0 * wrist
     upper, fore = figure.reaching("Right", shoulder, wrist, outwards)
@@ -373,12 +372,12 @@ def _mixed(a: Array, b: Array, part: Array) -> Array:
     return np.asarray(a @ Rotation.from_rotvec(turn).as_matrix())
 
 
-#: A turn in place: seconds a step takes and until the next, degrees each, how many, how high.
+#: Rotation in place: seconds of a step and until the next, degrees of a step, number of steps, their height.
 STEP, STEP_EVERY, STEP_TURN, STEPS, LIFT = 0.36, 0.42, 30.0, 12, 0.06
 
 
 def turn_in_place(figure: Figure, time: Array) -> Pose:
-    """A whole turn to the left in steps of 30 degrees, left foot first."""
+    """A full rotation to the left in steps of 30 degrees, left foot first."""
     body = figure.body
     start = 0.35
     end = start + STEP_EVERY * STEPS + STEP
@@ -389,7 +388,7 @@ def turn_in_place(figure: Figure, time: Array) -> Pose:
     for side, sign in SIDES.items():
         angle, lift = np.zeros(len(time)), np.zeros(len(time))
         last = 0.0
-        # the last step brings the foot that is behind to the other
+        # the last step brings the rear foot to the other
         for step in range(STEPS + 1):
             if (step % 2 == 0) != (side == "Left"):
                 continue
@@ -397,7 +396,7 @@ def turn_in_place(figure: Figure, time: Array) -> Pose:
             part = (time - start - STEP_EVERY * step) / STEP
             angle += (target - last) * minimum_jerk(part)
             lift += LIFT * np.where((part > 0) & (part < 1), np.sin(np.pi * np.clip(part, 0, 1)) ** 2, 0.0)
-            # before and in a step the weight is on the other foot
+            # before and during a step the weight is on the other foot
             weight -= sign * minimum_jerk((part + 0.35) / 0.6) * minimum_jerk((1.25 - part) / 0.6)
             last = target
         turn = rot("y", angle * DEGREE)
@@ -432,12 +431,12 @@ RUN_KNEE: Keys = (
     (92, 30),
 )
 RUN_SPEED, RUN_CYCLE, RUN_STANCE = 3.0, 0.70, 0.36
-#: Where the foot lands ahead of the hip, and its pitch; when it is flat, when the heel rises; its last pitch.
+#: Distance of the landing foot from the hip, and its pitch; times of flat foot and heel rise; last pitch.
 RUN_LEAD, RUN_STRIKE, RUN_FLAT, RUN_HEEL_OFF, RUN_PUSH = 0.27, 9 * DEGREE, 0.05, 0.09, 58 * DEGREE
 
 
 def run(figure: Figure, time: Array) -> Pose:
-    """Two strides at 3 m/s, straight on: contact, push, flight, twice in a cycle of 0.7 s."""
+    """Two strides at 3 m/s, straight ahead: contact, push, flight, twice in a cycle of 0.7 s."""
     body = figure.body
     phase = time / RUN_CYCLE
     turn = 2 * np.pi * phase
@@ -458,7 +457,7 @@ def run(figure: Figure, time: Array) -> Pose:
     feet, arms = {}, {}
     for side, delay in (("Left", 0.0), ("Right", 0.5)):
         feet[side] = _running_foot(figure, side, phase - delay, delay)
-        # the arm swings with the other leg: ahead when that foot lands
+        # the arm swings with the other leg: forward when that foot lands
         swing = np.cos(2 * np.pi * (phase - delay - 0.52))
         upper, fore = arm(side, chest, -16 + 32 * swing, 20 + 0 * swing, 6 + 6 * swing, 92 + 10 * swing)
         arms[side] = (upper, fore, np.zeros(len(time)))
@@ -466,7 +465,7 @@ def run(figure: Figure, time: Array) -> Pose:
 
 
 def _running_foot(figure: Figure, side: str, cycles: Array, delay: float) -> tuple[Array, Array]:
-    """Rotation of the foot and place of the ankle: in stance on the floor, in swing as the angles say."""
+    """Rotation of the foot and position of the ankle: on the floor in stance, by the angles in swing."""
     body, sign = figure.body, SIDES[side]
     foot = Foot.of(body, side)
     count, phase = np.floor(cycles + 1e-9), (cycles + 1e-9) % 1.0
@@ -482,11 +481,11 @@ def _running_foot(figure: Figure, side: str, cycles: Array, delay: float) -> tup
         return np.concatenate([pitch[..., None], ankle], axis=-1)
 
     def relative(p: Array) -> Array:
-        """The same, from below the hip, which goes on."""
+        """The same relative to the point below the moving hip."""
         return stance(p) + np.stack([0 * p, RUN_LEAD - RUN_SPEED * RUN_CYCLE * p, 0 * p], axis=-1)
 
     def swing(p: Array) -> Array:
-        """Pitch, and ankle forward of the hip and up: the published angles, led over into the stances."""
+        """Pitch, and ankle forward of the hip and up: the published angles, blended into the stances."""
         h, k = curve(tuple(RUN_HIP), p), curve(tuple(RUN_KNEE), p)
         a, b = (float(np.linalg.norm(body.link(side + end))) for end in ("Knee", "Ankle"))
         height = hip[1] - 0.045 - 0.034 * np.cos(2 * (2 * np.pi * (p + delay) - 2 * np.pi * 0.17))
@@ -508,12 +507,12 @@ def _running_foot(figure: Figure, side: str, cycles: Array, delay: float) -> tup
             / (2 * step)
             * (1 - RUN_STANCE)
         )
-        rate[0] *= 0.25  # the foot need not go on turning as fast
+        rate[0] *= 0.25  # the foot may rotate more slowly
         out = out + weight[:, None] * gap + slope[:, None] * rate
-    out[:, 2] += 0.025 * 16 * (w * (1 - w)) ** 2  # clear of the floor
+    out[:, 2] += 0.025 * 16 * (w * (1 - w)) ** 2  # above the floor
     standing = (phase < RUN_STANCE)[:, None]
     pose = np.where(standing, relative(np.minimum(phase, RUN_STANCE)), out)
-    # from below the hip to the world: in stance the footprint stays
+    # from below the hip to the world: the footprint is fixed in stance
     along = RUN_SPEED * RUN_CYCLE * (count + delay + phase)
     ankle = xyz(hip[0] * 0.62, pose[:, 2], hip[2] + along + pose[:, 1])
     out_turn = rot("y", sign * 5 * DEGREE)

@@ -1,9 +1,9 @@
 """Make ``assets/motions/walk.bvh``: a synthetic walk from published joint-angle curves of normal adult gait.
 
-The curves say how a person moves, but played on a body of other proportions they make the feet slide. So
-the feet are planned (on the heel, flat, over the toes, each about a point that stays where it is), the legs
-follow by inverse kinematics, and the free parameters of the plan (how the pelvis bobs, how the foot rolls and
-swings) are fitted so that hips, knees and ankles follow the curves as closely as planted feet allow.
+On a body of other proportions the curves alone make the feet slide. So the path of the feet is planned (on
+the heel, flat, over the toes, each about a fixed point), and the legs follow by inverse kinematics. The free
+parameters of the plan (height of the pelvis, pitch and swing of the foot) are fitted so that hips, knees and
+ankles follow the curves as closely as feet that do not slide allow.
 
     python tools/assets/make_walk.py       the committed walk: 2 s, two strides, a quarter circle to the left
     python tools/assets/make_walk.py --turn 0 --output assets/motions/walk_straight.bvh
@@ -36,7 +36,7 @@ STRIDES = 2
 Table = tuple[tuple[float, float], ...]
 
 # Typical values of normal adults at natural cadence: (per cent of the cycle from heel strike, degrees).
-# Typed in to a degree or two, not digitised (the hip without the tilt of the pelvis), after mean curves in
+# To within a degree or two, not digitised (the hip without the tilt of the pelvis), after mean curves in
 #   D. A. Winter, "The Biomechanics and Motor Control of Human Gait", 2nd ed., 1991;
 #   J. Perry, "Gait Analysis: Normal and Pathological Function", 1992;  M. Whittle, "Gait Analysis", 1991.
 # fmt: off
@@ -67,15 +67,15 @@ ELBOW_FLEXION: Table = (
 )
 # fmt: on
 
-# Events of the cycle (Perry). The heel rises with the cube of time, so it is off to the eye at about a third.
+# Events of the cycle (Perry). The heel rises with the cube of time, so its rise is visible at about a third.
 FOOT_FLAT, HEEL_OFF, TOE_OFF = 0.11, 0.22, 0.61
 MID_STANCE = 0.31
 STEP_WIDTH = 0.09  # between the ankles; Murray (1967) and Whittle give 5 to 10 cm
 TOE_OUT = math.radians(6)
-SWAY = 0.022  # of the pelvis to the foot that stands, each way
-BOB = 0.02  # of the pelvis, each way, highest over the foot that stands
+SWAY = 0.022  # of the pelvis towards the standing foot, amplitude
+BOB = 0.02  # height of the pelvis, amplitude, highest above the standing foot
 STEEPEST_FOOT = math.radians(64)  # at toe-off
-STRIKE = math.radians(17)  # toes up at heel strike: what the curves add up to
+STRIKE = math.radians(17)  # toes up at heel strike: the sum of the curves
 CLEARANCE = 0.018  # of heel, ball and tip in mid-swing, at least
 STRAIGHTEST_KNEE = math.radians(4)
 HEEL_BEHIND_ANKLE = 0.05
@@ -90,12 +90,12 @@ HEAD_LOOKS_AHEAD = 0.25  # metres along the path: on a curve the head leads the 
 PELVIS_BANKS, NECK_BANKS, HEAD_BANKS = 0.4, 0.6, 0.15
 GRAVITY = 9.81
 
-# BVH joint: (parent, bone of the human, the end of that bone where the joint is). Both sides likewise.
+# BVH joint: (parent, bone of the human, position along that bone, 0 to 1). The same for both sides.
 TRUNK_JOINTS = {
     "Hips": ("", "sacroiliac", 0.0),
     "Chest": ("Hips", "sacroiliac", 1.0),
     "Neck": ("Chest", "vl5", 1.0),
-    # Table 4.1 has one bone from the neck base to the crown; a neck and a head share it
+    # [thesis table 4.1] has one bone from the base of the neck to the crown; neck and head share it
     "Head": ("Neck", "vt3", 0.35),
     "Head_end": ("Head", "vt3", 1.0),
 }
@@ -132,7 +132,7 @@ class Body:
 
 
 def load_body(path: Path) -> Body:
-    """Read bone_names, bone_heads, bone_tails of a human and turn its arms into the T pose."""
+    """Read bone_names, bone_heads, bone_tails of a human and move its arms into the T pose."""
     with np.load(path) as data:
         names = [str(name) for name in data["bone_names"]]
         heads, tails = data["bone_heads"].astype(float), data["bone_tails"].astype(float)
@@ -151,7 +151,7 @@ def load_body(path: Path) -> Body:
 
 
 def _stretch_arm(joints: dict[str, Array], side: str, sign: float) -> None:
-    """Lay an arm that rests in an A pose along the x axis, in place; a T pose stays as it is."""
+    """Align an arm in an A pose with the x axis, in place; a T pose is not changed."""
     chain = [side + name for name in ("Shoulder", "Elbow", "Wrist", "Wrist_end")]
     links = [joints[b] - joints[a] for a, b in pairwise(chain)]
     if all(abs(link[0]) > 0.9 * np.linalg.norm(link) for link in links):
@@ -160,7 +160,7 @@ def _stretch_arm(joints: dict[str, Array], side: str, sign: float) -> None:
         joints[b] = joints[a] + np.array([sign * np.linalg.norm(link), 0.0, 0.0])
 
 
-# --- small tools --------------------------------------------------------------------------------------------
+# --- helpers --------------------------------------------------------------------------------------------
 
 
 def rot(axis: str, angle: Array | float) -> Array:
@@ -196,12 +196,12 @@ def curve(table: Table, phase: Array) -> Array:
 
 
 def alternating(table: Table) -> Table:
-    """Complete a table of the first half cycle with its mirror image: the other leg's turn."""
+    """Complete a table of the first half cycle with its mirror image, for the other leg."""
     return (*table, *((at + 50, -value) for at, value in table))
 
 
 def segment_frame(down: Array, lateral: Array) -> Array:
-    """Axes (..., 3, 3) of a limb: y against the link, x as near to ``lateral`` as that leaves."""
+    """Axes (..., 3, 3) of a limb: y against the link, x as near to ``lateral`` as possible."""
     y = -unit(down)
     x = unit(lateral - np.sum(lateral * y, axis=-1, keepdims=True) * y)
     return np.stack([x, y, np.cross(x, y)], axis=-1)
@@ -239,7 +239,7 @@ class Foot:
 
     @property
     def sole(self) -> tuple[float, ...]:
-        """Where the foot may touch the floor, along the sole: heel, ball, tip."""
+        """Points of the sole that may touch the floor, along it: heel, ball, tip."""
         return float(self.heel[0]), float(self.toe[0] - 0.04), float(self.toe[0])
 
     @staticmethod
@@ -258,19 +258,19 @@ class Foot:
         return np.array([self.toe[0] - TOE_PIVOT_BEHIND, TOE_PIVOT_HEIGHT])
 
     def ankle_about(self, pivot: Array, pitch: Array) -> Array:
-        """Where the ankle (..., 2) is when the flat foot is turned toes-up about one of its points."""
+        """Position (..., 2) of the ankle when the flat foot rotates toes-up about one of its points."""
         (z, y), c, s = self.ankle - pivot, np.cos(pitch), np.sin(pitch)
         return np.stack([pivot[0] + z * c - y * s, pivot[1] + z * s + y * c], axis=-1)
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The free parameters of the walk; ``fit`` finds them."""
+    """Free parameters of the walk; ``fit`` determines them."""
 
-    lead: float  # how far in front of the pelvis the foot is put down (ankle of the flat foot)
+    lead: float  # distance of the footprint in front of the pelvis (ankle of the flat foot)
     height: Array  # of the pelvis against rest: mean, then cosine and sine at two and four cycles per stride
     surge: Array  # of the pelvis along the path: cosine and sine at two cycles per stride
-    strike: Array  # pitch of the foot at heel strike, and how it comes down
+    strike: Array  # pitch of the foot at heel strike, and its curve after it
     push: Array  # pitch of the foot from heel-off to toe-off: cubic and quartic
     swing_pitch: Array  # shape of the swing on top of the smoothest curve between toe-off and heel strike
     swing_forward: Array
@@ -284,15 +284,15 @@ class Plan:
         return Plan(float(parts[0][0]), *parts[1:])
 
     def stance_pitch(self, phase: Array) -> Array:
-        """Pitch of the foot on the floor: falling after heel strike, zero when flat, then over the toes."""
+        """Pitch of the foot on the floor: falling after heel strike, zero when flat, then onto the toes."""
         u = np.clip(1 - phase / FOOT_FLAT, 0, None)
         v = np.clip((phase - HEEL_OFF) / (TOE_OFF - HEEL_OFF), 0, None)
-        # Cubes: position, velocity and acceleration all join the flat foot
+        # cubes: position, velocity and acceleration are continuous at the flat foot
         down = u**3 * (self.strike[0] + self.strike[1] * (1 - u))
         return np.asarray(down - v**3 * (self.push[0] + self.push[1] * v))
 
     def stance(self, foot: Foot, phase: Array) -> Array:
-        """(..., 3) pitch and ankle (forward, up) of a standing foot."""
+        """Pitch and ankle (forward, up) (..., 3) of a standing foot."""
         pitch = self.stance_pitch(phase)
         early = (phase < (FOOT_FLAT + HEEL_OFF) / 2)[..., None]
         ankle = np.where(early, foot.ankle_about(foot.heel, pitch), foot.ankle_about(foot.toe_pivot, pitch))
@@ -307,7 +307,7 @@ class Plan:
         length, step = 1 - TOE_OFF, 1e-4
         ends = []
         for at, offset in ((TOE_OFF, 0.0), (0.0, stride)):
-            # The curves of the stance go on smoothly beyond its ends, so differences may straddle them
+            # the curves of the stance are smooth beyond its ends, so differences may cross them
             before, here, after = self.stance(foot, at + step * np.array([-1.0, 0.0, 1.0]))
             velocity, acceleration = (after - before) / (2 * step), (after - 2 * here + before) / step**2
             ends.append((here + np.array([0.0, offset, 0.0]), velocity * length, acceleration * length**2))
@@ -317,7 +317,7 @@ class Plan:
         rest, slope, bend = p1 - (p0 + v0 + a0 / 2), v1 - (v0 + a0), a1 - a0
         out = out + rest * (10 * w**3 - 15 * w**4 + 6 * w**5) + slope * (-4 * w**3 + 7 * w**4 - 3 * w**5)
         out = out + bend * (w**3 - 2 * w**4 + w**5) / 2
-        # Squares: the speed at both ends is that of the foot on the floor, but it may be lifted briskly
+        # squares: the speed at both ends is that of the foot on the floor; the acceleration is free
         bump = 16 * (w * (1 - w)) ** 2
         shapes = np.stack([self.swing_pitch, self.swing_forward, self.swing_up], axis=-1)
         return np.asarray(out + bump * np.polynomial.chebyshev.chebval(2 * w[..., 0] - 1, shapes).T)
@@ -341,7 +341,7 @@ class Walk:
 
     @property
     def bank(self) -> float:
-        """How far a person leans into the curve, so that weight and centripetal force go through the feet."""
+        """Lean into the curve, radians, with which weight and centripetal force go through the feet."""
         return math.atan(self.speed**2 * self.path.curvature / GRAVITY)
 
     def pelvis(self, time: Array) -> tuple[Array, Array]:
@@ -370,7 +370,7 @@ class Walk:
         cycles = time / STRIDE_TIME - DELAY[side]
         count, phase = np.floor(cycles + 1e-9), (cycles + 1e-9) % 1.0
         pitch, forward, up = np.moveaxis(self.plan.cycle(foot, phase, self.stride), -1, 0)
-        # The frame of the plan stands still with the foot, and moves on to the next footprint in the swing
+        # the frame of the plan is fixed in the stance, and moves to the next footprint in the swing
         w = np.clip((phase - TOE_OFF) / (1 - TOE_OFF), 0, 1)
         moved = w**3 * (10 - 15 * w + 6 * w**2)
         start = self.plan.lead + self.stride * (count + DELAY[side])
@@ -400,7 +400,7 @@ class Walk:
             raise SystemExit(f"the {side.lower()} foot is out of reach by {reach.max() - a - b:.4f} m")
         down = (ankle - hip) / reach[..., None]
 
-        # The knee points between where the pelvis faces and where the foot points
+        # the knee points between the directions of pelvis and foot
         toes = apply(foot_rotation @ rot("y", Foot.of(body, side).yaw), ahead_of)
         heading = unit(toes * (1.0, 0.0, 1.0))
         lateral = unit(np.cross(-down, unit(heading + pelvis[..., :, 2])))
@@ -432,7 +432,7 @@ class Walk:
         }
 
     def _straighten(self, joint: str, sign: float) -> Array:
-        """Shortest rotation that lays the link to ``joint`` along the x axis."""
+        """Shortest rotation that aligns the link to ``joint`` with the x axis."""
         axis, link = np.array([sign, 0.0, 0.0]), unit(self.body.link(joint))
         turn = np.cross(link, axis)
         sine = float(np.linalg.norm(turn))
@@ -446,7 +446,7 @@ class Walk:
         out["Hips"], position = self.pelvis(time)
         frame, _ = self._banked(along)
         twist = curve(alternating(TRUNK_ROTATION), phase)
-        # The spine takes back most of the pelvic list, so that the shoulders stay level
+        # the spine compensates most of the pelvic list, so that the shoulders stay level
         tilt = -0.25 * curve(alternating(PELVIS_LIST), phase)
         out["Chest"] = frame @ rot("y", -twist) @ rot("z", tilt) @ rot("x", TRUNK_LEAN)
         neck = self._banked(along + HEAD_LOOKS_AHEAD / 2, NECK_BANKS)[0]
@@ -478,8 +478,8 @@ def leg_of(angles: Array, thigh: float, shank: float) -> tuple[Array, Array, Arr
 def fit(body: Body, path: Path2D, speed: float) -> Plan:
     """The plan whose walk along the path follows the published curves best.
 
-    The angles of a leg that is nearly straight, or too short to reach, are no ground to search on. So the
-    search compares direction and length of the whole leg, in units of the angles they stand for.
+    The angles of a leg that is nearly straight, or too short to reach, have no usable derivatives. So the fit
+    compares direction and length of the whole leg, in units of the corresponding angles.
     """
     time = np.arange(100) * STRIDE_TIME / 100
     target, foot = published(time), Foot.of(body, "Left")
@@ -490,7 +490,7 @@ def fit(body: Body, path: Path2D, speed: float) -> Plan:
     highest = 4 * math.pi * MID_STANCE
     bob = BOB * np.array([math.cos(highest), math.sin(highest), 0.0, 0.0])
     swing = np.clip((time - TOE_OFF) / (1 - TOE_OFF), 0, 1)
-    # Half a centimetre low at the ends: so much does the sole under the end of the bone dip below the pivot
+    # half a centimetre low at the ends: the sole under the end of the bone dips that far below the pivot
     clearance = (CLEARANCE + 0.005) * np.sin(np.pi * swing) ** 0.8 - 0.005
 
     def residuals(values: Array) -> Array:
@@ -533,7 +533,7 @@ def write_bvh(
     def joint(name: str, depth: int) -> None:
         pad, parent = "\t" * depth, body.parents[name]
         end = name.endswith("_end")
-        # The root's channels are absolute; readers differ on whether they add the offset, so it is 0
+        # the root's channels are absolute; some readers add the offset, so it is 0
         offset = 100 * body.link(name) if parent else np.zeros(3)
         lines.append(f"{pad}{'End Site' if end else f'JOINT {name}' if parent else f'ROOT {name}'}")
         lines.append(f"{pad}{{")
@@ -552,7 +552,7 @@ def write_bvh(
     joint("Hips", 0)
     frames = np.concatenate(columns, axis=1)
     lines += ["MOTION", f"Frames: {len(frames)}", f"Frame Time: {1 / rate:.10f}"]
-    # Adding zero after rounding turns -0 into 0
+    # adding zero after rounding makes -0 to 0
     lines += [" ".join(f"{value:.{digits}f}" for value in row) for row in np.round(frames, digits) + 0.0]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(lines) + "\n")
@@ -561,7 +561,7 @@ def write_bvh(
 def main() -> None:
     parser = argparse.ArgumentParser(description="Make the synthetic walk.")
     parser.add_argument(
-        "--human", type=Path, default=ROOT / "assets/humans/adult_man.npz", help="whose bones"
+        "--human", type=Path, default=ROOT / "assets/humans/adult_man.npz", help="human whose bones are used"
     )
     parser.add_argument("--turn", type=float, default=90.0, help="degrees to the left in the whole file")
     parser.add_argument("--speed", type=float, default=1.25, help="m/s along the path")

@@ -27,8 +27,8 @@ def main() -> int:
         "motion",
         "slide mm, mean / worst",
         "lowest sole mm",
-        "limits passed",
-        "overlap mm",
+        "limit violations",
+        "penetration mm",
         "fastest m/s",
     )
     print("| " + " | ".join(heads) + " |")

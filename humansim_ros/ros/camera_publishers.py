@@ -98,6 +98,7 @@ class TruthPublishers:
     def __init__(self, node: SceneNode, camera: str) -> None:
         self._frame = messages.optical_frame(camera)
         self._labels = node.scene.labels
+        _ = node.scene.joint_surfaces  # computed now: later it would delay a frame
         self._publishers = {
             topic: node.create_publisher(PointCloud2, f"{camera}/{topic}", DATA)
             for topic in REQUIRED_CHANNELS

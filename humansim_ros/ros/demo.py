@@ -94,7 +94,7 @@ def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Co
 
 def _print_failure(console: Console, dead: tuple[str, int] | None, silent: list[str]) -> None:
     if dead:
-        console.print(f"error: node {dead[0]} ended by itself (exit code {dead[1]})", style="red")
+        console.print(f"error: node {dead[0]} ended unexpectedly (exit code {dead[1]})", style="red")
     else:
         console.print(
             f"error: nothing arrived within {_START_LIMIT:.0f} s on {', '.join(silent)}", style="red"

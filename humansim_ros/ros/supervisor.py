@@ -53,7 +53,7 @@ class Supervisor:
         return {name: process.pid for name, process in self._running.items()}
 
     def dead(self) -> tuple[str, int] | None:
-        """Name and exit code of a node that has ended by itself; None while all run."""
+        """Name and exit code of a node that has ended unexpectedly; None while all run."""
         for name, process in self._running.items():
             code = process.poll()
             if code is not None:
@@ -61,7 +61,7 @@ class Supervisor:
         return None
 
     def wait(self, until: float | None = None) -> tuple[str, int] | None:
-        """Wait until a node ends by itself, or until the monotonic time ``until``.
+        """Wait until a node ends unexpectedly, or until the monotonic time ``until``.
 
         Returns:
             Name and exit code of the node, or None at ``until``.

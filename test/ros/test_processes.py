@@ -98,7 +98,7 @@ def test_a_node_that_dies_is_named_and_the_others_stop(
     (victim,) = [pid for pid, line in nodes.items() if "skinner_second" in line]
     os.kill(victim, signal.SIGKILL)
     assert running.wait(30) == 1
-    assert "node skinner_second ended by itself" in (tmp_path / "output").read_text()
+    assert "node skinner_second ended unexpectedly" in (tmp_path / "output").read_text()
     assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
 
 

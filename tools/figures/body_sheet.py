@@ -1,8 +1,8 @@
-"""Bodies through motions, to be looked at: a row for each body, columns at rest, walking, sitting, waving.
+"""Draw humans in poses of motions, for visual inspection: one row per human, the rest pose first.
 
     python tools/figures/body_sheet.py OUT.jpg [BODY ...]
 
-A BODY is a built-in human or any file that one is loaded from; all built-in ones if none is named.
+A BODY is a built-in human, or a file of a human. Without BODY, all built-in humans are drawn.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ SHOTS = (("walk", 0.25), ("walk", 0.75), ("run", 0.3), ("sit_stand", 2.0), ("pic
 
 
 def row(body: str) -> Image:
-    """One body in all its poses."""
+    """Draw one human in all poses."""
     human = load_human(find_asset(body, "humans"))
     artist = HumanArtist(human, SIZE)
     pictures = [artist.draw(human, 30)]

@@ -1,9 +1,9 @@
-"""The same scene through every calibration of a folder, a tile each (docs/images/calibrations.jpg).
+"""Render a scene with each calibration of a folder, one tile per camera (docs/images/calibrations.jpg).
 
     python tools/figures/calibration_sheet.py FOLDER -o sheet.jpg
 
-Rigs look at three people who stand where their optical axes meet, in a room as large as the rig needs;
-cameras that say nothing of their place stand in the demo's room.
+Three humans are placed at the intersection of the optical axes of a rig, in a room that contains the rig.
+Cameras without a pose are placed in the room of the demo scene.
 """
 
 from __future__ import annotations
@@ -35,25 +35,25 @@ from humansim_ros.types import (  # noqa: E402
 
 _TILE = (330, 252)
 _COLUMNS = 5
-#: Files in this order, and how many of their cameras are shown; others come first, whole rigs of up to five.
+#: Number of tiles of these files, in this order. Other files come first, with up to five cameras.
 _SHOWN = {"campus_voxelpose": 3, "shelf_voxelpose": 5, "human36m_camera-parameters": 4, "templeSR_par": 1}
 _MAX = 5
 _ROOM = (7.0, 6.4, 2.8)
-#: Who does what, which way it faces, and where it is from where the cameras look, metres.
+#: Motion of each human, yaw in degrees, and offset (x, y) from the target of the cameras, metres.
 _PEOPLE = {
     "adult_man": ("wave", -50, (-0.2, 0.55)),
     "adult_woman": ("walk", 0, (-0.35, -0.55)),
     "child": ("run", 60, (0.5, 0.1)),
 }
 _SECONDS = 1.1
-#: Where a camera of no place is put, and what it looks at.
+#: Position and target of a camera without a pose, metres.
 _PLACE, _TARGET = (2.75, -2.1, 1.75), (0.0, 0.0, 0.85)
-#: The temple's world in metres per unit, its axis that is up, and its floor: it is 0.16 long along y.
+#: Metres per unit, up axis and floor height in units of the temple data set; the temple is 0.16 long in y.
 _SMALL = ("templeSR_par", 11.0, "y", -0.038)
 
 
 def people() -> list[Body]:
-    """Three people about the origin."""
+    """Three humans around the origin."""
     humans = {
         body: {"body": body, "motion": {"file": motion, "yaw_deg": yaw}}
         for body, (motion, yaw, _) in _PEOPLE.items()
@@ -69,14 +69,14 @@ def people() -> list[Body]:
 
 
 def meeting_point(cameras: list[Camera]) -> Array:
-    """The point nearest to all optical axes, (3,)."""
+    """Point (3,) with the smallest sum of squared distances from all optical axes."""
     across = [np.eye(3) - np.outer(camera.R[2], camera.R[2]) for camera in cameras]
     toward = sum(a @ camera.center for a, camera in zip(across, cameras, strict=True))
     return np.linalg.solve(sum(across), toward)
 
 
 def tiles(path: Path, group: list[Body]) -> Iterator[Image]:
-    """What the cameras of a file see."""
+    """Render the images of the cameras of a file."""
     unit, up, floor, note = None, None, 0.0, ""
     if path.stem == _SMALL[0]:
         _, unit, up, base = _SMALL
@@ -140,7 +140,7 @@ def main() -> int:
         try:
             shown.extend(tiles(path, group))
         except HumansimError as error:
-            print(f"left out: {error}")
+            print(f"skipped: {error}")
     if not shown:
         print(f"no calibration in {options.folder}")
         return 1

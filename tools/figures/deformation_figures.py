@@ -1,8 +1,8 @@
-"""How well bodies bend: volume at the joints, flipped triangles, stretched edges, as Markdown tables.
+"""Measure deformations by skinning: volume at joints, flipped triangles, stretched edges, as Markdown tables.
 
     python tools/figures/deformation_figures.py [HUMAN ...] [--motions walk sit_stand wave]
 
-Without HUMAN: all built-in ones. See docs/skinning.md for what the figures mean.
+Without HUMAN, all built-in humans are measured. docs/skinning.md defines the figures.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from humansim_ros.types import Array
 
 ROOT = Path(__file__).resolve().parents[2]
 MOTIONS = ("walk", "sit_stand", "wave")
-#: Rows of the table of volumes: what turns, about which body axis (x left, y up, z front), degrees.
+#: Columns of the table of volumes: bone that turns, body axis (x left, y up, z front) or "along", degrees.
 BENDS = {
     "elbow 90": ("l_elbow", "y", -90.0),
     "elbow 120": ("l_elbow", "y", -120.0),
@@ -41,7 +41,7 @@ BENDS = {
 
 
 def bent(human: Human, bone: str, axis: str, degrees: float) -> Array:
-    """Rest-to-posed transforms (B, 4, 4) with a bone turned about an axis of the body, or "along" itself."""
+    """Rest-to-posed transforms (B, 4, 4) with one bone turned about an axis of the body, or about itself."""
     skeleton = human.skeleton
     index = skeleton.bone(bone)
     own = Rotation.from_matrix(skeleton.rest[index, :3, :3])
@@ -55,12 +55,11 @@ def bent(human: Human, bone: str, axis: str, degrees: float) -> Array:
 
 
 def joint_region(human: Human, bone: str, reach: float = 0.6) -> NDArray[np.int32]:
-    """A closed surface (N, 3) around a joint.
+    """Closed surface (N, 3) around a joint: the limb at rest, from ``reach`` of the bone before the joint to
+    ``reach`` of the bone after it, as fractions of their lengths.
 
-    The limb between ``reach`` of the bone before the joint and ``reach`` of the bone after it, at rest, the
-    largest piece of it if there are several, with a lid on each end.
-
-    A lid is a fan of triangles about one vertex of its rim: no vertex is added.
+    If there are several pieces, it is the largest one. Each end is closed by a fan of triangles about one
+    vertex of its rim, so that no vertex is added.
     """
     skeleton, vertices, triangles = human.skeleton, human.mesh.vertices, human.mesh.triangles
     index = skeleton.bone(bone)
@@ -79,7 +78,7 @@ def joint_region(human: Human, bone: str, reach: float = 0.6) -> NDArray[np.int3
 
 
 def _lids(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Fans (N, 3) over the holes of a surface."""
+    """Triangle fans (N, 3) that close the holes of a surface."""
     edges = {(int(a), int(b)) for t in triangles for a, b in ((t[0], t[1]), (t[1], t[2]), (t[2], t[0]))}
     rims = [edge for edge in edges if edge[::-1] not in edges]
     numbers = sorted({v for edge in rims for v in edge})
@@ -93,13 +92,13 @@ def _lids(triangles: NDArray[np.int32]) -> NDArray[np.int32]:
 
 
 def volume(vertices: Array, surface: NDArray[np.int32]) -> float:
-    """Of a closed surface (N, 3), cubic metres; what folds into itself counts twice."""
+    """Volume of a closed surface (N, 3), cubic metres. Self-intersections count twice."""
     a, b, c = (vertices[surface[:, i]] - vertices.mean(axis=0) for i in range(3))
     return float(np.einsum("ij,ij->", a, np.cross(b, c)) / 6)
 
 
 def volume_change(human: Human, bone: str, axis: str, degrees: float, method: str) -> float:
-    """Volume of the joint's region, bent, by that at rest, less 1."""
+    """Relative change of the volume at a joint when a bone turns."""
     region, rest = joint_region(human, bone), human.mesh.vertices
     posed = skin(rest, human.weights, bent(human, bone, axis, degrees), method)
     return volume(posed, region) / volume(rest, region) - 1
@@ -107,11 +106,12 @@ def volume_change(human: Human, bone: str, axis: str, degrees: float, method: st
 
 @dataclass(frozen=True)
 class Deformation:
-    """How a surface fares in a motion of F frames.
+    """Deformation of a surface in a motion of F frames.
 
-    ``flipped``: (F,) share of the triangles that face away from where they would face if they had turned with
-    the bone that their corners follow most. ``stretch``: (F, E) length of the edges by that at rest.
-    ``normals_off``: (F, V) degrees between the normals that bones carry and those of the surface.
+    ``flipped``: (F,) fraction of triangles that face away from their normal at rest, rotated with the bone of
+    largest weight at their corners. ``stretch``: (F, E) edge lengths divided by those at rest.
+    ``normals_off``: (F, V) angles in degrees between carried normals and normals of the surface. ``edges``:
+    (E, 2) vertices. ``lengths``: (E,) lengths at rest, metres.
     """
 
     flipped: Array
@@ -122,7 +122,10 @@ class Deformation:
 
 
 def deformation(human: Human, transforms: Array, method: str) -> Deformation:
-    """Of rest-to-posed transforms (F, B, 4, 4). Triangles and edges without size at rest are left out."""
+    """Measure the deformation by rest-to-posed transforms (F, B, 4, 4).
+
+    Triangles without area and edges without length at rest are ignored.
+    """
     rest, triangles = human.mesh.vertices, human.mesh.triangles
     skinner = make_skinner(method, rest, human.weights, np.float64)
     edges = np.unique(np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
@@ -153,7 +156,7 @@ def _areas(vertices: Array, triangles: NDArray[np.int32]) -> Array:
 
 
 def motion_transforms(human: Human, path: Path, rate: float = 10.0) -> Array:
-    """Rest-to-posed transforms (F, B, 4, 4) of a motion, some frames a second."""
+    """Rest-to-posed transforms (F, B, 4, 4) of a motion, with about ``rate`` frames per second."""
     world = to_world(read_bvh(path))
     times = world.frame_times
     some = times[:: max(1, round(1 / (rate * (times[1] - times[0]))))]

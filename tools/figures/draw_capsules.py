@@ -1,8 +1,8 @@
-"""Picture of a body with the capsules that self-penetration is measured by (docs/images/capsules.jpg).
+"""Draw the capsules by which self-penetration is measured (docs/images/capsules.jpg).
 
     python tools/figures/draw_capsules.py OUTPUT
 
-Left: the start of a stride, right: a hand in the belly; capsules that are in each other are red.
+Left: the start of a stride. Right: a hand inside the belly. Capsules that overlap are red.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from humansim_ros.resources import resource_path
 from humansim_ros.rotations import WORLD_FROM_BODY, transform
 from humansim_ros.types import Array
 
-#: Bones turned about body axes (x left, y up, z front), degrees.
+#: Rotations of bones about body axes (x left, y up, z front), degrees.
 POSES: tuple[Mapping[str, tuple[str, list[float]]], ...] = (
     {
         "l_shoulder": ("zy", [-65, 25]),

@@ -1,4 +1,4 @@
-"""The demo scene through four lenses, with the joints where the truth puts them (docs/images/lenses.jpg).
+"""Draw the demo scene with four lenses and the true positions of the joints (docs/images/lenses.jpg).
 
 python tools/figures/lens_picture.py OUTPUT
 """
@@ -22,7 +22,7 @@ from humansim_ros.truth.joints import joint_surfaces, view_joints  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 
 _SECONDS = 2.3
-#: What it says, coefficients, model, and focal length in pixels of a 640x480 image.
+#: Coefficients, model, and focal length in pixels of a 640x480 image, by title.
 _LENSES = {
     "ideal": ((), None, 430.0),
     "barrel: plumb_bob, k1 -0.36, k2 0.11": ((-0.361976, 0.110510, 0.001014, 0.000505, 0.0), None, 430.0),

@@ -1,4 +1,4 @@
-"""Figures of the built-in motions on the default human, as a Markdown table (docs/motions.md)."""
+"""Measure the built-in motions on the default human, as a Markdown table (docs/motions.md)."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 #!/usr/bin/env python3
-"""Pictures of docs/look.md: light and shadows, worlds, backgrounds, looks drawn at random.
+"""Render the images of docs/look.md: light, shadows, environments, backgrounds, randomised scenes.
 
     python tools/figures/look_pictures.py [-o docs/images]
 
-What the scenes are made of (a courtyard as .glb, a sky as .hdr, a photograph) is made here, by rule.
+The assets of the scenes (a courtyard as .glb, a sky as .hdr, a photograph) are generated here.
 """
 
 import argparse
@@ -55,7 +55,7 @@ SCENES = {
 
 
 def court() -> bytes:
-    """A courtyard as .glb, y up: paving, pillars of rough stone, a ball of bronze, glass, a lantern."""
+    """Courtyard as .glb, y up: paving, pillars of rough stone, a bronze ball, a glass pane, a lantern."""
     rng = np.random.default_rng(3)
     stone, paving = (
         np.clip(
@@ -118,7 +118,7 @@ def court() -> bytes:
     for material, faces in quads.items():
         rows = np.array([[*p, *uv] for quad in faces for p, uv in quad], "<f4")
         corners = np.arange(len(rows))
-        if material == 2:  # what is round is of one surface
+        if material == 2:  # shared vertices make the ball smooth
             rows, corners = np.unique(rows.round(5), axis=0, return_inverse=True)
         corners = corners.reshape(-1, 4)[:, [0, 1, 2, 0, 2, 3]]
         arrays = [
@@ -181,7 +181,7 @@ def court() -> bytes:
 
 
 def sky(width: int = 4096) -> np.ndarray:
-    """A panorama (H, W, 3) of linear light: sky, clouds, sun, hills, grass."""
+    """Panorama (H, W, 3) of linear light: sky, clouds, sun, hills, grass."""
     height = width // 2
     rng = np.random.default_rng(5)
     left = np.pi - 2 * np.pi * (np.arange(width) + 0.5) / width
@@ -211,7 +211,7 @@ def sky(width: int = 4096) -> np.ndarray:
 
 
 def photograph() -> np.ndarray:
-    """A hall, a little out of focus, as the scene's camera would see it without anybody in it."""
+    """Photograph of an empty hall from the pose of the scene's camera, slightly out of focus."""
     renderer = GLRenderer(furnished_room((9.0, 8.0, 3.2), seed=8), Lighting(shadows="soft"))
     camera = Camera.look_at((3.0, 2.3, 1.9), (-0.2, 0.2, 0.75), (1280, 960), np.radians(58))
     rgb = renderer.render([], camera, ("rgb",)).rgb
@@ -220,7 +220,7 @@ def photograph() -> np.ndarray:
 
 
 def take(folder: Path, name: str) -> np.ndarray:
-    """The picture (480, 640, 3), BGR, of one of the scenes."""
+    """Render an image (480, 640, 3), BGR, of a scene."""
     path = folder / f"{name}.yaml"
     people = PEOPLE.replace(FAR, NEAR) if name in ("matt", "skin") else PEOPLE
     path.write_text(people + SCENES[name] + "\n")

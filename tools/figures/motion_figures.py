@@ -1,13 +1,12 @@
-"""Figures of how motion files come out on the general skeleton, as a Markdown table (docs/motion.md).
+"""Measure the retargeting of motion files to the general skeleton, as a Markdown table (docs/motion.md).
 
     python tools/figures/motion_figures.py FOLDER
 
-Directions: largest angle between a limb bone and its joint link. Twist: largest turn about the bone between
-what its joint has turned since rest (from the file's channels, by SciPy) and what the bone has. Bend axes:
-mean angle, over elbows and knees, between the axis that the limb really bends about and the skeleton's own,
-with the thesis' swing and with whole rotations. Slide: mean way of the standing part of the sole over the
-floor per stance, as retargeted and with feet pinned. Lowest: 1st and 50th percentile of the lowest point of
-the feet. Height: head's top over the floor, 95th percentile.
+Directions: largest angle between a limb bone and its link. Twist: largest difference, about the bone, between
+the rotation of the joint since the first frame and that of the bone. Bend axes: mean angle, over elbows and
+knees, between the actual bend axis and that of the skeleton, in the modes ``thesis`` and ``full``. Slide:
+mean distance that the sole slides in a stance, as retargeted and with pinned feet. Lowest: 1st and 50th
+percentile of the lowest point of the feet. Height: 95th percentile of the top of the head above the floor.
 """
 
 from __future__ import annotations
@@ -86,7 +85,7 @@ def row(path: Path) -> list[str]:
 
 
 def directions(posed: Array, positions: Array, retargeter: Retargeter) -> float:
-    """Degrees: bones against links."""
+    """Largest angle between limb bones and their links, degrees."""
     worst = 0.0
     for bone in LIMBS:
         start, end = retargeter.match.parallel[bone]
@@ -98,7 +97,7 @@ def directions(posed: Array, positions: Array, retargeter: Retargeter) -> float:
 
 
 def twist(posed: Array, rotations: Array, retargeter: Retargeter) -> float:
-    """Degrees about the bone, relative to the first frame, between the joints' turns and the bones'."""
+    """Largest difference about the bone between rotations of joint and bone since frame 0, degrees."""
     worst = 0.0
     for bone in LIMBS:
         joint = Rotation.from_quat(rotations[:, retargeter.match.parallel[bone][0]])
@@ -110,7 +109,7 @@ def twist(posed: Array, rotations: Array, retargeter: Retargeter) -> float:
 
 
 def bend_axes(posed: Array) -> float:
-    """Degrees between the axes that elbows and knees bend about and those of the skeleton at rest."""
+    """Mean angle between bend axes of elbows and knees and those of the skeleton at rest, degrees."""
     angles = []
     for upper, lower, axis in HINGES:
         bone = SKELETON.bone(upper)

@@ -1,4 +1,4 @@
-"""A contact sheet of the people in a folder of BVH files: each in the middle of its motion, on the floor.
+"""Draw a contact sheet of a folder of BVH files: the default human in the middle frame of each motion.
 
 python tools/figures/motion_sheet.py FOLDER -o sheet.jpg
 """
@@ -33,7 +33,7 @@ def main() -> int:
         try:
             world = to_world(motion)
         except HumansimError as error:
-            print(f"left out: {path.name}: {error.message[:80]}")
+            print(f"skipped: {path.name}: {error.message[:80]}")
             continue
         person = SkinnedArtist(human, world, (200, 260))
         tile = np.ascontiguousarray(person.draw(motion.n_frames // 2 * motion.frame_time))
@@ -43,7 +43,7 @@ def main() -> int:
         )
         tiles.append(tile)
     if not tiles:
-        print(f"no person in {options.folder}")
+        print(f"no motion of a person in {options.folder}")
         return 1
     tiles += [np.full_like(tiles[0], 255)] * (-len(tiles) % options.columns)
     rows = [np.concatenate(tiles[i : i + options.columns], 1) for i in range(0, len(tiles), options.columns)]

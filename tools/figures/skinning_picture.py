@@ -1,4 +1,4 @@
-"""Picture of an elbow and a knee bent by 90 degrees, both ways of skinning (docs/images/skinning.jpg).
+"""Render bent and twisted limbs with both skinning methods (docs/images/skinning.jpg).
 
 python tools/figures/skinning_picture.py OUTPUT [HUMAN]
 """
@@ -23,9 +23,9 @@ from humansim_ros.types import Image
 
 _SIZE = (360, 330)
 _LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-#: Above the floor, and what is seen of it.
+#: Offset of the body, far above the floor.
 _UP = np.array([0.0, 0.0, 10.0])
-#: Where the camera is from the joint, in the world (x front, y left, z up), metres; and what it looks at.
+#: Position and target of the camera relative to the joint (x front, y left, z up), metres.
 _VIEWS = {
     "elbow 90": ((-0.1, 0.0, 0.9), (0.08, -0.02, 0.0)),
     "knee 90": ((0.15, 1.1, 0.25), (-0.03, 0.0, -0.02)),

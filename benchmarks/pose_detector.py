@@ -1,11 +1,11 @@
-"""Does a stock pose detector take our people for people, and find their joints where they are?
+"""Compare the joints that a pose detector finds in rendered images with the joints of the scene.
 
-    python benchmarks/pose_detector.py [--python PATH] [--picture found.jpg] [--outfits all|first]
+    python benchmarks/pose_detector.py [--python PATH] [--picture sheet.jpg] [--outfits all|first]
 
-Every built-in person, in every outfit, walks in the furnished room and is seen at four instants from eight
-sides, 340 pixels tall in 640x480 images. MediaPipe Pose (0.10.21, its model is in its wheel) looks at each
-image by itself. Printed are in how many views it found somebody, and how far its shoulders, elbows, wrists,
-hips, knees and ankles are from ours, in pixels. It wants NumPy 1 and runs in an environment of its own:
+Every built-in human walks in every outfit in the furnished room. It is rendered at four times from eight
+sides, 340 pixels tall in images of 640x480. MediaPipe Pose (0.10.21, its model is in its wheel) processes each
+image independently. Printed are the number of views with a detection, and the errors in pixels of shoulders,
+elbows, wrists, hips, knees and ankles. MediaPipe needs NumPy 1 and runs in a virtual environment of its own:
 
     python3.12 -m venv detector && detector/bin/pip install mediapipe==0.10.21
     python benchmarks/pose_detector.py --python detector/bin/python
@@ -40,34 +40,35 @@ JOINTS = {
     for side, number in (("l", left), ("r", left + 1))
 }
 SIDES = 8
-TALL = 340.0
+#: Height of a human in an image, pixels.
+HEIGHT = 340.0
 SIZE = (640, 480)
-#: Instants of the walk, seconds.
-PHASES = (0.0, 0.3, 0.6, 0.9)
+#: Seconds of the walk.
+TIMES = (0.0, 0.3, 0.6, 0.9)
 
 
 def detect(folder: Path) -> None:
-    """Run in the detector's environment: landmarks of every image in a folder, written beside them."""
+    """Write the joints detected in the images of a folder; runs in the environment of the detector."""
     import cv2
     import mediapipe
 
     options = {"static_image_mode": True, "model_complexity": 1, "min_detection_confidence": 0.5}
-    found = {}
+    detected = {}
     with mediapipe.solutions.pose.Pose(**options) as pose:
         for path in sorted(folder.glob("*.png")):
             image = cv2.imread(str(path))[..., ::-1].copy()
             marks = pose.process(image).pose_landmarks
             height, width = image.shape[:2]
-            # its coordinates are fractions of the image; pixel centres are integers here
-            found[path.stem] = marks and [
+            # MediaPipe has fractions of the image; here pixel centers are integers
+            detected[path.stem] = marks and [
                 (marks.landmark[k].x * width - 0.5, marks.landmark[k].y * height - 0.5)
                 for k in JOINTS.values()
             ]
-    (folder / "found.json").write_text(json.dumps(found))
+    (folder / "joints.json").write_text(json.dumps(detected))
 
 
-def draw_people(folder: Path, all_outfits: bool) -> dict[str, list[list[float]]]:
-    """Images of all people from all sides in a folder; where their joints are (12, 2), by image."""
+def render_humans(folder: Path, all_outfits: bool) -> dict[str, list[list[float]]]:
+    """Write images of all humans from all sides into a folder; return the joints (12, 2) by image."""
     import numpy as np
 
     from humansim_ros.cli.human import built_in_humans
@@ -88,21 +89,21 @@ def draw_people(folder: Path, all_outfits: bool) -> dict[str, list[list[float]]]
             dressed = human.wearing(outfit)
             motion = MotionConfig(file="walk", anchor="center")
             actor = Actor.build(name, 1, dressed, motion, SceneSource())
-            for phase, time in enumerate(PHASES):
+            for frame, time in enumerate(TIMES):
                 state = actor.at(time)
                 for side, camera in enumerate(cameras_around(state.vertices, human)):
                     view = renderer.render([actor.body(state.vertices)], camera, ("rgb",))
                     assert view.rgb is not None
-                    image = f"{name}-{outfit}-{phase}{side}"
+                    image = f"{name}-{outfit}-{frame}{side}"
                     write_png(folder / f"{image}.png", view.rgb)
-                    places = [state.positions[state.joint_names.index(joint)] for joint in JOINTS]
-                    truth[image] = camera.project(np.array(places))[0].tolist()
+                    joints = [state.positions[state.joint_names.index(joint)] for joint in JOINTS]
+                    truth[image] = camera.project(np.array(joints))[0].tolist()
     renderer.close()
     return truth
 
 
 def cameras_around(vertices: Any, human: Human) -> list[Camera]:
-    """Cameras on all sides of a person, from whom it is as tall as it should be."""
+    """Create cameras on all sides of a human, at the distance at which it has the height in the image."""
     import numpy as np
 
     from humansim_ros.camera import Camera
@@ -110,46 +111,56 @@ def cameras_around(vertices: Any, human: Human) -> list[Camera]:
     middle = (vertices.min(0) + vertices.max(0)) / 2
     fov = np.radians(50.0)
     stature = float(np.ptp(human.mesh.vertices[:, 1]))
-    away = stature * SIZE[0] / (2 * np.tan(fov / 2)) / TALL
+    distance = stature * SIZE[0] / (2 * np.tan(fov / 2)) / HEIGHT
     angles = 2 * np.pi * np.arange(SIDES) / SIDES + 0.2
-    ways = np.column_stack([away * np.cos(angles), away * np.sin(angles), np.full(SIDES, 0.35)])
-    return [Camera.look_at(tuple(middle + way), tuple(middle), SIZE, float(fov)) for way in ways]
+    offsets = np.column_stack([distance * np.cos(angles), distance * np.sin(angles), np.full(SIDES, 0.35)])
+    return [Camera.look_at(tuple(middle + offset), tuple(middle), SIZE, float(fov)) for offset in offsets]
 
 
-def report(truth: dict[str, list[list[float]]], found: dict[str, list[list[float]] | None]) -> bool:
-    """Print a table; whether everybody was found everywhere."""
+def report(truth: dict[str, list[list[float]]], detected: dict[str, list[list[float]] | None]) -> bool:
+    """Print a table of errors; return whether there is a detection in every view."""
     import numpy as np
 
-    print(f"{'person':16} {'outfit':10} {'found':>7}   mean median   95 %   pixels; mean by joint")
-    people: dict[tuple[str, str], list[str]] = {}
+    print(f"{'human':16} {'outfit':10} {'detected':>8}   mean median   95 %   pixels; mean by joint")
+    groups: dict[tuple[str, str], list[str]] = {}
     for image in truth:
         name, outfit, _ = image.rsplit("-", 2)
-        people.setdefault((name, outfit), []).append(image)
+        groups.setdefault((name, outfit), []).append(image)
     names = [joint.removeprefix("l_") for joint in JOINTS if joint.startswith("l_")]
-    everything = []
-    for (name, outfit), images in people.items():
-        seen = [image for image in images if found[image]]
-        errors = np.array([np.linalg.norm(np.array(found[i]) - np.array(truth[i]), axis=1) for i in seen])
-        everything.append(errors)
-        by_joint = errors.reshape(len(seen), -1, 2).mean(axis=(0, 2)) if len(seen) else []
+    all_errors = []
+    for (name, outfit), images in groups.items():
+        hits = [image for image in images if detected[image]]
+        errors = np.array([np.linalg.norm(np.array(detected[i]) - np.array(truth[i]), axis=1) for i in hits])
+        all_errors.append(errors)
+        by_joint = errors.reshape(len(hits), -1, 2).mean(axis=(0, 2)) if len(hits) else []
         parts = " ".join(f"{joint} {error:.1f}" for joint, error in zip(names, by_joint, strict=False))
         print(
-            f"{name:16} {outfit:10} {len(seen):3}/{len(images)} {errors.mean():6.2f} "
+            f"{name:16} {outfit:10} {len(hits):4}/{len(images)} {errors.mean():6.2f} "
             f"{np.median(errors):6.2f} {np.percentile(errors, 95):6.2f}   {parts}"
         )
-    total = np.concatenate(everything)
-    count = sum(len(images) for images in people.values())
+    total = np.concatenate(all_errors)
+    count = sum(len(images) for images in groups.values())
     print(
-        f"all: found in {len(total)} of {count} views; error {total.mean():.2f} px in the mean, "
-        f"{np.median(total):.2f} px in the median, at {TALL:.0f} px height"
+        f"all: detected in {len(total)} of {count} views; error {total.mean():.2f} px (mean), "
+        f"{np.median(total):.2f} px (median), at a height of {HEIGHT:.0f} px"
     )
     return len(total) == count
 
 
-def draw_picture(
-    path: Path, folder: Path, truth: dict[str, list[list[float]]], found: dict[str, list[list[float]] | None]
+def draw_sheet(
+    path: Path,
+    folder: Path,
+    truth: dict[str, list[list[float]]],
+    detected: dict[str, list[list[float]] | None],
 ) -> None:
-    """The first outfits from every second side: our joints as green rings, the detector's as red dots."""
+    """Draw the first outfit of each human from every second side, with joints and detections.
+
+    Args:
+        path: File to write.
+        folder: Folder with the images.
+        truth: Joints of the scene by image: green rings.
+        detected: Detected joints by image, or None: red dots.
+    """
     import cv2
     import numpy as np
 
@@ -162,14 +173,14 @@ def draw_picture(
     for images in first.values():
         row = []
         for image in images[:SIDES:2]:
-            picture = cv2.imread(str(folder / f"{image}.png"))
+            view = cv2.imread(str(folder / f"{image}.png"))
             for (x, y), color, radius, width in (
                 *((point, (80, 220, 60), 5, 1) for point in truth[image]),
-                *((point, (40, 40, 240), 3, -1) for point in found[image] or []),
+                *((point, (40, 40, 240), 3, -1) for point in detected[image] or []),
             ):
                 at = (round(16 * x), round(16 * y))
-                cv2.circle(picture, at, 16 * radius, color, width, cv2.LINE_AA, 4)
-            row.append(picture[40:460, 160:480])
+                cv2.circle(view, at, 16 * radius, color, width, cv2.LINE_AA, 4)
+            row.append(view[40:460, 160:480])
         rows.append(np.concatenate(row, axis=1))
     columns = [np.concatenate(rows[k::2], axis=0) for k in range(2)] if len(rows) % 2 == 0 else None
     sheet = np.concatenate(columns, axis=1) if columns else np.concatenate(rows, axis=0)
@@ -178,8 +189,14 @@ def draw_picture(
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--python", default=os.environ.get("POSE_DETECTOR_PYTHON"), help="of its environment")
-    parser.add_argument("--picture", type=Path, help="a sheet of what was found (.jpg)")
+    parser.add_argument(
+        "--python",
+        default=os.environ.get("POSE_DETECTOR_PYTHON"),
+        help="Python of the detector's environment",
+    )
+    parser.add_argument(
+        "--picture", type=Path, help="write a sheet of images with joints and detections (.jpg)"
+    )
     parser.add_argument("--outfits", choices=("all", "first"), default="all")
     parser.add_argument("--detect", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -187,18 +204,20 @@ def main() -> int:
         detect(options.detect)
         return 0
     if options.python is None:
-        print("left out: no environment with a pose detector (see the head of this file)")
+        print(
+            "skipped: no environment with a pose detector (the docstring of this file says how to make one)"
+        )
         return 0
     sys.path.insert(0, str(ROOT))
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        truth = draw_people(folder, options.outfits == "all")
+        truth = render_humans(folder, options.outfits == "all")
         command = [options.python, str(Path(__file__).resolve()), "--detect", str(folder)]
         subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
-        found = json.loads((folder / "found.json").read_text())
-        complete = report(truth, found)
+        detected = json.loads((folder / "joints.json").read_text())
+        complete = report(truth, detected)
         if options.picture is not None:
-            draw_picture(options.picture, folder, truth, found)
+            draw_sheet(options.picture, folder, truth, detected)
     return int(not complete)
 
 

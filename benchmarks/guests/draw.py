@@ -1,9 +1,9 @@
-"""Draws the shots of benchmarks/core.py with another renderer, in whatever Python has it.
+"""Render the frames of benchmarks/core.py with another renderer, in a Python that has it.
 
     PYTHON draw.py RENDERER SHOTS.npz
 
-Prints the renderer's name and version; then, for every number of a shot on its input, the milliseconds that
-setting the vertices, drawing and reading back took.
+Prints name and version of the renderer. Then, for each number of a frame on standard input, it prints the
+milliseconds for setting the vertices, drawing and reading back.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ def open3d(shots: Shots) -> tuple[str, Draw]:
         renderer.scene.clear_geometry()
         renderer.scene.add_geometry("body", mesh, material)
         renderer.setup_camera(shots["K"][number], shots["extrinsics"][number], width, height)
-        picture = np.asarray(renderer.render_to_image())
-        return picture, np.asarray(renderer.render_to_depth_image(z_in_view_space=True))
+        color = np.asarray(renderer.render_to_image())
+        return color, np.asarray(renderer.render_to_depth_image(z_in_view_space=True))
 
     return f"Open3D {o3d.__version__}: rgb, depth", draw
 
@@ -55,7 +55,7 @@ def aitviewer(shots: Shots) -> tuple[str, Draw]:
 
     import moderngl
 
-    # it would ask X11 for a window
+    # aitviewer would open an X11 window
     moderngl.create_standalone_context = partial(moderngl.create_standalone_context, backend="egl")
     from aitviewer.configuration import CONFIG
     from aitviewer.headless import HeadlessRenderer
@@ -113,7 +113,7 @@ def blender(shots: Shots) -> tuple[str, Draw]:
     scene.camera = camera
     scene.render.engine = "BLENDER_WORKBENCH"
     scene.display.shading.color_type = "TEXTURE"
-    scene.display.render_aa = "OFF"  # eight samples, its default, take six times as long
+    scene.display.render_aa = "OFF"  # the default, eight samples, takes six times as long
     scene.render.resolution_x, scene.render.resolution_y = width, height
     scene.render.image_settings.compression = 0
     camera.data.clip_start, camera.data.clip_end = _NEAR, _FAR
@@ -140,7 +140,7 @@ RENDERERS = {"open3d": open3d, "aitviewer": aitviewer, "blender": blender}
 
 
 def main() -> int:
-    # what libraries print must not come between the answers
+    # output of libraries must not mix with the answers
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)
     with np.load(sys.argv[2]) as archive:

@@ -1,6 +1,6 @@
-"""The errors this package raises on bad input: one family, made for the person who reads them.
+"""Exceptions and warnings of the package.
 
-Every message says what is wrong, where (file, line or key), and what to do. The command line prints them
+Each message says what is wrong, where (file, line or key) and what to do. The command line prints errors
 without a traceback and exits with code 2.
 """
 
@@ -15,9 +15,9 @@ from typing import Any
 
 
 class HumansimError(Exception):
-    """Base of every error that bad input, a bad setting or a missing part of the system causes.
+    """Base class of errors from wrong input, wrong settings and missing parts of the system.
 
-    ``path``, ``line`` and ``key`` say where; they stand in front of the message when given.
+    ``path``, ``line`` and ``key`` give the location; the text of the error begins with them.
     """
 
     def __init__(
@@ -64,11 +64,11 @@ def in_section(section: str) -> Iterator[None]:
 
 
 class ResourceError(HumansimError):
-    """A file that belongs to this package (configuration, asset) cannot be found."""
+    """A file of the package (configuration, asset) is missing."""
 
 
 class MotionError(HumansimError):
-    """A motion file cannot be read, or its joints cannot be understood."""
+    """A motion file cannot be read, or its joints cannot be matched."""
 
 
 class MeshError(HumansimError):
@@ -76,15 +76,15 @@ class MeshError(HumansimError):
 
 
 class CameraError(HumansimError):
-    """A camera's calibration cannot be used."""
+    """A camera or its calibration cannot be used."""
 
 
 class SceneError(HumansimError):
-    """A scene file is wrong."""
+    """A scene is wrong."""
 
 
 class RenderError(HumansimError):
-    """Nothing can be rendered: no OpenGL, or a request beyond its limits."""
+    """Rendering is impossible: no OpenGL, or a request beyond its limits."""
 
 
 class RosError(HumansimError):
@@ -92,21 +92,21 @@ class RosError(HumansimError):
 
 
 def warn_about(path: str | os.PathLike[str], message: str) -> None:
-    """Warn of something odd in a file that can be used all the same."""
+    """Issue a HumansimWarning about a file that is usable but doubtful."""
     warnings.warn(f"{os.fspath(path)}: {message}", HumansimWarning, stacklevel=3)
 
 
 class HumansimWarning(UserWarning):
-    """Input that was usable but not as it should be; the message says what was assumed."""
+    """Input is usable but doubtful; the message says what is assumed."""
 
 
 def show_warnings() -> None:
-    """Print our warnings as lines for people, each once, and no others: what a program does at its start."""
-    told = set[str]()
+    """Print each HumansimWarning once, on one line of stderr; hide all other warnings. For programs."""
+    shown = set[str]()
 
-    def tell(message: Any, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
-        if issubclass(category, HumansimWarning) and str(message) not in told:
-            told.add(str(message))  # (the filter "once" forgets whenever filters change)
+    def show(message: Any, category: type[Warning], filename: str, lineno: int, *_: Any) -> None:
+        if issubclass(category, HumansimWarning) and str(message) not in shown:
+            shown.add(str(message))  # the filter "once" is reset when filters change
             print(f"warning: {message}", file=sys.stderr)
 
-    warnings.showwarning = tell  # type: ignore[assignment]  # a narrower one is enough here
+    warnings.showwarning = show  # type: ignore[assignment]  # a narrower one is enough here

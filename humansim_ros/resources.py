@@ -1,7 +1,7 @@
-"""Where this package's own files (config/, assets/, launch/) are, however it was installed.
+"""Find the files of the package (config/, assets/, launch/) in any kind of installation.
 
-In a source checkout, which an editable install points at, they lie beside the package. After pip or colcon
-they lie in ``share/humansim_ros`` of the same prefix. AMENT_PREFIX_PATH, which pip users lack, is asked last.
+In a source checkout or editable install they are beside the package. After pip or colcon they are in
+``share/humansim_ros`` of the prefix. AMENT_PREFIX_PATH, which pip users do not have, is searched last.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _SHARE = Path("share", _NAME)
 
 
 def resource_path(relative: str | os.PathLike[str]) -> Path:
-    """Absolute path of a file or folder that comes with the package, such as ``config/scenes/demo.yaml``."""
+    """Absolute path of a file or folder of the package, such as ``config/scenes/demo.yaml``."""
     root = resource_root()
     path = root / relative
     if not path.exists():
@@ -32,37 +32,37 @@ def resource_path(relative: str | os.PathLike[str]) -> Path:
 
 @functools.cache
 def package_version() -> str:
-    """Version of the package from ``package.xml``, which comes with every kind of installation."""
+    """Version of the package from ``package.xml``, which every kind of installation has."""
     return ElementTree.parse(resource_path("package.xml")).getroot().findtext("version", "unknown")
 
 
 @functools.cache
 def resource_root() -> Path:
-    """The folder that holds ``config``, ``assets`` and ``launch``."""
+    """Folder with ``config``, ``assets`` and ``launch``."""
     candidates = list(dict.fromkeys(_candidates()))
     for folder in candidates:
-        # package.xml tells our folder from any other that happens to have a config/ in it
+        # package.xml distinguishes this folder from others with a config/
         if (folder / "package.xml").is_file() and (folder / "config").is_dir():
             return folder
     raise ResourceError(
-        "the configuration and assets of humansim_ros are missing; install it again. Looked in: "
+        "the configuration and assets of humansim_ros are missing; install it again. Searched folders: "
         + ", ".join(map(str, candidates))
     )
 
 
 def _candidates() -> Iterator[Path]:
-    # resolved because colcon's symlink install reaches the package through a link
+    # resolve links of colcon's symlink install
     package = Path(__file__).resolve().parent
     yield package.parent
     for parent in package.parents:
         yield parent / _SHARE
     yield Path(sys.prefix) / _SHARE
-    yield from _recorded_by_pip()
+    yield from _pip_records()
     for prefix in filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)):
         yield Path(prefix) / _SHARE
 
 
-def _recorded_by_pip() -> Iterator[Path]:
+def _pip_records() -> Iterator[Path]:
     try:
         files = importlib.metadata.files(_NAME) or []
     except importlib.metadata.PackageNotFoundError:

@@ -35,7 +35,9 @@ def quaternion_to_matrix(quaternion: NDArray[Any]) -> Array:
 
 
 def rotation_vector_to_matrix(vector: NDArray[Any]) -> Array:
-    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3): axis times angle in radians (Rodrigues)."""
+    """Rotation matrices (..., 3, 3) of rotation vectors (..., 3): axis times angle in radians (Rodrigues'
+    formula).
+    """
     x, y, z = np.moveaxis(np.asarray(vector, dtype=float), -1, 0)
     angle = np.sqrt(x * x + y * y + z * z)
     cross = np.zeros((*angle.shape, 3, 3))
@@ -48,9 +50,16 @@ def rotation_vector_to_matrix(vector: NDArray[Any]) -> Array:
 
 
 def moved(poses: NDArray[Any], linear: NDArray[Any], angular: NDArray[Any], seconds: float) -> Array:
-    """Poses (..., 4, 4) some time later, or before, at constant velocity.
+    """Extrapolate poses at constant velocity.
 
-    ``linear``, ``angular``: (..., 3) of each pose in the frame that the poses are in, m/s and rad/s.
+    Args:
+        poses: Poses (..., 4, 4).
+        linear: Linear velocities (..., 3) in the frame of the poses, m/s.
+        angular: Angular velocities (..., 3) in the frame of the poses, rad/s.
+        seconds: Time step; negative for the past.
+
+    Returns:
+        Poses (..., 4, 4).
     """
     out = np.array(poses, dtype=float)
     out[..., :3, :3] = rotation_vector_to_matrix(np.asarray(angular) * seconds) @ out[..., :3, :3]
@@ -63,8 +72,7 @@ def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
     m = np.asarray(matrix, dtype=float)
     diagonal = np.diagonal(m, axis1=-2, axis2=-1)
     trace = diagonal.sum(-1)
-    # Row k holds the quaternion scaled by four times its k-th element: the row of the largest is well
-    # conditioned.
+    # row k is the quaternion times four times its k-th element; the row of the largest is well conditioned
     table = np.empty((*m.shape[:-2], 4, 4))
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3
@@ -79,8 +87,8 @@ def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
 
 
 def slerp(start: Array, end: Array, fraction: Array) -> Array:
-    """Spherical interpolation between unit quaternions (..., 4) the short way round; ``fraction`` (...,) in
-    0..1.
+    """Spherical interpolation between unit quaternions (..., 4) on the shorter arc; ``fraction`` (...,) 0 to
+    1.
     """
     cosine = np.sum(start * end, axis=-1, keepdims=True)
     end = np.where(cosine < 0, -end, end)
@@ -99,7 +107,7 @@ def slerp(start: Array, end: Array, fraction: Array) -> Array:
 def from_y_axis(direction: Array) -> Array:
     """Shortest rotations (..., 4) xyzw that turn the y axis onto unit vectors (..., 3).
 
-    Thesis (9.43)-(9.48) with n = u x v normalised, and a branch of its own for v = -u (a half turn about x).
+    [thesis (9.43)-(9.48)] with normalised n = u x v; v = -u is a half turn about x.
     """
     v = np.asarray(direction, dtype=float)
     out = np.zeros((*v.shape[:-1], 4))

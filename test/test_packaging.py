@@ -162,7 +162,7 @@ def test_resource_root_is_found_through_ament(tmp_path: Path, monkeypatch: pytes
     (share / "config").mkdir(parents=True)
     (share / "package.xml").touch()
     monkeypatch.setattr("humansim_ros.resources.__file__", "/nowhere/humansim_ros/resources.py")
-    monkeypatch.setattr("humansim_ros.resources._recorded_by_pip", lambda: iter(()))
+    monkeypatch.setattr("humansim_ros.resources._pip_records", lambda: iter(()))
     monkeypatch.setattr("sys.prefix", "/nowhere")
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/opt/ros/jazzy:{tmp_path}")
     assert resource_root.__wrapped__() == share

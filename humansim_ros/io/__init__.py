@@ -1,1 +1,1 @@
-"""Read untrusted files, write files whole or not at all: text, YAML, NumPy archives, images."""
+"""Read untrusted files, and write files atomically: text, YAML, NumPy archives, images."""

@@ -1,4 +1,4 @@
-"""Reading input files with errors that a person can act on, and writing output files whole or not at all."""
+"""Read input files with clear errors, resolve file names in files, and write files atomically."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from humansim_ros.errors import HumansimError
 
 @contextmanager
 def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Iterator[None]:
-    """Turns what opening and reading a file raises into ``error``, which names the path and the reason."""
+    """Convert exceptions of opening and reading a file to ``error`` with path and reason."""
     if "\0" in os.fspath(path):
-        raise error("no file can have this name: there is a NUL in it", path=path)
+        raise error("a file name cannot contain a NUL character", path=path)
     try:
         yield
     except FileNotFoundError:
@@ -29,8 +29,16 @@ def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], wha
 def read_bytes(
     path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int | None = None
 ) -> bytes:
-    """Content of a file; ``error`` names the path and the reason if it is missing, a folder, unreadable,
-    empty, or longer than ``most`` bytes.
+    """Read a file.
+
+    Args:
+        path: File to read.
+        error: Error class to raise.
+        what: Kind of file for messages, such as ``mesh``.
+        most: Maximum size in bytes.
+
+    Raises:
+        HumansimError: ``error``, if the file is missing, a folder, unreadable, empty or too large.
     """
     with reading_errors(path, error, what), Path(path).open("rb") as file:
         data = file.read() if most is None else file.read(most + 1)
@@ -44,7 +52,17 @@ def read_bytes(
 def read_text(
     path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int | None = None
 ) -> str:
-    """Text of a file (UTF-8, with or without BOM; bytes that are not UTF-8 are read as Latin-1)."""
+    """Read a text file: UTF-8 with or without BOM, or else Latin-1.
+
+    Args:
+        path: File to read.
+        error: Error class to raise.
+        what: Kind of file for messages, such as ``scene``.
+        most: Maximum size in bytes.
+
+    Raises:
+        HumansimError: ``error``, as for :func:`read_bytes`, and for binary files.
+    """
     data = read_bytes(path, error, what, most)
     if b"\0" in data:
         raise error(f"this is a binary file, not a {what} text file", path=path)
@@ -55,42 +73,40 @@ def read_text(
 
 
 def expand_user(name: str) -> Path:
-    """A path as people write it; ``~`` is their home."""
+    """Expand ``~`` in a path; unknown users stay as they are."""
     try:
         return Path(name).expanduser()
-    except RuntimeError:  # of somebody who is not known here
+    except RuntimeError:  # unknown user
         return Path(name)
 
 
 def exists(path: Path) -> bool:
-    """Whether a file or folder is there; also of names that none can have."""
+    """Whether a path exists; False for impossible names."""
     try:
         return path.exists()
-    except (OSError, ValueError):  # too long for the file system, or a NUL in it
+    except (OSError, ValueError):  # name too long, or with a NUL character
         return False
 
 
 def resolve_relative(file: str | os.PathLike[str], name: str) -> tuple[Path, bool]:
-    """A file or folder that another file names from its own folder, and whether it is there."""
+    """Resolve a name in a file from the folder of the file; also return whether it exists."""
     path = Path(file).resolve().parent / expand_user(name)
     return path, exists(path)
 
 
 def resolve_inside(folder: Path, name: str) -> Path | None:
-    """A file that another one names, in the folder of that one or below; None for any other place."""
+    """Resolve a name in a file to a path in the folder or below it; None for all other paths."""
     try:
         target = (folder.resolve() / name).resolve()
-        target.exists()  # tells a name that is too long
+        target.exists()  # raises for names that are too long
         return target if target.is_relative_to(folder.resolve()) and name[:1] not in "/\\" else None
-    except (ValueError, OSError, RuntimeError):  # a zero byte, a name too long, links in a circle
+    except (ValueError, OSError, RuntimeError):  # NUL character, name too long, circular links
         return None
 
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary path beside ``path`` that takes its name when the block ends well, and vanishes when it
-    does not.
-    """
+    """Temporary path in the same folder: renamed to ``path`` after the block, deleted on exceptions."""
     target = Path(path)
     handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
     os.close(handle)

@@ -1,4 +1,4 @@
-"""Image files (PNG, JPEG) that others made, decoded without trusting what they promise."""
+"""Decode and encode image files (PNG, JPEG), with limits for untrusted files."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
 
-#: Pixels of the largest image that is decoded: 8192 x 8192.
+#: Limit for decoded images: 8192 x 8192.
 MAX_PIXELS = 1 << 26
 
 
 def decode_image(encoded: NDArray[np.uint8] | bytes, noun: str = "texture") -> NDArray[np.uint8]:
-    """(H, W, 3) uint8 sRGB of a PNG or JPEG file. ``noun``: its use, for messages.
+    """Decode a PNG or JPEG file to (H, W, 3) uint8 sRGB. ``noun``: its use, for messages.
 
-    Raises MeshError if it is no such file or larger than MAX_PIXELS.
+    Raises MeshError for other files, and for images larger than MAX_PIXELS.
     """
     data = bytes(encoded)
     size = declared_size(data)
     if size is None:
-        raise MeshError(f"the {noun} is no PNG or JPEG image")
+        raise MeshError(f"the {noun} is not a PNG or JPEG image")
     if not 0 < size[0] * size[1] <= MAX_PIXELS:
         raise MeshError(f"a {noun} of {size[0]} x {size[1]} pixels is too large; at most 8192 x 8192")
     try:
@@ -35,7 +35,7 @@ def decode_image(encoded: NDArray[np.uint8] | bytes, noun: str = "texture") -> N
 
 
 def decode_alpha(encoded: NDArray[np.uint8] | bytes) -> NDArray[np.uint8] | None:
-    """(H, W) how opaque each pixel is of an image that :func:`decode_image` reads; None if all of it is."""
+    """Alpha channel (H, W) of an image that :func:`decode_image` reads; None if it is opaque."""
     image = cv2.imdecode(np.frombuffer(bytes(encoded), np.uint8), cv2.IMREAD_UNCHANGED)
     if image is None or image.ndim != 3 or image.shape[2] != 4:
         return None
@@ -44,7 +44,7 @@ def decode_alpha(encoded: NDArray[np.uint8] | bytes) -> NDArray[np.uint8] | None
 
 
 def encode_image(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Bytes (N,) of a PNG file of an image (H, W, 3) sRGB."""
+    """Encode an image (H, W, 3) sRGB as PNG, (N,) bytes."""
     done, encoded = cv2.imencode(".png", image[..., ::-1])
     if not done:
         raise MeshError("the texture cannot be encoded")
@@ -52,22 +52,22 @@ def encode_image(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 def declared_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height that a PNG or JPEG file, or its beginning, states; None where it is neither."""
+    """Width and height in the header of a PNG or JPEG file; None for other files."""
     if data[:8] == b"\x89PNG\r\n\x1a\n" and len(data) >= 24:
         width, height = struct.unpack_from(">II", data, 16)
         return int(width), int(height)
     if data[:2] != b"\xff\xd8":
         return None
-    place = 2
-    while place + 9 <= len(data):
-        if data[place] != 0xFF:
+    offset = 2
+    while offset + 9 <= len(data):
+        if data[offset] != 0xFF:
             return None
-        marker = data[place + 1]
+        marker = data[offset + 1]
         if marker == 0xFF:  # padding
-            place += 1
+            offset += 1
             continue
         if 0xC0 <= marker <= 0xCF and marker not in (0xC4, 0xC8, 0xCC):
-            height, width = struct.unpack_from(">HH", data, place + 5)
+            height, width = struct.unpack_from(">HH", data, offset + 5)
             return int(width), int(height)
-        place += 2 + struct.unpack_from(">H", data, place + 2)[0]
+        offset += 2 + struct.unpack_from(">H", data, offset + 2)[0]
     return None

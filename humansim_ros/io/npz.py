@@ -1,4 +1,4 @@
-"""NumPy archives (.npz) from anywhere: arrays only, never pickled objects, and no more than they can hold."""
+"""NumPy archives (.npz): arrays only, never pickled objects, with a size limit."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.files import atomic_path, read_bytes
 
-#: Bytes of all arrays together that are read from one file.
+#: Limit for all arrays of a file together.
 MAX_BYTES = 1 << 30
 
 
@@ -24,23 +24,33 @@ def read_npz(
     path: str | os.PathLike[str],
     error: type[HumansimError],
     what: str,
-    wanted: Collection[str] | None = None,
+    names: Collection[str] | None = None,
 ) -> dict[str, NDArray[Any]]:
-    """Arrays of an archive by name; only those ``wanted``, if given, are unpacked; others may be anything.
+    """Read the arrays of an archive.
 
-    Raises ``error`` with the file and the array where something is no archive, damaged, holds pickled
-    objects, or is larger than MAX_BYTES.
+    Args:
+        path: File to read.
+        error: Error class to raise.
+        what: Kind of file for messages, such as ``human``.
+        names: Arrays to read; all if absent. Others are not unpacked.
+
+    Returns:
+        Arrays by name.
+
+    Raises:
+        HumansimError: ``error`` with file and array, if the file is not an archive, is damaged, has pickled
+            objects, or is larger than MAX_BYTES.
     """
     data = read_bytes(path, error, what)
     if not data.startswith(b"PK"):
-        raise error(f"not a {what} file: it is no .npz archive", path=path)
+        raise error(f"not a {what} file: it is not an .npz archive", path=path)
     arrays: dict[str, NDArray[Any]] = {}
     room = MAX_BYTES
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for entry in archive.infolist():
                 name = entry.filename.removesuffix(".npy")
-                if name == entry.filename or (wanted is not None and name not in wanted):
+                if name == entry.filename or (names is not None and name not in names):
                     continue
                 if entry.file_size > room:
                     raise error(f"it unpacks to more than {MAX_BYTES >> 20} MB", path=path, key=name)
@@ -66,34 +76,32 @@ def read_npz(
 
 
 def _array(content: bytes) -> NDArray[Any]:
-    """The array of a .npy file; ValueError if it is none, or not wholly there."""
+    """Array of a .npy file. Raises ValueError if it is wrong or incomplete."""
     stream = io.BytesIO(content)
     version = np.lib.format.read_magic(stream)
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in readers:
-        raise ValueError(f"an array file of version {version}")
+        raise ValueError(f"array file version {version} is not supported")
     shape, fortran, dtype = readers[version](stream)
     if dtype.hasobject:
-        raise ValueError("a pickled object, which is never unpacked: it could run anything")
+        raise ValueError("a pickled object; pickled objects are not read, because they can run code")
     count = 1
     for length in shape:
         count *= int(length)
     start = stream.tell()
     if dtype.itemsize == 0 or count < 0 or count * dtype.itemsize != len(content) - start:
-        raise ValueError(f"{count} values are promised, but not there")
+        raise ValueError(f"the file does not have the {count} values of its header")
     values = np.frombuffer(content, dtype, count, start)
     return values.reshape(shape[::-1]).T if fortran else values.reshape(shape)
 
 
 def write_npz(path: str | os.PathLike[str], arrays: Mapping[str, NDArray[Any]]) -> None:
-    """Write arrays, whole or not at all; equal arrays give equal bytes. Images, which are packed already, are
-    stored as they are.
-    """
+    """Write arrays atomically; equal arrays give equal bytes. Encoded images are not compressed again."""
     with atomic_path(Path(path)) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         for name, array in arrays.items():
             data = io.BytesIO()
             np.lib.format.write_array(data, np.asarray(array), allow_pickle=False)
             entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))
-            packed = array.dtype == np.uint8 and array.ndim == 1
-            entry.compress_type = zipfile.ZIP_STORED if packed else zipfile.ZIP_DEFLATED
-            archive.writestr(entry, data.getvalue(), compresslevel=None if packed else 9)
+            compressed = array.dtype == np.uint8 and array.ndim == 1
+            entry.compress_type = zipfile.ZIP_STORED if compressed else zipfile.ZIP_DEFLATED
+            archive.writestr(entry, data.getvalue(), compresslevel=None if compressed else 9)

@@ -253,6 +253,7 @@ class Gltf:
 
     @property
     def nodes(self) -> tuple[Node, ...]:
+        """Nodes of the file."""
         return self.document.nodes
 
     @cached_property
@@ -400,6 +401,7 @@ class Gltf:
         return self._item(self.document.materials, number, f"materials.{number}")
 
     def mesh(self, number: int) -> GltfMesh:
+        """Mesh of an index."""
         return self._item(self.document.meshes, number, f"meshes.{number}")
 
     def skin(self, number: int) -> Skin:

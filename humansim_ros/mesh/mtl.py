@@ -82,9 +82,20 @@ def reflectance(path: Path, name: str, said: Statements) -> Material | None:
 
 
 def numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, path: str) -> Array:
-    """Convert rows of words to finite numbers (N, width).
+    """Convert rows of words to numbers.
 
-    Raises MeshError with the line of the first wrong row.
+    Args:
+        rows: Words of N lines.
+        lines: Line number of each row.
+        width: Numbers in each row.
+        keyword: Keyword of the lines, for messages.
+        path: File, for messages.
+
+    Returns:
+        Finite numbers, (N, width).
+
+    Raises:
+        MeshError: A row is wrong; the error has its line.
     """
     try:
         values = np.array(rows, dtype=float)

@@ -259,7 +259,7 @@ def ros(old: str, new: str) -> str:
         ),
         (
             ros("camera_name: left\n", "camera_name: left\nimage_width: 650\n"),
-            ":4: image_width: this key is here a second time",
+            ":4: image_width: repeated key",
         ),
         (
             ros("camera_name: left", "camera_name: !!python/object/apply:os.system [touch /tmp/x]"),

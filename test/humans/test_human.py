@@ -230,7 +230,7 @@ def test_one_array_that_is_no_archive_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "plain.npz"
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
-    with pytest.raises(MeshError, match=r"no \.npz archive"):
+    with pytest.raises(MeshError, match=r"not an \.npz archive"):
         load_human(path)
 
 

@@ -28,8 +28,8 @@ CHAIN = "a0: &a0 [0]\n" + "".join(f"a{n}: &a{n} [*a{n - 1}]\n" for n in range(1,
 HOSTILE = {
     "aliases": (laughs("[{}]"), 6, "*a4 repeats more than"),
     "merge keys": (laughs("{{<<: [{}]}}"), 6, "*a4 repeats more than"),
-    "itself": ("a: &a\n  b: [*a]\n", 2, "*a is within itself"),
-    "a chain": (CHAIN, 49, "nested too deeply"),
+    "itself": ("a: &a\n  b: [*a]\n", 2, "*a contains itself"),
+    "a chain": (CHAIN, 49, "more than 50 nested levels"),
     "a great many": ("a: [" + "0," * 150_000 + "]", 1, "more than 100000 keys and values"),
 }
 READERS = (load_config, scene_processes, read_description, read_calibration, load_table, load_limits)

@@ -158,7 +158,7 @@ def painted(folder: Path, picture: bytes | None) -> Path:
     return folder / "m.obj"
 
 
-@pytest.mark.parametrize(("picture", "message"), [(b"no picture", "no PNG or JPEG"), (b"", "is empty")])
+@pytest.mark.parametrize(("picture", "message"), [(b"no picture", "not a PNG or JPEG"), (b"", "is empty")])
 def test_a_texture_that_cannot_be_read_is_named(tmp_path: Path, picture: bytes, message: str) -> None:
     scene = tmp_path / "scene.yaml"
     camera = "{position: [0, -3, 1], look_at: [0, 0, 1]}"

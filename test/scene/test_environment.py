@@ -297,7 +297,7 @@ BAD = {
     ("text", "key", "words"),
     [
         ("world: {background: gone.jpg}", "world.background", "no such file .*gone.jpg"),
-        ("world: {background: text.jpg}", "world.background", "text.jpg.*no PNG or JPEG"),
+        ("world: {background: text.jpg}", "world.background", "text.jpg.*not a PNG or JPEG"),
         ("world: {background: cut.png}", "world.background", "cut.png.*damaged"),
         ("world: {background: empty.jpg}", "world.background", "empty"),
         ("world: {background: .}", "world.background", "folder"),
@@ -344,7 +344,7 @@ def test_a_texture_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.obj").write_text("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl m\nf 1 2 3\n")
     (tmp_path / "a.mtl").write_text("newmtl m\nmap_Kd text.jpg\n")
     _write_bad(tmp_path)
-    with pytest.raises(HumansimError, match=r"text\.jpg: .*no PNG or JPEG"):
+    with pytest.raises(HumansimError, match=r"text\.jpg: .*not a PNG or JPEG"):
         load(tmp_path, "world: {meshes: [a.obj]}")
 
 

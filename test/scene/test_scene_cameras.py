@@ -169,7 +169,7 @@ def test_running_a_scene_with_a_rig_tells_what_is_odd_once(folder: Path) -> None
             "rig:\n  file: shelf.json\n  size: [320, 240]\n  background:\n    0: usb.yaml",
             "rig.background.0",
             5,
-            "no PNG or JPEG",
+            "not a PNG or JPEG",
         ),
         (RIG % "{1: usb.yaml}", "rig.background.1", 1, "no camera '1' in this rig; there are 0, back door"),
         (

@@ -1,4 +1,4 @@
-"""People of MakeHuman's sliders, dressed: shapes, clothes, hair and textures from its CC0 data."""
+"""Dressed humans from MakeHuman sliders: shape, clothes, hair and textures from its CC0 data."""
 
 from humansim_ros.humans.makehuman.building import build
 from humansim_ros.humans.makehuman.data import MakeHumanData, find_data

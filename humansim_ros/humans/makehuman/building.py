@@ -1,4 +1,4 @@
-"""A dressed human from MakeHuman's sliders."""
+"""Build a dressed human from MakeHuman sliders."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.humans.makehuman.clothes import Tailor, cut_clothes, drape, dress
+from humansim_ros.humans.makehuman.clothes import BodyRegions, cut_clothes, dress, smooth_under_clothes
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData, VertexIndices, VertexMask, read_base
 from humansim_ros.humans.makehuman.layout import TEXTURE_SIZE, downsample, rasterise, relay_uv
-from humansim_ros.humans.makehuman.paint import Canvas, Outfit, bare, openness, paint
+from humansim_ros.humans.makehuman.paint import Canvas, Outfit, openness, paint, skin_share
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
 from humansim_ros.humans.makehuman.skeleton import (
     BONES_PER_VERTEX,
     Bones,
     bone_weights,
-    even_out,
     landmarks,
     make_bones,
+    smooth_weights,
     t_pose,
     unskin,
 )
@@ -30,15 +30,15 @@ from humansim_ros.humans.makehuman.surface import NONE, BodySurface, compact, re
 from humansim_ros.types import Array
 
 JPEG_QUALITY = 92
-#: How far bones part that both move a vertex, of the height: thighs of somebody who sits down, at the crotch.
+#: Distance between bones that share a vertex when sitting (thighs at the crotch), as a share of the height.
 _PARTING = 0.10
-#: Whom clothes are cut for and painted on; everybody else has the same vertices elsewhere.
+#: Reference body: clothes are cut and painted on it. All bodies have the same topology.
 ADULT_MAN = MakeHumanConfig(gender=1.0)
 
 
 @dataclass(frozen=True)
 class _Body:
-    """A naked body: in the A pose of the artists (``mesh.vertices``) and in the T pose (``mesh.naked``)."""
+    """Naked body in the A pose of MakeHuman (``mesh.vertices``) and in the T pose (``mesh.naked``)."""
 
     mesh: BodySurface
     bones: Bones
@@ -46,62 +46,62 @@ class _Body:
     motion: Array
     floor: Array
 
-    def tailor(self, is_ear: Array, config: MakeHumanConfig) -> Tailor:
-        """is_ear (V,) is above a half at the ears."""
+    def regions(self, is_ear: Array, config: MakeHumanConfig) -> BodyRegions:
+        """Regions of clothes and hair. ``is_ear`` (V,) is above 0.5 at the ears."""
         mesh = self.mesh
         eye = mesh.naked[mesh.part == 1]
         ear = mesh.naked[(is_ear > 0.5) & (mesh.naked[:, 0] > 0)].mean(axis=0)
         middle = (eye.min(axis=0) + eye.max(axis=0)) / 2
         top = float(mesh.naked[mesh.part == 0, 1].max())
         radius = float(np.ptp(eye, axis=0).max() / 2)
-        return Tailor(self.bones, middle, radius, ear, top, config.hair, config.sleeves)
+        return BodyRegions(self.bones, middle, radius, ear, top, config.hair, config.sleeves)
 
     @property
     def gaze(self) -> Array:
-        """(2, 3) where each eye looks."""
+        """Points (2, 3) that the eyes look at."""
         return np.array([self.points[f"joint-{side}-eye-target"] for side in "lr"]) - self.floor
 
 
 def build(
     source: MakeHumanData, config: MakeHumanConfig, outfits: Mapping[str, Outfit]
 ) -> dict[str, NDArray[Any]]:
-    """The arrays of a human file (docs/humans.md): a body of MakeHuman's sliders, dressed.
+    """Build the arrays of a human file (docs/humans.md) from MakeHuman sliders.
 
-    Clothes are cut and painted on the adult man, whose vertices everybody has, and hung over this body. The
-    same input gives the same arrays. Raises MeshError where a target is missing or no person is that tall.
+    Clothes are cut and painted on the reference body, and draped over this body; both have the same topology.
+    Equal input gives equal arrays. Raises MeshError if a target is missing or the stature is impossible.
     """
     config, scale = with_stature(source, config)
     man = _naked(source, read_base(source, target_strengths(source, ADULT_MAN)))
     body = _naked(source, _scaled(read_base(source, target_strengths(source, config)), scale))
     ears = source.mask("ears")
     is_ear = _at_vertices(man.mesh, ears)
-    tailor, own = man.tailor(is_ear, config), body.tailor(is_ear, config)
+    reference, own = man.regions(is_ear, config), body.regions(is_ear, config)
 
     mesh = replace(body.mesh, canonical=man.mesh.naked)
-    on_scalp = (tailor.hair(mesh.canonical) > 0.01) & (is_ear < 0.01) & (mesh.part == 0)
+    on_scalp = (reference.hair(mesh.canonical) > 0.01) & (is_ear < 0.01) & (mesh.part == 0)
     mesh = refine(mesh, on_scalp[mesh.faces].all(axis=1))
-    mesh = cut_clothes(replace(mesh, vertices=drape(mesh, tailor, own)), tailor)
+    mesh = cut_clothes(replace(mesh, vertices=smooth_under_clothes(mesh, reference, own)), reference)
     balls = (body.points["joint-l-toe-1-1"], body.points["joint-r-toe-1-1"])
-    worn = dress(mesh, tailor, own, _at_vertices(mesh, ears), balls)
-    worn = unskin(worn, mesh.weights, body.motion) - body.floor
+    dressed = dress(mesh, reference, own, _at_vertices(mesh, ears), balls)
+    dressed = unskin(dressed, mesh.weights, body.motion) - body.floor
     uv = relay_uv(mesh.uv, mesh.uv_faces, mesh.part[mesh.faces[:, 0]] > 0)
 
     texels = rasterise(mesh.faces, uv, mesh.uv_faces, 2 * TEXTURE_SIZE)
     base_uv = np.einsum("nk,nkj->nj", texels.weights, mesh.uv[texels.uv])
-    canvas = Canvas(texels.mix(mesh.canonical), texels.mix(worn), base_uv, tailor, own, source)
-    open_sky = texels.mix(openness(worn, mesh.surface))
+    canvas = Canvas(texels.mix(mesh.canonical), texels.mix(dressed), base_uv, reference, own, source)
+    open_sky = texels.mix(openness(dressed, mesh.surface))
     light = np.where(mesh.part[texels.vertices[:, 0]] == 0, 0.55 + 0.45 * open_sky, 1.0)
     painter = functools.partial(paint, mesh, texels, canvas, light)
     looks = {name: downsample(texels, painter(outfit, man.gaze)) for name, outfit in outfits.items()}
-    skin = downsample(texels, 255 * np.repeat(bare(mesh, texels, canvas)[:, None], 3, axis=1))
+    skin = downsample(texels, 255 * np.repeat(skin_share(mesh, texels, canvas)[:, None], 3, axis=1))
 
-    sole = np.array([0, worn[:, 1].min(), 0])
-    weights = even_out(mesh.weights, worn, mesh.faces, _PARTING * float(np.ptp(worn[:, 1])))
+    sole = np.array([0, dressed[:, 1].min(), 0])
+    weights = smooth_weights(mesh.weights, dressed, mesh.faces, _PARTING * float(np.ptp(dressed[:, 1])))
     order = np.argsort(-weights, axis=1, kind="stable")[:, :BONES_PER_VERTEX]
     values = np.take_along_axis(weights, order, axis=1)
     triangle = mesh.faces[:, 3] == mesh.faces[:, 2]
     arrays: dict[str, NDArray[Any]] = {
-        "vertices": (worn - sole).astype(np.float32),
+        "vertices": (dressed - sole).astype(np.float32),
         "faces": mesh.faces.astype(np.int32),
         "uv": uv.astype(np.float32),
         "uv_faces": mesh.uv_faces.astype(np.int32),
@@ -124,7 +124,7 @@ def build(
 
 
 def _jpeg(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    # Without chroma subsampling: it would blur the edge of a red shirt.
+    # no chroma subsampling: it blurs edges of saturated colours
     chroma = [cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444]
     encoded = cv2.imencode(".jpg", image[:, :, ::-1], [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY, *chroma])[1]
     return np.asarray(encoded, dtype=np.uint8).ravel()
@@ -135,7 +135,7 @@ def _scaled(base: Base, scale: float) -> Base:
 
 
 def _naked(source: MakeHumanData, base: Base) -> _Body:
-    """The body and its eyes without the other helpers, bare soles at height 0 in the T pose."""
+    """Body and eyes without the other helpers; in the T pose the bare soles are at height 0."""
     points = landmarks(base)
     bones_a = make_bones(points)
     weights = bone_weights(source, bones_a, len(base.vertices))
@@ -171,7 +171,7 @@ def _naked(source: MakeHumanData, base: Base) -> _Body:
 
 
 def _at_vertices(mesh: BodySurface, mask: VertexMask) -> Array:
-    """A painted mask's values (V,) at the vertices."""
+    """Values (V,) of a painted mask at the vertices."""
     uv = np.zeros((len(mesh.vertices), 2))
     corners: VertexIndices = mesh.faces
     uv[corners] = mesh.uv[mesh.uv_faces]

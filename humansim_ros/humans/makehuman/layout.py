@@ -1,4 +1,4 @@
-"""The texture: where each part of the body has its texels."""
+"""Texture layout: texels of each part of the body."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from humansim_ros.humans.makehuman.data import VertexIndices
 from humansim_ros.types import Array
 
 TEXTURE_SIZE = 1024
-# MakeHuman's layout gives the face a sixth of the width. Clothes need less, the face needs more:
-# old -> new coordinates, (u from the left, h = 1 - v from the top), monotone so that no island folds.
+# MakeHuman's layout gives the face a sixth of the width. Here clothes have less, and the face more:
+# old -> new coordinates (u from the left, h = 1 - v from the top), monotone so that no island folds.
 NARROW_U = ((0.0, 0.76), (0.0, 0.608))
 HEAD_U = ((0.63, 0.80, 0.97, 1.0), (0.615, 0.735, 0.985, 0.998))
 HEAD_H = ((0.17, 0.43, 0.60, 0.86), (0.008, 0.205, 0.585, 0.79))
@@ -24,14 +24,14 @@ EYE_BOX = 0.06
 
 
 def uv_islands(uv_faces: VertexIndices, count: int) -> VertexIndices:
-    """The island number (T,) of each texture coordinate."""
+    """Island (T,) of each texture coordinate."""
     edges = np.concatenate([uv_faces[:, [k, (k + 1) % 4]] for k in range(4)])
     graph = sparse.coo_matrix((np.ones(len(edges)), edges.T), shape=(count, count))
     return csgraph.connected_components(graph, directed=False)[1]
 
 
 def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> Array:
-    """Give the face and the eyes more texels. uv (T, 2), uv_faces (F, 4), is_eye (F,) -> uv (T, 2)."""
+    """Enlarge face and eyes in the texture. uv (T, 2), uv_faces (F, 4), is_eye (F,) -> uv (T, 2)."""
     u, h = uv[:, 0].copy(), 1 - uv[:, 1]
     island = uv_islands(uv_faces, len(uv))
     new_u, new_h = u.copy(), h.copy()
@@ -46,7 +46,7 @@ def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> A
             new_h[rows] = 0.90 + (h[rows] - h[rows].min()) / size * EYE_BOX
         elif centre_u > 0.7 and centre_h < 0.85:  # head
             new_u[rows], new_h[rows] = np.interp(u[rows], *HEAD_U), np.interp(h[rows], *HEAD_H)
-        elif centre_u > 0.75 and centre_h > 0.85:  # inside of the mouth, hardly seen
+        elif centre_u > 0.75 and centre_h > 0.85:  # inside of the mouth
             new_u[rows] = 0.74 + 0.2 * (u[rows] - u[rows].min())
             new_h[rows] = 0.965 + 0.2 * (h[rows] - h[rows].min())
         elif centre_u > 0.4 and centre_h > 0.85:  # hands
@@ -58,7 +58,7 @@ def relay_uv(uv: Array, uv_faces: VertexIndices, is_eye: NDArray[np.bool_]) -> A
 
 @dataclass(frozen=True)
 class Texels:
-    """The texels under faces: row, column, face (N,), corners of the triangle (N, 3), barycentrics (N, 3)."""
+    """Texels of faces: row, column, face (N,), corners of the triangle (N, 3), barycentrics (N, 3)."""
 
     row: VertexIndices
     column: VertexIndices
@@ -73,7 +73,14 @@ class Texels:
 
 
 def rasterise(faces: VertexIndices, uv: Array, uv_faces: VertexIndices, size: int) -> Texels:
-    """Which triangle lies under the centre of each texel of a size x size texture."""
+    """Find the triangle at the centre of each texel.
+
+    Args:
+        faces: Quads (F, 4).
+        uv: Texture coordinates (T, 2), v up.
+        uv_faces: Quads (F, 4) of texture coordinates.
+        size: Side of the texture, texels.
+    """
     fan = ([0, 1, 2], [0, 2, 3])
     triangles = np.concatenate([faces[:, c] for c in fan])
     uv_triangles = np.concatenate([uv_faces[:, c] for c in fan])
@@ -95,12 +102,13 @@ def rasterise(faces: VertexIndices, uv: Array, uv_faces: VertexIndices, size: in
         owner[r0 : r1 + 1, c0 : c1 + 1][inside] = t
         bary[r0 : r1 + 1, c0 : c1 + 1][inside] = np.stack([1 - wb - wc, wb, wc], axis=-1)[inside]
     row, column = np.nonzero(owner >= 0)
-    found = owner[row, column]
-    return Texels(row, column, found % len(faces), triangles[found], uv_triangles[found], bary[row, column])
+    number = owner[row, column]
+    corners, uv_corners = triangles[number], uv_triangles[number]
+    return Texels(row, column, number % len(faces), corners, uv_corners, bary[row, column])
 
 
 def downsample(texels: Texels, colour: Array) -> NDArray[np.uint8]:
-    """Texel colours (N, 3) as an image of half the raster's size, gaps filled from the nearest texel."""
+    """Make an image of half the raster size from texel colours (N, 3); gaps take the nearest texel."""
     size = 2 * TEXTURE_SIZE
     empty = np.ones((size, size), np.uint8)
     empty[texels.row, texels.column] = 0

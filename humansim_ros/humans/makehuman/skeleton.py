@@ -1,4 +1,4 @@
-"""Our bones at the joints of a MakeHuman body, its artists' weights on them, and its T pose."""
+"""The 22 bones at the joints of a MakeHuman body, with the weights of its artists, and the T pose."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from humansim_ros.types import Array
 
 BONES_PER_VERTEX = 4
 
-# The head of a bone and its tail, as names of landmarks (see `landmarks`); `{}` is the side, l or r.
+# Name, parent, and landmarks (see `landmarks`) of head and tail; `{}` is the side, l or r.
 TRUNK = (
     ("HumanoidRoot", None, "root", "joint-pelvis"),
     ("sacroiliac", "HumanoidRoot", "joint-pelvis", "joint-spine-3"),
@@ -32,8 +32,8 @@ SIDE = (
     ("{}_wrist", "{}_elbow", "joint-{}-hand", "joint-{}-finger-3-4"),
 )
 
-# Which of our bones takes the weight of a bone of MakeHuman's default rig: the longest prefix decides.
-# The shares at the neck and the pelvis soften joints that are single here and several in the rig.
+# Bones that take the weight of a bone of MakeHuman's default rig, by the longest prefix of its name.
+# Shared weights at neck and pelvis smooth joints that are several joints in the rig.
 WEIGHT_SHARES: dict[str, dict[str, float]] = {
     "": {"vt3": 1.0},  # head, jaw, tongue, eyes and the muscles of the face
     "root": {"HumanoidRoot": 1.0},
@@ -69,7 +69,7 @@ def landmarks(base: Base) -> dict[str, Array]:
     body = base.vertices[base.vertex_groups["body"]]
     points["skull-top"] = points["joint-head-2"].copy()
     points["skull-top"][1] = body[:, 1].max()
-    # As in the thesis table the root bone comes up into the pelvis from the front, below.
+    # the root bone leads up into the pelvis from the front [thesis table 4.1]
     points["root"] = 2 * points["joint-pelvis"] - points["joint-spine-4"]
     for name, point in points.items():
         if not any(side in name for side in ("-l-", "-r-")):
@@ -87,11 +87,12 @@ class Bones:
     tails: Array
 
     def index(self, name: str) -> int:
+        """Index of a bone."""
         return self.names.index(name)
 
 
 def make_bones(points: Mapping[str, Array]) -> Bones:
-    """The 22 bones of the thesis table with heads and tails at this body's joint centres."""
+    """The 22 bones of [thesis table 4.1], at the joint centres of this body."""
     rows = list(TRUNK)
     for side in "lr":
         rows += [(n.format(side), p.format(side), h.format(side), t.format(side)) for n, p, h, t in SIDE]
@@ -103,7 +104,7 @@ def make_bones(points: Mapping[str, Array]) -> Bones:
 
 
 def bone_weights(source: MakeHumanData, bones: Bones, vertex_count: int) -> Array:
-    """The artist's weights summed onto our bones, dense (N, B); at most four per vertex, rows sum to 1."""
+    """Weights of the artists summed per bone, dense (N, B); at most four per vertex, rows sum to one."""
     weights = np.zeros((vertex_count, len(bones.names)))
     for name, pairs in source.json("rigs/standard/weights.default.json")["weights"].items():
         if not pairs:
@@ -118,18 +119,24 @@ def bone_weights(source: MakeHumanData, bones: Bones, vertex_count: int) -> Arra
 
 
 def limit_weights(weights: Array) -> Array:
-    """Weights (N, B) with at most four bones per vertex, rows summing to 1."""
-    # Whatever ties with the fifth goes too: left and right must stay each other's mirror.
+    """Limit weights (N, B) to four bones per vertex; rows sum to one."""
+    # ties with the fifth are removed too, to keep left and right symmetric
     fifth = np.sort(weights, axis=1)[:, -BONES_PER_VERTEX - 1][:, None]
     weights = np.where((weights <= fifth) | (weights < 1e-3), 0.0, weights)
     return weights / weights.sum(axis=1, keepdims=True)
 
 
-def even_out(weights: Array, vertices: Array, faces: VertexIndices, reach: float) -> Array:
-    """Weights (N, B) without jumps along short edges, which motion would tear to many times their length.
+def smooth_weights(weights: Array, vertices: Array, faces: VertexIndices, reach: float) -> Array:
+    """Smooth weights (N, B) along short edges, which motion would stretch to many times their length.
 
-    The ends of an edge may differ by what moves them apart by about twice its length where bones part by
-    ``reach`` metres; beyond that they are drawn together, and their neighbours after them.
+    Weights of the ends of an edge may differ so far that it stretches to about twice its length when bones
+    move ``reach`` metres apart. Larger differences are reduced iteratively.
+
+    Args:
+        weights: (N, B).
+        vertices: (N, 3) metres.
+        faces: Quads (F, 4).
+        reach: Distance in metres.
     """
     edges = np.unique(np.sort(np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)]), axis=1), axis=0)
     edges = edges[edges[:, 0] != edges[:, 1]]
@@ -152,7 +159,7 @@ def even_out(weights: Array, vertices: Array, faces: VertexIndices, reach: float
 
 
 def shortest_rotation(start: Array, end: Array) -> Array:
-    """(3, 3) matrix of the smallest rotation that takes direction start to direction end."""
+    """Matrix (3, 3) of the smallest rotation from direction ``start`` to direction ``end``."""
     start, end = start / np.linalg.norm(start), end / np.linalg.norm(end)
     axis = np.cross(start, end)
     sine = np.linalg.norm(axis)
@@ -162,9 +169,9 @@ def shortest_rotation(start: Array, end: Array) -> Array:
 
 
 def t_pose(bones: Bones) -> tuple[Array, Bones]:
-    """Motion (B, 4, 4) of each bone from MakeHuman's A pose to the T pose, and the bones in the T pose.
+    """Transforms (B, 4, 4) of the bones from MakeHuman's A pose to the T pose, and the bones in the T pose.
 
-    Arms and hands along x with the palms down, legs closer together with level feet; the rest as it is.
+    Arms and hands are along x with palms down, legs closer together with level feet.
     """
     direction = bones.tails - bones.heads
     turn = np.tile(np.eye(3), (len(bones.names), 1, 1))  # world rotation of each bone
@@ -194,9 +201,9 @@ def t_pose(bones: Bones) -> tuple[Array, Bones]:
 
 
 def unskin(vertices: Array, weights: Array, motion: Array) -> Array:
-    """Vertices (N, 3) that linear blend skinning back by the inverse of `motion` takes to `vertices`.
+    """Vertices (N, 3) that linear blend skinning with the inverse of ``motion`` moves to ``vertices``.
 
-    So the artist's A pose is met exactly when the arms come down, instead of suffering from skinning twice.
+    So the A pose of the artists is reproduced exactly, without the errors of skinning twice.
     """
     back = np.einsum("nb,bij->nij", weights, np.linalg.inv(motion))
     homogeneous = np.c_[vertices, np.ones(len(vertices))]

@@ -1,4 +1,4 @@
-"""The part of the base mesh that becomes a human, and what is done to surfaces in general."""
+"""Body surface of the MakeHuman base mesh, and general surface operations."""
 
 from __future__ import annotations
 
@@ -13,21 +13,19 @@ from humansim_ros.humans.makehuman.data import VertexIndices, VertexMask
 from humansim_ros.mesh.normals import mean_normals
 from humansim_ros.types import Array
 
-NONE, SHOES, TROUSERS, SHIRT = range(4)  # the later hangs over the earlier
+NONE, SHOES, TROUSERS, SHIRT = range(4)  # in the order of layers
 
 
 @dataclass(frozen=True)
 class BodySurface:
-    """The part of the base mesh that is kept. A triangle is a quad whose last corner is there twice.
+    """Part of the base mesh that becomes a human. Triangles are quads with a repeated last corner.
 
-    vertices (V, 3), faces (F, 4), uv (T, 2) in the base mesh's layout, uv_faces (F, 4), weights (V, B).
-    canonical (V, 3): where a point is on the naked adult man in the T pose, whoever this is and whatever they
-    wear: all bodies have the same vertices, so that clothes are cut and painted on him for everybody.
-    naked (V, 3): where it is on this naked body in the T pose.
-    part (V,): 0 body, 1 left eye, 2 right eye.
-    garment (V,) and face_garment (F,): NONE, SHIRT, TROUSERS or SHOES.
-    weld (V,): equal for the copies of a vertex on the two sides of a hem.
-    The last `hems` faces are the edges of clothes: narrow strips from a garment to what lies under it.
+    vertices (V, 3), faces (F, 4), uv (T, 2) in the layout of the base mesh, uv_faces (F, 4), weights (V, B).
+    canonical (V, 3): position on the naked reference body in the T pose. All bodies have the same topology,
+    so clothes are cut and painted there for all. naked (V, 3): position on this naked body in the T pose.
+    part (V,): 0 body, 1 left eye, 2 right eye. garment (V,) and face_garment (F,): NONE, SHIRT, TROUSERS or
+    SHOES. weld (V,): equal for the copies of a vertex on the two sides of a hem. The last ``hems`` faces are
+    narrow strips between the edge of a garment and the surface below.
     """
 
     vertices: Array
@@ -45,12 +43,12 @@ class BodySurface:
 
     @property
     def surface(self) -> VertexIndices:
-        """The faces (F - hems, 4) without the hems."""
+        """Faces (F - hems, 4) without the hems."""
         return self.faces[: len(self.faces) - self.hems]
 
 
 def compact(faces: VertexIndices, count: int) -> tuple[VertexIndices, VertexIndices]:
-    """Rows in use (V,), in order, and the faces renumbered to them."""
+    """Used rows (V,), sorted, and the renumbered faces."""
     used = np.unique(faces)
     number = np.full(count, -1)
     number[used] = np.arange(len(used))
@@ -58,7 +56,7 @@ def compact(faces: VertexIndices, count: int) -> tuple[VertexIndices, VertexIndi
 
 
 def sample(image: VertexMask, uv: Array) -> Array:
-    """Nearest values (T,) of an image (h, w) at uv (T, 2), v up."""
+    """Nearest values (T,) of an image (H, W) at uv (T, 2), v up."""
     height, width = image.shape[:2]
     column = np.clip((uv[:, 0] * width).astype(int), 0, width - 1)
     row = np.clip(((1 - uv[:, 1]) * height).astype(int), 0, height - 1)
@@ -66,7 +64,7 @@ def sample(image: VertexMask, uv: Array) -> Array:
 
 
 def vertex_normals(vertices: Array, faces: VertexIndices) -> Array:
-    """Unit normals (N, 3), area weighted, of quads (F, 4)."""
+    """Area-weighted unit normals (N, 3) of quads (F, 4)."""
     a, b, c, d = (vertices[faces[:, k]] for k in range(4))
     return mean_normals(np.cross(c - a, d - b), faces, len(vertices))
 
@@ -78,7 +76,17 @@ def ramp(value: Array, low: float | Array, high: float | Array) -> Array:
 
 
 def smooth(vertices: Array, faces: VertexIndices, amount: Array, rounds: int) -> Array:
-    """Move each vertex (V, 3) by amount (V,), 0..1, towards the mean of its neighbours, `rounds` times."""
+    """Smooth vertices towards the mean of their neighbours.
+
+    Args:
+        vertices: (V, 3).
+        faces: Quads (F, 4).
+        amount: Factor (V,) of each step, 0 to 1.
+        rounds: Number of steps.
+
+    Returns:
+        Vertices (V, 3).
+    """
     edges = np.concatenate([faces[:, [k, (k + 1) % 4]] for k in range(4)])
     edges = np.concatenate([edges, edges[:, ::-1]])
     graph = sparse.csr_matrix((np.ones(len(edges)), edges.T), shape=(len(vertices),) * 2)
@@ -90,7 +98,7 @@ def smooth(vertices: Array, faces: VertexIndices, amount: Array, rounds: int) ->
 
 
 def noise(points: Array, scale: float, seed: int) -> Array:
-    """Smooth value noise (N,) in -1..1 at points (N, 3), with features of about `scale` metres."""
+    """Smooth value noise (N,), -1 to 1, at points (N, 3), with features of about ``scale`` metres."""
     p = points / scale + 1000.0  # keep cells positive for the hash
     cell = np.floor(p).astype(np.uint64)
     t = p - cell
@@ -111,7 +119,7 @@ def noise(points: Array, scale: float, seed: int) -> Array:
 
 
 def outline(points: Array, grow: float) -> Array:
-    """The convex outline (K, 2) of points (N, 2), `grow` metres outside of it."""
+    """Convex outline (K, 2) of points (N, 2), grown by ``grow`` metres."""
     hull = points[ConvexHull(points).vertices]
     angles = np.linspace(0, 2 * np.pi, 12, endpoint=False)
     rounded = (hull[:, None] + grow * np.c_[np.cos(angles), np.sin(angles)]).reshape(-1, 2)
@@ -119,8 +127,8 @@ def outline(points: Array, grow: float) -> Array:
 
 
 def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> BodySurface:
-    """Cut the chosen quads (F,) in four and their neighbours to fit, and round the new surface."""
-    # A new vertex is the mean of the old ones of its row.
+    """Subdivide the chosen quads (F,) into four, adapt their neighbours, and smooth the result."""
+    # a new vertex is the mean of the old vertices in its row
     rows: list[list[int]] = [[i] for i in range(len(mesh.vertices))]
     uv_rows: list[list[int]] = [[i] for i in range(len(mesh.uv))]
     middles: dict[tuple[int, ...], int] = {}
@@ -171,7 +179,7 @@ def refine(mesh: BodySurface, chosen: NDArray[np.bool_]) -> BodySurface:
     scalp = np.zeros(len(vertices))
     scalp[np.unique(mesh.faces[chosen])] = 1.0
     scalp[len(mesh.vertices) :] = 1.0
-    scalp[np.unique(mesh.faces[~chosen])] = 0.0  # the rim stays on the face
+    scalp[np.unique(mesh.faces[~chosen])] = 0.0  # the border stays in place
     bare, bare_faces = np.full(len(vertices), NONE), np.full(len(new_faces), NONE)
     return BodySurface(
         vertices=smooth(vertices, new_faces, 0.5 * scalp, 4),

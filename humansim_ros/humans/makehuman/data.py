@@ -37,8 +37,7 @@ _INSTALL = (
 
 
 class MakeHumanData:
-    """MakeHuman files in the folder of the installed package or in its wheel. Missing files raise MeshError.
-    """
+    """MakeHuman files in the folder of the installed package or in its wheel. Raises MeshError."""
 
     def __init__(self, path: Path) -> None:
         self.folder = path

@@ -3,8 +3,8 @@
     python benchmarks/pose_detector.py [--python PATH] [--picture sheet.jpg] [--outfits all|first]
 
 Every built-in human walks in every outfit in the furnished room. It is rendered at four times from eight
-sides, 340 pixels tall in images of 640x480. MediaPipe Pose (0.10.21, its model is in its wheel) processes each
-image independently. Printed are the number of views with a detection, and the errors in pixels of shoulders,
+sides, 340 pixels tall in images of 640x480. MediaPipe Pose (0.10.21, its model is in its wheel) processes the
+images independently. Printed are the number of views with a detection, and the errors in pixels of shoulders,
 elbows, wrists, hips, knees and ankles. MediaPipe needs NumPy 1 and runs in a virtual environment of its own:
 
     python3.12 -m venv detector && detector/bin/pip install mediapipe==0.10.21

@@ -151,7 +151,7 @@ def reading_scene(path: Path) -> None:
         for actor in list(scene.actors.values())[:5]:
             assert np.isfinite(actor.at(seconds).vertices).all()
         for camera in list(scene.moving_cameras.values())[:5]:
-            assert np.isfinite(camera.at(camera.pose(seconds)).P).all()
+            assert np.isfinite(camera.camera_at(camera.pose(seconds)).P).all()
     # (not the room, which takes a second to paint)
     standing = [thing.static_mesh() for thing in scene.objects.values()]
     assert all(np.isfinite(mesh.vertices).all() for mesh in (*scene.environment.mesh_files, *standing))

@@ -99,7 +99,7 @@ class CameraPosePublisher:
         self._poses.append((stamp, pose))
 
     def _publish(self, pose: CameraPose, stamp: int) -> TransformStamped:
-        camera = self._camera.at(pose)
+        camera = self._camera.camera_at(pose)
         transform = messages.extrinsics_message(self._camera.name, camera, stamp)
         self._extrinsics.publish(transform)
         self._projection.publish(messages.projection_message(camera))

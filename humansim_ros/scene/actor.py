@@ -1,4 +1,4 @@
-"""Humans of a scene: body, motion and label; and their state at one time."""
+"""Humans of a scene: body, motion and label; and their state at one scene time."""
 
 from __future__ import annotations
 
@@ -26,13 +26,15 @@ from humansim_ros.types import Array
 
 @dataclass(frozen=True)
 class HumanState:
-    """A human at one instant, in ``map``, metres.
+    """State of a human at one stamp, in ``map``, metres.
 
-    ``joint_names``: J names. ``joints``: (J, 4, 4) poses of the joints, each with its bone's axes (y along
-    the bone).
-    ``linear``, ``angular``: (J, 3) velocities in ``map``, m/s and rad/s, or None where the motion gives none.
-    ``vertices``: (V, 3) float32 in mesh order. ``size``: how many times as large as the body is by itself
-    (keyframes).
+    Attributes:
+        joint_names: J names.
+        joints: (J, 4, 4) poses with the axes of the bones (y along the bone).
+        linear: (J, 3) velocities in m/s; None if the motion has none.
+        angular: (J, 3) angular velocities in rad/s; None if the motion has none.
+        vertices: (V, 3) float32 in the order of the mesh.
+        size: Scale of the body by keyframes.
     """
 
     joint_names: tuple[str, ...]
@@ -50,11 +52,17 @@ class HumanState:
 
 @dataclass(frozen=True)
 class Actor:
-    """One human of a scene: its body, what drives it, and the label it is drawn with.
+    """A human of a scene with the motion that drives it.
 
-    ``offset``: seconds of the scene that the motion is ahead by, ``ahead``: seconds of its file, after it has
-    been changed while it played. ``keyframes``: move, turn and size the space in which the motion plays, on
-    the clock of the scene.
+    Attributes:
+        name: Name in the scene.
+        instance: Instance label, from 1.
+        human: Mesh, skeleton and weights.
+        motion: The motion in ``map``.
+        retargeter: Retargeting of the motion onto the skeleton.
+        offset: Time that the motion is ahead of the scene, seconds of the scene.
+        ahead: Time that the motion is ahead after a change while it played, seconds of its file.
+        keyframes: Keyframes that move, rotate and scale the space of the motion over scene time.
     """
 
     name: str
@@ -119,16 +127,16 @@ class Actor:
 
     @property
     def motion_names(self) -> tuple[str, ...]:
-        """Names of :meth:`joint_poses`: the motion's joints, and SPACE_JOINTS where there are keyframes."""
+        """Joint names of :meth:`joint_poses`: of the motion, and SPACE_JOINTS with keyframes."""
         return self.motion.names if self.keyframes is None else (*self.motion.names, *SPACE_JOINTS)
 
     def joint_poses(self, seconds: float) -> JointPoses:
-        """The motion's joints at a time since the start of the scene: what the motion player publishes."""
+        """Joint poses of the motion at a scene time, as the motion player publishes them."""
         poses = self.motion.sample_with_velocities(seconds + self.offset, self.ahead)
         return poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
 
     def state(self, poses: JointPoses) -> HumanState:
-        """The body at one instant, from joint poses with N = 1: what the skinner publishes."""
+        """State of the body from joint poses with N = 1, as the skinner publishes it."""
         skeleton = self.human.skeleton
         if poses.linear is None:
             (joints,), (size,) = self._joints(poses)
@@ -150,13 +158,17 @@ class Actor:
         return HumanState(skeleton.joint_names, joints, linear, angular, self.human.pose(bones), float(size))
 
     def at(self, seconds: float) -> HumanState:
-        """The body at a time since the start of the scene."""
+        """State of the body at a scene time in seconds."""
         return self.state(self.joint_poses(seconds))
 
     def moved(self, joints: Array, linear: Array, angular: Array, seconds: float) -> NDArray[np.float32]:
-        """Vertices (V, 3) some time after an instant, or before, every joint at constant velocity.
+        """Vertices (V, 3) some time after a state, with all joints at constant velocity.
 
-        ``joints`` (J, 4, 4), ``linear``, ``angular`` (J, 3): as in :class:`HumanState`.
+        Args:
+            joints: (J, 4, 4) poses, as in :class:`HumanState`.
+            linear: (J, 3) velocities, m/s.
+            angular: (J, 3) angular velocities, rad/s.
+            seconds: Time after the state; negative for before.
         """
         skeleton = self.human.skeleton
         count = len(skeleton)
@@ -165,18 +177,18 @@ class Actor:
         return self.human.pose(bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones)
 
     def body(self, vertices: NDArray[np.float32]) -> Body:
-        """What a renderer needs to draw this human with its vertices (V, 3) as they stand in a frame."""
+        """Body for renderers from the vertices (V, 3) of a frame."""
         return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance)
 
     def _joints(self, poses: JointPoses) -> tuple[Array, Array]:
-        """Frames (N, J, 4, 4) of the ground-truth joints, and how large the body is (N,)."""
+        """Poses (N, J, 4, 4) of the ground-truth joints, and scale of the body (N,)."""
         own, space = undo_keyframes(poses)
         joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own))
         return (joints, np.ones(len(joints))) if space is None else (space.to_map(joints), space.size)
 
 
 def _size(heads: Array, at_rest: Array, parents: NDArray[np.intp]) -> float:
-    """How many times as large a body is as at rest, by how far its bones begin from each other."""
+    """Scale of a body relative to its rest pose, from the distances between the heads of its bones."""
     child = np.flatnonzero(parents >= 0)
     now, rest = (np.linalg.norm(p[child] - p[parents[child]], axis=1).sum() for p in (heads, at_rest))
     size = float(now / rest) if rest > 0 else 1.0

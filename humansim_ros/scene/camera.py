@@ -29,8 +29,9 @@ from humansim_ros.types import Array
 
 @dataclass(frozen=True)
 class CameraPose:
-    """Where an optical frame is: ``R`` (3, 3) and ``t`` (3,), world to optical, metres. ``velocity``: how it
-    moves; None if that is not known.
+    """Pose of an optical frame: ``R`` (3, 3) and ``t`` (3,), world to optical, metres.
+
+    ``velocity``: velocity in ``map``; None if unknown.
     """
 
     R: Array
@@ -42,14 +43,14 @@ class CameraPose:
         return cls(camera.R, camera.t)
 
     def moved(self, seconds: float) -> CameraPose:
-        """Where it is some time later, or before, as it moves now."""
+        """Pose ``seconds`` later at constant velocity."""
         if self.velocity is None or seconds == 0:
             return self
         r = self.R @ Rotation.from_rotvec(-seconds * self.velocity.angular).as_matrix()
         return CameraPose(r, -r @ (seconds * self.velocity.linear - self.R.T @ self.t), self.velocity)
 
     def toward(self, other: CameraPose, share: float) -> CameraPose:
-        """A share of the way from here (0) to another pose (1), or beyond: straight, at an even turn."""
+        """Interpolate to another pose: 0 is this one, 1 the other; linear position, slerp rotation."""
         if share == 0 or (np.array_equal(self.R, other.R) and np.array_equal(self.t, other.t)):
             return self
         start, end = matrix_to_quaternion(self.R.T), matrix_to_quaternion(other.R.T)
@@ -60,9 +61,17 @@ class CameraPose:
 
 @dataclass(frozen=True, eq=False)
 class SceneCamera:
-    """A camera of a scene. ``whole``: all of its sensor, as it stands at the start. ``path``: what moves it,
-    ``speed`` times as fast as it says and ``offset`` seconds ahead. ``backdrop``: what it sees where nothing
-    is; a plain colour if None.
+    """A camera of a scene.
+
+    Attributes:
+        name: Name in the scene.
+        whole: Camera of the whole sensor at its initial pose.
+        region: Binning and region of interest.
+        sensor: Sensor model.
+        path: Trajectory that moves the camera, if any.
+        offset: Time that the trajectory is ahead of the scene, seconds.
+        speed: Seconds of the trajectory per second.
+        backdrop: Image behind everything; a plain colour if None.
     """
 
     name: str
@@ -96,23 +105,23 @@ class SceneCamera:
         return cls(name, whole, region, sensor, path, offset, speed, backdrop)
 
     def with_calibration(self, calibrated: Camera) -> SceneCamera:
-        """The same camera at the same place with the lens, K and size of another."""
+        """The same camera at its pose with the lens, K and size of another."""
         whole = replace(calibrated, R=self.whole.R, t=self.whole.t)
         sensor = Sensor(self.sensor.config, self.region.of(whole), self.name)
         return replace(self, whole=whole, sensor=sensor)
 
     @cached_property
     def camera(self) -> Camera:
-        """The camera of image_raw, as it stands at the start."""
+        """Camera of ``image_raw`` at its initial pose."""
         return self.region.of(self.whole)
 
     @property
     def moves(self) -> bool:
-        """Whether the scene says so. Any camera can also be moved from outside."""
+        """Whether a trajectory moves it. The topic ``<camera>/pose`` can move any other camera."""
         return self.path is not None
 
     def pose(self, seconds: float) -> CameraPose:
-        """Where it is at a time since the start of the scene, and how it moves."""
+        """Pose and velocity at a scene time in seconds."""
         if self.path is None:
             return CameraPose.of(self.camera)
         time = self.speed * (seconds + self.offset)
@@ -123,25 +132,25 @@ class SceneCamera:
         velocity = Velocity.between(positions, rotations, late - early).scaled(self.speed)
         return CameraPose(*self.path.pose(time), velocity)
 
-    def at(self, pose: CameraPose) -> Camera:
-        """The camera of image_raw at a pose."""
+    def camera_at(self, pose: CameraPose) -> Camera:
+        """Camera of ``image_raw`` at a pose."""
         if pose.R is self.camera.R and pose.t is self.camera.t:
             return self.camera
         return replace(self.camera, R=pose.R, t=pose.t)
 
     @cached_property
     def rectified(self) -> Ideal | None:
-        """What image_rect shows, None where image_raw is ideal already."""
+        """Ideal camera of ``image_rect``; None if ``image_raw`` is ideal already."""
         ideal = rectify(self.camera)
         return None if ideal.camera is ideal.real else ideal
 
     @property
     def encoding(self) -> str:
-        """Encoding of image_raw."""
+        """Encoding of ``image_raw``."""
         return self.sensor.config.encoding
 
     def rectify(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """image_rect of image_raw, in colour where that is a Bayer mosaic."""
+        """Make ``image_rect`` from ``image_raw``; a Bayer mosaic becomes a colour image."""
         if self.encoding == "bayer_rggb8":
             image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BayerBG2RGB), dtype=np.uint8)
         return image if self.rectified is None else self.rectified.to_ideal(image)

@@ -32,7 +32,7 @@ class Exposure:
 
     def adjacent_frame(self, camera: SceneCamera) -> AdjacentFrame:
         """Bodies and camera at the stamp, as the adjacent frame of another frame."""
-        return AdjacentFrame(self.bodies_at(0.0), camera.at(self.pose_at(0.0)))
+        return AdjacentFrame(self.bodies_at(0.0), camera.camera_at(self.pose_at(0.0)))
 
 
 def capture(
@@ -54,7 +54,7 @@ def capture(
     if rendered:
         view = renderer.render(
             exposure.bodies_at(0.0),
-            camera.at(exposure.pose_at(0.0)),
+            camera.camera_at(exposure.pose_at(0.0)),
             rendered,
             exposure.moving,
             exposure.next_frame,
@@ -71,7 +71,7 @@ def capture(
         for time in times.tolist():
             sample = renderer.render(
                 exposure.bodies_at(time),
-                camera.at(exposure.pose_at(time)),
+                camera.camera_at(exposure.pose_at(time)),
                 ("rgb",),
                 moving_camera=exposure.moving,
                 backdrop=camera.backdrop,

@@ -1,5 +1,5 @@
-"""A body that follows any source of joints: the scene's own motion, what a player has changed it to, or live
-motion capture of which only messages are known.
+"""Retarget joints of any joint source: the motion of the scene, a motion that the player has changed, or
+live motion capture, of which only messages are known.
 """
 
 from __future__ import annotations
@@ -21,29 +21,33 @@ from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.types import Array
 
-#: The links that tell people, and conventions of rotations, from each other.
+#: Links by which persons and rotation conventions are distinguished.
 _LIMBS = tuple(f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow", "hip", "knee"))
-#: Limbs that are longer or shorter by more than this share are another person's.
-_SAME_LENGTH = 0.01
-#: A limb that is off by more than this share of its length, seen from its joint, is turned otherwise.
-_SAME_AXES = 0.1
-#: What the limbs of a new source may be off by, as a share of their length, until it has been looked at.
+#: Relative difference of the summed limb lengths up to which the source is the same person.
+_LENGTH_TOLERANCE = 0.01
+#: Deviation of a limb in the axes of its joint, as a share of its length, of the same rotations.
+_AXES_TOLERANCE = 0.1
+#: Deviation of limbs of a new source, as a share of their length, until its calibration is complete.
 _NOISE = 0.03
-#: Messages after which a new source has been looked at long enough.
-_LOOKED_AT = 30
-#: Frames in a row that may be broken before they count as another source, at first and at most.
-_PATIENCE, _MAX_PATIENCE = 5, 80
-#: New sources that are remembered.
-_REMEMBERED = 4
+#: Messages from which a new source is calibrated.
+_CALIBRATION_POSES = 30
+#: Consecutive deviating frames that are rejected before they count as another source, at first and at most.
+_REJECTED, _MAX_REJECTED = 5, 80
+#: Detected sources that are stored.
+_MAX_DETECTED = 4
 
 
 @dataclass(frozen=True)
 class JointSource:
-    """What a body follows: joint names, and how they are put onto its skeleton.
+    """Joint names of a source, and their retargeting onto the skeleton of a human.
 
-    ``links`` (L, 3): the limbs in the axes of the joints that carry them, metres, which are the same in all
-    poses of a person whose joints' rotations mean the same; ``slack`` (L,): how far they were seen from that.
-    ``since``: stamp from which on a player means it.
+    Attributes:
+        names: Joint names.
+        retargeter: Retargeting onto the human.
+        links: (L, 3) limbs in the axes of their parent joints, metres. They are constant for one person and
+            one rotation convention.
+        slack: (L,) observed deviations from ``links``, metres.
+        since: First stamp of the source, if the motion player has announced it.
     """
 
     names: tuple[str, ...]
@@ -54,26 +58,26 @@ class JointSource:
 
     @classmethod
     def of_poses(cls, poses: JointPoses, retargeter: Retargeter, since: int = 0) -> JointSource:
-        """A source of which some poses (N >= 1) are known."""
-        seen = _links(poses, retargeter.match)
-        links = seen.mean(0)
-        if retargeter.positions_only:  # they are in no joint's axes: their lengths count only
-            lengths = np.linalg.norm(seen, axis=-1)
+        """Source of which some poses (N >= 1) are known."""
+        links_of_poses = _links(poses, retargeter.match)
+        links = links_of_poses.mean(0)
+        if retargeter.positions_only:  # without rotations only the lengths are constant
+            lengths = np.linalg.norm(links_of_poses, axis=-1)
             links = lengths.mean(0)[:, None] * [0.0, 1.0, 0.0]
             slack = np.ptp(lengths, axis=0)
         else:
-            slack = np.linalg.norm(seen - links, axis=-1).max(0)
+            slack = np.linalg.norm(links_of_poses - links, axis=-1).max(0)
         return cls(poses.names, retargeter, links, slack, since)
 
     @classmethod
     def of_actor(cls, actor: Actor, since: int = 0) -> JointSource:
-        """The motion that a human of a scene plays."""
+        """Source that plays the motion of a human of the scene."""
         motion = replace(actor.motion, speed=1.0)
         times = motion.frame_times
         return cls.of_poses(motion.sample(times[:: len(times) // 100 + 1]), actor.retargeter, since)
 
     def to_dict(self) -> dict[str, Any]:
-        """As JSON can hold it."""
+        """Values for JSON."""
         return {
             "joint_names": list(self.names),
             "since": self.since,
@@ -84,45 +88,47 @@ class JointSource:
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any], actor: Actor) -> JointSource:
-        """What :meth:`to_dict` wrote, for a human; MotionError if it is something else."""
+        """Source from :meth:`to_dict` for a human. Raises MotionError if ``data`` is wrong."""
         try:
             names = tuple(str(name) for name in data["joint_names"])
             links, slack = np.array(data["links"], dtype=float), np.array(data["slack"], dtype=float)
             since = int(data["since"])
         except (KeyError, TypeError, ValueError, OverflowError) as reason:
-            raise MotionError(f"this is no legend of a motion: {reason!r}") from None
+            raise MotionError(f"this is not the legend of a motion: {reason!r}") from None
         retargeter = Retargeter.from_dict(data, actor.human.skeleton)
         match = retargeter.match
         used = [*match.roles.values(), *match.difference.values()]
         used += [joint for link in match.parallel.values() for joint in link]
         limbs = sum(bone in match.parallel for bone in _LIMBS)
         if not names or not match.complete or not all(0 <= joint < len(names) for joint in used):
-            raise MotionError("this is no legend of a motion: it speaks of joints that it does not name")
+            raise MotionError("this is not the legend of a motion: joints have no name")
         if links.shape != (limbs, 3) or slack.shape != (limbs,) or not np.isfinite([*links.T, slack]).all():
-            raise MotionError("this is no legend of a motion: its links are none")
+            raise MotionError("this is not the legend of a motion: its links are wrong")
         return cls(names, retargeter, links, slack, since)
 
     def fits(self, poses: JointPoses) -> bool:
-        """Whether a pose (N = 1) with these names is of this source: limbs as long, and rotations that mean
-        the same.
+        """Whether a pose (N = 1) with these names has the limb lengths and the rotation convention of the
+        source.
         """
         (links,) = _links(poses, self.retargeter.match)
         lengths = np.linalg.norm(self.links, axis=-1)
         off = abs(np.linalg.norm(links, axis=-1).sum() - lengths.sum())
-        if off > _SAME_LENGTH * lengths.sum() + self.slack.sum():
+        if off > _LENGTH_TOLERANCE * lengths.sum() + self.slack.sum():
             return False
         if self.retargeter.positions_only:
             return not has_rotations(poses)
-        return bool((np.linalg.norm(links - self.links, axis=-1) <= _SAME_AXES * lengths + self.slack).all())
+        return bool(
+            (np.linalg.norm(links - self.links, axis=-1) <= _AXES_TOLERANCE * lengths + self.slack).all()
+        )
 
 
-class Follower:
-    """Puts the joints that come onto a human's body, whoever sends them.
+class LiveRetargeter:
+    """Retargets the joints of any source onto a human.
 
-    What a player says of its motion in a legend, and the scene's motion, are known. Of any other source the
-    joint table is found by names (or is ``table``), and scale, rest pose and floor by its first message and,
-    better, by its first thirty. Frames that do not go with those before are refused until there have been
-    some in a row: then they are another source's.
+    The motion of the scene and motions that the motion player announces in a legend are known. For any other
+    source the joint table is matched by names (or is ``table``); scale, rest pose and floor come from its
+    first message, and again from its first thirty. Frames that deviate from the source are rejected; after
+    several in a row they count as another source.
     """
 
     def __init__(self, actor: Actor, table: str | None = None) -> None:
@@ -131,20 +137,18 @@ class Follower:
         self._scene = JointSource.of_actor(actor)
         # newest first
         self._legends: list[JointSource] = []
-        self._observed: list[JointSource] = []
+        self._detected: list[JointSource] = []
         self._source: JointSource | None = None
-        self._looked_at: list[JointPoses] = []
-        self._odd: list[JointPoses] = []
-        self._patience = _PATIENCE
+        self._calibration: list[JointPoses] = []
+        self._deviating: list[JointPoses] = []
+        self._max_rejected = _REJECTED
         self._refused: tuple[tuple[str, ...], str] | None = None
 
     @property
-    def found(self) -> str:
-        """What was found of a source that nobody has told about, in words; empty while a known one is
-        followed.
-        """
+    def detected_source(self) -> str:
+        """Description of the current source if it has been detected; empty for a known source."""
         source = self._source
-        if source is None or not any(source is observed for observed in self._observed):
+        if source is None or not any(source is detected for detected in self._detected):
             return ""
         retargeter = source.retargeter
         stature = float(np.ptp(self._actor.human.mesh.vertices[:, 1])) / retargeter.scale
@@ -155,56 +159,56 @@ class Follower:
         )
         return text if 0.5 < stature < 2.6 else f"{text}; positions should be in metres"
 
-    def hear_legend(self, data: Mapping[str, Any]) -> None:
-        """Take what a player says of its motion. MotionError if it is no legend."""
+    def add_legend(self, data: Mapping[str, Any]) -> None:
+        """Add the legend of a motion from the motion player. Raises MotionError if it is wrong."""
         self._legends = [JointSource.from_dict(data, self._actor), *self._legends][:2]
 
-    def follow(self, poses: JointPoses, stamp: int | None = None) -> HumanState:
-        """The body at one instant (N = 1). Raises MotionError where these joints cannot drive it."""
+    def retarget(self, poses: JointPoses, stamp: int | None = None) -> HumanState:
+        """Body at one stamp from poses (N = 1). Raises MotionError if these joints cannot drive it."""
         if len(set(poses.names)) < len(poses.names):
             twice = sorted({name for name in poses.names if poses.names.count(name) > 1})
-            raise MotionError(f"joints are there twice: {', '.join(twice[:6])}")
+            raise MotionError(f"joint names appear twice: {', '.join(twice[:6])}")
         space = SPACE_JOINTS if set(SPACE_JOINTS) <= set(poses.names) else ()
         own = tuple(name for name in poses.names if name not in space)
         moved, _ = undo_keyframes(_in_order(poses, (*own, *space)))
-        self._source = self._find(moved, stamp)
+        self._source = self._source_of(moved, stamp)
         actor = replace(self._actor, retargeter=self._source.retargeter)
         return actor.state(_in_order(poses, (*self._source.names, *space)))
 
-    def _find(self, poses: JointPoses, stamp: int | None) -> JointSource:
-        """The source that a pose is of: a known one, or one that is seen for the first time."""
+    def _source_of(self, poses: JointPoses, stamp: int | None) -> JointSource:
+        """Source of a pose: a known one, or a new one."""
         for source in self._candidates(stamp):
             if set(source.names) != set(poses.names):
                 continue
             ordered = _in_order(poses, source.names)
             if source.fits(ordered):
-                self._odd = []
-                return self._look(source, ordered)
+                self._deviating = []
+                return self._calibrated(source, ordered)
         if self._source is None or not set(poses.names) <= set(self._source.names):
-            self._patience = _PATIENCE
-            return self._observe([poses])
-        self._odd = [*(odd for odd in self._odd if odd.names == poses.names), poses]
-        if len(self._odd) < self._patience:
+            self._max_rejected = _REJECTED
+            return self._detect([poses])
+        self._deviating = [*(pose for pose in self._deviating if pose.names == poses.names), poses]
+        if len(self._deviating) < self._max_rejected:
             missing = sorted(set(self._source.names) - set(poses.names))
             if missing:
                 raise MotionError(f"joints are missing: {', '.join(missing[:6])}")
             raise MotionError(
-                "the limbs are not as long, or not turned, as before: a bad frame, or another person"
+                "lengths or rotations of the limbs differ from before: a bad frame, or another person"
             )
-        self._patience = min(2 * self._patience, _MAX_PATIENCE)
-        odd, self._odd = self._odd, []
-        return self._observe(odd)
+        self._max_rejected = min(2 * self._max_rejected, _MAX_REJECTED)
+        deviating, self._deviating = self._deviating, []
+        return self._detect(deviating)
 
     def _candidates(self, stamp: int | None) -> Iterator[JointSource]:
-        """Known sources, the likeliest first. A legend is not meant for what was sent before it."""
-        meant = [legend for legend in self._legends if stamp is None or legend.since <= stamp]
-        yield from meant or self._legends
+        """Known sources, the most likely first. A legend is not valid for earlier stamps."""
+        valid = [legend for legend in self._legends if stamp is None or legend.since <= stamp]
+        yield from valid or self._legends
         yield self._scene
-        yield from self._observed
+        yield from self._detected
 
-    def _observe(self, seen: Sequence[JointPoses]) -> JointSource:
-        """A source that is seen for the first time."""
-        poses = _joined(seen)
+    def _detect(self, first: Sequence[JointPoses]) -> JointSource:
+        """Detect a new source from its first poses."""
+        poses = _joined(first)
         if self._refused is not None and self._refused[0] == poses.names:
             raise MotionError(self._refused[1])
         try:
@@ -212,33 +216,33 @@ class Follower:
         except MotionError as error:
             self._refused = (poses.names, f"{error} (parameter joint_names)")
             raise MotionError(self._refused[1]) from None
-        source = self._fitted(poses, match)
-        # of a source that first came with some joints missing, the whole one is meant from now on
-        others = [known for known in self._observed if not set(known.names) < set(source.names)]
-        self._observed = [source, *others][:_REMEMBERED]
-        self._looked_at = list(seen)
+        source = self._fit(poses, match)
+        # a source that first came without some joints is replaced by the complete one
+        complete = [known for known in self._detected if not set(known.names) < set(source.names)]
+        self._detected = [source, *complete][:_MAX_DETECTED]
+        self._calibration = list(first)
         return source
 
-    def _look(self, source: JointSource, poses: JointPoses) -> JointSource:
-        """The source as it is after one more pose of it: a new one is fitted again when enough are known."""
-        newest = bool(self._observed) and source is self._observed[0]
-        if newest and len(self._looked_at) < _LOOKED_AT:
-            self._looked_at.append(poses)
-            if len(self._looked_at) == _LOOKED_AT:
-                source = self._fitted(_joined(self._looked_at), source.retargeter.match)
-                self._observed[0] = source
+    def _calibrated(self, source: JointSource, poses: JointPoses) -> JointSource:
+        """Source after one more pose: a new source is calibrated again when it has enough poses."""
+        newest = bool(self._detected) and source is self._detected[0]
+        if newest and len(self._calibration) < _CALIBRATION_POSES:
+            self._calibration.append(poses)
+            if len(self._calibration) == _CALIBRATION_POSES:
+                source = self._fit(_joined(self._calibration), source.retargeter.match)
+                self._detected[0] = source
         return source
 
-    def _fitted(self, poses: JointPoses, match: JointMatch) -> JointSource:
+    def _fit(self, poses: JointPoses, match: JointMatch) -> JointSource:
         source = JointSource.of_poses(poses, Retargeter.fit_live(poses, match, self._actor.human.skeleton))
-        if len(poses.positions) >= _LOOKED_AT:
+        if len(poses.positions) >= _CALIBRATION_POSES:
             return source
-        # how noisy its joints are is not known yet
+        # the noise of its joints is unknown yet
         return replace(source, slack=source.slack + _NOISE * np.linalg.norm(source.links, axis=-1))
 
 
 def _links(poses: JointPoses, match: JointMatch) -> Array:
-    """The limbs (N, L, 3) in the axes of the joints that carry them."""
+    """Limbs (N, L, 3) in the axes of their parent joints."""
     starts, ends = np.array([match.parallel[bone] for bone in _LIMBS if bone in match.parallel]).T
     links = poses.positions[:, ends] - poses.positions[:, starts]
     back = np.swapaxes(quaternion_to_matrix(poses.rotations[:, starts]), -1, -2)
@@ -246,7 +250,7 @@ def _links(poses: JointPoses, match: JointMatch) -> Array:
 
 
 def _in_order(poses: JointPoses, names: tuple[str, ...]) -> JointPoses:
-    """Those joints of poses that are named, in that order."""
+    """Poses of the named joints, in that order."""
     if names == poses.names:
         return poses
     index = {name: number for number, name in enumerate(poses.names)}
@@ -258,7 +262,7 @@ def _in_order(poses: JointPoses, names: tuple[str, ...]) -> JointPoses:
 
 
 def _joined(poses: Sequence[JointPoses]) -> JointPoses:
-    """Poses of the same joints, one after the other."""
+    """Poses of the same joints, concatenated."""
     return JointPoses(
         poses[0].names,
         np.concatenate([part.positions for part in poses]),

@@ -1,6 +1,6 @@
-"""A scene that is played: when its frames leave, which time of it they show, and motions that can be changed.
+"""Play a scene: its clock, its poses at any scene time, and motions that can be changed meanwhile.
 
-Without ROS: the motion player and ``Simulation`` show the same frames because both ask :class:`Playback`.
+The motion player and ``Simulation`` both use :class:`Playback`, so that they show the same frames.
 """
 
 from __future__ import annotations
@@ -21,23 +21,27 @@ from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene
 
-#: What is said of a motion's file, and does not hold for another.
-_OF_THE_FILE = ("joint_names", "unit", "up", "facing", "positions", "start", "end")
-#: Changes after which a motion begins at its start; after others it goes on from where it is.
-_BEGINNING = {"file", "start", "end", "offset"}
-#: Changes after which the place in the round counts, not how many rounds there were.
-_OF_THE_ROUND = {"loop", "blend"}
-#: Nanoseconds before its time, but at most a tenth of a period, from which on a frame is due.
+#: Keys that describe the motion file; another file starts with their defaults.
+_FILE_KEYS = ("joint_names", "unit", "up", "facing", "positions", "start", "end")
+#: Keys whose change restarts a motion; after other changes it continues.
+_RESTART_KEYS = {"file", "start", "end", "offset"}
+#: Keys whose change keeps the time within the round and drops the number of rounds.
+_ROUND_KEYS = {"loop", "blend"}
+#: Nanoseconds by which a frame may be early; at most a tenth of a period.
 _EARLY = 5_000_000
-#: Nanoseconds back that mean that the wall clock was set anew.
+#: Nanoseconds that the wall clock goes back when it has been set.
 _SET_BACK = 1_000_000_000
 
 
 @dataclass(frozen=True)
 class Tick:
-    """A frame: its ``stamp`` and the time of the scene it shows, ``elapsed`` (nanoseconds).
+    """One step of the playback clock.
 
-    ``pace``: seconds of the scene per second, 0 while paused. ``dropped``: frames left out before it.
+    Attributes:
+        stamp: Stamp of the frame, nanoseconds.
+        elapsed: Scene time of the frame, nanoseconds.
+        pace: Seconds of the scene per second; 0 while paused.
+        dropped: Number of frames that were skipped before it.
     """
 
     stamp: int
@@ -47,11 +51,11 @@ class Tick:
 
 
 class PlaybackClock:
-    """When frames leave, in nanoseconds of a wall clock, and which time of the scene each shows.
+    """Stamps of frames on a wall clock in nanoseconds, and the scene time of each.
 
-    Frame k leaves at start + round(k * period); a new start is made by :meth:`cut`. Stamps always rise, but
-    where the wall clock itself is set back. The scene's time follows the stamps at ``speed``, stands while
-    paused, and never jumps but by :meth:`seek`.
+    Frame k has the stamp start + round(k * period); :meth:`cut` sets a new start. Stamps increase, unless the
+    wall clock is set back. The scene time follows the stamps at ``speed``, does not change while paused, and
+    jumps only by :meth:`seek`.
     """
 
     def __init__(self, rate: float, speed: float = 1.0, seconds: float = 0.0) -> None:
@@ -61,14 +65,14 @@ class PlaybackClock:
         self.elapsed = round(seconds * 1e9)
         self.last: int | None = None
         self._start = self._next = 0
-        # from which stamp (None: the next frame's) and time of the scene on it runs, or is stepped
+        # stamp (None: of the next frame) and scene time from which the scene time is counted
         self._base: tuple[int | None, int] = (None, self.elapsed)
         self._steps = 0
 
     def due(self, now: int) -> Tick | None:
-        """The newest frame that is due, or None: timers may come a moment early."""
+        """The newest frame that is due; None if there is none, as timers may be early."""
         if now <= 0:
-            return None  # simulated time has not begun: zero is never a stamp
+            return None  # simulated time has not started: zero is never a stamp
         if self.last is None or now < self.last - _SET_BACK:
             return self.cut(now)
         frame = int((now - self._start + min(0.1 * self.period, _EARLY)) / self.period)
@@ -78,7 +82,7 @@ class PlaybackClock:
         return self._tick(self._start + round(frame * self.period), dropped)
 
     def cut(self, now: int) -> Tick:
-        """A frame at once, from which the next ones are counted."""
+        """A frame now; the next frames are counted from it."""
         stamp = now
         if self.last is not None and now >= self.last - _SET_BACK:
             stamp = max(now, self.last + 1)
@@ -88,29 +92,29 @@ class PlaybackClock:
         return self._tick(stamp)
 
     def set_rate(self, rate: float, now: int) -> Tick:
-        """So many frames a second from now on."""
+        """Set the frames per second from now on."""
         self._rebase()
         self.period = 1e9 / rate
         return self.cut(now)
 
     def set_speed(self, speed: float) -> None:
-        """So many seconds of the scene a second after the last frame."""
+        """Set the seconds of the scene per second after the last frame."""
         self._rebase()
         self.speed = speed
 
     def pause(self, paused: bool) -> None:
-        """Stay at what the last frame shows, or go on from there."""
+        """Pause at the scene time of the last frame, or continue from it."""
         self._rebase()
         self.paused = paused
 
     def step(self, now: int) -> Tick:
-        """While paused: show at once what the next frame would."""
+        """The next frame now, while paused."""
         self._steps += 1
         self.elapsed = self._base[1] + round(self._steps * self.period * (self.speed or 1.0))
         return self.cut(now)
 
     def seek(self, seconds: float, now: int) -> Tick:
-        """Show a time of the scene at once, and go on from there."""
+        """A frame of a scene time now; continue from it."""
         self.elapsed = round(seconds * 1e9)
         self._base, self._steps = (None, self.elapsed), 0
         return self.cut(now)
@@ -130,9 +134,7 @@ class PlaybackClock:
 
 @dataclass(frozen=True)
 class ScenePoses:
-    """What moves at one time of the scene: the joints of each human's motion (N = 1), and the places of
-    objects and of cameras with a trajectory.
-    """
+    """Joint poses (N = 1) by human, and poses of moving objects and moving cameras, at one scene time."""
 
     poses: dict[str, JointPoses]
     objects: dict[str, ObjectPose]
@@ -141,23 +143,31 @@ class ScenePoses:
 
 @dataclass(frozen=True)
 class Change:
-    """Another motion for one human, read and understood, that :meth:`Playback.make` starts.
+    """A prepared change of one human's motion, for :meth:`Playback.apply`.
 
-    ``begins``: at its start; else it goes on from where the old one is. ``in_round``: but in its first round.
+    Attributes:
+        name: Name of the human.
+        settings: Section ``motion`` after the change.
+        actor: The human with the new motion.
+        restarts: Whether the motion restarts; it continues otherwise.
+        first_round: Whether a motion that continues does so in its first round.
     """
 
     name: str
     settings: MotionConfig
     actor: Actor
-    begins: bool
-    in_round: bool
+    restarts: bool
+    first_round: bool
 
 
 class Playback:
-    """The humans and objects of a scene at any time of it, with motions that can be changed meanwhile.
+    """Humans, objects and cameras of a scene at any scene time, with motions that can be changed meanwhile.
 
-    ``settings``: what each human does now, as a scene file would say it. ``actors``: the humans doing it.
-    ``elapsed``: time of the scene that was shown last (nanoseconds); changes hold from there on.
+    Attributes:
+        scene: The scene.
+        settings: Section ``motion`` of each human as it is now.
+        actors: Humans as they are now, by name.
+        elapsed: Scene time that was shown last, nanoseconds. Changes apply from there.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -169,8 +179,9 @@ class Playback:
         self.elapsed = 0
 
     def show(self, elapsed: int, pace: float = 1.0) -> ScenePoses:
-        """What moves at ``elapsed`` nanoseconds of the scene; velocities are per second of the wall, on which
-        ``pace`` seconds of the scene pass.
+        """Poses at ``elapsed`` nanoseconds of the scene, with velocities per second of the wall clock.
+
+        ``pace``: seconds of the scene per second of the wall clock.
         """
         self.elapsed = elapsed
         seconds = elapsed * 1e-9
@@ -182,18 +193,19 @@ class Playback:
         return ScenePoses(poses, objects, cameras)
 
     def change(self, name: str, **settings: Any) -> None:
-        """Let a human do something else after what was shown last: keys of a scene file's ``motion``.
+        """Change the motion of a human from the scene time that was shown last.
 
-        Raises HumansimError, and changes nothing, where that cannot be played.
+        ``settings``: keys of a section ``motion`` of a scene file. Raises HumansimError, and changes nothing,
+        if the motion cannot be played.
         """
-        self.make(self.prepare(name, settings))
+        self.apply(self.prepare(name, settings))
 
     def prepare(self, name: str, settings: Mapping[str, Any]) -> Change:
-        """The slow part of a change: files are read, and nothing is changed yet. Raises HumansimError.
+        """Read the files for a change without changing anything yet. Raises HumansimError with the key.
 
-        ``file`` reads it, even the same again; otherwise it may have vanished since. What was said of the old
-        file (joint table, unit, start, end …) does not hold for another; for the scene's own, what the scene
-        says of it does.
+        The motion file is read only if ``settings`` has ``file``. Keys that describe the old file (joint
+        table, unit, start, end …) get their defaults for another file, and the values of the scene for the
+        scene's own file.
         """
         with in_section(f"humans.{name}.motion"):
             return self._prepare(name, settings)
@@ -208,34 +220,34 @@ class Playback:
         else:
             read_again = different & {"file", "positions"}
             actor = before.with_motion(new, self.scene.source, None if read_again else before.motion.motion)
-        actor.motion.sample(0.0)  # what is worked out for all frames at once is worked out now
-        return Change(name, new, actor, bool(different & _BEGINNING), bool(different & _OF_THE_ROUND))
+        actor.motion.sample(0.0)  # compute now what is computed once for all frames
+        return Change(name, new, actor, bool(different & _RESTART_KEYS), bool(different & _ROUND_KEYS))
 
-    def make(self, change: Change) -> None:
-        """Start what was prepared."""
+    def apply(self, change: Change) -> None:
+        """Start the motion of a prepared change."""
         old, actor = self.actors[change.name], change.actor
         seconds = self.elapsed * 1e-9
         at = 0.0
-        if not change.begins:
+        if not change.restarts:
             at = float(old.motion.file_times(seconds + old.offset, old.ahead)[0])
-            at = _in_round(old.motion, at) if change.in_round else at
+            at = _in_round(old.motion, at) if change.first_round else at
         ahead = at - actor.motion.speed * (seconds + actor.offset)
         self.actors[change.name] = replace(actor, ahead=ahead)
         self.settings[change.name] = change.settings
 
     def rewind(self) -> None:
-        """From now on every time shows what it would if all had done from the start what they do now."""
+        """Play all motions as if they had their present settings from the start of the scene."""
         for name, actor in self.actors.items():
             self.actors[name] = replace(actor, ahead=0.0)
 
 
 def _with(old: MotionConfig, changes: Mapping[str, Any], of_scene: MotionConfig) -> MotionConfig:
-    """Settings with some changed. Raises MotionError naming a key that is wrong."""
+    """Settings with changes. Raises MotionError with the wrong key."""
     values = old.model_dump()
     file = changes.get("file", old.file)
     if file != old.file:
-        known = of_scene if file == of_scene.file else MotionConfig()
-        values.update({key: getattr(known, key) for key in _OF_THE_FILE})
+        base = of_scene if file == of_scene.file else MotionConfig()
+        values.update({key: getattr(base, key) for key in _FILE_KEYS})
     try:
         return MotionConfig.model_validate({**values, **changes})
     except ValidationError as reason:
@@ -245,7 +257,7 @@ def _with(old: MotionConfig, changes: Mapping[str, Any], of_scene: MotionConfig)
 
 
 def _in_round(motion: WorldMotion, played: float) -> float:
-    """Seconds since the start of the round that a motion is in."""
+    """Seconds since the start of the current round of a motion."""
     length = motion.cycle_length
     if motion.loop == "none" or length <= 0:
         return float(np.clip(played, 0.0, length))

@@ -1,7 +1,7 @@
-"""A furnished room, made by rule: textured floor, walls and furniture for the bodies to move in.
+"""A procedural furnished room: textured floor, walls and furniture.
 
-Everything stands along the walls, so that the middle is free. World coordinates: metres, z up, the floor at z
-= 0.
+Furniture is along the walls; the middle is free. Coordinates are those of ``map``: metres, z up, floor at
+z = 0.
 """
 
 from __future__ import annotations
@@ -29,9 +29,7 @@ _BOOKS = (
 
 
 def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int = 1) -> list[Mesh]:
-    """Meshes of a room of ``size`` (x, y, z) metres, centred on the origin; the same seed gives the same
-    room.
-    """
+    """Meshes of a room of ``size`` (x, y, z) metres around the origin; the same seed gives the same room."""
     rng = np.random.default_rng(seed)
     length, width, height = size
     x, y = length / 2, width / 2
@@ -52,7 +50,7 @@ def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int
         _box((1.1, -y + 0.26, 0.17), (0.45, 0.45, 0.34), _cardboard(rng)),
         _box((-1.3, -y + 0.03, 1.02), (0.92, 0.05, 2.04), _door(rng)),
     ]
-    for place, along, facing in (
+    for center, along, picture_size in (
         ((2.2, y - 0.015, 1.6), (-1, 0, 0), (0.9, 0.65)),
         ((1.6, -y + 0.015, 1.65), (1, 0, 0), (0.75, 1.0)),
         ((x - 0.015, 1.3, 1.6), (0, -1, 0), (1.2, 0.8)),
@@ -60,7 +58,7 @@ def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int
         ((-x + 0.015, -1.5, 1.6), (0, 1, 0), (1.0, 0.75)),
         ((-x + 0.015, 0.5, 1.75), (0, 1, 0), (1.3, 0.6)),
     ):
-        meshes.append(_picture(place, along, facing, rng))
+        meshes.append(_picture(center, along, picture_size, rng))
     return meshes
 
 
@@ -117,8 +115,8 @@ def _shelf(at: tuple[float, float], size: tuple[float, float, float], image: Ima
             tall = float(rng.uniform(0.2, 0.31))
             if rng.random() < 0.82:
                 color = _BOOKS[int(rng.integers(len(_BOOKS)))]
-                place = (x + left + book / 2, y - 0.03, float(z) + 0.015 + tall / 2)
-                meshes.append(_box(place, (book, 0.22, tall), _plaster(rng, color, 64)))
+                center = (x + left + book / 2, y - 0.03, float(z) + 0.015 + tall / 2)
+                meshes.append(_box(center, (book, 0.22, tall), _plaster(rng, color, 64)))
             left += book + 0.004
     return meshes
 
@@ -141,15 +139,13 @@ def _quad(
 
 
 def _turned(mesh: Mesh) -> Mesh:
-    """The same quad with its front on the other side."""
+    """Quad with its front on the other side."""
     faces = np.ascontiguousarray(mesh.faces[:, [0, 3, 2, 1]])
     return replace(mesh, faces=faces, uv_faces=faces)
 
 
 def _box(centre: Sequence[float], size: Sequence[float], image: Image) -> Mesh:
-    """A box with a face's texture scaled to a metre; corners are not shared, so that edges stay sharp when
-    lit.
-    """
+    """Box with textures of one metre; sides share no vertices: edges are sharp in shading."""
     half = np.array(size) / 2
     vertices, uv = [], []
     for axis in range(3):
@@ -161,7 +157,7 @@ def _box(centre: Sequence[float], size: Sequence[float], image: Image) -> Mesh:
                 vertices.append(point + np.array(centre))
                 uv.append((a * half[u] + half[u], b * half[v] + half[v]))
     faces = np.arange(24, dtype=np.int32).reshape(6, 4)
-    # turned so that every face's corners run counter-clockwise seen from outside
+    # corners of every face run counter-clockwise seen from outside
     for number, (axis, sign) in enumerate((a, s) for a in range(3) for s in (-1, 1)):
         if (sign > 0) == (axis == 1):
             faces[number] = faces[number, ::-1]
@@ -169,7 +165,7 @@ def _box(centre: Sequence[float], size: Sequence[float], image: Image) -> Mesh:
 
 
 def pattern(seed: int, color: Sequence[int], side: int) -> Image:
-    """(side, side, 3), any pattern in a colour: planks, weave, plaster, checks, stripes, dots, a picture."""
+    """Random pattern (side, side, 3): planks, weave, plaster, picture, checks, stripes or dots."""
     rng = np.random.default_rng(seed)
     kind = int(rng.integers(7))
     if kind < 3:
@@ -191,7 +187,7 @@ def pattern(seed: int, color: Sequence[int], side: int) -> Image:
 
 
 def _noise(rng: _Rng, shape: tuple[int, int], scale: float) -> Array:
-    """Smooth noise of unit deviation that repeats at its edges."""
+    """Smooth noise with unit deviation that repeats at its edges."""
     spectrum = np.fft.rfft2(rng.standard_normal(shape))
     fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None]
     out = np.fft.irfft2(spectrum * np.exp(-((fx**2 + fy**2) * (scale * np.pi) ** 2)), shape)
@@ -208,7 +204,7 @@ def _plaster(rng: _Rng, color: Sequence[int], side: int = 256) -> Image:
 
 
 def _planks(rng: _Rng, color: Sequence[int], rows: int = 8, side: int = 1024) -> Image:
-    """Boards along x, each of its own shade, with grain and dark joints."""
+    """Boards along x with different shades, grain and dark joints."""
     grain = cv2.resize(_noise(rng, (side, side // 16), 2), (side, side), interpolation=cv2.INTER_LINEAR)
     amount = 0.05 * grain + 0.03 * _noise(rng, (side, side), 30)
     board = side // rows
@@ -268,7 +264,7 @@ def _door(rng: _Rng) -> Image:
 
 
 def _poster(rng: _Rng, shape: tuple[int, int]) -> Image:
-    """A framed abstract picture: something for features to hold on to."""
+    """Framed abstract picture with many image features."""
     h, w = shape
     palette = np.array(
         [(212, 96, 66), (236, 190, 92), (66, 104, 132), (92, 138, 112), (40, 48, 60), (222, 216, 200)]

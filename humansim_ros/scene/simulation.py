@@ -141,7 +141,7 @@ class Simulation:
         }
         poses, humans, state = self._at(self.scene.frame_time(index))
         cameras = {
-            name: camera.at(poses.cameras[name]) if camera.moves else camera.camera
+            name: camera.camera_at(poses.cameras[name]) if camera.moves else camera.camera
             for name, camera in self.scene.scene_cameras.items()
         }
         views = {

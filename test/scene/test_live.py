@@ -1,4 +1,4 @@
-"""Live motion capture: a skinner follows joints of which it knows nothing but the messages."""
+"""Live motion capture: retargeting of joints that are known from messages only."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from humansim_ros.ros import messages
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.config import MotionConfig
-from humansim_ros.scene.live import Follower, JointSource
+from humansim_ros.scene.live import JointSource, LiveRetargeter
 from humansim_ros.scene.source import SceneSource
 
 LINKS = {
@@ -53,11 +53,11 @@ MIXAMO = {
 }  # fmt: skip
 
 
-def refused(follower: Follower, poses: JointPoses) -> int:
+def refused(live_retargeter: LiveRetargeter, poses: JointPoses) -> int:
     """How many times a pose is refused before it is followed."""
     for times in range(50):
         try:
-            follower.follow(poses)
+            live_retargeter.retarget(poses)
         except MotionError:
             continue
         return times
@@ -66,27 +66,27 @@ def refused(follower: Follower, poses: JointPoses) -> int:
 
 def test_the_scenes_own_motion_is_followed_as_it_is(actor: Actor) -> None:
     poses = actor.joint_poses(0.7)
-    state = Follower(actor).follow(poses)
+    state = LiveRetargeter(actor).retarget(poses)
     np.testing.assert_array_equal(state.joints, actor.state(poses).joints)
 
 
 def test_other_names_and_sizes_are_found_by_the_first_message(actor: Actor) -> None:
-    follower = Follower(actor)
+    live_retargeter = LiveRetargeter(actor)
     for seconds in (0.3, 0.9):
         poses = renamed(actor.joint_poses(seconds), MIXAMO)
         poses = replace(poses, positions=1.3 * poses.positions)
-        state = follower.follow(poses)
+        state = live_retargeter.retarget(poses)
         bones = actor.human.skeleton
         for bone, (start, end) in LINKS.items():
             link = poses.positions[0, poses.names.index(end)] - poses.positions[0, poses.names.index(start)]
             along = state.joints[bones.bone(bone), :3, 1]
             assert along @ link / np.linalg.norm(link) > np.cos(np.radians(1))
         assert state.vertices[:, 2].min() == pytest.approx(0.0, abs=0.06)
-    assert "by table" in follower.found
+    assert "by table" in live_retargeter.detected_source
     # the scene's own comes back: as if nothing had been
     own = actor.joint_poses(0.5)
-    np.testing.assert_array_equal(follower.follow(own).joints, actor.state(own).joints)
-    assert follower.found == ""
+    np.testing.assert_array_equal(live_retargeter.retarget(own).joints, actor.state(own).joints)
+    assert live_retargeter.detected_source == ""
 
 
 def test_joints_in_another_order_are_the_same_joints(actor: Actor) -> None:
@@ -97,23 +97,25 @@ def test_joints_in_another_order_are_the_same_joints(actor: Actor) -> None:
         tuple(poses.names[j] for j in order),
         *(part[:, order] for part in (poses.positions, poses.rotations, poses.linear, poses.angular)),
     )
-    np.testing.assert_allclose(Follower(actor).follow(shuffled).joints, actor.state(poses).joints, atol=1e-12)
+    np.testing.assert_allclose(
+        LiveRetargeter(actor).retarget(shuffled).joints, actor.state(poses).joints, atol=1e-12
+    )
 
 
 def test_missing_or_unknown_joints_are_refused_and_the_old_is_kept(actor: Actor) -> None:
-    follower = Follower(actor)
+    live_retargeter = LiveRetargeter(actor)
     poses = actor.joint_poses(0.4)
-    follower.follow(poses)
+    live_retargeter.retarget(poses)
     short = JointPoses(poses.names[:-3], poses.positions[:, :-3], poses.rotations[:, :-3])
     with pytest.raises(MotionError, match="joints are missing"):
-        follower.follow(short)
+        live_retargeter.retarget(short)
     unknown = renamed(poses, {name: f"x{n}" for n, name in enumerate(poses.names)})
     for _ in range(2):
         with pytest.raises(MotionError, match=r"joint table.*parameter joint_names"):
-            follower.follow(unknown)
+            live_retargeter.retarget(unknown)
     with pytest.raises(MotionError, match="twice: Head"):
-        follower.follow(renamed(poses, {"Neck": "Head"}))
-    np.testing.assert_array_equal(follower.follow(poses).joints, actor.state(poses).joints)
+        live_retargeter.retarget(renamed(poses, {"Neck": "Head"}))
+    np.testing.assert_array_equal(live_retargeter.retarget(poses).joints, actor.state(poses).joints)
 
 
 def test_a_table_beside_the_scene_file_tells_names_that_nobody_knows(ros: None, tmp_path: Path) -> None:
@@ -133,8 +135,8 @@ def test_a_table_beside_the_scene_file_tells_names_that_nobody_knows(ros: None, 
 
     node = skinner("mine.yaml")
     poses = node._actor.joint_poses(0.4)
-    node._follower.follow(renamed(poses, {name: f"q{name}" for name in poses.names}))
-    assert "by table mine" in node._follower.found
+    node._live_retargeter.retarget(renamed(poses, {name: f"q{name}" for name in poses.names}))
+    assert "by table mine" in node._live_retargeter.detected_source
     node.destroy_node()
     with pytest.raises(MotionError, match=r"yours\.yaml"):
         skinner("yours.yaml")
@@ -147,43 +149,43 @@ def test_a_legend_gives_the_truth_of_a_changed_motion(actor: Actor, tmp_path: Pa
     names = {name: MIXAMO.get(name, name) for name in other.motion.names}
     legend = JointSource.of_actor(other).to_dict()
     legend["joint_names"] = [names[name] for name in legend["joint_names"]]
-    follower = Follower(actor)
-    follower.hear_legend(json.loads(json.dumps(legend)))
+    live_retargeter = LiveRetargeter(actor)
+    live_retargeter.add_legend(json.loads(json.dumps(legend)))
     poses = other.joint_poses(0.8)
-    state = follower.follow(renamed(poses, names))
+    state = live_retargeter.retarget(renamed(poses, names))
     np.testing.assert_allclose(state.joints, other.state(poses).joints, atol=1e-12)
     # joints of these names but of somebody taller are no longer the legend's
     taller = renamed(replace(poses, positions=1.2 * poses.positions), names)
-    assert refused(follower, taller) == 4
-    assert "by table" in follower.found
+    assert refused(live_retargeter, taller) == 4
+    assert "by table" in live_retargeter.detected_source
 
 
 def test_a_legend_holds_from_its_stamp_on(actor: Actor) -> None:
     """Frames that were on their way when the motion changed belong to the motion before."""
     higher = replace(actor, retargeter=replace(actor.retargeter, lift=actor.retargeter.lift + 0.5))
-    follower = Follower(actor)
+    live_retargeter = LiveRetargeter(actor)
     for source in (JointSource.of_actor(actor), JointSource.of_actor(higher, since=1000)):
-        follower.hear_legend(json.loads(json.dumps(source.to_dict())))
+        live_retargeter.add_legend(json.loads(json.dumps(source.to_dict())))
     poses = actor.joint_poses(0.4)
     for stamp, expected in ((999, actor), (1000, higher), (998, actor), (2000, higher)):
-        state = follower.follow(poses, stamp)
+        state = live_retargeter.retarget(poses, stamp)
         np.testing.assert_allclose(state.joints, expected.state(poses).joints, atol=1e-12)
 
 
 def test_a_bad_frame_changes_nothing(actor: Actor) -> None:
     """Glitches of a tracker: one joint off, all joints at the origin; who comes after them is as before."""
-    follower = Follower(actor)
+    live_retargeter = LiveRetargeter(actor)
     poses = renamed(actor.joint_poses(0.4), MIXAMO)
-    before = follower.follow(poses).joints
-    found = follower.found
+    before = live_retargeter.retarget(poses).joints
+    found = live_retargeter.detected_source
     glitch = poses.positions.copy()
     glitch[0, poses.names.index("LeftLeg")] += 0.4
     for wrong in (glitch, 0 * glitch, glitch * 1e5):
         for _ in range(3):
             with pytest.raises(MotionError, match="bad frame"):
-                follower.follow(replace(poses, positions=wrong))
-        np.testing.assert_array_equal(follower.follow(poses).joints, before)
-    assert follower.found == found
+                live_retargeter.retarget(replace(poses, positions=wrong))
+        np.testing.assert_array_equal(live_retargeter.retarget(poses).joints, before)
+    assert live_retargeter.detected_source == found
 
 
 def test_joints_of_known_names_whose_rotations_mean_something_else_are_a_source_of_their_own(
@@ -191,12 +193,12 @@ def test_joints_of_known_names_whose_rotations_mean_something_else_are_a_source_
 ) -> None:
     """The scene's own joints, but turned from axes of the joints' own: as a suit may send the same file."""
     own = Rotation.random(len(actor.motion.names), random_state=5)
-    follower = Follower(actor)
+    live_retargeter = LiveRetargeter(actor)
     for seconds in (0.1, 0.6):
         poses = actor.joint_poses(seconds)
         turned = (Rotation.from_quat(poses.rotations[0]) * own).as_quat()[None]
-        state = follower.follow(replace(poses, rotations=turned))
-        assert "with rotations" in follower.found
+        state = live_retargeter.retarget(replace(poses, rotations=turned))
+        assert "with rotations" in live_retargeter.detected_source
         bones = actor.human.skeleton
         shin = (
             poses.positions[0, poses.names.index("LeftAnkle")]
@@ -214,24 +216,26 @@ def test_a_suit_that_starts_in_its_rest_pose_is_followed_with_rotations_when_it_
     still = JointPoses(
         actor.motion.names, rest[None][..., [2, 0, 1]], np.tile([0.0, 0, 0, 1], (1, len(rest), 1))
     )
-    follower = Follower(actor)
-    follower.follow(renamed(still, MIXAMO))
-    assert "positions only" in follower.found
-    times = [refused(follower, renamed(actor.joint_poses(0.01 * n), MIXAMO)) for n in range(6)]
+    live_retargeter = LiveRetargeter(actor)
+    live_retargeter.retarget(renamed(still, MIXAMO))
+    assert "positions only" in live_retargeter.detected_source
+    times = [refused(live_retargeter, renamed(actor.joint_poses(0.01 * n), MIXAMO)) for n in range(6)]
     assert (times[0], sum(times[1:])) == (4, 0)
-    assert "with rotations" in follower.found
+    assert "with rotations" in live_retargeter.detected_source
 
 
 def test_a_source_is_fitted_better_when_thirty_messages_are_known(actor: Actor) -> None:
     """It starts in the air, lower than a jump can be told from a high sole: later the floor is known."""
-    follower = Follower(actor)
+    live_retargeter = LiveRetargeter(actor)
     lift = np.zeros((1, 1, 3))
     lift[..., 2] = 0.1
     heights = []
     for n in range(32):
         poses = renamed(actor.joint_poses(n / 15), MIXAMO)
         up = lift if n < 5 else 0 * lift
-        heights.append(follower.follow(replace(poses, positions=poses.positions + up)).vertices[:, 2].min())
+        heights.append(
+            live_retargeter.retarget(replace(poses, positions=poses.positions + up)).vertices[:, 2].min()
+        )
     assert min(heights[5:28]) < -0.05
     assert heights[-1] == pytest.approx(0.0, abs=0.03)
 
@@ -250,11 +254,11 @@ def test_a_source_is_fitted_better_when_thirty_messages_are_known(actor: Actor) 
 )
 def test_a_broken_legend_is_refused(actor: Actor, broken: dict[str, Any]) -> None:
     legend = {**JointSource.of_actor(actor).to_dict(), **broken} if broken else {}
-    follower = Follower(actor)
+    live_retargeter = LiveRetargeter(actor)
     with pytest.raises(MotionError, match=r"legend|constants"):
-        follower.hear_legend(legend)
+        live_retargeter.add_legend(legend)
     poses = actor.joint_poses(0.1)
-    np.testing.assert_array_equal(follower.follow(poses).joints, actor.state(poses).joints)
+    np.testing.assert_array_equal(live_retargeter.retarget(poses).joints, actor.state(poses).joints)
 
 
 def test_unset_rotations_are_no_rotations(actor: Actor) -> None:
@@ -262,9 +266,9 @@ def test_unset_rotations_are_no_rotations(actor: Actor) -> None:
     for transform in message.transforms:
         transform.rotation.w = transform.rotation.x = transform.rotation.y = transform.rotation.z = 0.0
     message.joint_names = [MIXAMO.get(name, name) for name in message.joint_names]
-    follower = Follower(actor)
-    state = follower.follow(messages.read_joints(message))
-    assert "positions only" in follower.found
+    live_retargeter = LiveRetargeter(actor)
+    state = live_retargeter.retarget(messages.read_joints(message))
+    assert "positions only" in live_retargeter.detected_source
     assert np.isfinite(state.vertices).all()
     message.transforms[3].rotation.w = 1.0
     with pytest.raises(HumansimError, match="quaternion"):
@@ -274,15 +278,15 @@ def test_unset_rotations_are_no_rotations(actor: Actor) -> None:
 def test_a_noisy_tracker_loses_no_frame(actor: Actor) -> None:
     """Two millimetres and one degree, in every joint and frame."""
     random = np.random.default_rng(7)
-    follower = Follower(actor)
+    live_retargeter = LiveRetargeter(actor)
     for n in range(60):
         poses = renamed(actor.joint_poses(n / 30), MIXAMO)
         shape = poses.positions.shape
         turns = Rotation.from_rotvec(random.normal(0, np.radians(1), shape[1:]))
         rotations = (turns * Rotation.from_quat(poses.rotations[0])).as_quat()[None]
         positions = poses.positions + random.normal(0, 0.002, shape)
-        follower.follow(replace(poses, positions=positions, rotations=rotations))
-    assert "with rotations" in follower.found
+        live_retargeter.retarget(replace(poses, positions=positions, rotations=rotations))
+    assert "with rotations" in live_retargeter.detected_source
 
 
 def test_messages_that_are_none_are_refused(actor: Actor) -> None:

@@ -145,7 +145,7 @@ class CameraNode(SceneNode):
             encoding = self._camera.encoding.replace("bayer_rggb8", "rgb8")
             image = self._camera.rectify(view.rgb)
             self._rect.publish(messages.image_message(image, encoding, stamp, self._frame))
-        truth = state.camera_truth(self._camera.at(exposure.pose_at(0.0)), view)
+        truth = state.camera_truth(self._camera.camera_at(exposure.pose_at(0.0)), view)
         self._truth.publish(truth_topics, truth, stamp)
         self.count("frames")
         self.report_lateness(stamp)

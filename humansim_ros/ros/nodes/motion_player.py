@@ -176,7 +176,7 @@ class MotionPlayerNode(SceneNode):
         since = 0 if self._playback_clock.last is None else self._playback_clock.last + 1
         for change, source in self._changes:
             self._legends[change.name].publish(motion_legend(replace(source, since=since)))
-            self._playback.make(change)
+            self._playback.apply(change)
         self._changes = []
         values = {parameter.name: parameter.value for parameter in parameters}
         if "speed" in values:

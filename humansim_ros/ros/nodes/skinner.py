@@ -31,7 +31,7 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.motion_player import MAX_LEAD
 from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
-from humansim_ros.scene.live import Follower
+from humansim_ros.scene.live import LiveRetargeter
 
 
 class SkinnerNode(SceneNode):
@@ -51,7 +51,7 @@ class SkinnerNode(SceneNode):
         table = self.text_parameter(
             "joint_names", "", "Joint table of a live source (built-in name or YAML file); empty: detected"
         )
-        self._follower = Follower(self._actor, self._find_table(table))
+        self._live_retargeter = LiveRetargeter(self._actor, self._find_table(table))
         self._logged_source = ""
         self._joints = self.create_publisher(MultiDOFJointState, f"humans/{name}/joints", DATA)
         self._vertices = self.create_publisher(PointCloud2, f"humans/{name}/vertices", DATA)
@@ -78,12 +78,12 @@ class SkinnerNode(SceneNode):
     def _on_motion(self, message: MultiDOFJointState) -> None:
         stamp = to_nanoseconds(message.header.stamp)
         try:
-            state = self._follower.follow(read_joints(message), stamp)
+            state = self._live_retargeter.retarget(read_joints(message), stamp)
         except HumansimError as error:
             self.report_skipped(str(error))
             return
-        if self._follower.found != self._logged_source:
-            self._logged_source = self._follower.found
+        if self._live_retargeter.detected_source != self._logged_source:
+            self._logged_source = self._live_retargeter.detected_source
             self.get_logger().info(f"joint source: {self._logged_source or 'the motion player'}")
             if (publishers := self.count_publishers(self._motion.topic_name)) > 1:
                 self.get_logger().warn(
@@ -113,7 +113,7 @@ class SkinnerNode(SceneNode):
 
     def _on_legend(self, message: String) -> None:
         try:
-            self._follower.hear_legend(read_motion_legend(message))
+            self._live_retargeter.add_legend(read_motion_legend(message))
         except HumansimError as error:
             self.get_logger().error(f"legend not used: {error}", throttle_duration_sec=1.0)
 

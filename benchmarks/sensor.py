@@ -1,7 +1,7 @@
-"""What each effect of a sensor costs: milliseconds of one core per picture, beside a plain copy of it.
+"""Cost of each effect of a sensor: milliseconds of one core per image, compared with a copy of the image.
 
-The pictures are of the demo scene; all effects take turns in one process, so that what else the machine does
-hits them alike. Rendering the pictures that motion blur and rolling shutter need is not counted.
+The images are those of the demo scene. All effects alternate in one process, so that other load affects them
+alike. The rendering of images for motion blur and rolling shutter is not included.
 """
 
 from __future__ import annotations

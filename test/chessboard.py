@@ -1,4 +1,4 @@
-"""A chessboard, places to hold it up at, and what OpenCV makes of pictures of it."""
+"""A chessboard, its poses in front of a camera, and its calibration by OpenCV."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ BARREL = (-0.361976, 0.110510, 0.001014, 0.000505, 0.0)
 
 
 def board() -> Mesh:
-    """A printed board with a white margin: a quad with a texture, which is filtered, as it moves."""
+    """A printed board with a white margin: a quad with a filtered texture."""
     row, column = np.indices(((ROWS + 2) * CELL, (COLUMNS + 2) * CELL)) // CELL - 1
     black = (row >= 0) & (row < ROWS) & (column >= 0) & (column < COLUMNS) & ((row + column) % 2 == 0)
     print_ = np.where(black[..., None], 0, 255).repeat(3, axis=2).astype(np.uint8)
@@ -53,7 +53,7 @@ def held_up(camera: Camera, rng: np.random.Generator) -> tuple[Rotation, Floats]
 
 
 def found(gray: NDArray[np.uint8]) -> Floats | None:
-    """Corners (N, 2) as OpenCV's users find them, None where it sees no board."""
+    """Corners (N, 2) detected by OpenCV, None without a board."""
     seen, corners = cv2.findChessboardCorners(gray, (COLUMNS - 1, ROWS - 1))
     if not seen:
         return None
@@ -69,7 +69,7 @@ class Calibrated:
 
 
 def calibrate(board: Floats, views: list[Floats], size: tuple[int, int], model: str) -> Calibrated:
-    """What OpenCV makes of corners (N, 3) of a board seen at (N, 2) in each view."""
+    """Calibration by OpenCV from corners (N, 3) of a board and their pixels (N, 2) in each view."""
     if model != "equidistant":
         flags = cv2.CALIB_RATIONAL_MODEL if model == "rational_polynomial" else 0
         boards, corners = [board] * len(views), [v.astype(np.float32) for v in views]

@@ -1,4 +1,4 @@
-"""A small person of boxes with a skeleton of its own, written as glTF, SMPL and OBJ files."""
+"""A small person made of boxes with its own skeleton, written as glTF, SMPL and OBJ files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
-#: Joint, its parent, its place: T pose, y up, facing +z, metres.
+#: Joint, parent, position: T pose, y up, facing +z, metres.
 _LEFT = (
     ("LeftShoulder", "Spine2", (0.03, 1.44, -0.03)),
     ("LeftArm", "LeftShoulder", (0.19, 1.43, -0.03)),
@@ -45,7 +45,7 @@ PLACES = np.array([place for _, _, place in JOINTS])
 
 
 def boxes() -> tuple[Array, NDArray[np.int64], Array]:
-    """Vertices (V, 3), triangles (N, 3) and weights (V, J): a box along each joint's way to its parent."""
+    """Vertices (V, 3), triangles (N, 3) and weights (V, J): a box between each joint and its parent."""
     vertices, triangles, weights = [], [], []
     for joint, parent in enumerate(PARENTS):
         if parent < 0:

@@ -1,4 +1,4 @@
-"""Where OpenCV projects points: the judge of our own projection."""
+"""Projection of points by OpenCV, the reference of our own projection."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from humansim_ros.camera import Camera
 
 
 def opencv_pixels(camera: Camera, points: ArrayLike) -> NDArray[np.float64]:
-    """Pixels (N, 2) of points (N, 3) of the world. OpenCV knows no skew, so K is put on after it."""
+    """Pixels (N, 2) of world points (N, 3). OpenCV has no skew, so K is applied afterwards."""
     points = np.asarray(points, dtype=float)[:, None]
     rotation, d = cv2.Rodrigues(camera.R)[0], np.array(camera.distortion)
     project = cv2.fisheye.projectPoints if camera.model == "equidistant" else cv2.projectPoints

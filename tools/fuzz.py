@@ -1,13 +1,14 @@
-"""Damage input files in every way and see that readers say so: only our errors, no hang, bounded memory.
+"""Fuzz the file readers: damaged files cause only errors of the package, no hang, and bounded memory.
 
     python tools/fuzz.py [--inputs 100000] [--seed 1] [--processes 2] [--reader bvh] [FILE ...]
 
-Each input is a file of the corpus (ours, and the FILEs given) with some mutations: bytes flipped, cut out,
-repeated or inserted, digits and white space changed, tokens dropped, doubled or replaced by extremes, lines
-moved and doubled, hierarchies made deep; archives (.npz) and .glb files are unpacked, damaged inside and
-packed again, so that the damage gets past the check sums. A reader may return, or raise HumansimError;
-anything else, more than a second per 100 kB (five for scenes), memory beyond the limit, or a warning that is
-not ours is a finding: it is written to the folder ``fuzz`` and the exit code is 1.
+Each input is a file of the corpus (ours, and the given FILEs) with some mutations: bytes are flipped,
+removed, repeated or inserted; digits and white space are changed; tokens are removed, duplicated or
+replaced by extreme values; lines are moved and duplicated; hierarchies are nested deeply. Archives (.npz)
+and .glb files are unpacked, damaged and packed again, so that their check sums stay valid. A reader may
+return or raise HumansimError. All other exceptions, more than one second per 100 kB (five for scenes),
+memory beyond the limit, and warnings other than HumansimWarning are findings: they are written to the
+folder ``fuzz``, and the exit code is 1.
 """
 
 from __future__ import annotations
@@ -58,11 +59,11 @@ from humansim_ros.motion.keyframes import read_keyframes  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 
 _MEMORY = 4 << 30
-#: Seconds that a file of any size may take, and seconds per byte beyond.
+#: Longest time for a file in seconds, and additional seconds per byte.
 _SECONDS, _SECONDS_PER_BYTE = 1.0, 1e-5
-#: The same for a scene, which names other files and may have a hundred people drawn.
+#: The same for a scene, which reads other files and may have a hundred humans.
 _SECONDS_OF_SCENES = 5.0
-#: What is not back after so many seconds hangs.
+#: Seconds after which a reader hangs.
 _HANG = 30
 _LONGEST = 60_000
 
@@ -117,25 +118,25 @@ def reading_bvh(path: Path) -> None:
 
 
 def reading_figure(path: Path) -> None:
-    """A figure with its own skin, and its animation."""
+    """Read a skinned mesh and its animation."""
     make_human(path)
     read_motion(path).world_positions(0)
 
 
 def reading_calibration(path: Path) -> None:
-    """A calibration, and what is said of its cameras."""
+    """Read a calibration and describe its cameras."""
     for name, camera in islice(read_calibration(path).items(), 20):
         to_json(describe_camera(name, camera))
 
 
 def reading_colmap(path: Path) -> None:
-    """COLMAP's poses, with lenses that are not damaged."""
+    """Read damaged poses of COLMAP with valid intrinsics."""
     path.with_name("cameras.txt").write_bytes(CALIBRATIONS["cameras.txt"])
     reading_calibration(path)
 
 
 def reading_trajectory(path: Path) -> None:
-    """A camera's way, and where it is at times within and beyond it."""
+    """Read a trajectory, and evaluate poses within and beyond it."""
     for end in get_args(End):
         trajectory = Trajectory.read(path, end)
         for seconds in (-1.0, 0.4 * trajectory.duration, 1.7 * trajectory.duration):
@@ -143,7 +144,7 @@ def reading_trajectory(path: Path) -> None:
 
 
 def reading_scene(path: Path) -> None:
-    """A scene with all that it names, as it stands at two times."""
+    """Read a scene with its files, and compute its state at two times."""
     for name, data in BESIDE_SCENES.items():
         path.with_name(name).write_bytes(data)
     scene = Scene.load(path)
@@ -158,13 +159,13 @@ def reading_scene(path: Path) -> None:
 
 
 def reading_world(path: Path) -> None:
-    """A mesh file of a scene's world."""
+    """Read a mesh file of an environment."""
     for mesh in read_materials_z_up(path, None):
         assert np.isfinite(mesh.vertices).all()
 
 
 def reading_materials(path: Path) -> None:
-    """The materials of an OBJ."""
+    """Read the materials of an OBJ file."""
     (path.parent / "picture.png").write_bytes(PICTURE)
     mesh = path.with_name("mesh.obj")
     mesh.write_bytes(OBJ.replace(b"none.mtl", path.name.encode()))
@@ -250,14 +251,14 @@ outfits:
 
 
 def packed(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """A .npz file."""
+    """Bytes of a .npz file."""
     out = io.BytesIO()
     np.savez(out, **arrays)  # type: ignore[arg-type]
     return out.getvalue()
 
 
 def small_human() -> bytes:
-    """A human of few vertices."""
+    """Bytes of a human with few vertices."""
     vertices, triangles, weights = figures.boxes()
     bones = np.argsort(-weights, axis=1)[:, :4]
     tails = figures.PLACES + np.array([0.0, 0.1, 0.0])
@@ -279,7 +280,7 @@ def small_human() -> bytes:
 
 
 def calibrations() -> dict[str, bytes]:
-    """Two cameras in all forms, or one where a form has no place for more, by file name."""
+    """Calibration files of all formats by name, with two cameras where the format allows it."""
     first = Camera.look_at((3, 1, 2), (0, 0, 1))
     lens = (-0.31, 0.12, 1e-3, -2e-4)
     files: dict[str, bytes] = {}
@@ -351,7 +352,7 @@ newmtl other
 Tr 0.2
 norm picture.png
 """
-#: Every material property that world meshes show.
+#: All supported material properties.
 SHINY = {
     "materials": [
         {
@@ -373,7 +374,7 @@ SHINY = {
     ]
 }
 PICTURE = cv2.imencode(".png", np.zeros((6, 8, 3), np.uint8))[1].tobytes()
-#: What the scenes name.
+#: Files of the scenes.
 BESIDE_SCENES = {
     "moves.xml": XML,
     "moving_objects.xml": (ROOT / "config" / "scenes" / "moving_objects.xml").read_bytes(),
@@ -406,7 +407,7 @@ SEEDS = {
 
 
 def mutated(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> bytes:
-    """A damaged copy of a file."""
+    """Damage a copy of a file."""
     if data[:4] == b"glTF" and random_.random() < 0.9:
         return inside_glb(data, random_)
     if data[:2] == b"PK" and random_.random() < 0.9:
@@ -420,7 +421,7 @@ def mutated(data: bytes, corpus: Sequence[bytes], random_: random.Random) -> byt
 
 
 def inside_glb(data: bytes, random_: random.Random) -> bytes:
-    """A .glb file whose document, or whose numbers, are damaged and which is whole otherwise."""
+    """Damage the document or the numbers of a .glb file with a valid container."""
     length = struct.unpack_from("<I", data, 12)[0]
     text, binary = data[20 : 20 + length], bytearray(data[28 + length :])
     if random_.random() < 0.3:
@@ -462,7 +463,7 @@ _VALUES = (
 
 
 def changed_json(text: bytes, random_: random.Random) -> bytes:
-    """A JSON text with some values put in place of others, gone, or doubled."""
+    """Replace, remove or duplicate values of a JSON text."""
     document = json.loads(text)
     for _ in range(random_.choice((1, 1, 2, 5))):
         place = document
@@ -488,7 +489,7 @@ def changed_json(text: bytes, random_: random.Random) -> bytes:
 
 
 def inside_npz(data: bytes, random_: random.Random) -> bytes:
-    """An archive with other arrays in it: cut, turned, of other types, with numbers that are none."""
+    """Change the arrays of an archive: truncated, transposed, of other types, with invalid numbers."""
     with np.load(io.BytesIO(data)) as file:
         arrays = {name: file[name] for name in file.files}
     for _ in range(random_.choice((1, 1, 2, 4))):
@@ -519,7 +520,7 @@ def inside_npz(data: bytes, random_: random.Random) -> bytes:
         if not arrays:
             break
     out = packed(arrays)
-    if random_.random() < 0.15:  # the sizes that arrays promise
+    if random_.random() < 0.15:  # the declared sizes of arrays
         at = out.find(b"'shape': (") + 10
         out = out[:at] + random_.choice((b"9", b"-", b"0")) + out[at + 1 :]
         out = _with_check_sums(out)
@@ -527,7 +528,7 @@ def inside_npz(data: bytes, random_: random.Random) -> bytes:
 
 
 def _with_check_sums(data: bytes) -> bytes:
-    """An archive whose members are as they are now, whatever its check sums said."""
+    """Make an archive valid again after changes to its members (new check sums)."""
     out = io.BytesIO()
     with zipfile.ZipFile(io.BytesIO(data)) as old, zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as new:
         for entry in old.infolist():
@@ -541,7 +542,7 @@ Mutation = Callable[[bytes, Sequence[bytes], random.Random], bytes]
 
 
 def _place(data: bytes, random_: random.Random) -> int:
-    """Heads of files are hit as often as their many rows."""
+    """Choose a position; headers are chosen as often as the many rows."""
     return random_.randrange(min(len(data), random_.choice((200, 2000, 10**9))) + 1)
 
 
@@ -626,7 +627,7 @@ MUTATIONS: list[Mutation] = [
 
 @dataclass
 class Outcome:
-    """What became of many inputs."""
+    """Outcomes of many inputs."""
 
     inputs: int = 0
     kinds: Counter[str] = field(default_factory=Counter)
@@ -643,7 +644,7 @@ class Outcome:
 
 
 class Hang(Exception):
-    """A reader has not come back."""
+    """A reader did not return in time."""
 
 
 def _hangs(_: int, __: FrameType | None) -> None:
@@ -651,7 +652,14 @@ def _hangs(_: int, __: FrameType | None) -> None:
 
 
 def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
-    """Give a reader so many damaged files; the same seed gives the same ones."""
+    """Give damaged files to a reader.
+
+    Args:
+        name: Name of the reader.
+        corpus: Files to damage.
+        inputs: Number of damaged files.
+        seed: Seed of the damage; the same seed gives the same files.
+    """
     reader, pattern = READERS[name]
     outcome, random_ = Outcome(), random.Random(f"{name}{seed}")
     before = signal.signal(signal.SIGALRM, _hangs)
@@ -693,7 +701,7 @@ def _limit_memory() -> None:
 
 
 def corpus_of(name: str, files: Sequence[Path] = ()) -> list[bytes]:
-    """Our own small files, the committed ones and those given, none longer than a few frames."""
+    """Small files: ours, the committed ones and the given ones, each of a few frames at most."""
     suffix = READERS[name][1].removeprefix("*")
     own = [*ROOT.glob(f"assets/motions/*{suffix}"), *ROOT.glob(f"config/scenes/*{suffix}")]
     return [
@@ -703,7 +711,7 @@ def corpus_of(name: str, files: Sequence[Path] = ()) -> list[bytes]:
 
 
 def _some_frames(data: bytes) -> bytes:
-    """A file without most of its rows."""
+    """Remove most rows of a file."""
     if len(data) < 20_000 or data[:1] == b"{":
         return data
     return data[: max(20_000, data.find(b"Frame Time") + 8000)].rsplit(b"\n", 1)[0]

@@ -1,4 +1,4 @@
-"""Calibration files of every form against what OpenCV, or a formula written here, makes of their numbers."""
+"""Calibration files of all formats, compared with OpenCV or with formulas in this file."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def assert_sees(camera: Camera, pixels: Array, points: Array = POINTS) -> None:
         ("usb_cam_camera_info.yaml", "camera_info", 1, "test_camera", (640, 480)),
     ],
 )
-def test_real_files_are_known_by_their_content(
+def test_formats_of_real_files_are_detected_by_content(
     tmp_path: Path, shared_data: Path, name: str, form: str, count: int, first: str, size: tuple[int, int]
 ) -> None:
     anonymous = tmp_path / "calibration"
@@ -72,7 +72,7 @@ def test_real_files_are_known_by_their_content(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         calibration = load_calibration(anonymous)
-    # one of them carries the K of another size
+    # one file has the K of another image size
     mislabelled = [
         str(w.message) for w in caught if "is that of an image of about 1280x960" in str(w.message)
     ]
@@ -116,7 +116,7 @@ def test_human36m_projects_as_opencv_does_with_the_files_own_numbers(shared_data
         assert 1 < cameras[name].center[2] < 2  # on a stand, z up
 
 
-def test_shelf_from_two_forms_stands_at_the_same_places(tmp_path: Path, shared_data: Path) -> None:
+def test_shelf_in_two_formats_has_the_same_camera_positions(tmp_path: Path, shared_data: Path) -> None:
     path = shared_data / "calib" / "shelf_voxelpose.json"
     data, cameras = json.loads(path.read_text()), read_calibration(path, size=(1032, 776))
     blocks = []
@@ -143,7 +143,7 @@ def test_middlebury_cameras_all_look_at_the_temple(shared_data: Path) -> None:
         k, r, t = np.split(np.array(list(map(float, words))), [9, 18])
         points = (POINTS @ R.T + T - t) @ r.reshape(3, 3)  # before this camera
         assert_sees(camera, theirs(points, r.reshape(3, 3), t, k.reshape(3, 3)), points)
-    # the point nearest to all optical axes: they were taken by a robot around the model, 57 cm from it
+    # the point nearest to all optical axes: a robot moved the camera around the model at 57 cm
     away = [np.eye(3) - np.outer(camera.R[2], camera.R[2]) for camera in cameras.values()]
     centers = [camera.center for camera in cameras.values()]
     middle = np.linalg.solve(sum(away), sum(a @ c for a, c in zip(away, centers, strict=True)))
@@ -152,10 +152,10 @@ def test_middlebury_cameras_all_look_at_the_temple(shared_data: Path) -> None:
         assert np.linalg.norm(middle - center) == pytest.approx(0.57, abs=0.01)
 
 
-# -- forms by hand
+# -- formats
 
 
-def test_p_is_taken_apart_as_opencv_does(tmp_path: Path) -> None:
+def test_p_is_decomposed_as_by_opencv(tmp_path: Path) -> None:
     k = np.array([[700.0, 3.5, 310], [0, 690, 245], [0, 0, 1]])
     p = -2.5 * k @ np.column_stack([R, T])
     (camera,) = read_calibration(
@@ -210,7 +210,7 @@ def test_panoptic_is_in_centimetres_with_y_down(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("up", sorted(Z_UP_FROM_FILE))
-def test_what_is_up_in_the_file_is_z_in_the_world(tmp_path: Path, up: str) -> None:
+def test_the_up_axis_of_the_file_becomes_z(tmp_path: Path, up: str) -> None:
     path = written(tmp_path, "p.txt", "\n".join(map(numbers, K @ np.column_stack([R, T]))))
     as_it_is, turned = (next(iter(read_calibration(path, up=u, unit=0.5).values())) for u in ("z", up))
     axis = np.eye(3)["xyz".index(up[-1])] * (-1 if up[0] == "-" else 1)
@@ -246,7 +246,7 @@ def colmap(tmp_path: Path, camera: str, name: str = "left.png") -> Path:
         ("OPENCV_FISHEYE", "700 690 310.5 245.5 -0.02 0.01 0.003 0.002", [-0.02, 0.01, 0.003, 0.002]),
     ],
 )
-def test_colmap_models_are_opencvs_half_a_pixel_aside(
+def test_colmap_models_are_those_of_opencv_shifted_by_half_a_pixel(
     tmp_path: Path, model: str, parameters: str, d: list[float]
 ) -> None:
     colmap(tmp_path, f"{model} 640 480 {parameters}")
@@ -262,7 +262,7 @@ def test_colmap_models_are_opencvs_half_a_pixel_aside(
         assert_sees(cameras["left"], expected)
 
 
-def test_colmaps_lenses_alone_stand_at_the_origin(tmp_path: Path) -> None:
+def test_colmap_cameras_without_images_are_at_the_origin(tmp_path: Path) -> None:
     colmap(tmp_path, "PINHOLE 640 480 700 690 310.5 245.5")
     (tmp_path / "images.txt").unlink()
     camera = read_calibration(tmp_path)["7"]
@@ -293,7 +293,7 @@ cam2:
 """
 
 
-def test_kalibrs_chain_leads_from_camera_to_camera(tmp_path: Path) -> None:
+def test_transforms_of_a_kalibr_chain_are_composed(tmp_path: Path) -> None:
     cameras = read_calibration(written(tmp_path, "camchain.yaml", KALIBR))
     assert list(cameras) == ["cam0", "cam1", "cam2"]
     # by hand: cam1 has x1 = -y0 + 0.1, y1 = x0, so that its centre is at y0 = 0.1; cam2 is 0.2 from it on x1
@@ -307,16 +307,16 @@ def test_kalibrs_chain_leads_from_camera_to_camera(tmp_path: Path) -> None:
     assert_sees(cameras["cam0"], theirs(points, np.eye(3), np.zeros(3), K, d), points)
 
 
-def test_kalibrs_imu_is_the_world_where_there_is_one(tmp_path: Path) -> None:
+def test_the_imu_of_kalibr_is_the_world_frame_if_present(tmp_path: Path) -> None:
     imu = "  T_cam_imu: [[1, 0, 0, 0], [0, 0, -1, 2], [0, 1, 0, 3], [0, 0, 0, 1]]\n"
     text = KALIBR.replace("cam1:", imu + "cam1:")
     cameras = read_calibration(written(tmp_path, "camchain-imucam.yaml", text))
     assert_allclose(cameras["cam0"].center, [0, -3, 2], atol=1e-12)
-    # the others still hang on the chain
+    # the other cameras still follow the chain
     assert_allclose(cameras["cam1"].to_optical([0, 0, 0]), [-2 + 0.1, 0, 3], atol=1e-12)
 
 
-def test_a_cam_file_of_the_thesis_looks_where_blender_would(tmp_path: Path) -> None:
+def test_a_cam_file_of_the_thesis_has_the_view_direction_of_blender(tmp_path: Path) -> None:
     # Blender's camera looks along its -z: turned by 90 degrees about x, then z, that is -x
     text = "C=3.0,0.0,0.5\nf=1\nR=90.0,0.0,90.0\nk=1:1\nsize=640x480\nformat=png\n"
     camera = read_calibration(written(tmp_path, "corner.cam", text))["corner"]
@@ -353,7 +353,7 @@ roi: {x_offset: 0, y_offset: 0, height: 0, width: 0, do_rectify: false}
 """
 
 
-def test_what_ros2_topic_echo_prints_is_read_too(tmp_path: Path) -> None:
+def test_output_of_ros2_topic_echo_is_read(tmp_path: Path) -> None:
     ros1 = MESSAGE
     for key in "dkrp":
         ros1 = ros1.replace(f"\n{key}:", f"\n{key.upper()}:")
@@ -364,7 +364,7 @@ def test_what_ros2_topic_echo_prints_is_read_too(tmp_path: Path) -> None:
         assert camera.rectified_projection[0, 3] == -65
 
 
-def test_a_cropped_message_is_said_to_be_the_full_image(tmp_path: Path) -> None:
+def test_a_message_with_region_of_interest_gives_the_full_image_with_a_warning(tmp_path: Path) -> None:
     path = written(tmp_path, "echo.yaml", MESSAGE.replace("binning_x: 0", "binning_x: 2"))
     with pytest.warns(HumansimWarning, match="binning"):
         read_calibration(path)
@@ -453,7 +453,7 @@ def test_a_rig_of_easymocap_is_in_two_files(tmp_path: Path) -> None:
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*4 coefficients are taken for plumb_bob")
-def test_four_coefficients_of_opencv_are_a_fisheyes_if_it_says_so(
+def test_four_coefficients_of_opencv_are_a_fisheye_only_if_the_file_says_so(
     tmp_path: Path, extra: str, model: str
 ) -> None:
     text = f"%YAML:1.0\n---\nK: [700, 0, 310, 0, 690, 245, 0, 0, 1]\nD: [0.1, 0.01, 1e-05, 2.e-6]\n{extra}\n"
@@ -461,10 +461,10 @@ def test_four_coefficients_of_opencv_are_a_fisheyes_if_it_says_so(
     assert camera.model == model and camera.distortion[:4] == (0.1, 0.01, 1e-5, 2e-6)
 
 
-# -- sizes, places, URLs
+# -- sizes, folders, URLs
 
 
-def test_the_size_is_the_users_or_the_images_or_assumed(tmp_path: Path) -> None:
+def test_the_size_is_given_or_that_of_an_image_or_assumed(tmp_path: Path) -> None:
     par = f"1\na.png {numbers(K)} {numbers(R)} {numbers(T)}\n"
     path = written(tmp_path, "par.txt", par)
     with pytest.warns(HumansimWarning, match="640x480 is assumed"):
@@ -496,7 +496,7 @@ def test_a_folder_is_a_rig(tmp_path: Path) -> None:
         read_calibration(tmp_path)
 
 
-def test_urls_lead_to_files_as_ros_has_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_urls_are_resolved_as_by_ros(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("AMENT_PREFIX_PATH", f"/nowhere:{tmp_path}")
     monkeypatch.setenv("ROS_HOME", str(tmp_path / "ros"))
     (tmp_path / "share" / "my_robot").mkdir(parents=True)
@@ -523,6 +523,6 @@ def test_urls_lead_to_files_as_ros_has_it(tmp_path: Path, monkeypatch: pytest.Mo
         ("file:///${NAME}.yaml", "NAME"),
     ],
 )
-def test_urls_that_lead_nowhere_say_why(url: str, reason: str) -> None:
+def test_urls_that_cannot_be_resolved_are_explained(url: str, reason: str) -> None:
     with pytest.raises(CameraError, match=reason):
         resolve_url(url)

@@ -1,4 +1,4 @@
-"""Calibrations that are wrong: every message names the file, and the key or line."""
+"""Wrong calibration files: every message has the file, and the key or line."""
 
 from __future__ import annotations
 
@@ -133,7 +133,7 @@ PANOPTIC: dict[str, Any] = {
 
 
 def changed(document: dict[str, Any], path: str, value: Any) -> str:
-    """JSON with another value at a path such as cameras.0.K; without it where the value is None."""
+    """JSON with a changed value at a path such as cameras.0.K; None removes it."""
     copy = json.loads(json.dumps(document))
     place, (*keys, last) = copy, [int(k) if k.isdigit() and "cameras" in path else k for k in path.split(".")]
     for key in keys:
@@ -145,7 +145,7 @@ def changed(document: dict[str, Any], path: str, value: Any) -> str:
     return json.dumps(copy)
 
 
-def test_the_texts_to_be_spoiled_are_right(tmp_path: Path) -> None:
+def test_the_files_are_valid_before_they_are_changed(tmp_path: Path) -> None:
     (tmp_path / "images.txt").write_text(IMAGES)
     texts = [ROS, INI, P, KRTD, PAR, KALIBR, STORAGE, XML, SCENE, *map(json.dumps, (SHELF, H36M, PANOPTIC))]
     for text in [*texts, CAMERAS]:
@@ -159,7 +159,7 @@ def test_the_texts_to_be_spoiled_are_right(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "header", ["%YAML:1.0\n", "%YAML:1.0\n---\n", "%YAML 1.1\n---\n", "\ufeff# a comment\n---\n"]
 )
-def test_headers_change_neither_what_is_read_nor_its_lines(tmp_path: Path, header: str) -> None:
+def test_headers_change_neither_cameras_nor_line_numbers(tmp_path: Path, header: str) -> None:
     path = tmp_path / "left.yaml"
     path.write_text(header + ROS, encoding="utf-8")
     assert list(read_calibration(path)) == ["left"]
@@ -170,7 +170,7 @@ def test_headers_change_neither_what_is_read_nor_its_lines(tmp_path: Path, heade
 
 
 @pytest.mark.parametrize("ending", ["\r\n", "\r"])
-def test_lines_may_end_as_elsewhere(tmp_path: Path, ending: str) -> None:
+def test_line_endings_of_all_systems_are_read(tmp_path: Path, ending: str) -> None:
     path = tmp_path / "calibration"
     for text in (ROS, INI, P, KRTD, PAR, KALIBR, STORAGE, XML, SCENE):
         path.write_bytes(text.encode())
@@ -405,7 +405,7 @@ def ros(old: str, new: str) -> str:
         ("  \n", "the calibration file is empty"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_place(tmp_path: Path, text: str, said: str) -> None:
+def test_errors_have_key_and_line(tmp_path: Path, text: str, said: str) -> None:
     path = tmp_path / "calibration"
     path.write_text(text)
     with pytest.raises(CameraError) as caught:
@@ -433,7 +433,7 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path: Path, text: str, said: 
         (CAMERAS.replace("700", "-700"), IMAGES, "cameras.txt:2: a.K: K is singular or has a focal length"),
     ],
 )
-def test_what_is_wrong_in_colmaps_pair_is_named_with_its_file(
+def test_errors_in_a_pair_of_colmap_files_have_the_file(
     tmp_path: Path, cameras: str | None, images: str, said: str
 ) -> None:
     if cameras is not None:
@@ -444,7 +444,7 @@ def test_what_is_wrong_in_colmaps_pair_is_named_with_its_file(
     assert str(caught.value).startswith(f"{tmp_path / said}")
 
 
-def test_files_that_are_not_there_are_named(tmp_path: Path) -> None:
+def test_missing_files_are_named(tmp_path: Path) -> None:
     for path, said in (
         (tmp_path / "a.yaml", "no such calibration file"),
         (tmp_path, "no calibration in this folder"),
@@ -453,7 +453,7 @@ def test_files_that_are_not_there_are_named(tmp_path: Path) -> None:
             read_calibration(path)
 
 
-def test_an_option_that_is_wrong_is_named(tmp_path: Path) -> None:
+def test_wrong_arguments_are_named(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text(ROS)
     for options, said in (
         ({"unit": -1.0}, "unit: "),
@@ -467,7 +467,7 @@ def test_an_option_that_is_wrong_is_named(tmp_path: Path) -> None:
             read_calibration(tmp_path / "a.yaml", **options)  # type: ignore[arg-type]
 
 
-def test_no_tag_makes_an_object(tmp_path: Path) -> None:
+def test_yaml_tags_create_no_objects(tmp_path: Path) -> None:
     made = tmp_path / "made"
     for tag in ("python/object/apply:os.mkdir", "python/object/new:os.mkdir"):
         (tmp_path / "a.yaml").write_text(ROS + f"extra: !!{tag} [{made}]\n")
@@ -494,7 +494,7 @@ def test_no_tag_makes_an_object(tmp_path: Path) -> None:
     ],
     ids=["references", "more references", "nested", "brackets", "words", "keys", "rows", "elements", "items"],
 )
-def test_hostile_files_are_refused_soon(tmp_path: Path, text: str) -> None:
+def test_hostile_files_are_refused_quickly(tmp_path: Path, text: str) -> None:
     (tmp_path / "a").write_text(text)
     start = time.process_time()
     with pytest.raises(CameraError):
@@ -512,7 +512,7 @@ def test_large_files_are_refused_before_they_are_read(tmp_path: Path) -> None:
         read_calibration(tmp_path / "b")
 
 
-# -- what can be used all the same, with a warning
+# -- files that are usable with a warning
 
 
 def test_a_missing_model_of_five_coefficients_is_plumb_bob(tmp_path: Path) -> None:
@@ -523,7 +523,7 @@ def test_a_missing_model_of_five_coefficients_is_plumb_bob(tmp_path: Path) -> No
         assert read_calibration(tmp_path / "a.yaml")["left"].model == "plumb_bob"
 
 
-def test_a_rotation_that_is_a_little_off_is_mended(tmp_path: Path) -> None:
+def test_a_rotation_with_a_small_error_is_corrected(tmp_path: Path) -> None:
     path = tmp_path / "a.json"
     path.write_text(changed(SHELF, "0.R", [[1, 5e-4, 0], [0, 1, 0], [0, 0, 1]]))
     with pytest.warns(HumansimWarning, match=r"a.json: 0: R is a rotation matrix only to 0.0005"):
@@ -533,7 +533,7 @@ def test_a_rotation_that_is_a_little_off_is_mended(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore:.*does not hold the image size")
 @pytest.mark.parametrize("form", FORMATS, ids=lambda form: form.name)
-def test_files_cut_off_anywhere_are_refused_or_read(tmp_path: Path, form: Any) -> None:
+def test_truncated_files_are_refused_or_read(tmp_path: Path, form: Any) -> None:
     camera = Camera(
         (640, 480), np.array([[640.0, 0, 319.5], [0, 640, 239.5], [0, 0, 1]]), np.eye(3), np.zeros(3)
     )

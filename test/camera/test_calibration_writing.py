@@ -1,4 +1,4 @@
-"""Cameras written in every form and read again; what a form cannot store is said or refused."""
+"""Cameras written in all formats and read again; values that a format does not store."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ LENSES = {
 }
 BY_NAME = {form.name: form for form in FORMATS}
 K = np.array([[711.25, 0, 1 / 3 + 310], [0, 690.1, 245.7], [0, 0, 1]])
-#: Forms in which numbers are worked out, and so may change in their last digit.
+#: Formats with computed numbers, which may change in the last digit.
 COMPUTED = ("p", "colmap", "cam", "kalibr")
-#: Forms that do not say it get the size when they are read.
+#: Formats without an image size need it for reading.
 SIZE = (640, 480)
 
 
 def a_camera(seed: int, form: CalibrationFormat, model: str | None) -> Camera:
-    """A camera with all that a form can hold."""
+    """A camera with all values that a format stores."""
     rng = np.random.default_rng(seed)
     k = K + np.diag([seed, seed, 0])
     k[0, 1] = 0.7 if form.holds_skew else 0
@@ -51,13 +51,13 @@ def all_lenses() -> list[tuple[str, str | None]]:
     return [(form.name, model) for form in FORMATS for model in (None, *form.lenses)]
 
 
-def test_every_form_that_holds_lenses_is_tried_with_all_of_them() -> None:
+def test_all_lenses_of_all_formats_are_tested() -> None:
     assert len(all_lenses()) > 35
 
 
 @pytest.mark.filterwarnings("ignore:.*does not hold the image size")
 @pytest.mark.parametrize(("name", "model"), all_lenses())
-def test_what_is_written_is_read_again(tmp_path: Path, name: str, model: str | None) -> None:
+def test_written_files_read_back_the_same_cameras(tmp_path: Path, name: str, model: str | None) -> None:
     form = BY_NAME[name]
     names = ["cam0", "cam1", "cam2"]
     cameras = {n: a_camera(i, form, model) for i, n in enumerate(names)}
@@ -75,7 +75,7 @@ def test_what_is_written_is_read_again(tmp_path: Path, name: str, model: str | N
         if form.holds_rectified:
             assert_allclose(other.rectified_projection, camera.rectified_projection, rtol=1e-15)
             assert_allclose(other.rectification_matrix, camera.rectification_matrix, rtol=1e-15)
-    # and the file of the cameras that were read is the same one
+    # writing the cameras that were read gives the same file
     texts = [file.read_text() for file in files]
     write_calibration(target, again, name)
     if form.unit == 1 and name not in COMPUTED:
@@ -83,7 +83,7 @@ def test_what_is_written_is_read_again(tmp_path: Path, name: str, model: str | N
 
 
 @pytest.mark.parametrize("suffix", [".yml", ".xml", ".json"])
-def test_opencv_reads_what_is_written_for_it(tmp_path: Path, suffix: str) -> None:
+def test_opencv_reads_its_written_files(tmp_path: Path, suffix: str) -> None:
     form = next(form for form in FORMATS if form.name.startswith("opencv") and form.suffix == suffix)
     cameras = {name: a_camera(i, form, "plumb_bob") for i, name in enumerate(("left", "right"))}
     for path, keys in (
@@ -106,7 +106,7 @@ def test_opencv_reads_what_is_written_for_it(tmp_path: Path, suffix: str) -> Non
             assert storage.getNode("names").at(1).string() == "right"
 
 
-def test_camera_info_is_laid_out_as_ros_reads_it(tmp_path: Path) -> None:
+def test_camera_info_has_the_layout_of_ros(tmp_path: Path) -> None:
     camera = a_camera(1, BY_NAME["camera_info"], "rational_polynomial")
     write_calibration(tmp_path / "left.yaml", {"left": camera})
     data = yaml.safe_load((tmp_path / "left.yaml").read_text())
@@ -121,7 +121,7 @@ def test_camera_info_is_laid_out_as_ros_reads_it(tmp_path: Path) -> None:
     assert data["projection_matrix"]["cols"] == 4
 
 
-def test_colmaps_folder_has_its_three_files_and_keeps_points(tmp_path: Path) -> None:
+def test_a_colmap_folder_has_three_files_and_keeps_existing_points(tmp_path: Path) -> None:
     cameras = {"a": a_camera(1, BY_NAME["colmap"], None)}
     (tmp_path / "model").mkdir()
     (tmp_path / "model" / "points3D.txt").write_text("1 0 0 0\n")
@@ -137,7 +137,7 @@ def test_colmaps_folder_has_its_three_files_and_keeps_points(tmp_path: Path) -> 
     assert float(line[6]) == cameras["a"].K[0, 2] + 0.5
 
 
-def test_cameras_on_a_stereo_head_keep_their_baseline_in_camera_info(tmp_path: Path) -> None:
+def test_camera_info_stores_the_baseline_of_a_stereo_pair(tmp_path: Path) -> None:
     p = np.array([[650.0, 0, 320, -65], [0, 650, 240, 0], [0, 0, 1, 0]])
     right = Camera(SIZE, K, np.eye(3), np.zeros(3), rectified=p)
     files = write_calibration(
@@ -149,7 +149,7 @@ def test_cameras_on_a_stereo_head_keep_their_baseline_in_camera_info(tmp_path: P
     assert again["left"].rectified_projection[0, 3] == 0
 
 
-# -- what is lost
+# -- values that are not stored
 
 
 @pytest.mark.parametrize(
@@ -162,7 +162,7 @@ def test_cameras_on_a_stereo_head_keep_their_baseline_in_camera_info(tmp_path: P
         ("kalibr", "R and P of rectified"),
     ],
 )
-def test_what_is_left_out_is_said(tmp_path: Path, form: str, said: str) -> None:
+def test_values_that_a_format_does_not_store_cause_a_warning(tmp_path: Path, form: str, said: str) -> None:
     camera = a_camera(1, BY_NAME["scene"], None)
     camera = replace(camera, K=K, rectified=np.column_stack([K, np.zeros(3)]))
     with pytest.warns(HumansimWarning) as caught:
@@ -187,7 +187,7 @@ def test_what_is_left_out_is_said(tmp_path: Path, form: str, said: str) -> None:
         ("cam", None, "skew"),
     ],
 )
-def test_what_would_change_the_image_is_refused(
+def test_cameras_that_a_format_would_change_are_refused(
     tmp_path: Path, form: str, model: str | None, what: str
 ) -> None:
     camera = a_camera(1, BY_NAME["scene"], None)
@@ -226,7 +226,7 @@ def test_a_rational_lens_without_denominator_is_written_as_plumb_bob(tmp_path: P
         ("here.txt", "colmap", ("a",), "needs a folder, and this is a file"),
     ],
 )
-def test_what_cannot_be_written_is_said_and_nothing_is_lost(
+def test_failed_writing_is_explained_and_keeps_existing_files(
     tmp_path: Path, target: str, form: str | None, names: tuple[str, ...], reason: str
 ) -> None:
     (tmp_path / "here.txt").write_text("kept")
@@ -237,7 +237,7 @@ def test_what_cannot_be_written_is_said_and_nothing_is_lost(
     assert (tmp_path / "here.txt").read_text() == "kept"
 
 
-def test_an_error_halfway_leaves_all_files_as_they_were(tmp_path: Path) -> None:
+def test_an_error_while_writing_changes_no_file(tmp_path: Path) -> None:
     camera = Camera(SIZE, K, np.eye(3), np.zeros(3))
     write_calibration(tmp_path / "rig", {"a": camera, "b": camera}, "camera_info")
     before = {f.name: f.read_text() for f in (tmp_path / "rig").iterdir()}

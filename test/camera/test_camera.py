@@ -1,4 +1,4 @@
-"""The camera against OpenCV, and its OpenGL matrix against OpenGL's rules written out by hand."""
+"""The camera compared with OpenCV, and its OpenGL matrix with the rules of OpenGL."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def cameras(draw: st.DrawFn, skew: bool = False) -> Camera:
 
 
 def points_before(camera: Camera, seed: int = 0, count: int = 50) -> Array:
-    """World points in front of a camera, computed from R and t here."""
+    """World points in front of a camera, computed from R and t."""
     rng = np.random.default_rng(seed)
     depth = rng.uniform(0.2, 30, count)
     optical = np.column_stack([rng.uniform(-1, 1, (count, 2)) * depth[:, None], depth])
@@ -48,7 +48,7 @@ def points_before(camera: Camera, seed: int = 0, count: int = 50) -> Array:
 
 @settings(deadline=None, max_examples=40)
 @given(cameras(), st.integers(0, 1000))
-def test_pixels_are_opencvs(camera: Camera, seed: int) -> None:
+def test_pixels_agree_with_opencv(camera: Camera, seed: int) -> None:
     points = points_before(camera, seed)
     theirs, _ = cv2.projectPoints(points, cv2.Rodrigues(camera.R)[0], camera.t, camera.K, None)
     ours, depth = camera.project(points)
@@ -58,7 +58,7 @@ def test_pixels_are_opencvs(camera: Camera, seed: int) -> None:
 
 @settings(deadline=None, max_examples=40)
 @given(cameras(skew=True), st.integers(0, 1000))
-def test_pixels_are_those_of_p_with_skew_too(camera: Camera, seed: int) -> None:
+def test_pixels_agree_with_p_also_with_skew(camera: Camera, seed: int) -> None:
     points = points_before(camera, seed)
     p = camera.K @ np.hstack([camera.R, camera.t[:, None]])
     np.testing.assert_allclose(camera.P, p)
@@ -66,7 +66,7 @@ def test_pixels_are_those_of_p_with_skew_too(camera: Camera, seed: int) -> None:
     np.testing.assert_allclose(camera.project(points)[0], (image[:2] / image[2]).T, atol=1e-6)
 
 
-def test_pixels_behind_the_camera_are_not_numbers() -> None:
+def test_pixels_behind_the_camera_are_nan() -> None:
     ahead, behind = CAMERA.unproject([[100.0, 100.0]], [2.0]), CAMERA.unproject([[100.0, 100.0]], [-2.0])
     pixels, depth = CAMERA.project(np.vstack([ahead, behind]))
     np.testing.assert_allclose(pixels[0], [100, 100])
@@ -77,7 +77,7 @@ def test_pixels_behind_the_camera_are_not_numbers() -> None:
 
 @settings(deadline=None, max_examples=40)
 @given(cameras(skew=True), st.integers(0, 1000))
-def test_unproject_undoes_project(camera: Camera, seed: int) -> None:
+def test_unproject_is_the_inverse_of_project(camera: Camera, seed: int) -> None:
     points = points_before(camera, seed)
     np.testing.assert_allclose(camera.unproject(*camera.project(points)), points, atol=1e-8)
 
@@ -91,7 +91,7 @@ def test_center_and_poses() -> None:
 
 @settings(deadline=None, max_examples=40)
 @given(cameras(skew=True), st.floats(1e-6, 1e6), st.booleans())
-def test_from_projection_matrix_finds_the_camera_of_any_scale_and_sign(
+def test_from_projection_matrix_accepts_any_scale_and_sign(
     camera: Camera, scale: float, negative: bool
 ) -> None:
     p = (-scale if negative else scale) * (camera.K @ np.hstack([camera.R, camera.t[:, None]]))
@@ -116,7 +116,7 @@ def test_from_projection_matrix_agrees_with_opencv() -> None:
     st.tuples(*[st.floats(-10, 10)] * 3),
     st.floats(0.1, 3.0),
 )
-def test_look_at_puts_the_target_in_the_middle(
+def test_look_at_projects_the_target_to_the_image_centre(
     position: tuple[float, float, float], target: tuple[float, float, float], fov: float
 ) -> None:
     if np.linalg.norm(np.subtract(position, target)[:2]) < 0.1:
@@ -234,7 +234,7 @@ def test_impossible_calibrations_are_refused_with_the_part_that_is_wrong(
     assert str(caught.value).startswith(f"{key}: ")
 
 
-def test_a_distortion_of_zeros_is_none() -> None:
+def test_zero_coefficients_are_no_distortion() -> None:
     assert Camera(SIZE, K, R, T, (0.0,) * 5).distortion == (0.0,) * 5
 
 
@@ -268,7 +268,7 @@ def test_impossible_views_are_refused(change: dict[str, object], key: str) -> No
     ],
     ids=["zeros", "shape", "NaN", "affine"],
 )
-def test_matrices_that_are_no_projection_are_refused(p: Array) -> None:
+def test_matrices_that_are_not_projections_are_refused(p: Array) -> None:
     with pytest.raises(CameraError) as caught:
         Camera.from_projection_matrix(p, SIZE)
     assert caught.value.key == "P"

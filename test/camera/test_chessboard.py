@@ -1,4 +1,4 @@
-"""OpenCV calibrates cameras from pictures of a board, and finds what they were rendered with."""
+"""Calibration by OpenCV from rendered images of a chessboard."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ MODELS = {
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", MODELS)
-def test_a_rendered_chessboard_gives_back_the_lens(model: str) -> None:
+def test_calibration_with_a_rendered_chessboard_recovers_the_lens(model: str) -> None:
     focal, distortion = MODELS[model]
     k = np.array([[focal, 0, 301.4], [0, 0.97 * focal, 252.9], [0, 0, 1]])
     camera = Camera((640, 480), k, np.eye(3), np.zeros(3), distortion, model)
@@ -46,10 +46,10 @@ def test_a_rendered_chessboard_gives_back_the_lens(model: str) -> None:
 
     result = calibrate(CORNERS, views, camera.size, model)
     assert_finds(result, k)
-    # coefficients of a rational function can be others and mean the same
+    # other coefficients of a rational function can describe the same lens
     if model != "rational_polynomial":
         np.testing.assert_allclose(result.D, distortion, atol=0.01)
-    # where the board was seen, rays fall where they fell
+    # in the area of the board, the distortion is the same
     pixels = np.concatenate(views)
     rays = camera.rays(pixels)[:, None]
     project = cv2.fisheye.projectPoints if model == "equidistant" else cv2.projectPoints

@@ -1,4 +1,4 @@
-"""Ideal cameras and their maps, with OpenCV as the judge (its K has no skew: that is worked out by hand)."""
+"""Ideal cameras and their maps compared with OpenCV; skew, which OpenCV does not have, is computed here."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ LENSES = {
 
 @st.composite
 def real_cameras(draw: st.DrawFn) -> Camera:
-    """Cameras of all models, with skew and any principal point, whose lens is fine all over the image."""
+    """Cameras of all models, with skew and any principal point, whose lens is valid in the whole image."""
     model = draw(st.sampled_from(sorted(LENSES)))
     strength = draw(st.floats(-1, 1) if model == "plumb_bob" else st.floats(0, 1))
     k = np.array(
@@ -76,7 +76,7 @@ def test_a_world_point_has_the_same_ideal_pixel_by_the_ideal_camera_and_through_
 
 
 @pytest.mark.parametrize("model", LENSES)
-def test_the_map_to_the_ideal_image_is_opencvs(model: str) -> None:
+def test_the_map_to_the_ideal_image_agrees_with_opencv(model: str) -> None:
     camera = Camera(SIZE, K_SKEWED, np.eye(3), np.zeros(3), LENSES[model], model)
     ideal = idealize(camera, square=True)
     plain = K_SKEWED * [[1, 0, 1], [1, 1, 1], [1, 1, 1]]
@@ -90,7 +90,7 @@ def test_the_map_to_the_ideal_image_is_opencvs(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", LENSES)
-def test_the_map_to_the_real_image_is_opencvs(model: str) -> None:
+def test_the_map_to_the_real_image_agrees_with_opencv(model: str) -> None:
     k = K_SKEWED * [[1, 0, 1], [1, 1, 1], [1, 1, 1]]
     camera = Camera(SIZE, k, np.eye(3), np.zeros(3), LENSES[model], model)
     ideal = idealize(camera)
@@ -110,7 +110,7 @@ def test_the_map_to_the_real_image_is_opencvs(model: str) -> None:
 
 
 @pytest.mark.parametrize("model", LENSES)
-def test_image_rect_is_that_of_r_and_p_as_opencv_maps_it(model: str) -> None:
+def test_image_rect_agrees_with_opencv_for_r_and_p(model: str) -> None:
     k = K_SKEWED * [[1, 0, 1], [1, 1, 1], [1, 1, 1]]
     turn = Rotation.from_euler("xyz", [2, -3, 1.5], degrees=True).as_matrix()
     p = np.array([[240.0, 0, 170, -31], [0, 240, 110, 0], [0, 0, 1, 0]])
@@ -132,7 +132,7 @@ K_SKEWED = np.array([[250.0, 2.5, 151.0], [0, 262.0, 127.5], [0, 0, 1]])
 CAMERA = Camera(SIZE, K_SKEWED, np.eye(3), np.zeros(3), LENSES["plumb_bob"])
 
 
-def test_an_ideal_camera_has_no_skew_and_no_lens_and_stands_where_the_real_one_does() -> None:
+def test_an_ideal_camera_has_no_skew_no_lens_and_the_same_pose() -> None:
     ideal = idealize(CAMERA).camera
     np.testing.assert_array_equal(ideal.K, [[250, 0, 159.5], [0, 262, 119.5], [0, 0, 1]])
     np.testing.assert_array_equal(idealize(CAMERA, center=False).camera.K[:2, 2], [151, 127.5])
@@ -144,14 +144,14 @@ def test_an_ideal_camera_has_no_skew_and_no_lens_and_stands_where_the_real_one_d
 
 
 def picture(pixels: Array) -> Array:
-    """A smooth picture that is known at any place, 0 to 200 (..., 2) -> (...)."""
+    """A smooth image as a function of the position, 0 to 200: (..., 2) -> (...)."""
     x, y = np.moveaxis(pixels, -1, 0)
     return 100 + 50 * np.sin(x / 9) + 50 * np.cos((y + x / 3) / 11)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.uint8, np.uint16, np.float32])
-def test_images_are_carried_both_ways(kind: type) -> None:
+def test_images_are_converted_in_both_directions(kind: type) -> None:
     grid = np.stack(np.meshgrid(*map(np.arange, SIZE)), axis=-1).astype(float)
     ideal = idealize(CAMERA)
     exact = picture(ideal.points_to_real(grid.reshape(-1, 2)).reshape(grid.shape))
@@ -169,7 +169,7 @@ def test_images_are_carried_both_ways(kind: type) -> None:
     np.testing.assert_array_equal(colored[..., 2], there)
 
 
-def test_labels_are_not_mixed() -> None:
+def test_labels_are_not_interpolated() -> None:
     labels = np.random.default_rng(1).choice([0, 3, 900], size=SIZE[::-1]).astype(np.uint16)
     assert set(np.unique(idealize(CAMERA).to_ideal(labels, cv2.INTER_NEAREST))) == {0, 3, 900}
 
@@ -177,7 +177,7 @@ def test_labels_are_not_mixed() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("model", LENSES)
 @pytest.mark.parametrize("center", [False, True])
-def test_no_black_shows_no_border_and_all_loses_nothing(model: str, center: bool) -> None:
+def test_fit_no_black_has_no_border_and_fit_all_loses_no_pixel(model: str, center: bool) -> None:
     camera = Camera(SIZE, K_SKEWED, np.eye(3), np.zeros(3), LENSES[model], model)
 
     def shown(fit: Fit, zoom: float = 1.0) -> tuple[bool, bool]:
@@ -193,12 +193,12 @@ def test_no_black_shows_no_border_and_all_loses_nothing(model: str, center: bool
 
 
 def near(pixels: Array) -> np.ndarray:
-    """In the image or on its border."""
+    """Whether pixels are in the image or on its border."""
     return ((pixels > -1e-2) & (pixels < np.subtract(SIZE, 1) + 1e-2)).all(axis=-1)
 
 
 @pytest.mark.parametrize("alpha", [0, 1])
-def test_fits_are_as_opencvs(alpha: int) -> None:
+def test_fits_agree_with_opencv(alpha: int) -> None:
     k = K_SKEWED * [[1, 0, 1], [1, 1, 1], [1, 1, 1]]
     camera = Camera(SIZE, k, np.eye(3), np.zeros(3), LENSES["plumb_bob"])
     theirs, _ = cv2.getOptimalNewCameraMatrix(
@@ -209,7 +209,7 @@ def test_fits_are_as_opencvs(alpha: int) -> None:
 
 
 @pytest.mark.slow
-def test_what_a_lens_cannot_see_is_nowhere_but_never_nan() -> None:
+def test_maps_are_finite_beyond_the_lens() -> None:
     wide = Camera(SIZE, np.diag([90.0, 90, 1]) + K_MIDDLE, np.eye(3), np.zeros(3), (0.0,) * 4, "equidistant")
     folding = Camera(SIZE, np.diag([90.0, 90, 1]) + K_MIDDLE, np.eye(3), np.zeros(3), (-0.3, 0.0))
     for camera in (wide, folding):
@@ -227,7 +227,7 @@ def test_what_a_lens_cannot_see_is_nowhere_but_never_nan() -> None:
 K_MIDDLE = np.array([[0, 0, 159.5], [0, 0, 119.5], [0, 0, 0]])
 
 
-def test_a_fit_needs_the_axis_in_the_image() -> None:
+def test_a_fit_needs_the_optical_axis_in_the_image() -> None:
     aside = Camera(SIZE, np.array([[250.0, 0, -40], [0, 250, 120], [0, 0, 1]]), np.eye(3), np.zeros(3))
     assert idealize(aside).camera.K[0, 2] == 159.5
     for fit in ("all", "no_black"):
@@ -243,7 +243,7 @@ def test_an_image_of_another_size_is_refused_with_both_sizes() -> None:
 
 @settings(deadline=None, max_examples=50)
 @given(real_cameras(), st.floats(1e-6, 1e6), st.booleans())
-def test_any_projection_matrix_comes_apart_as_with_opencv_and_scipy(
+def test_projection_matrices_are_decomposed_as_by_opencv_and_scipy(
     camera: Camera, scale: float, negative: bool
 ) -> None:
     p = camera.K @ np.hstack([camera.R, camera.t[:, None]])
@@ -274,7 +274,9 @@ def renderer() -> Iterator[GLRenderer]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", LENSES)
-def test_a_rendered_image_made_ideal_is_what_the_ideal_camera_sees(renderer: GLRenderer, model: str) -> None:
+def test_an_idealized_image_agrees_with_a_rendering_of_the_ideal_camera(
+    renderer: GLRenderer, model: str
+) -> None:
     place = Camera.look_at((3, 0, 1.8), (0, 0.5, 1))
     camera = Camera(SIZE, K_SKEWED, place.R, place.t, LENSES[model], model)
     ideal = idealize(camera, square=True)
@@ -293,7 +295,7 @@ def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.slow
-def test_the_command_corrects_images_and_names_those_it_cannot(tmp_path: Path) -> None:
+def test_the_command_converts_images_and_reports_failures(tmp_path: Path) -> None:
     write_calibration(tmp_path / "cam.yaml", {"cam": CAMERA}, "camera_info")
     grid = np.stack(np.meshgrid(*map(np.arange, SIZE)), axis=-1).astype(float)
     colored = np.dstack([np.rint(picture(grid + shift)) for shift in (0, 5, 9)]).astype(np.uint8)
@@ -323,7 +325,7 @@ def test_the_command_corrects_images_and_names_those_it_cannot(tmp_path: Path) -
     assert not any((tmp_path / "out" / name).exists() for name in names[:4])
 
 
-def test_the_command_overwrites_no_input(tmp_path: Path) -> None:
+def test_the_command_does_not_overwrite_its_input(tmp_path: Path) -> None:
     write_calibration(tmp_path / "cam.yaml", {"cam": CAMERA}, "camera_info")
     before = (tmp_path / "cam.yaml").read_text()
     done = humansim(tmp_path / "cam.yaml", "-o", tmp_path)
@@ -337,7 +339,7 @@ def test_the_command_overwrites_no_input(tmp_path: Path) -> None:
     "name", ["usb_cam_camera_info.yaml", "human36m_camera-parameters.json", "shelf_voxelpose.json"]
 )
 @pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
-def test_real_cameras_are_made_ideal(shared_data: Path, name: str) -> None:
+def test_real_calibrations_are_idealized(shared_data: Path, name: str) -> None:
     for camera in list(read_calibration(shared_data / "calib" / name).values())[:5]:
         ideal = idealize(camera)
         rng = np.random.default_rng(1)

@@ -1,4 +1,4 @@
-"""Lens distortion against OpenCV, and where it ends."""
+"""Lens distortion compared with OpenCV, and its valid radius."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ REAL = {
 
 @st.composite
 def lenses(draw: st.DrawFn) -> Lens:
-    """Lenses of each model, with coefficients as calibrations give them."""
+    """Lenses of each model with realistic coefficients."""
     model = draw(st.sampled_from(sorted(MODELS)))
     largest = {"k1": 0.4, "k2": 0.2, "p1": 0.01, "p2": 0.01, "k3": 0.05, "k4": 0.4, "k5": 0.1, "k6": 0.02}
     if model == "equidistant":
@@ -37,7 +37,7 @@ def lenses(draw: st.DrawFn) -> Lens:
 
 @st.composite
 def cameras(draw: st.DrawFn) -> Camera:
-    """Cameras with a lens that maps at least 30 degrees."""
+    """Cameras with a lens that is valid up to at least 30 degrees."""
     lens = draw(lenses())
     assume(lens.valid_radius > np.tan(np.radians(30)))
     fx, fy = draw(st.floats(300, 1200)), draw(st.floats(300, 1200))
@@ -49,7 +49,7 @@ def cameras(draw: st.DrawFn) -> Camera:
 
 
 def seen_points(camera: Camera, seed: int, count: int = 60) -> Array:
-    """World points within what the lens can see, made from R and t here."""
+    """World points within the valid radius of the lens, computed from R and t."""
     rng = np.random.default_rng(seed)
     angle = np.arctan(camera.lens.valid_radius) * 0.98 * np.sqrt(rng.uniform(0, 1, count))
     turn, depth = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.3, 20, count)
@@ -59,7 +59,7 @@ def seen_points(camera: Camera, seed: int, count: int = 60) -> Array:
 
 @settings(deadline=None, max_examples=40)
 @given(cameras(), st.integers(0, 1000))
-def test_pixels_behind_a_lens_are_opencvs(camera: Camera, seed: int) -> None:
+def test_distorted_pixels_agree_with_opencv(camera: Camera, seed: int) -> None:
     points = seen_points(camera, seed)
     np.testing.assert_allclose(
         camera.project(points)[0], opencv_pixels(camera, points), rtol=1e-12, atol=1e-6
@@ -77,9 +77,9 @@ def test_rays_of_pixels_are_the_points_that_opencv_projects_there(camera: Camera
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_undistorted_points_are_opencvs(name: str) -> None:
+def test_undistorted_points_agree_with_opencv(name: str) -> None:
     lens, plane = REAL[name], np.eye(3)
-    # its iteration for polynomials ends early, but near the axis it has come close
+    # its iteration for polynomials ends early, but is accurate near the axis
     reach, off = (1.2, 1e-9) if lens.model == "equidistant" else (0.25, 1e-6)
     fallen = lens.distort(np.random.default_rng(3).uniform(-reach / 2, reach / 2, (200, 2)))
     undistort = cv2.fisheye.undistortPoints if lens.model == "equidistant" else cv2.undistortPoints
@@ -89,7 +89,7 @@ def test_undistorted_points_are_opencvs(name: str) -> None:
 
 @settings(deadline=None, max_examples=40)
 @given(cameras(), st.integers(0, 1000))
-def test_every_point_that_is_seen_comes_back_from_its_pixel(camera: Camera, seed: int) -> None:
+def test_unproject_recovers_every_visible_point(camera: Camera, seed: int) -> None:
     points = seen_points(camera, seed)
     pixels, depth = camera.project(points)
     again, _ = camera.project(camera.unproject(pixels, depth))
@@ -101,7 +101,7 @@ def test_every_point_that_is_seen_comes_back_from_its_pixel(camera: Camera, seed
 @settings(deadline=None, max_examples=40)
 @given(lenses(), st.integers(0, 1000))
 def test_within_its_valid_radius_a_lens_never_folds(lens: Lens, seed: int) -> None:
-    """No two rays fall on one place: going outwards, what OpenCV projects goes outwards."""
+    """The distortion is one-to-one: with the angle of a ray, its distorted radius by OpenCV increases."""
     turn = np.random.default_rng(seed).uniform(0, 2 * np.pi)
     r = np.tan(np.linspace(0.001, np.arctan(lens.valid_radius) * 0.999, 400))
     points = np.stack([r * np.cos(turn), r * np.sin(turn), np.ones_like(r)], axis=1)
@@ -110,7 +110,7 @@ def test_within_its_valid_radius_a_lens_never_folds(lens: Lens, seed: int) -> No
     assert (way @ points[0, :2] > 0).all()
 
 
-def test_where_a_lens_folds_is_known_exactly() -> None:
+def test_the_valid_radius_is_exact() -> None:
     # r (1 - r^2 / 3) turns back where 1 = r^2
     lens = Lens.of((-1 / 3,))
     assert lens.valid_radius == pytest.approx(1.0, abs=1e-6)
@@ -122,12 +122,12 @@ def test_where_a_lens_folds_is_known_exactly() -> None:
     )
 
 
-def test_a_denominator_that_becomes_zero_ends_what_is_seen() -> None:
+def test_a_zero_of_the_denominator_limits_the_valid_radius() -> None:
     assert Lens.of((0, 0, 0, 0, 0, -0.25, 0, 0), "rational_polynomial").valid_radius < 2.0
 
 
 @pytest.mark.parametrize("name", REAL)
-def test_points_behind_or_beyond_are_never_reported(name: str) -> None:
+def test_points_behind_the_camera_or_beyond_the_lens_have_no_pixel(name: str) -> None:
     lens = REAL[name]
     k = np.array([[400.0, 0, 320], [0, 400, 240], [0, 0, 1]])
     camera = Camera(SIZE, k, np.eye(3), np.zeros(3), lens.coefficients, lens.model)
@@ -163,21 +163,21 @@ def test_skew_works_after_the_lens(name: str) -> None:
         ((0.1, 0.2), "equidistant", ("equidistant", 4)),
     ],
 )
-def test_models_are_found_by_the_number_of_coefficients(
+def test_the_number_of_coefficients_decides_the_model(
     coefficients: tuple[float, ...], model: str | None, expected: tuple[str, int]
 ) -> None:
     lens = Lens.of(coefficients, model)
     assert (lens.model, len(lens.coefficients)) == expected
 
 
-def test_a_fisheye_without_coefficients_still_bends() -> None:
+def test_a_fisheye_without_coefficients_still_distorts() -> None:
     camera = Camera(SIZE, np.diag([300.0, 300, 1]), np.eye(3), np.zeros(3), (0.0,) * 4, "equidistant")
     assert camera.distorted
     # the angle itself, times the focal length
     np.testing.assert_allclose(camera.project([[1.0, 0, 1]])[0][0], [300 * np.pi / 4, 0])
 
 
-def test_twelve_coefficients_are_refused_with_what_they_are() -> None:
+def test_twelve_coefficients_are_refused_with_the_name_of_their_model() -> None:
     with pytest.raises(CameraError, match="thin prism"):
         Lens.of((0.1,) * 12)
 

@@ -1,4 +1,4 @@
-"""Binning and regions of interest: what is sent is what CameraInfo says, as image_geometry reads it."""
+"""Binning and regions of interest: images agree with CameraInfo as image_geometry reads it."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def info_of(scene: Scene, name: str) -> Any:
 
 
 def image_geometry_pixels(info: Any, points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Pixels (N, 2) of points (N, 3) in the optical frame, by what CameraInfo says alone."""
+    """Pixels (N, 2) of points (N, 3) in the optical frame, computed from CameraInfo only."""
     lens, _ = cv2.projectPoints(points[:, None], np.zeros(3), np.zeros(3), np.eye(3), np.array(info.d))
     sensor = np.column_stack([lens.reshape(-1, 2), np.ones(len(points))]) @ np.reshape(info.k, (3, 3))[:2].T
     return (sensor - (info.roi.x_offset, info.roi.y_offset)) / (
@@ -70,7 +70,7 @@ def image_geometry_pixels(info: Any, points: NDArray[np.float64]) -> NDArray[np.
 
 
 def image_geometry_rays(info: Any, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Directions (N, 3), z = 1, that pixels (N, 2) see."""
+    """Directions (N, 3), z = 1, of the rays of pixels (N, 2)."""
     sensor = pixels * (max(info.binning_x, 1), max(info.binning_y, 1)) + (
         info.roi.x_offset,
         info.roi.y_offset,
@@ -84,7 +84,7 @@ def image_geometry_rays(info: Any, pixels: NDArray[np.float64]) -> NDArray[np.fl
     return rays
 
 
-def test_camera_info_is_of_the_whole_sensor_and_says_which_part_is_sent(shown: tuple[Scene, Frame]) -> None:
+def test_camera_info_describes_the_whole_sensor_and_the_region(shown: tuple[Scene, Frame]) -> None:
     scene, frame = shown
     for name in NAMES:
         info, whole = info_of(scene, name), info_of(scene, f"{name.split('_')[0]}_whole")
@@ -104,8 +104,8 @@ def test_camera_info_is_of_the_whole_sensor_and_says_which_part_is_sent(shown: t
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_every_pixel_shows_what_lies_on_its_ray(shown: tuple[Scene, Frame], name: str) -> None:
-    """The slab is a plane, so the depth of each pixel follows from the ray that CameraInfo gives it."""
+def test_every_pixel_shows_the_surface_on_its_ray(shown: tuple[Scene, Frame], name: str) -> None:
+    """The slab is a plane, so the depth of each pixel follows from its ray by CameraInfo."""
     scene, frame = shown
     depth, camera = frame.views[name].depth, frame.cameras[name]
     assert depth is not None
@@ -144,7 +144,7 @@ def test_joints_are_where_image_geometry_projects_them_and_on_their_body(
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_a_region_is_cut_out_of_the_whole_picture(shown: tuple[Scene, Frame], lens: str) -> None:
+def test_a_region_is_a_crop_of_the_whole_image(shown: tuple[Scene, Frame], lens: str) -> None:
     _, frame = shown
     whole, part = frame.views[f"{lens}_whole"], frame.views[f"{lens}_part"]
     cut = np.s_[30:191, 91:232]
@@ -160,7 +160,7 @@ def test_a_region_is_cut_out_of_the_whole_picture(shown: tuple[Scene, Frame], le
     assert different[outline].mean() < 1
 
 
-def test_the_rectified_projection_is_that_of_the_part_that_is_sent(shown: tuple[Scene, Frame]) -> None:
+def test_the_rectified_projection_is_that_of_the_region(shown: tuple[Scene, Frame]) -> None:
     scene, _ = shown
     for name in NAMES:
         camera, info = scene.scene_cameras[name], info_of(scene, name)
@@ -188,7 +188,7 @@ def test_the_rectified_projection_is_that_of_the_part_that_is_sent(shown: tuple[
         ("binning: 2", "binning", "tuple"),
     ],
 )
-def test_a_part_that_is_not_on_the_sensor_is_refused_with_its_key(
+def test_a_region_outside_the_sensor_is_refused_with_its_key(
     tmp_path: Path, words: str, key: str, message: str
 ) -> None:
     path = tmp_path / "scene.yaml"
@@ -202,7 +202,7 @@ def test_a_part_that_is_not_on_the_sensor_is_refused_with_its_key(
     assert caught.value.line is not None
 
 
-def test_regions_of_cameras_made_by_hand_are_checked_too() -> None:
+def test_regions_of_cameras_made_in_python_are_checked() -> None:
     camera = Camera.look_at((3, 0, 1), (0, 0, 1), (64, 48))
     assert Region().of(camera) is camera
     for region in (

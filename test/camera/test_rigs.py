@@ -1,4 +1,4 @@
-"""Rigs: where the cameras stand, what they see, and stereo pairs as OpenCV and ROS understand them."""
+"""Rigs: poses, coverage, and stereo pairs compared with OpenCV and ROS."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def centers(cameras: dict[str, Camera]) -> np.ndarray:
 
 
 @pytest.mark.parametrize("optics", [OPTICS, BARREL, FISHEYE], ids=["ideal", "barrel", "fisheye"])
-def test_all_cameras_see_the_target_in_the_middle_and_stand_upright(optics: Optics) -> None:
+def test_all_cameras_see_the_target_at_the_centre_and_are_upright(optics: Optics) -> None:
     rigs = (
         ring(8, 4, 1.8, TARGET, optics, 0.3),
         grid(3, 4, 0.6, 4, 1.8, TARGET, optics, 0.3),
@@ -94,7 +94,7 @@ def test_a_dome_gives_every_camera_the_same_share_of_the_half_sphere() -> None:
 
 
 @pytest.mark.parametrize("optics", [OPTICS, BARREL], ids=["ideal", "barrel"])
-def test_a_stereo_pair_gives_back_depth_as_ros_computes_it(optics: Optics) -> None:
+def test_depth_from_a_stereo_pair_as_computed_by_ros_is_exact(optics: Optics) -> None:
     cameras = stereo(0.2, 4, 1.5, TARGET, optics, 0.7)
     left, right = cameras["left"], cameras["right"]
     np.testing.assert_allclose(left.R, right.R)
@@ -169,7 +169,7 @@ def test_impossible_rigs_are_refused(make, key: str | None) -> None:
 
 
 def seen_by(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Whether points (N, 3) are in the image, with OpenCV's projection."""
+    """Whether points (N, 3) are in the image by OpenCV's projection."""
     pixels, _ = cv2.projectPoints(
         points, cv2.Rodrigues(camera.R)[0], camera.t, camera.K, np.array(camera.distortion)
     )
@@ -289,7 +289,7 @@ def test_a_rig_is_a_scene_and_camera_info_files_and_can_be_drawn(tmp_path: Path)
         (["--ring", 8, "--radius", -1], "radius: must be above zero"),
     ],
 )
-def test_options_that_make_no_rig_are_explained(options: list, said: str, tmp_path: Path) -> None:
+def test_wrong_options_of_a_rig_are_explained(options: list, said: str, tmp_path: Path) -> None:
     with pytest.raises(HumansimError, match=said):
         app(["camera", "rig", *map(str, options), "-o", str(tmp_path / "rig")], standalone_mode=False)
     assert not (tmp_path / "rig").exists()

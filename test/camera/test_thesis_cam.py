@@ -1,4 +1,4 @@
-"""The thesis' cameras: its equations, its .cam files, and where Blender sees points with them."""
+"""Cameras of the thesis: its equations, .cam files, and pixels by Blender."""
 
 from __future__ import annotations
 

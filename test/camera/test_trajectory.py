@@ -1,4 +1,4 @@
-"""Ways of cameras, with SciPy's Slerp as the judge."""
+"""Camera trajectories compared with Slerp of SciPy."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LINES = [
     " ".join(map(repr, map(float, (time, *position, *turn))))
     for time, position, turn in zip(TIMES, POSITIONS, TURNS.as_quat(), strict=True)
 ]
-#: As the benchmark's own files begin.
+#: Start of the files of the benchmark.
 HEAD = "# ground truth trajectory\n# timestamp tx ty tz qx qy qz qw\n"
 
 
@@ -31,7 +31,7 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def test_poses_between_are_linear_in_place_and_scipys_slerp_in_turn(file: Path) -> None:
+def test_positions_are_interpolated_linearly_and_rotations_as_by_scipy_slerp(file: Path) -> None:
     trajectory = Trajectory.read(file)
     turns = Slerp(TIMES, TURNS)
     for seconds in (*(TIMES - TIMES[0]), *RNG.uniform(0, trajectory.duration, 50)):
@@ -49,7 +49,7 @@ def place(trajectory: Trajectory, seconds: float) -> np.ndarray:
     return -rotation.T @ t
 
 
-def test_what_follows_the_last_pose_is_as_asked_for(file: Path) -> None:
+def test_end_decides_what_follows_the_last_pose(file: Path) -> None:
     inner = Trajectory.read(file)
     clamp, loop, back = (Trajectory.read(file, end) for end in ("clamp", "loop", "ping_pong"))
     length = inner.duration
@@ -63,14 +63,14 @@ def test_what_follows_the_last_pose_is_as_asked_for(file: Path) -> None:
 
 
 @pytest.mark.parametrize("end", ["clamp", "loop", "ping_pong"])
-def test_one_pose_is_a_camera_that_stands(end: str, tmp_path: Path) -> None:
+def test_a_trajectory_of_one_pose_is_static(end: str, tmp_path: Path) -> None:
     (tmp_path / "one.txt").write_text(LINES[0])
     trajectory = Trajectory.read(tmp_path / "one.txt", end)  # type: ignore[arg-type]
     for seconds in (-1.0, 0.0, 5.0):
         np.testing.assert_allclose(place(trajectory, seconds), POSITIONS[0])
 
 
-def test_an_orbit_looks_at_its_middle_all_the_way_round_and_can_be_kept(tmp_path: Path) -> None:
+def test_an_orbit_looks_at_its_target_and_can_be_written(tmp_path: Path) -> None:
     orbit = Trajectory.orbit((0.5, -1, 0.9), radius=4, height=1.8, period=10, start=np.pi / 2)
     np.testing.assert_allclose(place(orbit, 0), [0.5, 3, 1.8], atol=1e-9)
     np.testing.assert_allclose(place(orbit, 2.5), [-3.5, -1, 1.8], atol=1e-9)  # to the left
@@ -122,7 +122,7 @@ def test_files_without_a_pose_are_refused(tmp_path: Path) -> None:
         Trajectory.read(tmp_path / "other.txt")
 
 
-def test_careless_quaternions_are_mended_with_a_warning(tmp_path: Path) -> None:
+def test_quaternions_of_other_lengths_are_normalised_with_a_warning(tmp_path: Path) -> None:
     (tmp_path / "way.txt").write_text("0 1 2 3 0 0 0 2\n1 1 2 3 0 0 0 1")
     with pytest.warns(HumansimWarning, match="length 1"):
         trajectory = Trajectory.read(tmp_path / "way.txt")
@@ -140,6 +140,6 @@ def test_careless_quaternions_are_mended_with_a_warning(tmp_path: Path) -> None:
         ([0], np.zeros((1, 3)), np.ones((1, 4)), "stop"),
     ],
 )
-def test_arrays_that_are_no_trajectory_are_refused(parts: tuple) -> None:
+def test_wrong_arrays_of_a_trajectory_are_refused(parts: tuple) -> None:
     with pytest.raises(CameraError):
         Trajectory(*parts)

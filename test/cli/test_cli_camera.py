@@ -23,7 +23,7 @@ from humansim_ros.cli.main import main
 
 
 def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    """The command in this process, which is faster than one of its own."""
+    """Run the command in this process, which is faster than a child process."""
     out, err = io.StringIO(), io.StringIO()
     words = ["humansim", "camera", *map(str, arguments)]
     with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
@@ -42,13 +42,13 @@ def shown(*arguments: str | Path) -> dict[str, Any]:
 @pytest.mark.parametrize(
     "words", [["show", "{}"], ["convert", "{}", "-o", "a.yaml"], ["rig", "--ring", "3", "-o", "{}"]]
 )
-def test_a_name_that_no_file_can_have_is_refused(words: list[str]) -> None:
+def test_invalid_file_names_are_refused(words: list[str]) -> None:
     result = humansim(*(word.format("x" * 300) for word in words))
     assert result.returncode == 2
     assert "File name too long" in result.stderr
 
 
-def test_show_says_all_there_is_of_a_camera(shared_data: Path) -> None:
+def test_show_prints_all_values_of_a_camera(shared_data: Path) -> None:
     path = shared_data / "calib" / "usb_cam_camera_info.yaml"
     facts = shown(path)
     (camera,) = facts["cameras"]
@@ -64,7 +64,7 @@ def test_show_says_all_there_is_of_a_camera(shared_data: Path) -> None:
         assert part in text
 
 
-def test_show_says_which_size_a_mislabelled_k_is_of(shared_data: Path) -> None:
+def test_show_names_the_size_that_k_belongs_to(shared_data: Path) -> None:
     path = shared_data / "calib" / "raspicam_camerav2_1640x1232.yaml"
     (camera,) = shown(path)["cameras"]
     assert (
@@ -91,7 +91,7 @@ def test_show_takes_sizes_units_axes_and_names(tmp_path: Path, shared_data: Path
     assert said.returncode == 2 and "--size: needs width and height" in said.stderr
 
 
-def test_convert_goes_from_form_to_form(tmp_path: Path, shared_data: Path) -> None:
+def test_convert_from_format_to_format(tmp_path: Path, shared_data: Path) -> None:
     path = shared_data / "calib" / "shelf_voxelpose.json"
     steps = [
         ("colmap", tmp_path / "model"),
@@ -113,7 +113,7 @@ def test_convert_goes_from_form_to_form(tmp_path: Path, shared_data: Path) -> No
         assert_allclose(other.P, camera.P, rtol=1e-12, atol=1e-9)
 
 
-def test_convert_puts_files_together_and_takes_rigs_apart(tmp_path: Path, shared_data: Path) -> None:
+def test_convert_joins_files_and_splits_rigs(tmp_path: Path, shared_data: Path) -> None:
     files = [shared_data / "calib" / f"image_common_calib{n}.ini" for n in (5, 8)]
     result = humansim("convert", *files, "-o", tmp_path / "both.xml", "--to", "opencv_xml")
     assert result.returncode == 0 and "several cameras mono_left" in result.stderr
@@ -126,7 +126,7 @@ def test_convert_puts_files_together_and_takes_rigs_apart(tmp_path: Path, shared
         assert np.array_equal(other.rectified_projection, camera.rectified_projection)
 
 
-def test_convert_says_what_is_lost_or_refuses(tmp_path: Path, shared_data: Path) -> None:
+def test_convert_warns_about_lost_values_or_refuses(tmp_path: Path, shared_data: Path) -> None:
     shelf = shared_data / "calib" / "shelf_voxelpose.json"
     result = humansim("convert", shelf, "-o", tmp_path / "rig", "--to", "camera_info")
     assert result.returncode == 0 and "R and t of 0, 1, 2, 3 and 1 more are left out" in result.stderr
@@ -135,14 +135,14 @@ def test_convert_says_what_is_lost_or_refuses(tmp_path: Path, shared_data: Path)
     assert not (tmp_path / "p.txt").exists()
 
 
-def test_an_unknown_format_is_answered_with_all_formats(tmp_path: Path, shared_data: Path) -> None:
+def test_an_unknown_format_prints_all_formats(tmp_path: Path, shared_data: Path) -> None:
     path = shared_data / "calib/usb_cam_camera_info.yaml"
     result = humansim("convert", path, "-o", tmp_path / "a.yaml", "--to", "nonsense")
     assert result.returncode == 2
     assert result.stderr.strip().endswith(f"known are {', '.join(form.name for form in FORMATS)}")
 
 
-# -- what looks wrong
+# -- plausibility checks
 
 K = np.array([[600.0, 0, 319.5], [0, 600, 239.5], [0, 0, 1]])
 GOOD = Camera.look_at((3, 2, 1.5), (0, 0, 1))
@@ -162,7 +162,7 @@ def ring(scale: float = 1.0, up: tuple[float, float, float] = (0, 0, 1)) -> dict
     }
 
 
-def test_good_cameras_are_not_doubted() -> None:
+def test_plausible_cameras_pass_all_checks() -> None:
     assert check_camera(GOOD) == check_camera(camera(distortion=(-0.3, 0.1, 0, 0))) == check_rig(ring()) == []
 
 
@@ -183,12 +183,12 @@ def test_good_cameras_are_not_doubted() -> None:
         (Camera.look_at((3000, 2000, 1500), (0, 0, 1)), "3.91e+03 m from the origin"),
     ],
 )
-def test_what_looks_wrong_is_said(odd: Camera, said: str) -> None:
+def test_implausible_cameras_are_reported(odd: Camera, said: str) -> None:
     (message,) = check_camera(odd)
     assert said in message
 
 
-def test_rigs_in_other_units_or_axes_are_doubted() -> None:
+def test_rigs_in_other_units_or_axes_are_reported() -> None:
     for scale in (1000, 0.001):
         (message,) = check_rig(ring(scale))
         assert "is the unit of the file correct?" in message

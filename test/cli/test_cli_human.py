@@ -31,7 +31,7 @@ def figure(tmp_path: Path) -> Path:
     return path
 
 
-def test_list_tells_who_there_is() -> None:
+def test_list_prints_the_built_in_humans() -> None:
     result = humansim("list", "--json")
     people = {person["name"]: person for person in json.loads(result.stdout)}
     assert list(people) == ["adult_man", "adult_woman", "child", "slim_old_woman", "tall_heavy_man"]
@@ -40,7 +40,7 @@ def test_list_tells_who_there_is() -> None:
     assert "adult_woman" in humansim("list").stdout
 
 
-def test_info_tells_what_is_in_a_file(figure: Path) -> None:
+def test_info_describes_a_file(figure: Path) -> None:
     facts = json.loads(humansim("info", figure, "--json").stdout)
     assert facts["vertices"] == len(figures.boxes()[0])
     assert facts["bones"] == len(facts["bone_names"]) >= 22
@@ -54,7 +54,7 @@ def test_show_draws_a_sheet(figure: Path, tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     image = cv2.imread(str(tmp_path / "sheet.png"))
     assert image.shape[1] == 8 * 260
-    # something is drawn in every picture of both rows
+    # every image of both rows shows a human
     for row in range(2):
         for column in range(8):
             cell = image[34 + 300 * row : 334 + 300 * row, 260 * column : 260 * column + 260]
@@ -97,7 +97,7 @@ def test_build_makes_a_human_of_a_description(figure: Path, tmp_path: Path) -> N
         (["build", "nobody.yaml", "-o", "x.npz"], "no such"),
     ],
 )
-def test_wrong_commands_say_so_without_a_traceback(
+def test_wrong_commands_are_explained_without_a_traceback(
     figure: Path, tmp_path: Path, arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -110,7 +110,7 @@ def test_wrong_commands_say_so_without_a_traceback(
     assert not list(tmp_path.glob("x.*"))
 
 
-def test_sliders_without_makehumans_data_say_what_to_install(tmp_path: Path) -> None:
+def test_makehuman_parameters_without_its_data_name_the_package_to_install(tmp_path: Path) -> None:
     pytest.importorskip("humansim_ros")
     if __import__("importlib").util.find_spec("anny") is not None:
         pytest.skip("anny is installed")

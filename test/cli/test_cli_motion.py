@@ -1,4 +1,4 @@
-"""The `humansim motion` commands: what others script against."""
+"""The `humansim motion` commands, which scripts use."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
 
 @needs_shared_data
 @pytest.mark.parametrize("stem", ["pybvh_test1", "mixamo_freebvh", "firepal_vr"])
-def test_joints_are_where_blender_has_them(command: Command, shared_data: Path, stem: str) -> None:
+def test_joint_positions_agree_with_blender(command: Command, shared_data: Path, stem: str) -> None:
     with np.load(REFERENCE) as blender:
         names, frames = blender[f"{stem}/names"], blender[f"{stem}/frames"]
         expected, size = blender[f"{stem}/positions"], blender[f"{stem}/size"]
@@ -62,7 +62,9 @@ def test_joints_are_where_blender_has_them(command: Command, shared_data: Path, 
 
 @needs_shared_data
 @pytest.mark.parametrize("positions", ["replace", "add"])
-def test_positions_are_taken_as_is_said(command: Command, shared_data: Path, positions: str) -> None:
+def test_positions_option_decides_the_meaning_of_position_channels(
+    command: Command, shared_data: Path, positions: str
+) -> None:
     key = "positions" if positions == "replace" else "positions_added"
     with np.load(REFERENCE) as blender:
         names, expected = blender["makehuman_walk1/names"], blender[f"makehuman_walk1/{key}"][0]
@@ -73,7 +75,7 @@ def test_positions_are_taken_as_is_said(command: Command, shared_data: Path, pos
 
 
 @pytest.mark.parametrize("mode", ["full", "thesis"])
-def test_retargeted_bones_hang_together_upright_on_the_floor(command: Command, mode: str) -> None:
+def test_retargeted_bones_are_connected_and_upright_on_the_floor(command: Command, mode: str) -> None:
     bones = command.json("retarget", "walk", "--frame", 30, "--mode", mode)
     assert list(bones) == list(SKELETON.names)
     for number, (name, bone) in enumerate(bones.items()):
@@ -101,7 +103,7 @@ def test_retargeting_is_placed_turned_and_mirrored(command: Command) -> None:
     )
 
 
-def test_feet_limits_scale_and_body_change_what_is_retargeted(command: Command) -> None:
+def test_feet_limits_scale_and_body_change_the_retargeting(command: Command) -> None:
     plain = command.json("retarget", "walk", "--frame", 40)
     for options in (
         ["--pin-feet"],
@@ -114,7 +116,7 @@ def test_feet_limits_scale_and_body_change_what_is_retargeted(command: Command) 
 
 
 @needs_shared_data
-def test_info_says_what_is_known_in_json_and_in_words(command: Command, shared_data: Path) -> None:
+def test_info_prints_facts_as_json_and_as_text(command: Command, shared_data: Path) -> None:
     file = shared_data / "bvh" / "pybvh_cmu_12_01_walk.bvh"
     facts = command.json("info", file)
     assert (facts["frames"], facts["up"], facts["unit_name"]) == (524, "y", "cmu")
@@ -127,7 +129,9 @@ def test_info_says_what_is_known_in_json_and_in_words(command: Command, shared_d
 
 
 @needs_shared_data
-def test_info_of_no_person_says_so_and_retargeting_it_is_refused(command: Command, shared_data: Path) -> None:
+def test_info_of_no_person_gives_the_reason_and_retargeting_is_refused(
+    command: Command, shared_data: Path
+) -> None:
     file = shared_data / "bvh" / "fairmotion_sinusoidal.bvh"
     facts = command.json("info", file)
     assert facts["stature"] is None and facts["unknown"]
@@ -137,13 +141,13 @@ def test_info_of_no_person_says_so_and_retargeting_it_is_refused(command: Comman
     assert "fairmotion_sinusoidal.bvh" in err and "Traceback" not in err
 
 
-def test_what_is_said_overrides_what_is_found(command: Command) -> None:
+def test_options_override_detected_values(command: Command) -> None:
     facts = command.json("info", "walk", "--unit", 0.02, "--facing", "x")
     assert (facts["unit"], facts["unit_name"], facts["facing"]) == (0.02, "given", "x")
 
 
 @needs_shared_data
-def test_warnings_go_into_the_json_and_nowhere_else(command: Command, shared_data: Path) -> None:
+def test_warnings_are_in_the_json_only(command: Command, shared_data: Path) -> None:
     file = shared_data / "bvh" / "assimp_Boxing_Toes.bvh"
     assert any("3070" in text for text in command.json("info", file)["warnings"])
     code, out, err = command("joints", file, "--json")
@@ -152,7 +156,7 @@ def test_warnings_go_into_the_json_and_nowhere_else(command: Command, shared_dat
     assert err.startswith("warning: ")
 
 
-def test_a_table_is_written_edited_and_passed_back(command: Command, tmp_path: Path) -> None:
+def test_a_written_joint_table_can_be_edited_and_used(command: Command, tmp_path: Path) -> None:
     written = tmp_path / "mine.yaml"
     code, out, _ = command("table", "walk", "-o", written)
     assert code == 0 and str(written) in out
@@ -170,7 +174,7 @@ def test_a_table_is_written_edited_and_passed_back(command: Command, tmp_path: P
     assert len(arm) - len(arm.strip()) == 8  # Hips, Chest, LeftCollar, LeftShoulder
 
 
-def test_the_list_is_of_files_that_are_there(command: Command) -> None:
+def test_the_list_names_existing_files(command: Command) -> None:
     listed = command.json("list")
     files = {path.stem: path for path in (ROOT / "assets" / "motions").glob("*.bvh")}
     assert listed.keys() == files.keys()
@@ -208,7 +212,9 @@ def test_a_video_plays_the_whole_motion(command: Command, tmp_path: Path, suffix
 
 
 @needs_shared_data
-def test_what_is_no_person_is_drawn_as_it_is(command: Command, shared_data: Path, tmp_path: Path) -> None:
+def test_motions_of_no_person_are_drawn_in_file_axes(
+    command: Command, shared_data: Path, tmp_path: Path
+) -> None:
     code, _, err = command(
         "render", shared_data / "bvh" / "fairmotion_sinusoidal.bvh", "-o", tmp_path / "s.png", "--phases", 2
     )
@@ -241,7 +247,7 @@ BAD: list[tuple[list[str], str]] = [
 
 
 @pytest.mark.parametrize(("words", "message"), BAD, ids=[" ".join(words) for words, _ in BAD])
-def test_what_is_wrong_is_said_in_a_line(
+def test_errors_are_one_line(
     command: Command, words: list[str], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "empty.bvh").write_text("")
@@ -254,7 +260,7 @@ def test_what_is_wrong_is_said_in_a_line(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["binary.bvh", "empty.bvh"]
 
 
-def test_a_pipe_that_closes_early_is_no_error() -> None:
+def test_a_closed_pipe_is_not_an_error() -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     line = f"{sys.executable} -m humansim_ros.cli.main motion joints walk --json | head -c 10"
     done = subprocess.run(

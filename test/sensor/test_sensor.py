@@ -1,4 +1,4 @@
-"""The sensor, measured from its pictures as a real one is."""
+"""The sensor, measured from its images like a real sensor."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ SIZE = (320, 240)
 K = np.array([[300.0, 2.0, 150.0], [0.0, 290.0, 130.0], [0.0, 0.0, 1.0]])
 CAMERA = Camera(SIZE, K, np.eye(3), np.zeros(3))
 EVERY_LEVEL = np.resize(np.arange(256, dtype=np.uint8), (*SIZE[::-1], 3))
-#: A value of linear light that is a whole number of 255ths in the sRGB picture as well.
+#: Linear light of integer sRGB values.
 LIGHT = {value: (value / 255 + 0.055) ** 2.4 / 1.055**2.4 for value in (60, 90, 128, 160, 188, 220, 255)}
 
 
 def flat(
     red: int, green: int | None = None, blue: int | None = None, size: tuple[int, int] = SIZE
 ) -> Picture:
-    """A picture of one colour."""
+    """An image of one colour."""
     green, blue = red if green is None else green, red if blue is None else blue
     return np.broadcast_to(np.array([red, green, blue], np.uint8), (size[1], size[0], 3)).copy()
 
@@ -47,13 +47,13 @@ def flat(
 def shown(
     picture: Picture, stamp: int = 1, camera: Camera = CAMERA, name: str = "", **config: Any
 ) -> Picture:
-    """What a sensor makes of a scene that stands still."""
+    """Image of a sensor for a static scene."""
     sensor = Sensor(SensorConfig(**config), camera, name)
     return sensor.expose([picture] * len(sensor.times()), stamp)
 
 
 def bar(left: float, width: float = 40.0) -> Picture:
-    """A white bar from ``left`` on, its edges between pixels shown by the share of light they get."""
+    """A white bar from ``left`` on; its edges are anti-aliased in linear light."""
     x = np.arange(SIZE[0])
     share = np.clip(x + 0.5 - left, 0, 1) * np.clip(left + width - x + 0.5, 0, 1)
     light = np.where(share <= 0.0031308, 12.92 * share, 1.055 * share ** (1 / 2.4) - 0.055)
@@ -61,14 +61,14 @@ def bar(left: float, width: float = 40.0) -> Picture:
 
 
 def middle(row: NDArray[Any]) -> float:
-    """Where the middle of the light of a row is."""
+    """Centroid of the light of a row."""
     return float((row * np.arange(len(row))).sum() / row.sum())
 
 
-# --- nothing asked for
+# --- no effects
 
 
-def test_without_effects_the_picture_is_unchanged() -> None:
+def test_without_effects_the_image_is_unchanged() -> None:
     sensor = Sensor(SensorConfig(), CAMERA)
     assert not sensor.active
     assert sensor.times().tolist() == [0.0]
@@ -86,8 +86,8 @@ def test_without_effects_the_picture_is_unchanged() -> None:
         {"exposure": 0.25, "gain_db": 20 * np.log10(4)},
     ],
 )
-def test_a_still_scene_keeps_every_value(config: dict[str, Any]) -> None:
-    """Light and back: none of the 256 levels is lost."""
+def test_shutter_effects_keep_all_values_of_a_static_scene(config: dict[str, Any]) -> None:
+    """Conversion to light and back keeps all 256 levels."""
     np.testing.assert_array_equal(shown(EVERY_LEVEL, **config), EVERY_LEVEL)
 
 
@@ -102,7 +102,7 @@ def test_white_stays_white_and_black_black(response: Any, encoding: Any) -> None
 # --- response
 
 
-def test_responses_are_their_formulas() -> None:
+def test_responses_agree_with_their_formulas() -> None:
     light = np.where(
         np.arange(256) <= 10, np.arange(256) / 255 / 12.92, ((np.arange(256) / 255 + 0.055) / 1.055) ** 2.4
     )
@@ -124,8 +124,8 @@ def test_white_balance_and_black_level_are_linear_in_light() -> None:
 # --- noise: photon transfer (EMVA 1288)
 
 
-def test_photon_transfer_gives_back_gain_and_read_noise() -> None:
-    """Variance grows with the mean by the gain (DN/e-); without light it is that of reading (EMVA 1288)."""
+def test_the_photon_transfer_curve_recovers_gain_and_read_noise() -> None:
+    """Variance is linear in the mean, with the slope of the gain; without light it is the read noise."""
     well, read, gain = 2000.0, 9.0, 10 ** (6 / 20)
     config = {
         "noise": {"full_well": well, "read_noise": read},
@@ -146,8 +146,8 @@ def test_photon_transfer_gives_back_gain_and_read_noise() -> None:
     np.testing.assert_allclose(means[1:], expected, atol=0.06)
 
 
-def test_few_photons_are_poissons() -> None:
-    """Without read noise, at one electron per level: shares of 0, 1, 2 … are those of Poisson's law."""
+def test_few_photons_are_poisson_distributed() -> None:
+    """Without read noise, at one electron per level, values have a Poisson distribution."""
     config = {"noise": {"full_well": 255, "read_noise": 0}, "response": "linear", "exposure": 0.02}
     counts = shown(flat(188), **config)
     mean = 0.02 * 255 * LIGHT[188]
@@ -163,7 +163,7 @@ def test_dark_current_adds_electrons_with_time_and_their_shot_noise() -> None:
     assert out.var() == pytest.approx(1000 / 100 + 1 / 12, rel=0.02)
 
 
-def test_full_pixels_have_no_noise_and_are_as_bright_as_their_gain() -> None:
+def test_saturated_pixels_have_no_noise_and_the_value_of_their_gain() -> None:
     assert (shown(flat(255), exposure=2.0, noise={}) == 255).all()
     for noise in (None, {}):
         out = shown(flat(255), exposure=2.0, noise=noise, white_balance=(0.5, 1, 1), response="linear")
@@ -184,8 +184,8 @@ def test_noise_depends_on_seed_camera_and_stamp_only() -> None:
         assert abs(together) < 4 / np.sqrt(one.size)
 
 
-def test_noise_never_repeats_in_a_picture() -> None:
-    """Its autocorrelation, over all distances, has one peak."""
+def test_noise_does_not_repeat_within_an_image() -> None:
+    """The autocorrelation of the noise has one peak."""
     out = shown(flat(128), noise={"read_noise": 30.0}).ravel().astype(float)
     spectrum = np.abs(np.fft.rfft(out - out.mean())) ** 2
     together = np.fft.irfft(spectrum)[1:] / spectrum.sum() * out.size / 2
@@ -200,7 +200,7 @@ def test_noise_never_repeats_in_a_picture() -> None:
     [(None, ()), ("plumb_bob", (-0.2, 0.05, 0.001, 0.0, 0.0)), ("equidistant", (0.01,))],
 )
 def test_natural_vignetting_is_the_fourth_power_of_the_cosine(model: Any, distortion: Any) -> None:
-    """Of the angle to the axis that OpenCV finds for the pixel."""
+    """The angle to the optical axis is that by OpenCV."""
     camera = Camera(
         SIZE,
         np.array([[150.0, 0, 150], [0, 140, 130], [0, 0, 1]]),
@@ -221,13 +221,13 @@ def test_natural_vignetting_is_the_fourth_power_of_the_cosine(model: Any, distor
     np.testing.assert_allclose(out[row, column, 0], 255 * np.cos(angle) ** 4, atol=0.6)
 
 
-def test_no_light_falls_where_the_lens_sees_nothing() -> None:
+def test_pixels_without_a_ray_get_no_light() -> None:
     camera = Camera(SIZE, K, np.eye(3), np.zeros(3), (-0.9,))
     out = shown(flat(255), camera=camera, vignetting={"cos4": True})
     assert (out[0, 0] == 0).all() and (out[130, 150] == 255).all()
 
 
-def test_vignetting_takes_the_stated_share_from_the_farthest_corner() -> None:
+def test_vignetting_removes_the_given_fraction_at_the_farthest_corner() -> None:
     half = shown(flat(255), response="linear", vignetting={"corner": 0.5})
     assert half[0, 319].tolist() == [128, 128, 128]  # farthest from (150, 130)
     assert half[130, 150].tolist() == [255, 255, 255]
@@ -235,8 +235,8 @@ def test_vignetting_takes_the_stated_share_from_the_farthest_corner() -> None:
     np.testing.assert_array_equal(half, same)
 
 
-def test_chromatic_aberration_moves_edges_by_the_stated_pixels() -> None:
-    """Those of the farthest corner, and in proportion nearer to the principal point."""
+def test_chromatic_aberration_shifts_edges_by_the_given_pixels() -> None:
+    """The shift is that at the farthest corner, and proportional to the distance from the principal point."""
     reach = np.hypot(319 - 150, 130)
     aberration = {"red": 3.0, "blue": -2.0}
     for left in (40.0, 200.0, 260.0):
@@ -249,7 +249,7 @@ def test_chromatic_aberration_moves_edges_by_the_stated_pixels() -> None:
 # --- shutter
 
 
-def test_a_global_shutter_blurs_a_moving_edge_into_a_ramp_as_long_as_its_way() -> None:
+def test_a_global_shutter_blurs_a_moving_edge_over_its_displacement() -> None:
     speed, exposure = 3000.0, 0.01
     sensor = Sensor(SensorConfig(exposure_time=exposure, samples=60, response="linear"), CAMERA)
     pictures = [bar(100 + speed * time) for time in sensor.times()]
@@ -263,7 +263,7 @@ def test_a_global_shutter_blurs_a_moving_edge_into_a_ramp_as_long_as_its_way() -
 
 @pytest.mark.parametrize("exposure", [0.0, 1e-12, 0.0011, 0.02])
 def test_a_rolling_shutter_skews_by_speed_and_row_time(exposure: float) -> None:
-    """Rows see the bar where it is at their own time; the middle one where it is at the stamp."""
+    """Each row shows the bar at its own time, the middle row at the stamp."""
     speed, row_time = 2000.0, 5e-5
     config = SensorConfig(exposure_time=exposure, rolling_shutter=row_time, samples=25, response="linear")
     sensor = Sensor(config, CAMERA)
@@ -277,8 +277,10 @@ def test_a_rolling_shutter_skews_by_speed_and_row_time(exposure: float) -> None:
 @pytest.mark.parametrize(
     ("exposure", "row_time", "samples"), [(0.01, 2e-5, 7), (0.0, 3e-5, 4), (0.001, 1e-4, 9)]
 )
-def test_rows_gather_light_in_their_own_exposure(exposure: float, row_time: float, samples: int) -> None:
-    """Weights are those of light that is interpolated between samples and integrated by SciPy."""
+def test_each_row_collects_light_during_its_own_exposure(
+    exposure: float, row_time: float, samples: int
+) -> None:
+    """Weights agree with light that is interpolated between samples and integrated by SciPy."""
     config = SensorConfig(exposure_time=exposure, rolling_shutter=row_time, samples=samples)
     sensor = Sensor(config, CAMERA)
     times, weights = sensor.times(), sensor.weights()
@@ -295,17 +297,15 @@ def test_rows_gather_light_in_their_own_exposure(exposure: float, row_time: floa
         assert weights[row] @ light == pytest.approx(expected, abs=1e-9)
 
 
-def test_blur_is_of_light_not_of_numbers() -> None:
-    """Half the time white and half black is half the light: 188, not 128."""
+def test_blur_averages_light_not_srgb_values() -> None:
+    """White and black for half of the exposure each is half of the light: 188, not 128."""
     sensor = Sensor(SensorConfig(exposure_time=0.01, samples=2), CAMERA)
     assert (sensor.expose([flat(0), flat(255)], 1) == 188).all()
 
 
 @pytest.mark.parametrize("motion", ["walk", "sit_stand", "wave"])
-def test_bodies_moved_at_constant_velocity_are_where_the_motion_takes_them(
-    motion: str, tmp_path: Path
-) -> None:
-    """8 ms on: the error is a small part of the way."""
+def test_bodies_extrapolated_at_constant_velocity_agree_with_the_motion(motion: str, tmp_path: Path) -> None:
+    """The error after 8 ms is a small fraction of the displacement."""
     config = {
         "humans": {"one": {"motion": {"file": motion}}},
         "cameras": {"camera": {"position": (3, 3, 2), "look_at": (0, 0, 1)}},
@@ -326,7 +326,7 @@ def test_bodies_moved_at_constant_velocity_are_where_the_motion_takes_them(
 
 @pytest.fixture(scope="module")
 def filmed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, View]:
-    """A bright board that moves across three cameras of one place, 2 m/s to the right, at one stamp."""
+    """A bright board that moves at 2 m/s to the right, seen by three cameras with one pose."""
     folder = tmp_path_factory.mktemp("board")
     (folder / "moves.xml").write_text(
         """<animation startframe="0" endframe="20" rate="10"><object name="board">
@@ -357,29 +357,29 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, View]:
 
 
 def lit(view: View) -> NDArray[np.float64]:
-    """How much of each pixel's light (H, W) is the board's."""
+    """Fraction (H, W) of the light of each pixel that comes from the board."""
     assert view.rgb is not None
     light = view.rgb[..., 0].astype(float)
     light = light - light[:, :1]
     return light / light[120].max()
 
 
-#: Pixels per second of the board in its pictures: they look along -x, so that it goes to the right.
+#: Speed of the board in pixels per second; the cameras look along -x, so that it moves to the right.
 SPEED = 2 * (SIZE[0] / 2 / np.tan(np.radians(25))) / 3.99
 
 
-def test_a_filmed_board_is_smeared_to_both_sides_of_its_depth(filmed: dict[str, View]) -> None:
+def test_a_captured_board_is_blurred_to_both_sides_of_its_depth(filmed: dict[str, View]) -> None:
     ideal, blurred = filmed["ideal"], filmed["blurred"]
     assert ideal.depth is not None and blurred.depth is not None
     np.testing.assert_array_equal(blurred.depth, ideal.depth)
     row, depth = lit(blurred)[120], np.isfinite(ideal.depth[120])
     assert middle(row) == pytest.approx(middle(depth), abs=0.3)
-    # light rises for as long as the board's edge takes across it: the rest of what it covers is full
+    # the light rises while the edge of the board crosses a pixel; the rest of its area is fully lit
     assert row.sum() == pytest.approx(depth.sum(), abs=1)
     assert (row > 0.01).sum() - depth.sum() == pytest.approx(SPEED * 0.1, abs=2)
 
 
-def test_a_filmed_board_leans_under_a_rolling_shutter(filmed: dict[str, View]) -> None:
+def test_a_captured_board_is_skewed_by_a_rolling_shutter(filmed: dict[str, View]) -> None:
     ideal, rolling = filmed["ideal"], filmed["rolling"]
     assert ideal.depth is not None and rolling.depth is not None
     np.testing.assert_array_equal(rolling.depth, ideal.depth)
@@ -392,8 +392,8 @@ def test_a_filmed_board_leans_under_a_rolling_shutter(filmed: dict[str, View]) -
 # --- encodings
 
 
-def test_colours_come_back_from_the_bayer_pattern() -> None:
-    """ROS's rggb is OpenCV's BG: that names the second and third pixel of the second row."""
+def test_demosaicing_recovers_the_colours() -> None:
+    """rggb of ROS is BG of OpenCV, which names the second and third pixel of the second row."""
     for colour in ((200, 30, 90), (10, 250, 60), (0, 0, 255)):
         raw = shown(flat(*colour), encoding="bayer_rggb8")
         assert raw.shape == SIZE[::-1]
@@ -421,14 +421,14 @@ def test_mono_is_the_luminance_of_light() -> None:
     )
 
 
-def test_bgr_is_rgb_the_other_way_round() -> None:
+def test_bgr_is_rgb_in_reverse_order() -> None:
     for config in ({}, {"noise": {}}, {"jpeg": 60}):
         swapped = shown(EVERY_LEVEL, encoding="bgr8", **config)
         np.testing.assert_array_equal(swapped, shown(EVERY_LEVEL, **config)[..., ::-1])
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "mono8"])
-def test_jpeg_is_opencvs(encoding: Any, tmp_path: Path) -> None:
+def test_jpeg_agrees_with_opencv(encoding: Any, tmp_path: Path) -> None:
     picture = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (240, 320, 3), np.uint8), (0, 0), 3)
     out = shown(picture, encoding=encoding, jpeg=35)
     plain = shown(picture, encoding=encoding)
@@ -438,7 +438,7 @@ def test_jpeg_is_opencvs(encoding: Any, tmp_path: Path) -> None:
     np.testing.assert_array_equal(out, expected[..., ::-1] if plain.ndim == 3 else expected)
 
 
-def test_odd_and_tiny_pictures_go_through_everything() -> None:
+def test_images_of_odd_and_tiny_sizes_pass_all_effects() -> None:
     for size in ((1, 1), (3, 5), (2, 1)):
         camera = Camera(size, K, np.eye(3), np.zeros(3))
         for encoding in ("rgb8", "mono8", "bayer_rggb8"):
@@ -505,15 +505,15 @@ def test_every_key_and_its_default_are_documented() -> None:
             assert re.search(rf"\| `{key}` \| {field.default:g} \|", keys), key
 
 
-def test_a_picture_is_not_stretched_by_more_than_half() -> None:
+def test_an_aberration_of_more_than_half_the_image_is_refused() -> None:
     config = SensorConfig(chromatic_aberration={"blue": -100})
     with pytest.raises(CameraError, match="100x80") as caught:
         Sensor(config, Camera((100, 80), K, np.eye(3), np.zeros(3)))
     assert caught.value.key == "sensor.chromatic_aberration"
 
 
-def test_pictures_are_taken_one_by_one() -> None:
-    """So that many samples of a large picture need no more memory than few."""
+def test_images_are_consumed_one_at_a_time() -> None:
+    """Many samples of a large image need no more memory than few."""
     sensor = Sensor(SensorConfig(exposure_time=0.01, samples=9), CAMERA)
     alive: set[int] = set()
 
@@ -529,7 +529,7 @@ def test_pictures_are_taken_one_by_one() -> None:
     assert sensor.expose(rendered(), 1).shape == (240, 320, 3)
 
 
-def test_pictures_that_do_not_fit_are_refused() -> None:
+def test_images_of_wrong_size_type_or_number_are_refused() -> None:
     sensor = Sensor(SensorConfig(exposure_time=0.01, samples=2), CAMERA)
     one = flat(1)
     for pictures in ([], [one], [one] * 3, [one, flat(1, size=(20, 20))], [one, one.astype(float)]):

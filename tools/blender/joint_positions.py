@@ -1,22 +1,22 @@
 #!/usr/bin/env python3
-"""Joint positions of BVH files as Blender sees them, for the tests of `read_bvh`.
+"""Write joint positions of BVH files from Blender, for the tests of `read_bvh`.
 
     python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
     blender/bin/python tools/blender/joint_positions.py DIR -o test/data/blender_fk.npz
 
-Imports every BVH file with Blender's own importer, keeping the file's axes and units, and writes for some
-frames of each file (`<stem>` is the file name without suffix)
+Imports every BVH file with the importer of Blender, in the axes and units of the file. For some frames of
+each file, the output has (`<stem>` is the file name without suffix)
 
     <stem>/frames           (F,) int32         rows of the MOTION section, from 0
     <stem>/names            (J,) str           joints, and end sites as `<joint>_end`
     <stem>/positions        (F, J, 3) float32  world positions; a position channel replaces the OFFSET
-    <stem>/positions_added  (F, J, 3) float32  the same where position channels are added to the OFFSET
-    <stem>/moved            (M,) str           what Blender has moved at rest, see `moved_joints`
+    <stem>/positions_added  (F, J, 3) float32  the same if position channels are added to the OFFSET
+    <stem>/moved            (M,) str           joints that Blender moves at rest, see `moved_joints`
     <stem>/size             float              diagonal of the box around the skeleton at rest
 
-Blender replaces. `positions_added` is there for files with position channels beside an OFFSET that is not 0,
-because some files want it, and is made by moving Blender's location curves by the OFFSET.
-The hierarchy, rotations and positions are Blender's; this script does not evaluate any motion.
+Blender replaces the OFFSET by the position channels. Some files need the sum of both. `positions_added` is
+written for files with position channels and an OFFSET other than 0: the location curves in Blender are moved
+by the OFFSET. Hierarchy, rotations and positions come from Blender; this script does not evaluate any motion.
 """
 
 import argparse
@@ -31,12 +31,12 @@ from mathutils import Matrix, Vector
 
 MAX_FRAMES = 12
 
-# Blender lengthens anything shorter, so that the tail of the bone is no longer the end site.
+# Blender makes shorter bones longer; their tail is then not the end site.
 SHORTEST_BONE = 1e-3
 
 
 def end_sites(path: Path) -> dict[str, Vector]:
-    """OFFSET of the end site of every joint that has one."""
+    """OFFSETs of end sites by joint."""
     sites = {}
     joint = ""
     in_site = False
@@ -57,7 +57,7 @@ def end_sites(path: Path) -> dict[str, Vector]:
 
 
 def import_bvh(path: Path) -> bpy.types.Object:
-    """The armature that Blender makes of a file, alone in a new scene."""
+    """Import a file into a new scene, and return its armature."""
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.import_anim.bvh(
         filepath=str(path),
@@ -80,7 +80,7 @@ def location_curves(armature: bpy.types.Object) -> Iterator[tuple[str, bpy.types
 
 
 def add_offsets(armature: bpy.types.Object, offsets: dict[str, Vector]) -> None:
-    """Adds the OFFSETs to the positions. In a bone's location, position 0 stands for minus the OFFSET."""
+    """Add the OFFSETs to the positions. A position of 0 is minus the OFFSET in the location of a bone."""
     for name, curve in location_curves(armature):
         to_bone = armature.data.bones[name].matrix_local.to_3x3().inverted()
         shift = (to_bone @ offsets[name])[curve.array_index]
@@ -90,9 +90,9 @@ def add_offsets(armature: bpy.types.Object, offsets: dict[str, Vector]) -> None:
 
 
 def moved_joints(armature: bpy.types.Object, heads: dict[str, Vector], sites: dict[str, Vector]) -> list[str]:
-    """Joints and end sites that lie elsewhere at rest than the sum of their OFFSETs says.
+    """Joints and end sites whose rest position is not the sum of their OFFSETs.
 
-    Blender takes a bone within about 1e-4 radians of -y to point exactly there, which moves all below it.
+    Blender aligns bones within about 1e-4 radians of -y with this axis, which moves all their descendants.
     """
     expected = heads | {f"{name}_end": heads[name] + site for name, site in sites.items()}
     actual = points({bone.name: bone.matrix_local for bone in armature.data.bones}, armature, sites)
@@ -101,7 +101,7 @@ def moved_joints(armature: bpy.types.Object, heads: dict[str, Vector], sites: di
 
 
 def number_of_frames(armature: bpy.types.Object) -> int:
-    """The number of MOTION rows, not what the file says on its `Frames:` line."""
+    """Number of MOTION rows, which may differ from the `Frames:` line of the file."""
     return max(len(curve.keyframe_points) for curve in armature.animation_data.action.fcurves)
 
 
@@ -115,7 +115,7 @@ def size_at_rest(armature: bpy.types.Object) -> float:
 def points(
     matrices: dict[str, Matrix], armature: bpy.types.Object, sites: dict[str, Vector]
 ) -> dict[str, Vector]:
-    """Heads of all bones, and those tails that are end sites, when the bones are where the matrices say."""
+    """Heads of all bones, and tails that are end sites, for bones with the given matrices."""
     positions = {}
     for name, matrix in matrices.items():
         positions[name] = matrix.translation
@@ -142,7 +142,7 @@ def read(path: Path) -> dict[str, np.ndarray]:
     names = set(armature.pose.bones.keys())
     if names != set(nodes) or not names >= set(sites):
         raise ValueError(
-            f"{path.name}: Blender has renamed joints: {sorted(names ^ (set(nodes) | set(sites)))}"
+            f"{path.name}: Blender has changed names of joints: {sorted(names ^ (set(nodes) | set(sites)))}"
         )
     offsets = {name: node.rest_head_local for name, node in nodes.items()}
     heads = {name: node.rest_head_world for name, node in nodes.items()}

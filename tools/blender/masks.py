@@ -1,24 +1,24 @@
 #!/usr/bin/env python3
-"""Masks and depth of a mesh seen by Blender's cameras, for the tests of the renderer.
+"""Render masks and depth of a mesh with Blender, for the tests of the renderer.
 
     python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
     blender/bin/python tools/blender/masks.py INPUT.npz -o test/data/blender_masks.npz
 
-INPUT holds, in metres (an earlier output will do),
+INPUT is an .npz file, in metres; an earlier output can be used. It has
 
-    vertices (V, 3) float32, quads (Q, 4)   the mesh where it stands in the world; each quad is two flat
-                                            triangles, of its corners 0 1 2 and 0 2 3
+    vertices (V, 3) float32, quads (Q, 4)   the mesh in the world; each quad is two flat triangles, of
+                                            its corners 0 1 2 and 0 2 3
     K (C, 3, 3), R (C, 3, 3), t (C, 3)      x_cam = R x + t, z forward, x right, y down, no skew;
                                             the centre of the top left pixel is (0, 0)
     size (C, 2)                             width, height
 
-and the output has the same and for every camera k
+The output has the same arrays and, for every camera k,
 
     k/mask    packed bits of the (height, width) mask, see `numpy.unpackbits`
     k/depth   float32, planar z of the mask's pixels, row by row
 
-Rendered by Cycles with one ray through the centre of each pixel: its narrowest filter keeps it within 0.005
-pixels, and hits are computed in float32 without a depth buffer.
+Cycles renders one ray through the centre of each pixel, within 0.005 pixels with its narrowest filter. Hits
+are computed in float32 without a depth buffer.
 """
 
 import argparse
@@ -30,13 +30,13 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
-# Cycles gives rays that hit nothing a depth of 1e10.
+# Cycles writes a depth of 1e10 for rays that hit nothing.
 NOTHING = 1e9
 SENSOR_WIDTH = 36.0
 
 
 def add_mesh(vertices: np.ndarray, quads: np.ndarray) -> None:
-    # Blender would choose the diagonal of each quad itself.
+    # Triangles, because Blender may choose the other diagonal of a quad.
     triangles = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
     mesh = bpy.data.meshes.new("human")
     mesh.from_pydata(vertices.tolist(), [], triangles.tolist())
@@ -46,7 +46,7 @@ def add_mesh(vertices: np.ndarray, quads: np.ndarray) -> None:
 def set_camera(
     camera_matrix: np.ndarray, rotation: np.ndarray, translation: np.ndarray, size: np.ndarray
 ) -> None:
-    """Gives the scene's camera and image the projection K [R | t]."""
+    """Set the camera and image of the scene to the projection K [R | t]."""
     width, height = map(int, size)
     (fx, _, cx), (_, fy, cy) = camera_matrix[:2]
     # Blender measures from the corner of the image, where the centre of the top left pixel is (0.5, 0.5).
@@ -55,18 +55,18 @@ def set_camera(
     scene = bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = width, height
     scene.render.resolution_percentage = 100
-    # Blender takes no aspect below 1, so the longer side of a pixel is what is set.
+    # Blender accepts no aspect below 1, so the longer side of a pixel is set.
     scene.render.pixel_aspect_x = max(1.0, fy / fx)
     scene.render.pixel_aspect_y = max(1.0, fx / fy)
     lens = scene.camera.data
     lens.sensor_fit = "HORIZONTAL"
     lens.sensor_width = SENSOR_WIDTH
     lens.lens = fx * SENSOR_WIDTH / width
-    # The shift moves the window over the image plane, both ways in units of the image's width.
+    # The shift moves the window on the image plane, in units of the image width in both directions.
     lens.shift_x = -right_of_middle / width
     lens.shift_y = below_middle * (fx / fy) / width
     lens.clip_start, lens.clip_end = 0.01, 1000.0
-    # Blender's cameras look along -z with y up.
+    # Cameras of Blender look along -z with y up.
     pose = np.eye(4)
     pose[:3, :3] = rotation.T @ np.diag([1.0, -1.0, -1.0])
     pose[:3, 3] = -rotation.T @ translation
@@ -74,7 +74,7 @@ def set_camera(
 
 
 def set_cycles() -> None:
-    """One ray per pixel, and an image file that holds depth."""
+    """Set Cycles to one ray per pixel, and the output to an image file of depth."""
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
     scene.cycles.device = "CPU"
@@ -83,7 +83,7 @@ def set_cycles() -> None:
     scene.cycles.use_denoising = False
     scene.cycles.max_bounces = 0
     scene.cycles.seed = 0
-    # The width of the box filter is always one pixel: not BOX.
+    # not BOX: the width of the box filter is always one pixel
     scene.cycles.pixel_filter_type = "BLACKMAN_HARRIS"
     scene.cycles.filter_width = 0.01
     bpy.context.view_layer.use_pass_z = True

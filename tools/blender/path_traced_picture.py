@@ -1,14 +1,13 @@
 #!/usr/bin/env python3
-"""The same scene by our renderer and by Blender's path tracer, side by side (docs/look.md).
+"""Render a scene with GLRenderer and with the path tracer of Blender, side by side (docs/look.md).
 
     python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
     python tools/blender/path_traced_picture.py --blender blender/bin/python [-o docs/images/cycles.jpg]
 
-Blender gets the meshes where they stand, their textures as base colours, the camera, a sun of the same
-direction, size and irradiance, and a sky and ground that shine evenly. Where our people have skin it has
-skin of its own (light goes some millimetres into it, and it shines), elsewhere rough cloth with fibres that
-stand off. Walls and ceiling let light through in both. Light goes on from surface to surface in Blender
-alone.
+Blender gets the posed meshes, their textures as base colours, the camera, a sun of the same direction, size
+and irradiance, and a uniform sky and ground. Skin of the humans gets the skin material of Blender (subsurface
+scattering and specular reflection); clothes get a rough material with sheen. Light passes through walls and
+ceiling in both. Only Blender computes indirect light between surfaces.
 """
 
 import argparse
@@ -29,7 +28,7 @@ cameras:
   corner: {size: [560, 420], position: [3.0, 2.3, 1.9], look_at: [-0.2, 0.2, 0.75], fov_deg: 58}
 light: {shadows: soft%s}
 """
-#: What is compared; the last is shown.
+#: Settings of ``light`` that are compared; the last one is shown in the picture.
 LOOKS = {
     "matt, without ambient occlusion": ", materials: false, ambient_occlusion: false",
     "as by default": "",
@@ -37,7 +36,7 @@ LOOKS = {
 
 
 def ours(folder: Path, light: str = "") -> tuple[np.ndarray, np.ndarray]:
-    """Our picture (H, W, 3), RGB, and where people are; what it shows is written for Blender."""
+    """Render the image (H, W, 3), RGB, and the mask of the humans; write scene.npz for Blender."""
     sys.path.insert(0, str(ROOT))
     from humansim_ros.scene import Scene, Simulation
 
@@ -59,9 +58,9 @@ def ours(folder: Path, light: str = "") -> tuple[np.ndarray, np.ndarray]:
         **{name: np.array(getattr(light, name)) for name in ("sun_color", "sky_color", "ground_color")},
     }
     for number, (mesh, vertices) in enumerate(meshes):
-        # sheets that stand or hang, unlike the floor, are the room's shell
+        # single faces above the floor are walls and ceiling
         shell = len(mesh.faces) == 1 and not np.allclose(vertices[:, 2], 0, atol=0.01)
-        # sides of furniture that lie in each other would shade each other at random
+        # coincident sides of furniture would shade each other at random
         middle = vertices.mean(axis=0)
         vertices = middle + (vertices - middle) * (1 - 1e-4 * (number % 7))
         data |= {
@@ -79,7 +78,7 @@ def ours(folder: Path, light: str = "") -> tuple[np.ndarray, np.ndarray]:
 
 
 def render(scene_file: Path, picture: Path) -> None:
-    """What Blender makes of it. Runs in Blender's Python."""
+    """Render scene.npz with Blender. Runs in the Python of Blender."""
     import bpy
     from masks import set_camera
     from mathutils import Vector
@@ -108,7 +107,7 @@ def render(scene_file: Path, picture: Path) -> None:
             thing.visible_shadow = thing.visible_diffuse = False
         scene.collection.objects.link(thing)
     lamp = bpy.data.lights.new("sun", "SUN")
-    # a white surface that faces it shows sun_color: irradiance over pi
+    # a white surface that faces the sun has sun_color: irradiance / pi
     lamp.energy, lamp.color, lamp.angle = np.pi, data["sun_color"].tolist(), float(data["sun_size"])
     sun = bpy.data.objects.new("sun", lamp)
     sun.rotation_mode = "QUATERNION"
@@ -127,7 +126,7 @@ def render(scene_file: Path, picture: Path) -> None:
 
 
 def paint(tree, texture: np.ndarray, skin: np.ndarray | None) -> None:
-    """Make a material matt, or one of skin and cloth."""
+    """Set up a diffuse material, or one of skin and clothes."""
     import bpy
 
     def image(pixels: np.ndarray, space: str):
@@ -173,7 +172,7 @@ def paint(tree, texture: np.ndarray, skin: np.ndarray | None) -> None:
 
 
 def add_sky(scene, sky: np.ndarray, ground: np.ndarray) -> None:
-    """Even light from above, and another from below."""
+    """Add uniform light of the sky from above, and of the ground from below."""
     import bpy
 
     world = bpy.data.worlds.new("world")

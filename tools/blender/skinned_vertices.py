@@ -1,13 +1,13 @@
 #!/usr/bin/env python3
-"""Bone matrices, skinned vertices, normals and tangents in Blender, for the tests of `body`.
+"""Write bone matrices, skinned vertices, normals and tangents from Blender, for the tests of `body`.
 
     python3.11 -m venv blender && blender/bin/pip install bpy==4.5.15
     blender/bin/python tools/blender/skinned_vertices.py -o test/data/blender_skinning.npz
     python tools/blender/skinning_inputs.py inputs.npz
     blender/bin/python tools/blender/skinned_vertices.py --bodies inputs.npz -o test/data/blender_bodies.npz
 
-Builds the 22 bones twice, with roll 0 and with other rolls, turns all bones at random, deforms a cloud of
-vertices around the bones with an armature modifier, and writes (`B` bones, `V` vertices, `P` poses)
+Builds the 22 bones twice, with roll 0 and with other rolls. Turns all bones at random, and deforms a cloud of
+vertices around them with an armature modifier. The output has (`B` bones, `V` vertices, `P` poses)
 
     names, parents, heads, tails      of the bones; parent -1 is none
     vertices (V, 3), weights (V, B)   the cloud at rest, at most 4 weights in a row
@@ -18,16 +18,16 @@ vertices around the bones with an armature modifier, and writes (`B` bones, `V` 
     <set>/skinned (P, V, 3)           vertices of the evaluated mesh
     <set>/preserved (P, V, 3)         the same with use_deform_preserve_volume
 
-With `--bodies`: takes bodies, their poses and a surface with texture coordinates from a file, and writes
+With `--bodies`: reads bodies, poses and a surface with texture coordinates from a file. The output has
 
     <body>/rest, posed, skinned, preserved   as above; the last two of the vertices <body>/sample (S,)
     <body>/sample, sample_vertices, sample_weights
-    surface/vertices, triangles, uv          as they came
+    surface/vertices, triangles, uv          as in the input
     surface/normals (N, 3, 3)                of the corners of triangles
     surface/tangents (N, 3, 4)               of the corners, and their bitangent_sign
 
-Metres, column vectors, float32 as Blender computes. Among the vertices are some that follow a single bone and
-some whose weights do not sum to one.
+Units are metres; vectors are columns; values are float32, as in Blender. Some vertices have a single bone,
+and the weights of some do not sum to one.
 """
 
 import argparse
@@ -37,7 +37,7 @@ from pathlib import Path
 import bpy
 import numpy as np
 
-# Bone, head, tail, parent: the middle and the left side of the thesis' table 4.1.
+# Bone, head, tail, parent: the middle and the left side of [thesis table 4.1].
 MIDDLE = (
     ("HumanoidRoot", (0.0, 0.824, 0.0277), (0.0, 0.921, -0.080), None),
     ("sacroiliac", (0.0, 0.921, -0.080), (0.0, 1.057, -0.034), "HumanoidRoot"),
@@ -55,7 +55,7 @@ LEFT = (
     ("l_elbow", (0.410, 1.379, -0.062), (0.659, 1.393, -0.052), "l_shoulder"),
     ("l_wrist", (0.659, 1.393, -0.052), (0.840, 1.391, -0.042), "l_elbow"),
 )
-# The table prints this joint where the mirrored left one is not.
+# In the table, this joint is not the mirrored left one.
 RIGHT_STERNOCLAVICULAR = (-0.0694, 1.4600, -0.0330)
 
 SEED = 20070212
@@ -84,14 +84,14 @@ def table() -> list[Bone]:
 
 
 def distances(points: np.ndarray, head: np.ndarray, tail: np.ndarray) -> np.ndarray:
-    """Distance of every point from the segment."""
+    """Distance of every point from a line segment."""
     axis = tail - head
     along = np.clip((points - head) @ axis / (axis @ axis), 0.0, 1.0)
     return np.linalg.norm(points - head - along[:, None] * axis, axis=1)
 
 
 def cloud(bones: list[Bone], random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices around the bones and their weights, the nearer the bone the larger."""
+    """Create vertices around the bones, and weights that are larger for nearer bones."""
     vertices = []
     for _, head, tail, _ in bones:
         along = random.uniform(-0.1, 1.1, (VERTICES_PER_BONE, 1))
@@ -110,7 +110,7 @@ def cloud(bones: list[Bone], random: np.random.Generator) -> tuple[np.ndarray, n
 
 
 def random_rotations(random: np.random.Generator, count: int, bones: int) -> np.ndarray:
-    """Quaternions xyzw about any axis; the first pose is the rest pose."""
+    """Random quaternions xyzw about random axes; the first pose is the rest pose."""
     axes = random.normal(size=(count, bones, 3))
     axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
     half = random.uniform(0.0, LARGEST_TURN, (count, bones, 1)) / 2
@@ -126,7 +126,7 @@ def build_armature(bones: list[Bone], rolls: np.ndarray) -> bpy.types.Object:
     for (name, head, tail, parent), roll in zip(bones, rolls, strict=True):
         bone = armature.data.edit_bones.new(name)
         bone.head, bone.tail, bone.roll = head, tail, roll
-        # A connected head would be moved to the parent's tail, but HumanoidRoot's children hang elsewhere.
+        # A connected head would move to the tail of the parent; children of HumanoidRoot are elsewhere.
         bone.use_connect = False
         if parent is not None:
             bone.parent = armature.data.edit_bones[parent]
@@ -186,7 +186,7 @@ def evaluate(
 
 
 def evaluate_body(body: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Results of one body of the input file, of a sample of its vertices."""
+    """Evaluate one body of the input file, for a sample of its vertices."""
     names = body["names"].tolist()
     parents = [names[parent] if parent >= 0 else None for parent in body["parents"]]
     bones = list(zip(names, body["heads"].tolist(), body["tails"].tolist(), parents, strict=True))
@@ -204,7 +204,7 @@ def evaluate_body(body: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def evaluate_surface(vertices: np.ndarray, triangles: np.ndarray, uv: np.ndarray) -> dict[str, np.ndarray]:
-    """Normals and tangents of the corners of a smooth mesh; uv (N, 3, 2)."""
+    """Compute normals and tangents at the corners of a smooth mesh; ``uv``: (N, 3, 2)."""
     mesh = bpy.data.meshes.new("surface")
     mesh.from_pydata(vertices.tolist(), [], triangles.tolist())
     mesh.uv_layers.new(name="uv").uv.foreach_set("vector", uv.astype(np.float32).ravel())

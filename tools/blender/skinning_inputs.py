@@ -1,10 +1,10 @@
-"""Bodies, poses and a surface for tools/blender/skinned_vertices.py --bodies (test/data/README.md).
+"""Write bodies, poses and a surface for tools/blender/skinned_vertices.py --bodies (test/data/README.md).
 
     python tools/blender/skinning_inputs.py inputs.npz [--data ../shared/data]
 
-`man`: the default human in two poses of each built-in motion. `artist`: MakeHuman's body in its own mesh and
-31 bones, with all weights that artists gave it, turned at random up to 60 degrees in every joint. `surface`:
-a hand of the default human, its texture coordinates folded over so that half of them are mirrored.
+`man`: the default human in two poses of each built-in motion. `artist`: a MakeHuman mesh with 31 bones and
+all weights of its artists, with random rotations of up to 60 degrees in every joint. `surface`: a hand of the
+default human; its texture coordinates are folded, so that half of them are mirrored.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""How fast BVH files are read, beside bvhio and Blender's importer on the same file, in one run.
+"""Time to read BVH files, compared with bvhio and Blender's importer on the same file in one run.
 
     python benchmarks/bvh_reading.py [FILE.bvh ...] [--blender PYTHON]
 
-Without a FILE: our walk, ten times over. ``--blender``: a Python that can ``import bpy``. Seconds are those
-of the CPU, which other programs hardly change: the median of several runs (one of the slow ones). "with FK"
-goes on to the world positions of all joints in all frames; Blender's importer makes keyframes of an armature,
+Without a FILE: the built-in walk, repeated ten times. ``--blender``: a Python that can ``import bpy``. Times
+are CPU times, which other programs hardly change: the median of several runs (one run of slow readers). "with
+FK" adds the world positions of all joints in all frames. Blender's importer makes keyframes of an armature,
 bvhio keyframes of joints.
 """
 

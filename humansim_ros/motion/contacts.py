@@ -36,10 +36,15 @@ _SIDES = (("Left", "l"), ("Right", "r"))
 class FootContacts:
     """Corrections that keep the feet of a motion at their place; a pure function of time.
 
-    ``phases``: (M,) seconds of the file since the start of a cycle. ``shifts``: (M, 2, 3) metres in ``map``
-    for the left and the right ankle. ``drops``: (M,) metres by which the body is lowered so that the legs
-    reach. :meth:`apply` moves the joints of the source's legs so that the retargeted feet move by the shifts
-    and keep their orientation.
+    :meth:`apply` moves the joints of the source's legs so that the retargeted feet move by the shifts and
+    keep their orientation.
+
+    Attributes:
+        motion: Motion of a file.
+        retargeter: Retargeting of the motion onto a skeleton.
+        phases: (M,) seconds of the file since the start of a cycle.
+        shifts: (M, 2, 3) metres in ``map``, for the left and the right ankle.
+        drops: (M,) metres by which the body is lowered so that the legs reach.
     """
 
     motion: Motion

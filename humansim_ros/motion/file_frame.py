@@ -32,12 +32,15 @@ _STRAIGHT_SHARE = 0.97
 class FileFrame:
     """Coordinate frame of a motion file in the world, from :func:`detect_file_frame`.
 
-    ``up``: file axis that points up: ``x``, ``y``, ``z``, or ``-y`` where y points down. ``unit``: metres per
-    file unit. ``unit_name``: its name, or ``unknown`` where no known unit gives the height of a person and
-    1.7 m is assumed. ``world_from_file``: (3, 3) rotation that puts the facing of the rest pose on +x.
-    ``rest_from_body``: body axes in the rest pose of the file, (3, 3); or in the axes of each joint, (J, 3,
-    3), where the OFFSETs are not a standing person and the straightest frame is the rest pose.
-    ``ankle_to_head``: height in file units.
+    Attributes:
+        up: File axis that points up: ``x``, ``y``, ``z``, or ``-y`` where y points down.
+        unit: Metres per file unit.
+        unit_name: Name of the unit, or ``unknown`` where no known unit gives the height of a person and 1.7 m
+            is assumed.
+        world_from_file: (3, 3) rotation that puts the facing of the rest pose on +x. rest_from_body: Body
+        axes in the rest pose of the file, (3, 3); or in the axes of each joint, (J, 3, 3),
+            where the OFFSETs are not a standing person and the straightest frame is the rest pose.
+        ankle_to_head: Height in file units.
     """
 
     up: str

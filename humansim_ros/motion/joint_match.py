@@ -36,10 +36,16 @@ _MAX_INDENT = 40
 class JointMatch:
     """A joint table applied to the joints of a motion: joint indices instead of names.
 
-    ``table``: name of the table. ``parallel``: bone -> (start joint, end joint) of its link. ``difference``:
-    bone -> joint whose rotation it takes. ``roles``: role -> joint. ``missing``: bones without a driver,
-    which stay at rest. ``by``: method of the match. ``confidence``: 0 to 1. ``extra``: bone -> joint of the
-    same name, for bones that the general skeleton does not have (fingers, for example).
+    Attributes:
+        table: Name of the table.
+        parallel: Bone -> (start joint, end joint) of the link that it is parallel to.
+        difference: Bone -> joint whose rotation it takes.
+        roles: Role -> joint.
+        missing: Bones without a driver, which stay at rest.
+        by: Method of the match.
+        confidence: 0 to 1.
+        extra: Bone -> joint of the same name, for bones that the general skeleton lacks (fingers, for
+            example).
     """
 
     table: str

@@ -19,9 +19,13 @@ VELOCITY_STEP = 1e-3
 class JointPoses:
     """Poses of J joints at N times, in ``map``.
 
-    ``positions``: (N, J, 3) metres. ``rotations``: (N, J, 4) xyzw, from the rest pose of the motion with the
-    person facing +x; at rest every rotation is the identity. ``linear`` (m/s) and ``angular`` (rad/s):
-    velocities (N, J, 3), or None where a source has none.
+    Attributes:
+        names: J names.
+        positions: (N, J, 3) metres.
+        rotations: (N, J, 4) xyzw, from the rest pose of the motion with the person facing +x; at rest every
+            rotation is the identity.
+        linear: (N, J, 3) velocities in m/s; None if the source has none.
+        angular: (N, J, 3) angular velocities in rad/s; None if the source has none.
     """
 
     names: tuple[str, ...]

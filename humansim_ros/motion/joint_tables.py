@@ -56,11 +56,15 @@ _SIDES = (
 class JointTable(Section):
     """A joint table.
 
-    ``joints``: role -> names of the joint, the most frequent first; right sides default to the left's names,
-    mirrored. ``parallel``: bone -> (start role, end role) of the link that the bone is parallel to.
-    ``difference``: bone -> role of the joint whose rotation from the rest pose of the motion the bone takes
-    [thesis §7.2]. Both default to the usual links and drivers. ``hints``: names that distinguish this family
-    of files from others with the same joint names. ``source``: origin of the names.
+    Attributes:
+        name: Name of the table.
+        source: Origin of the names.
+        joints: Role -> names of the joint, the most frequent first. Right sides default to the left's names,
+            mirrored.
+        parallel: Bone -> (start role, end role) of the link that the bone is parallel to.
+        difference: Bone -> role of the joint whose rotation from the rest pose of the motion the bone takes
+            [thesis §7.2]. ``parallel`` and ``difference`` default to the usual links and drivers.
+        hints: Names that distinguish this family of files from others with the same joint names.
     """
 
     name: str

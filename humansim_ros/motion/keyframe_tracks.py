@@ -77,8 +77,12 @@ class KeyframeTimeline:
 class KeyframeTrack:
     """The keys of one object, linear in position, angles and size between them.
 
-    ``frames``: (K,) increasing whole numbers. ``positions``, ``rotations``, ``sizes``: (K, 3) as in
-    :class:`KeyframePose`.
+    Attributes:
+        timeline: Timeline of the animation.
+        frames: (K,) increasing whole numbers.
+        positions: (K, 3) as in :class:`KeyframePose`.
+        rotations: (K, 3) as in :class:`KeyframePose`.
+        sizes: (K, 3) as in :class:`KeyframePose`.
 
     Raises:
         MotionError: The keys are not finite, not in order or outside the timeline, or a size is not positive.

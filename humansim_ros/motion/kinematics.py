@@ -30,11 +30,17 @@ AXES = {"X": 0, "Y": 1, "Z": 2}
 class Motion:
     """A joint hierarchy and the values of its channels in each frame, as in the file.
 
-    ``joint_names``: J names, parents before children; an end site is a joint without channels named
-    ``<parent>_end``. ``parents``: (J,) index of the parent, -1 for a root. ``offsets``: (J, 3) file units.
-    ``channels``: names of the channels of each joint. ``values``: (F, C) file units and degrees.
-    ``frame_time``: seconds. ``path``: file. ``positions``: whether position channels replace the OFFSET or
-    are added to it. ``unit``: metres per file unit, where the file format defines it.
+    Attributes:
+        joint_names: J names, parents before children; an end site is a joint without channels named
+            ``<parent>_end``.
+        parents: (J,) index of the parent, -1 for a root.
+        offsets: (J, 3) OFFSETs in file units.
+        channels: Names of the channels of each joint.
+        values: (F, C) channel values in file units and degrees.
+        frame_time: Seconds from frame to frame.
+        path: File of the motion.
+        positions: Whether position channels replace the OFFSET or are added to it.
+        unit: Metres per file unit, where the file format defines it.
 
     Example:
         >>> from humansim_ros import read_motion

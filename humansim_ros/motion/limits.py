@@ -36,11 +36,18 @@ _ROUNDING = 1e-6
 
 @dataclass(frozen=True)
 class LimitViolation:
-    """An angle beyond its limit, over some frames.
+    """An angle beyond its limit, over some frames; ``dataclasses.asdict`` makes JSON of it.
 
-    ``limit``: degrees, with the margin of the table. ``worst``: largest value, in ``frame``. ``share``: share
-    of the frames beyond the limit. Of a cone, ``angle`` is the nearest direction that the table names, and a
-    value is the limit plus the distance of the bone from the cone. ``dataclasses.asdict`` makes JSON of it.
+    Of a cone, ``angle`` is the nearest direction that the table names, and a value is the limit plus the
+    distance of the bone from the cone.
+
+    Attributes:
+        bone: Bone of the joint.
+        angle: Anatomical name.
+        limit: Degrees, with the margin of the table.
+        worst: Largest value, degrees.
+        frame: Frame of that value.
+        share: Share of the frames beyond the limit.
     """
 
     bone: str

@@ -47,8 +47,12 @@ _BATCH = 20_000
 class Capsules:
     """C capsules fixed to bones of a skeleton.
 
-    ``bones``: (C,) bone index. ``starts``, ``ends``: (C, 3) ends of the axes in bone space, metres.
-    ``radii``: (C,) metres.
+    Attributes:
+        skeleton: The skeleton.
+        bones: (C,) bone index.
+        starts: (C, 3) starts of the axes in bone space, metres.
+        ends: (C, 3) ends of the axes in bone space, metres.
+        radii: (C,) metres.
     """
 
     skeleton: Skeleton
@@ -112,11 +116,15 @@ class Capsules:
 
 @dataclass(frozen=True)
 class PenetrationReport:
-    """Penetration of the bones of a body over some frames.
+    """Penetration of the bones of a body over some frames; ``dataclasses.asdict`` makes JSON of it.
 
-    ``depth_mm``: the deepest penetration, between the bones of ``pair`` in ``frame``. ``share``: share of the
-    frames in which any pair is deeper than ``tolerance_mm``. ``pairs``: the pairs deeper than that, deepest
-    first, as (bone, bone, deepest mm, share of frames). ``dataclasses.asdict`` makes JSON of it.
+    Attributes:
+        depth_mm: Deepest penetration.
+        pair: Its bones.
+        frame: Its frame.
+        share: Share of the frames in which any pair is deeper than the tolerance.
+        tolerance_mm: Tolerance.
+        pairs: Pairs deeper than that, deepest first, as (bone, bone, deepest mm, share of frames).
     """
 
     depth_mm: float

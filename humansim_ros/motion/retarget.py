@@ -48,15 +48,22 @@ _MAX_FITTED = 400
 class Retargeter:
     """Computes poses of a skeleton from joint poses in ``map``. It holds constants only.
 
-    ``mode`` ``full``: a bone takes the whole rotation of its joint, twist included, from a rest pose that
-    both skeletons share; a bone with a link is then rotated to be parallel to it. ``thesis``: a bone with a
-    link is rotated onto it by the shortest way from the rotation that it inherits (swing only); other bones
-    take the rotation of their joint [thesis §7.2].
+    The middle of the hips follows that of the motion, scaled by ``scale`` about ``origin`` and raised by
+    ``lift``.
 
-    The middle of the hips follows that of the motion, scaled by ``scale`` about ``origin`` (x, y) on the
-    floor and raised by ``lift`` metres. ``rest``: (B, 3, 3) for ``full``, axes of the bones at joint rotation
-    zero. ``positions_only``: the rotations of the joints are not used. ``clamp``: joints stay within their
-    limits (docs/limits.md).
+    Attributes:
+        skeleton: Skeleton to be posed.
+        match: Joints that drive its bones.
+        scale: Scale of the root's movement.
+        origin: Fixed point (x, y) of the scale on the floor, metres.
+        lift: Metres by which the body is raised.
+        mode: ``full``: a bone takes the whole rotation of its joint, twist included, from a rest pose that
+            both skeletons share, and is then rotated to be parallel to its link. ``thesis``: a bone with a
+            link is rotated onto it by the shortest way from the rotation that it inherits (swing only); other
+            bones take the rotation of their joint [thesis §7.2].
+        rest: (B, 3, 3) axes of the bones at joint rotation zero, for ``full``.
+        positions_only: Do not use the rotations of the joints.
+        clamp: Keep joints within their limits (docs/limits.md).
     """
 
     skeleton: Skeleton

@@ -51,13 +51,21 @@ class PoseCorrection(Protocol):
 class WorldMotion:
     """A motion in ``map``: metres, z up, the floor at 0.
 
-    ``match``, ``frame``: matched joints and file frame of the motion. ``loop``: ``none`` holds the last
-    frame, ``repeat`` jumps to the first, ``continue`` goes on from the last position and heading, so that a
-    walk cycle walks on. ``start``, ``end``: part of the file to play, seconds of the file (``end`` None: to
-    the last frame). ``speed``: seconds of the file per second. ``blend``: seconds of the file over which the
-    end of a cycle fades into the start of the next; a cycle is that much shorter. ``mirror``: swap left and
-    right, by reflection in the vertical plane through the placement along its heading. ``correction``:
-    applied to each sample.
+    Attributes:
+        motion: Motion of a file.
+        match: Joints of the motion that drive bones.
+        frame: Coordinate frame of the file.
+        placement: Place of the motion in ``map``.
+        loop: ``none`` holds the last frame, ``repeat`` jumps to the first, ``continue`` goes on from the last
+            position and heading, so that a walk cycle walks on.
+        start: Start of the part of the file to play, seconds of the file.
+        end: End of that part; None for the last frame.
+        speed: Seconds of the file per second.
+        blend: Seconds of the file over which the end of a cycle fades into the start of the next; a cycle is
+            shorter by that time.
+        mirror: Swap left and right, by reflection in the vertical plane through the placement along its
+            heading.
+        correction: Applied to each sample, such as pinned feet.
 
     Raises:
         MotionError: Start, end, speed and blend contradict each other or the motion.

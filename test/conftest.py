@@ -22,7 +22,7 @@ MARKED_BY_NAME = {
 }
 #: Markers of all tests of a module that imports one of these names: it is skipped without rclpy.
 MARKED_BY_IMPORT = {"ros": {"rclpy", "ros_support"}}
-#: Real motions, meshes and calibrations, beside the repository unless HUMANSIM_SHARED_DATA says where.
+#: Real motions, meshes and calibrations: the folder of HUMANSIM_SHARED_DATA, or one beside the repository.
 SHARED_DATA = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shared" / "data")
 
 needs_shared_data = pytest.mark.skipif(
@@ -34,7 +34,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if not isinstance(item, pytest.Function):
             continue  # a doctest
-        fixtures = [each.func for found in item._fixtureinfo.name2fixturedefs.values() for each in found]
+        fixtures = [each.func for defs in item._fixtureinfo.name2fixturedefs.values() for each in defs]
         parameters = item.callspec.params.values() if hasattr(item, "callspec") else ()
         names = {"needs_shared_data"} if needs_shared_data.mark in item.iter_markers("skipif") else set()
         names = names.union(item.fixturenames, *map(_names, (item.function, *fixtures, *parameters)))
@@ -45,25 +45,25 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def _imports(module: Any) -> set[str]:
-    """Names in a test module, and the modules that they come from."""
+    """Names in a test module, and the modules that define them."""
     return set(vars(module)) | {getattr(value, "__module__", None) for value in vars(module).values()}
 
 
 def _names(value: Any) -> set[str]:
-    """Names and strings in the code of a function of this folder, and in the helpers that it uses."""
-    reached, names, left = set(), set(), [value]
-    while left:
-        for function in _functions(left.pop()):
-            if function not in reached:
-                reached.add(function)
+    """Names and strings in the code of a function of this folder, and of the helpers that it calls."""
+    visited, names, pending = set(), set(), [value]
+    while pending:
+        for function in _functions(pending.pop()):
+            if function not in visited:
+                visited.add(function)
                 words = _words(function.__code__)
                 names |= words
-                left += [function.__globals__[word] for word in words & function.__globals__.keys()]
+                pending += [function.__globals__[word] for word in words & function.__globals__.keys()]
     return names
 
 
 def _functions(value: Any) -> list[FunctionType]:
-    """A function of this folder, or the methods of a class of this folder; nothing of anything else."""
+    """The function itself, or the methods of a class, if they are defined in this folder; else nothing."""
     value = getattr(value, "__wrapped__", value)
     if isinstance(value, type):
         return [f for each in vars(value).values() for f in _functions(each)]
@@ -82,7 +82,7 @@ def _words(code: CodeType) -> frozenset[str]:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """The folder of real files; the test is skipped where it is absent."""
+    """Folder of real files; skips the test if it is missing."""
     if not SHARED_DATA.is_dir():
         pytest.skip(f"no shared files at {SHARED_DATA} (HUMANSIM_SHARED_DATA)")
     return SHARED_DATA
@@ -90,7 +90,7 @@ def shared_data() -> Path:
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """Humans that tests make are not kept among the user's."""
+    """Write humans of the tests into a temporary cache, not into the cache of the user."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("HUMANSIM_CACHE", str(tmp_path_factory.mktemp("humans")))
         yield
@@ -98,13 +98,13 @@ def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def assets() -> Path:
-    """The bodies and motions that come with the package."""
+    """Folder of the humans and motions of the package."""
     return ROOT / "assets"
 
 
 @pytest.fixture(scope="module")
 def ros() -> Iterator[None]:
-    """rclpy, with room for images, for the tests of one file."""
+    """Initialise rclpy with a transport for images, for the tests of one file."""
     import rclpy
 
     from humansim_ros.ros.runtime import prepare_transport

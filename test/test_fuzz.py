@@ -1,4 +1,4 @@
-"""A short run of tools/fuzz.py: damaged files give a result or our error, quickly."""
+"""A short run of tools/fuzz.py: damaged files give a result or an error of the package, in a short time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SPEC.loader.exec_module(fuzz)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(fuzz.READERS))
-def test_damaged_files_give_a_result_or_our_error(name: str) -> None:
+def test_damaged_files_give_a_result_or_an_error_of_the_package(name: str) -> None:
     inputs = {"bvh": 1500, "keyframes": 1500, "scene": 60}.get(name, 300)
     outcome = fuzz.fuzz(name, fuzz.corpus_of(name), inputs, seed=7)
     assert outcome.findings == []
@@ -29,7 +29,7 @@ def test_damaged_files_give_a_result_or_our_error(name: str) -> None:
     )
 
 
-def test_the_fuzzer_finds_what_is_wrong(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_fuzzer_finds_an_error_of_another_type(monkeypatch: pytest.MonkeyPatch) -> None:
     def careless(path: Path) -> float:
         data = path.read_bytes()
         return 1 / data.index(b"HIERARCHY") if b"nan" in data else float(data.count(b"\n") > 2)

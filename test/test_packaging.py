@@ -1,4 +1,4 @@
-"""The package builds and installs in each of the three ways, and finds its own files afterwards."""
+"""The package builds and installs in three ways (wheel, pip, colcon), and finds its files afterwards."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PRINT_ROOT = "from humansim_ros.resources import resource_root; print(resource_r
 
 
 def setup_constants() -> dict[str, object]:
-    """The tables at the top of setup.py, read without running it."""
+    """Read the constants of setup.py without running it."""
     tree = ast.parse((ROOT / "setup.py").read_text())
     constants: dict[str, object] = {}
     for statement in tree.body:
@@ -48,7 +48,7 @@ def setup_constants() -> dict[str, object]:
             try:
                 constants[statement.targets[0].id] = ast.literal_eval(statement.value)
             except ValueError:
-                continue  # computed, not a table
+                continue  # computed, not a literal
         elif isinstance(statement, ast.Expr) and isinstance(statement.value, ast.Call):
             constants |= {
                 k.arg: k.value.value for k in statement.value.keywords if type(k.value) is ast.Constant
@@ -218,7 +218,7 @@ def test_cameras_are_spread_evenly_over_as_many_processes_as_there_are_cores(
 
 
 def test_parameters_reach_a_node_as_strings(tmp_path: Path) -> None:
-    """Names that YAML would read as something else, and paths with spaces, must survive the command line."""
+    """The command line keeps names that YAML would convert, and paths with spaces."""
     rclpy = pytest.importorskip("rclpy")
     path = tmp_path / "a scene: 1.yaml"
     path.write_text(SCENE.replace("off", "'off'"))
@@ -252,7 +252,7 @@ def test_processes_of_a_wrong_scene(tmp_path: Path, content: str, message: str) 
 
 
 def test_process_list_needs_no_heavy_library() -> None:
-    """`ros2 launch` may run in a Python that lacks what the nodes need."""
+    """`ros2 launch` may run in a Python without the libraries of the nodes."""
     heavy = {"cv2", "numpy", "pydantic", "rclpy", "scipy"}
     code = f"import sys, humansim_ros.ros.processes; print({heavy} & set(sys.modules))"
     assert run([sys.executable, "-c", code], cwd=ROOT).strip() == "set()"
@@ -264,7 +264,7 @@ def test_launch_file_compiles(path: Path) -> None:
 
 
 class FakeConfiguration:
-    """Stands in for launch.substitutions.LaunchConfiguration: the context is a plain dictionary."""
+    """Replaces launch.substitutions.LaunchConfiguration; the context is a dictionary."""
 
     def __init__(self, name: str) -> None:
         self.name = name
@@ -274,7 +274,7 @@ class FakeConfiguration:
 
 
 def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the few names of launch that it uses replaced, since launch is not on PyPI."""
+    """launch is not on PyPI: the names that the file uses are replaced."""
 
     def record(*args: object, **kwargs: object) -> types.SimpleNamespace:
         return types.SimpleNamespace(args=args, **kwargs)
@@ -297,24 +297,24 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     *arguments, opaque = launch_file.generate_launch_description()
     assert [argument.args for argument in arguments] == [("scene",), ("processes",)]
     for number in (None, 3):
-        said = {
+        configuration = {
             **{a.args[0]: a.default_value for a in arguments},
             **({"processes": str(number)} if number else {}),
         }
-        nodes = opaque.function(said)
-        wanted = scene_processes(resource_path("config/scenes/demo.yaml"), number)
+        nodes = opaque.function(configuration)
+        expected = scene_processes(resource_path("config/scenes/demo.yaml"), number)
         assert [(node.executable, node.arguments) for node in nodes] == [
-            (process.executable, process.ros_arguments) for process in wanted
+            (process.executable, process.ros_arguments) for process in expected
         ]
         assert {node.package for node in nodes} == {"humansim_ros"}
 
 
-# The three ways to install. Each test works on a copy of the sources, so that no build folder is left behind.
+# The three installations. Each test works on a copy of the sources, so that no build folder remains.
 
 
 def run(command: list[str | Path], **options: object) -> str:
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, **options)
-    assert done.returncode == 0, f"{command} said:\n{done.stdout}\n{done.stderr}"
+    assert done.returncode == 0, f"{command} printed:\n{done.stdout}\n{done.stderr}"
     return done.stdout
 
 
@@ -328,7 +328,7 @@ def copy_sources(folder: Path) -> Path:
 
 
 def clean_environment(**variables: str) -> dict[str, str]:
-    """This process's environment without what would help to find the package."""
+    """Environment of this process without the variables that lead to the package."""
     hidden = {"PYTHONPATH", "AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH"}
     return {k: v for k, v in os.environ.items() if k not in hidden} | variables
 
@@ -337,7 +337,7 @@ def clean_environment(**variables: str) -> dict[str, str]:
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     sources = copy_sources(tmp_path_factory.mktemp("wheel") / "sources")
     pip = [sys.executable, "-m", "pip"]
-    # without isolation it needs no network
+    # build isolation would need the network
     run(
         [
             *pip,
@@ -354,7 +354,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_wheel_has_everything_at_its_place(wheel: Path) -> None:
+def test_wheel_has_every_file_at_its_path(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         entries = {entry.filename: entry for entry in archive.infolist()}
     data = f"humansim_ros-{humansim_ros.__version__}.data/data/"
@@ -375,8 +375,8 @@ def test_pip_install_works(wheel: Path, tmp_path: Path) -> None:
     run([*pip, "--ignore-installed", "--prefix", tmp_path, wheel])
     site_packages = next(tmp_path.glob("lib/python*/site-packages"))
     environment = clean_environment(PYTHONPATH=str(site_packages))
-    found = run([sys.executable, "-c", PRINT_ROOT], cwd=tmp_path, env=environment)
-    assert Path(found.strip()) == tmp_path / "share" / "humansim_ros"
+    root = run([sys.executable, "-c", PRINT_ROOT], cwd=tmp_path, env=environment)
+    assert Path(root.strip()) == tmp_path / "share" / "humansim_ros"
     for command in (tmp_path / "bin" / "humansim", tmp_path / "lib" / "humansim_ros" / "humansim"):
         assert "demo" in run([command, "--help"], cwd=tmp_path, env=environment)
 

@@ -1,4 +1,4 @@
-"""Self-penetration of poses: capsules stand for the body parts, and overlap by the distance of their axes."""
+"""Self-penetration of poses: overlap of capsules that approximate the parts of a body."""
 
 from __future__ import annotations
 
@@ -200,9 +200,13 @@ def report_penetration(posed: Array, capsules: Capsules, tolerance: float = 0.03
 
 
 def segment_distance(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Shortest distances (...) between segments from a to b and from c to d (..., 3) [Ericson 2005, 5.1.9].
+    """Shortest distances (...) between segments [Ericson 2005, 5.1.9]; a segment may be a point.
 
-    Segments may be points.
+    Args:
+        a: Starts (..., 3) of the first segments.
+        b: Ends (..., 3) of the first segments.
+        c: Starts (..., 3) of the second segments.
+        d: Ends (..., 3) of the second segments.
     """
     # components first: sums of three numbers along the last axis are slow
     ax, bx, cx, dx = (np.moveaxis(p, -1, 0) for p in np.broadcast_arrays(a, b, c, d))

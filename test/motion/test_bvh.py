@@ -58,7 +58,7 @@ def one_joint(channels: str, values: str, offset: str = "0 0 0") -> str:
     )
 
 
-# What the channels mean
+# Meaning of the channels
 
 
 def test_skeleton_and_values_are_those_of_the_file(tmp_path: Path) -> None:
@@ -129,7 +129,7 @@ def test_an_unknown_joint_is_an_error_that_lists_the_joints(tmp_path: Path) -> N
         read(tmp_path, GOOD).joint("Hisp")
 
 
-# How files are written
+# Variants of the format
 
 SPELLINGS = {
     "windows line ends": GOOD.replace("\n", "\r\n"),
@@ -297,7 +297,7 @@ def test_a_chain_of_ten_thousand_joints_is_read_and_posed(tmp_path: Path) -> Non
     np.testing.assert_allclose(motion.world_positions(0)[-1], [-(depth - 1), 1, 0], atol=1e-6)
 
 
-# Bad input: (what is wrong, the file, the line that is named, a part of the message)
+# Bad input: (fault, file, line of the error, part of the message)
 
 ROW = "4 5 6 10 20 30 40 50 60"
 BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
@@ -459,7 +459,7 @@ def test_a_written_motion_reads_back_the_same(
     path = tmp_path_factory.getbasetemp() / "written.bvh"
     write_bvh(path, motion)
     assert_same(read_bvh(path, "replace"), motion)
-    # added positions are written as what they come to
+    # added positions are written as their sums with the OFFSETs
     write_bvh(path, replace(motion, positions="add"))
     again = read_bvh(path, "replace")
     np.testing.assert_allclose(

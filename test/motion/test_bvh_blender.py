@@ -20,7 +20,7 @@ STEMS = sorted({key.split("/")[0] for key in BLENDER})
 
 #: Fraction of the skeleton's size.
 TOLERANCE = 1e-5
-#: Where Blender has turned a bone onto -y, all below it is off in Blender, by at most this.
+#: Largest error in Blender below a bone that Blender rotates onto -y.
 TOLERANCE_OF_MOVED_JOINTS = 2e-5
 
 pytestmark = [

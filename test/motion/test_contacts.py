@@ -152,7 +152,7 @@ def test_two_bones_reach_their_goal_and_keep_their_lengths(
     else:
         cosine = (new_ankle - hip) @ (goal - hip) / np.linalg.norm(new_ankle - hip) / reach
         assert cosine > 1 - 1e-6
-    # the hinge is carried: what was perpendicular to the leg's plane still is
+    # the hinge rotates with the leg: it stays perpendicular to the plane of the leg
     hinge = np.cross(thigh, shin)
     if np.linalg.norm(hinge) > 1e-3:
         carried = upper[0] @ hinge / np.linalg.norm(hinge)

@@ -46,7 +46,7 @@ def read(folder: Path, text: str | bytes) -> Keyframes:
     return read_keyframes(path)
 
 
-# What a file says
+# Content of files
 
 
 def test_position_angles_and_size_are_linear_between_keys(tmp_path: Path) -> None:
@@ -202,7 +202,7 @@ def test_the_example_of_the_documentation_is_correct(tmp_path: Path) -> None:
     assert content.at("cart", 3.0).size.tolist() == [1, 1, 1]
 
 
-# What is refused
+# Errors
 
 BOMB = "<!DOCTYPE a [<!ENTITY a 'ha'>" + "".join(
     f"<!ENTITY {b} '{f'&{a};' * 10}'>" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
@@ -291,7 +291,7 @@ def test_time_and_memory_follow_the_size_of_the_file(tmp_path: Path) -> None:
     assert seconds < len(text) / 1e5  # a second for 100 kB, traced
 
 
-# People
+# Humans
 
 
 SCENE = """\
@@ -354,7 +354,7 @@ def test_velocities_are_those_of_the_composed_motion(tmp_path: Path) -> None:
         state = moved.at(seconds)
         assert state.linear is not None
         assert state.angular is not None
-        # it walks, is carried at 1 m/s and turned by 90 degrees a second
+        # it walks, while keyframes move it at 1 m/s and rotate it by 90 degrees per second
         assert np.linalg.norm(slope, axis=1).min() > 0.2
         np.testing.assert_allclose(state.linear, slope, atol=0.05)
         before, after = (Rotation.from_matrix(s.joints[:, :3, :3]) for s in (states[0], states[-1]))

@@ -111,7 +111,7 @@ def about(axes: str, *degrees: float) -> Rotation:
             {"sacroiliac": about("x", 30), "vl5": about("x", 25)},
             {"sacroiliac.flexion": 30, "vl5.flexion": 55},
         ),
-        # whoever the hips carry along has not bent
+        # bones that move with the hips are not bent
         ({"HumanoidRoot": about("xyz", 40, 50, 60)}, {}),
     ],
 )

@@ -175,7 +175,7 @@ def test_a_hand_penetrates_the_trunk_when_rays_say_so() -> None:
             depth = float(trimesh.proximity.closest_point_naive(rest, vertices[hand][inside])[1].max())
         seen.append((self_penetration(posed, body)[0, trunk].max(), depth))
     ours, theirs = np.array(seen).T
-    assert theirs[0] == 0 and theirs[-1] > 0.05, seen  # the sweep goes from free to deep inside
+    assert theirs[0] == 0 and theirs[-1] > 0.05, seen  # from outside to deep inside
     assert ours[0] < 0.01
     assert (ours[theirs > 0.03] > 0).all() and (theirs[ours > 0.03] > 0).all(), seen
 

@@ -84,7 +84,7 @@ def unit_vectors(vectors: Array) -> Array:
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
-# The motion in the world
+# World motion
 
 
 @real_and_ours
@@ -374,7 +374,7 @@ def test_one_frame_is_a_static_pose(tmp_path: Path) -> None:
         np.testing.assert_array_equal(poses.linear, 0)
 
 
-# On the skeleton
+# Retargeting
 
 
 def retargeted(

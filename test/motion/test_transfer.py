@@ -167,7 +167,7 @@ def test_start_end_and_speed_select_the_played_part() -> None:
         time = frame / 120
         expected = plain.sample_with_velocities(0.5 + 2 * time)
         got = part.sample_with_velocities(time)
-        # the floor is found in what plays
+        # the floor is that of the played part
         np.testing.assert_allclose(got.positions[..., :2], expected.positions[..., :2], atol=1e-9)
         assert got.linear is not None and expected.linear is not None
         assert got.angular is not None and expected.angular is not None
@@ -305,7 +305,7 @@ def test_opposite_joints_are_found_by_role() -> None:
     assert opposite_joints(["a", "b", "c"], {"Hips": 0, "LeftHip": 2, "RightHip": 1}).tolist() == [0, 2, 1]
 
 
-# What is said instead of found
+# Given values instead of detected ones
 
 
 def test_given_up_and_facing_are_used() -> None:

@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
-from conftest import ROOT
 from scipy.spatial import SphericalVoronoi
 from scipy.spatial.distance import pdist, squareform
 
 from humansim_ros.camera import Camera
-from humansim_ros.camera.calibration import read_calibration
-from humansim_ros.camera.coverage import coverage
 from humansim_ros.camera.rigs import Optics, dome, grid, ring, stereo
-from humansim_ros.cli.main import app
-from humansim_ros.drawing.rigs import coverage_image, rig_image
-from humansim_ros.errors import CameraError, HumansimError
-from humansim_ros.scene import Scene
+from humansim_ros.errors import CameraError
 
 TARGET = np.array([0.5, -1.0, 1.1])
 OPTICS = Optics((640, 480), np.radians(50))
@@ -163,133 +152,3 @@ def test_impossible_rigs_are_refused(make, key: str | None) -> None:
     with pytest.raises(CameraError) as caught:
         make()
     assert caught.value.key == key
-
-
-# -- pictures
-
-
-def seen_by(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Whether points (N, 3) are in the image by OpenCV's projection."""
-    pixels, _ = cv2.projectPoints(
-        points, cv2.Rodrigues(camera.R)[0], camera.t, camera.K, np.array(camera.distortion)
-    )
-    ahead = (points @ camera.R.T + camera.t)[:, 2] > 0
-    return ahead & ((pixels[:, 0] > -0.5) & (pixels[:, 0] < np.array(camera.size) - 0.5)).all(axis=1)
-
-
-def test_coverage_counts_the_cameras_that_see_a_point_or_all_of_a_person() -> None:
-    cameras = ring(5, 3, 2.2, TARGET, OPTICS) | {"side": OPTICS.camera((3, 3, 1), (0, 0, 1))}
-    x, y = np.linspace(-3, 4, 15), np.linspace(-4, 2, 13)
-    chest, whole = coverage(cameras, x, y, 1.2), coverage(cameras, x, y, 0.0, 1.8)
-    heights = np.linspace(0, 1.8, 7)
-    for row, column in np.ndindex(13, 15):
-        upright = np.column_stack([np.tile([x[column], y[row]], (7, 1)), heights])
-        point = np.array([[x[column], y[row], 1.2]])
-        assert chest.counts[row, column] == sum(seen_by(camera, point)[0] for camera in cameras.values())
-        assert whole.counts[row, column] == sum(seen_by(camera, upright).all() for camera in cameras.values())
-    assert 0 < whole.counts.sum() < chest.counts.sum()
-    assert chest.area(0, 6) == pytest.approx(15 * 13 * 0.5 * 0.5)
-    with pytest.raises(CameraError, match="two positions"):
-        coverage(cameras, [0.0], y, 1.2)
-    assert chest.area(6, 6) == (chest.counts == 6).sum() * 0.25
-
-
-def test_cameras_are_drawn_where_they_stand() -> None:
-    cameras = ring(5, 3, 2.2, TARGET, OPTICS) | {"inner": OPTICS.camera((1, 0, 1), (0, 0, 1))}
-    above = rig_image(cameras)[60:, 44:620].astype(int)
-    colored = (np.ptp(above, axis=-1) > 50).astype(np.uint8)
-    count, _, _, dots = cv2.connectedComponentsWithStats(cv2.erode(colored, np.ones((5, 5), np.uint8)))
-    assert count == 1 + 6
-    places = centers(cameras)[:, :2] * [1, -1]
-    # one scale and one shift take all cameras to their dots
-    scale = np.ptp(dots[1:], axis=0) / np.ptp(places, axis=0)
-    assert scale[0] == pytest.approx(scale[1], rel=0.01)
-    drawn = (places - places.min(0)) * scale + dots[1:].min(0)
-    for place in drawn:
-        assert np.linalg.norm(dots[1:] - place, axis=1).min() < 1
-
-
-def test_one_camera_many_cameras_and_cameras_far_out_are_drawn() -> None:
-    far = OPTICS.camera((500, -300, 2), (499, -300, 1))
-    for cameras in (
-        {"far": far},
-        {"far": far, "near": OPTICS.camera((1, 0, 1), (0, 0, 1))},
-        dome(40, 4, TARGET, FISHEYE),
-    ):
-        assert np.ptp(rig_image(cameras)[60:, :1200]) > 100
-    assert coverage_image({"far": far}).shape[1] == 2 * 770
-    with pytest.raises(CameraError, match="no cameras"):
-        rig_image({})
-    with pytest.raises(CameraError, match="in metres"):
-        rig_image({"lost": OPTICS.camera((5e6, 0, 0), (0, 0, 0))})
-    for area in ((0, 0, 0, 1), (0, 0, np.nan, 1), (0, 0, 1e9, 1)):
-        with pytest.raises(CameraError) as caught:
-            coverage_image({"far": far}, area=area)
-        assert caught.value.key == "area"
-
-
-# -- commands
-
-
-def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "humansim_ros.cli.main", "camera", *map(str, arguments)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
-
-
-@pytest.mark.slow
-def test_a_rig_is_a_scene_and_camera_info_files_and_can_be_drawn(tmp_path: Path) -> None:
-    done = humansim(
-        "rig",
-        "--stereo",
-        0.2,
-        "--distortion",
-        "-0.3 0.1 0 0",
-        "--look-at",
-        0.5,
-        -1,
-        1.1,
-        "-o",
-        tmp_path / "rig",
-    )
-    assert done.returncode == 0, done.stderr
-    optics = Optics(distortion=(-0.3, 0.1, 0, 0))
-    wanted = stereo(0.2, 4, 1.8, TARGET, optics)
-    scene = Scene.load(tmp_path / "rig" / "scene.yaml")
-    for name, camera in wanted.items():
-        info = read_calibration(tmp_path / "rig" / "camera_info" / f"{name}.yaml")[name]
-        for found in (scene.cameras[name], read_calibration(tmp_path / "rig")[name]):
-            np.testing.assert_allclose(found.P, camera.P, atol=1e-9)
-            for part in (found, info):
-                assert (part.size, part.distortion, part.model) == (
-                    camera.size,
-                    camera.distortion,
-                    camera.model,
-                )
-                np.testing.assert_allclose(part.rectified_projection, camera.rectified_projection, atol=1e-9)
-    # nothing of the room is in the way of the cameras
-    assert scene.config.room is not None
-    assert scene.config.room.size[0] / 2 > 4.5 + 1
-
-    for option in ((), ("--coverage", "--area", -2, -2, 2, 2)):
-        drawn = humansim("plot", tmp_path / "rig", "-o", tmp_path / "rig.png", *option)
-        assert drawn.returncode == 0, drawn.stderr
-    assert cv2.imread(str(tmp_path / "rig.png")).shape[1] == 2 * 770
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        (["--ring", 8, "--dome", 3], "--ring and --dome"),
-        ([], "give one of --ring"),
-        (["--grid", "2by3"], "such as 2x4"),
-        (["--dome", 8, "--height", 2], "--height"),
-        (["--ring", 8, "--distortion", "strong"], "needs numbers"),
-        (["--ring", 8, "--radius", "nan"], "must be finite numbers"),
-        (["--ring", 8, "--radius", -1], "radius: must be above zero"),
-    ],
-)
-def test_wrong_options_of_a_rig_are_explained(options: list, said: str, tmp_path: Path) -> None:
-    with pytest.raises(HumansimError, match=said):
-        app(["camera", "rig", *map(str, options), "-o", str(tmp_path / "rig")], standalone_mode=False)
-    assert not (tmp_path / "rig").exists()

@@ -126,6 +126,8 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
     ("module", "heavy"),
     [
         ("humansim_ros", {"numpy", "scipy", "pydantic", "yaml", "cv2", "moderngl", "rclpy"}),
+        ("humansim_ros.render.channels", {"cv2", "moderngl", "rclpy", "scipy"}),
+        ("humansim_ros.render.lighting", {"cv2", "moderngl", "rclpy", "scipy"}),
         ("humansim_ros.scene", {"cv2", "moderngl", "rclpy"}),
         ("humansim_ros.scene.config", {"cv2", "moderngl", "rclpy"}),
         ("humansim_ros.ros.processes", {"cv2", "moderngl", "numpy", "pydantic", "rclpy", "scipy"}),

@@ -53,12 +53,12 @@ def current(ctx: moderngl.Context) -> Iterator[None]:
             ctx.buffer(reserve=4).release()
         except moderngl.Error:
             raise RenderError(
-                "the OpenGL context was lost, as when a GPU is reset or taken away: make a new renderer, or "
-                "start this node again"
+                "the OpenGL context was lost, for example because the GPU was reset or removed: create a new "
+                "renderer, or restart this node"
             ) from None
         try:
             yield
         except moderngl.Error as reason:
             raise RenderError(
-                f"OpenGL failed, perhaps for want of memory ({str(reason).splitlines()[0]})"
+                f"OpenGL failed, possibly out of memory ({str(reason).splitlines()[0]})"
             ) from None

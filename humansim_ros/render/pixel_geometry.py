@@ -67,6 +67,15 @@ class PixelGeometry:
         return np.stack([x_y_z.take(corner, axis=1) for corner in self._corners])
 
     @cached_property
+    def coordinates(self) -> Array:
+        """(M, 2) columns and rows of the pixels."""
+        width = self.camera.size[0]
+        coordinates: Array = np.empty((len(self.visible.pixels), 2))
+        coordinates[:, 1] = np.trunc(self.visible.pixels / width)  # faster than an integer division
+        coordinates[:, 0] = self.visible.pixels - width * coordinates[:, 1]
+        return coordinates
+
+    @cached_property
     def weights(self) -> Array:
         """(3, M) barycentric coordinates of the points."""
         a, b, c = self._positions
@@ -142,8 +151,7 @@ def optical_flow(
     static_camera = np.array_equal(camera.R, other.camera.R) and np.array_equal(camera.t, other.camera.t)
     pixels = geometry.visible.pixels
     targets, distance = geometry.in_frame(other)
-    row, column = np.divmod(pixels, camera.size[0])
-    displacement = targets - np.stack([column, row], axis=1)
+    displacement = targets - geometry.coordinates
     hidden = np.zeros(depth.shape, np.uint8)
     if static_camera:
         flow = np.zeros((*depth.shape, 2), np.float32)

@@ -109,7 +109,7 @@ class PyrenderRenderer(Renderer):
         camera, channels = request.camera, request.channels
         if camera.distorted:
             raise RenderError(
-                "pyrender knows no lens distortion: take the renderer moderngl, or an ideal camera"
+                "pyrender renders no lens distortion: use the renderer moderngl, or an ideal camera"
             )
         self._shapes.take_orphans()
         moving = [self._posed(body) for body in request.bodies]

@@ -163,55 +163,21 @@ class RenderedFrame:
         )
         if self.static_labels is not None:
             images |= self.static_labels.images(channels)
-        within = self.rectangle.slices
-        if "depth" in images:
-            np.copyto(images["depth"][within], self.depth, where=self.depth > 0)
-        for name in {"instance", "part", "face"} & set(channels):
-            values = self.ids.table(name).take(self.triangle_ids)
-            if self.static_labels is None:
-                images[name][within] = values
-            else:
-                np.copyto(images[name][within], values, where=self.triangle_ids > 0)
-        if self.rgba is not None and "rgb" in images:
-            # (many times faster than an assignment of three channels out of four)
-            images["rgb"][within] = cv2.cvtColor(self.rgba, cv2.COLOR_RGBA2RGB) if self.rgba.size else 0
-        if self.rgba is not None and "shadow" in images:
-            images["shadow"][within] = 255 - self.rgba[..., 3]
-        if "alpha" in channels:
-            static = images.get("alpha", {})
-            for alpha in static.values():
-                alpha[within][self.triangle_ids > 0] = 0
-            images["alpha"] = self._masks(images.get("instance")) | static
+        for name, fill in _FILL.items():
+            if name in channels or name in images:
+                fill(self, name, images, bodies)
         blended = [*([images["rgb"]] if "rgb" in images else []), *images.get("alpha", {}).values()]
         if self.outline is not None and blended:
             blend(blended, images["depth"], self.outline)
-        if "normal" in images:
-            geometry = self.geometry(bodies)
-            images["normal"].reshape(-1, 3)[geometry.visible.pixels] = geometry.normals()
-        if "uv" in images:
-            geometry = self.geometry(bodies)
-            images["uv"].reshape(-1, 2)[geometry.visible.pixels] = geometry.texture_coordinates()
-        for name, (frame, other) in adjacent.items():
-            depth, touched = (None, within) if other is None else (other.whole_depth, other.rectangle.slices)
+        for which, (frame, other) in adjacent.items():
+            depth, touched = None, self.rectangle.slices
+            if other is not None:
+                depth, touched = other.whole_depth, other.rectangle.slices
             geometry = self.geometry(bodies)
             flow = optical_flow(self.camera, geometry, self.whole_depth, frame, depth, touched)
-            channel = "flow" if name == "next_frame" else "flow_back"
-            images[channel], images[f"{channel}_hidden"] = flow.flow, flow.hidden
-        if "amodal" in channels and self.alone is not None:
-            alone = {instance: mask.copy() for instance, mask in self.alone.items()}
-            images["amodal"] = alone | images.get("amodal", {})
+            name = "flow" if which == "next_frame" else "flow_back"
+            images[name], images[f"{name}_hidden"] = flow.flow, flow.hidden
         return View(**{name: images[name] for name in channels})
-
-    def _masks(self, instances: NDArray[np.uint16] | None) -> dict[int, NDArray[np.uint8]]:
-        """By instance, (H, W) 255 where the pixel center shows the body."""
-        if instances is None:
-            instances = self.layer.images(("instance",))["instance"]
-            instances[self.rectangle.slices] = self.ids.table("instance").take(self.triangle_ids)
-        return {
-            instance: (instances == instance).view(np.uint8) * np.uint8(255)
-            for instance in self.instances
-            if instance
-        }
 
 
 class StaticLabels:
@@ -228,3 +194,77 @@ class StaticLabels:
         for name in names - self._images.keys():
             self._images[name] = getattr(self._frame.view(self._bodies, (name,), {}), name)
         return {name: deepcopy(self._images[name]) for name in names}
+
+
+_Fill = Callable[[RenderedFrame, str, dict[str, Any], Sequence[Body]], None]
+
+
+def _fill_depth(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    np.copyto(images[name][frame.rectangle.slices], frame.depth, where=frame.depth > 0)
+
+
+def _fill_from_ids(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    within, values = frame.rectangle.slices, frame.ids.table(name).take(frame.triangle_ids)
+    if frame.static_labels is None:
+        images[name][within] = values
+    else:
+        np.copyto(images[name][within], values, where=frame.triangle_ids > 0)
+
+
+def _fill_rgb(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    if frame.rgba is not None and frame.rgba.size:
+        # (many times faster than an assignment of three channels out of four)
+        images[name][frame.rectangle.slices] = cv2.cvtColor(frame.rgba, cv2.COLOR_RGBA2RGB)
+
+
+def _fill_shadow(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    if frame.rgba is not None:
+        images[name][frame.rectangle.slices] = 255 - frame.rgba[..., 3]
+
+
+def _fill_alpha(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    """Coverage without anti-aliasing: 255 where the pixel center shows the body."""
+    within, instances = frame.rectangle.slices, images.get("instance")
+    static = images.get(name, {})
+    for alpha in static.values():
+        alpha[within][frame.triangle_ids > 0] = 0
+    if instances is None:
+        instances = frame.layer.images(("instance",))["instance"]
+        instances[within] = frame.ids.table("instance").take(frame.triangle_ids)
+    moving = {
+        instance: (instances == instance).view(np.uint8) * np.uint8(255)
+        for instance in frame.instances
+        if instance
+    }
+    images[name] = moving | static
+
+
+def _fill_normal(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
+    geometry = frame.geometry(bodies)
+    images[name].reshape(-1, 3)[geometry.visible.pixels] = geometry.normals()
+
+
+def _fill_uv(frame: RenderedFrame, name: str, images: dict[str, Any], bodies: Sequence[Body]) -> None:
+    geometry = frame.geometry(bodies)
+    images[name].reshape(-1, 2)[geometry.visible.pixels] = geometry.texture_coordinates()
+
+
+def _fill_amodal(frame: RenderedFrame, name: str, images: dict[str, Any], _: Sequence[Body]) -> None:
+    if frame.alone is not None:
+        moving = {instance: mask.copy() for instance, mask in frame.alone.items()}
+        images[name] = moving | images.get(name, {})
+
+
+#: Functions that write the bodies into the image of a channel, except optical flow; labels before alpha.
+_FILL: dict[str, _Fill] = {
+    "depth": _fill_depth,
+    "instance": _fill_from_ids,
+    "part": _fill_from_ids,
+    "face": _fill_from_ids,
+    "rgb": _fill_rgb,
+    "shadow": _fill_shadow,
+    "alpha": _fill_alpha,
+    "normal": _fill_normal,
+    "uv": _fill_uv,
+    "amodal": _fill_amodal,
+}

@@ -17,8 +17,6 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.channels import ALL_CHANNELS, CHANNEL_TABLE, CHANNELS, AdjacentName, View
 from humansim_ros.types import Float32Array, Image
 
-_WHEN: dict[AdjacentName, str] = {"next_frame": "after", "previous_frame": "before"}
-
 #: Kind of a body.
 Kind = Literal["human", "object"]
 
@@ -89,7 +87,7 @@ class RenderRequest:
         check_bodies(self.bodies)
         if missing := sorted(set(self.channels) - set(renderer.channels)):
             raise RenderError(
-                f"{renderer.name} does not draw {', '.join(missing)}; the renderer moderngl does"
+                f"{renderer.name} does not render {', '.join(missing)}: use the renderer moderngl"
             )
         for channel in self.channels:
             name = CHANNEL_TABLE[channel].adjacent_frame
@@ -99,9 +97,9 @@ class RenderRequest:
     def _check_adjacent(self, channel: str, name: AdjacentName) -> None:
         frame = self.adjacent(name)
         if frame is None:
-            raise RenderError(f"{channel} needs the frame {_WHEN[name]} this one")
+            raise RenderError(f"{channel} needs {name}")
         if [body.vertices.shape for body in frame.bodies] != [body.vertices.shape for body in self.bodies]:
-            raise RenderError(f"the frame {_WHEN[name]} this one has other bodies")
+            raise RenderError(f"{name} has other bodies than the frame")
         check_bodies(frame.bodies)
 
 
@@ -171,7 +169,7 @@ def check_bodies(bodies: Sequence[Body]) -> None:
         if not 0 <= body.instance < 65536:
             raise RenderError(f"an instance label must be 0 to 65535, not {body.instance}")
         if labels[body.instance] > 1:
-            raise RenderError(f"two bodies cannot be told apart: instance label {body.instance} twice")
+            raise RenderError(f"instance label {body.instance} twice: each body needs its own")
         if body.parts.shape != (len(body.mesh.triangles),):
             n = len(body.mesh.triangles)
             raise RenderError(f"part labels of shape {body.parts.shape} do not fit a mesh of {n} triangles")

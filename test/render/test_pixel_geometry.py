@@ -270,7 +270,7 @@ def test_points_of_depth_and_of_face_are_the_same_to_a_millimetre(scene: Scene) 
 def test_flow_without_the_other_frame_is_refused(scene: Scene) -> None:
     bodies = walkers(scene, 0.6)
     renderer = renderer_or_skip()
-    with pytest.raises(RenderError, match="flow needs the frame after"):
+    with pytest.raises(RenderError, match="flow needs next_frame"):
         renderer.render(bodies, CAMERA, ["flow"])
     with pytest.raises(RenderError, match="other bodies"):
         renderer.render(bodies, CAMERA, ["flow"], next_frame=AdjacentFrame([], CAMERA))

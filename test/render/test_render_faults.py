@@ -298,7 +298,7 @@ def test_a_renderer_that_has_been_closed_says_so(name: RendererName) -> None:
 
 def test_what_pyrender_cannot_do_is_refused(person: Body) -> None:
     renderer = renderer_or_skip(name="pyrender")
-    with pytest.raises(RenderError, match="pyrender does not draw normal; the renderer moderngl does"):
+    with pytest.raises(RenderError, match="pyrender does not render normal: use the renderer moderngl"):
         renderer.render([person], along_x(), ["rgb", "normal"])
     bent = replace(along_x(), distortion=(0.1, 0.0, 0.0, 0.0), model="plumb_bob")
     with pytest.raises(RenderError, match="no lens distortion"):

@@ -1,21 +1,20 @@
-"""How the cost of a frame grows with the number of people; and how fast people load.
+"""Cost of a frame by number of humans, and time to load a human.
 
     python benchmarks/many.py [--frames 30]
 
-1, 2, 5 and 10 people, drawn from a seed (bodies, outfits, motions, places), are simulated in one process for
-one 640x480 camera: motion, skinning, and everything that is rendered (rgb, depth, instance, part). Times are
-CPU seconds of this process, medians over frames, so that other work on the machine shows little. The last
-column is the cost of one more person, from the first line.
+1, 2, 5 and 10 random humans are simulated in one process for one 640x480 camera: motion, skinning, and the
+channels rgb, depth, instance and part. Times are CPU milliseconds of this process, medians over frames, which
+other work on the machine affects little. The last column is the cost of one more human, relative to one.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,18 +26,14 @@ from humansim_ros.humans.loading import load_human  # noqa: E402
 from humansim_ros.resources import resource_path  # noqa: E402
 from humansim_ros.scene import Scene, Simulation  # noqa: E402
 
-SCENE = """
-rate: 30
-room: {{size: [12, 12, 2.8]}}
-variety: {{count: {count}, seed: 1, area: [-2.5, -2.5, 2.5, 2.5], spacing: 1.0}}
-cameras:
-  eye: {{size: [640, 480], position: [5.5, 5.0, 2.4], look_at: [0, 0, 0.8], fov_deg: 60}}
-"""
+CAMERA = {"size": [640, 480], "position": [5.5, 5.0, 2.4], "look_at": [0, 0, 0.8], "fov_deg": 60}
+VARIETY = {"seed": 1, "area": [-2.5, -2.5, 2.5, 2.5], "spacing": 1.0}
+SCENE: dict[str, Any] = {"rate": 30, "room": {"size": [12, 12, 2.8]}, "cameras": {"eye": CAMERA}}
 COUNTS = (1, 2, 5, 10)
 
 
 def median_ms(work: Callable[[int], object], frames: int) -> float:
-    """CPU milliseconds of a frame's work."""
+    """Median CPU milliseconds of a function of the frame number."""
     work(0)
     times = []
     for frame in range(1, frames + 1):
@@ -49,23 +44,20 @@ def median_ms(work: Callable[[int], object], frames: int) -> float:
 
 
 def measure(count: int, frames: int) -> list[float]:
-    """CPU milliseconds of skinning so many people, drawing them, that with all labels, and whole frames."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "scene.yaml"
-        path.write_text(SCENE.format(count=count))
-        scene = Scene.load(path)
+    """CPU milliseconds per frame of skinning, rgb, all channels, and the whole frame."""
+    scene = Scene.from_dict(SCENE | {"variety": {**VARIETY, "count": count}})
     simulation = Simulation(scene)
     camera = scene.cameras["eye"]
     states = {name: actor.at(1.0) for name, actor in scene.actors.items()}
 
-    def draw(*channels: str) -> object:
+    def render(*channels: str) -> object:
         bodies = [actor.body(states[name].vertices) for name, actor in scene.actors.items()]
         return simulation.renderer.render(bodies, camera, channels)
 
     parts = [
         median_ms(lambda frame: [actor.at(frame / 30) for actor in scene.actors.values()], frames),
-        median_ms(lambda _: draw("rgb"), frames),
-        median_ms(lambda _: draw(*simulation.channels), frames),
+        median_ms(lambda _: render("rgb"), frames),
+        median_ms(lambda _: render(*simulation.channels), frames),
         median_ms(simulation.frame, frames),
     ]
     simulation.close()
@@ -76,7 +68,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--frames", type=int, default=30)
     frames = parser.parse_args().frames
-    print(f"{'people':>6} {'skinning':>9} {'rgb':>7} {'all':>7} {'frame':>7}   CPU ms; one more person")
+    print(f"{'humans':>6} {'skinning':>9} {'rgb':>7} {'all':>7} {'frame':>7}   CPU ms; one more human")
     first: float | None = None
     for count in COUNTS:
         parts = measure(count, frames)

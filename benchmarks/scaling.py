@@ -1,11 +1,11 @@
-"""How the cost of a frame grows with cameras, pixels and people, and a formula to plan with.
+"""Cost of a frame by cameras, pixels and humans, and a formula for planning.
 
     python benchmarks/scaling.py [--rounds 8] [--plot FILE.png] [--json FILE.json]
 
-rgb, depth, instance and part of the demo scene's room. Every arrangement is drawn once a round, turn and turn
-about, with new poses each time; the median over the rounds counts. Milliseconds are those of the CPU, all
-threads together, which other work on the machine changes least: a machine of n cores has n * 1000 of them a
-second. Skinning, sensors and ROS come on top (docs/performance.md).
+The channels are rgb, depth, instance and part, in the room of the demo scene. Every case is rendered once per
+round with new poses; the result is the median over the rounds. Milliseconds are CPU time of all threads,
+which other work on the machine affects least: n cores have n * 1000 of them per second. Skinning, sensors and
+ROS are not included (docs/performance.md).
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from humansim_ros.scene import Scene
 CAMERAS = (1, 2, 4, 8, 12, 16)
 SIZES = ((320, 240), (640, 480), (960, 720), (1280, 960), (1920, 1080))
 HUMANS = (1, 2, 3, 5, 7, 10)
-USUAL = (640, 480)
-#: Cameras, size and people that are not on one of the lines, to tell a good formula from a lucky one.
-OTHERS = (
+DEFAULT_SIZE = (640, 480)
+#: Cameras, size and humans of cases that vary two parameters, to test the formula.
+MIXED = (
     (2, (320, 240), 5),
     (2, (960, 720), 3),
     (2, (1920, 1080), 2),
     (2, (1280, 960), 7),
-    (4, USUAL, 4),
-    (8, USUAL, 2),
+    (4, DEFAULT_SIZE, 4),
+    (8, DEFAULT_SIZE, 2),
 )
 _POSES = 8
 
 
 @dataclass(frozen=True)
 class Case:
-    """So many cameras of a size that see so many people."""
+    """Number and image size of cameras, and number of humans."""
 
     cameras: int
     size: tuple[int, int]
@@ -54,9 +54,11 @@ class Case:
 
 
 @dataclass
-class Measured:
-    """What a case costs: CPU and wall-clock milliseconds a frame. ``triangles``: thousands, of all people;
-    ``pixels``, ``covered``: millions, of all images and of the rectangles in them that people take up.
+class Measurement:
+    """CPU and wall-clock milliseconds per frame of a case.
+
+    ``triangles``: thousands, of all humans. ``pixels``: millions, of all images. ``covered``: millions, of
+    the bounding rectangles of humans in them.
     """
 
     case: Case
@@ -68,7 +70,7 @@ class Measured:
 
     @property
     def terms(self) -> list[float]:
-        """What the formula has a coefficient for each of."""
+        """Values that the formula multiplies with its coefficients."""
         n = self.case.cameras
         return [n, self.pixels, self.covered, self.triangles, n * self.triangles]
 
@@ -76,7 +78,7 @@ class Measured:
 TERMS = (
     ("each camera", 1.0),
     ("each million pixels of its image", 1.0),
-    ("each million pixels that people take up", 1.0),
+    ("each million pixels that humans cover", 1.0),
     ("each 10,000 triangles, once for all cameras", 10.0),
     ("each 10,000 triangles, in each camera", 10.0),
 )
@@ -84,34 +86,34 @@ TERMS = (
 
 def all_cases() -> list[Case]:
     lines = [
-        *(Case(n, USUAL, 1) for n in CAMERAS),
+        *(Case(n, DEFAULT_SIZE, 1) for n in CAMERAS),
         *(Case(1, size, 1) for size in SIZES),
-        *(Case(1, USUAL, n) for n in HUMANS),
-        *(Case(*other) for other in OTHERS),
+        *(Case(1, DEFAULT_SIZE, n) for n in HUMANS),
+        *(Case(*other) for other in MIXED),
     ]
     return list(dict.fromkeys(lines))
 
 
 class Stage:
-    """The room, people in a ring in it, and cameras around them."""
+    """The room with humans in a spiral and cameras around them."""
 
     def __init__(self) -> None:
         scene = Scene.load()
         self.renderer = GLRenderer(scene.static_meshes)
         self.triangles = 0
         actor = next(iter(scene.actors.values()))
-        self._people: list[list[Body]] = []
+        self._humans: list[list[Body]] = []
         for number in range(max(HUMANS)):
             angle = 2.4 * number
-            place = 0.35 * np.sqrt(number) * np.array([np.cos(angle), np.sin(angle), 0.0])
+            position = 0.35 * np.sqrt(number) * np.array([np.cos(angle), np.sin(angle), 0.0])
             poses = []
             for step in range(_POSES):
                 vertices = actor.at(0.15 * step + 0.37 * number).vertices
-                middle = np.array([*vertices[:, :2].mean(0), 0.0])
-                moved = (vertices - middle + place).astype(np.float32)
+                center = np.array([*vertices[:, :2].mean(0), 0.0])
+                moved = (vertices - center + position).astype(np.float32)
                 poses.append(replace(actor.body(moved), instance=number + 1))
-            self._people.append(poses)
-        self.triangles = len(self._people[0][0].mesh.triangles)
+            self._humans.append(poses)
+        self.triangles = len(self._humans[0][0].mesh.triangles)
 
     def camera(self, number: int, size: tuple[int, int]) -> Camera:
         angle = 2 * np.pi * number / max(CAMERAS) + 0.3
@@ -119,31 +121,31 @@ class Stage:
             (3.0 * np.cos(angle), 2.7 * np.sin(angle), 1.9), (0, 0, 0.9), size, np.radians(65)
         )
 
-    def draw(self, case: Case, step: int) -> list[NDArray[np.uint16]]:
+    def render(self, case: Case, step: int) -> list[NDArray[np.uint16]]:
         # a new Body, as in a new frame
-        bodies = [replace(poses[step % _POSES]) for poses in self._people[: case.humans]]
-        seen = []
+        bodies = [replace(poses[step % _POSES]) for poses in self._humans[: case.humans]]
+        images = []
         for number in range(case.cameras):
             view = self.renderer.render(bodies, self.camera(number, case.size), CHANNELS)
             assert view.instance is not None
-            seen.append(view.instance)
-        return seen
+            images.append(view.instance)
+        return images
 
 
-def measure(stage: Stage, cases: Sequence[Case], rounds: int) -> list[Measured]:
-    covered = [sum(map(rectangle, stage.draw(case, 0))) for case in cases]  # and a warm-up
+def measure(stage: Stage, cases: Sequence[Case], rounds: int) -> list[Measurement]:
+    covered = [sum(map(rectangle, stage.render(case, 0))) for case in cases]  # and a warm-up
     cpu = np.zeros((rounds, len(cases)))
     wall = np.zeros_like(cpu)
     for step in range(rounds):
         for number, case in enumerate(cases):
             start = time.process_time(), time.perf_counter()
-            stage.draw(case, step)
+            stage.render(case, step)
             cpu[step, number], wall[step, number] = (
                 time.process_time() - start[0],
                 time.perf_counter() - start[1],
             )
     return [
-        Measured(
+        Measurement(
             case,
             float(np.median(cpu[:, number])) * 1e3,
             float(np.median(wall[:, number])) * 1e3,
@@ -156,31 +158,31 @@ def measure(stage: Stage, cases: Sequence[Case], rounds: int) -> list[Measured]:
 
 
 def rectangle(instance: NDArray[np.uint16]) -> int:
-    """Pixels of the rectangle around all people."""
+    """Pixels of the bounding rectangle of all humans."""
     rows, columns = (np.flatnonzero(instance.any(axis=axis)) for axis in (1, 0))
     return int((rows[-1] - rows[0] + 1) * (columns[-1] - columns[0] + 1)) if len(rows) else 0
 
 
-def fit(measured: Sequence[Measured]) -> NDArray[np.float64]:
-    """The coefficients, none negative, that are least wrong in proportion to what is measured."""
+def fit(measured: Sequence[Measurement]) -> NDArray[np.float64]:
+    """Non-negative coefficients with the least squared relative error."""
     cpu = np.array([m.cpu for m in measured])
     terms = np.array([m.terms for m in measured])
     return np.asarray(nnls(terms / cpu[:, None], np.ones(len(cpu)))[0], dtype=float)
 
 
-def plot(path: Path, measured: Sequence[Measured], coefficients: NDArray[np.float64]) -> None:
-    """Measured dots and the formula's line, for each of the three ways in which a scene grows."""
+def plot(path: Path, measured: Sequence[Measurement], coefficients: NDArray[np.float64]) -> None:
+    """Plot measurements and formula over cameras, pixels and humans."""
     one = {m.case: m for m in measured}
     panels = (
-        ("cameras of 640x480, one person", [(n, one[Case(n, USUAL, 1)]) for n in CAMERAS]),
-        ("million pixels, one camera and person", [(w * h / 1e6, one[Case(1, (w, h), 1)]) for w, h in SIZES]),
-        ("people, one camera of 640x480", [(n, one[Case(1, USUAL, n)]) for n in HUMANS]),
+        ("cameras of 640x480, one human", [(n, one[Case(n, DEFAULT_SIZE, 1)]) for n in CAMERAS]),
+        ("million pixels, one camera and human", [(w * h / 1e6, one[Case(1, (w, h), 1)]) for w, h in SIZES]),
+        ("humans, one camera of 640x480", [(n, one[Case(1, DEFAULT_SIZE, n)]) for n in HUMANS]),
     )
     write_png(path, np.hstack([panel(title, points, coefficients) for title, points in panels]))
 
 
 def panel(
-    title: str, points: Sequence[tuple[float, Measured]], coefficients: NDArray[np.float64]
+    title: str, points: Sequence[tuple[float, Measurement]], coefficients: NDArray[np.float64]
 ) -> NDArray[np.uint8]:
     width, height, left, top, bottom = 460, 340, 60, 44, 46
     x = np.array([at for at, _ in points])
@@ -208,13 +210,13 @@ def panel(
     cv2.polylines(image, [line], False, (30, 110, 220), 2, cv2.LINE_AA)
     for at, ms in zip(x.tolist(), measured.tolist(), strict=True):
         cv2.circle(image, place(at, ms), 4, (220, 70, 40), -1, cv2.LINE_AA)
-    write("CPU ms a frame: measured (dots), formula (line)", (14, 22), 20)
+    write("CPU ms per frame: measured (dots), formula (line)", (14, 22), 20)
     write(title, (left, height - 10), 20)
     return image
 
 
 def ticks(end: float) -> list[float]:
-    """Some round numbers up to an end."""
+    """Round numbers up to an end."""
     step = 10.0 ** np.floor(np.log10(end))
     step *= next(part for part in (0.1, 0.2, 0.5, 1.0) if end / (part * step) <= 6.5 or part == 1.0)
     return [float(n * step) for n in range(int(end / step) + 1)]
@@ -225,16 +227,15 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--rounds", type=int, default=8, help="frames of each case (default: %(default)s)")
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="draw measurements and formula")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures there too")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="plot measurements and formula")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the figures as JSON")
     options = parser.parse_args()
     stage = Stage()
-    print(f"{stage.renderer.device}, {os.cpu_count()} cores; {stage.triangles} triangles a person")
+    print(f"{stage.renderer.device}, {os.cpu_count()} cores; {stage.triangles} triangles per human")
     measured = measure(stage, all_cases(), options.rounds)
     coefficients = fit(measured)
-    print(
-        f"\n{'cameras':>7} {'size':>10} {'people':>6} {'CPU ms':>8} {'wall ms':>8} {'formula':>8} {'off':>6}"
-    )
+    print(f"\n{'cameras':>7} {'size':>10} {'humans':>6}", end="")
+    print(f" {'CPU ms':>8} {'wall ms':>8} {'formula':>8} {'error':>6}")
     for m in measured:
         formula = float(np.dot(m.terms, coefficients))
         size = "x".join(map(str, m.case.size))
@@ -242,11 +243,11 @@ def main() -> None:
             f"{m.case.cameras:7} {size:>10} {m.case.humans:6} {m.cpu:8.1f} {m.wall:8.1f} "
             f"{formula:8.1f} {formula / m.cpu - 1:6.0%}"
         )
-    off = np.array([abs(float(np.dot(m.terms, coefficients)) / m.cpu - 1) for m in measured])
-    print("\nCPU ms of a frame: the sum of")
+    error = np.array([abs(float(np.dot(m.terms, coefficients)) / m.cpu - 1) for m in measured])
+    print("\nCPU ms per frame: the sum of")
     for (what, unit), value in zip(TERMS, coefficients.tolist(), strict=True):
         print(f"  {value * unit:7.2f} for {what}")
-    print(f"off by {np.median(off):.0%} (median), {off.max():.0%} at most")
+    print(f"error of the formula: {np.median(error):.0%} (median), {error.max():.0%} (maximum)")
     if options.plot:
         plot(options.plot, measured, coefficients)
     if options.json:

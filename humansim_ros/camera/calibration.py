@@ -295,8 +295,8 @@ def _mirrors(raw: RawCamera, part: str) -> bool:
 
 def _orthonormal(r: Array) -> Array:
     """Rotation that Camera makes from a matrix; a matrix that Camera refuses is unchanged."""
-    off = np.abs(r @ r.T - np.eye(3)).max()
-    if not 1e-12 < off < 1e-3:
+    error = np.abs(r @ r.T - np.eye(3)).max()
+    if not 1e-12 < error < 1e-3:
         return r
     u, _, vt = np.linalg.svd(r)
     return np.asarray(u @ vt, dtype=float)
@@ -441,9 +441,9 @@ def _with_supported_lens(path: Path, name: str, camera: Camera, format: Calibrat
     return replace(camera, distortion=d, model=model)
 
 
-def _unsupported(path: Path, name: str, format: CalibrationFormat, what: str) -> CameraError:
+def _unsupported(path: Path, name: str, format: CalibrationFormat, value: str) -> CameraError:
     hint = "idealize the camera first (humansim camera idealize), or choose another format"
-    return CameraError(f"{format.title} cannot store {what}: {hint}", path=path, key=name)
+    return CameraError(f"{format.title} cannot store {value}: {hint}", path=path, key=name)
 
 
 def _losses(cameras: Mapping[str, Camera], format: CalibrationFormat) -> Iterator[str]:

@@ -298,13 +298,13 @@ def ideal_matrix(K: Array, size: ImageSize, square: bool = False, center: bool =
 def _rotation(value: ArrayLike, key: str) -> Array:
     """Check a rotation matrix, and correct small errors of orthonormality."""
     r = _matrix(value, (3, 3), key)
-    off = float(np.abs(r @ r.T - np.eye(3)).max())
-    if off > _ROTATION_TOLERANCE or np.linalg.det(r) < 0:
+    error = float(np.abs(r @ r.T - np.eye(3)).max())
+    if error > _ROTATION_TOLERANCE or np.linalg.det(r) < 0:
         raise CameraError(f"{key} is not a rotation matrix (orthonormal, determinant +1)", key=key)
-    if off > _ROTATION_ROUNDING:
-        message = f"{key} is a rotation matrix only to {off:.1g}: the nearest rotation is used"
+    if error > _ROTATION_ROUNDING:
+        message = f"{key} is a rotation matrix only to {error:.1g}: the nearest rotation is used"
         warnings.warn(message, HumansimWarning, stacklevel=4)
-    if off <= 1e-12:
+    if error <= 1e-12:
         return r
     # exactly orthonormal, so that the published extrinsics are a rigid transform
     u, _, vt = np.linalg.svd(r)

@@ -58,19 +58,18 @@ def list_humans(as_json: JsonOption = False) -> None:
 
 
 def show(
-    who: HumanArgument,
+    human: HumanArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="Output image (.png).")],
     outfit: Annotated[str | None, typer.Option(help="Name of the outfit.")] = None,
 ) -> None:
     """Draw a human from all sides, with its bones, weights and outfits."""
     _check_image(output)
-    human = _load(who, outfit)
-    _draw(human, output)
+    _draw(_load(human, outfit), output)
 
 
-def info(who: HumanArgument, as_json: JsonOption = False) -> None:
+def info(human: HumanArgument, as_json: JsonOption = False) -> None:
     """Describe a human: size, bones, weights, outfits, licence."""
-    facts = describe_human(_load(who))
+    facts = describe_human(_load(human))
     print_text(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
 
@@ -169,11 +168,11 @@ def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
             yield f"  {key}: {facts[key]}"
 
 
-def _load(who: str, outfit: str | None = None) -> Human:
+def _load(name: str, outfit: str | None = None) -> Human:
     from humansim_ros.humans.loading import load_human
     from humansim_ros.io.assets import find_asset
 
-    return load_human(find_asset(who, "humans"), outfit)
+    return load_human(find_asset(name, "humans"), outfit)
 
 
 def _write(human: Human, output: Path, preview: Path | None) -> None:

@@ -128,10 +128,10 @@ class CalibrationFile:
 
     def size(self, width: Sequence[Key], height: Sequence[Key]) -> ImageSize:
         """Image size from the key paths of its width and height."""
-        return self.whole(*width), self.whole(*height)
+        return self.positive_integer(*width), self.positive_integer(*height)
 
-    def whole(self, *keys: Key) -> int:
-        """A positive whole number."""
+    def positive_integer(self, *keys: Key) -> int:
+        """Positive integer at a key path."""
         value = float(self.numbers((), *keys))
         if value != int(value) or value <= 0:
             raise self.error(f"needs a whole number above zero, not {value:g}", *keys)
@@ -157,7 +157,7 @@ class CalibrationFile:
             line: Line of the camera, for errors.
         """
         if name in cameras:
-            raise self.error(f"there are two cameras of the name {name!r}", *keys, line=line)
+            raise self.error(f"there are two cameras with the name {name!r}", *keys, line=line)
         if len(cameras) >= MAX_CAMERAS:
             raise self.error(f"there are more than {MAX_CAMERAS} cameras", *keys, line=line)
         cameras[name] = camera

@@ -82,7 +82,7 @@ def _model_without_name(
         return None
     if word:
         raise file.error(
-            f"says {word!r}, but there are distortion coefficients: name one of {_KNOWN}", *name_keys
+            f"is {word!r}, but there are distortion coefficients: name one of {_KNOWN}", *name_keys
         )
     count = len(distortion)
     model = {5: "plumb_bob", 8: "rational_polynomial"}.get(count)

@@ -49,7 +49,7 @@ def _read(file: CalibrationFile) -> dict[str, RawCamera]:
         )
         file.add(cameras, without_suffix(image), camera, line=line)
     if not 0 < len(cameras) == int(count[:9]):
-        message = f"says {count[:9]} cameras, but has {len(cameras)}: is the file complete?"
+        message = f"declares {count[:9]} cameras, but has {len(cameras)}: is the file complete?"
         raise CameraError(message, path=file.path, line=first)
     return cameras
 

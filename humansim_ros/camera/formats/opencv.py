@@ -77,8 +77,8 @@ class _Entry:
 
     @property
     def location(self) -> SourceLocation:
-        place = self.file.location(*self.keys)
-        return SourceLocation(place.key, place.line, self.file.path)
+        location = self.file.location(*self.keys)
+        return SourceLocation(location.key, location.line, self.file.path)
 
     def numbers(self) -> Array:
         return self.file.some_numbers(*self.keys)
@@ -191,7 +191,7 @@ def _rotation(entry: _Entry) -> Array:
 def _size(entries: Mapping[str, _Entry | None]) -> tuple[int, int] | None:
     width, height, size = entries["width"], entries["height"], entries["size"]
     if width is not None and height is not None:
-        return width.file.whole(*width.keys), height.file.whole(*height.keys)
+        return width.file.positive_integer(*width.keys), height.file.positive_integer(*height.keys)
     if size is None:
         return None
     values = size.matrix((2,))

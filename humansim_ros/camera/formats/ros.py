@@ -88,7 +88,7 @@ def _read_message(file: CalibrationFile) -> dict[str, RawCamera]:
 def _camera(file: CalibrationFile, size: tuple[int, int], keys: Mapping[str, tuple[Key, ...]]) -> RawCamera:
     k = file.numbers((3, 3), *keys["K"])
     if not k.any():
-        raise file.error("is all zeros, which is how ROS says 'not calibrated'", *keys["K"])
+        raise file.error("is all zeros, which means 'not calibrated' in ROS", *keys["K"])
     value = file.get(*keys["distortion"])
     distortion = np.zeros(0) if value in (None, []) else file.some_numbers(*keys["distortion"])
     return RawCamera(

@@ -32,7 +32,7 @@ def test_the_tracker_of_the_readme_hears_the_cameras(tmp_path: Path) -> None:
     tracker = tmp_path / "tracker.py"
     tracker.write_text(next(block for block in BLOCKS if "rclpy" in block))
     nodes = subprocess.Popen(
-        [sys.executable, "-m", "humansim_ros.cli.main", "run", str(write_scene(tmp_path, SCENE))],
+        [sys.executable, "-m", "humansim_ros.cli", "run", str(write_scene(tmp_path, SCENE))],
         stdout=subprocess.DEVNULL,
     )
     with (tmp_path / "heard").open("w") as output:

@@ -219,7 +219,3 @@ def main() -> int:
             return 2
         raise
     return result if isinstance(result, int) else 0  # typer.Exit returns its code here
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -289,7 +289,7 @@ def test_an_idealized_image_agrees_with_a_rendering_of_the_ideal_camera(
 
 
 def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "humansim_ros.cli.main", "camera", "idealize", *map(str, arguments)]
+    command = [sys.executable, "-m", "humansim_ros.cli", "camera", "idealize", *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
 

@@ -20,7 +20,7 @@ from humansim_ros.humans.loading import load_human
 def humansim(*arguments: str | Path, cache: Path | None = None) -> subprocess.CompletedProcess[str]:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "HUMANSIM_CACHE": str(cache or "off")}
     environment.pop("HUMANSIM_MAKEHUMAN", None)
-    command = [sys.executable, "-m", "humansim_ros.cli.main", "human", *map(str, arguments)]
+    command = [sys.executable, "-m", "humansim_ros.cli", "human", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
 
 

@@ -22,7 +22,7 @@ TARGET = np.array([0.5, -1.0, 1.1])
 
 
 def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "humansim_ros.cli.main", "camera", *map(str, arguments)]
+    command = [sys.executable, "-m", "humansim_ros.cli", "camera", *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
 

@@ -779,7 +779,7 @@ def test_the_cameras_of_a_rig_run_as_nodes(ros: None, tmp_path: Path) -> None:
     client = Client("rig_client")
     client.subscribe(CameraInfo, [f"/{name}/camera_info" for name in cameras])
     with (tmp_path / "output").open("w") as output:
-        command = [sys.executable, "-m", "humansim_ros.cli.main", "run", str(scene)]
+        command = [sys.executable, "-m", "humansim_ros.cli", "run", str(scene)]
         process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
         try:
             done = client.spin_until(lambda: len(client.received) == len(cameras), 60)

@@ -16,7 +16,7 @@ from conftest import ROOT
 from ros_support import Client, write_scene
 
 WALK = ROOT / "assets" / "motions" / "walk.bvh"
-HUMANSIM = [sys.executable, "-m", "humansim_ros.cli.main"]
+HUMANSIM = [sys.executable, "-m", "humansim_ros.cli"]
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 CAMERA = "{position: [3, 0, 1], look_at: [0, 0, 1]}"
 

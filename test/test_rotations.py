@@ -40,7 +40,7 @@ directions = (
 
 
 def angle(a: Array, b: Array) -> float:
-    """Radians between two quaternions' rotations, by SciPy."""
+    """Angle between the rotations of two quaternions, by SciPy."""
     return float((Rotation.from_quat(a) * Rotation.from_quat(b).inv()).magnitude())
 
 
@@ -72,7 +72,7 @@ def test_matrix_of_a_rotation_vector_is_scipys(vector: Array) -> None:
 
 
 def test_poses_move_at_constant_velocity_in_the_world() -> None:
-    """Many small turns one after the other, by SciPy, are one turn for the whole time."""
+    """Many small rotations by SciPy equal one rotation for the whole time."""
     rng = np.random.default_rng(3)
     poses = transform(Rotation.random(6, 4).as_matrix(), rng.normal(size=(6, 3))).reshape(2, 3, 4, 4)
     linear, angular = rng.normal(size=(2, 2, 3, 3)) * 3
@@ -107,7 +107,7 @@ def test_slerp_is_scipys(start: Array, end: Array, fraction: float) -> None:
     assert angle(ours, expected.as_quat()) < 1e-7
 
 
-def test_slerp_of_the_same_rotation_with_the_other_sign_stays_there() -> None:
+def test_slerp_between_q_and_minus_q_is_constant() -> None:
     q = Rotation.from_euler("xyz", [0.3, -1.0, 2.0]).as_quat()
     assert angle(slerp(q, -q, np.array(0.5)), q) < 1e-12
 
@@ -125,7 +125,7 @@ def test_from_y_axis_turns_y_onto_the_direction_by_the_smallest_angle(direction:
 
 @pytest.mark.parametrize("tilt", [0.0, 1e-12, 1e-9, 1e-7, 1e-6, 1e-3])
 @pytest.mark.parametrize("about", [0.0, 1.0, 2.5])
-def test_from_y_axis_is_a_rotation_beside_the_opposite_direction(tilt: float, about: float) -> None:
+def test_from_y_axis_is_a_rotation_near_the_opposite_direction(tilt: float, about: float) -> None:
     direction = np.array([np.sin(tilt) * np.cos(about), -np.cos(tilt), np.sin(tilt) * np.sin(about)])
     q = from_y_axis(direction)
     assert np.linalg.norm(q) == pytest.approx(1, abs=1e-12)

@@ -142,13 +142,13 @@ def _sources(
         return np.asarray((points - skeleton.heads[bone]) @ normal / height)
 
     for bone, name in enumerate(skeleton.names):
-        place = np.clip((points - skeleton.heads[bone]) @ along[bone], 0.0, skeleton.lengths[bone])
-        way = skeleton.heads[bone] + place[:, None] * along[bone] - points
-        far[:, bone] = np.linalg.norm(way, axis=1)
+        along_bone = np.clip((points - skeleton.heads[bone]) @ along[bone], 0.0, skeleton.lengths[bone])
+        to_bone = skeleton.heads[bone] + along_bone[:, None] * along[bone] - points
+        far[:, bone] = np.linalg.norm(to_bone, axis=1)
         if "_to_" in name:  # connecting bones have no skin
             continue
         ends = (end - points for end in (skeleton.heads[bone], skeleton.tails[bone]))
-        over = np.einsum("ij,ij->i", way, normals) > _OVER * far[:, bone]
+        over = np.einsum("ij,ij->i", to_bone, normals) > _OVER * far[:, bone]
         angle = angle_between(*ends) * np.where(over, _OUTSIDE, 1.0)
         score[:, bone] = np.where(side * side_of(name) < 0, -1.0, angle)
     for letter in "lr":

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.io.files import read_bytes, read_text, resolve_inside
@@ -35,32 +34,36 @@ def read_mtl(path: Path) -> dict[str, Statements]:
     return dict(materials)
 
 
-def color_texture(path: Path, name: str, said: Statements) -> Image:
+def color_texture(path: Path, name: str, statements: Statements) -> Image:
     """The texture (H, W, 3) of a material: ``map_Kd``, else the plain colour ``Kd``."""
-    if "map_Kd" in said:
-        image = _image(path, said["map_Kd"][1], "the colour Kd is used")
+    if "map_Kd" in statements:
+        image = _image(path, statements["map_Kd"][1], "the colour Kd is used")
         if image is not None:
             return image
-    return plain_tile(_three(path, said, "Kd", 0.8))
+    return plain_tile(_three(path, statements, "Kd", 0.8))
 
 
-def reflectance(path: Path, name: str, said: Statements) -> Material | None:
+def reflectance(path: Path, name: str, statements: Statements) -> Material | None:
     """Material besides its colour; None for a matt one. Warns about unsupported statements."""
-    ignored = [keyword for keyword in _UNSUPPORTED if keyword in said]
-    maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_NORMAL_MAPS) if key in said]
+    ignored = [keyword for keyword in _UNSUPPORTED if keyword in statements]
+    maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_NORMAL_MAPS) if key in statements]
     ignored += [
-        f"{word} of {key}" for key in maps for word in said[key][1][:-1] if word in ("-s", "-o", "-t")
+        f"{word} of {key}" for key in maps for word in statements[key][1][:-1] if word in ("-s", "-o", "-t")
     ]
-    for statement in ignored:
-        warn_about(path, f"material {name!r}: {statement} is not supported and ignored")
-    shiny = _one(path, said, "illum", 2.0) >= 2
-    gloss = _three(path, said, "Ks", 0.0) * _SPECULAR if shiny else np.zeros(3)
-    exponent = max(_one(path, said, "Ns", 0.0), 0.0)
+    for keyword in ignored:
+        warn_about(path, f"material {name!r}: {keyword} is not supported and ignored")
+    shiny = _one(path, statements, "illum", 2.0) >= 2
+    gloss = _three(path, statements, "Ks", 0.0) * _SPECULAR if shiny else np.zeros(3)
+    exponent = max(_one(path, statements, "Ns", 0.0), 0.0)
     # roughness with the same width of highlight as the Blinn-Phong exponent
-    roughness = _one(path, said, "Pr", (2 / (exponent + 2)) ** 0.25 if shiny else 1.0)
-    metallic, emission = _one(path, said, "Pm", 0.0), _three(path, said, "Ke", 0.0)
-    opacity = _one(path, said, "d", 1 - _one(path, said, "Tr", 0.0))
-    normals, emissive, alpha = _normals(path, said), _map(path, said, "map_Ke"), _alpha(path, said)
+    roughness = _one(path, statements, "Pr", (2 / (exponent + 2)) ** 0.25 if shiny else 1.0)
+    metallic, emission = _one(path, statements, "Pm", 0.0), _three(path, statements, "Ke", 0.0)
+    opacity = _one(path, statements, "d", 1 - _one(path, statements, "Tr", 0.0))
+    normals, emissive, alpha = (
+        _normals(path, statements),
+        _map(path, statements, "map_Ke"),
+        _alpha(path, statements),
+    )
     if emissive is not None and not emission.any():
         emission = np.ones(3)
     plain = not gloss.any() and metallic == 0 and opacity >= 1 and not emission.any()
@@ -117,40 +120,40 @@ def numbers(rows: list[list[str]], lines: list[int], width: int, keyword: str, p
     raise MeshError(f"'{keyword}' lines cannot be read", path=path)
 
 
-def _three(path: Path, said: Statements, keyword: str, default: float) -> Array:
-    if keyword not in said:
+def _three(path: Path, statements: Statements, keyword: str, default: float) -> Array:
+    if keyword not in statements:
         return np.full(3, default)
-    line, words = said[keyword]
+    line, words = statements[keyword]
     return np.asarray(numbers([words[:3]], [line], 3, keyword, str(path))[0])
 
 
-def _one(path: Path, said: Statements, keyword: str, default: float) -> float:
-    if keyword not in said:
+def _one(path: Path, statements: Statements, keyword: str, default: float) -> float:
+    if keyword not in statements:
         return default
-    line, words = said[keyword]
+    line, words = statements[keyword]
     return float(numbers([words[-1:]], [line], 1, keyword, str(path))[0, 0])
 
 
-def _normals(path: Path, said: Statements) -> Image | None:
+def _normals(path: Path, statements: Statements) -> Image | None:
     """Normal map of a material; a grey image is a height map and converted."""
-    keyword = next((key for key in _NORMAL_MAPS if key in said), None)
-    image = None if keyword is None else _map(path, said, keyword)
+    keyword = next((key for key in _NORMAL_MAPS if key in statements), None)
+    image = None if keyword is None else _map(path, statements, keyword)
     if image is None or keyword is None:
         return None
     if np.ptp(image.reshape(-1, 3), axis=1).max() > 8:
         return image
-    words = said[keyword][1]
+    words = statements[keyword][1]
     strength = words[words.index("-bm") + 1] if "-bm" in words[:-1] else "1"
     return height_to_normal_map(
-        image[..., 0], 4 * _one(path, {keyword: (said[keyword][0], [strength])}, keyword, 1)
+        image[..., 0], 4 * _one(path, {keyword: (statements[keyword][0], [strength])}, keyword, 1)
     )
 
 
-def _alpha(path: Path, said: Statements) -> NDArray[np.uint8] | None:
+def _alpha(path: Path, statements: Statements) -> Image | None:
     """Opacity (H, W) of ``map_d``: its alpha channel, or grey values without one."""
-    if "map_d" not in said:
+    if "map_d" not in statements:
         return None
-    words = said["map_d"][1]
+    words = statements["map_d"][1]
     image = _image(path, words, "the material is opaque")
     if image is None:
         return None
@@ -158,8 +161,8 @@ def _alpha(path: Path, said: Statements) -> NDArray[np.uint8] | None:
     return image[..., 0] if alpha is None else alpha
 
 
-def _map(path: Path, said: Statements, keyword: str) -> Image | None:
-    return None if keyword not in said else _image(path, said[keyword][1], "it is ignored")
+def _map(path: Path, statements: Statements, keyword: str) -> Image | None:
+    return None if keyword not in statements else _image(path, statements[keyword][1], "it is ignored")
 
 
 def _image(path: Path, words: list[str], fallback: str) -> Image | None:

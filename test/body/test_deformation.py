@@ -1,4 +1,4 @@
-"""The figures of how bodies bend (tools/figures/deformation_figures.py), where they are known."""
+"""Measurements of deformation (tools/figures/deformation_figures.py) for known cases."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_a_bent_elbow_brings_the_hand_forward_and_a_bent_knee_the_foot_back() ->
         assert ahead * (moved - joint)[2] > 0.9 * np.linalg.norm(moved - joint)
 
 
-def test_rest_is_whole_and_a_mirrored_body_is_inside_out() -> None:
+def test_the_rest_pose_has_no_flips_and_a_mirrored_body_has_only_flips() -> None:
     still = np.tile(np.eye(4), (1, len(man().skeleton), 1, 1))
     whole = figures.deformation(man(), still, "linear")
     assert whole.flipped == 0
@@ -64,7 +64,7 @@ def test_rest_is_whole_and_a_mirrored_body_is_inside_out() -> None:
     np.testing.assert_allclose(mirrored.stretch, 3, rtol=1e-5)
 
 
-def test_an_edge_pulled_apart_is_the_one_found() -> None:
+def test_a_stretched_edge_is_found() -> None:
     apart = np.tile(np.eye(4), (1, len(man().skeleton), 1, 1))
     apart[:, man().skeleton.bone("l_elbow") :, 0, 3] = 0.3
     found = figures.deformation(man(), apart, "linear")
@@ -78,7 +78,7 @@ def test_an_edge_pulled_apart_is_the_one_found() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["linear", "dual_quaternion"])
 @pytest.mark.parametrize("name", ["adult_man", "adult_woman", "child", "slim_old_woman", "tall_heavy_man"])
-def test_nobody_who_sits_down_tears_or_folds(name: str, method: str) -> None:
+def test_sitting_down_does_not_tear_or_fold_the_mesh(name: str, method: str) -> None:
     human = load_human(ROOT / "assets" / "humans" / f"{name}.npz")
     motion = ROOT / "assets" / "motions" / "sit_stand.bvh"
     found = figures.deformation(human, figures.motion_transforms(human, motion, 3.0), method)

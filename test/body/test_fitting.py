@@ -1,4 +1,4 @@
-"""Meshes put upright and skeletons put into them, against the joints that the mesh's makers gave."""
+"""Orientation of meshes and fitting of skeletons, against joints by the authors of the meshes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ AXES = ("x", "y", "z", "-x", "-y", "-z")
 
 
 def turns() -> Iterator[Array]:
-    """The 24 rotations (3, 3) that take axes to axes."""
+    """The 24 rotations (3, 3) that permute the axes."""
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
             turn = np.eye(3)[list(order)] * np.array(signs)[:, None]
@@ -58,7 +58,7 @@ def turns() -> Iterator[Array]:
 
 @cache
 def figure(name: str) -> Mesh:
-    """A shared mesh or a built-in human's."""
+    """A test mesh, or the mesh of a built-in human."""
     if name in PEOPLE:
         return load_human(ROOT / "assets" / "humans" / f"{name}.npz").mesh
     if name in FIGURES:
@@ -70,7 +70,7 @@ def figure(name: str) -> Mesh:
 
 
 def stranger(mesh: Mesh) -> Mesh:
-    """The same surface of triangles: nobody's topology."""
+    """The same surface as triangles, with an unknown topology."""
     triangles = mesh.triangles
     return Mesh(mesh.vertices, np.column_stack([triangles, np.full(len(triangles), -1)]).astype(np.int32))
 
@@ -82,12 +82,12 @@ def fitted(name: str) -> tuple[Mesh, Skeleton]:
 
 @cache
 def makers_body() -> tuple[Array, dict[str, Any]]:
-    """Vertices of the makers' T man in metres, and his joints."""
+    """Vertices of the reference man in metres, and his joints by the authors."""
     return figure("human_male_T_uv_m.obj").vertices, json.loads((MESHES / "joints_male_T_m.json").read_text())
 
 
 def makers_joint(name: str, vertices: Array) -> Array:
-    """A joint of a body with the makers' topology: the sum of vertices that gives the joint of the T man."""
+    """A joint of a body with the topology of the reference man, from the same weighted vertices."""
     man, joints = makers_body()
     joint = np.array(joints[name]["head"])
     near = np.argsort(np.linalg.norm(man - joint, axis=1))[:120]
@@ -98,7 +98,7 @@ def makers_joint(name: str, vertices: Array) -> Array:
 
 
 def doubt(name: str) -> float:
-    """How many times less is known of where a figure's joints are: hers are estimates too."""
+    """Factor of the tolerance for a mesh whose joints are estimates."""
     return 3.0 if "female" in name else 1.0
 
 
@@ -109,7 +109,7 @@ def doubt(name: str) -> float:
 @pytest.mark.parametrize(
     "name", [*(pytest.param(n, marks=needs_shared_data) for n in FIGURES + OTHERS), *PEOPLE]
 )
-def test_a_person_is_turned_upright_from_all_24_directions_at_any_size_and_place(name: str) -> None:
+def test_a_person_is_oriented_from_all_24_directions_at_any_size_and_position(name: str) -> None:
     mesh = figure(name)
     for turn, size in zip(turns(), itertools.cycle((1e-3, 1.0, 25.4, 1e3)), strict=False):
         moved = replace(mesh, vertices=size * mesh.vertices @ turn.T + [3.0, -700.0, 40.0 * size])
@@ -132,7 +132,7 @@ def test_mesh_and_skeleton_do_not_depend_on_the_files_axes_and_unit(name: str, h
 
 
 @pytest.mark.slow
-def test_given_axes_unit_and_stature_are_taken() -> None:
+def test_given_axes_unit_and_stature_are_used() -> None:
     mesh = figure("adult_man")
     tall = float(np.ptp(mesh.vertices[:, 1]))
     for unit, stature in ((0.01, None), (None, tall)):
@@ -164,7 +164,7 @@ def test_given_axes_unit_and_stature_are_taken() -> None:
         ({"unit": 1.0, "stature": 1.7}, "not both"),
     ],
 )
-def test_given_axes_and_units_that_cannot_be_are_refused(options: Any, said: str) -> None:
+def test_impossible_axes_and_units_are_refused(options: Any, said: str) -> None:
     with pytest.raises(MeshError, match=said):
         fit_skeleton(figure("adult_man"), **options)
 
@@ -174,7 +174,7 @@ def test_given_axes_and_units_that_cannot_be_are_refused(options: Any, said: str
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["child", pytest.param("mh2007_female_A_dm.obj", marks=needs_shared_data)])
-def test_the_cubes_inside_a_mesh_are_those_that_rays_find(name: str) -> None:
+def test_voxels_inside_a_mesh_agree_with_ray_casting(name: str) -> None:
     mesh, _ = fitted(name)
     volume = solid(mesh, 0.011)
     body = trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
@@ -195,7 +195,7 @@ def test_the_cubes_inside_a_mesh_are_those_that_rays_find(name: str) -> None:
 @pytest.mark.slow
 @needs_shared_data
 @pytest.mark.parametrize("name", FIGURES)
-def test_joints_are_where_the_makers_have_them(name: str) -> None:
+def test_joints_are_near_those_of_the_authors(name: str) -> None:
     mesh, skeleton = fitted(name)
     for ours, theirs, tolerance, _ in JOINTS:
         for side in "lr":
@@ -210,7 +210,7 @@ def test_joints_are_where_the_makers_have_them(name: str) -> None:
 
 @needs_shared_data
 @pytest.mark.parametrize("name", FIGURES)
-def test_joints_of_a_body_whose_vertices_are_known_are_nearer_still(name: str) -> None:
+def test_joints_of_a_known_body_are_more_accurate(name: str) -> None:
     mesh, skeleton = fit_skeleton(figure(name))
     for ours, theirs, _, tolerance in JOINTS:
         expected = makers_joint(theirs, mesh.vertices)
@@ -219,7 +219,7 @@ def test_joints_of_a_body_whose_vertices_are_known_are_nearer_still(name: str) -
 
 
 @needs_shared_data
-def test_a_known_body_is_known_with_its_eyes_and_its_faces_in_any_order() -> None:
+def test_a_known_body_is_recognised_with_eyes_and_faces_in_any_order() -> None:
     man = figure("human_male_T_uv_m.obj")
     rng = np.random.default_rng(0)
     faces = np.roll(man.faces[rng.permutation(len(man.faces))], 1, axis=1)
@@ -237,7 +237,7 @@ def test_a_known_body_is_known_with_its_eyes_and_its_faces_in_any_order() -> Non
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
-def test_joints_of_dressed_people_are_those_they_were_made_with(name: str) -> None:
+def test_joints_of_built_in_humans_are_near_their_true_joints(name: str) -> None:
     human = load_human(ROOT / "assets" / "humans" / f"{name}.npz")
     mesh, skeleton = fit_skeleton(human.mesh, stature=float(np.ptp(human.mesh.vertices[:, 1])))
     moved = human.skeleton.heads + (mesh.vertices - human.mesh.vertices)[0]
@@ -264,8 +264,8 @@ def test_a_fitted_skeleton_is_connected_symmetric_and_inside_the_mesh(name: str)
 
 @needs_shared_data
 @pytest.mark.parametrize("name", OTHERS)
-def test_small_meshes_of_other_makers_get_joints_near_their_own(name: str) -> None:
-    """Tens of triangles a limb, several open pieces; their joints are where their makers felt them."""
+def test_small_meshes_of_other_authors_get_joints_near_their_own(name: str) -> None:
+    """Tens of triangles per limb, several open pieces; the authors placed the joints by eye."""
     own = load_human(MESHES / name)
     mesh, skeleton = fit_skeleton(figure(name), stature=float(np.ptp(own.mesh.vertices[:, 1])))
     for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist"):
@@ -277,8 +277,8 @@ def test_small_meshes_of_other_makers_get_joints_near_their_own(name: str) -> No
 @pytest.mark.parametrize(
     "name", ["adult_woman", pytest.param("mh2007_female_A_dm.obj", marks=needs_shared_data)]
 )
-def test_torn_and_open_meshes_are_fitted_alike(name: str) -> None:
-    """Programs that write a vertex for every corner tear the surface apart along all its edges."""
+def test_torn_and_open_meshes_get_the_same_fit(name: str) -> None:
+    """Programs that write a vertex for each corner separate all faces."""
     mesh, skeleton = fitted(name)
     torn = Mesh(
         mesh.vertices[mesh.triangles].reshape(-1, 3),
@@ -357,7 +357,7 @@ def strange(kind: str) -> Mesh:
         ("with a far corner", "flat"),
     ],
 )
-def test_what_is_no_person_in_a_t_or_a_pose_is_refused(kind: str, said: str) -> None:
+def test_meshes_without_a_person_in_a_t_or_a_pose_are_refused(kind: str, said: str) -> None:
     mesh = strange(kind)
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
@@ -388,7 +388,7 @@ def test_damaged_meshes_are_fitted_and_rigged_or_refused(seed: int) -> None:
     np.testing.assert_allclose(np.asarray(weights.sum(1)).ravel(), 1, atol=1e-9)
 
 
-def test_where_a_skirt_hides_the_legs_usual_ratios_are_taken_and_said() -> None:
+def test_a_skirt_that_hides_the_legs_gives_average_ratios_and_a_warning() -> None:
     man, skeleton = fitted("adult_man")
     around = np.linspace(0, 2 * np.pi, 41)
     circle = np.column_stack([np.sin(around), 0 * around, 0.8 * np.cos(around)])
@@ -407,14 +407,14 @@ def test_a_mesh_of_too_many_vertices_is_refused(monkeypatch: pytest.MonkeyPatch)
         fit_skeleton(figure("child"))
 
 
-def test_vertices_that_no_face_uses_do_not_count() -> None:
+def test_vertices_without_faces_do_not_count() -> None:
     man = figure("adult_man")
     stray = replace(man, vertices=np.vstack([man.vertices, [[9.0, 9.0, 9.0]]]))
     np.testing.assert_allclose(fit_skeleton(stray)[1].heads, fit_skeleton(man)[1].heads)
 
 
 @needs_shared_data
-def test_the_thesis_way_fits_to_any_skeleton() -> None:
+def test_the_thesis_method_fits_to_any_skeleton() -> None:
     mesh, general = figure("mh2007_male_T_dm.obj"), hanim_skeleton()
     half = replace(general, heads=0.5 * general.heads, tails=0.5 * general.tails)
     small, usual = fit_to_skeleton(mesh, half), fit_to_skeleton(mesh, general)
@@ -423,8 +423,8 @@ def test_the_thesis_way_fits_to_any_skeleton() -> None:
 
 
 @needs_shared_data
-def test_the_file_of_joints_is_of_the_body_we_read() -> None:
-    """The 2007 export is the same body: scaled and moved, vertex for vertex."""
+def test_the_joint_file_belongs_to_the_same_body() -> None:
+    """The export of 2007 has the same vertices, scaled and moved."""
     man, _ = makers_body()
     export = figure("mh2007_male_T_dm.obj").vertices
     scale = np.ptp(export[:, 1]) / np.ptp(man[:, 1])

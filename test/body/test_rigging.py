@@ -1,4 +1,4 @@
-"""The thesis' rigging rule against the rule written out slowly; heat against it and the artists' weights."""
+"""The rigging rule of the thesis against a plain loop; heat weights against weights by artists."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def cloud(vertices: Array) -> Mesh:
 
 
 def person_like(seed: int, count: int = 150) -> Array:
-    """Points about the bones, a hand's breadth around."""
+    """Random points near the bones."""
     rng = np.random.default_rng(seed)
     bone = rng.integers(0, len(SKELETON), count)
     along = rng.uniform(-0.2, 1.2, (count, 1))
@@ -45,13 +45,13 @@ def person_like(seed: int, count: int = 150) -> Array:
 
 
 def degrees_between(a: Array, b: Array) -> float:
-    """The angle of two vectors, from the sides of their triangle (Kahan)."""
+    """Angle of two vectors from the sides of their triangle (Kahan's formula)."""
     x, y = a / math.sqrt(a @ a), b / math.sqrt(b @ b)
     return math.degrees(2 * math.atan2(math.dist(x, y), math.dist(x, -y)))
 
 
 def slowly(vertex: Array, rule: RigRule) -> dict[str, float]:
-    """Chapter 5, one vertex at a time: {bone: weight}."""
+    """[thesis §5] for one vertex: {bone: weight}."""
     largest, best = -1.0, ""
     for name, head, tail in zip(SKELETON.names, SKELETON.heads, SKELETON.tails, strict=True):
         left = name.startswith("l_") or "_l_" in name
@@ -108,8 +108,8 @@ def test_sides_are_never_mixed() -> None:
         np.testing.assert_array_equal(weights[side][:, bones], 0)
 
 
-def test_finger_tips_follow_the_hand_by_the_text_and_the_forearm_by_the_print() -> None:
-    """The disagreement of the thesis with itself that the default decides for the text."""
+def test_finger_tips_follow_the_hand_in_the_text_and_the_forearm_in_the_pseudo_code() -> None:
+    """Text and pseudo-code of the thesis contradict each other; the default follows the text."""
     wrist = SKELETON.bone("l_wrist")
     tip = SKELETON.tails[wrist] + [-0.01, 0.008, 0]
     vertices = np.array([tip, tip, tip])
@@ -128,14 +128,14 @@ def test_a_skeleton_without_a_side_is_refused() -> None:
         rig(cloud(-np.eye(3)), one_leg, "thesis")
 
 
-def test_a_part_is_the_bone_that_its_corners_follow_most() -> None:
+def test_a_part_is_the_bone_with_the_largest_weight_at_the_corners() -> None:
     weights = csr_matrix([[0.9, 0.1, 0], [0, 0.6, 0.4], [0, 0.6, 0.4], [0.4, 0, 0.6]])
     assert dominant_bones(weights).tolist() == [0, 1, 1, 2]
     assert triangle_parts(np.array([[0, 1, 2], [0, 1, 3], [3, 3, 3]]), weights).tolist() == [1, 0, 2]
 
 
 def walking_error(rule: RigRule) -> Array:
-    """Metres between each vertex of the man skinned by a rule and by the artist, (frames, V)."""
+    """Distances (frames, V) in metres between vertices with weights of a rule and of the artists."""
     man = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
     motion = read_bvh(ROOT / "assets" / "motions" / "walk.bvh")
     match = match_names(motion.joint_names)
@@ -150,7 +150,7 @@ def test_a_walking_man_is_within_millimetres_of_the_artists() -> None:
     assert walking_error("thesis").mean() < 0.005
 
 
-def test_the_printed_rule_is_farther_off() -> None:
+def test_the_printed_rule_is_less_accurate() -> None:
     assert walking_error("thesis-printed").mean() > 2 * walking_error("thesis").mean()
 
 
@@ -186,7 +186,7 @@ def test_heat_gives_at_most_four_bones_that_sum_to_one(name: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
 def test_heat_does_not_leak(name: str) -> None:
-    """From an arm to the trunk below it, between the legs, from limbs to the head."""
+    """Not from an arm to the trunk, between the legs, or from limbs to the head."""
     human, weights = person(name), heated(name).toarray()
     artist, skeleton = human.weights.toarray(), human.skeleton
     arms = bones(skeleton, "_shoulder", "_elbow", "_wrist")
@@ -228,7 +228,7 @@ def test_heat_walks_nearer_to_the_artists_than_the_thesis() -> None:
 
 
 def test_heat_is_smooth() -> None:
-    """Where weights jump along an edge, skin tears."""
+    """Skin tears where weights jump along an edge."""
     human = person("adult_woman")
     edges = human.mesh.triangles[:, :2]
     jump = [
@@ -257,7 +257,7 @@ def test_heat_mirrors_with_the_body() -> None:
 
 
 def changed(human: Human, kind: str) -> Mesh:
-    """The same surface as careless programs write it."""
+    """The same surface with the defects that exporters produce."""
     mesh = human.mesh
     triangles, count = mesh.triangles, len(mesh.vertices)
     rest = np.full((len(triangles), 1), -1, np.int32)
@@ -296,7 +296,7 @@ def changed(human: Human, kind: str) -> Mesh:
     ],
 )
 @pytest.mark.filterwarnings("error")
-def test_heat_takes_meshes_as_they_come(kind: str) -> None:
+def test_heat_accepts_defective_meshes(kind: str) -> None:
     human = person("adult_man")
     mesh = changed(human, kind)
     weights = rig(mesh, human.skeleton, "heat")
@@ -313,7 +313,7 @@ def test_heat_takes_meshes_as_they_come(kind: str) -> None:
         assert button[0, human.skeleton.bone("vl5")] > 0.8
 
 
-def test_heat_flows_over_a_coarser_surface_where_there_are_very_many_vertices(
+def test_heat_uses_a_coarser_surface_for_many_vertices(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     human = person("slim_old_woman")
@@ -325,7 +325,7 @@ def test_heat_flows_over_a_coarser_surface_where_there_are_very_many_vertices(
     np.testing.assert_allclose(np.asarray(coarse.sum(1)).ravel(), 1, atol=1e-6)
 
 
-def test_heat_solves_alike_with_and_without_factors(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_both_solvers_give_the_same_weights(monkeypatch: pytest.MonkeyPatch) -> None:
     human = person("child")
     monkeypatch.setattr(heat, "_MANY", -1)
     off = np.abs(rig(human.mesh, human.skeleton) - heated("child"))
@@ -333,7 +333,7 @@ def test_heat_solves_alike_with_and_without_factors(monkeypatch: pytest.MonkeyPa
 
 
 def test_arms_do_not_move_a_belly_beside_them(shared_data: Path) -> None:
-    """In an A pose the forearm is before the flank: skin sees it, but through air."""
+    """In an A pose the forearm is in front of the flank, with air between them."""
     mesh, skeleton = fit_skeleton(read_mesh(shared_data / "mesh" / "mh2007_female_A_dm.obj"))
     weights = rig(mesh, skeleton).toarray()
     height, aside = mesh.vertices[:, 1], np.abs(mesh.vertices[:, 0])
@@ -343,7 +343,7 @@ def test_arms_do_not_move_a_belly_beside_them(shared_data: Path) -> None:
 
 
 @pytest.mark.parametrize("extent", [[0.0, 1, 1], [1.0, 0, 1], [1.0, 1, 0], [0.0, 0, 0], [1e7, 1, 1]])
-def test_heat_on_what_is_no_body_is_refused_or_done(extent: list[float]) -> None:
+def test_heat_on_other_meshes_gives_weights_or_an_error(extent: list[float]) -> None:
     vertices = np.random.default_rng(0).uniform(-1, 1, (90, 3)) * extent
     mesh = Mesh(vertices, np.column_stack([np.arange(90).reshape(30, 3), np.full(30, -1)]).astype(np.int32))
     try:
@@ -354,7 +354,7 @@ def test_heat_on_what_is_no_body_is_refused_or_done(extent: list[float]) -> None
         np.testing.assert_allclose(np.asarray(weights.sum(1)).ravel(), 1, atol=1e-12)
 
 
-def test_skeletons_of_no_human_are_refused() -> None:
+def test_other_skeletons_are_refused() -> None:
     stick = Skeleton(("stick",), np.array([-1]), np.zeros((1, 3)), np.ones((1, 3)), np.zeros(1))
     with pytest.raises(MeshError, match="no bone 'l_hip'"):
         rig(cloud(person_like(3)), stick)

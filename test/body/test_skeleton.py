@@ -39,13 +39,13 @@ SKELETON = hanim_skeleton()
 
 
 def rolled(seed: int = 0) -> Skeleton:
-    """The general skeleton with a roll on every bone."""
+    """General skeleton with a roll on each bone."""
     rolls = np.random.default_rng(seed).uniform(-np.pi, np.pi, len(SKELETON))
     return Skeleton(SKELETON.names, SKELETON.parents, SKELETON.heads, SKELETON.tails, rolls)
 
 
 def chain(skeleton: Skeleton, rotations: Array, root: Array) -> Array:
-    """Posed frames by recursion with SciPy: a bone's frame hangs in its parent's as at rest, then turns."""
+    """Posed frames by recursion with SciPy: rest frame in the parent, then rotation."""
 
     def posed(bone: int) -> Array:
         parent = int(skeleton.parents[bone])
@@ -75,18 +75,18 @@ def test_bones_are_those_of_the_thesis(row: str) -> None:
     assert (SKELETON.names[number] if number >= 0 else "-") == parent
 
 
-def test_there_are_no_other_bones() -> None:
+def test_the_skeleton_has_no_other_bones() -> None:
     assert len(SKELETON) == len(set(SKELETON.names)) == len(TABLE.strip().splitlines()) == 22
 
 
-def test_every_bone_starts_where_its_parent_ends() -> None:
+def test_every_bone_starts_at_the_tail_of_its_parent() -> None:
     for bone, parent in enumerate(SKELETON.parents):
         if parent >= 0:
             np.testing.assert_array_equal(SKELETON.heads[bone], SKELETON.tails[parent])
 
 
 @pytest.mark.parametrize("skeleton", [SKELETON, rolled()], ids=["straight", "rolled"])
-def test_rest_frames_stand_at_the_head_with_y_along_the_bone(skeleton: Skeleton) -> None:
+def test_rest_frames_have_their_origin_at_the_head_and_y_along_the_bone(skeleton: Skeleton) -> None:
     for bone, frame in enumerate(skeleton.rest):
         along = skeleton.tails[bone] - skeleton.heads[bone]
         np.testing.assert_allclose(frame[:3, 3], skeleton.heads[bone], atol=1e-15)
@@ -117,7 +117,7 @@ def test_posed_frames_are_a_chain_of_matrices(seed: int) -> None:
     np.testing.assert_allclose(skeleton.pose(rotations), chain(skeleton, rotations, np.eye(4)), atol=1e-12)
 
 
-def test_posing_many_frames_at_once_is_posing_each() -> None:
+def test_a_batch_of_frames_gives_the_same_poses() -> None:
     rotations = Rotation.random(2 * 3 * 22, 1).as_quat().reshape(2, 3, 22, 4)
     roots = np.array([[rigid(3 * i + j) for j in range(3)] for i in range(2)])
     posed = SKELETON.pose(rotations, roots)
@@ -125,7 +125,7 @@ def test_posing_many_frames_at_once_is_posing_each() -> None:
         np.testing.assert_allclose(posed[index], chain(SKELETON, rotations[index], roots[index]), atol=1e-12)
 
 
-def test_moving_the_root_moves_all_frames_alike() -> None:
+def test_moving_the_root_moves_all_frames() -> None:
     rotations, root, move = Rotation.random(22, 5).as_quat(), rigid(5), rigid(6)
     np.testing.assert_allclose(
         SKELETON.pose(rotations, move @ root), move @ SKELETON.pose(rotations, root), atol=1e-12
@@ -142,7 +142,7 @@ def test_bones_stay_connected_and_keep_their_lengths_in_any_pose() -> None:
             np.testing.assert_allclose(posed[bone, :3, 3], tails[parent], atol=1e-12)
 
 
-def test_turning_one_bone_moves_only_what_hangs_on_it() -> None:
+def test_rotating_a_bone_moves_only_its_descendants() -> None:
     still = np.tile([0.0, 0, 0, 1], (22, 1))
     still[SKELETON.bone("l_shoulder")] = Rotation.from_euler("x", 1.0).as_quat()
     moved = np.abs(SKELETON.pose(still) - SKELETON.rest).max((1, 2)) > 1e-9

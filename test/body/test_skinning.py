@@ -1,4 +1,4 @@
-"""Skinning: linear blending against a loop over vertices and bones, and what both ways must do."""
+"""Skinning: linear blending against a plain loop, and properties of both methods."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ quickly = settings(deadline=None, max_examples=30)
 
 
 def random_body(seed: int, vertices: int = 40) -> tuple[Array, csr_matrix]:
-    """Vertices as large as a person and weights of one to three bones that do not sum to one."""
+    """Random vertices of a person's size, with weights of one to three bones that do not sum to one."""
     rng = np.random.default_rng(seed)
     dense = np.zeros((vertices, len(SKELETON)))
     for row in dense:
@@ -47,7 +47,7 @@ def random_directions(seed: int, count: int) -> Array:
 
 
 def one_by_one(vertices: Array, weights: csr_matrix, transforms: Array) -> Array:
-    """Thesis 9.6 to the letter: displacements of a vertex, weighted, by the sum of the weights."""
+    """[thesis §9.6] as printed: weighted displacements divided by the sum of the weights."""
     out = np.empty_like(vertices)
     for v, vertex in enumerate(vertices):
         total, displacement = 0.0, np.zeros(3)
@@ -70,7 +70,7 @@ def test_skinned_vertices_are_those_of_the_loop(seed: int) -> None:
 
 
 @both_ways
-def test_many_frames_at_once_are_as_each_alone(method: str) -> None:
+def test_a_batch_of_frames_gives_the_same_vertices(method: str) -> None:
     vertices, weights = random_body(4)
     transforms = np.stack([random_transforms(s) for s in range(20)]).reshape(4, 5, 22, 4, 4)
     skinner, normals = make_skinner(method, vertices, weights, np.float64), random_directions(4, 40)
@@ -101,7 +101,7 @@ def test_rest_gives_rest(method: str) -> None:
 @both_ways
 @quickly
 @seeds
-def test_moving_all_bones_moves_the_skin_alike(method: str, seed: int) -> None:
+def test_moving_all_bones_moves_the_skin(method: str, seed: int) -> None:
     vertices, weights = random_body(seed, 10)
     transforms, move = random_transforms(seed), random_transforms(seed + 1, 1)[0]
     expected = skin(vertices, weights, transforms, method) @ move[:3, :3].T + move[:3, 3]
@@ -111,7 +111,7 @@ def test_moving_all_bones_moves_the_skin_alike(method: str, seed: int) -> None:
 @both_ways
 @quickly
 @seeds
-def test_sizing_the_body_sizes_the_skin(method: str, seed: int) -> None:
+def test_scaling_the_body_scales_the_skin(method: str, seed: int) -> None:
     vertices, weights = random_body(seed, 10)
     transforms = random_transforms(seed)
     size = np.diag([*np.full(3, np.random.default_rng(seed).uniform(0.05, 20)), 1])
@@ -134,7 +134,7 @@ def test_the_mirrored_body_in_the_mirrored_pose_is_the_mirror_image(method: str,
 @both_ways
 @quickly
 @seeds
-def test_what_follows_one_bone_moves_with_it(method: str, seed: int) -> None:
+def test_vertices_of_one_bone_move_with_it(method: str, seed: int) -> None:
     vertices, transforms = random_body(seed, 22)[0], random_transforms(seed)
     skinned = skin(vertices, csr_matrix(np.diag(np.linspace(0.1, 3, 22))), transforms, method)
     expected = [t[:3, :3] @ v + t[:3, 3] for t, v in zip(transforms, vertices, strict=True)]
@@ -144,7 +144,7 @@ def test_what_follows_one_bone_moves_with_it(method: str, seed: int) -> None:
 @both_ways
 @quickly
 @seeds
-def test_directions_turn_as_the_space_around_their_vertex(method: str, seed: int) -> None:
+def test_directions_rotate_with_the_neighbourhood_of_their_vertex(method: str, seed: int) -> None:
     vertices, weights = random_body(seed, 10)
     normals, transforms = random_directions(seed, 10), random_transforms(seed)
     transforms[:, :3] *= 1.7
@@ -170,8 +170,8 @@ def test_dual_quaternions_keep_the_distance_to_the_joint(seed: int, degrees: flo
     assert (linear <= distance + 1e-11).all()
 
 
-def test_a_bone_a_whole_turn_further_is_where_it_was() -> None:
-    """A rotation has two quaternions: which of them is met must not matter."""
+def test_a_full_turn_of_a_bone_changes_nothing() -> None:
+    """The sign of a quaternion must not matter."""
     vertices, weights = np.array([[0.3, 1.0, 0.2]]), csr_matrix([[0.4, 0.6]])
     for angle in (80.0, 100.0):  # of both bones, the quaternions' signs change at 180
         bent = np.tile(np.eye(4), (2, 1, 1))
@@ -190,7 +190,7 @@ def test_normalised_weights_sum_to_one_and_keep_their_ratios(seed: int) -> None:
 
 
 @both_ways
-def test_single_precision_is_right_to_a_thousandth_of_a_millimetre(method: str) -> None:
+def test_single_precision_is_accurate_to_a_micrometre(method: str) -> None:
     vertices, weights = random_body(3, 500)
     transforms = random_transforms(3)
     single = make_skinner(method, vertices, weights)(transforms)
@@ -198,7 +198,7 @@ def test_single_precision_is_right_to_a_thousandth_of_a_millimetre(method: str) 
     np.testing.assert_allclose(single, skin(vertices, weights, transforms, method), atol=2e-6)
 
 
-def test_weights_given_in_pieces_add_up() -> None:
+def test_duplicate_entries_of_weights_add_up() -> None:
     pieces = csr_matrix(
         (np.array([1.0, 1.0, 2.0]), np.array([0, 1, 0]), np.array([0, 3])), shape=(1, 2)
     )  # bone 0 twice
@@ -224,7 +224,7 @@ def test_impossible_weights_are_refused(method: str, weights: list[list[float]],
         skin(np.zeros((2, 3)), csr_matrix(weights), np.tile(np.eye(4), (2, 1, 1)), method)
 
 
-def test_huge_and_tiny_weights_are_weights() -> None:
+def test_huge_and_tiny_weights_are_valid() -> None:
     for weight in (1e308, 1e-300):
         half = normalise_weights(csr_matrix(np.full((1, 2), weight))).toarray()
         np.testing.assert_allclose(half, [[0.5, 0.5]])
@@ -262,13 +262,13 @@ def test_impossible_transforms_are_refused(method: str, transforms: Array, messa
         (np.eye(4) + np.eye(4, k=1) * [[0.2], [0], [0], [0]], "bone 1 .*shears"),
     ],
 )
-def test_dual_quaternions_refuse_what_is_no_motion(matrix: Array, message: str) -> None:
+def test_dual_quaternions_refuse_transforms_that_are_not_rigid(matrix: Array, message: str) -> None:
     skinner = DualQuaternion(np.zeros((2, 3)), csr_matrix(np.eye(2)))
     with pytest.raises(MeshError, match=message):
         skinner(with_last(matrix))
 
 
-def test_a_bone_that_nothing_follows_may_be_of_any_size() -> None:
+def test_an_unused_bone_may_have_any_scale() -> None:
     vertices, weights = np.ones((2, 3)), csr_matrix([[1.0, 0.0], [1.0, 0.0]])
     skinned = skin(vertices, weights, with_last(np.diag([0.0, 2, 2, 1])), "dual_quaternion")
     np.testing.assert_allclose(skinned, vertices)

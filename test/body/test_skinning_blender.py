@@ -45,7 +45,7 @@ def turn_to_blender(ours: Skeleton, bones: str) -> Array:
 
 
 def blenders_skeleton(bones: str) -> Skeleton:
-    """Our skeleton with the rolls that Blender has really given to the bones."""
+    """Our skeleton with the rolls that Blender gave to the bones."""
     rolls = BLENDER[f"{bones}/rolls"]
     return skeleton(rolls + turn_to_blender(skeleton(rolls), bones)[:, 1])
 
@@ -77,7 +77,7 @@ def test_skinned_vertices_agree_with_blender(bones: str) -> None:
 
 @pytest.mark.parametrize("method", BLENDERS_RESULT)
 @pytest.mark.parametrize("body", ["man", "artist", "straight", "rolled"])
-def test_both_ways_of_skinning_agree_with_blender(body: str, method: str) -> None:
+def test_both_skinning_methods_agree_with_blender(body: str, method: str) -> None:
     data = BODIES if f"{body}/rest" in BODIES else BLENDER
     vertices = data.get(f"{body}/sample_vertices", BLENDER["vertices"]).astype(float)
     weights = csr_matrix(data.get(f"{body}/sample_weights", BLENDER["weights"]))
@@ -87,7 +87,7 @@ def test_both_ways_of_skinning_agree_with_blender(body: str, method: str) -> Non
     assert off.max() < TOLERANCE
 
 
-def test_the_two_ways_differ_in_blender() -> None:
+def test_the_two_methods_differ_in_blender() -> None:
     for body in ("man", "artist"):
         apart = np.linalg.norm(BODIES[f"{body}/skinned"] - BODIES[f"{body}/preserved"], axis=-1)
         assert apart.max() > 0.01

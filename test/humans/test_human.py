@@ -1,4 +1,4 @@
-"""Humans: the one that comes with the package, those made from meshes, and files that are none."""
+"""Humans: a built-in human, humans made from meshes, and wrong files."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_the_mans_texture_is_used_by_every_face(man: Human) -> None:
     assert len(man.mesh.uv_triangles) == len(man.mesh.triangles) == len(man.triangle_parts)
 
 
-def test_posed_at_rest_the_man_stands_as_stored(man: Human) -> None:
+def test_the_rest_pose_gives_the_stored_vertices(man: Human) -> None:
     posed = man.pose(man.skeleton.rest)
     assert posed.dtype == np.float32
     np.testing.assert_allclose(posed, man.mesh.vertices, atol=1e-6)
@@ -113,7 +113,7 @@ def saved(tmp_path: Path, arrays: dict[str, Any], **changes: Any) -> Path:
     return path
 
 
-def test_a_copy_loads_as_the_original(tmp_path: Path, arrays: dict[str, Any], man: Human) -> None:
+def test_a_copy_equals_the_original(tmp_path: Path, arrays: dict[str, Any], man: Human) -> None:
     copy = load_human(saved(tmp_path, arrays))
     np.testing.assert_array_equal(copy.mesh.vertices, man.mesh.vertices)
     assert (copy.weights != man.weights).nnz == 0
@@ -197,7 +197,7 @@ def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
         "names of no axis",
     ],
 )
-def test_broken_arrays_are_refused_with_the_file(tmp_path: Path, arrays: dict[str, Any], what: str) -> None:
+def test_broken_arrays_are_errors_with_the_file(tmp_path: Path, arrays: dict[str, Any], what: str) -> None:
     path = saved(tmp_path, arrays, **broken_arrays(arrays)[what])
     with pytest.raises(MeshError) as caught:
         load_human(path)
@@ -214,7 +214,7 @@ def test_a_truncated_file_is_refused(tmp_path: Path, share: float) -> None:
 
 
 def test_a_file_damaged_inside_is_refused(tmp_path: Path) -> None:
-    """The archive's list is whole, the compressed data of its first array is not."""
+    """The archive directory is valid; the compressed data of the first array is damaged."""
     content = bytearray(MAN.read_bytes())
     with zipfile.ZipFile(MAN) as archive:
         first = archive.infolist()[0]
@@ -226,7 +226,7 @@ def test_a_file_damaged_inside_is_refused(tmp_path: Path) -> None:
         load_human(path)
 
 
-def test_one_array_that_is_no_archive_is_refused(tmp_path: Path) -> None:
+def test_a_single_array_file_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "plain.npz"
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
@@ -235,7 +235,7 @@ def test_one_array_that_is_no_archive_is_refused(tmp_path: Path) -> None:
 
 
 class Trap:
-    """Makes a file where it is unpickled."""
+    """Creates a file when it is unpickled."""
 
     def __init__(self, path: Path) -> None:
         self.path = str(path)
@@ -244,7 +244,7 @@ class Trap:
         return (os.mkdir, (self.path,))
 
 
-def test_a_pickle_in_a_file_is_never_run(tmp_path: Path, arrays: dict[str, Any]) -> None:
+def test_a_pickled_object_is_never_loaded(tmp_path: Path, arrays: dict[str, Any]) -> None:
     sprung = tmp_path / "sprung"
     boxed = np.empty(1, dtype=object)
     boxed[0] = Trap(sprung)
@@ -267,7 +267,7 @@ def test_missing_and_empty_files_are_refused(tmp_path: Path) -> None:
             load_human(tmp_path / f"empty.{suffix}")
 
 
-def test_a_mesh_that_is_no_person_is_refused_with_its_file(tmp_path: Path) -> None:
+def test_a_mesh_that_is_not_a_person_is_an_error_with_the_file(tmp_path: Path) -> None:
     (tmp_path / "tri.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0.5\nf 1 2 3\n")
     with pytest.raises(MeshError, match=r"tri\.obj"):
         load_human(tmp_path / "tri.obj")

@@ -1,4 +1,4 @@
-"""People from files: SMPL models, descriptions, materials, the cache, archives that mean harm."""
+"""Load humans: SMPL models, descriptions, materials and malicious archives."""
 
 from __future__ import annotations
 
@@ -71,10 +71,8 @@ def test_betas_shape_the_body_and_its_joints(tmp_path: Path, model: dict[str, An
         read_smpl(path, [1.0, 2.0, 3.0])
 
 
-def test_what_a_model_holds_beside_its_arrays_is_never_unpickled(
-    tmp_path: Path, model: dict[str, Any]
-) -> None:
-    """SMPL-X files carry pickled dictionaries; unpacking one could run anything."""
+def test_other_objects_of_a_model_are_never_unpickled(tmp_path: Path, model: dict[str, Any]) -> None:
+    """SMPL-X files contain pickled dictionaries; unpickling can run any code."""
     trap = np.array([Trap(tmp_path / "run")], dtype=object)
     assert load_human(saved(tmp_path, model, part2num=trap)).name == "model"
     with pytest.raises(MeshError, match="pickled objects are not read") as caught:
@@ -91,7 +89,7 @@ class Trap:
         return os.mkdir, (str(self.path),)
 
 
-def test_the_trap_would_have_worked(tmp_path: Path) -> None:
+def test_unpickling_the_test_file_would_run_code(tmp_path: Path) -> None:
     pickle.loads(pickle.dumps(Trap(tmp_path / "run")))
     assert (tmp_path / "run").exists()
 
@@ -119,7 +117,7 @@ def test_a_broken_model_is_refused(
 # archives
 
 
-def test_an_archive_that_unpacks_to_too_much_is_refused_before_it_does(
+def test_an_archive_with_too_large_content_is_refused_before_unpacking(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("humansim_ros.io.npz.MAX_BYTES", 10 << 20)
@@ -144,7 +142,7 @@ def test_an_array_larger_than_its_data_is_an_error(tmp_path: Path) -> None:
 # human files
 
 
-def test_a_written_human_is_read_back_the_same(tmp_path: Path, figure: Path) -> None:
+def test_a_human_is_written_and_read_without_change(tmp_path: Path, figure: Path) -> None:
     human = load_human(figure)
     write_human(tmp_path / "a.npz", human)
     write_human(tmp_path / "b.npz", human)
@@ -178,7 +176,7 @@ def described(folder: Path, text: str) -> Path:
     return path
 
 
-def test_a_description_gives_a_mesh_its_size_and_looks(tmp_path: Path, figure: Path) -> None:
+def test_a_description_sets_size_and_outfits_of_a_mesh(tmp_path: Path, figure: Path) -> None:
     path = described(
         tmp_path,
         f"mesh: {figure.name}\nstature: 1.2\nskinning: dual_quaternion\n"
@@ -266,7 +264,7 @@ def test_materials_become_one_texture(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["../colours.mtl", "/etc/passwd", "none.mtl"])
-def test_materials_elsewhere_are_left_alone_with_a_warning(tmp_path: Path, name: str) -> None:
+def test_materials_outside_the_folder_are_ignored_with_a_warning(tmp_path: Path, name: str) -> None:
     (tmp_path / "colours.mtl").write_text("newmtl red\nKd 1 0 0\n")
     folder = tmp_path / "folder"
     folder.mkdir()

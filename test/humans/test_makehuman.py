@@ -1,4 +1,4 @@
-"""The people that come with the package, and those of MakeHuman's sliders."""
+"""The built-in humans, and humans from MakeHuman sliders."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def person(name: str) -> Human:
 # those that come with the package
 
 
-def test_there_are_five_of_very_different_sizes() -> None:
+def test_five_humans_have_different_sizes() -> None:
     statures = {name: float(np.ptp(person(name).mesh.vertices[:, 1])) for name in PEOPLE}
     assert set(statures) == {"adult_man", "adult_woman", "child", "tall_heavy_man", "slim_old_woman"}
     # barefoot as config/humans says, and soles and hair
@@ -51,7 +51,7 @@ def test_there_are_five_of_very_different_sizes() -> None:
 
 
 @pytest.mark.parametrize("name", PEOPLE)
-def test_each_is_closed_stands_on_the_floor_and_follows_four_bones_at_most(name: str) -> None:
+def test_each_mesh_is_closed_on_the_floor_with_at_most_four_bones_per_vertex(name: str) -> None:
     human = person(name)
     assert human.mesh.closed
     assert human.mesh.vertices[:, 1].min() == pytest.approx(0, abs=1e-6)
@@ -60,7 +60,7 @@ def test_each_is_closed_stands_on_the_floor_and_follows_four_bones_at_most(name:
 
 
 @pytest.mark.parametrize("name", PEOPLE)
-def test_each_skeleton_is_its_own_mirror(name: str) -> None:
+def test_each_skeleton_is_symmetric(name: str) -> None:
     skeleton = person(name).skeleton
     for bone, name in enumerate(skeleton.names):
         other = name.replace("l_", "r_", 1) if name.startswith("l_") else name.replace("_l_", "_r_")
@@ -71,7 +71,7 @@ def test_each_skeleton_is_its_own_mirror(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", PEOPLE)
-def test_each_has_three_outfits_whose_texture_features_can_be_tracked_on(name: str) -> None:
+def test_each_has_three_outfits_with_textures_for_feature_trackers(name: str) -> None:
     human = person(name)
     assert len(human.outfits) >= 3
     shirts = []
@@ -90,8 +90,8 @@ def test_each_has_three_outfits_whose_texture_features_can_be_tracked_on(name: s
 
 
 @pytest.mark.parametrize("name", PEOPLE)
-def test_each_loads_quickly_enough_to_start_many(name: str) -> None:
-    """What must not come back is decoding every outfit; the time itself is in the benchmark."""
+def test_each_loads_without_decoding_all_outfits(name: str) -> None:
+    """Only the texture of the worn outfit is decoded; the benchmark measures the time."""
     import cProfile
     import pstats
 
@@ -104,8 +104,8 @@ def test_each_loads_quickly_enough_to_start_many(name: str) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", PEOPLE)
-def test_features_show_on_the_clothes_of_each_from_across_a_room(name: str) -> None:
-    """340 pixels tall, from ahead and from behind."""
+def test_the_clothes_of_each_have_trackable_corners_at_a_distance(name: str) -> None:
+    """340 pixels tall, from the front and from behind."""
     human = person(name)
     renderer = renderer_or_skip()
     vertices = human.pose(transform(WORLD_FROM_BODY, np.zeros(3)) @ human.skeleton.rest)
@@ -132,7 +132,7 @@ def test_features_show_on_the_clothes_of_each_from_across_a_room(name: str) -> N
 
 
 def skin_behind_the_face(human: Human, name: str) -> float:
-    """Share of skin in the rear of the head as it is seen from the left, from mouth to brows."""
+    """Share of skin on the back of the head in a view from the left, from mouth to brows."""
     skeleton = human.skeleton
     neck, crown = skeleton.heads[skeleton.bone("vt3")], skeleton.tails[skeleton.bone("vt3")]
     vertices = human.pose(transform(WORLD_FROM_BODY, np.zeros(3)) @ skeleton.rest)
@@ -168,7 +168,7 @@ def test_long_hair_covers_the_ears() -> None:
 
 
 @pytest.mark.parametrize("name", ["adult_man", "adult_woman", "child", "tall_heavy_man"])
-def test_stripes_are_as_wide_on_everybody(name: str) -> None:
+def test_stripes_have_the_same_width_on_all_humans(name: str) -> None:
     mesh = person(name).wearing("stripes").mesh
     assert mesh.uv is not None
     assert mesh.uv_triangles is not None
@@ -211,7 +211,7 @@ def barefoot(source: MakeHumanData, **sliders: Any) -> tuple[float, float]:
 
 
 @needs_makehuman
-def test_people_grow_with_age_and_height_and_swell_with_weight(source: MakeHumanData) -> None:
+def test_age_height_and_weight_change_the_size(source: MakeHumanData) -> None:
     ages = [barefoot(source, gender=0.3, age=age)[0] for age in (1, 4, 8, 14, 25)]
     assert ages == sorted(ages)
     assert ages[0] < 0.8 < 1.5 < ages[-1]
@@ -236,20 +236,20 @@ def test_the_strengths_are_the_products_of_the_shares(source: MakeHumanData) -> 
 
 @needs_makehuman
 @pytest.mark.parametrize("stature", [0.75, 1.2, 1.65, 2.1])
-def test_a_stature_is_met(source: MakeHumanData, stature: float) -> None:
+def test_a_stature_is_reached(source: MakeHumanData, stature: float) -> None:
     age = 2 if stature < 1 else 9 if stature < 1.5 else 30
     assert barefoot(source, age=age, stature=stature)[0] == pytest.approx(stature, abs=1e-6)
 
 
 @needs_makehuman
-def test_nobody_is_a_giant_at_two(source: MakeHumanData) -> None:
+def test_an_impossible_stature_for_an_age_is_an_error(source: MakeHumanData) -> None:
     with pytest.raises(MeshError, match="no such person is 2 m tall"):
         with_stature(source, MakeHumanConfig(age=2, stature=2.0))
 
 
 @needs_makehuman
 @pytest.mark.slow
-def test_a_person_of_sliders_is_whole_and_the_same_every_time(source: MakeHumanData) -> None:
+def test_a_human_from_sliders_is_complete_and_reproducible(source: MakeHumanData) -> None:
     config = MakeHumanConfig(gender=0.0, age=60, weight=0.9, muscle=0.2, hair="long", sleeves="long")
     arrays = build(source, config, {"a": Outfit(shirt_fabric="dots")})
     again = build(source, config, {"a": Outfit(shirt_fabric="dots")})
@@ -263,14 +263,14 @@ def test_a_person_of_sliders_is_whole_and_the_same_every_time(source: MakeHumanD
 
 @needs_makehuman
 @pytest.mark.slow
-def test_a_shirt_hangs_over_a_large_bust_instead_of_clinging(source: MakeHumanData) -> None:
+def test_a_shirt_spans_the_hollow_under_a_large_bust(source: MakeHumanData) -> None:
     config = MakeHumanConfig(gender=0.0, age=85, weight=0.9, cup_size=1.0, firmness=0.0)
     naked = read_base(source, target_strengths(source, config))
     skin = naked.vertices[naked.vertex_groups["body"]]
     clothes = build(source, config, {"a": Outfit()})["vertices"]
 
     def deepest(points: Any) -> float:
-        """How far the middle of the chest lies behind what is beside it, metres."""
+        """Depth of the middle of the chest relative to its sides, metres."""
         tall = np.ptp(points[:, 1])
         height = (points[:, 1] - points[:, 1].min()) / tall
         gaps = []
@@ -292,7 +292,7 @@ def test_an_unknown_target_is_refused(source: MakeHumanData) -> None:
     assert caught.value.key == "makehuman.targets.nose/nose-of-pinocchio"
 
 
-def test_data_that_are_not_there_are_told_with_what_to_install(
+def test_missing_data_is_an_error_that_says_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("HUMANSIM_MAKEHUMAN", str(tmp_path / "none.whl"))

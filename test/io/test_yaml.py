@@ -1,4 +1,4 @@
-"""What every reader of YAML files refuses."""
+"""Limits of all readers of YAML files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from humansim_ros.scene.config import load_config
 
 
 def laughs(how: str) -> str:
-    """Nine keys, each of which repeats the one before ten times."""
+    """Nine keys; each repeats the key before it ten times."""
     keys = ["a0: &a0 {b: 1, c: 2}"]
     keys += [f"a{n}: &a{n} {how.format(', '.join([f'*a{n - 1}'] * 10))}" for n in range(1, 10)]
     return "\n".join(keys) + "\n"
@@ -38,7 +38,7 @@ READERS = (load_config, scene_processes, read_description, read_calibration, loa
 @pytest.mark.slow
 @pytest.mark.parametrize("read", READERS)
 @pytest.mark.parametrize(("text", "line", "message"), HOSTILE.values(), ids=HOSTILE)
-def test_no_file_multiplies_without_end(
+def test_repetition_in_files_is_limited(
     tmp_path: Path, read: Callable[[Path], object], text: str, line: int, message: str
 ) -> None:
     path = tmp_path / "hostile.yaml"

@@ -1,4 +1,4 @@
-"""glTF files: figures with skins and animations of their own, and files that are wrong or mean harm."""
+"""glTF files: skinned meshes, animations, and wrong or malicious files."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def written(folder: Path, document: Document, binary: bytes, name: str = "figure
     return path
 
 
-def test_a_figure_keeps_its_skin_and_its_joints_take_our_names(tmp_path: Path) -> None:
+def test_a_skinned_mesh_keeps_its_weights_and_gets_general_bone_names(tmp_path: Path) -> None:
     human = load_human(written(tmp_path, *figures.gltf()))
     vertices, triangles, weights = figures.boxes()
     shift = human.mesh.vertices[0] - vertices[0]
@@ -53,7 +53,7 @@ def test_a_figure_keeps_its_skin_and_its_joints_take_our_names(tmp_path: Path) -
     assert "LeftHandMiddle1" in human.skeleton.names  # what we have no name for stays under its own
 
 
-def test_the_text_form_and_the_binary_form_are_the_same_figure(tmp_path: Path) -> None:
+def test_gltf_and_glb_give_the_same_human(tmp_path: Path) -> None:
     binary, text = (load_human(written(tmp_path, *figures.gltf(), name)) for name in ("a.glb", "a.gltf"))
     np.testing.assert_array_equal(binary.mesh.vertices, text.mesh.vertices)
     assert binary.mesh.texture is not None
@@ -62,7 +62,7 @@ def test_the_text_form_and_the_binary_form_are_the_same_figure(tmp_path: Path) -
     assert (binary.mesh.texture[0, 0] == (60, 120, 200)).all()  # OpenCV wrote it as BGR
 
 
-def test_an_animation_bends_the_elbow_as_its_keys_say(tmp_path: Path) -> None:
+def test_an_animation_bends_the_elbow_as_in_its_keys(tmp_path: Path) -> None:
     motion = read_motion(written(tmp_path, *figures.gltf()))
     assert (motion.n_frames, motion.frame_time) == (61, pytest.approx(1 / 60))
     rest = dict(zip(motion.joint_names, motion.world_positions(0), strict=True))
@@ -75,8 +75,8 @@ def test_an_animation_bends_the_elbow_as_its_keys_say(tmp_path: Path) -> None:
         np.testing.assert_allclose(hand, rest["LeftForeArm"] + turned, atol=1e-6)
 
 
-def test_a_figure_moves_as_its_own_animation_has_it(tmp_path: Path) -> None:
-    """Vertices by the retargeter and our skeleton are those that the file's joints and weights give."""
+def test_a_human_moves_as_in_its_own_animation(tmp_path: Path) -> None:
+    """Retargeted vertices equal those of the joints and weights of the file."""
     path = written(tmp_path, *figures.gltf())
     actor = Actor.build("x", 1, load_human(path), MotionConfig(file=str(path)), SceneSource())
     vertices, _, weights = figures.boxes()
@@ -104,7 +104,7 @@ def test_a_figure_moves_as_its_own_animation_has_it(tmp_path: Path) -> None:
 def test_shared_figures_move_as_blender_moves_them(
     shared_data: Path, figure: str, first: float, worst: float
 ) -> None:
-    """Vertices of the files' own animations; tools/blender/gltf_vertices.py made the numbers."""
+    """Vertices of the animations of the files; tools/blender/gltf_vertices.py computed the reference."""
     path = shared_data / "mesh" / figure
     human = load_human(path)
     assert 1.4 < np.ptp(human.mesh.vertices[:, 1]) < 1.6
@@ -120,7 +120,7 @@ def test_shared_figures_move_as_blender_moves_them(
 
 
 def test_a_skin_bound_in_other_units_has_the_size_of_the_scene(tmp_path: Path) -> None:
-    """Many exporters keep centimetres in the mesh and shrink the armature."""
+    """Many exporters write meshes in centimetres and scale the armature."""
     document, binary = figures.gltf()
     document["nodes"].append({"name": "armature", "scale": [0.5, 0.5, 0.5], "children": [0]})
     human = load_human(written(tmp_path, document, binary))
@@ -214,7 +214,7 @@ def far_index(document: Document) -> None:
         (change(accessors="many"), "accessors"),
     ],
 )
-def test_a_wrong_or_harmful_file_is_refused_with_what_is_wrong(
+def test_a_wrong_or_malicious_file_is_refused_with_the_reason(
     tmp_path: Path, harm: Callable[[Document], None], message: str
 ) -> None:
     (tmp_path / "secret.bin").write_bytes(bytes(10**6))
@@ -239,7 +239,7 @@ def test_a_link_out_of_the_folder_is_refused(tmp_path: Path) -> None:
         load_human(written(folder, document, binary))
 
 
-def test_data_beside_the_file_is_read(tmp_path: Path) -> None:
+def test_data_in_the_folder_of_the_file_is_read(tmp_path: Path) -> None:
     document, binary = figures.gltf()
     (tmp_path / "the data.bin").write_bytes(binary)
     document["buffers"][0]["uri"] = "the%20data.bin"
@@ -255,7 +255,7 @@ def test_nan_in_positions_is_refused(tmp_path: Path) -> None:
         load_human(written(tmp_path, document, binary))
 
 
-def test_a_figure_that_is_no_person_is_refused(tmp_path: Path) -> None:
+def test_a_skinned_mesh_that_is_not_a_person_is_refused(tmp_path: Path) -> None:
     document, binary = figures.gltf()
     # every joint in one row
     for number, node in enumerate(document["nodes"][:-1]):
@@ -266,7 +266,7 @@ def test_a_figure_that_is_no_person_is_refused(tmp_path: Path) -> None:
         load_human(written(tmp_path, document, binary))
 
 
-def test_a_thousand_times_too_large_figure_is_made_a_person_with_a_warning(tmp_path: Path) -> None:
+def test_a_mesh_in_millimetres_is_scaled_with_a_warning(tmp_path: Path) -> None:
     document, binary = figures.gltf()
     document["nodes"].append({"name": "armature", "scale": [1000, 1000, 1000], "children": [0]})
     with pytest.warns(HumansimWarning, match="mm assumed"):
@@ -274,7 +274,7 @@ def test_a_thousand_times_too_large_figure_is_made_a_person_with_a_warning(tmp_p
     assert 1.5 < np.ptp(human.mesh.vertices[:, 1]) < 2.0
 
 
-def test_an_image_that_promises_too_much_is_refused(tmp_path: Path) -> None:
+def test_an_image_with_a_too_large_header_size_is_refused(tmp_path: Path) -> None:
     document, binary = figures.gltf()
     view = document["bufferViews"][-1]
     png = bytearray(binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]])

@@ -1,4 +1,4 @@
-"""Meshes: the forms of OBJ files, normals and closedness against trimesh, and the fit to the skeleton."""
+"""Meshes: OBJ syntax, normals and closed surfaces against trimesh, and fitting to the skeleton."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ FORMS = {
 
 @pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("ends", ["\n", "\r\n"])
-def test_forms_of_one_face_read_alike(tmp_path: Path, form: str, ends: str) -> None:
+def test_all_forms_of_a_face_give_the_same_mesh(tmp_path: Path, form: str, ends: str) -> None:
     mesh = read(tmp_path, (SQUARE + FORMS[form]).replace("\n", ends))
     np.testing.assert_array_equal(mesh.vertices, [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     assert mesh.faces.tolist() == [[0, 1, 2, 3]]
@@ -58,7 +58,7 @@ def test_forms_of_one_face_read_alike(tmp_path: Path, form: str, ends: str) -> N
         assert mesh.uv is None
 
 
-def test_negative_numbers_count_back_from_where_the_face_stands(tmp_path: Path) -> None:
+def test_negative_indices_count_back_from_the_face(tmp_path: Path) -> None:
     mesh = read(tmp_path, "v 0 0 0\nv 1 0 0\nv 0 1 0\nf -3 -2 -1\nv 5 0 0\nv 6 0 0\nv 5 1 0\nf -3 -2 -1\n")
     assert mesh.faces.tolist() == [[0, 1, 2, -1], [3, 4, 5, -1]]
 
@@ -82,13 +82,13 @@ def test_a_polygon_becomes_triangles_that_cover_it(tmp_path: Path, corners: int)
     np.testing.assert_array_equal(mesh.uv_triangles, mesh.triangles)
 
 
-def test_triangles_know_the_face_they_come_from(tmp_path: Path) -> None:
+def test_triangles_have_the_index_of_their_face(tmp_path: Path) -> None:
     mesh = read(tmp_path, SQUARE + "f 1 2 3\nf 1 2 3 4\nf 2 3 4\n")
     assert mesh.triangle_faces.tolist() == [0, 1, 1, 2]
     assert mesh.triangles.tolist() == [[0, 1, 2], [0, 1, 2], [0, 2, 3], [1, 2, 3]]
 
 
-def test_texture_of_only_some_faces_is_left_out(tmp_path: Path) -> None:
+def test_texture_of_only_some_faces_is_ignored(tmp_path: Path) -> None:
     mesh = read(tmp_path, SQUARE + "vt 0 0\nvt 1 0\nvt 1 1\nf 1/1 2/2 3/3\nf 1 3 4\n")
     assert mesh.uv is None
     assert len(mesh.faces) == 2
@@ -155,7 +155,7 @@ def test_impossible_arrays_are_refused(changes: dict[str, Array], message: str) 
 # Real meshes
 
 
-def test_the_2007_export_is_read_whole(shared_data: Path) -> None:
+def test_the_2007_export_is_read_completely(shared_data: Path) -> None:
     mesh = read_mesh(shared_data / "mesh" / "mh2007_male_T_dm.obj")
     assert mesh.vertices.shape == (13380, 3)
     assert (mesh.faces[:, 3] >= 0).sum() == len(mesh.faces) == 13378
@@ -181,12 +181,12 @@ def as_mesh(theirs: trimesh.Trimesh) -> Mesh:
 
 
 def normals_of(mesh: Mesh) -> Float32Array:
-    """The normals that the renderer lights a mesh with."""
+    """Normals that the renderer uses."""
     return PosedMesh(Topology(mesh), mesh.vertices.astype(np.float32)).normals
 
 
 def test_normals_are_trimeshs() -> None:
-    """Weighted by the areas of the triangles round a vertex, on a surface that is no ball."""
+    """Weighted by triangle area, on a surface that is not a sphere."""
     theirs = ball()
     theirs.vertices = theirs.vertices * [1.0, 2.5, 0.4] + [3, 0, 1]
     mesh = as_mesh(theirs)
@@ -196,7 +196,7 @@ def test_normals_are_trimeshs() -> None:
     np.testing.assert_allclose(normals_of(mesh), expected, atol=1e-5)
 
 
-def test_normals_of_a_quad_point_to_where_it_runs_counter_clockwise(tmp_path: Path) -> None:
+def test_normals_of_a_quad_point_to_the_side_where_it_is_counter_clockwise(tmp_path: Path) -> None:
     mesh = read(tmp_path, SQUARE + "f 1 2 3 4")
     np.testing.assert_allclose(normals_of(mesh), [[0, 0, 1]] * 4, atol=1e-7)
 
@@ -247,7 +247,7 @@ def turned(vertices: Array, turns: str) -> Array:
 @pytest.mark.slow
 @pytest.mark.parametrize("figure", FIGURES)
 @pytest.mark.parametrize("turns", TURNS)
-def test_a_figure_stands_in_the_skeleton_however_it_was_turned_scaled_and_moved(
+def test_a_mesh_is_fitted_after_any_rotation_scale_and_translation(
     shared_data: Path, figure: str, turns: str
 ) -> None:
     mesh = read_mesh(shared_data / "mesh" / figure)
@@ -261,7 +261,7 @@ def test_a_figure_stands_in_the_skeleton_however_it_was_turned_scaled_and_moved(
 
 @pytest.mark.parametrize("figure", FIGURES)
 def test_a_fitted_figure_faces_forward_with_its_feet_about_the_ankles(shared_data: Path, figure: str) -> None:
-    """Toes and nose are ahead of the ankles, and left is still left."""
+    """Toes and nose are in front of the ankles, and left stays left."""
     mesh = read_mesh(shared_data / "mesh" / figure)
     fitted = fit_to_skeleton(mesh, hanim_skeleton()).vertices
     feet = fitted[fitted[:, 1] < 0.05]
@@ -283,7 +283,7 @@ def test_a_fitted_figure_faces_forward_with_its_feet_about_the_ankles(shared_dat
     ids=["triangle", "box", "point", "flat"],
 )
 @pytest.mark.filterwarnings("error")
-def test_what_is_no_person_cannot_be_fitted(vertices: Array) -> None:
+def test_meshes_without_a_person_cannot_be_fitted(vertices: Array) -> None:
     mesh = Mesh(vertices, np.array([[0, 1, 2, -1]], dtype=np.int32))
     with pytest.raises(MeshError):
         fit_to_skeleton(mesh, hanim_skeleton())

@@ -52,7 +52,7 @@ def test_area_weighted_normals_are_the_sum_of_the_triangles_around() -> None:
 @both_weightings
 @settings(deadline=None, max_examples=20)
 @given(seed=st.integers(0, 10_000), size=st.floats(1e-3, 1e3))
-def test_normals_turn_with_the_surface(weighting: str, seed: int, size: float) -> None:
+def test_normals_rotate_with_the_surface(weighting: str, seed: int, size: float) -> None:
     vertices, triangles = blob(seed)
     normals = SurfaceNormals(triangles, len(vertices), weighting)
     turn = Rotation.random(random_state=seed)
@@ -61,7 +61,7 @@ def test_normals_turn_with_the_surface(weighting: str, seed: int, size: float) -
 
 
 @both_weightings
-def test_frames_of_normals_are_as_each_alone(weighting: str) -> None:
+def test_a_batch_of_frames_gives_the_same_normals(weighting: str) -> None:
     frames = np.stack([blob(seed)[0] for seed in range(6)]).reshape(2, 3, -1, 3).astype(np.float32)
     normals = SurfaceNormals(blob(0)[1], frames.shape[-2], weighting)
     together = normals(frames)
@@ -72,7 +72,7 @@ def test_frames_of_normals_are_as_each_alone(weighting: str) -> None:
 
 
 @both_weightings
-def test_no_surface_no_normal(weighting: str) -> None:
+def test_without_surface_normals_are_zero(weighting: str) -> None:
     """A vertex of no triangle, and triangles without area."""
     vertices = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [5, 5, 5], [1, 0, 0]])
     flat = SurfaceNormals(np.array([[0, 1, 2], [1, 4, 2], [0, 0, 0]]), 5, weighting)
@@ -107,7 +107,7 @@ def test_the_tangent_of_a_plate_is_the_direction_of_u() -> None:
     np.testing.assert_allclose(mirrored(PLATE, up), np.tile([0.0, -1, 0, -1], (4, 1)), atol=1e-12)
 
 
-def test_tangents_are_across_the_normal_and_turn_with_the_surface() -> None:
+def test_tangents_are_perpendicular_to_the_normal_and_rotate_with_the_surface() -> None:
     tangents, normals = hand_tangents()
     turn = Rotation.random(random_state=3)
     rest = HAND["vertices"].astype(float)
@@ -122,7 +122,7 @@ def test_a_texture_without_area_gives_no_tangent() -> None:
     np.testing.assert_array_equal(tangents(PLATE, np.tile([0.0, 0, 1], (4, 1)))[:, :3], 0)
 
 
-def test_what_does_not_fit_is_refused() -> None:
+def test_arrays_that_do_not_match_are_refused() -> None:
     uv = PLATE[:, :2]
     for triangles, message in (
         (np.array([[0, 1, 4]]), "triangle 0 has an index outside 0..3"),

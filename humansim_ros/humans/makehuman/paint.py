@@ -104,12 +104,13 @@ def line(distance: Array, width: float) -> Array:
 class Canvas:
     """Geometry of N texels.
 
-    ``body``: position on the naked reference body. ``worn``: position on this dressed body. ``uv``: texture
-    coordinates of the base mesh. ``reference``, ``own``: regions of the reference body and of this body.
+    ``body``: position on the naked reference body. ``dressed``: position on this dressed body. ``uv``:
+    texture coordinates of the base mesh. ``reference``, ``own``: regions of the reference body and of this
+    body.
     """
 
     body: Array
-    worn: Array
+    dressed: Array
     uv: Array
     reference: BodyRegions
     own: BodyRegions
@@ -121,7 +122,7 @@ class Canvas:
 
     def at(self, rows: NDArray[np.intp]) -> Canvas:
         """Subset of the texels."""
-        return replace(self, body=self.body[rows], worn=self.worn[rows], uv=self.uv[rows])
+        return replace(self, body=self.body[rows], dressed=self.dressed[rows], uv=self.uv[rows])
 
 
 def paint_skin(c: Canvas, outfit: Outfit) -> Array:
@@ -239,7 +240,7 @@ def hair_on(c: Canvas) -> tuple[NDArray[np.intp], Array]:
 def paint_hair(c: Canvas, outfit: Outfit) -> Array:
     """Colours (N, 3) of hair with strands."""
     # long hair covers the ears, so it needs the dressed positions
-    p, t = (c.body, c.reference) if c.reference.hair_style == "short" else (c.worn, c.own)
+    p, t = (c.body, c.reference) if c.reference.hair_style == "short" else (c.dressed, c.own)
     crown = np.array([0, t.skull_top - 0.09, t.ear[2] - 0.03])
     ray = p - crown
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
@@ -330,7 +331,7 @@ def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
     """Colours (N, 3) of the shirt with folds and seams."""
     p, t = c.body, c.reference
     # cloth is the same on everybody, so its pattern is laid out on who wears it
-    q, own = c.worn, c.own
+    q, own = c.dressed, c.own
     on_trunk = np.abs(p[:, 0]) < 0.22
     beyond = np.maximum(np.abs(q[:, 0]) - own.shoulder_x, 0.0)
     along = np.where(np.abs(p[:, 0]) > t.shoulder_x, own.shoulder_y + beyond, q[:, 1])
@@ -357,7 +358,7 @@ def paint_shirt(c: Canvas, outfit: Outfit) -> Array:
 def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
     """Colours (N, 3) of trousers with seams, pockets and a belt."""
     p, t = c.body, c.reference
-    q, own = c.worn, c.own
+    q, own = c.dressed, c.own
     outward, ahead = np.abs(q[:, 0]) - own.leg_x(q), q[:, 2] - own.leg_z(q)
     girth = _girth(np.hypot(outward, ahead)[q[:, 1] < own.knee_y])
     leg = girth * np.arctan2(outward, ahead) / (2 * np.pi)
@@ -392,7 +393,7 @@ def paint_trousers(c: Canvas, outfit: Outfit) -> Array:
 def paint_shoes(c: Canvas, outfit: Outfit) -> Array:
     """Colours (N, 3) of shoes with laces and soles."""
     size = c.own.foot_length / c.reference.foot_length
-    q = c.worn / size
+    q = c.dressed / size
     grain = 1 + 0.07 * noise(q, 0.005, 19) + 0.06 * noise(q, 0.02, 20)
     colour = np.array(outfit.shoes) * grain[:, None]
     height = q[:, 1] - q[:, 1].min()

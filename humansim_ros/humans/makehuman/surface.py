@@ -22,7 +22,8 @@ class BodySurface:
 
     vertices (V, 3), faces (F, 4), uv (T, 2) in the layout of the base mesh, uv_faces (F, 4), weights (V, B).
     canonical (V, 3): position on the naked reference body in the T pose. All bodies have the same topology,
-    so clothes are cut and painted there for all. naked (V, 3): position on this naked body in the T pose.
+    so clothes are cut and painted there for all.
+    naked (V, 3): position on this naked body in the T pose.
     part (V,): 0 body, 1 left eye, 2 right eye. garment (V,) and face_garment (F,): NONE, SHIRT, TROUSERS or
     SHOES. weld (V,): equal for the copies of a vertex on the two sides of a hem. The last ``hems`` faces are
     narrow strips between the edge of a garment and the surface below.

@@ -18,6 +18,7 @@ from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
+from humansim_ros.motion import penetration
 
 MAN = ROOT / "assets" / "humans" / "adult_man.npz"
 
@@ -280,5 +281,11 @@ def test_names_of_version_0_1_work_and_warn() -> None:
         with pytest.warns(DeprecationWarning, match=f"import {name} from humansim_ros"):
             moved = getattr(importlib.import_module(f"humansim_ros.{module}"), name)
         assert moved is getattr(humansim_ros, name)
+    man = load_human(MAN)
+    with pytest.warns(DeprecationWarning, match="use fit_capsules"):
+        old = penetration.capsules(man)
+    np.testing.assert_array_equal(
+        old.radii, penetration.fit_capsules(man.skeleton, man.mesh, man.weights).radii
+    )
     with pytest.raises(AttributeError, match="no attribute 'Nobody'"):
         _ = importlib.import_module("humansim_ros.body").Nobody

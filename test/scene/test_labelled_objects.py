@@ -156,7 +156,7 @@ def test_details_of_objects_are_what_rays_meet(simulation: Simulation, camera: s
     frame, compared = simulation.frame(index), 0
     view, eye = frame.views[camera], frame.cameras[camera]
     lens = simulation.scene.scene_cameras[camera]
-    next_eye = lens.at(lens.pose((index + 1) / 10))
+    next_eye = lens.camera_at(lens.pose((index + 1) / 10))
     bodies = expected_bodies(simulation, frame)
     depth, label, face = first_hit(eye, bodies)
     assert np.count_nonzero(view.instance != label) <= 8

@@ -22,7 +22,6 @@ from humansim_ros.cli.output import (
     to_json,
 )
 from humansim_ros.errors import HumansimError, MotionError
-from humansim_ros.io.files import expand_user
 from humansim_ros.resources import resource_path
 
 if TYPE_CHECKING:
@@ -84,10 +83,11 @@ def info(
     positions: PositionsOption = PositionsChoice.auto,
 ) -> None:
     """Describe a motion file: joints, unit, axes, joint match, foot sliding, warnings."""
+    from humansim_ros.motion.files import find_motion
     from humansim_ros.motion.info import describe_motion, read_with_warnings
 
     _check_unit(unit)
-    read = read_with_warnings(_path(file), positions.value)
+    read = read_with_warnings(Path(find_motion(file)), positions.value)
     facts = describe_motion(read, joint_names, unit, up, facing).to_dict()
     print_text(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
@@ -301,16 +301,10 @@ def built_in_motions() -> dict[str, dict[str, Any]]:
     return {str(name): dict(facts) for name, facts in data.items()}
 
 
-def _path(file: str) -> Path:
-    """Path of a built-in motion or of a file."""
-    built_in = {path.stem: path for path in resource_path("assets/motions").glob("*.bvh")}
-    return built_in.get(file) or expand_user(file)
-
-
 def _read(file: str, positions: PositionsChoice) -> Motion:
-    from humansim_ros.motion import read_motion
+    from humansim_ros.motion.files import find_motion, read_motion
 
-    return read_motion(_path(file), positions.value)
+    return read_motion(find_motion(file), positions.value)
 
 
 def _human(body: str) -> Any:

@@ -5,10 +5,22 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+from humansim_ros.errors import HumansimError, MotionError
+from humansim_ros.io.assets import find_asset
 from humansim_ros.motion.bvh import PositionChannels, read_bvh
 from humansim_ros.motion.kinematics import Motion
 
 _GLTF = (".gltf", ".glb")
+
+
+def find_motion(name: str, folder: Path | None = None, error: type[HumansimError] = MotionError) -> str:
+    """Path of a built-in motion or of a file, with the animation of a glTF file (``figure.glb#Walk``).
+
+    ``folder``: folder that relative paths start from; the current folder if None. Raises ``error``.
+    """
+    file, animation = split_name(name)
+    path = find_asset(file, "motions", folder, error)
+    return str(path) if animation is None else f"{path}#{animation}"
 
 
 def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:

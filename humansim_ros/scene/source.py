@@ -20,7 +20,7 @@ from humansim_ros.io.files import exists, expand_user
 from humansim_ros.io.yaml import line_of, read_yaml
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.bvh import PositionChannels
-from humansim_ros.motion.files import read_motion, split_name
+from humansim_ros.motion.files import find_motion, read_motion
 from humansim_ros.motion.kinematics import Motion
 
 T = TypeVar("T")
@@ -112,9 +112,7 @@ class SceneSource:
         motion = self._object(name, Motion)
         if motion is not None:
             return motion
-        file, animation = split_name(name)
-        path = find_asset(file, "motions", self.folder, SceneError)
-        return read_motion(path if animation is None else f"{path}#{animation}", positions)
+        return read_motion(find_motion(name, self.folder, SceneError), positions)
 
     def mesh(self, name: str) -> Mesh | None:
         """A mesh in memory; None if the name is that of a file."""

@@ -70,9 +70,9 @@ class Obstacles:
         for mesh in static_meshes:
             samples = PosedMesh(Topology(mesh), mesh.vertices.astype(np.float32)).samples[0]
             points.append(samples[:2, (samples[2] > _LOW) & (samples[2] < _HIGH)].T.astype(float))
-        for thing in objects.values():
-            if thing.moves:
-                poses = [thing.at(float(time)).apply(thing.mesh.vertices) for time in times[::5]]
+        for item in objects.values():
+            if item.moves:
+                poses = [item.at(float(time)).apply(item.mesh.vertices) for time in times[::5]]
                 points += [vertices[:, :2] for vertices in poses]
         return cls(*(np.concatenate(part) for part in (humans, centers, points)))
 
@@ -101,7 +101,7 @@ def clutter(config: SceneConfig, source: SceneSource, obstacles: Obstacles) -> d
         name, uniform = f"clutter_{number}", random_numbers(randomise.seed, f"clutter {number}")
         if name in config.objects:
             raise SceneError(f"there is an object {name} already", key="randomise.clutter")
-        thing, radius = _random_object(uniform)
+        item, radius = _random_object(uniform)
         for _ in range(_TRIES):
             shares = np.array([(uniform(), uniform()) for _ in range(_BATCH)])
             positions = area[0] + radius + (np.ptp(area, axis=0) - 2 * radius) * shares
@@ -111,8 +111,8 @@ def clutter(config: SceneConfig, source: SceneSource, obstacles: Obstacles) -> d
             if free.any():
                 circles.append((positions[np.argmax(free)], radius))
                 x, y = (round(float(value), 4) for value in circles[-1][0])
-                placed[name] = thing.model_copy(
-                    update={"position": (x, y, thing.size[2] / 2), "label": randomise.clutter_label}
+                placed[name] = item.model_copy(
+                    update={"position": (x, y, item.size[2] / 2), "label": randomise.clutter_label}
                 )
                 break
     if len(placed) < randomise.clutter:
@@ -134,8 +134,8 @@ def _random_object(uniform: RandomNumbers) -> tuple[ObjectConfig, float]:
     size = sizes[kind]
     color = (int(256 * uniform()), int(256 * uniform()), int(256 * uniform()))
     yaw = round(360 * uniform(), 2) if kind == "box" else 0.0
-    thing = ObjectConfig(mesh=kind, size=size, color=color, rotation_deg=(0.0, 0.0, yaw))
-    return thing, math.hypot(size[0], size[1]) / 2 if kind == "box" else size[0] / 2
+    item = ObjectConfig(mesh=kind, size=size, color=color, rotation_deg=(0.0, 0.0, yaw))
+    return item, math.hypot(size[0], size[1]) / 2 if kind == "box" else size[0] / 2
 
 
 def _area(config: SceneConfig, humans: Array) -> Array:

@@ -457,7 +457,7 @@ class SceneConfig(Section):
                 "a scene needs at least one camera: in 'cameras', or in a calibration file as 'rig'"
             )
         labels = len(self.humans) + (self.variety.count if self.variety else 0)
-        labels += sum(thing.label for thing in self.objects.values())
+        labels += sum(item.label for item in self.objects.values())
         if self.randomise is not None and self.randomise.clutter_label:
             labels += self.randomise.clutter
         if labels > 65535:

@@ -167,7 +167,7 @@ def load_tracks(config: SceneConfig, source: SceneSource) -> dict[tuple[str, str
     tracks = {}
     for section, name, keyframes in (
         *(("humans", name, human.keyframes) for name, human in config.humans.items()),
-        *(("objects", name, thing.keyframes) for name, thing in config.objects.items()),
+        *(("objects", name, item.keyframes) for name, item in config.objects.items()),
     ):
         if keyframes is None:
             continue

@@ -186,7 +186,7 @@ class Playback:
         self.elapsed = elapsed
         seconds = elapsed * 1e-9
         poses = {name: _paced(actor.joint_poses(seconds), pace) for name, actor in self.actors.items()}
-        objects = {name: thing.at(seconds) for name, thing in self.scene.moving_objects.items()}
+        objects = {name: item.at(seconds) for name, item in self.scene.moving_objects.items()}
         objects = {name: replace(place, velocity=_velocity(place, pace)) for name, place in objects.items()}
         cameras = {name: camera.pose(seconds) for name, camera in self.scene.moving_cameras.items()}
         cameras = {name: replace(pose, velocity=_velocity(pose, pace)) for name, pose in cameras.items()}

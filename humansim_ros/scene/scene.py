@@ -162,7 +162,7 @@ class Scene:
         if config.randomise is not None and config.randomise.clutter:
             static = [
                 *environment.meshes,
-                *(thing.static_mesh() for thing in objects.values() if not thing.moves),
+                *(item.static_mesh() for item in objects.values() if not item.moves),
             ]
             obstacles = Obstacles.of_scene(actors.values(), cameras, objects, static)
             _add_objects(objects, clutter(config, source, obstacles), source, tracks, actors)
@@ -218,7 +218,7 @@ class Scene:
     @cached_property
     def object_labels(self) -> dict[str, int]:
         """Instance labels of the labelled objects by name."""
-        return {name: thing.instance for name, thing in self.objects.items() if thing.instance}
+        return {name: item.instance for name, item in self.objects.items() if item.instance}
 
     @cached_property
     def joint_surfaces(self) -> dict[str, NDArray[np.bool_]]:
@@ -234,13 +234,13 @@ class Scene:
     @cached_property
     def static_bodies(self) -> list[Body]:
         """Bodies of static objects with label, always the same ones."""
-        things = ((self.objects[name], mesh) for name, mesh in self._static[1].items())
-        return [thing.static_body(mesh) for thing, mesh in things if thing.instance]
+        items = ((self.objects[name], mesh) for name, mesh in self._static[1].items())
+        return [item.static_body(mesh) for item, mesh in items if item.instance]
 
     @cached_property
     def _static(self) -> tuple[list[Mesh], dict[str, Mesh]]:
         """Meshes of the environment, and of static objects by name, in ``map``, with random looks."""
-        static = {name: thing.static_mesh() for name, thing in self.objects.items() if not thing.moves}
+        static = {name: item.static_mesh() for name, item in self.objects.items() if not item.moves}
         meshes = [*self.environment.meshes, *static.values()]
         if self.config.randomise is not None:
             meshes = random_looks(meshes, self.config.randomise)
@@ -250,7 +250,7 @@ class Scene:
     @cached_property
     def moving_objects(self) -> dict[str, SceneObject]:
         """Objects with keyframes by name."""
-        return {name: thing for name, thing in self.objects.items() if thing.moves}
+        return {name: item for name, item in self.objects.items() if item.moves}
 
 
 def _actor(
@@ -275,7 +275,7 @@ def _add_objects(
     actors: Mapping[str, Actor],
 ) -> None:
     """Add objects; their labels continue those of humans and objects."""
-    last = len(actors) + sum(thing.instance > 0 for thing in objects.values())
+    last = len(actors) + sum(item.instance > 0 for item in objects.values())
     for name, config in configs.items():
         with in_section(f"objects.{name}"):
             if config.label and name in actors:

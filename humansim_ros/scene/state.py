@@ -65,7 +65,7 @@ class SceneState:
     def bodies(self) -> Sequence[Body]:
         """Humans, moving objects, then static bodies."""
         bodies = [actor.body(self.vertices[name]) for name, actor in self.actors.items()]
-        bodies += [thing.body(self.objects[name]) for name, thing in self.scene.moving_objects.items()]
+        bodies += [item.body(self.objects[name]) for name, item in self.scene.moving_objects.items()]
         return bodies + self.scene.static_bodies
 
     def exposure(self, camera: SceneCamera) -> Exposure:
@@ -94,8 +94,8 @@ class SceneState:
 
     def _bodies_moved(self, seconds: float) -> Sequence[Body]:
         bodies = [actor.body(self._vertices_at(name, seconds)) for name, actor in self.actors.items()]
-        for name, thing in self.scene.moving_objects.items():
-            bodies.append(thing.body(self.objects[name].moved(seconds)))
+        for name, item in self.scene.moving_objects.items():
+            bodies.append(item.body(self.objects[name].moved(seconds)))
         return bodies + self.scene.static_bodies
 
     def _vertices_at(self, name: str, seconds: float) -> NDArray[np.float32]:

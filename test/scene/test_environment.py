@@ -1,4 +1,4 @@
-"""Worlds of scene files: meshes with materials, photographs, panoramas, looks drawn at random; bad ones."""
+"""Environments of scenes: meshes with materials, photographs, panoramas, random looks; and their errors."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def picture(scene: Scene) -> NDArray[np.uint8]:
 
 
 def two_tiles() -> bytes:
-    """A .glb, y up: a red square to the left of the origin and a textured one to the right, facing +z."""
+    """A .glb with y up: a red square left of the origin and a textured one right of it, facing +z."""
     square = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], "<f4")
     uv = np.array([(0, 2), (2, 2), (2, 0), (0, 0)], "<f4")  # the texture is there four times
     corners = np.array([0, 1, 2, 0, 2, 3], "<u2")
@@ -109,7 +109,7 @@ f 2/1 5/2 6/3 3/4
 
 
 @pytest.mark.parametrize("kind", ["glb", "obj"])
-def test_meshes_stand_where_they_are_put_with_their_materials(tmp_path: Path, kind: str) -> None:
+def test_mesh_files_have_their_position_and_their_materials(tmp_path: Path, kind: str) -> None:
     (tmp_path / "tiles.glb").write_bytes(two_tiles())
     (tmp_path / "tiles.obj").write_text(TWO_TILES_OBJ)
     (tmp_path / "tiles.mtl").write_text(
@@ -134,7 +134,7 @@ def test_meshes_stand_where_they_are_put_with_their_materials(tmp_path: Path, ki
     assert at(0.75, 1.7) == [1, 2, 3]
 
 
-def test_an_object_keeps_its_texture_unless_a_colour_is_said(tmp_path: Path) -> None:
+def test_an_object_keeps_its_texture_without_a_colour(tmp_path: Path) -> None:
     (tmp_path / "tiles.glb").write_bytes(two_tiles())
     text = PLAIN + "objects:\n  tiles: {mesh: tiles.glb, position: [3, 0, 0.5], rotation_deg: [0, 0, -90]%s}"
     seen = {extra: picture(load(tmp_path, text % extra)) for extra in ("", ", color: [0, 255, 0]")}
@@ -245,7 +245,7 @@ def test_cameras_are_moved_and_turned_no_farther_than_asked(tmp_path: Path) -> N
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
-def test_clutter_stands_on_the_floor_and_in_nobodys_way(tmp_path: Path, seed: int) -> None:
+def test_clutter_is_on_the_floor_away_from_all_obstacles(tmp_path: Path, seed: int) -> None:
     scene = load(tmp_path, RANDOM % seed)
     things = [scene.objects[f"clutter_{n}"] for n in range(1, 9)]
     people = np.concatenate(
@@ -268,7 +268,7 @@ def test_clutter_stands_on_the_floor_and_in_nobodys_way(tmp_path: Path, seed: in
 
 
 @pytest.mark.slow
-def test_clutter_that_finds_no_place_is_told(tmp_path: Path) -> None:
+def test_clutter_without_a_position_is_reported(tmp_path: Path) -> None:
     with pytest.warns(
         HumansimWarning, match=r"scene\.yaml:3: randomise\.clutter: only \d+ of 150 objects find a position"
     ):
@@ -349,7 +349,7 @@ def test_a_texture_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("scale", "words"), [(1000, "2000 m large.*scale: 0.001"), (0.005, "10 mm large")])
-def test_a_mesh_in_the_wrong_unit_is_told(tmp_path: Path, scale: float, words: str) -> None:
+def test_a_mesh_in_the_wrong_unit_is_reported(tmp_path: Path, scale: float, words: str) -> None:
     (tmp_path / "tiles.glb").write_bytes(two_tiles())
     with pytest.warns(HumansimWarning, match=words):
         load(tmp_path, f"world: {{meshes: [{{file: tiles.glb, scale: {scale}}}]}}")

@@ -1,4 +1,4 @@
-"""Objects with labels: what cameras say of them is what rays meet, seen, hidden, standing and moving."""
+"""Labelled objects, static and moving: channels and truth agree with ray casting."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulation]
 
 
 def place(name: str, mesh_vertices: NDArray[np.floating], seconds: float) -> NDArray[np.float64]:
-    """Where the scene's objects are, said once more."""
+    """Poses of the scene's objects, computed independently."""
     part = min(seconds / 2, 1.0)
     if name == "screen":
         return mesh_vertices * [0.05, 0.4, 1.7] + np.array([1.5, -1.5 + 3 * part, 1])
@@ -99,7 +99,7 @@ def place(name: str, mesh_vertices: NDArray[np.floating], seconds: float) -> NDA
 
 
 def expected_bodies(simulation: Simulation, frame: Frame) -> list[Body]:
-    """What there is, with the labels it should have; what has none last."""
+    """Surfaces with their expected labels; those without label last."""
     bodies = []
     for name in (*NUMBERS, "post"):
         if name in frame.humans:
@@ -115,7 +115,7 @@ def expected_bodies(simulation: Simulation, frame: Frame) -> list[Body]:
 
 
 def first_hit(camera: Camera, bodies: list[Body]) -> tuple[NDArray[np.generic], ...]:
-    """(H, W) depth, label and triangle that rays meet first."""
+    """(H, W) depth, label and triangle of the first hit of each ray."""
     depth, first, face = cast(camera, [(b.vertices, b.mesh.triangles) for b in bodies])
     labels = np.array([*(b.instance for b in bodies), 0])
     return depth, labels[first], face
@@ -214,7 +214,7 @@ def test_hidden_parts_of_objects_are_in_their_amodal_masks(simulation: Simulatio
 
 
 def near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """A mask and the pixels around it."""
+    """A mask grown by one pixel."""
     rows, columns = mask.shape
     padded = np.pad(mask, 1)
     return np.any([padded[y : y + rows, x : x + columns] for y in range(3) for x in range(3)], axis=0)
@@ -300,7 +300,7 @@ def test_a_label_changes_nothing_but_labels(tmp_path: Path, shadows: str) -> Non
         assert labelled.instance.max() == 6
 
 
-def test_clutter_has_labels_if_asked_for_and_stands_where_it_did(tmp_path: Path) -> None:
+def test_labelled_clutter_has_the_positions_of_clutter_without_labels(tmp_path: Path) -> None:
     plain, labelled = (
         Scene.load(written(tmp_path, SCENE + f"randomise: {{clutter: 3{more}}}\n"))
         for more in ("", ", clutter_label: true")
@@ -314,7 +314,7 @@ def test_clutter_has_labels_if_asked_for_and_stands_where_it_did(tmp_path: Path)
 
 
 @pytest.mark.slow
-def test_labels_of_one_file_or_mesh_are_told_apart(tmp_path: Path) -> None:
+def test_objects_of_one_file_or_mesh_have_labels_of_their_own(tmp_path: Path) -> None:
     two = SCENE.replace("position: [0, -1.3, 0]", "position: [0, 0.6, 0]").replace(
         "crate: {", "crate: {mesh: wedge.obj, "
     )
@@ -343,14 +343,14 @@ def test_labels_of_one_file_or_mesh_are_told_apart(tmp_path: Path) -> None:
         ("room: null", "randomise: {clutter_label: 7}", r"randomise\.clutter_label: .*bool"),
     ],
 )
-def test_what_a_scene_says_wrong_of_labels_is_named(tmp_path: Path, old: str, new: str, message: str) -> None:
+def test_a_wrong_label_is_named_with_its_key(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in SCENE
     with pytest.raises(SceneError, match=message):
         Scene.load(written(tmp_path, SCENE.replace(old, new, 1)))
 
 
 def test_more_labels_than_there_are_numbers_are_refused() -> None:
-    """More than a scene file has room for: code can make such a scene."""
+    """More labels than a scene file allows; code can make such a scene."""
     plain, labelled = ObjectConfig(), ObjectConfig(label=True)
     things = {f"o{n}": labelled for n in range(65535 - 2001 + 1)} | {"another": plain}
     scene = {"humans": {"anna": {}}, "variety": {"count": 1000}, "objects": things, "rig": "rig.json"}
@@ -365,8 +365,8 @@ def test_an_object_without_a_label_may_be_called_as_a_human(tmp_path: Path) -> N
     assert scene.labels == NUMBERS
 
 
-def test_every_channel_is_there_where_nobody_is() -> None:
-    """Neither people nor things that move: nothing at all, and one thing that stands."""
+def test_every_channel_is_rendered_without_humans() -> None:
+    """Scenes without humans and moving objects: empty, and with one static object."""
     camera = oblique((3, 0.5, 1), (0, 0, 0.2))
     thing = replace(body(box((0, 0, 0.2), 0.2), 6, 0), kind="object")
     for standing in ((), (thing,)):

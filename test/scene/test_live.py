@@ -54,7 +54,7 @@ MIXAMO = {
 
 
 def refused(live_retargeter: LiveRetargeter, poses: JointPoses) -> int:
-    """How many times a pose is refused before it is followed."""
+    """Number of times that a pose is rejected before it is accepted."""
     for times in range(50):
         try:
             live_retargeter.retarget(poses)
@@ -118,7 +118,7 @@ def test_missing_or_unknown_joints_are_refused_and_the_old_is_kept(actor: Actor)
     np.testing.assert_array_equal(live_retargeter.retarget(poses).joints, actor.state(poses).joints)
 
 
-def test_a_table_beside_the_scene_file_tells_names_that_nobody_knows(ros: None, tmp_path: Path) -> None:
+def test_a_joint_table_in_the_scenes_folder_matches_unknown_names(ros: None, tmp_path: Path) -> None:
     from rclpy.parameter import Parameter
 
     from humansim_ros.ros.nodes.skinner import SkinnerNode
@@ -143,7 +143,7 @@ def test_a_table_beside_the_scene_file_tells_names_that_nobody_knows(ros: None, 
 
 
 def test_a_legend_gives_the_truth_of_a_changed_motion(actor: Actor, tmp_path: Path) -> None:
-    """Another person's motion, of other names: with the legend exactly as if the scene had it."""
+    """Motion of another person with other names: with its legend it gives the same as in the scene."""
     config = MotionConfig(file="walk_straight", retarget="thesis", root_scale="height", mirror=True)
     other = actor.with_motion(config, SceneSource(folder=tmp_path))
     names = {name: MIXAMO.get(name, name) for name in other.motion.names}
@@ -161,7 +161,7 @@ def test_a_legend_gives_the_truth_of_a_changed_motion(actor: Actor, tmp_path: Pa
 
 
 def test_a_legend_holds_from_its_stamp_on(actor: Actor) -> None:
-    """Frames that were on their way when the motion changed belong to the motion before."""
+    """Frames that were sent before the motion changed belong to the previous motion."""
     higher = replace(actor, retargeter=replace(actor.retargeter, lift=actor.retargeter.lift + 0.5))
     live_retargeter = LiveRetargeter(actor)
     for source in (JointSource.of_actor(actor), JointSource.of_actor(higher, since=1000)):
@@ -173,7 +173,7 @@ def test_a_legend_holds_from_its_stamp_on(actor: Actor) -> None:
 
 
 def test_a_bad_frame_changes_nothing(actor: Actor) -> None:
-    """Glitches of a tracker: one joint off, all joints at the origin; who comes after them is as before."""
+    """Tracker glitches: one wrong joint, all joints at the origin; the frames after them are as before."""
     live_retargeter = LiveRetargeter(actor)
     poses = renamed(actor.joint_poses(0.4), MIXAMO)
     before = live_retargeter.retarget(poses).joints
@@ -188,10 +188,10 @@ def test_a_bad_frame_changes_nothing(actor: Actor) -> None:
     assert live_retargeter.detected_source == found
 
 
-def test_joints_of_known_names_whose_rotations_mean_something_else_are_a_source_of_their_own(
+def test_known_joint_names_with_other_rotation_conventions_are_a_new_source(
     actor: Actor,
 ) -> None:
-    """The scene's own joints, but turned from axes of the joints' own: as a suit may send the same file."""
+    """Joints of the scene's motion with other joint axes, as a suit may send the same file."""
     own = Rotation.random(len(actor.motion.names), random_state=5)
     live_retargeter = LiveRetargeter(actor)
     for seconds in (0.1, 0.6):
@@ -211,7 +211,7 @@ def test_joints_of_known_names_whose_rotations_mean_something_else_are_a_source_
 
 
 def test_a_suit_that_starts_in_its_rest_pose_is_followed_with_rotations_when_it_moves(actor: Actor) -> None:
-    """At rest all rotations are the identity, and say nothing: they count as soon as they differ."""
+    """At rest all rotations are the identity; they count as soon as they differ."""
     rest = actor.motion.motion.rest_positions() * 0.01
     still = JointPoses(
         actor.motion.names, rest[None][..., [2, 0, 1]], np.tile([0.0, 0, 0, 1], (1, len(rest), 1))
@@ -225,7 +225,7 @@ def test_a_suit_that_starts_in_its_rest_pose_is_followed_with_rotations_when_it_
 
 
 def test_a_source_is_fitted_better_when_thirty_messages_are_known(actor: Actor) -> None:
-    """It starts in the air, lower than a jump can be told from a high sole: later the floor is known."""
+    """The motion starts slightly above the floor; the floor is detected later."""
     live_retargeter = LiveRetargeter(actor)
     lift = np.zeros((1, 1, 3))
     lift[..., 2] = 0.1
@@ -276,7 +276,7 @@ def test_unset_rotations_are_no_rotations(actor: Actor) -> None:
 
 
 def test_a_noisy_tracker_loses_no_frame(actor: Actor) -> None:
-    """Two millimetres and one degree, in every joint and frame."""
+    """Noise of two millimetres and one degree in every joint and frame."""
     random = np.random.default_rng(7)
     live_retargeter = LiveRetargeter(actor)
     for n in range(60):
@@ -312,7 +312,7 @@ def test_messages_that_are_none_are_refused(actor: Actor) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("stem", ["walk", pytest.param("mixamo_freebvh", marks=needs_shared_data)])
 def test_the_example_drives_a_skinner_in_another_process(ros: None, tmp_path: Path, stem: str) -> None:
-    """The example's joints as it sends them, and the body's bones: parallel, upright, on the floor."""
+    """Bones are parallel to the links of the example's joints, upright, on the floor."""
     from rclpy.parameter import Parameter
     from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 

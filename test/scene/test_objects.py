@@ -1,4 +1,4 @@
-"""Things in a scene: where they stand and move, what they hide, and what a scene file may say of them."""
+"""Objects in a scene: poses, occlusion, keys of scene files."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def simulation(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulation]
 
 
 def expected_vertices(name: str, seconds: float) -> NDArray[np.float64]:
-    """Where the scene's objects are, said once more: sized along their own axes, turned, put in place."""
+    """Poses of the scene's objects, computed independently: scaled along their own axes, rotated, moved."""
     part = min(seconds / 2, 1.0)
     if name == "screen":
         return SHAPES["box"]().vertices * [0.05, 0.9, 2] + [1.5, -1.5 + 3 * part, 1]
@@ -78,14 +78,14 @@ def expected_body(simulation: Simulation, name: str, seconds: float) -> Body:
 
 
 @pytest.mark.parametrize("index", [3, 6, 14])
-def test_cameras_see_people_and_things_where_rays_hit_them(simulation: Simulation, index: int) -> None:
+def test_humans_and_objects_are_rendered_where_rays_hit_them(simulation: Simulation, index: int) -> None:
     frame = simulation.frame(index)
     bodies = [simulation.scene.actors["anna"].body(frame.humans["anna"].vertices)]
     bodies += [expected_body(simulation, name, index / 10) for name in ("screen", "ball", "post")]
     assert_agrees(frame.views["front"], bodies, [], simulation.scene.cameras["front"])
 
 
-def test_a_thing_that_passes_hides_the_joints_behind_it(simulation: Simulation) -> None:
+def test_a_passing_object_hides_the_joints_behind_it(simulation: Simulation) -> None:
     alone = simulation.frame(0).joints["front"]["anna"].visible
     behind = simulation.frame(10).joints["front"]["anna"]
     assert (alone == VISIBLE).sum() > 15
@@ -99,7 +99,7 @@ def test_a_thing_that_passes_hides_the_joints_behind_it(simulation: Simulation) 
     assert (behind.visible[inside] == OCCLUDED).all()
 
 
-def test_a_frame_says_where_its_moving_things_are(simulation: Simulation) -> None:
+def test_a_frame_has_the_poses_of_moving_objects(simulation: Simulation) -> None:
     frame = simulation.frame(13)
     assert list(frame.objects) == ["screen", "ball"]
     for name, pose in frame.objects.items():
@@ -107,7 +107,7 @@ def test_a_frame_says_where_its_moving_things_are(simulation: Simulation) -> Non
         np.testing.assert_allclose(pose.apply(vertices), expected_vertices(name, 1.3), atol=1e-12)
 
 
-def test_a_thing_is_seen_alike_whether_it_stands_or_is_held_by_keys(tmp_path: Path) -> None:
+def test_a_static_object_and_one_with_constant_keyframes_look_alike(tmp_path: Path) -> None:
     held = (
         '<animation startframe="0" endframe="1"><object name="post"><frame number="0"/></object></animation>'
     )
@@ -156,9 +156,7 @@ def test_a_mesh_file_is_coloured_sized_and_stood_up(tmp_path: Path) -> None:
         ("ball:", "a ball:", "pattern"),
     ],
 )
-def test_what_a_scene_says_wrong_of_a_thing_is_named(
-    tmp_path: Path, old: str, new: str, message: str
-) -> None:
+def test_a_wrong_object_is_named_with_its_key(tmp_path: Path, old: str, new: str, message: str) -> None:
     assert old in SCENE
     (tmp_path / "moves.xml").write_text(MOVES)
     (tmp_path / "scene.yaml").write_text(SCENE.replace(old, new))
@@ -174,7 +172,7 @@ def test_a_mesh_file_that_is_wrong_is_named_with_its_line(tmp_path: Path) -> Non
         Scene.load(tmp_path / "scene.yaml")
 
 
-def test_two_things_cannot_share_a_surface() -> None:
+def test_two_objects_cannot_share_a_mesh() -> None:
     renderer = renderer_or_skip()
     mesh = SHAPES["box"]()
     thing = Body(mesh, mesh.vertices.astype(np.float32), np.zeros(12, np.uint8), 0, "object")

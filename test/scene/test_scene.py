@@ -1,4 +1,4 @@
-"""Scene files: what is read, and what is said about wrong ones. Nothing is rendered here."""
+"""Scene files: content and errors, without rendering."""
 
 from __future__ import annotations
 

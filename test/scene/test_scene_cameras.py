@@ -41,7 +41,7 @@ MOVES = """\
 
 
 def shelf(**moved: float) -> dict[str, Any]:
-    """Two cameras as the Shelf dataset has them: R and the centre in millimetres; one is called 0."""
+    """Two cameras in the format of the Shelf dataset: R and the center in millimetres; one has the name 0."""
     camera = {
         "k": [[-0.2], [0.05], [0.0]], "p": [[0.001], [0.0]],
         "R": [[-1, 0, 0], [0, 0, -1], [0, -1, 0]], "T": [[100.0], [2500.0], [1500.0]],
@@ -88,7 +88,7 @@ def test_a_camera_has_the_lens_of_its_file_at_the_place_of_the_scene(folder: Pat
     np.testing.assert_allclose(camera.center, (3, 0.5, 1.2), atol=1e-12)
 
 
-def test_a_camera_stands_where_its_file_says(folder: Path) -> None:
+def test_a_camera_has_the_pose_of_its_file(folder: Path) -> None:
     words = "calibration: shelf.json, size: [320, 240]"
     scene = load(folder, f"cameras: {{a: {{{words}, camera: 0}}, b: {{{words}, camera: back door}}}}")
     np.testing.assert_allclose(scene.cameras["a"].center, (0.1, 2.5, 1.5), atol=1e-12)
@@ -181,7 +181,7 @@ def test_running_a_scene_with_a_rig_tells_what_is_odd_once(folder: Path) -> None
     ],
 )
 @pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
-def test_what_a_scene_cannot_take_from_a_file_is_said_with_its_key_and_line(
+def test_a_wrong_reference_to_a_file_is_named_with_its_key_and_line(
     folder: Path, text: str, key: str, line: int, message: str
 ) -> None:
     (folder / "twins.json").write_text(json.dumps(dict(zip(("a b", "a-b"), shelf().values(), strict=True))))
@@ -192,7 +192,7 @@ def test_what_a_scene_cannot_take_from_a_file_is_said_with_its_key_and_line(
     assert caught.value.line == line
 
 
-def test_a_wrong_calibration_is_said_with_its_own_key(folder: Path) -> None:
+def test_an_error_of_a_calibration_names_its_own_key_too(folder: Path) -> None:
     (folder / "usb.yaml").write_text(INFO.replace("-0.33, 0.1", "-0.33, .nan"))
     with pytest.raises(HumansimError, match="not finite") as caught:
         load(folder, f"cameras: {{left: {{calibration: usb.yaml, {PLACE}}}}}")
@@ -205,7 +205,7 @@ def test_a_wrong_calibration_is_said_with_its_own_key(folder: Path) -> None:
     assert caught.value.message == str(cause)
 
 
-def test_a_camera_that_nobody_has_placed_is_warned_of(folder: Path) -> None:
+def test_a_camera_without_a_pose_is_warned_of(folder: Path) -> None:
     with pytest.warns(HumansimWarning, match="scene.yaml:1: cameras.left.calibration: usb.yaml has no pose"):
         load(folder, "cameras: {left: {calibration: usb.yaml}}")
 
@@ -271,7 +271,7 @@ def test_a_camera_follows_its_trajectory_and_the_depth_of_a_wall_follows_it(fold
 
 
 @pytest.mark.slow
-def test_the_picture_of_a_moving_camera_is_that_of_one_standing_there(folder: Path) -> None:
+def test_a_moving_camera_renders_as_a_static_one_at_its_pose(folder: Path) -> None:
     trajectory(folder)
     see = "size: [64, 48], fov_deg: 60"
     (moving,) = film(folder, f"rate: 10\n{WALK}cameras: {{a: {{{see}, trajectory: way.txt}}}}", 4)
@@ -311,8 +311,8 @@ RECTIFIED = (
 
 @pytest.mark.slow
 @pytest.mark.parametrize("lens", ["plumb_bob", "rectified", "fisheye"])
-def test_image_rect_is_the_picture_of_the_ideal_camera_that_p_says(folder: Path, lens: str) -> None:
-    """Balls all over the image are where the camera of R and P, rendered by itself, sees them."""
+def test_image_rect_is_the_image_of_the_ideal_camera_of_p(folder: Path, lens: str) -> None:
+    """Balls all over the image are where a camera with this R and P renders them."""
     distortion = "[0.02, -0.01, 0.002, 0]" if lens == "fisheye" else "[-0.3, 0.08, 0.001, -0.001]"
     words = f"K: [[190, 3, 163], [0, 185, 117], [0, 0, 1]], distortion: {distortion}"
     words += f", {RECTIFIED}" if lens == "rectified" else ""
@@ -369,7 +369,7 @@ def test_straight_edges_are_straight_in_image_rect_and_bent_in_image_raw(folder:
 
 
 def bend_of(image: NDArray[np.uint8]) -> float:
-    """How far the left edge of what is on the right is from the line through it, pixels (RMS)."""
+    """RMS distance in pixels of the left edge of the right object from its regression line."""
     rows = np.arange(20, 220)
     row = np.abs(image[rows].astype(float) - image[120, 20]).sum(axis=2)
     # how much of the right half is covered gives the edge to a fraction of a pixel
@@ -391,7 +391,7 @@ SENSORS = {
 
 @pytest.mark.slow
 def test_truth_is_the_same_with_and_without_a_sensor(folder: Path) -> None:
-    """Of one scene, and of one camera: only image_raw knows of noise, blur and shutter."""
+    """Noise, blur and shutter change image_raw only."""
     trajectory(folder)
     text = f"rate: 20\n{WALK}cameras:\n"
     for name, sensor in SENSORS.items():
@@ -427,8 +427,8 @@ def test_noise_is_that_of_the_stamp(folder: Path) -> None:
     assert np.array_equal(first[0].views["a"].depth, later[0].views["a"].depth)
 
 
-def test_a_moving_camera_smears_what_stands_still(folder: Path) -> None:
-    """A board 3 m away while the camera goes 1 m/s to its right: as far as its edge goes in the exposure."""
+def test_a_moving_camera_blurs_static_objects(folder: Path) -> None:
+    """A board at 3 m, a camera that moves 1 m/s to the right: the blur is the path of the edge."""
     start = Camera.look_at((3, 0, 1), (0, 0, 1), (320, 240))
     quaternion = Rotation.from_matrix(start.R.T).as_quat()
     (folder / "way.txt").write_text(
@@ -445,7 +445,7 @@ def test_a_moving_camera_smears_what_stands_still(folder: Path) -> None:
     assert edge_width(frame.views["smeared"]) == pytest.approx(pixels, abs=2)
 
 
-def test_a_moving_thing_smears_before_a_camera_that_stands_still(folder: Path) -> None:
+def test_a_moving_object_is_blurred_for_a_static_camera(folder: Path) -> None:
     board = "board: {size: [0.02, 0.8, 1.2], color: [250, 250, 250], keyframes: moves.xml}"
     text = f"rate: 10\nroom: null\nobjects: {{{board}}}\ncameras:\n"
     words = "size: [320, 240], fov_deg: 60, position: [3, 0, 1], look_at: [0, 0, 1]"
@@ -456,7 +456,7 @@ def test_a_moving_thing_smears_before_a_camera_that_stands_still(folder: Path) -
 
 
 def test_what_begins_anew_smears_as_it_did_at_first(folder: Path) -> None:
-    """A camera and a board that jump back to where they started: the way back is no movement."""
+    """A camera and a board that jump back to their start: the jump is not blurred."""
     trajectory(folder)
     (folder / "moves.xml").write_text(MOVES.replace("<animation", '<animation loop="repeat"'))
     words = "size: [160, 120], fov_deg: 60, sensor: {exposure_time: 0.05, samples: 12}"
@@ -480,7 +480,7 @@ def test_what_begins_anew_smears_as_it_did_at_first(folder: Path) -> None:
 
 
 def edge_width(view: View) -> int:
-    """Pixels of the middle row that are neither background nor board, at the left edge of the board."""
+    """Number of pixels between background and board in the middle row, at the left edge of the board."""
     assert view.rgb is not None
     row = view.rgb[120].astype(float).sum(axis=1)
     background, board = row[0], row[(view.depth[120] < 4).nonzero()[0].mean().astype(int)]
@@ -490,7 +490,7 @@ def edge_width(view: View) -> int:
 
 
 def test_another_motion_leaves_the_files_of_a_scene_where_they_are(tmp_path: Path) -> None:
-    """``humansim run SCENE --motion``: the changed scene lies in another folder."""
+    """``humansim run SCENE --motion``: the changed scene is in another folder."""
     from humansim_ros.cli.main import _scene_with
 
     home, other = tmp_path / "home", tmp_path / "other"

@@ -88,7 +88,7 @@ KEYS_XML = """\
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with all files of the scene, and folders and damaged files instead of them."""
+    """A folder with all files of the scene, and with folders and damaged files for the same keys."""
     folder = tmp_path_factory.mktemp("scene")
     cameras = {name: Camera.look_at((4, 0, 1.5), (0, y, 1), (64, 48)) for y, name in enumerate("ab")}
     write_calibration(folder / "rig.json", cameras, "panoptic")
@@ -116,7 +116,7 @@ def changed(key: str, value: Any) -> dict[str, Any]:
 
 
 def write(path: Path, scene: dict[str, Any], marked: str) -> int:
-    """Write a scene file in which the value MARKED stands for a text; the line of the text."""
+    """Write a scene file with ``marked`` in place of MARKED; return the line of it."""
     lines = yaml.safe_dump(scene, sort_keys=False).replace("MARKED", marked)
     path.write_text(lines)
     return next(number for number, line in enumerate(lines.split("\n"), 1) if marked in line)

@@ -71,7 +71,7 @@ def test_relative_files_start_from_the_folder(tmp_path: Path, monkeypatch: pytes
     assert list(Scene.from_dict(scene).actors) == ["anna"]
 
 
-def test_objects_in_memory_stand_where_files_are_named() -> None:
+def test_objects_in_memory_replace_file_names() -> None:
     camera = Camera.look_at((4, 0, 1.5), (0, 0, 1), size=(64, 48))
     woman, wave = load_human(WOMAN), read_motion(WAVE)
     built = Scene.build(
@@ -123,7 +123,7 @@ def test_a_camera_in_memory_is_itself(camera: Camera) -> None:
     assert scene.cameras["d"].size == (camera.size[0] // 2, camera.size[1] // 2)
 
 
-def test_a_camera_in_memory_may_stand_elsewhere() -> None:
+def test_a_camera_in_memory_may_get_another_pose() -> None:
     camera = Camera.look_at((1, 2, 3), (0, 0, 1), size=(32, 24), fov=1.0)
     keys = {"calibration": camera, "position": [4, 0, 1], "look_at": [0, 0, 1]}
     built = Scene.build(cameras={"c": keys}, room=None).cameras["c"]

@@ -1,4 +1,4 @@
-"""The whole flow in one process: every frame is one instant, and the same each time."""
+"""Simulation in one process: all of a frame has one stamp, and frames are reproducible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""People drawn at random: reproducible, apart from each other, as many as asked for."""
+"""Random humans: reproducible, at a distance from each other, in the configured number."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_seed_draws_the_same_people_and_another_seed_others(tmp_path: Path) ->
 
 
 def test_what_a_seed_draws_is_the_same_on_every_machine(tmp_path: Path) -> None:
-    """Nodes on other hosts, with other versions of Python and NumPy, must draw the same people."""
+    """Nodes on other hosts, with other versions of Python and NumPy, must choose the same humans."""
     person = drawn(tmp_path, count=1, seed=5)["person_1"]
     assert (person.body, person.outfit, person.motion.file) == ("tall_heavy_man", "plain", "sit_stand")
     assert person.motion.position == (pytest.approx(-1.8778), pytest.approx(0.9394))
@@ -61,7 +61,7 @@ def test_people_differ_and_keep_apart(tmp_path: Path) -> None:
     assert max(abs(x) for place in places for x in place) <= 4
 
 
-def test_only_what_is_named_is_drawn(tmp_path: Path) -> None:
+def test_only_configured_bodies_and_motions_are_chosen(tmp_path: Path) -> None:
     people = drawn(tmp_path, count=6, bodies=["child"], motions=["run"], name="kid").values()
     assert {(person.body, person.motion.file) for person in people} == {("child", "run")}
 
@@ -97,7 +97,7 @@ def test_they_are_simulated(tmp_path: Path) -> None:
         ({}, "variety.count", "required"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused_with_its_key(
+def test_a_wrong_variety_is_refused_with_its_key(
     tmp_path: Path, variety: dict[str, Any], key: str, message: str
 ) -> None:
     with pytest.raises(SceneError, match=message) as caught:

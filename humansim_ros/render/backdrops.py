@@ -24,6 +24,7 @@ class ImageBackdrop:
     image: NDArray[np.uint8]
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 sRGB of the image size of the camera."""
         (width, height), (h, w) = camera.size, self.image.shape[:2]
         scale = max(width / w, height / h)
         # the visible part, at the center of the photograph
@@ -51,6 +52,7 @@ class Panorama:
         return np.pad(self.image, ((0, 0), (_WRAP, _WRAP), (0, 0)), mode="wrap")
 
     def picture(self, camera: Camera) -> NDArray[np.uint8]:
+        """(H, W, 3) uint8 sRGB of the image size of the camera."""
         height, width = self.image.shape[:2]
         with np.errstate(invalid="ignore"):  # beyond the field of view of the lens
             x, y, z = np.moveaxis(ray_grid(camera) @ camera.R, -1, 0)

@@ -163,6 +163,7 @@ class PosedBody:
 
     @property
     def topology(self) -> Topology:
+        """Topology of the mesh."""
         return self._buffers.mesh.topology
 
     @property
@@ -172,6 +173,7 @@ class PosedBody:
 
     @property
     def has_skin_mask(self) -> bool:
+        """Whether the texture says where skin is."""
         return self._buffers.mesh.has_skin_mask
 
     @property
@@ -181,6 +183,7 @@ class PosedBody:
 
     @property
     def contact_shadow(self) -> ContactShadow:
+        """Contact shadow of the body on the floor."""
         return self.posed.human_shadow if self.body.kind == "human" else self.posed.object_shadow
 
     def draw(self, lit: bool, triangles: NDArray[np.intp]) -> None:

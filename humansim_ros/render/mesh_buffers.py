@@ -93,6 +93,7 @@ class MaterialBuffers:
             set_uniform(program, name, unit)
 
     def release(self) -> None:
+        """Free the memory on the device."""
         for one in (self.texture, *self._maps.values()):
             one.release()
 
@@ -114,6 +115,7 @@ class TriangleBuffers:
         self.release()
 
     def release(self) -> None:
+        """Free the memory on the device."""
         if not self._empty:
             self._vertices.release()
             self._index.release()

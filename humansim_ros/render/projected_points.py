@@ -119,7 +119,16 @@ def contour(
 
 
 def wider_than(angle: float, starts: Float32Array, ends: Float32Array, camera: Camera) -> NDArray[np.bool_]:
-    """(N,) whether edges from ``starts`` to ``ends`` (N, 3) may span more than an angle in radians."""
+    """Find edges that may span more than an angle, seen from a camera.
+
+    Args:
+        angle: Radians.
+        starts, ends: Ends of the edges, (N, 3) metres in ``map``.
+        camera: Camera that sees them.
+
+    Returns:
+        (N,) mask.
+    """
     eye = camera.center.astype(np.float32)
     nearest = np.minimum(_squares(starts - eye), _squares(ends - eye))
     return np.asarray(_squares(ends - starts) > angle * angle * nearest)

@@ -93,6 +93,7 @@ class StaticLayer:
         }
 
     def release(self) -> None:
+        """Free the memory on the device."""
         self.labels = None  # it refers to this layer
         self.target.release()
         if self.shadow_inputs is not None:

@@ -41,6 +41,7 @@ class ShadowInputs:
         self.rays = _ray_texture(ctx, camera)
 
     def release(self) -> None:
+        """Free the memory on the device."""
         self.shaded_colour.release()
         self.rays.release()
 

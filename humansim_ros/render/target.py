@@ -29,26 +29,32 @@ class Rectangle:
 
     @property
     def empty(self) -> bool:
+        """Whether it has no pixels."""
         return self.x1 <= self.x0 or self.y1 <= self.y0
 
     @property
     def low(self) -> tuple[int, int]:
+        """(x, y) of the first pixel."""
         return self.x0, self.y0
 
     @property
     def high(self) -> tuple[int, int]:
+        """(x, y) after the last pixel."""
         return self.x1, self.y1
 
     @property
     def xywh(self) -> tuple[int, int, int, int]:
+        """x, y, width and height."""
         return self.x0, self.y0, self.x1 - self.x0, self.y1 - self.y0
 
     @property
     def shape(self) -> tuple[int, int]:
+        """(rows, columns)."""
         return self.y1 - self.y0, self.x1 - self.x0
 
     @property
     def slices(self) -> tuple[slice, slice]:
+        """Index of its pixels in an image (H, W)."""
         return slice(self.y0, self.y1), slice(self.x0, self.x1)
 
 
@@ -137,10 +143,12 @@ class RenderTarget:
 
     @property
     def depth(self) -> moderngl.Texture:
+        """Depth attachment."""
         return self._textures[0]
 
     @property
     def colour(self) -> moderngl.Texture:
+        """Colour attachment."""
         return self._textures[2]
 
     def read_depth_buffer(self) -> Float32Array:
@@ -166,6 +174,7 @@ class RenderTarget:
         return image.reshape(*self._rectangle.shape, *(() if components == 1 else (components,)))
 
     def release(self) -> None:
+        """Free the memory on the device."""
         for framebuffer in (*self._framebuffers.values(), self._colour):
             framebuffer.release()
         for attachment in self._textures:

@@ -40,6 +40,7 @@ class CameraPose:
 
     @classmethod
     def of(cls, camera: Camera) -> CameraPose:
+        """Pose of a camera that does not move."""
         return cls(camera.R, camera.t)
 
     def moved(self, seconds: float) -> CameraPose:

@@ -262,7 +262,7 @@ def test_errors_are_one_line(
 
 def test_a_closed_pipe_is_not_an_error() -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    line = f"{sys.executable} -m humansim_ros.cli.main motion joints walk --json | head -c 10"
+    line = f"{sys.executable} -m humansim_ros.cli motion joints walk --json | head -c 10"
     done = subprocess.run(
         ["bash", "-o", "pipefail", "-c", line], capture_output=True, text=True, env=environment, timeout=60
     )

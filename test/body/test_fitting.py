@@ -208,6 +208,7 @@ def test_joints_are_near_those_of_the_authors(name: str) -> None:
             assert away < doubt(name) * tolerance, bone
 
 
+@pytest.mark.slow
 @needs_shared_data
 @pytest.mark.parametrize("name", FIGURES)
 def test_joints_of_a_known_body_are_more_accurate(name: str) -> None:
@@ -274,6 +275,7 @@ def test_small_meshes_of_other_authors_get_joints_near_their_own(name: str) -> N
     assert mesh.vertices[:, 1].min() == pytest.approx(0, abs=1e-9)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", ["adult_woman", pytest.param("mh2007_female_A_dm.obj", marks=needs_shared_data)]
 )

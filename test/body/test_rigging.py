@@ -82,6 +82,7 @@ def test_weights_are_those_of_the_rule(rule: RigRule) -> None:
     assert shared > 10
 
 
+@pytest.mark.slow
 @BOTH
 def test_weights_of_a_real_body_are_those_of_the_rule(shared_data: Path, rule: RigRule) -> None:
     mesh = fit_to_skeleton(read_mesh(shared_data / "mesh" / "mh2007_male_T_dm.obj"), SKELETON)
@@ -316,19 +317,19 @@ def test_heat_accepts_defective_meshes(kind: str) -> None:
 def test_heat_uses_a_coarser_surface_for_many_vertices(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    human = person("slim_old_woman")
+    human, fine = person("slim_old_woman"), heated("slim_old_woman")
     monkeypatch.setattr(heat, "_MAX_POINTS", 5000)
     coarse = rig(human.mesh, human.skeleton)
-    off = np.asarray(np.abs(coarse - heated(human.name)).sum(1)).ravel() / 2
+    off = np.asarray(np.abs(coarse - fine).sum(1)).ravel() / 2
     assert 0 < off.mean() < 0.03
     assert np.diff(coarse.indptr).max() <= 4
     np.testing.assert_allclose(np.asarray(coarse.sum(1)).ravel(), 1, atol=1e-6)
 
 
 def test_both_solvers_give_the_same_weights(monkeypatch: pytest.MonkeyPatch) -> None:
-    human = person("child")
+    human, direct = person("child"), heated("child")
     monkeypatch.setattr(heat, "_MANY", -1)
-    off = np.abs(rig(human.mesh, human.skeleton) - heated("child"))
+    off = np.abs(rig(human.mesh, human.skeleton) - direct)
     assert off.max() < 1e-3
 
 

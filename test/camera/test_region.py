@@ -84,6 +84,7 @@ def image_geometry_rays(info: Any, pixels: NDArray[np.float64]) -> NDArray[np.fl
     return rays
 
 
+@pytest.mark.slow
 def test_camera_info_describes_the_whole_sensor_and_the_region(shown: tuple[Scene, Frame]) -> None:
     scene, frame = shown
     for name in NAMES:

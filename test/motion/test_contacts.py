@@ -52,6 +52,7 @@ def test_pinned_feet_stay_on_the_floor_where_they_stand(stem: str) -> None:
         assert np.median(np.abs(lowest)) < 0.012, stance
 
 
+@pytest.mark.slow
 @stems
 def test_only_legs_and_height_change_and_feet_keep_their_orientation(stem: str) -> None:
     world = in_world(read(stem))

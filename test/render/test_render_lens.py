@@ -169,6 +169,7 @@ def test_what_the_lens_cannot_see_is_dark_and_has_no_truth(scene: Scene) -> None
     renderer.close()
 
 
+@pytest.mark.slow
 def test_people_beyond_the_image_are_not_drawn_and_one_around_the_camera_is(scene: Scene) -> None:
     camera = with_lens(LENSES["barrel"], (2.3, 1.6, 1.4))
     renderer = renderer_or_skip()

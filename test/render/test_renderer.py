@@ -286,6 +286,7 @@ def test_the_same_input_gives_the_same_bytes(scene: Scene, name: RendererName) -
     assert_same(views[1], views[3])
 
 
+@pytest.mark.slow
 def test_a_view_is_the_callers_own(room: Renderer, scene: Scene) -> None:
     camera, bodies = scene.cameras["camera_1"], walkers(scene, 0.0)
     view = room.render(bodies, camera)

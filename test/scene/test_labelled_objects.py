@@ -220,6 +220,7 @@ def near(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.any([padded[y : y + rows, x : x + columns] for y in range(3) for x in range(3)], axis=0)
 
 
+@pytest.mark.slow
 def test_joints_say_which_object_hides_them(simulation: Simulation) -> None:
     eye, told = simulation.scene.cameras["front"], set()
     for index in FRAMES:
@@ -365,6 +366,7 @@ def test_an_object_without_a_label_may_be_called_as_a_human(tmp_path: Path) -> N
     assert scene.labels == NUMBERS
 
 
+@pytest.mark.slow
 def test_every_channel_is_rendered_without_humans() -> None:
     """Scenes without humans and moving objects: empty, and with one static object."""
     camera = oblique((3, 0.5, 1), (0, 0, 0.2))

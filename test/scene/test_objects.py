@@ -107,6 +107,7 @@ def test_a_frame_has_the_poses_of_moving_objects(simulation: Simulation) -> None
         np.testing.assert_allclose(pose.apply(vertices), expected_vertices(name, 1.3), atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_static_object_and_one_with_constant_keyframes_look_alike(tmp_path: Path) -> None:
     held = (
         '<animation startframe="0" endframe="1"><object name="post"><frame number="0"/></object></animation>'

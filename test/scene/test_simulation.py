@@ -70,6 +70,7 @@ def test_every_camera_sees_both_people_and_joints_lie_on_them(simulation: Simula
             assert (view.instance[row, column] == label).all()
 
 
+@pytest.mark.slow
 def test_only_what_is_asked_for_is_rendered(simulation: Simulation) -> None:
     quick = Simulation(simulation.scene, channels=("depth",), renderer=simulation.renderer)
     frame = quick.frame(0)

@@ -249,6 +249,7 @@ def test_rest_points_are_those_of_the_surface_that_rays_hit(casters: list[RayCas
     assert compared > 2500
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("casters", OURS, indirect=True, ids="-".join)
 def test_part_u_and_v_identify_one_triangle(casters: list[RayCaster]) -> None:
     """The triangle is found in the texture plane from this image and the mesh alone."""

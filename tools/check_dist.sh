@@ -23,7 +23,7 @@ for file in dist/*.whl dist/*.tar.gz; do
     echo "== $file: install, run the demo"
     target="$work/$(basename "$file")-installed"
     "$python" -m venv "$target"
-    "$target/bin/pip" install --quiet "$PWD/$file[ros]"
+    "$target/bin/pip" install --quiet "$PWD/${file}[ros]"
     mkdir "$target/empty"
     (cd "$target/empty" && "$target/bin/humansim" demo --duration 2 --output demo && ls demo)
 done

@@ -9,6 +9,7 @@ forward, x right, y down); a pixel is (x, y) = (column, row), and the centre of 
 
 from __future__ import annotations
 
+import math
 import warnings
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -91,7 +92,7 @@ class Camera:
         position: ArrayLike,
         target: ArrayLike,
         size: ImageSize = (640, 480),
-        fov: float = np.radians(60.0),
+        fov: float = math.radians(60),
         up: ArrayLike = (0.0, 0.0, 1.0),
     ) -> Camera:
         """Create an ideal pinhole camera that looks from one point at another.

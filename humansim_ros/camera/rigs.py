@@ -5,6 +5,7 @@ All cameras look at the target and see it. Azimuths are radians from +x towards 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
@@ -31,7 +32,7 @@ class Optics:
     """
 
     size: tuple[int, int] = (640, 480)
-    fov: float = np.radians(60.0)
+    fov: float = math.radians(60)
     distortion: tuple[float, ...] = ()
     model: str | None = None
 

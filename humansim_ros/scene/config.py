@@ -48,7 +48,7 @@ _Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 class _FileSection(Section):
     """Section that a text alone can stand for: the name of its file."""
 
-    _file_key: ClassVar = "file"
+    _file_key: ClassVar[str] = "file"
 
     @model_validator(mode="before")
     @classmethod

@@ -30,6 +30,7 @@ from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arr
 from humansim_ros.humans.makehuman.building import build
 from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
+from humansim_ros.io.assets import find_asset
 from humansim_ros.io.files import read_bytes, resolve_relative
 from humansim_ros.io.images import decode_image, encode_image
 from humansim_ros.mesh.gltf_document import Gltf
@@ -52,13 +53,13 @@ _TROUSER_BONES = (
 def load_human(
     path: str | os.PathLike[str], outfit: str | None = None, skinning: Skinning | None = None
 ) -> Human:
-    """Load a human from a file.
+    """Load a built-in human, or a human from a file.
 
-    The file is a human (.npz), a description (.yaml), a mesh (.obj, .gltf, .glb) or an SMPL model (.npz).
+    A file is a human (.npz), a description (.yaml), a mesh (.obj, .gltf, .glb) or an SMPL model (.npz).
     Meshes without skeleton are rigged. Results of slow steps are cached on disk (docs/humans.md).
 
     Args:
-        path: File to read.
+        path: Name of a built-in human (``humansim human list``), or file to read.
         outfit: Name of the outfit to wear; the default outfit if absent.
         skinning: ``linear`` or ``dual_quaternion``; as the file says if absent.
 
@@ -66,11 +67,12 @@ def load_human(
         MeshError: The file is missing or wrong, or there is no such outfit.
 
     Example:
-        >>> from humansim_ros.resources import resource_path
-        >>> human = load_human(resource_path("assets/humans/adult_man.npz"))
+        >>> human = load_human("adult_man")
         >>> len(human.skeleton), human.weights.shape[1]
         (22, 22)
     """
+    if not Path(path).suffix:
+        path = find_asset(os.fspath(path), "humans", error=MeshError)
     try:
         human = _load(Path(path))
         if outfit is not None:

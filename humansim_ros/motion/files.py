@@ -24,8 +24,9 @@ def find_motion(name: str, folder: Path | None = None, error: type[HumansimError
 
 
 def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "auto") -> Motion:
-    """Read a BVH file, or an animation of a glTF file (``figure.glb#Walk``, or the first).
+    """Read a motion: a built-in (``walk``), a BVH file, or an animation of a glTF file.
 
+    ``path``: name or file, such as ``figure.glb#Walk``; without ``#`` the first animation.
     ``positions``: meaning of the position channels of BVH; see :func:`~humansim_ros.motion.bvh.read_bvh`.
 
     Raises:
@@ -33,11 +34,12 @@ def read_motion(path: str | os.PathLike[str], positions: PositionChannels = "aut
 
     Example:
         >>> from humansim_ros import read_motion
-        >>> from humansim_ros.resources import resource_path
-        >>> round(read_motion(resource_path("assets/motions/run.bvh")).duration, 2)
+        >>> round(read_motion("run").duration, 2)
         1.4
     """
     file, animation = split_name(path)
+    if not Path(file).suffix:
+        file = str(find_asset(file, "motions", error=MotionError))
     if Path(file).suffix.lower() in _GLTF:
         # imported on use: it takes as long as all other imports together
         from humansim_ros.motion.gltf_motion import read_gltf_motion

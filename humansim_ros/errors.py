@@ -87,6 +87,10 @@ class RenderError(HumansimError):
     """Rendering is impossible: no OpenGL, or a request beyond its limits."""
 
 
+class ChannelError(HumansimError, AttributeError):
+    """A channel of a view, or truth that follows from channels, was not requested."""
+
+
 class RosError(HumansimError):
     """ROS 2 is not installed or cannot be reached."""
 

@@ -14,7 +14,7 @@ from humansim_ros.rotations import from_y_axis, invert_rigid, quaternion_to_matr
 from humansim_ros.types import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Skeleton:
     """Bones in body space (metres, y up, faces +z, +x is the person's left), parents before children.
 
@@ -44,6 +44,9 @@ class Skeleton:
             raise MeshError("a bone's head, tail or roll is not a finite number")
         if (np.linalg.norm(self.tails - self.heads, axis=1) < 1e-9).any():
             raise MeshError("a bone has no length: its head and tail are the same point")
+
+    def __repr__(self) -> str:
+        return f"Skeleton({len(self.names)} bones)"
 
     def __len__(self) -> int:
         return len(self.names)

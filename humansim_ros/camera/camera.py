@@ -31,7 +31,7 @@ _ROTATION_ROUNDING = 1e-5
 MAX_SIZE = 8192
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Camera:
     """A calibrated camera.
 
@@ -85,6 +85,13 @@ class Camera:
             if min(rectified[0, 0], rectified[1, 1]) <= 0 or rectified[2, 2] <= 0:
                 raise CameraError("the rectified P has a focal length that is not positive", key="rectified")
             object.__setattr__(self, "rectified", rectified)
+
+    def __repr__(self) -> str:
+        center = ", ".join(f"{value:.3f}" for value in self.center)
+        lens = f", {self.model} lens" if self.distorted else ""
+        return (
+            f"Camera({self.size[0]}x{self.size[1]}, focal length {self.K[0, 0]:.1f} px, at ({center}){lens})"
+        )
 
     @classmethod
     def look_at(

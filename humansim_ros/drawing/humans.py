@@ -54,7 +54,6 @@ class HumanArtist:
         """Render the human with its texture."""
         body = Body(human.mesh, self._vertices, human.triangle_parts, 1)
         view = self._renderer.render([body], self.camera(azimuth), ("rgb",))
-        assert view.rgb is not None
         return view.rgb
 
     def draw_weights(self, human: Human, azimuth: float) -> Image:

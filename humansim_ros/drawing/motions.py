@@ -308,8 +308,6 @@ class SkinnedArtist:
         view = self._renderer.render(
             [Body(human.mesh, vertices, human.triangle_parts, 1)], camera, ("rgb", "instance")
         )
-        assert view.rgb is not None
-        assert view.instance is not None
         # the contact shadow and the blended edges of the body darken the paper: apply them to the floor
         floor = self._tracking.floor(camera, time)
         shaded = np.clip(np.rint(floor * (view.rgb / np.array(PAPER))), 0, 255).astype(np.uint8)

@@ -31,7 +31,7 @@ Skinning = Literal["linear", "dual_quaternion"]
 _OUTFIT_PREFIX = "texture_"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Human:
     """Human in the rest pose, in body space (metres, y up, facing +z).
 
@@ -48,6 +48,10 @@ class Human:
     outfit: str = DEFAULT_OUTFIT
     skinning: Skinning = "linear"
     notes: Mapping[str, str] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        counts = f"{len(self.mesh.vertices)} vertices, {len(self.skeleton)} bones"
+        return f"Human({self.name!r}, {counts}, wears {self.outfit!r} of {list(self.outfits)})"
 
     @staticmethod
     def load(path: str | os.PathLike[str], *options: Any, **named: Any) -> Human:

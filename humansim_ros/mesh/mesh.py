@@ -15,7 +15,7 @@ from humansim_ros.types import Array
 FaceIndices = NDArray[np.int32]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Mesh:
     """A surface of triangles and quads.
 
@@ -60,6 +60,15 @@ class Mesh:
                 raise MeshError("a face uses a texture coordinate that does not exist")
         if self.texture is not None and self.skin is not None and self.skin.shape != self.texture.shape[:2]:
             raise MeshError(f"skin of {self.skin.shape} does not fit a texture of {self.texture.shape[:2]}")
+
+    def __repr__(self) -> str:
+        appearance = ""
+        if self.texture is not None:
+            appearance = f", texture {self.texture.shape[1]}x{self.texture.shape[0]}"
+        elif self.colors is not None:
+            appearance = ", vertex colours"
+        size = " x ".join(f"{side:.3g}" for side in np.ptp(self.vertices, axis=0))
+        return f"Mesh({len(self.vertices)} vertices, {len(self.faces)} faces, size {size}{appearance})"
 
     @cached_property
     def triangles(self) -> FaceIndices:

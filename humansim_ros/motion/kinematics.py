@@ -26,7 +26,7 @@ _ALL = slice(None)
 AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Motion:
     """A joint hierarchy and the values of its channels in each frame, as in the file.
 
@@ -44,8 +44,7 @@ class Motion:
 
     Example:
         >>> from humansim_ros import read_motion
-        >>> from humansim_ros.resources import resource_path
-        >>> motion = read_motion(resource_path("assets/motions/walk.bvh"))
+        >>> motion = read_motion("walk")
         >>> motion.world_positions().shape  # frames, joints, xyz
         (121, 23, 3)
         >>> motion.world_positions(0)[motion.joint("Hips")].round(1).tolist()
@@ -61,6 +60,10 @@ class Motion:
     path: str = field(default="", compare=False)
     positions: Literal["replace", "add"] = "replace"
     unit: float | None = None
+
+    def __repr__(self) -> str:
+        name = f"{self.path!r}, " if self.path else ""
+        return f"Motion({name}{self.n_frames} frames, {self.n_joints} joints, {self.duration:.2f} s)"
 
     @property
     def n_frames(self) -> int:

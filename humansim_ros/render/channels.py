@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+
+from humansim_ros.errors import ChannelError, RenderError
 
 #: Name of an adjacent frame, as a keyword of :meth:`Renderer.render`.
 AdjacentName = Literal["next_frame", "previous_frame"]
@@ -93,54 +95,106 @@ ALL_CHANNELS = tuple(CHANNEL_TABLE)
 CHANNELS = tuple(name for name, channel in CHANNEL_TABLE.items() if channel.default)
 
 
+def check_channels(channels: Collection[str]) -> None:
+    """Raise RenderError for a name that is not a channel."""
+    if unknown := sorted(set(channels) - set(CHANNEL_TABLE)):
+        raise RenderError(f"no such channel: {', '.join(unknown)}; there are {', '.join(ALL_CHANNELS)}")
+
+
 def comparing_with(frame: AdjacentName, channels: Collection[str] = ALL_CHANNELS) -> set[str]:
     """Return the channels that need the next or the previous frame."""
     compared = (name for name, channel in CHANNEL_TABLE.items() if channel.adjacent_frame == frame)
     return {name for name in compared if name in channels}
 
 
-@dataclass(frozen=True, repr=False)
 class View:
-    """Channels of one camera at one stamp, on one pixel grid: (H, W, ...); None if not requested.
+    """Channels of one camera at one stamp, on one pixel grid: arrays (H, W, ...).
 
-    ``rgb``: (H, W, 3) uint8 sRGB, anti-aliased; or the output of the camera's sensor. ``depth``: (H, W)
-    float32 metres along z of the optical frame, +inf where nothing is. ``instance``: (H, W) uint16, ``part``:
-    (H, W) uint8; 0 where no labelled body is. Labels and depth are sampled at pixel centers, never blended.
+    A view has the channels that were requested. Any other raises :class:`~humansim_ros.errors.ChannelError`,
+    which says how to request it; ``channels`` lists those that the view has.
 
-    ``face``: (H, W) int32, 1 + index of the triangle in the body's mesh, 0 where no labelled body is.
-    ``normal``: (H, W, 3) float32, outward unit normal of that triangle in the optical frame, 0 where no body
-    is. ``uv``: (H, W, 2) float32 texture coordinates of the body, v up, NaN where no body is.
-
-    ``flow``, ``flow_back``: (H, W, 2) float32, displacement in pixels of the visible point to the next and
-    the previous frame, NaN where nothing is. ``flow_hidden``, ``flow_back_hidden``: (H, W) uint8, 1 where
-    that point is not visible there.
-
-    ``alpha``: by instance, (H, W) uint8, coverage of each pixel by the body, 255 is full coverage.
-    ``amodal``: by instance, (H, W) bool, mask of the body as if nothing occluded it. ``shadow``: (H, W)
-    uint8, share of the direct light that bodies block, 255 is all of it; 0 where nothing is, and where no
-    direct light would arrive without bodies.
+    Attributes:
+        rgb: (H, W, 3) uint8 sRGB, anti-aliased; or the output of the camera's sensor.
+        depth: (H, W) float32 metres along z of the optical frame, +inf where nothing is. Labels and depth are
+            sampled at pixel centers, never blended.
+        instance: (H, W) uint16 label of the human or labelled object; 0 where none is.
+        part: (H, W) uint8 label of the body part; 0 where no labelled body is.
+        face: (H, W) int32, 1 + index of the triangle in the body's mesh, 0 where no labelled body is.
+        normal: (H, W, 3) float32, outward unit normal of that triangle in the optical frame, 0 where no body
+            is.
+        uv: (H, W, 2) float32 texture coordinates of the body, v up, NaN where no body is.
+        flow: (H, W, 2) float32, displacement in pixels of the visible point to the next frame, NaN where
+            nothing is.
+        flow_back: As ``flow``, to the previous frame.
+        flow_hidden: (H, W) uint8, 1 where that point is not visible in the next frame.
+        flow_back_hidden: As ``flow_hidden``, in the previous frame.
+        alpha: By instance, (H, W) uint8, coverage of each pixel by the body, 255 is full coverage.
+        amodal: By instance, (H, W) bool, mask of the body as if nothing occluded it.
+        shadow: (H, W) uint8, share of the direct light that bodies block, 255 is all of it; 0 where nothing
+            is, and where no direct light would arrive without bodies.
     """
 
-    rgb: NDArray[np.uint8] | None = None
-    depth: NDArray[np.float32] | None = None
-    instance: NDArray[np.uint16] | None = None
-    part: NDArray[np.uint8] | None = None
-    face: NDArray[np.int32] | None = None
-    normal: NDArray[np.float32] | None = None
-    uv: NDArray[np.float32] | None = None
-    flow: NDArray[np.float32] | None = None
-    flow_back: NDArray[np.float32] | None = None
-    flow_hidden: NDArray[np.uint8] | None = None
-    flow_back_hidden: NDArray[np.uint8] | None = None
-    alpha: dict[int, NDArray[np.uint8]] | None = None
-    amodal: dict[int, NDArray[np.bool_]] | None = None
-    shadow: NDArray[np.uint8] | None = None
+    rgb: NDArray[np.uint8]
+    depth: NDArray[np.float32]
+    instance: NDArray[np.uint16]
+    part: NDArray[np.uint8]
+    face: NDArray[np.int32]
+    normal: NDArray[np.float32]
+    uv: NDArray[np.float32]
+    flow: NDArray[np.float32]
+    flow_back: NDArray[np.float32]
+    flow_hidden: NDArray[np.uint8]
+    flow_back_hidden: NDArray[np.uint8]
+    alpha: dict[int, NDArray[np.uint8]]
+    amodal: dict[int, NDArray[np.bool_]]
+    shadow: NDArray[np.uint8]
+
+    def __init__(self, **channels: Any) -> None:
+        """``channels``: arrays by name of the channel; None stands for a channel that was not requested."""
+        if unknown := channels.keys() - CHANNEL_TABLE.keys():
+            raise TypeError(
+                f"no channel {', '.join(sorted(unknown))}; the channels are {', '.join(ALL_CHANNELS)}"
+            )
+        self.__dict__.update({name: value for name, value in channels.items() if value is not None})
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the channels that this view has."""
+        return tuple(name for name in CHANNEL_TABLE if name in self.__dict__)
+
+    def with_channels(self, **channels: Any) -> View:
+        """A copy with other arrays for some channels."""
+        return View(**{**self.__dict__, **channels})
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError("a view cannot be changed; with_channels makes a changed copy")
+
+    if not TYPE_CHECKING:  # type checkers know all attributes from the annotations
+
+        def __getattr__(self, name: str) -> Any:
+            if name in CHANNEL_TABLE:
+                raise missing_channels(name, [name], self.channels)
+            raise AttributeError(f"a view has no {name!r}; the channels are {', '.join(ALL_CHANNELS)}")
 
     def __repr__(self) -> str:
-        channels = {name: value for name in CHANNEL_TABLE if (value := getattr(self, name)) is not None}
-        images = (image for value in channels.values() for image in _images(value))
+        images = (image for name in self.channels for image in _images(getattr(self, name)))
         size = next((f"{image.shape[1]}x{image.shape[0]}: " for image in images), "")
-        return f"View({size}{', '.join(channels)})"
+        return f"View({size}{', '.join(self.channels)})"
+
+
+def missing_channels(what: str, needed: Collection[str], present: Collection[str]) -> ChannelError:
+    """Error about channels that were not requested, with the arguments that request them.
+
+    Args:
+        what: What needs the channels, such as ``frame.joints``.
+        needed: Names of the channels that it needs.
+        present: Names of the channels that were requested.
+    """
+    absent = [name for name in needed if name not in present]
+    wanted = tuple(name for name in CHANNEL_TABLE if name in {*present, *needed})
+    text = ", ".join(f'"{name}"' for name in wanted) + "," * (len(wanted) == 1)
+    listed = f"channel {absent[0]} was" if len(absent) == 1 else f"channels {', '.join(absent)} were"
+    return ChannelError(f"the {listed} not requested: use Simulation(scene, channels=({text}))", key=what)
 
 
 def _images(value: Any) -> Collection[NDArray[Any]]:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RenderError
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.render.channels import ALL_CHANNELS, CHANNEL_TABLE, CHANNELS, AdjacentName, View
+from humansim_ros.render.channels import CHANNEL_TABLE, CHANNELS, AdjacentName, View, check_channels
 from humansim_ros.types import Float32Array, Image
 
 #: Kind of a body.
@@ -80,10 +80,7 @@ class RenderRequest:
 
     def check(self, renderer: Renderer) -> None:
         """Raise RenderError if a renderer cannot satisfy the request."""
-        unknown = set(self.channels) - set(ALL_CHANNELS)
-        if unknown:
-            known = ", ".join(ALL_CHANNELS)
-            raise RenderError(f"no such channel: {', '.join(sorted(unknown))}; there are {known}")
+        check_channels(self.channels)
         check_bodies(self.bodies)
         if missing := sorted(set(self.channels) - set(renderer.channels)):
             raise RenderError(

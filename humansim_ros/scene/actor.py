@@ -24,7 +24,7 @@ from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class HumanState:
     """State of a human at one stamp, in ``map``, metres.
 
@@ -43,6 +43,9 @@ class HumanState:
     angular: Array | None
     vertices: NDArray[np.float32]
     size: float = 1.0
+
+    def __repr__(self) -> str:
+        return f"HumanState({len(self.joint_names)} joints, {len(self.vertices)} vertices)"
 
     @property
     def positions(self) -> Array:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -64,8 +64,7 @@ def capture(
     if "rgb" not in channels or not camera.sensor.active:
         return view
     if single:
-        assert view.rgb is not None
-        return replace(view, rgb=camera.sensor.expose([view.rgb], stamp))
+        return view.with_channels(rgb=camera.sensor.expose([view.rgb], stamp))
 
     def images() -> Iterator[Image]:
         for time in times.tolist():
@@ -76,7 +75,6 @@ def capture(
                 moving_camera=exposure.moving,
                 backdrop=camera.backdrop,
             )
-            assert sample.rgb is not None
             yield sample.rgb
 
-    return replace(view, rgb=camera.sensor.expose(images(), stamp))
+    return view.with_channels(rgb=camera.sensor.expose(images(), stamp))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Set
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -32,7 +32,15 @@ from humansim_ros.scene.source import SceneSource, name_objects
 from humansim_ros.scene.variety import with_variety
 from humansim_ros.truth import joint_surfaces
 
+#: Names that a short description of a scene lists.
+_LISTED = 8
 DEMO_SCENE = "config/scenes/demo.yaml"
+
+
+def short_list(names: Iterable[str], kind: str) -> str:
+    """Text of a list of names; their number if there are many."""
+    listed = list(names)
+    return str(listed) if len(listed) <= _LISTED else f"{len(listed)} {kind}"
 
 
 @dataclass(frozen=True, repr=False)
@@ -175,8 +183,13 @@ class Scene:
         return cls(source, config, actors, cameras, objects, environment)
 
     def __repr__(self) -> str:
-        humans, objects, cameras = list(self.actors), list(self.objects), list(self.scene_cameras)
-        return f"Scene(humans={humans}, objects={objects}, cameras={cameras}, rate={self.config.rate:g})"
+        parts: dict[str, Iterable[str]] = {
+            "humans": self.actors,
+            "objects": self.objects,
+            "cameras": self.scene_cameras,
+        }
+        listed = ", ".join(f"{kind}={short_list(names, kind)}" for kind, names in parts.items())
+        return f"Scene({listed}, rate={self.config.rate:g})"
 
     @property
     def path(self) -> Path | None:

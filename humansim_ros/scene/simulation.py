@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import CHANNELS, Body, Renderer, View
-from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, comparing_with
+from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.capture import capture
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses
-from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.scene import Scene, short_list
 from humansim_ros.scene.state import JointMotion, SceneState
 from humansim_ros.truth import BodyBox, CameraTruth, JointView
 
@@ -53,28 +53,26 @@ class Frame:
     labels: Mapping[str, int] = field(default_factory=dict)
 
     def __repr__(self) -> str:
-        humans, views = list(self.humans), list(self.views)
+        humans, views = short_list(self.humans, "humans"), short_list(self.views, "views")
         return f"Frame(index={self.index}, stamp={self.stamp}, humans={humans}, views={views})"
 
     @property
     def joints(self) -> dict[str, dict[str, JointView]]:
-        """Joints by camera and human; empty unless the channels have depth, instance and part."""
-        return {name: truth.joints for name, truth in self.truth.items() if truth.has("joints")}
+        """Joints by camera and human; raises ChannelError without the channels depth, instance and part."""
+        return {name: truth.joints for name, truth in self.truth.items()}
 
     @property
     def boxes(self) -> dict[str, dict[str, BodyBox]]:
-        """Boxes by camera, then human or labelled object; empty unless the channels have instance and
-        amodal.
+        """Boxes by camera, then human or labelled object; raises ChannelError unless the channels have
+        instance and amodal.
         """
         return {
-            camera: {name: truth.boxes[name] for name in self.labels}
-            for camera, truth in self.truth.items()
-            if truth.has("boxes")
+            camera: {name: truth.boxes[name] for name in self.labels} for camera, truth in self.truth.items()
         }
 
     def visible_vertices(self, camera: str) -> dict[str, NDArray[np.bool_]]:
-        """Masks (V,) of the vertices that a camera sees, by human or labelled object; the channels must have
-        depth and instance.
+        """Masks (V,) of the vertices that a camera sees, by human or labelled object; raises
+        ChannelError unless the channels have depth and instance.
         """
         masks = self.truth[camera].visible_vertices
         return {name: masks[name] for name in self.labels}
@@ -88,7 +86,8 @@ class Simulation:
 
     Args:
         scene: The scene.
-        channels: Channels that the cameras render (docs/ground_truth.md).
+        channels: Names of the channels that the cameras render (docs/ground_truth.md). Joints need ``depth``,
+            ``instance`` and ``part``; boxes need ``instance`` and ``amodal``.
         start: Stamp of frame 0, nanoseconds.
         renderer: Renderer to use; a new one (moderngl needs EGL) if None.
 
@@ -114,10 +113,14 @@ class Simulation:
     ) -> None:
         self.scene = scene
         self.playback = Playback(scene)
-        self.channels: tuple[str, ...] = tuple(channels)
+        self.channels: tuple[str, ...] = (channels,) if isinstance(channels, str) else tuple(channels)
+        check_channels(self.channels)
         self.start = start
         self._recent: deque[tuple[int, tuple[Actor, ...], _Snapshot]] = deque(maxlen=3)
         self.renderer: Renderer = renderer or scene.make_renderer()
+
+    def __repr__(self) -> str:
+        return f"Simulation({self.scene!r}, channels={self.channels})"
 
     def __iter__(self) -> Iterator[Frame]:
         return (self.frame(index) for index in count())

@@ -44,7 +44,6 @@ def view_boxes(camera: Camera, bodies: Sequence[Body], view: View) -> dict[int, 
 
     ``view`` must have the channels instance and amodal.
     """
-    assert view.instance is not None and view.amodal is not None
     boxes = {}
     for body in bodies:
         if not body.instance:

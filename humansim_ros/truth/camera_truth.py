@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.render import Body, View
+from humansim_ros.render.channels import missing_channels
 from humansim_ros.truth.boxes import BodyBox, view_boxes
 from humansim_ros.truth.joints import JointView, view_joints
 from humansim_ros.truth.vertices import visible_vertices
@@ -24,7 +25,7 @@ REQUIRED_CHANNELS = {
 }
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class CameraTruth:
     """Ground truth of one camera at one stamp, by name of a human or labelled object.
 
@@ -46,13 +47,23 @@ class CameraTruth:
     joint_surfaces: Mapping[str, NDArray[np.bool_]]
     joint_positions: Callable[[str], Array]
 
+    def __repr__(self) -> str:
+        kinds = [kind for kind in REQUIRED_CHANNELS if self.has(kind)]
+        return f"CameraTruth({self.view!r}: {', '.join(kinds) or 'nothing without more channels'})"
+
     def has(self, kind: str) -> bool:
         """Whether the view has the channels for ``joints``, ``boxes`` or ``visible_vertices``."""
-        return all(getattr(self.view, channel) is not None for channel in REQUIRED_CHANNELS[kind])
+        return set(REQUIRED_CHANNELS[kind]) <= set(self.view.channels)
+
+    def _require(self, kind: str) -> None:
+        """Raise ChannelError if the view has not the channels for a property."""
+        if not self.has(kind):
+            raise missing_channels(kind, REQUIRED_CHANNELS[kind], self.view.channels)
 
     @cached_property
     def joints(self) -> dict[str, JointView]:
-        """Joints by human. The view must have depth, instance and part."""
+        """Joints by human. The view must have depth, instance and part; raises ChannelError otherwise."""
+        self._require("joints")
         objects = [label for name, label in self.labels.items() if name not in self.joint_surfaces]
         return {
             name: view_joints(
@@ -63,13 +74,17 @@ class CameraTruth:
 
     @cached_property
     def boxes(self) -> dict[str, BodyBox]:
-        """Boxes by human or object. The view must have instance and amodal."""
+        """Boxes by human or object. The view must have instance and amodal; raises ChannelError otherwise."""
+        self._require("boxes")
         boxes = view_boxes(self.camera, self.bodies, self.view)
         return {self._names[label]: box for label, box in boxes.items()}
 
     @cached_property
     def visible_vertices(self) -> dict[str, NDArray[np.bool_]]:
-        """Masks (V,) of visible vertices by human or object. The view must have depth and instance."""
+        """Masks (V,) of visible vertices by human or object. The view must have depth and instance; raises
+        ChannelError otherwise.
+        """
+        self._require("visible_vertices")
         masks = visible_vertices(self.camera, self.bodies, self.view)
         return {self._names[label]: mask for label, mask in masks.items()}
 

@@ -19,7 +19,7 @@ OUTSIDE, OCCLUDED, VISIBLE = 0, 1, 2
 NOTHING, SELF, PERSON, THING = 0, 1, 2, 3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class JointView:
     """Joints (J) of a human in the view of a camera.
 
@@ -39,6 +39,10 @@ class JointView:
     occluder: NDArray[np.uint8]
     by: NDArray[np.uint16]
     behind: NDArray[np.float32]
+
+    def __repr__(self) -> str:
+        counts = [int((self.visible == state).sum()) for state in (VISIBLE, OCCLUDED, OUTSIDE)]
+        return "JointView({} visible, {} occluded, {} outside)".format(*counts)
 
 
 def view_joints(
@@ -62,7 +66,6 @@ def view_joints(
         surfaces: Part labels (J, 256) that are skin around each joint, from :func:`joint_surfaces`.
         objects: Instance labels of objects.
     """
-    assert view.depth is not None and view.instance is not None and view.part is not None
     optical = camera.to_optical(positions)
     pixels, depth = camera.project_optical(optical)
     inside, row, column = nearest_pixels(pixels, camera.size)

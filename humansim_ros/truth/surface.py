@@ -22,7 +22,6 @@ def part_u_v(view: View) -> Float32Array:
 
     ``view`` must have the channels part and uv.
     """
-    assert view.part is not None and view.uv is not None
     return np.dstack([view.part.astype(np.float32), view.uv])
 
 
@@ -31,7 +30,6 @@ def rest_points(camera: Camera, bodies: Sequence[Body], view: View) -> Float32Ar
 
     Points of humans are in body space, metres. ``view`` must have the channels instance and face.
     """
-    assert view.instance is not None and view.face is not None
     labelled = [body for body in bodies if body.instance]
     owners = np.full(65536, -1)
     owners[[body.instance for body in labelled]] = np.arange(len(labelled))

@@ -34,7 +34,6 @@ def visible_vertices(camera: Camera, bodies: Sequence[Body], view: View) -> dict
     wide fisheyes), no triangle of a labelled body intersects the ray to it, and neither the room nor an
     unlabelled object at its pixel is in front of it. ``view`` must have the channels depth and instance.
     """
-    assert view.depth is not None and view.instance is not None
     bodies = [body for body in bodies if body.instance]
     if not bodies:
         return {}

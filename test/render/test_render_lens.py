@@ -81,7 +81,6 @@ def test_markers_land_where_opencv_projects_them(name: str) -> None:
             body, centres = discs(camera, rng, radius=rng.uniform(1.5, 3.0))
             view = renderer.render([body], camera, ["rgb", "part"])
             expected = opencv_pixels(camera, centres)
-            assert view.rgb is not None and view.part is not None
             for number, (x, y) in enumerate(expected.round().astype(int), 1):
                 assert view.part[y, x] == number
             errors.append(centroids(view.rgb.mean(axis=2), expected) - expected)

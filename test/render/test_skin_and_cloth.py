@@ -44,7 +44,6 @@ def light_of(body: Body, light: Lighting) -> tuple[NDArray[np.floating], NDArray
     renderer = renderer_or_skip([], light)
     view = renderer.render([body], along_x(), ("rgb", "instance"))
     renderer.close()
-    assert view.rgb is not None and view.instance is not None
     inside = np.roll(view.instance, 2, 0) & np.roll(view.instance, -2, 0) & np.roll(view.instance, 2, 1)
     return (view.rgb / 255.0) ** 2, (inside & np.roll(view.instance, -2, 1)) > 0
 

@@ -35,7 +35,6 @@ def picture(scene: Scene) -> NDArray[np.uint8]:
     camera = scene.scene_cameras["eye"]
     rgb = renderer.render([], camera.camera, ("rgb",), backdrop=camera.backdrop).rgb
     renderer.close()
-    assert rgb is not None
     return rgb
 
 

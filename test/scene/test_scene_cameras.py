@@ -407,7 +407,6 @@ def test_truth_is_the_same_with_and_without_a_sensor(folder: Path) -> None:
                 assert getattr(view, channel).tobytes() == getattr(plain, channel).tobytes()
             joints = frame.joints[name + moving]["anna"]
             assert joints.pixels.tobytes() == frame.joints[f"plain{moving}"]["anna"].pixels.tobytes()
-            assert view.rgb is not None and plain.rgb is not None
             assert view.rgb.shape == ((72, 96) if name in ("mono", "bayer") else (72, 96, 3))
             assert np.array_equal(view.rgb, plain.rgb) == (name == "plain")
         # the mosaic's pixels are the picture's, each of one colour
@@ -481,7 +480,6 @@ def test_what_begins_anew_smears_as_it_did_at_first(folder: Path) -> None:
 
 def edge_width(view: View) -> int:
     """Number of pixels between background and board in the middle row, at the left edge of the board."""
-    assert view.rgb is not None
     row = view.rgb[120].astype(float).sum(axis=1)
     background, board = row[0], row[(view.depth[120] < 4).nonzero()[0].mean().astype(int)]
     share = (row - background) / (board - background)

@@ -358,7 +358,6 @@ def filmed(tmp_path_factory: pytest.TempPathFactory) -> dict[str, View]:
 
 def lit(view: View) -> NDArray[np.float64]:
     """Fraction (H, W) of the light of each pixel that comes from the board."""
-    assert view.rgb is not None
     light = view.rgb[..., 0].astype(float)
     light = light - light[:, :1]
     return light / light[120].max()
@@ -370,7 +369,6 @@ SPEED = 2 * (SIZE[0] / 2 / np.tan(np.radians(25))) / 3.99
 
 def test_a_captured_board_is_blurred_to_both_sides_of_its_depth(filmed: dict[str, View]) -> None:
     ideal, blurred = filmed["ideal"], filmed["blurred"]
-    assert ideal.depth is not None and blurred.depth is not None
     np.testing.assert_array_equal(blurred.depth, ideal.depth)
     row, depth = lit(blurred)[120], np.isfinite(ideal.depth[120])
     assert middle(row) == pytest.approx(middle(depth), abs=0.3)
@@ -381,7 +379,6 @@ def test_a_captured_board_is_blurred_to_both_sides_of_its_depth(filmed: dict[str
 
 def test_a_captured_board_is_skewed_by_a_rolling_shutter(filmed: dict[str, View]) -> None:
     ideal, rolling = filmed["ideal"], filmed["rolling"]
-    assert ideal.depth is not None and rolling.depth is not None
     np.testing.assert_array_equal(rolling.depth, ideal.depth)
     straight = middle(np.isfinite(ideal.depth[120]))
     rows = np.arange(70, 170)

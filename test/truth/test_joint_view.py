@@ -138,8 +138,6 @@ def test_a_joint_behind_the_camera_is_outside_and_has_no_pixel() -> None:
 def test_a_joint_uses_the_pixel_with_the_nearest_centre(column: int, row: int) -> None:
     """Only one pixel of the image shows skin: columns and rows must not be swapped."""
     view = labels(0, 0)
-    assert view.instance is not None
-    assert view.part is not None
     view.instance[row, column], view.part[row, column] = 3, 5
     for dx, dy in ((0, 0), (0.4, -0.4), (-0.4, 0.4)):
         assert see((column + dx, row + dy), view) == VISIBLE

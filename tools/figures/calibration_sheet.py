@@ -104,7 +104,6 @@ def tiles(path: Path, group: list[Body]) -> Iterator[Image]:
     renderer = GLRenderer(meshes)
     for name, camera in list(zip(found.cameras, cameras, strict=True))[: _SHOWN.get(path.stem, _MAX)]:
         view = renderer.render(bodies, camera, ("rgb",), moving_camera=True)
-        assert view.rgb is not None
         title = path.name + (f" {name}" if len(cameras) > 1 else "")
         yield tile(view.rgb, title, f"{camera.model}, {camera.size[0]}x{camera.size[1]}{note}")
     renderer.close()

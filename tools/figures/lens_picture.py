@@ -39,7 +39,6 @@ def draw(scene: Scene, renderer: GLRenderer, title: str) -> Image:
     actor = next(iter(scene.actors.values()))
     state = actor.at(_SECONDS)
     view = renderer.render([actor.body(state.vertices)], camera)
-    assert view.rgb is not None
     joints = view_joints(camera, state.positions, view, actor.instance, joint_surfaces(actor.human))
     skeleton = actor.human.skeleton
     parents = [None if p < 0 else skeleton.names[p] for p in skeleton.parents]

@@ -63,7 +63,6 @@ def draw(scene: Scene, renderer: GLRenderer, config: SensorConfig) -> Image:
     pictures = []
     for time in sensor.times():
         view = renderer.render([actor.body(actor.at(_SHOWN + time).vertices)], _CAMERA, ("rgb",))
-        assert view.rgb is not None
         pictures.append(view.rgb)
     picture = sensor.expose(pictures, 1)
     return picture if picture.ndim == 3 else cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB)

@@ -48,7 +48,6 @@ def draw(human: Human, renderer: GLRenderer, bend: str, method: str) -> Image:
     target = joint + beside
     camera = Camera.look_at(tuple(target + away), tuple(target), _SIZE, float(np.radians(26)))
     view = renderer.render([Body(mesh, vertices, human.triangle_parts[shown], 1)], camera, ("rgb",))
-    assert view.rgb is not None
     change = volume_change(human, bone, axis, degrees, method)
     text = f"{bend} degrees, {method.replace('_', ' ')}: {100 * change:+.1f} %"
     cv2.putText(view.rgb, text, (8, 20), cv2.FONT_HERSHEY_SIMPLEX, 0.45, (40, 44, 52), 1, cv2.LINE_AA)

@@ -141,7 +141,7 @@ class CameraNode(SceneNode):
             return
         view = capture(self._renderer, self._camera, exposure, rendered, stamp)
         self._images.publish(view, channels, stamp)
-        if self._rect is not None and rectify and view.rgb is not None:
+        if self._rect is not None and rectify and "rgb" in view.channels:
             encoding = self._camera.encoding.replace("bayer_rggb8", "rgb8")
             image = self._camera.rectify(view.rgb)
             self._rect.publish(messages.image_message(image, encoding, stamp, self._frame))

@@ -11,6 +11,7 @@ import numpy as np
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.coverage import Coverage, coverage
+from humansim_ros.camera.placement import common_point
 from humansim_ros.drawing.canvas import (
     GRID,
     INK,
@@ -298,14 +299,11 @@ def _coverage_panel(rig: _Rig, plan: _Plan, covered: Coverage) -> Image:
 
 def _focus(cameras: Sequence[Camera], centers: Array) -> Array:
     """Point (3,) nearest to all optical axes where they meet, else a point in front of the cameras."""
-    axes = np.array([camera.R[2] for camera in cameras])
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(0)
+    point = common_point(cameras)
     extent = max(float(np.ptp(centers, axis=0).max()), 1.0)
-    if np.linalg.cond(total) < 1e3:
-        point = np.linalg.solve(total, np.einsum("nij,nj->i", across, centers))
-        if (np.abs(point - centers.mean(0)) < 3 * extent).all():
-            return np.asarray(point, dtype=float)
+    if point is not None and (np.abs(point - centers.mean(0)) < 3 * extent).all():
+        return point
+    axes = np.array([camera.R[2] for camera in cameras])
     return np.asarray(centers.mean(0) + _AHEAD * axes.mean(0), dtype=float)
 
 

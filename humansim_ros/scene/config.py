@@ -279,6 +279,17 @@ class RigConfig(_FileSection):
     up_axis: Axis | None = Field(
         default=None, description="up axis of that file; as its format defines if absent"
     )
+    position: _BoundedVector3 | None = Field(
+        default=None, description="position of the origin of that file in map, metres; 0 0 0 if absent"
+    )
+    rotation_deg: _BoundedVector3 = Field(
+        default=(0.0, 0.0, 0.0),
+        description="rotation of that file in map: degrees about the x axis of map, then y, then z",
+    )
+    look_at: _BoundedVector3 | None = Field(
+        default=None,
+        description="in place of position: point of map where the optical axes of the cameras meet",
+    )
     binning: tuple[int, int] = Field(
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
@@ -288,6 +299,12 @@ class RigConfig(_FileSection):
         description="image behind everything: one file, where {name} is the name of the camera in the "
         "calibration file, or a file for each of these names; the background of the world if absent",
     )
+
+    @model_validator(mode="after")
+    def _one_position(self) -> RigConfig:
+        if self.position is not None and self.look_at is not None:
+            raise ValueError("the rig is placed by position and by look_at: give one of them")
+        return self
 
 
 class RoomConfig(Section):

@@ -7,6 +7,7 @@ import re
 from collections.abc import Sequence
 
 from humansim_ros.camera import Camera
+from humansim_ros.camera.placement import RigPlacement, common_point
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import CameraError, SceneError, in_section
 from humansim_ros.render.renderer import Backdrop
@@ -70,7 +71,20 @@ def _rig_cameras(rig: RigConfig, source: SceneSource) -> dict[str, tuple[str, Ca
         if name in cameras:
             raise CameraError(f"two of its cameras would be {name} in ROS: rename one", key="cameras")
         cameras[name] = original, read[original]
-    return cameras
+    placement = _placement(rig, [camera for _, camera in cameras.values()])
+    return {name: (original, placement.camera(camera)) for name, (original, camera) in cameras.items()}
+
+
+def _placement(rig: RigConfig, cameras: Sequence[Camera]) -> RigPlacement:
+    """Pose of the world of the rig's file in ``map``."""
+    if rig.look_at is None:
+        return RigPlacement.from_degrees(rig.rotation_deg, rig.position or (0.0, 0.0, 0.0))
+    turned = RigPlacement.from_degrees(rig.rotation_deg)
+    point = common_point(turned.camera(camera) for camera in cameras)
+    if point is None:
+        message = "the optical axes of the cameras do not meet in front of them: give position instead"
+        raise CameraError(message, key="look_at")
+    return turned.moved(rig.look_at - point)
 
 
 def _backdrops(rig: RigConfig, names: Sequence[str], source: SceneSource) -> dict[str, Backdrop]:

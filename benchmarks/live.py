@@ -4,11 +4,15 @@
 
 A row for each set of topics: the lowest rate at which a topic reached the subscriber's callback, the share of
 the player's frames that arrived, the share of complete frames (all topics of all cameras with one stamp), the
-time from a frame's stamp to the callback of image_raw, CPU time of nodes and subscriber per frame, and the
-number of cores that other processes used meanwhile; figures mean little if these are many. Below: CPU time of
-each process, and the times after the stamp at which a frame left each node, was complete at the cameras, and
+share of whole frames (image_raw of all cameras) among those of which any camera sent image_raw, the time from
+a frame's stamp to the callback of image_raw, CPU time of nodes and subscriber per frame, and the number of
+cores that other processes used meanwhile; figures mean little if these are many. Below: CPU time of each
+process, and the times after the stamp at which a frame left each node, was complete at the cameras, and
 reached the subscriber from each camera (medians). With ``--repeat``, medians of several runs. Frames that
-arrive until 0.3 s after a run are counted.
+arrive until 2 s after a run are counted.
+
+``--busy N`` starts N processes that compute without end after the warm-up, as on a machine that is too slow:
+frames should be fewer then, but whole.
 
 The subscriber uses the executor of the nodes; with ``--plain-spin`` rclpy's default one, which takes 4 to 6
 ms more CPU time per frame.
@@ -18,12 +22,13 @@ from __future__ import annotations
 
 import argparse
 import json
+import multiprocessing
 import os
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -60,13 +65,16 @@ CASES = {
 MESSAGE_TYPES = {"camera_info": CameraInfo, "image_raw/compressed": CompressedImage}
 #: Frames of every topic before a run: cameras render their static scene and adapt their stride.
 WARM_UP = 100
+#: Seconds that nodes have to adapt to busy processes.
+SETTLING = 5.0
 #: Nanoseconds after a run for which its last frames are awaited.
-STRAGGLERS = 300_000_000
+STRAGGLERS = 2_000_000_000
 #: Heading and format of the figures of a run.
 COLUMNS = {
     "lowest_hz": ("Hz", "6.1f"),
     "received": ("received", "9.1%"),
     "complete_frames": ("complete", "8.1%"),
+    "whole_frames": ("whole", "7.1%"),
     "latency_ms_median": ("median", "8.1f"),
     "latency_ms_p99": ("p99 ms", "8.1f"),
     "cpu_ms_per_frame": ("CPU ms", "8.1f"),
@@ -146,8 +154,33 @@ def with_cameras(scene: Path, number: int, folder: Path) -> Path:
     return changed
 
 
-def measure(setting: Setting, folder: Path, seconds: float, nice: int) -> dict[str, Any]:
+def compute_for_ever() -> None:
+    while True:
+        pass
+
+
+@contextmanager
+def busy(count: int) -> Iterator[None]:
+    """Keep ``count`` processes computing."""
+    loops = [multiprocessing.Process(target=compute_for_ever, daemon=True) for _ in range(count)]
+    for loop in loops:
+        loop.start()
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+
+
+def measure(setting: Setting, folder: Path, seconds: float, nice: int, loops: int) -> dict[str, Any]:
     """Run the nodes and the subscriber with a setting for some seconds.
+
+    Args:
+        setting: What is subscribed to, and options of the nodes.
+        folder: Folder for scene files.
+        seconds: Length of the run.
+        nice: Nice value of all processes.
+        loops: Number of processes that compute without end meanwhile.
 
     Returns:
         Figures of the run, see COLUMNS.
@@ -202,20 +235,25 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int) -> dict[s
                 raise SystemExit(
                     f"no images on {[t for t in topics if not arrived[t]]}; dead node: {nodes.dead()}"
                 )
-        diagnostics.clear()
-        begin, before = time.time_ns(), Times.now(running)
-        end = begin + round(1e9 * seconds)
-        while time.time_ns() < end:
-            executor.spin_once(timeout_sec=0.05)
-        after = Times.now(running)
-        while time.time_ns() < end + STRAGGLERS:
-            executor.spin_once(timeout_sec=0.05)
+        with busy(loops):
+            settled = time.monotonic() + (SETTLING if loops else 0.0)
+            while time.monotonic() < settled:
+                executor.spin_once(timeout_sec=0.05)
+            diagnostics.clear()
+            begin, before = time.time_ns(), Times.now(running)
+            end = begin + round(1e9 * seconds)
+            while time.time_ns() < end:
+                executor.spin_once(timeout_sec=0.05)
+            after = Times.now(running)
+            while time.time_ns() < end + STRAGGLERS:
+                executor.spin_once(timeout_sec=0.05)
     executor.shutdown()
     node.destroy_node()
     arrived = {topic: {s: ms for s, ms in at.items() if begin <= s < end} for topic, at in arrived.items()}
     played = max(1, len(arrived["motion"]))
     counts = {topic: len(arrived[topic]) for topic in topics}
     complete = set.intersection(*(set(arrived[topic]) for topic in topics))
+    images = [set(arrived[f"/{camera}/{kinds[0]}"]) for camera in cameras]
     latencies = np.array([ms for camera in cameras for ms in arrived[f"/{camera}/{kinds[0]}"].values()])
     cpu = {name: after.processes[name] - before.processes[name] for name in running}
     stages = {"motion": arrived["motion"], **{name: arrived[f"/{name}/{kinds[0]}"] for name in cameras}}
@@ -223,6 +261,7 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int) -> dict[s
         "lowest_hz": min(counts.values()) / seconds,
         "received": min(counts.values()) / played,
         "complete_frames": len(complete) / played,
+        "whole_frames": len(set.intersection(*images)) / max(1, len(set.union(*images))),
         "latency_ms_median": float(np.median(latencies)),
         "latency_ms_p99": float(np.percentile(latencies, 99)),
         "cpu_ms_per_frame": 1e3 * sum(cpu.values()) / played,
@@ -265,6 +304,7 @@ def main() -> None:
     )
     parser.add_argument("--table", action="store_true", help="settings of docs/performance.md, and its table")
     parser.add_argument("--nice", type=int, default=0, help="nice value of all processes; below 0 needs root")
+    parser.add_argument("--busy", type=int, default=0, help="processes that compute without end meanwhile")
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
     settings = [
@@ -280,7 +320,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for _ in range(arguments.repeat):
             for setting in TABLE if arguments.table else settings:
-                runs[setting].append(measure(setting, Path(folder), arguments.seconds, arguments.nice))
+                runs[setting].append(
+                    measure(setting, Path(folder), arguments.seconds, arguments.nice, arguments.busy)
+                )
                 print(row(setting, runs[setting][-1]), flush=True)
     rclpy.try_shutdown()
     print(f"\nmedians of {arguments.repeat}")

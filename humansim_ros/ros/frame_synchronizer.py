@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
@@ -13,14 +12,14 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.motion.joint_poses import Velocity
 from humansim_ros.ros import messages
-from humansim_ros.ros.frame_skipper import FrameSkipper
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import NEWEST
+from humansim_ros.ros.qos import DATA, NEWEST
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.state import JointMotion, SceneState
@@ -59,10 +58,12 @@ class FrameSynchronizer:
     """Subscribes to all humans, moving objects and some cameras, and passes complete frames on.
 
     Subscriptions: vertices and joints of every human, marker and twist of every moving object, pose and twist
-    of ``cameras``. If frames arrive faster than ``on_frame`` returns, the newest one is passed on.
+    of ``cameras``. Each finished frame is reported on ``frame_done``: the motion player sends a frame only if
+    all cameras have time for it, and every frame is passed on. If nobody listens to the reports, and frames
+    arrive faster than ``on_frame`` returns, the newest one is passed on.
 
     Until the first skinner publishes, the scene at its start is passed on, so that a camera alone shows
-    something.
+    something; not if parameter ``start_scene`` is false.
     """
 
     def __init__(
@@ -72,7 +73,6 @@ class FrameSynchronizer:
         self._scene = node.scene
         self._on_frame = on_frame
         self._period = self._scene.period * 1e9
-        self._skipper = FrameSkipper(self._period)
         humans, objects = list(self._scene.actors), list(self._scene.moving_objects)
         moving = [*(f"objects/{name}" for name in objects), *cameras]
         #: Names of a complete frame, by field of _ReceivedFrame.
@@ -100,6 +100,9 @@ class FrameSynchronizer:
             self._subscribe(PoseStamped, f"{name}/pose", "cameras", name, messages.read_pose)
         for name in moving:
             self._subscribe(TwistStamped, f"{name}/twist", "twists", name, messages.read_twist)
+        self._done = node.create_publisher(Header, "frame_done", DATA)
+        description = "Show the scene at its start while no vertices arrive"
+        self._shows_start = bool(node.described_parameter("start_scene", True, description, read_only=True))
         self._started = node.now()
         self._start_scene_logged = False
         self._start_scene_timer = node.create_timer(self._scene.period, self._show_start_scene)
@@ -129,7 +132,7 @@ class FrameSynchronizer:
                 self._intervals.append(stamp - self._newest)
                 self._period = sorted(self._intervals)[1]  # robust to few reordered or lost frames
             self._newest = stamp
-        if stamp <= self._last or not self._skipper.selects(stamp):
+        if stamp <= self._last:
             return
         getattr(self._frames.setdefault(stamp, _ReceivedFrame()), part)[name] = content
         if self._is_complete(stamp):
@@ -162,13 +165,17 @@ class FrameSynchronizer:
         executor.create_task(lambda: executor.create_task(self._process_next_frame) and None)
 
     def _process_next_frame(self) -> None:
-        """Pass on the oldest complete frame that is not late, or the newest complete one if all are."""
+        """Pass on the oldest complete frame; without pacing, the oldest that is not late, or the newest one
+        if all are.
+        """
         complete = sorted(stamp for stamp in self._frames if self._is_complete(stamp))
         if not complete:
             return
-        newest = max(self._frames)
-        stamp = next((s for s in complete if newest - s <= _MAX_PERIODS_LATE * self._period), complete[-1])
-        self._skipper.add_lost(sum(older < stamp for older in self._frames))
+        stamp = complete[0]
+        if not self._done.get_subscription_count():
+            newest, limit = max(self._frames), _MAX_PERIODS_LATE * self._period
+            stamp = next((s for s in complete if newest - s <= limit), complete[-1])
+        self._node.count("drops", sum(older < stamp for older in self._frames))
         frame = self._frames[stamp]
         twists = frame.twists
         objects = {
@@ -176,15 +183,12 @@ class FrameSynchronizer:
         }
         cameras = {name: replace(pose, velocity=twists[name]) for name, pose in frame.cameras.items()}
         self._frames = {later: content for later, content in self._frames.items() if later > stamp}
-        if self._last:
-            # frames that the skipper does not select are drops too
-            self._node.count("drops", max(0, round((stamp - self._last) / self._period) - 1))
         self._last = stamp
         self._node.report_lateness(stamp, "arrival")
-        start = time.monotonic()
         joints_of = cache(lambda human: _read_joints(frame.joints[human]))
         self._pass_on(stamp, frame.vertices, joints_of, objects, cameras)
-        self._skipper.add_processed(start, time.monotonic())
+        done = messages.header(stamp, self._node.get_fully_qualified_name())
+        self._done.publish(done)
         if any(self._is_complete(later) for later in self._frames):
             self._schedule_next_frame()
 
@@ -193,7 +197,7 @@ class FrameSynchronizer:
         has_sources = any(self._expected.values())
         if self._last and has_sources:
             self._start_scene_timer.cancel()
-        elif now - self._started > _START_SCENE_AFTER * 1e9 or not has_sources:
+        elif (self._shows_start and now - self._started > _START_SCENE_AFTER * 1e9) or not has_sources:
             if not self._start_scene_logged and has_sources:
                 self._start_scene_logged = True
                 self._node.get_logger().info("no vertices are published: showing the scene at its start")

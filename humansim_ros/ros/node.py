@@ -18,6 +18,10 @@ from humansim_ros.ros.processes import WARNINGS_SHOWN
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.scene import Scene
 
+#: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: a new
+#: subscriber delays some frames.
+_MAX_LOST, _LATE_AFTER = 0.05, 3
+
 
 class SceneNode(Node):
     """Node with a scene: the one it is given, or that of parameter ``scene``."""
@@ -33,6 +37,9 @@ class SceneNode(Node):
         self.scene = scene
         self._counts: dict[str, int] = {}
         self._lateness: dict[str, list[float]] = {}
+        self._late_seconds = 0
+        #: Why frames are dropped, for the log.
+        self.drop_reason = ""
         self._latched_publishers: list[Any] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DATA)
         self.create_timer(1.0, self._publish_diagnostics)
@@ -144,9 +151,12 @@ class SceneNode(Node):
         message = DiagnosticArray(status=[status])
         message.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(message)
-        if drops:
+        self._late_seconds = self._late_seconds + 1 if drops > _MAX_LOST * (drops + frames) else 0
+        if self._late_seconds >= _LATE_AFTER:
+            reason = f": {self.drop_reason}" if self.drop_reason else ""
             self.get_logger().warn(
-                f"{drops} frames dropped in the last second", throttle_duration_sec=5.0, skip_first=True
+                f"{drops} of {drops + frames} frames dropped in the last second{reason}",
+                throttle_duration_sec=10.0,
             )
         self._counts = dict.fromkeys(self._counts, 0)
         self._lateness = {}

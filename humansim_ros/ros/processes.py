@@ -20,7 +20,7 @@ class NodeProcess:
 
     executable: str
     node_name: str
-    parameters: Mapping[str, str | list[str]]
+    parameters: Mapping[str, str | bool | list[str]]
 
     @property
     def ros_arguments(self) -> list[str]:
@@ -45,7 +45,7 @@ def scene_processes(scene_path: str | os.PathLike[str], processes: int | None = 
     """
     path = Path(scene_path).resolve()
     names = read_names(path)
-    scene = {"scene": str(path)}
+    scene: dict[str, str | bool] = {"scene": str(path)}
     return [
         NodeProcess("motion_player", "motion_player", scene),
         *(NodeProcess("skinner", f"skinner_{name}", {**scene, "human": name}) for name in names.humans),
@@ -54,9 +54,10 @@ def scene_processes(scene_path: str | os.PathLike[str], processes: int | None = 
 
 
 def _camera_processes(
-    cameras: Sequence[str], processes: int, scene: Mapping[str, str]
+    cameras: Sequence[str], processes: int, scene: Mapping[str, str | bool]
 ) -> Iterator[NodeProcess]:
     count = min(max(1, processes), len(cameras))
+    scene = {**scene, "start_scene": False}  # the skinners will come
     for i in range(count):
         names = list(cameras[i::count])
         if len(names) == 1:

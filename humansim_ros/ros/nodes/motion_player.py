@@ -4,7 +4,9 @@ Publishes ``humans/<id>/motion``, latched ``humans/<id>/motion/legend``, ``marke
 moving object (``objects/<name>``), and ``pose`` and ``twist`` of every camera with a trajectory.
 
 Frame k has the stamp start + round(k * period). It is sent ``lead`` before its stamp on the wall clock, so
-that bodies are ready at the stamp. A late player skips to the newest frame and counts the drops.
+that bodies are ready at the stamp. A late player skips to the newest frame and counts the drops. Cameras
+report each finished frame on ``frame_done``; the player skips frames that a camera has no time for, so that
+all cameras show the same frames.
 
 Parameters can be set while it plays; services ``~/pause``, ``~/step`` and ``~/restart`` control it
 (docs/playing.md). Values that cannot be played are rejected with the reason, and the old motion goes on.
@@ -13,6 +15,7 @@ Parameters can be set while it plays; services ``~/pause``, ``~/step`` and ``~/r
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
@@ -21,17 +24,20 @@ from typing import Any, TypeVar
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import MultiDOFJointState
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError
+from humansim_ros.ros.frame_pacing import FramePacing
 from humansim_ros.ros.messages import (
     motion_legend,
     motion_message,
     object_message,
     pose_message,
+    to_nanoseconds,
     twist_message,
 )
 from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
@@ -44,6 +50,8 @@ from humansim_ros.scene.playback import Change, Playback, PlaybackClock, Tick
 T = TypeVar("T")
 #: Largest accepted lead in seconds.
 MAX_LEAD = 0.1
+#: Queue for the reports of the cameras.
+_REPORTS = QoSProfile(depth=50)
 
 
 class MotionPlayerNode(SceneNode):
@@ -95,6 +103,9 @@ class MotionPlayerNode(SceneNode):
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/restart", self._on_restart)
+        self._pacing = FramePacing()
+        # one report for each camera process and frame; a lost one is replaced by the next
+        self.create_subscription(Header, "frame_done", self._on_frame_done, _REPORTS)
         self._frame_timer = self.create_timer(self._playback_clock.period * 1e-9, self._tick)
         self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {self.scene.path}")
 
@@ -118,10 +129,19 @@ class MotionPlayerNode(SceneNode):
             # frames are counted from here: the timer was late, so it would be early for all later frames,
             # and each would wait for the next call of the timer
             self._frame_timer.reset()
+        late = self._pacing.late_cameras(tick.stamp, self._playback_clock.period, time.monotonic())
+        if late:
+            self.count("drops", 1 + tick.dropped)
+            self.drop_reason = f"{', '.join(late)} {'is' if len(late) == 1 else 'are'} late"
+            return
         self._publish(tick)
+
+    def _on_frame_done(self, report: Header) -> None:
+        self._pacing.add_finished(report.frame_id, to_nanoseconds(report.stamp), time.monotonic())
 
     def _publish(self, tick: Tick) -> None:
         """Publish one frame."""
+        self._pacing.add_sent(tick.stamp, time.monotonic())
         scene_poses = self._playback.show(tick.elapsed, tick.pace)
         for name, poses in scene_poses.poses.items():
             if self.get_parameter(f"{name}.play").value:

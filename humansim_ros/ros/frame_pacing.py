@@ -1,0 +1,67 @@
+"""Pacing of frames: the motion player sends a frame only if all cameras have time for it."""
+
+from __future__ import annotations
+
+from collections import deque
+
+#: Newest sent frames that are remembered.
+_MAX_SENT = 32
+#: Periods after the stamp of a frame until which two more may be sent while a camera still works on it: so
+#: that a short delay loses no frame.
+_PERIODS_OF_GRACE = 2.5
+#: Seconds without a report after which a camera no longer delays the others.
+_GIVE_UP_AFTER = 3.0
+
+
+class FramePacing:
+    """Frames that cameras have not finished yet, by the reports of the cameras.
+
+    A camera that is late would have to skip frames. Each camera would skip others, and hardly a frame would
+    be complete. Therefore the sender skips them for all cameras, and a camera renders every frame that it
+    gets.
+
+    Stamps are nanoseconds; ``now`` is in monotonic seconds.
+    """
+
+    def __init__(self) -> None:
+        self._sent: deque[tuple[int, float]] = deque(maxlen=_MAX_SENT)
+        # by camera: the newest stamp that it has finished, and the time of this report
+        self._finished: dict[str, tuple[int, float]] = {}
+
+    def add_sent(self, stamp: int, now: float) -> None:
+        """Record a frame that is sent."""
+        if self._sent and stamp <= self._sent[-1][0]:  # the clock has been set back
+            self._sent.clear()
+            self._finished.clear()
+        self._sent.append((stamp, now))
+
+    def add_finished(self, camera: str, stamp: int, now: float) -> None:
+        """Record the report of a camera that it has finished a frame, and with it all earlier ones."""
+        self._finished[camera] = (stamp, now)
+
+    def late_cameras(self, stamp: int, period: float, now: float) -> list[str]:
+        """Names of the cameras that have no time for a frame of this stamp.
+
+        One unfinished frame is allowed, so that a camera has the next one when it finishes; two are if they
+        are recent.
+
+        Args:
+            stamp: Stamp of the frame, nanoseconds.
+            period: Time between frames, nanoseconds.
+            now: Monotonic seconds.
+        """
+        late = []
+        for camera, (finished, heard) in list(self._finished.items()):
+            pending = [sent for sent in self._sent if sent[0] > finished]
+            if len(pending) < 2:
+                continue
+            oldest, sent_at = pending[0]
+            if len(pending) == 2 and stamp - oldest <= _PERIODS_OF_GRACE * period:
+                continue
+            if now - max(heard, sent_at) > _GIVE_UP_AFTER:
+                del self._finished[
+                    camera
+                ]  # it has ended, or waits for something: it counts again when it reports
+            else:
+                late.append(camera)
+        return late

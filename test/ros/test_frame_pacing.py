@@ -1,0 +1,201 @@
+"""On a machine that is too slow, all cameras show the same frames."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rclpy.parameter import Parameter
+from ros_support import write_scene
+
+from humansim_ros.ros.frame_pacing import FramePacing
+from humansim_ros.ros.nodes.camera import CameraNode
+from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
+from humansim_ros.ros.nodes.skinner import SkinnerNode
+from humansim_ros.ros.runtime import make_executor
+
+SECOND = 1_000_000_000
+PERIOD = SECOND / 30
+START = 1_700_000_000 * SECOND
+
+
+@dataclass
+class SimulatedCamera:
+    """A camera that needs ``cost(frame)`` seconds for each frame, in order. Its queue holds the newest three
+    messages, as that of a node does.
+    """
+
+    cost: Callable[[int], float]
+    queue: deque[int] = field(default_factory=lambda: deque(maxlen=3))
+    done: list[int] = field(default_factory=list)
+    rendering: int | None = None
+    busy_until: float = 0.0
+
+    def run_until(self, now: float, report: Callable[[int, float], None]) -> None:
+        """Finish the frame in progress if it is time, report it, and begin the oldest one."""
+        if self.rendering is not None and self.busy_until <= now:
+            self.done.append(self.rendering)
+            report(self.rendering, now)
+            self.rendering = None
+        if self.rendering is None and self.queue:
+            self.rendering = self.queue.popleft()
+            self.busy_until = now + self.cost(self.rendering)
+
+    def done_since(self, frame: int) -> list[int]:
+        """Frames after the start, when the sender does not know of the camera yet."""
+        return [done for done in self.done if done >= frame]
+
+
+def play(seconds: float, **costs: Callable[[int], float]) -> dict[str, SimulatedCamera]:
+    """Play for some seconds at 30 Hz for cameras with these costs; events are exact to 1 ms."""
+    pacing = FramePacing()
+    cameras = {name: SimulatedCamera(cost) for name, cost in costs.items()}
+    number = 0
+    for millisecond in range(round(1000 * seconds)):
+        now = millisecond * 1e-3
+        for name, camera in cameras.items():
+            camera.run_until(
+                now,
+                lambda frame, at, name=name: pacing.add_finished(name, START + round(frame * PERIOD), at),
+            )
+        if now * SECOND < number * PERIOD:
+            continue
+        stamp = START + round(number * PERIOD)
+        if not pacing.late_cameras(stamp, PERIOD, now):
+            pacing.add_sent(stamp, now)
+            for camera in cameras.values():
+                camera.queue.append(number)
+        number += 1
+    return cameras
+
+
+def test_cameras_that_keep_up_get_every_frame() -> None:
+    cameras = play(10, left=lambda _: 0.025, right=lambda _: 0.032)
+    assert all(len(camera.done) >= 298 for camera in cameras.values())
+
+
+def test_a_short_delay_loses_no_frame() -> None:
+    cameras = play(10, left=lambda frame: 0.07 if frame % 50 == 20 else 0.015)
+    assert cameras["left"].done == list(range(300))
+
+
+def test_late_cameras_of_different_speeds_show_the_same_frames_as_fast_as_the_slowest_can() -> None:
+    cameras = play(
+        20,
+        fast=lambda _: 0.01,
+        slow=lambda frame: 0.045 if frame % 3 else 0.09,
+        slower=lambda frame: 0.07 if frame % 2 else 0.05,
+    )
+    fast, slow, slower = (camera.done_since(15) for camera in cameras.values())
+    common = min(len(fast), len(slow), len(slower))
+    assert fast[:common] == slow[:common] == slower[:common]
+    assert max(len(fast), len(slow), len(slower)) - common <= 3  # still in the queues
+    assert common > 0.9 * 19.5 / 0.062
+
+
+def test_a_very_slow_camera_gets_evenly_spaced_frames() -> None:
+    done = play(30, only=lambda _: 0.2)["only"].done_since(30)
+    gaps = {later - earlier for earlier, later in pairwise(done)}
+    assert len(done) >= 140
+    assert gaps <= {5, 6, 7}
+
+
+def test_a_camera_that_never_reports_again_delays_the_others_for_seconds_only() -> None:
+    cameras = play(20, dead=lambda frame: 0.01 if frame < 100 else 1e9, alive=lambda _: 0.01)
+    assert len(cameras["alive"].done) > 600 - 4 * 30
+    assert set(range(250, 598)) <= set(cameras["alive"].done)
+
+
+def test_without_reports_and_after_a_pause_nothing_is_late() -> None:
+    pacing = FramePacing()
+    for number in range(100):
+        assert pacing.late_cameras(number + 1, 1.0, float(number)) == []
+        pacing.add_sent(number + 1, float(number))
+    pacing.add_finished("camera", 100, 100.0)
+    assert pacing.late_cameras(101, 1.0, 1000.0) == []
+    pacing.add_sent(101, 1000.0)
+    pacing.add_sent(102, 1000.0)
+    assert pacing.late_cameras(110, 1.0, 1001.0) == ["camera"]
+
+
+def test_frames_before_a_clock_that_is_set_back_are_forgotten() -> None:
+    pacing = FramePacing()
+    pacing.add_finished("camera", 50, 0.0)
+    for stamp in (100, 101, 102):
+        pacing.add_sent(stamp, 0.0)
+    assert pacing.late_cameras(110, 1.0, 0.1) == ["camera"]
+    pacing.add_sent(7, 0.2)
+    assert pacing.late_cameras(8, 1.0, 0.3) == []
+
+
+@pytest.mark.slow
+def test_camera_nodes_of_different_speeds_show_the_same_frames(
+    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each camera has a thread, as in a process of its own. Both need more than a period of 50 ms."""
+    shown: dict[str, list[int]] = {"camera_left": [], "camera_right": []}
+    seconds = {"camera_left": 0.07, "camera_right": 0.11}
+
+    def slowly(node: Any, state: Any) -> None:
+        time.sleep(seconds[node.get_name()])
+        shown[node.get_name()].append(state.stamp)
+
+    monkeypatch.setattr(CameraNode, "publish_frame", slowly)
+    scene = write_scene(tmp_path)
+    player = node(MotionPlayerNode, scene, "motion_player")
+    skinners = [node(SkinnerNode, scene, f"skinner_{human}", human=human) for human in ("first", "second")]
+    cameras = [
+        node(CameraNode, scene, f"camera_{name}", camera=name, start_scene=False)
+        for name in ("left", "right")
+    ]
+    with spinning([player, *skinners], [cameras[0]], [cameras[1]]):
+        end = time.monotonic() + 60
+        while time.monotonic() < end and any(len(stamps) < 40 for stamps in shown.values()):
+            time.sleep(0.05)
+    left, right = shown.values()
+    assert min(len(left), len(right)) >= 40
+    first = max(left[4], right[4])  # both have reported to the player
+    last = min(left[-1], right[-1])
+    assert [s for s in left if first < s <= last] == [s for s in right if first < s <= last]
+    for each in (player, *skinners, *cameras):
+        each.close()
+        each.destroy_node()
+
+
+def node(kind: type, scene: Path, name: str, **parameters: str | bool) -> Any:
+    """Node with its name in the namespace of this file."""
+    overrides = [Parameter(key, value=value) for key, value in {"scene": str(scene), **parameters}.items()]
+    arguments = ["--ros-args", "-r", f"__node:={name}"]
+    return kind(parameter_overrides=overrides, namespace="paced", cli_args=arguments)
+
+
+@contextmanager
+def spinning(*groups: Sequence[Any]) -> Iterator[None]:
+    """Spin each group of nodes in a thread of its own."""
+    stop = threading.Event()
+
+    def spin(nodes: Sequence[Any]) -> None:
+        executor = make_executor()
+        for each in nodes:
+            executor.add_node(each)
+        while not stop.is_set():
+            executor.spin_once(0.05)
+        executor.shutdown()
+
+    threads = [threading.Thread(target=spin, args=(nodes,)) for nodes in groups]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        for thread in threads:
+            thread.join(20)

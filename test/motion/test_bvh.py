@@ -44,6 +44,11 @@ Frame Time: 0.04
 """
 VALUES = [[4, 5, 6, 10, 20, 30, 40, 50, 60], [7, 8, 9, -10, -20, -30, -40, -50, -60]]
 
+ROW = "4 5 6 10 20 30 40 50 60"
+#: The hierarchy, and everything after it.
+REST = GOOD[: GOOD.index("MOTION")], GOOD[GOOD.index("MOTION") :]
+FLAT = "\n".join(map(str.strip, GOOD.splitlines())) + "\n"
+
 
 def read(tmp_path: Path, text: str | bytes) -> Motion:
     path = tmp_path / "motion.bvh"
@@ -225,15 +230,31 @@ def test_lines_longer_than_a_block_are_read(tmp_path: Path) -> None:
 def test_no_text_is_read_as_a_different_number(
     tmp_path_factory: pytest.TempPathFactory, words: list[str]
 ) -> None:
-    """Any text in a row gives the numbers that Python reads one by one, or an error."""
+    """Any text in a row gives the numbers that Python reads one by one, or an error.
+
+    Commas are points or white space in the whole file. Lines that are no numbers end the values.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HumansimWarning)
         try:
             motion = read(tmp_path_factory.getbasetemp(), one_joint("Xrotation", "\n".join(words)))
         except MotionError:
             return
-    parted = [part for word in words for part in re.findall(r"-?[^-eE]*(?:[eE]-?[^-]*)?", word) if part]
-    assert motion.values.ravel().tolist() == [float(part) for part in parted]
+    assert motion.values.ravel().tolist() in [
+        _numbers_before_text([word.replace(",", mark) for word in words]) for mark in (".", " ", ",")
+    ]
+
+
+def _numbers_before_text(lines: list[str]) -> list[float]:
+    numbers: list[float] = []
+    for line in lines:
+        parts = [part for part in re.findall(r"-?[^-eE ]*(?:[eE]-?[^- ]*)?", line) if part]
+        try:
+            numbers += [float(part) for part in parts]
+        except ValueError:
+            # a damaged number is not the end of the rows
+            return [np.nan] if re.match(r"[+-]?[.,]?\d", line) else numbers
+    return numbers
 
 
 def test_a_joint_without_channels_stays_at_its_offset(tmp_path: Path) -> None:
@@ -297,9 +318,112 @@ def test_a_chain_of_ten_thousand_joints_is_read_and_posed(tmp_path: Path) -> Non
     np.testing.assert_allclose(motion.world_positions(0)[-1], [-(depth - 1), 1, 0], atol=1e-6)
 
 
+# Faults with a clear meaning: (fault, file, line of the warning, part of the message)
+
+LENIENT: list[tuple[str, str | bytes, int, str]] = [
+    ("End with a name", GOOD.replace("End Site", "End head_End"), 10, "'End head_End' is read as 'End Site'"),
+    ("End without a name", GOOD.replace("End Site", "End"), 10, "'End' is read as"),
+    ("EndSite", GOOD.replace("End Site", "EndSite"), 10, "is read as 'End Site'"),
+    ("no HIERARCHY", GOOD.replace("HIERARCHY\n", ""), 1, "HIERARCHY is missing"),
+    ("no MOTION", GOOD.replace("MOTION\n", ""), 16, "MOTION is missing"),
+    ("no Frames", GOOD.replace("Frames: 2\n", ""), 18, "'Frames:' is missing before this line"),
+    ("no Frame Time first", GOOD.replace("Frames: 2\nFrame Time: 0.04", "Frame Time: 0.04"), 18, "'Frames:'"),
+    ("Frames without a colon", GOOD.replace("Frames:", "Frames"), 17, "'Frames' without a colon"),
+    ("Frame Time without a colon", GOOD.replace("Time:", "Time"), 18, "'Frame Time' without a colon"),
+    ("text after the rows", GOOD + "end of file\n", 21, "'end' on is not part of the motion"),
+    ("a brace after the rows", GOOD + "}\n", 21, "'}' on is not part"),
+    ("the end of file of old systems", GOOD + "\x1a", 21, "is not part of the motion"),
+    ("zero bytes after the rows", GOOD.encode() + b"\0" * 512, 21, "is not part of the motion"),
+    ("a second motion after the rows", GOOD + GOOD, 21, "'HIERARCHY' on is not part"),
+    ("text after rows that nothing counts", GOOD.replace("Frames: 2\n", "") + "the end\n", 20, "'the' on is"),
+    ("decimal commas in rows", GOOD.replace("20 30 40", "20,0 30 40,00"), 19, "commas are read as decimal"),
+    ("decimal commas in OFFSETs", GOOD.replace("OFFSET 0 10 0", "OFFSET 0,0 10,0 0,0"), 8, "as decimal"),
+    ("a decimal comma in the frame time", GOOD.replace("0.04", "0,04"), 18, "as decimal points"),
+    ("commas between numbers", GOOD.replace(ROW, ROW.replace(" ", ",")), 19, "as white space"),
+    ("commas and spaces", GOOD.replace(ROW, ROW.replace(" ", ", ")), 19, "as white space"),
+    ("commas and points", GOOD.replace(ROW, ROW.replace(" ", ".0,")), 19, "as white space"),
+    ("commas in OFFSETs", GOOD.replace("OFFSET 0 10 0", "OFFSET 0.0,10.0, 0.0"), 8, "as white space"),
+    ("commas in CHANNELS", GOOD.replace("3 Zrotation X", "3, Zrotation, X"), 9, "after CHANNELS"),
+    ("last brace missing", GOOD.replace("}\nMOTION", "MOTION"), 15, "1 '}' missing at the end"),
+    ("last braces missing", GOOD.replace("  }\n}\nMOTION", "MOTION"), 14, "2 '}' missing at the end"),
+    ("one brace too many", GOOD.replace("}\nMOTION", "}\n}\nMOTION"), 16, "without a matching '{'"),
+    ("a byte order mark and a name in Latin-1", b"\xef\xbb\xbf" + GOOD.replace("End Site", "End \xe9").encode(
+        "latin-1"), 10, "not UTF-8"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "line", "message"), [x[1:] for x in LENIENT], ids=[x[0] for x in LENIENT])
+def test_a_fault_with_a_clear_meaning_is_read_with_file_and_line(
+    tmp_path: Path, text: str | bytes, line: int, message: str
+) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        motion = read(tmp_path, text)
+    assert all(issubclass(w.category, HumansimWarning) for w in caught)
+    start = f"{tmp_path / 'motion.bvh'}:{line}: "
+    assert any(str(w.message).startswith(start) and message in str(w.message) for w in caught), caught
+    assert motion.joint_names == ("Hips", "Chest", "Chest_end")
+    assert motion.parents.tolist() == [-1, 0, 1]
+    assert motion.offsets.tolist() == [[1, 2, 3], [0, 10, 0], [0, 5, 0]]
+    assert motion.values.tolist() == VALUES
+    assert motion.frame_time == 0.04
+
+
+def test_a_frame_time_that_is_missing_is_that_of_30_frames_per_second(tmp_path: Path) -> None:
+    with pytest.warns(HumansimWarning, match=r"motion\.bvh:18: 'Frame Time:' is missing"):
+        assert read(tmp_path, GOOD.replace("Frame Time: 0.04\n", "")).frame_time == 1 / 30
+    with pytest.warns(HumansimWarning, match=r"motion\.bvh:16: 'Frames:' is missing"):
+        assert read(tmp_path, REST[0] + "\n".join(GOOD.splitlines()[-2:])).values.tolist() == VALUES
+
+
+def test_words_are_missing_in_a_real_file(shared_data: Path) -> None:
+    with pytest.warns(HumansimWarning, match="adakri_run.bvh:185: the word MOTION is missing"):
+        assert read_bvh(shared_data / "bvh" / "adakri_run.bvh").n_frames == 59
+    with pytest.warns(HumansimWarning, match="walkSit.bvh:26: 'End l_toes_End_dup' is read .* so are 4 more"):
+        assert read_bvh(shared_data / "bvh" / "tomboudard_walkSit.bvh").n_frames == 122
+
+
+@pytest.mark.parametrize("mark", [".", ","])
+def test_commas_in_many_blocks_are_read_as_one_kind(tmp_path: Path, mark: str) -> None:
+    rows = np.random.default_rng(3).normal(scale=90, size=(3000, 9)).round(4)
+    between = "," if mark == "." else "\t"
+    lines = [between.join(repr(value).replace(".", mark) for value in row) for row in rows.tolist()]
+    with pytest.warns(HumansimWarning, match=r"motion\.bvh:19: commas are read as") as caught:
+        motion = read(tmp_path, GOOD[: GOOD.index(ROW)].replace(" 2\n", " 3000\n") + "\n".join(lines))
+    assert len(caught) == 1
+    np.testing.assert_array_equal(motion.values, rows)
+
+
 # Bad input: (fault, file, line of the error, part of the message)
 
-ROW = "4 5 6 10 20 30 40 50 60"
+#: A root with two joints.
+TWO = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 0 0
+  CHANNELS 3 Xrotation Yrotation Zrotation
+  JOINT A
+  {
+    OFFSET 0 1 0
+  }
+  JOINT B
+  {
+    OFFSET 0 2 0
+    JOINT C
+    {
+      OFFSET 0 3 0
+    }
+    JOINT D
+    {
+      OFFSET 0 4 0
+    }
+  }
+}
+MOTION
+Frames: 1
+Frame Time: 1
+1 2 3
+"""
 BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("empty", "", None, "empty"),
     ("only blanks", " \n\t\n", None, "empty"),
@@ -315,8 +439,6 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("truncated after Frames", GOOD[: GOOD.index("Frame Time")], 17, "truncated"),
     ("truncated before the rows", GOOD[: GOOD.index(ROW)], 18, "truncated"),
     ("truncated in a row", GOOD.rstrip()[:-8], 20, "truncated"),
-    ("missing brace", GOOD.replace("}\nMOTION", "MOTION"), 15, "'}' is missing"),
-    ("one brace too many", GOOD.replace("}\nMOTION", "}\n}\nMOTION"), 16, "without a matching"),
     ("brace without a joint", GOOD.replace("ROOT Hips\n{", "{"), 2, "without a joint"),
     ("joint without a brace", GOOD.replace("Hips\n{", "Hips"), 3, "cannot understand"),
     ("joint without a name", GOOD.replace("JOINT Chest", "JOINT"), 6, "without a name"),
@@ -337,7 +459,6 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
     ("frame time that is no number", GOOD.replace("0.04", "fast"), 18, "'fast'"),
     ("frame time that is NaN", GOOD.replace("0.04", "nan"), 18, "number"),
     ("Frames that is no number", GOOD.replace("Frames: 2", "Frames: two"), 17, "'two'"),
-    ("no Frames line", GOOD.replace("Frames: 2\n", ""), 18, "expected"),
     ("a value too few", GOOD.replace(ROW, ROW[:-3]), 19, "needs 9 values, this has 8"),
     ("a value too many", GOOD.replace(ROW, ROW + " 1"), 19, "needs 9 values, this has 10"),
     (
@@ -347,9 +468,20 @@ BROKEN: list[tuple[str, str | bytes, int | None, str]] = [
         "needs 9 values, this has 8",
     ),
     ("a word", GOOD.replace("20 30 40", "20 thirty 40"), 19, "'thirty'"),
-    ("decimal comma", GOOD.replace("20 30 40", "20,5 30 40"), 19, "'20,5' is not a number; decimals need"),
-    ("decimal comma in an OFFSET", GOOD.replace("OFFSET 0 10 0", "OFFSET 0 1,5 0"), 8, "decimals need"),
-    ("decimal comma in the frame time", GOOD.replace("0.04", "0,04"), 18, "decimals need"),
+    ("a comma beside points", GOOD.replace("20 30 40", "20,5 3.5 40"), 19, "needs 9 values, this has 10"),
+    ("commas of both kinds", GOOD.replace("20 30 40", "2,5 30,5 4,0,0"), 19, "needs 9 values, this has 13"),
+    ("comma without a digit", GOOD.replace("20 30 40", "20 ,5 40"), 19, "',5' is not a number; decimals"),
+    ("commas of both kinds in an OFFSET", GOOD.replace("OFFSET 0 10 0", "OFFSET 0,1,5 0"), 8, "three finite"),
+    ("thousands in the frame time", GOOD.replace("0.04", "1,234.5"), 18, "'1,234.5'"),
+    ("missing brace in the middle", TWO.replace("  }\n  JOINT", "  JOINT"), 22, "'}' is missing"),
+    ("surplus brace in the middle", TWO.replace("0 3 0\n", "0 3 0\n    }\n"), 23, "without a matching"),
+    ("missing brace without indents", FLAT.replace("}\nMOTION", "MOTION"), 15, "'}' is missing"),
+    ("one brace too many without indents", FLAT.replace("}\nMOTION", "}\n}\nMOTION"), 16, "without a match"),
+    ("a row that is no row", GOOD.replace("7 8", "seven 8"), 20, "'seven' is not a number"),
+    ("rows after text", GOOD.replace("\n7 8", "\ntext\n7 8"), 20, "'text' is not a number"),
+    ("text without rows", GOOD[: GOOD.index(ROW)] + "nothing here", 19, "'nothing' is not a number"),
+    ("text after a part of a row", GOOD.replace(ROW, "4 5 6\nend"), 20, "'end' is not a number"),
+    ("rows without MOTION of other width", REST[0] + "4 5 6\n", 16, "needs 9 values, this has 3"),
     ("a second OFFSET", GOOD.replace("OFFSET 0 10 0", "OFFSET 0 10 0\nOFFSET 0 1 0"), 9, "second OFFSET"),
     ("a second CHANNELS", GOOD.replace("CHANNELS 3", "CHANNELS 0\nCHANNELS 3"), 10, "second CHANNELS"),
     (
@@ -378,6 +510,7 @@ def test_broken_file_is_an_error_with_file_and_line(
 ) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
+        warnings.simplefilter("ignore", HumansimWarning)
         with pytest.raises(MotionError) as caught:
             read(tmp_path, text)
     assert caught.value.path == str(tmp_path / "motion.bvh")

@@ -115,10 +115,15 @@ def table_text(match: JointMatch, motion: Motion) -> str:
     Comments give the method of the match, and the joints of the motion with their roles.
     """
     role_of = {joint: role for role, joint in reversed(list(match.roles.items()))}
+
+    def link(start: int, end: int) -> list[str]:
+        # an end site has no role of its own
+        return [role_of[start], role_of.get(end, f"{role_of[start]}_end")]
+
     data = {
         "name": match.table,
         "joints": {role: [motion.joint_names[joint]] for role, joint in match.roles.items()},
-        "parallel": {bone: [role_of[s], role_of[e]] for bone, (s, e) in match.parallel.items()},
+        "parallel": {bone: link(start, end) for bone, (start, end) in match.parallel.items()},
         "difference": {bone: role_of[joint] for bone, joint in match.difference.items()},
     }
     head = [f"found by {match.by}, confidence {match.confidence:.0%}; the joints and their roles:"]

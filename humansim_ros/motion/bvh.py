@@ -41,10 +41,10 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
     ``positions``: whether position channels ``replace`` the OFFSET, as in nearly all programs, or are to
     ``add`` to it. ``auto`` detects files that add: their positions stay near 0 beside large OFFSETs.
 
-    Warns (HumansimWarning) where something is odd but its meaning clear: a wrong ``Frames:`` count (the rows
-    decide), a wrong ``CHANNELS`` count (the names decide), frames that are broken over lines (if ``Frames:``
-    fits), no MOTION or no frames (a static pose), joints of the same name (they get numbers), names that are
-    not UTF-8, added positions. Needs about twice the memory of the values, whatever the header says.
+    Warns (HumansimWarning) where something is wrong but its meaning clear: a missing or wrong ``Frames:``
+    count (the rows decide), no ``Frame Time:`` (30 frames per second), missing words HIERARCHY and MOTION,
+    end sites with other words, commas, text after the rows, and others (docs/motion.md lists them). Needs
+    about twice the memory of the values, whatever the header says.
 
     Raises:
         MotionError: The file is not valid; with file and line.

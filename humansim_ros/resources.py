@@ -6,12 +6,9 @@ In a source checkout or editable install they are beside the package. After pip 
 
 from __future__ import annotations
 
-import difflib
 import functools
-import importlib.metadata
 import os
 import sys
-import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,6 +30,8 @@ def resource_path(relative: str | os.PathLike[str]) -> Path:
 @functools.cache
 def package_version() -> str:
     """Version of the package from ``package.xml``, which every kind of installation has."""
+    import xml.etree.ElementTree as ElementTree
+
     return ElementTree.parse(resource_path("package.xml")).getroot().findtext("version", "unknown")
 
 
@@ -63,6 +62,9 @@ def _candidates() -> Iterator[Path]:
 
 
 def _pip_records() -> Iterator[Path]:
+    # imported on use: most installations are found without
+    import importlib.metadata
+
     try:
         files = importlib.metadata.files(_NAME) or []
     except importlib.metadata.PackageNotFoundError:
@@ -76,5 +78,7 @@ def _suggestion(path: Path) -> str:
     if not path.parent.is_dir():
         return ""
     names = sorted(entry.name for entry in path.parent.iterdir())
+    import difflib
+
     close = difflib.get_close_matches(path.name, names, n=3) or names[:8]
     return f"; there is {', '.join(close)}" if close else ""

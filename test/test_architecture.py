@@ -81,7 +81,7 @@ def name_of(path: Path) -> str:
 
 
 def test_the_top_level_holds_only_what_every_folder_uses() -> None:
-    assert {path.stem for path in PACKAGE.glob("*.py")} == BASE
+    assert {path.stem for path in PACKAGE.glob("*.py")} == BASE | {"__main__"}
     assert {path.name for path in PACKAGE.iterdir() if path.is_dir()} - {"__pycache__"} == {
         folder for row in LAYERS for folder in row
     }
@@ -90,11 +90,11 @@ def test_the_top_level_holds_only_what_every_folder_uses() -> None:
 @pytest.mark.parametrize("path", modules(), ids=lambda path: str(path.relative_to(PACKAGE)))
 def test_folders_import_only_folders_below_them(path: Path) -> None:
     relative = path.relative_to(PACKAGE)
-    if len(relative.parts) == 1 and relative.stem != "__init__":
+    if len(relative.parts) == 1 and relative.stem not in ("__init__", "__main__"):
         assert all(len(target.split(".")) <= 2 and target.split(".")[-1] in BASE for target in imported(path))
         return
-    if str(relative) == "__init__.py" or str(relative) in DEPRECATED:
-        return  # it hands on the names of all folders
+    if str(relative) in ("__init__.py", "__main__.py") or str(relative) in DEPRECATED:
+        return  # they lead to other folders
     level = {folder: number for number, row in enumerate(LAYERS) for folder in row}
     own = relative.parts[0]
     for target in imported(path):

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fnmatch
 import math
-import re
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -21,9 +20,10 @@ from humansim_ros.cli.options import (
     SizeOption,
     UnitOption,
     UpOption,
+    parse_size,
 )
 from humansim_ros.cli.output import print_text, to_json
-from humansim_ros.errors import CameraError, HumansimError, HumansimWarning
+from humansim_ros.errors import CameraError, HumansimWarning
 
 if TYPE_CHECKING:
     from humansim_ros.camera import Camera
@@ -119,14 +119,6 @@ def select_cameras(cameras: dict[str, Camera], patterns: list[str] | None, file:
         names = ", ".join(list(cameras)[:8])
         raise CameraError(f"no camera is named {' or '.join(patterns)}; the names are {names}", path=file)
     return selected
-
-
-def parse_size(text: str) -> tuple[int, int]:
-    """Width and height of text such as 640x480."""
-    matched = re.fullmatch(r"([0-9]{1,6})\s*[x×,]\s*([0-9]{1,6})", text.strip(), re.ASCII)
-    if matched is None:
-        raise HumansimError(f"--size: needs width and height, such as 640x480, not {text!r}")
-    return int(matched[1]), int(matched[2])
 
 
 def describe_camera(name: str, camera: Camera) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from humansim_ros.cli.camera import load, parse_size, read_cameras, select_cameras
+from humansim_ros.cli.camera import load, read_cameras, select_cameras
 from humansim_ros.cli.options import (
     CalibrationArgument,
     CalibrationsArgument,
@@ -23,6 +23,7 @@ from humansim_ros.cli.options import (
     SizeOption,
     UnitOption,
     UpOption,
+    parse_size,
 )
 from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors
 from humansim_ros.errors import CameraError, HumansimError
@@ -114,10 +115,10 @@ def rig(
         float, typer.Option(help="Azimuth of the first camera, degrees from +x towards +y.")
     ] = 0.0,
     spacing: Annotated[float, typer.Option(help="Distance of the cameras of a grid, metres.")] = 0.5,
-    size: Annotated[str, typer.Option(help="Image size.")] = "640x480",
+    size: Annotated[str, typer.Option(help="Image size, as 640x480 or 640 480.")] = "640x480",
     fov_deg: Annotated[float, typer.Option(help="Horizontal field of view through the lens.")] = 60.0,
     distortion: Annotated[
-        str | None, typer.Option(help="Distortion coefficients, such as '-0.3 0.1 0 0'.")
+        str | None, typer.Option(help="Distortion coefficients, such as -0.3 0.1 0 0.")
     ] = None,
     model: Annotated[
         LensChoice | None,

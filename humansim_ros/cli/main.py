@@ -6,18 +6,15 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-import yaml
 
-from humansim_ros import __version__
-from humansim_ros.cli import camera as camera_commands
-from humansim_ros.cli import camera_rig as rig_commands
-from humansim_ros.cli import human as human_commands
-from humansim_ros.cli import motion as motion_commands
+from humansim_ros.cli.options import join_numbers
 from humansim_ros.errors import HumansimError, show_warnings
 from humansim_ros.io.files import exists, expand_user
 from humansim_ros.resources import resource_path
@@ -27,6 +24,8 @@ def _root(
     version: Annotated[bool, typer.Option("--version", help="Print the version and exit.")] = False,
 ) -> None:
     if version:
+        from humansim_ros import __version__
+
         print(__version__)
         raise typer.Exit
 
@@ -114,6 +113,8 @@ def _scene_with(
         joint_names: Joint table of the motion.
         folder: Folder of the copy.
     """
+    import yaml
+
     from humansim_ros.errors import SceneError
     from humansim_ros.scene.config import load_config, map_files
     from humansim_ros.scene.source import SceneSource
@@ -169,41 +170,74 @@ def _describe(scene: Any) -> None:
 COMMANDS: dict[str, Callable[..., None]] = {"run": run, "demo": demo}
 
 
-def _make_app() -> typer.Typer:
-    """The command with its subcommands, which are listed here."""
+@dataclass(frozen=True)
+class _Group:
+    """A group of commands: its help, and the modules of this folder whose ``COMMANDS`` it has."""
+
+    help: str
+    modules: tuple[str, ...]
+
+
+_GROUPS = {
+    "camera": _Group(
+        "Read, convert and draw calibrations; arrange cameras to rigs.", ("camera", "camera_rig")
+    ),
+    "human": _Group("List, draw, build and rig humans.", ("human",)),
+    "motion": _Group("Describe, match, retarget and draw motions.", ("motion",)),
+}
+#: ``-h`` as well as ``--help``.
+_SETTINGS = {"help_option_names": ["-h", "--help"]}
+
+
+def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
+    """The command with its subcommands.
+
+    ``arguments``: the command line; only the commands that it may mean are made, which saves half of the
+    start. None makes all commands.
+    """
     app = typer.Typer(
         help="Synthetic ground truth of articulated humans for multi-camera trackers, over ROS 2.",
+        context_settings=_SETTINGS,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
         add_completion=False,
+        rich_markup_mode=None,  # rich takes longer to import than all the rest
     )
     app.callback(invoke_without_command=True)(_root)
+    named = next((word for word in arguments or () if not word.startswith("-")), None)
     for name, function in COMMANDS.items():
-        app.command(name)(function)
-    groups: dict[str, tuple[str, dict[str, Callable[..., None]]]] = {
-        "camera": (
-            "Read, convert and draw calibrations; arrange cameras to rigs.",
-            camera_commands.COMMANDS | rig_commands.COMMANDS,
-        ),
-        "human": ("List, draw, build and rig humans.", human_commands.COMMANDS),
-        "motion": ("Describe, match, retarget and draw motions.", motion_commands.COMMANDS),
-    }
-    for group, (text, commands) in groups.items():
-        subcommands = typer.Typer(help=text, no_args_is_help=True)
-        for name, function in commands.items():
-            subcommands.command(name)(function)
-        app.add_typer(subcommands, name=group)
+        if named not in _GROUPS:
+            app.command(name)(function)
+    for name, group in _GROUPS.items():
+        if named in _GROUPS and named != name:
+            continue
+        subcommands = typer.Typer(help=group.help, no_args_is_help=True, rich_markup_mode=None)
+        for module in group.modules if arguments is None or named == name else ():
+            for command, function in import_module(f"humansim_ros.cli.{module}").COMMANDS.items():
+                subcommands.command(command)(function)
+        app.add_typer(subcommands, name=name)
     return app
 
 
-app = _make_app()
+def _parser_message(error: Any) -> str:
+    """Text of an error of the command-line parser, with the command whose help explains more."""
+    message = str(error.format_message())
+    if type(error).__name__ == "NoArgsIsHelpError":
+        return message
+    context = getattr(error, "ctx", None)
+    return (
+        f"error: {message.rstrip('.')}; see `{context.command_path} --help`"
+        if context
+        else f"error: {message}"
+    )
 
 
 def main() -> int:
     """Entry point: errors of the package are one line on standard error and exit code 2."""
     show_warnings()
+    arguments = join_numbers(sys.argv[1:])
     try:
-        result = app(standalone_mode=False)
+        result = make_app(arguments)(arguments, prog_name="humansim", standalone_mode=False)
     except HumansimError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
@@ -215,7 +249,7 @@ def main() -> int:
         if hasattr(error, "format_message") and hasattr(
             error, "exit_code"
         ):  # an error of the command-line parser
-            print(f"error: {error.format_message()}", file=sys.stderr)
+            print(_parser_message(error), file=sys.stderr)
             return 2
         raise
     return result if isinstance(result, int) else 0  # typer.Exit returns its code here

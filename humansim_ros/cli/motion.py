@@ -10,9 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-import yaml
 
-from humansim_ros.cli.options import JsonOption
+from humansim_ros.cli.options import JsonOption, parse_size
 from humansim_ros.cli.output import (
     check_output,
     print_text,
@@ -238,7 +237,9 @@ def render(
         Path, typer.Option("--output", "-o", help="Output strip (.png) or video (.mp4, .gif).")
     ],
     phases: Annotated[int, typer.Option(help="Frames of a strip.", min=1, max=60)] = 8,
-    size: Annotated[tuple[int, int], typer.Option(help="Width and height of one image.")] = (220, 300),
+    size: Annotated[
+        str, typer.Option(help="Width and height of one image, as 220x300 or 220 300.")
+    ] = "220x300",
     view: Annotated[ViewpointChoice, typer.Option(help="Viewpoint.")] = ViewpointChoice.three_quarter,
     body: Annotated[str, typer.Option(help="Body that is drawn.")] = "adult_man",
     no_skin: Annotated[bool, typer.Option("--no-skin", help="Draw only the stick figure.")] = False,
@@ -266,8 +267,9 @@ def render(
     from humansim_ros.motion.info import to_world
 
     _check_unit(unit)
-    if min(size) < 40 or max(size) > 2000:
-        raise HumansimError(f"--size needs 40 to 2000 pixels for each side, not {size[0]} {size[1]}")
+    panel = parse_size(size)
+    if min(panel) < 40 or max(panel) > 2000:
+        raise HumansimError(f"--size: needs 40 to 2000 pixels for each side, not {size}")
     check_suffix(output)
     check_output(output)
     motion = _read(file, positions)
@@ -279,11 +281,11 @@ def render(
             if joint_names or facing or unit is not None:
                 raise
             print_warning(f"drawn in the axes of the file, not as a person: {error.message}")
-            artists.append(StickFigureArtist.of_file(motion, size, view.value, up))
+            artists.append(StickFigureArtist.of_file(motion, panel, view.value, up))
         else:
-            artists.append(StickFigureArtist.of_world(world, size, view.value))
+            artists.append(StickFigureArtist.of_world(world, panel, view.value))
             if not no_skin:
-                artists.append(SkinnedArtist(_human(body), world, size, view.value))
+                artists.append(SkinnedArtist(_human(body), world, panel, view.value))
         if output.suffix.lower() != ".png" and motion.duration > seconds:
             print_warning(f"only the first {seconds:g} s of {motion.duration:g} s are drawn (--seconds)")
         title = f"{Path(motion.path).stem}: {motion.n_frames} frames, {motion.duration:.2f} s"
@@ -297,6 +299,8 @@ def render(
 
 def built_in_motions() -> dict[str, dict[str, Any]]:
     """Facts about the built-in motions by name: seconds, suitable loop, description."""
+    import yaml
+
     data = yaml.safe_load(resource_path("assets/motions/motions.yaml").read_text())
     return {str(name): dict(facts) for name, facts in data.items()}
 

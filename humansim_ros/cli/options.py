@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from humansim_ros.errors import HumansimError
 
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 
@@ -16,7 +20,7 @@ CalibrationsArgument = Annotated[
     list[str], typer.Argument(help="Calibration files of any format, folders of such files, or URLs.")
 ]
 SizeOption = Annotated[
-    str | None, typer.Option(help="Image size, such as 640x480; overrides the size in the file.")
+    str | None, typer.Option(help="Image size, as 640x480 or 640 480; overrides the size in the file.")
 ]
 ImageOption = Annotated[Path | None, typer.Option(help="Image (.png, .jpg) that has the image size.")]
 UnitOption = Annotated[
@@ -33,3 +37,35 @@ CameraOption = Annotated[
 OutputFolderOption = Annotated[
     Path, typer.Option("--output", "-o", help="Output folder; it is created if it is missing.")
 ]
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+#: Options with several numbers: how their values are joined, and the most that there may be.
+_SEVERAL = {"--size": ("x", 2), "--distortion": (" ", 14)}
+
+
+def join_numbers(arguments: Sequence[str]) -> list[str]:
+    """Join the numbers after options that take them as one text: ``--size 640 480`` is ``--size 640x480``.
+
+    Example:
+        >>> join_numbers(["rig", "--size", "640", "480", "--distortion", "-0.3", "1e-2", "-o", "cams"])
+        ['rig', '--size', '640x480', '--distortion', '-0.3 1e-2', '-o', 'cams']
+    """
+    joined: list[str] = []
+    pending = list(arguments)
+    while pending:
+        joined.append(pending.pop(0))
+        separator, most = _SEVERAL.get(joined[-1], ("", 0))
+        numbers: list[str] = []
+        while pending and len(numbers) < most and _NUMBER.fullmatch(pending[0]):
+            numbers.append(pending.pop(0))
+        if numbers:
+            joined.append(separator.join(numbers))
+    return joined
+
+
+def parse_size(text: str) -> tuple[int, int]:
+    """Width and height of text such as 640x480. Raises HumansimError."""
+    matched = re.fullmatch(r"([0-9]{1,6})\s*[xX×,*\s]\s*([0-9]{1,6})", text.strip(), re.ASCII)
+    if matched is None:
+        raise HumansimError(f"--size: needs width and height, such as 640x480, not {text!r}")
+    return int(matched[1]), int(matched[2])

@@ -14,7 +14,7 @@ from conftest import ROOT
 
 from humansim_ros.camera import read_calibration
 from humansim_ros.camera.rigs import Optics, stereo
-from humansim_ros.cli.main import app
+from humansim_ros.cli.main import make_app
 from humansim_ros.errors import HumansimError
 from humansim_ros.scene import Scene
 
@@ -81,5 +81,5 @@ def test_a_rig_is_a_scene_and_camera_info_files_and_can_be_drawn(tmp_path: Path)
 )
 def test_wrong_options_of_a_rig_are_explained(options: list, said: str, tmp_path: Path) -> None:
     with pytest.raises(HumansimError, match=said):
-        app(["camera", "rig", *map(str, options), "-o", str(tmp_path / "rig")], standalone_mode=False)
+        make_app()(["camera", "rig", *map(str, options), "-o", str(tmp_path / "rig")], standalone_mode=False)
     assert not (tmp_path / "rig").exists()

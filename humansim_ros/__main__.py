@@ -1,0 +1,8 @@
+"""``python -m humansim_ros``: the ``humansim`` command without its script."""
+
+import sys
+
+from humansim_ros.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main())

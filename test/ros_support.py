@@ -1,19 +1,42 @@
-"""Support of the ROS tests: a separate ROS domain, and a client that collects messages by stamp."""
+"""Support of the ROS tests: a separate ROS domain, a client that collects messages by stamp, and all nodes in
+lockstep.
+"""
 
 from __future__ import annotations
 
+import fcntl
 import os
-import time
-from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
+from waiting import PATIENCE, wait_until
 
-# a domain per test process, before anything imports rclpy
-os.environ["ROS_DOMAIN_ID"] = str(1 + os.getpid() % 100)
+#: Domains whose UDP ports lie below the ephemeral ports of Linux; 0 is that of everybody else.
+_DOMAINS = range(1, 100)
+
+
+def _claim_domain() -> tuple[int, Any]:
+    """A ROS domain that no other test process of this machine uses, and the file that is locked meanwhile."""
+    first = os.getpid() % len(_DOMAINS)
+    for domain in (*_DOMAINS[first:], *_DOMAINS[:first]):
+        path = Path(tempfile.gettempdir()) / f"humansim_test_domain_{domain}.lock"
+        try:
+            file = path.open("a")
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:  # locked, or of another user
+            continue
+        return domain, file
+    return _DOMAINS[first], None
+
+
+# before anything imports rclpy; the lock is held until this process ends
+_DOMAIN, _LOCK = _claim_domain()
+os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed (pip install '.[ros]')")
@@ -56,10 +79,9 @@ class Client:
         self.received: dict[str, dict[int, Any]] = defaultdict(dict)
 
     def subscribe(self, kind: Any, topics: Iterable[str], qos: Any = None) -> None:
-        from rclpy.qos import qos_profile_sensor_data
-
+        """``qos``: by default reliable with a long queue, so that a late test process loses no message."""
         for topic in topics:
-            self.node.create_subscription(kind, topic, self._callback(topic), qos or qos_profile_sensor_data)
+            self.node.create_subscription(kind, topic, self._callback(topic), qos or 500)
 
     def _callback(self, topic: str) -> Callable[[Any], None]:
         def on_message(message: Any) -> None:
@@ -74,29 +96,69 @@ class Client:
         """Stamps at which every topic with messages has one."""
         return sorted(set.intersection(*(set(messages) for messages in self.received.values())))
 
-    def spin_until(self, done: Callable[[], bool], limit: float = 30.0) -> bool:
+    def spin_until(self, done: Callable[[], object], limit: float = PATIENCE) -> bool:
         """Spin until ``done`` is true; False after ``limit`` seconds."""
-        end = time.monotonic() + limit
-        while time.monotonic() < end:
-            self.executor.spin_once(timeout_sec=0.05)
-            if done():
-                return True
-        return False
+        return wait_until(done, limit, lambda: self.executor.spin_once(timeout_sec=0.05))
+
+    def spin_until_matched(self, *nodes: Any) -> None:
+        """Spin until all publishers know all subscriptions to their topics: of the client and of ``nodes``.
+
+        A message that is published earlier may not arrive, and images may not be rendered.
+        """
+        everyone = (self.node, *nodes)
+
+        def unmatched() -> list[str]:
+            wanted = Counter(s.topic_name for node in everyone for s in node.subscriptions)
+            publishers = (p for node in everyone for p in node.publishers)
+            return [p.topic_name for p in publishers if p.get_subscription_count() < wanted[p.topic_name]]
+
+        assert self.spin_until(lambda: not unmatched()), f"no subscriber of {unmatched()}"
 
     def close(self) -> None:
         self.node.destroy_node()
 
 
+class Lockstep:
+    """A motion player that plays the next frame only when it is told, whatever time it is.
+
+    On a loaded machine no frame is dropped: frames are a period apart in stamp and scene time, not in time.
+    """
+
+    def __init__(self, player: Any) -> None:
+        self._player = player
+        player._frame_timer.cancel()
+        self._time = player.now()
+
+    def play(self) -> int:
+        """Publish the next frame; returns its stamp."""
+        clock = self._player._playback_clock
+        tick = clock.due(self._time)
+        self._time += round(clock.period)
+        assert tick is not None and tick.dropped == 0
+        self._player._publish(tick)
+        return int(tick.stamp)
+
+
 @contextmanager
 def whole_flow(
-    scene: Path, namespace: str, topics: Mapping[Any, Sequence[str]], frames: int
+    scene: Path,
+    namespace: str,
+    topics: Mapping[Any, Sequence[str]],
+    frames: int,
+    with_next: Collection[str] = (),
+    with_previous: Collection[str] = (),
 ) -> Iterator[Client]:
-    """Run a player, a skinner and a camera of a scene, and yield a client with ``frames`` complete frames.
+    """Run a player, a skinner and a camera of a scene in lockstep, and yield a client with complete frames.
 
-    ``topics``: topics of a complete frame, by message type.
+    Args:
+        scene: Scene file.
+        namespace: ROS namespace of the nodes.
+        topics: Topics of a complete frame, by message type.
+        frames: Number of complete frames.
+        with_next: Topics that need the next frame, such as forward flow, and are published with it.
+        with_previous: Topics that need the previous frame.
     """
     from rclpy.parameter import Parameter
-    from rclpy.qos import QoSProfile
 
     from humansim_ros.ros.nodes.camera import CameraNode
     from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
@@ -107,18 +169,29 @@ def whole_flow(
         kind(parameter_overrides=given, namespace=namespace)
         for kind in (MotionPlayerNode, SkinnerNode, CameraNode)
     ]
+    lockstep = Lockstep(nodes[0])
     client = Client(f"client_of_{namespace}")
     for node in nodes:
         client.executor.add_node(node)
     for message, names in topics.items():
-        client.subscribe(message, names, QoSProfile(depth=500))
-    number = sum(len(names) for names in topics.values())
+        client.subscribe(message, names)
+    client.spin_until_matched(*nodes)
+    stamps: list[int] = []
 
-    def enough() -> bool:
-        return len(client.received) == number and len(client.common_stamps()) >= frames
+    def missing() -> list[str]:
+        first, last = stamps[0], stamps[-1]
+        return [
+            f"{topic} at {stamp}"
+            for stamp in stamps
+            for names in topics.values()
+            for topic in names
+            if not ((stamp == first and topic in with_previous) or (stamp == last and topic in with_next))
+            and stamp not in client.received[topic]
+        ]
 
-    done = client.spin_until(enough, 60)
-    assert done, f"received {sorted(client.received)}, {len(client.common_stamps())} common stamps"
+    for _ in range(frames + 2 if with_next or with_previous else frames):
+        stamps.append(lockstep.play())
+        assert client.spin_until(lambda: not missing()), missing()
     yield client
     for node in nodes:
         node.close()

@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from conftest import ROOT
+from waiting import PATIENCE, wait_until
 
 from humansim_ros import Camera, read_bvh, write_calibration
 
@@ -31,7 +31,7 @@ def example(name: str, *arguments: object, cwd: Path = ROOT) -> str:
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=2 * PATIENCE,
         check=False,
     )
     assert done.returncode == 0, done.stderr
@@ -98,7 +98,7 @@ def running(*command: str) -> Iterator[None]:
         yield
     finally:
         process.terminate()
-        process.wait(timeout=30)
+        process.wait(timeout=PATIENCE)
 
 
 def test_a_tracker_is_measured_and_a_camera_is_moved() -> None:
@@ -127,10 +127,7 @@ def camera_moves(camera: str) -> bool:
             lambda m: seen.add((m.transform.translation.x, m.transform.translation.y)),
             10,
         )
-        end = time.monotonic() + 30
-        while len(seen) < 5 and time.monotonic() < end:
-            rclpy.spin_once(node, timeout_sec=0.5)
+        return wait_until(lambda: len(seen) >= 5, step=lambda: rclpy.spin_once(node, timeout_sec=0.5))
     finally:
         node.destroy_node()
         rclpy.try_shutdown()
-    return len(seen) >= 5

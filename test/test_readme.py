@@ -7,10 +7,10 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 from conftest import ROOT
+from waiting import PATIENCE, wait_until
 
 from humansim_ros.render.channels import CHANNEL_TABLE
 
@@ -37,17 +37,17 @@ def test_the_tracker_of_the_readme_hears_the_cameras(tmp_path: Path) -> None:
     )
     with (tmp_path / "heard").open("w") as output:
         listening = subprocess.Popen([sys.executable, "-u", str(tracker)], stdout=output, env={**os.environ})
-        end = time.monotonic() + 30
-        heard = ""
-        while time.monotonic() < end and not ("camera_1" in heard and "camera_2" in heard):
-            time.sleep(0.2)
-            heard = (tmp_path / "heard").read_text()
+
+        def heard() -> str:
+            return (tmp_path / "heard").read_text()
+
+        both = wait_until(lambda: "camera_1" in heard() and "camera_2" in heard())
         for process in (listening, nodes):
             process.send_signal(signal.SIGINT)
-        assert nodes.wait(20) == 0
-        listening.wait(20)
-    assert re.search(r"camera_1_optical_frame .*sec=\d+.* 64 48", heard), heard[:500]
-    assert "camera_2" in heard
+        assert nodes.wait(PATIENCE) == 0
+        listening.wait(PATIENCE)
+    assert both
+    assert re.search(r"camera_1_optical_frame .*sec=\d+.* 64 48", heard()), heard()[:500]
 
 
 def test_the_simulation_of_the_readme_gives_images_and_joints(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_the_simulation_of_the_readme_gives_images_and_joints(tmp_path: Path) ->
     code = next(block for block in BLOCKS if "Simulation" in block)
     code += "    print(image.shape, joints.shape)\n    break\n"
     result = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE
     )
     assert result.stdout == "(48, 64, 3) (27, 3)\n", result.stderr
 

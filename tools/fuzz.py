@@ -63,7 +63,7 @@ _MEMORY = 4 << 30
 _SECONDS, _SECONDS_PER_BYTE = 1.0, 1e-5
 #: The same for a scene, which reads other files and may have a hundred humans.
 _SECONDS_OF_SCENES = 5.0
-#: Seconds after which a reader hangs.
+#: Seconds of processor time after which a reader hangs.
 _HANG = 30
 _LONGEST = 60_000
 
@@ -662,7 +662,7 @@ def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
     """
     reader, pattern = READERS[name]
     outcome, random_ = Outcome(), random.Random(f"{name}{seed}")
-    before = signal.signal(signal.SIGALRM, _hangs)
+    before = signal.signal(signal.SIGPROF, _hangs)
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", HumansimWarning)
@@ -671,7 +671,7 @@ def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
             data = mutated(random_.choice(corpus), corpus, random_)
             path.write_bytes(data)
             start = time.process_time()
-            signal.alarm(_HANG)
+            signal.setitimer(signal.ITIMER_PROF, _HANG)
             try:
                 reader(path)
                 kind = "read"
@@ -682,7 +682,7 @@ def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
                     raise
                 kind = f"finding: {type(error).__name__}"
                 outcome.findings.append((traceback.format_exc(limit=-4), data))
-            signal.alarm(0)
+            signal.setitimer(signal.ITIMER_PROF, 0)
             took = time.process_time() - start
             outcome.slowest = max(outcome.slowest, took)
             allowed = _SECONDS_OF_SCENES if name == "scene" else _SECONDS
@@ -691,7 +691,7 @@ def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
                 outcome.findings.append((f"took {took:.1f} s for {len(data)} bytes", data))
             outcome.inputs += 1
             outcome.kinds[kind] += 1
-    signal.signal(signal.SIGALRM, before)
+    signal.signal(signal.SIGPROF, before)
     outcome.megabytes = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return outcome
 

@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from opencv_support import opencv_pixels
 from scipy.linalg import rq
 from scipy.spatial.transform import Rotation
+from waiting import PATIENCE
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration, write_calibration
@@ -291,7 +292,7 @@ def test_an_idealized_image_agrees_with_a_rendering_of_the_ideal_camera(
 def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "humansim_ros.cli", "camera", "idealize", *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, env=environment)
 
 
 @pytest.mark.slow

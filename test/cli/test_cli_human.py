@@ -13,6 +13,7 @@ import figures
 import numpy as np
 import pytest
 from conftest import ROOT
+from waiting import PATIENCE
 
 from humansim_ros.humans.loading import load_human
 
@@ -21,7 +22,7 @@ def humansim(*arguments: str | Path, cache: Path | None = None) -> subprocess.Co
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "HUMANSIM_CACHE": str(cache or "off")}
     environment.pop("HUMANSIM_MAKEHUMAN", None)
     command = [sys.executable, "-m", "humansim_ros.cli", "human", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=120, env=environment)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, env=environment)
 
 
 @pytest.fixture

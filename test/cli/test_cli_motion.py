@@ -15,6 +15,7 @@ import pytest
 import yaml
 from conftest import ROOT, needs_shared_data
 from scipy.spatial.transform import Rotation
+from waiting import PATIENCE
 
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.cli import main as cli
@@ -264,7 +265,11 @@ def test_a_closed_pipe_is_not_an_error() -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     line = f"{sys.executable} -m humansim_ros.cli motion joints walk --json | head -c 10"
     done = subprocess.run(
-        ["bash", "-o", "pipefail", "-c", line], capture_output=True, text=True, env=environment, timeout=60
+        ["bash", "-o", "pipefail", "-c", line],
+        capture_output=True,
+        text=True,
+        env=environment,
+        timeout=PATIENCE,
     )
     assert done.stdout.startswith('{"Hips"')
     assert "Traceback" not in done.stderr
@@ -281,6 +286,6 @@ def test_looking_at_joints_loads_no_opengl_and_no_ros() -> None:
         capture_output=True,
         text=True,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
-        timeout=60,
+        timeout=PATIENCE,
     )
     assert done.stdout.splitlines()[-1] == "[]"

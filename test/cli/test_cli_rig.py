@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from conftest import ROOT
+from waiting import PATIENCE
 
 from humansim_ros.camera import read_calibration
 from humansim_ros.camera.rigs import Optics, stereo
@@ -24,7 +25,7 @@ TARGET = np.array([0.5, -1.0, 1.1])
 def humansim(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "humansim_ros.cli", "camera", *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, env=environment)
+    return subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE, env=environment)
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ import pytest
 import yaml
 from conftest import ROOT
 from scipy.spatial.transform import Rotation
+from waiting import PATIENCE
 
 from humansim_ros.motion import Motion, read_bvh
 
@@ -51,7 +52,7 @@ def test_the_list_names_every_file() -> None:
 
 def test_the_files_are_what_the_script_makes(tmp_path: Path) -> None:
     script = ROOT / "tools" / "assets" / "make_motions.py"
-    subprocess.run([sys.executable, str(script), "--folder", str(tmp_path)], check=True, timeout=120)
+    subprocess.run([sys.executable, str(script), "--folder", str(tmp_path)], check=True, timeout=PATIENCE)
     for name in MADE:
         again = read_bvh(tmp_path / f"{name}.bvh")
         assert again.joint_names == motion(name).joint_names

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from render_scenes import RENDERERS, along_x, body, box, cast, inner, renderer_or_skip, walkers, wall
+from waiting import PATIENCE
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError, HumansimError, HumansimWarning, RenderError
@@ -216,7 +217,7 @@ def attempt(what: str, before: str = "", **environment: str) -> str:
         capture_output=True,
         text=True,
         check=False,
-        timeout=120,
+        timeout=PATIENCE,
     )
     assert run.returncode == 0, run.stderr
     return run.stdout

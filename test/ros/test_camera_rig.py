@@ -5,7 +5,6 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from ros_support import SMALL_SCENE, Client, rclpy, write_scene
+from waiting import PATIENCE
 
 from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.render import GLRenderer
@@ -61,14 +61,12 @@ class Stage:
             for human in self.rig.scene.actors
             for kind, message in (("vertices", PointCloud2), ("joints", MultiDOFJointState))
         }
-        matched = lambda: all(sender.get_subscription_count() for sender in self.senders.values())  # noqa: E731
-        assert self.client.spin_until(matched)
+        self.client.spin_until_matched(*self.rig.nodes)
 
     def subscribe(self, kind: Any, *topics: str) -> None:
         full = [f"/{self.namespace}/{topic}" for topic in topics]
         self.client.subscribe(kind, full)
-        count = self.client.node.count_publishers
-        assert self.client.spin_until(lambda: all(count(topic) == 1 for topic in full))
+        self.client.spin_until_matched(*self.rig.nodes)
 
     def messages_of(self, topic: str) -> dict[int, Any]:
         return self.client.received[f"/{self.namespace}/{topic}"]
@@ -180,9 +178,12 @@ def test_a_rig_subscribes_once_to_each_human_and_has_a_node_for_each_camera(play
 
 
 def test_a_frame_with_a_vertex_that_is_not_finite_is_skipped_and_logged_and_the_next_is_rendered(
-    played: Any, capfd: pytest.CaptureFixture[str]
+    played: Any, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stage = played.stage
+    skipped: list[str] = []
+    report = stage.rig.report_skipped
+    monkeypatch.setattr(stage.rig, "report_skipped", lambda reason: (skipped.append(reason), report(reason)))
     last = max(played.frames)
     frame = played.frames[last]
     capfd.readouterr()
@@ -193,8 +194,7 @@ def test_a_frame_with_a_vertex_that_is_not_finite_is_skipped_and_logged_and_the_
             vertices[7, 1] += poison
             stage.senders[human, "joints"].publish(messages.joints_message(state, stamp))
             stage.senders[human, "vertices"].publish(messages.vertices_message(vertices, stamp))
-        end = time.monotonic() + 0.3
-        stage.client.spin_until(lambda e=end: time.monotonic() > e)
+        assert stage.client.spin_until(lambda s=step: len(skipped) == min(s, 2))
     assert stage.client.spin_until(lambda: all(stamp in stage.messages_of(f"{c}/image_raw") for c in CAMERAS))
     for camera in CAMERAS:
         assert not {last + 50_000_000, last + 100_000_000} & set(stage.messages_of(f"{camera}/image_raw"))
@@ -265,6 +265,6 @@ def test_a_process_with_a_name_and_a_list_of_cameras(ros: None, tmp_path: Path) 
         assert client.spin_until(lambda: names() == expected), names()
     finally:
         running.send_signal(signal.SIGINT)
-        log = running.communicate(timeout=20)[1]
+        log = running.communicate(timeout=PATIENCE)[1]
         client.close()
     assert running.returncode == 0 and "Traceback" not in log, log

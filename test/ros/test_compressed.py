@@ -46,17 +46,20 @@ def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]
 
 
 def newest(studio: Any, raw: str, packed: str) -> tuple[Any, Any]:
-    """A raw and a compressed message of one stamp that arrive from now on."""
+    """A raw and a compressed message of one stamp, of a frame that is rendered from now on."""
     from sensor_msgs.msg import CompressedImage, Image
 
-    client = studio.client
+    client, now = studio.client, studio.rig.now()
     for kind, topic in ((Image, raw), (CompressedImage, packed)):
         if f"/packed/{topic}" not in client.received:
             client.subscribe(kind, [f"/packed/{topic}"])
-        client.received[f"/packed/{topic}"].clear()
     ours = [client.received[f"/packed/{topic}"] for topic in (raw, packed)]
-    assert client.spin_until(lambda: bool(set(ours[0]) & set(ours[1]))), (raw, packed)
-    stamp = max(set(ours[0]) & set(ours[1]))
+
+    def common() -> set[int]:
+        return {stamp for stamp in set(ours[0]) & set(ours[1]) if stamp > now}
+
+    assert client.spin_until(common), (raw, packed)
+    stamp = max(common())
     return ours[0][stamp], ours[1][stamp]
 
 
@@ -164,15 +167,15 @@ def test_nothing_is_encoded_without_subscribers(studio: Any, monkeypatch: pytest
     client = Client("passer_by")
     for node in studio.rig.nodes:
         client.executor.add_node(node)
-    for topic in list(studio.client.received):
-        studio.client.received[topic].clear()
     for subscription in list(studio.client.node.subscriptions):
         studio.client.node.destroy_subscription(subscription)
+    publishers = [p for node in studio.rig.nodes for p in node.publishers if "compressed" in p.topic_name]
+    assert len(publishers) == 2 * len(ENCODINGS)
+    assert client.spin_until(lambda: not any(p.get_subscription_count() for p in publishers))
+    encoded.clear()
     topic = "/packed/bgr8/image_raw"
     client.subscribe(Image, [topic])
     assert client.spin_until(lambda: len(client.received[topic]) >= 4)
-    encoded.clear()  # the last subscriber may have left only just now
-    assert client.spin_until(lambda: len(client.received[topic]) >= 8)
     assert encoded == []
     client.subscribe(CompressedImage, [f"{topic}/compressed"])
     assert client.spin_until(lambda: len(client.received[f"{topic}/compressed"]) >= 2)

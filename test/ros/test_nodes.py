@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import Client, rclpy, write_scene
+from ros_support import Client, Lockstep, write_scene
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.rigging import dominant_bones
@@ -47,16 +47,13 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     for node in nodes:
         client.executor.add_node(node)
     topics = [f"/humans/{human}/{kind}" for human in HUMANS for kind in ("motion", "joints")]
-    # one thread runs all nodes here: messages that wait must not be lost
-    client.subscribe(MultiDOFJointState, topics, rclpy.qos.QoSProfile(depth=500))
+    client.subscribe(MultiDOFJointState, topics)
     client.subscribe(PointCloud2, [f"/humans/{human}/vertices" for human in HUMANS])
     client.subscribe(PointCloud2, [f"/{camera}/joints" for camera in CAMERAS])
     client.subscribe(Image, [f"/{camera}/{kind}" for camera in CAMERAS for kind in IMAGES])
     client.subscribe(CameraInfo, [f"/{camera}/camera_info" for camera in CAMERAS])
     expected = len(topics) + 2 + 2 + 8 + 2
-    done = client.spin_until(
-        lambda: len(client.received) == expected and len(client.common_stamps()) >= 12, 60
-    )
+    done = client.spin_until(lambda: len(client.received) == expected and len(client.common_stamps()) >= 12)
     assert done, f"received {sorted(client.received)}, {len(client.common_stamps())} common stamps"
     yield SimpleNamespace(client=client, nodes=nodes, scene=scene)
     for node in nodes:
@@ -208,23 +205,30 @@ def test_visible_joints_are_on_their_own_body(flow: Any) -> None:
     assert seen > 100
 
 
-def test_published_velocities_are_those_of_the_joint_positions(flow: Any) -> None:
+def test_published_velocities_are_those_of_the_joint_positions(ros: None, tmp_path: Path) -> None:
     """Compared with the adjacent frames: exact up to the acceleration within a period."""
-    received = flow.client.received["/humans/second/joints"]
+    from sensor_msgs.msg import MultiDOFJointState
 
-    def triples() -> list[tuple[int, int, int]]:
-        """Frames with their adjacent frames."""
-        return [(s - 50_000_000, s, s + 50_000_000) for s in sorted(received)
-                if s - 50_000_000 in received and s + 50_000_000 in received]  # fmt: skip
-
-    # on a busy machine it may take a while until no frame of three is skipped
-    assert flow.client.spin_until(lambda: len(triples()) >= 5, 60)
+    scene = str(write_scene(tmp_path))
+    nodes = [
+        MotionPlayerNode(**parameters(scene=scene), namespace="speeds"),
+        SkinnerNode(**parameters(scene=scene, human="second"), namespace="speeds"),
+    ]
+    client, topic = Client("speedometer"), "/speeds/humans/second/joints"
+    for node in nodes:
+        client.executor.add_node(node)
+    client.subscribe(MultiDOFJointState, [topic])
+    client.spin_until_matched(*nodes)
+    lockstep, stamps, received = Lockstep(nodes[0]), [], client.received[topic]
+    for _ in range(9):
+        stamps.append(lockstep.play())
+        assert client.spin_until(lambda: stamps[-1] in received)
+    for node in nodes:
+        node.destroy_node()
+    client.close()
     errors, speeds = [], []
-    for before, now, after in triples():
-        position = {
-            s: messages.read_joints(flow.client.received["/humans/second/joints"][s])
-            for s in (before, now, after)
-        }
+    for before, now, after in zip(stamps, stamps[1:], stamps[2:], strict=False):
+        position = {s: messages.read_joints(received[s]) for s in (before, now, after)}
         measured = (position[after].positions - position[before].positions) / 0.1
         if np.abs(measured).max() > 8:  # the motion jumped back to its start
             continue
@@ -359,7 +363,9 @@ def test_a_camera_alone_renders_the_scene_at_its_start(ros: None, tmp_path: Path
     client.close()
 
 
-def test_a_skinner_skips_motions_that_it_cannot_use(ros: None, tmp_path: Path) -> None:
+def test_a_skinner_skips_motions_that_it_cannot_use(
+    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from sensor_msgs.msg import MultiDOFJointState
 
     node = SkinnerNode(**parameters(scene=str(write_scene(tmp_path)), human="first"), namespace="outlive")
@@ -367,16 +373,19 @@ def test_a_skinner_skips_motions_that_it_cannot_use(ros: None, tmp_path: Path) -
     client.executor.add_node(node)
     client.subscribe(MultiDOFJointState, ["/outlive/humans/first/joints"])
     publisher = client.node.create_publisher(MultiDOFJointState, "/outlive/humans/first/motion", 5)
-    assert client.spin_until(lambda: publisher.get_subscription_count() == 1)
+    client.spin_until_matched(node)
     poses = node._actor.joint_poses(0.0)
     broken = messages.motion_message(poses, 1_000)
     broken.transforms[0].translation.x = float("nan")
     stranger = messages.motion_message(poses, 2_000)
     stranger.joint_names[0] = "somebody_else"
-    for message in (broken, stranger, messages.motion_message(poses, 3_000)):
+    skipped: list[str] = []
+    monkeypatch.setattr(node, "report_skipped", skipped.append)
+    for number, message in enumerate((broken, stranger), 1):
         publisher.publish(message)
-        client.spin_until(lambda: False, 0.3)
-    assert client.spin_until(lambda: 3_000 in client.received["/outlive/humans/first/joints"], 10)
+        assert client.spin_until(lambda n=number: len(skipped) == n)
+    publisher.publish(messages.motion_message(poses, 3_000))
+    assert client.spin_until(lambda: 3_000 in client.received["/outlive/humans/first/joints"])
     assert set(client.received["/outlive/humans/first/joints"]) == {3_000}
     node.destroy_node()
     client.close()
@@ -405,23 +414,15 @@ def test_a_camera_follows_a_clock_that_is_set_back(ros: None, tmp_path: Path) ->
         )
         for name in HUMANS
     }
-    assert client.spin_until(
-        lambda: (
-            all(p.get_subscription_count() for pair in senders.values() for p in pair)
-            and client.node.count_publishers("/jump/left/part/image") == 1
-        )
-    )
+    client.spin_until_matched(node)
     images = client.received["/jump/left/part/image"]
     for stamp in (20_000_000_000, 1_000_000_000, 1_050_000_000):
-
-        def send_until_shown(stamp: int = stamp) -> bool:
-            for name, (joints, vertices) in senders.items():
-                state = node.scene.actors[name].at(stamp * 1e-9)
-                joints.publish(messages.joints_message(state, stamp))
-                vertices.publish(messages.vertices_message(state.vertices, stamp))
-            return stamp in images
-
-        assert client.spin_until(send_until_shown, 15), f"{stamp} was not shown, only {sorted(images)}"
+        for name, (joints, vertices) in senders.items():
+            state = node.scene.actors[name].at(stamp * 1e-9)
+            joints.publish(messages.joints_message(state, stamp))
+            vertices.publish(messages.vertices_message(state.vertices, stamp))
+        shown = client.spin_until(lambda s=stamp: s in images)
+        assert shown, f"{stamp} was not shown, only {sorted(images)}"
     node.close()
     node.destroy_node()
     client.close()
@@ -446,12 +447,7 @@ def test_frames_of_a_slower_player_do_not_count_as_lost(
         for name in HUMANS
         for kind, topic in ((MultiDOFJointState, "joints"), (PointCloud2, "vertices"))
     }
-    assert client.spin_until(
-        lambda: (
-            all(sender.get_subscription_count() for sender in senders.values())
-            and client.node.count_publishers("/slow/left/part/image") == 1
-        )
-    )
+    client.spin_until_matched(node)
     states = {name: actor.at(0.0) for name, actor in node.scene.actors.items()}
     after = []
     for frame in range(16):
@@ -460,7 +456,7 @@ def test_frames_of_a_slower_player_do_not_count_as_lost(
             make = messages.joints_message if kind is MultiDOFJointState else messages.vertices_message
             state = states[name] if kind is MultiDOFJointState else states[name].vertices
             sender.publish(make(state, stamp))
-        assert client.spin_until(lambda s=stamp: s in client.received["/slow/left/part/image"], 15)
+        assert client.spin_until(lambda s=stamp: s in client.received["/slow/left/part/image"])
         after.append(sum(dropped))
     assert after[5] == 0
     assert after[-1] == after[-6]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from ros_support import Client, write_scene
+from waiting import PATIENCE, wait_until
 
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.motion import read_bvh
@@ -236,7 +238,7 @@ class PlayerClient:
         self.namespace = namespace
         self.parameters = AsyncParameterClient(self.client.node, f"/{namespace}/motion_player")
         topics = [f"/{namespace}/humans/{human}/{kind}" for human in HUMANS for kind in ("motion", "joints")]
-        self.client.subscribe(MultiDOFJointState, topics, 500)
+        self.client.subscribe(MultiDOFJointState, topics)
         self.client.subscribe(String, [f"/{namespace}/humans/first/motion/legend"], LATCHED)
         self.frames(2)
 
@@ -244,13 +246,14 @@ class PlayerClient:
         return self.client.received[f"/{self.namespace}/humans/{human}/{kind}"]
 
     def frames(self, count: int, human: str = "first", kind: str = "motion") -> list[tuple[int, JointPoses]]:
-        """The next ``count`` frames."""
-        before = len(self.messages_of(human, kind))
-        assert self.client.spin_until(lambda: len(self.messages_of(human, kind)) >= before + count), (
-            "no frames arrive"
-        )
-        items = sorted(self.messages_of(human, kind).items())[-count:]
-        return [(stamp, messages.read_joints(message)) for stamp, message in items]
+        """The first ``count`` frames that the player sends from now on."""
+        sent = self.player._playback_clock.last or 0
+
+        def later() -> list[tuple[int, Any]]:
+            return sorted(item for item in self.messages_of(human, kind).items() if item[0] > sent)
+
+        assert self.client.spin_until(lambda: len(later()) >= count), "no frames arrive"
+        return [(stamp, messages.read_joints(message)) for stamp, message in later()[:count]]
 
     def of_stamp(self, stamp: int, human: str = "first", kind: str = "motion") -> JointPoses:
         assert self.client.spin_until(lambda: stamp in self.messages_of(human, kind))
@@ -324,7 +327,6 @@ def test_a_paused_player_shows_the_same_pose_with_new_stamps_and_steps_by_frames
 
     paused = player.call("pause", SetBool, data=True)
     assert paused.success
-    player.frames(1)
     still = player.frames(4)
     assert not moves(still)
     assert np.all(np.diff([stamp for stamp, _ in still]) > 0)
@@ -366,7 +368,6 @@ def test_restart_and_seek_show_that_scene_time_at_once(player: PlayerClient, pau
 def test_the_rate_changes_and_frames_are_a_period_apart_to_the_nanosecond(player: PlayerClient) -> None:
     player.frames(2)
     assert player.set(rate=40) == ""  # an integer, as users type it
-    player.frames(1)
     stamps = [stamp for stamp, _ in player.frames(6)]
     steps = np.diff(stamps) / 25_000_000
     assert np.array_equal(steps, np.round(steps))
@@ -375,15 +376,12 @@ def test_the_rate_changes_and_frames_are_a_period_apart_to_the_nanosecond(player
 
 def test_speeds_of_the_clock_and_of_one_human(player: PlayerClient) -> None:
     assert player.set(speed=0.0) == ""
-    player.frames(2)
     assert not moves(player.frames(3))
     assert player.set(speed=4.0) == ""
-    player.frames(1)
     ((_, poses),) = player.frames(1)
     assert poses.linear is not None
     assert np.linalg.norm(poses.linear[0, 0]) > 2.5  # hips of a person who walks four times as fast
     assert player.set(first__speed=0.0) == ""
-    player.frames(2)
     assert not moves(player.frames(3))
     assert moves(player.frames(4, "second"))
 
@@ -405,10 +403,9 @@ def test_values_for_all_are_set_for_each_and_parameters_return_present_values(pl
 
 def test_one_human_can_be_left_to_another_source(player: PlayerClient) -> None:
     assert player.set(second__play=False) == ""
-    player.frames(1)
-    last = max(player.messages_of("second"))
+    last = player.player._playback_clock.last
     player.frames(4)
-    assert max(player.messages_of("second")) == last
+    assert max(player.messages_of("second")) <= last
     assert player.set(second__play=True) == ""
     player.frames(2, "second")
 
@@ -425,7 +422,6 @@ def test_start_end_loop_and_mirror_change_the_motion(player: PlayerClient) -> No
     assert player.client.spin_until(is_at_the_end)
     before = player.frames(1)[0][1]
     assert player.set(first__mirror=True) == ""
-    player.frames(1)
     after = player.frames(1)[0][1]
     twins = [before.names.index(n.replace("Left", "?").replace("Right", "Left").replace("?", "Right"))
              for n in before.names]  # fmt: skip
@@ -442,17 +438,13 @@ def test_a_changed_motion_gives_the_same_truth_as_in_the_scene_file(player: Play
     assert player.set(first__motion="walk_straight", first__mirror=True) == ""
     player.call("pause", SetBool, data=True)
     assert player.set(seek=1.5) == ""
-    player.frames(2)
-    _, body = player.frames(2, kind="joints")[-1]
+    _, body = player.frames(1, kind="joints")[0]
     config = MotionConfig(file="walk_straight", mirror=True, position=(0.0, -1.59), loop="continue")
     actor = player.player.scene.actors["first"].with_motion(config, player.player.scene.source)
     np.testing.assert_allclose(body.positions[0], actor.at(1.5).positions, atol=1e-9)
-    (legend,) = player.client.received[f"/{player.namespace}/humans/first/motion/legend"].values()
-    assert (
-        json.loads(legend.data)["lift"]
-        == actor.retargeter.lift
-        != player.player.scene.actors["first"].retargeter.lift
-    )
+    legends = player.client.received[f"/{player.namespace}/humans/first/motion/legend"]
+    assert player.client.spin_until(lambda: json.loads(legends[0].data)["lift"] == actor.retargeter.lift)
+    assert actor.retargeter.lift != player.player.scene.actors["first"].retargeter.lift
 
 
 def test_values_that_cannot_be_played_are_rejected_and_the_old_motion_continues(
@@ -499,19 +491,25 @@ def test_values_that_cannot_be_played_are_rejected_and_the_old_motion_continues(
 def test_frames_are_sent_while_a_motion_is_read(
     player: PlayerClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    prepare = Playback.prepare
+    prepare, publish, during = Playback.prepare, player.player._publish, list[int]()
+    five_are_sent = threading.Event()
 
     def slow(self: Playback, name: str, settings: Any) -> Any:
-        time.sleep(1.0)
+        monkeypatch.setattr(player.player, "_publish", count)
+        assert five_are_sent.wait(PATIENCE), "no frames are sent while the motion is read"
+        monkeypatch.setattr(player.player, "_publish", publish)
         return prepare(self, name, settings)
 
+    def count(tick: Tick) -> None:
+        publish(tick)
+        during.append(tick.stamp)
+        if len(during) >= 5:
+            five_are_sent.set()
+
     monkeypatch.setattr(Playback, "prepare", slow)
-    start = player.player.now()
     assert player.set(first__motion="walk_straight") == ""
-    assert player.client.spin_until(lambda: max(player.messages_of()) > start + SECOND)
-    during = [stamp for stamp in sorted(player.messages_of()) if start < stamp < start + SECOND]
-    assert len(during) >= 5
-    assert moves([(stamp, messages.read_joints(player.messages_of()[stamp])) for stamp in during[:5]])
+    assert player.client.spin_until(lambda: set(during) <= set(player.messages_of()))
+    assert moves([(stamp, messages.read_joints(player.messages_of()[stamp])) for stamp in during])
 
 
 def test_parameters_at_the_start_have_priority_over_the_scene(ros: None, tmp_path: Path) -> None:
@@ -556,13 +554,15 @@ def test_a_motion_is_sent_before_its_stamp_and_its_body_is_not(ros: None, tmp_pa
         what = PointCloud2 if kind == "vertices" else MultiDOFJointState
         listener.node.create_subscription(what, f"/early/humans/first/{kind}", keeper(kind), 50)
 
-    def heard_enough() -> bool:
-        listener.executor.spin_once(timeout_sec=0.0)
-        return all(len(times) >= 20 for times in ahead.values())
-
-    assert stage.client.spin_until(heard_enough)
     lead = stage.player.get_parameter("lead").value * SECOND
-    assert 0.2 * lead < np.median(ahead["motion"]) < 1.5 * lead
+
+    def heard_enough() -> bool:
+        """Of 20 frames one at least was sent on time, even on a loaded machine."""
+        listener.executor.spin_once(timeout_sec=0.0)
+        return all(len(times) >= 20 for times in ahead.values()) and max(ahead["motion"]) > 0.2 * lead
+
+    assert stage.client.spin_until(heard_enough), ahead
+    assert max(ahead["motion"]) < 1.5 * lead
     assert max(ahead["joints"]) <= 0 and max(ahead["vertices"]) <= 0
     stage.close()
     listener.close()
@@ -582,7 +582,10 @@ def test_frames_are_sent_at_their_stamps_even_if_the_first_was_late(
     executor = SingleThreadedExecutor()
     executor.add_node(player)
     time.sleep(0.25)  # the timer was due after 0.2 s
-    while len(late) < 6:
-        executor.spin_once(timeout_sec=1.0)
+    # a frame may be late on a loaded machine, but if they waited for the next call of the timer, all would be
+    on_time = wait_until(
+        lambda: len([each for each in late[1:] if each < 0.04 * SECOND]) >= 3,
+        step=lambda: executor.spin_once(timeout_sec=1.0),
+    )
     player.destroy_node()
-    assert np.median(late) < 0.04 * SECOND
+    assert on_time, late

@@ -6,14 +6,14 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import ROOT
 from ros_support import Client, write_scene
+from waiting import PATIENCE, wait_until
 
 WALK = ROOT / "assets" / "motions" / "walk.bvh"
 HUMANSIM = [sys.executable, "-m", "humansim_ros.cli"]
@@ -50,26 +50,41 @@ def children(pid: int) -> dict[int, str]:
 
 
 def wait_for_nodes(process: subprocess.Popen[str], number: int) -> dict[int, str]:
-    end = time.monotonic() + 30
-    while time.monotonic() < end:
-        nodes = {pid: line for pid, line in children(process.pid).items() if "humansim_ros.ros.nodes" in line}
-        if len(nodes) == number:
-            return nodes
-        time.sleep(0.1)
-    raise AssertionError(f"{len(nodes)} of {number} nodes are running")
+    """Node processes of a run by process id, with their command lines, once all of them answer."""
+
+    def nodes() -> dict[int, str]:
+        return {pid: line for pid, line in children(process.pid).items() if "humansim_ros.ros.nodes" in line}
+
+    client = Client("onlooker")
+
+    def answering() -> int:
+        names = client.node.get_node_names()
+        return len([name for name in names if name.startswith(("motion_player", "skinner", "camera"))])
+
+    ready = client.spin_until(lambda: len(nodes()) == number and answering() >= number)
+    assert ready, f"{len(nodes())} of {number} nodes run, {answering()} answer"
+    client.close()
+    return nodes()
+
+
+def are_gone(pids: Iterable[int]) -> bool:
+    return wait_until(lambda: not [pid for pid in pids if Path(f"/proc/{pid}").exists()])
 
 
 def test_cameras_in_their_own_processes_agree_on_the_stamp(ros: None, running: subprocess.Popen[str]) -> None:
+    from rclpy.qos import qos_profile_sensor_data
     from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2
 
     client = Client("outside")
-    client.subscribe(
-        Image, [f"/{c}/{kind}" for c in ("left", "right") for kind in ("image_raw", "instance/image")]
-    )
-    client.subscribe(CameraInfo, ["/left/camera_info", "/right/camera_info"])
-    client.subscribe(PointCloud2, ["/left/joints", "/right/joints", "/humans/first/vertices"])
-    client.subscribe(MultiDOFJointState, ["/humans/first/joints", "/humans/second/joints"])
-    whole = client.spin_until(lambda: len(client.received) == 11 and len(client.common_stamps()) >= 10, 60)
+    topics = {
+        Image: [f"/{c}/{kind}" for c in ("left", "right") for kind in ("image_raw", "instance/image")],
+        CameraInfo: ["/left/camera_info", "/right/camera_info"],
+        PointCloud2: ["/left/joints", "/right/joints", "/humans/first/vertices"],
+        MultiDOFJointState: ["/humans/first/joints", "/humans/second/joints"],
+    }
+    for kind, names in topics.items():
+        client.subscribe(kind, names, qos_profile_sensor_data)  # as to a camera driver
+    whole = client.spin_until(lambda: len(client.received) == 11 and len(client.common_stamps()) >= 10)
     assert whole, f"heard {sorted(client.received)}"
     stamp = client.common_stamps()[-1]
     for camera in ("left", "right"):
@@ -78,39 +93,33 @@ def test_cameras_in_their_own_processes_agree_on_the_stamp(ros: None, running: s
         assert {1, 2} <= set(labels.tolist())
     client.close()
     running.send_signal(signal.SIGINT)
-    assert running.wait(20) == 0
+    assert running.wait(PATIENCE) == 0
 
 
-def test_ctrl_c_stops_every_node(running: subprocess.Popen[str], tmp_path: Path) -> None:
+def test_ctrl_c_stops_every_node(ros: None, running: subprocess.Popen[str], tmp_path: Path) -> None:
     nodes = wait_for_nodes(running, 5)
-    time.sleep(2.0)
     running.send_signal(signal.SIGINT)
-    assert running.wait(20) == 0
+    assert running.wait(PATIENCE) == 0
     assert "Traceback" not in (tmp_path / "output").read_text()
-    time.sleep(0.2)
-    assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
+    assert are_gone(nodes)
 
 
 def test_a_node_that_dies_is_named_and_the_others_stop(
-    running: subprocess.Popen[str], tmp_path: Path
+    ros: None, running: subprocess.Popen[str], tmp_path: Path
 ) -> None:
     nodes = wait_for_nodes(running, 5)
     (victim,) = [pid for pid, line in nodes.items() if "skinner_second" in line]
     os.kill(victim, signal.SIGKILL)
-    assert running.wait(30) == 1
+    assert running.wait(PATIENCE) == 1
     assert "node skinner_second ended unexpectedly" in (tmp_path / "output").read_text()
-    assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
+    assert are_gone(nodes)
 
 
-def test_nodes_end_with_a_run_that_is_killed(running: subprocess.Popen[str]) -> None:
+def test_nodes_end_with_a_run_that_is_killed(ros: None, running: subprocess.Popen[str]) -> None:
     nodes = wait_for_nodes(running, 5)
-    time.sleep(2.0)
     running.kill()
-    running.wait()
-    end = time.monotonic() + 10
-    while time.monotonic() < end and any(Path(f"/proc/{pid}").exists() for pid in nodes):
-        time.sleep(0.1)
-    assert not [pid for pid in nodes if Path(f"/proc/{pid}").exists()]
+    running.wait(PATIENCE)
+    assert are_gone(nodes)
 
 
 def humansim(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
@@ -118,7 +127,7 @@ def humansim(*arguments: str | Path, **environment: str) -> subprocess.Completed
         [*HUMANSIM, *map(str, arguments)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE,
         env={**os.environ, **environment},
     )
 
@@ -237,7 +246,11 @@ def test_without_ros_its_installation_is_named() -> None:
     hide = "import sys; sys.modules['rclpy'] = None; from humansim_ros.cli.main import main; sys.exit(main())"
     for command in ("run", "demo"):
         result = subprocess.run(
-            [sys.executable, "-c", hide, command], capture_output=True, text=True, timeout=60, check=False
+            [sys.executable, "-c", hide, command],
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=False,
         )
         refused(result, "ROS 2", "pip install")
 
@@ -252,7 +265,7 @@ def test_a_node_refuses_invalid_input_with_exit_code_2(tmp_path: Path) -> None:
             [sys.executable, "-m", f"humansim_ros.ros.nodes.{node}", "--ros-args", "-p", parameter],
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=PATIENCE,
             check=False,
         )
         refused(result)

@@ -17,6 +17,7 @@ import yaml
 from conftest import ROOT, SHARED_DATA, needs_shared_data
 from ros_support import Client, write_scene
 from scipy.spatial.transform import Rotation
+from waiting import PATIENCE
 
 from humansim_ros.errors import HumansimError, MotionError, RosError
 from humansim_ros.motion import read_bvh
@@ -342,10 +343,10 @@ def test_the_example_drives_a_skinner_in_another_process(ros: None, tmp_path: Pa
         text=True,
     )
     try:
-        done = client.spin_until(lambda: len(client.received) == 3 and len(client.common_stamps()) >= 5, 40)
+        done = client.spin_until(lambda: len(client.received) == 3 and len(client.common_stamps()) >= 5)
     finally:
         process.terminate()
-        error = process.communicate(timeout=20)[1]
+        error = process.communicate(timeout=PATIENCE)[1]
     assert done, error
     names = read_bvh(file).joint_names
     ends = {bone: [next(n for n in names if n.endswith(e)) for e in link] for bone, link in LINKS.items()}

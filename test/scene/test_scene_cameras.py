@@ -15,6 +15,7 @@ import pytest
 from conftest import ROOT
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from waiting import PATIENCE
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimError, HumansimWarning
@@ -134,7 +135,7 @@ def test_running_a_scene_with_a_rig_tells_what_is_odd_once(folder: Path) -> None
     scene = folder / "scene.yaml"
     scene.write_text("rig: shelf.json\nroom: null\n" + WALK)
     command = [sys.executable, "-m", "humansim_ros.cli", "run", scene, "--duration", "4"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0
     assert done.stderr.count("the image size is not in the file") == 1
 

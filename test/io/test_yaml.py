@@ -48,7 +48,7 @@ def test_repetition_in_files_is_limited(
         read(path)
     assert message in caught.value.message
     assert (caught.value.path, caught.value.line) == (str(path), line)
-    assert time.process_time() - start < 5
+    assert time.process_time() - start < 60  # seconds; without a limit it never ends
 
 
 def test_a_file_that_is_far_too_large_is_not_read(tmp_path: Path) -> None:

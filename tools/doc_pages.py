@@ -1,7 +1,8 @@
-"""Write the parts of docs/ that come from docstrings: ``python tools/doc_pages.py``.
+"""Write the parts of docs/ that come from docstrings and tables: ``python tools/doc_pages.py``.
 
-docs/api.md lists all public names; the module map of docs/architecture.md has a line for each module. A test
-compares both with the docstrings: run this program after a public or a module docstring has changed.
+docs/api.md lists all public names; the module map of docs/architecture.md has a line for each module;
+docs/joints.md has the table of joint names. A test compares them with their sources: run this program after a
+public or a module docstring, or that table, has changed.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import importlib
 import inspect
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +34,8 @@ Folders export the types that these hand out, such as `from humansim_ros.truth i
 """
 _MAP_BEGINS = "<!-- module map: tools/doc_pages.py -->"
 _MAP_ENDS = "<!-- end of the module map -->"
+_JOINTS_BEGIN = "<!-- joint names: tools/doc_pages.py -->"
+_JOINTS_END = "<!-- end of the joint names -->"
 _SECTIONS = ("Args", "Returns", "Raises", "Yields", "Attributes", "Example", "Examples")
 
 
@@ -137,7 +140,31 @@ def _module_map() -> Iterator[str]:
             yield f"| `{relative.as_posix()}` | {first} |\n"
 
 
+def with_joint_names(page: str) -> str:
+    """docs/joints.md with the table of joint names of today."""
+    from humansim_ros.body.joint_names import JOINT_NAMES, SETS, WITHOUT_JOINT
+
+    def row(cells: Iterable[str]) -> str:
+        return f"| {' | '.join(cells)} |"
+
+    def code(name: str) -> str:
+        return f"{'~' * name.startswith('~')}`{name.removeprefix('~')}`" if name else ""
+
+    titles = ("joint", "place", "bone of this name", *SETS.values())
+    lines = [row(titles), row("---" for _ in titles)]
+    for joint in JOINT_NAMES:
+        others = (code(joint.in_set(column)) for column in SETS)
+        lines.append(row((code(joint.name), joint.place, joint.bone, *others)))
+    lines += ["", "Without a joint here:", ""]
+    lines += [f"- {SETS[column]}: {', '.join(map(code, names))}" for column, names in WITHOUT_JOINT.items()]
+    before, _, rest = page.partition(_JOINTS_BEGIN)
+    _, _, after = rest.partition(_JOINTS_END)
+    return f"{before}{_JOINTS_BEGIN}\n\n" + "\n".join(lines) + f"\n\n{_JOINTS_END}{after}"
+
+
 if __name__ == "__main__":
     (ROOT / "docs" / "api.md").write_text(api_page(), encoding="utf-8")
     architecture = ROOT / "docs" / "architecture.md"
     architecture.write_text(with_module_map(architecture.read_text(encoding="utf-8")), encoding="utf-8")
+    joints = ROOT / "docs" / "joints.md"
+    joints.write_text(with_joint_names(joints.read_text(encoding="utf-8")), encoding="utf-8")

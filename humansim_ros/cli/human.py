@@ -64,6 +64,26 @@ def list_humans(as_json: JsonOption = False) -> None:
         print_text(f"{human['name']:{width}}  {size}; wears {', '.join(human['outfits'])}")
 
 
+def joints(as_json: JsonOption = False) -> None:
+    """List the joints of humans with their places, and their names in H-Anim 2, SMPL, COCO and OpenPose."""
+    from dataclasses import asdict
+
+    from humansim_ros.body.joint_names import JOINT_NAMES, SETS
+
+    if as_json:
+        print_text(to_json([asdict(row) for row in JOINT_NAMES]))
+        return
+    titles = ("joint", "place", *SETS.values())
+    table = [titles, *((row.name, row.place, *map(row.in_set, SETS)) for row in JOINT_NAMES)]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for line in table:
+        cells = (f"{cell:{width}}" for cell, width in zip(line, widths, strict=True))
+        print_text("  ".join(cells).rstrip())
+    print_text(
+        "~: the nearest joint of that set, at another place. <name>_end is the end of the bone <name>."
+    )
+
+
 def show(
     human: HumanArgument,
     output: Annotated[Path, typer.Option("--output", "-o", help="Output image (.png).")],
@@ -218,6 +238,7 @@ def _check_image(output: Path | None) -> None:
 #: Commands of this module by name.
 COMMANDS: dict[str, Callable[..., None]] = {
     "list": list_humans,
+    "joints": joints,
     "show": show,
     "info": info,
     "build": build,

@@ -1,0 +1,111 @@
+"""Draw a person from the front with its joints and their names (docs/images/joints.png).
+
+python tools/figures/joint_figure.py docs/images/joints.png
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[2]
+sys.path.insert(0, str(ROOT))
+
+from humansim_ros import Scene, Simulation  # noqa: E402
+from humansim_ros.body.joint_names import JOINT_NAMES, JointName  # noqa: E402
+from humansim_ros.body.skeleton import side_of  # noqa: E402
+from humansim_ros.drawing.canvas import (  # noqa: E402
+    INK,
+    PAPER,
+    SIDE_COLORS,
+    draw_disc,
+    draw_line,
+    draw_text,
+    text_size,
+    write_png,
+)
+from humansim_ros.types import Array, Image  # noqa: E402
+
+_SIZE = (1180, 860)
+#: Seconds of the motion t_to_a_pose at which the arms are 45 degrees down.
+_A_POSE = 2.0
+_GAP = 36
+_COLUMNS = {-1: 240, 1: 940}
+
+
+def person() -> tuple[Image, dict[str, Array], list[tuple[str, str]]]:
+    """Image of a person from the front, pixels of its joints by name, and its bones as pairs of joints."""
+    camera = {"size": list(_SIZE), "position": [12, 0, 0.86], "look_at": [0, 0, 0.86], "fov_deg": 12.0}
+    scene = Scene.from_dict(
+        {
+            "room": None,
+            "world": {"background": list(PAPER)},
+            "light": {"shadows": "none"},
+            "humans": {"anna": {"body": "adult_woman", "motion": "t_to_a_pose"}},
+            "cameras": {"front": camera},
+        }
+    )
+    with Simulation(scene, channels=("rgb",)) as simulation:
+        frame = simulation.frame(round(_A_POSE * scene.config.rate))
+    human = frame.humans["anna"]
+    pixels, _ = frame.cameras["front"].project(human.positions)
+    connections = {row.name for row in JOINT_NAMES if row.place.startswith("as ")}
+    skeleton = scene.actors["anna"].human.skeleton
+    bones = [
+        (skeleton.names[parent], name)
+        for name, parent in zip(skeleton.names, skeleton.parents, strict=True)
+        if parent >= 0 and name not in connections  # their first end is that of another bone
+    ]
+    bones += [(skeleton.names[leaf], f"{skeleton.names[leaf]}_end") for leaf in skeleton.leaves]
+    return frame.views["front"].rgb, dict(zip(human.joint_names, pixels, strict=True)), bones
+
+
+def label(row: JointName) -> tuple[str, str]:
+    return row.name, row.place.split(":")[0].split(",")[0]
+
+
+def draw() -> Image:
+    rgb, pixels, bones = person()
+    image = np.asarray(255 - (255 - rgb) * 0.42, dtype=np.uint8)
+    for parent, name in bones:
+        draw_line(image, [pixels[parent], pixels[name]], SIDE_COLORS[side_of(name)], 3)
+    for name, pixel in pixels.items():
+        draw_disc(image, pixel, 5, SIDE_COLORS[side_of(name)])
+    for side, column in _COLUMNS.items():
+        # the trunk on the right of the person, which is on the left of the image; the left side opposite
+        rows = [row for row in JOINT_NAMES if side_of(row.name) == (1 if side > 0 else 0)]
+        rows = [row for row in rows if not row.place.startswith("as ")]
+        rows.sort(key=lambda row: pixels[row.name][1])
+        heights = spread([pixels[row.name][1] for row in rows])
+        for row, height in zip(rows, heights, strict=True):
+            draw_line(image, [pixels[row.name], (column - 14 * side, height)], (120, 124, 132))
+            draw_line(image, [(column - 14 * side, height), (column - 4 * side, height)], (120, 124, 132))
+            for text, scale, drop in zip(label(row), (0.55, 0.45), (2, 18), strict=True):
+                left = column if side > 0 else column - text_size(text, scale)[0]
+                draw_text(
+                    image, text, (left, round(height) + drop), scale, INK if drop == 2 else (96, 100, 108)
+                )
+    texts = ("Of the right side, r_ stands for l_.", "<name>_end is the end of a bone.")
+    for number, text in enumerate(texts):
+        draw_text(image, text, (16, _SIZE[1] - 40 + 22 * number), 0.45, (96, 100, 108))
+    return image
+
+
+def spread(heights: list[float]) -> list[float]:
+    """Heights of labels near those wanted (sorted), at least a gap apart."""
+    out = np.array(heights)
+    for _ in range(200):
+        for number in range(1, len(out)):
+            overlap = _GAP - (out[number] - out[number - 1])
+            if overlap > 0:
+                out[number - 1] -= overlap / 2
+                out[number] += overlap / 2
+    return list(np.clip(out, 20, _SIZE[1] - 26))
+
+
+if __name__ == "__main__":
+    if len(sys.argv) != 2:
+        sys.exit(__doc__)
+    write_png(sys.argv[1], draw())

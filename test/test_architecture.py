@@ -48,8 +48,8 @@ PUBLIC = {
         WorldMotion match_motion read_bvh read_motion write_bvh""",
     "render": """ALL_CHANNELS AdjacentFrame Backdrop Body CHANNELS GLRenderer ImageBackdrop Lighting
         Panorama PyrenderRenderer Renderer RendererName View make_renderer""",
-    "scene": """Actor CameraPose Environment Frame HumanState ObjectPose Playback Scene SceneCamera
-        SceneConfig SceneObject Simulation""",
+    "scene": """Actor CameraPose Environment Finding Frame HumanState ObjectPose Playback Scene SceneCamera
+        SceneConfig SceneObject Simulation check_scene""",
     "sensor": "ChromaticAberration Noise Sensor SensorConfig Vignetting",
     "truth": """BodyBox CameraTruth JointView NOTHING OCCLUDED OUTSIDE PERSON SELF THING VISIBLE
         joint_surfaces part_u_v rest_points view_boxes view_joints visible_vertices""",

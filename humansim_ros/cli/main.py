@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
+from humansim_ros.cli.check import check, warn_about_mistakes
 from humansim_ros.cli.options import join_numbers
 from humansim_ros.errors import HumansimError, show_warnings
 from humansim_ros.io.files import exists, expand_user
@@ -62,7 +63,8 @@ def run(
             loaded = Scene.from_config(load_config(path))  # errors do not name the temporary file
         else:
             loaded = Scene.load(path)
-        _describe(loaded)  # checks the scene before a process starts
+        _describe(loaded)
+        warn_about_mistakes(loaded)
         with Supervisor(scene_processes(path, processes)) as nodes:
             print("running; Ctrl-C stops", flush=True)
             try:
@@ -167,7 +169,7 @@ def _describe(scene: Any) -> None:
 
 
 #: Commands of this module by name.
-COMMANDS: dict[str, Callable[..., None]] = {"run": run, "demo": demo}
+COMMANDS: dict[str, Callable[..., None]] = {"run": run, "check": check, "demo": demo}
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,10 @@ if TYPE_CHECKING:
     from humansim_ros.scene.actor import HumanState as HumanState
     from humansim_ros.scene.camera import CameraPose as CameraPose
     from humansim_ros.scene.camera import SceneCamera as SceneCamera
+    from humansim_ros.scene.checks import check_scene as check_scene
     from humansim_ros.scene.config import SceneConfig as SceneConfig
     from humansim_ros.scene.environment import Environment as Environment
+    from humansim_ros.scene.findings import Finding as Finding
     from humansim_ros.scene.objects import ObjectPose as ObjectPose
     from humansim_ros.scene.objects import SceneObject as SceneObject
     from humansim_ros.scene.playback import Playback as Playback
@@ -24,6 +26,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "Actor": "actor",
         "CameraPose": "camera",
         "Environment": "environment",
+        "Finding": "findings",
         "Frame": "simulation",
         "HumanState": "actor",
         "ObjectPose": "objects",
@@ -32,6 +35,7 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "SceneCamera": "camera",
         "SceneConfig": "config",
         "SceneObject": "objects",
+        "check_scene": "checks",
         "Simulation": "simulation",
     },
 )

@@ -13,12 +13,12 @@ from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
-from humansim_ros.motion.keyframe_tracks import SPACE_JOINTS, KeyframeTrack, undo_keyframes
+from humansim_ros.motion.keyframe_tracks import SPACE_JOINTS, KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.render import Body
-from humansim_ros.rotations import matrix_to_quaternion, moved
+from humansim_ros.rotations import matrix_to_quaternion, moved, quaternion_to_matrix
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
@@ -163,6 +163,16 @@ class Actor:
     def at(self, seconds: float) -> HumanState:
         """State of the body at a scene time in seconds."""
         return self.state(self.joint_poses(seconds))
+
+    def joint_paths(self, times: Array) -> Array:
+        """Joint positions (N, J, 3) at scene times (N,) in seconds, in the order of the skeleton's joints."""
+        joints = self._joints(self.motion.sample(times + self.offset, self.ahead))[0]
+        if self.keyframes is not None:
+            key = self.keyframes.at(times)
+            joints = KeyframeSpace(key.position, quaternion_to_matrix(key.quaternion), key.size[:, 0]).to_map(
+                joints
+            )
+        return joints[..., :3, 3]
 
     def moved(self, joints: Array, linear: Array, angular: Array, seconds: float) -> NDArray[np.float32]:
         """Vertices (V, 3) some time after a state, with all joints at constant velocity.

@@ -130,6 +130,20 @@ class SceneObject:
         velocity = Velocity.between(position[::2], rotation[::2], times[2] - times[0])
         return ObjectPose(position[1], rotation[1], key.size[1] * self.initial_pose.size, velocity)
 
+    def to_mesh(self, points: Array, times: Array) -> Array:
+        """Transform points (N, P, 3) in ``map`` at scene times (N,) to the mesh at size 1."""
+        pose = self.initial_pose
+        position, size = np.tile(pose.position, (len(times), 1)), np.tile(pose.size, (len(times), 1))
+        turn = Rotation.from_quat(np.tile(pose.rotation, (len(times), 1)))
+        if self.keyframes is not None:
+            key = self.keyframes.at(times)
+            moved = Rotation.from_quat(key.quaternion)
+            position = key.position + moved.apply(key.size * position)
+            turn, size = moved * turn, key.size * size
+        return np.asarray(
+            np.einsum("nji,npj->npi", turn.as_matrix(), points - position[:, None]) / size[:, None]
+        )
+
     def body(self, pose: ObjectPose) -> Body:
         """Body for renderers, without parts."""
         return self._body(self.mesh, pose.apply(self.mesh.vertices))

@@ -58,6 +58,7 @@ class Scene:
         scene_cameras: Cameras with sensor and trajectory by name; ``cameras`` has their geometry only.
         objects: Objects by name.
         environment: Static surroundings.
+        random_humans: Names of the humans from ``variety``.
 
     Example:
         >>> scene = Scene.from_dict(
@@ -79,6 +80,7 @@ class Scene:
     scene_cameras: dict[str, SceneCamera]
     objects: dict[str, SceneObject] = field(default_factory=dict)
     environment: Environment = field(default_factory=Environment)
+    random_humans: frozenset[str] = frozenset()
 
     @classmethod
     def load(cls, path: str | os.PathLike[str] | None = None) -> Scene:
@@ -180,7 +182,8 @@ class Scene:
                 f"pyrender does not render distorted lenses, such as that of {distorted[0]}: use moderngl",
                 key="renderer",
             )
-        return cls(source, config, actors, cameras, objects, environment)
+        random = frozenset(config.humans) - named
+        return cls(source, config, actors, cameras, objects, environment, random)
 
     def __repr__(self) -> str:
         parts: dict[str, Iterable[str]] = {

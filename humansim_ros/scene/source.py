@@ -53,13 +53,13 @@ class SceneSource:
         except HumansimError as error:
             if error.path is not None or self.path is None:
                 raise
-            line = self._line(error.key)
+            line = self.line(error.key)
             located = type(error)(error.message, path=self.path, line=line, key=error.key)
             raise located from error.__cause__
 
     def warn(self, key: str, message: str) -> None:
         """Issue a HumansimWarning about a key of the scene."""
-        line = self._line(key)
+        line = self.line(key)
         where = "scene" if self.path is None else f"{self.path}{'' if line is None else f':{line}'}"
         warn_about(where, f"{key}: {message}")
 
@@ -124,7 +124,7 @@ class SceneSource:
             return value
         raise SceneError(f"must be a {kind.__name__}, not a {type(value).__name__}")
 
-    def _line(self, key: str | None) -> int | None:
+    def line(self, key: str | None) -> int | None:
         """Line of a dotted key, or of its deepest section that is in the file."""
         if self.path is None or key is None:
             return None

@@ -1,0 +1,332 @@
+"""Checks of the cameras of a scene: place, view, calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.camera.checks import check_image_size, check_rig, field_of_view
+from humansim_ros.rotations import angle_between
+from humansim_ros.scene.findings import Finding, SceneSamples, Severity, numbers
+from humansim_ros.scene.obstacles import Obstacle
+from humansim_ros.scene.scene import Scene
+from humansim_ros.types import Array
+
+#: Largest distance of a camera from the people: nothing beyond is rendered.
+_FARTHEST = 200.0
+#: Plausible distances of a camera from the origin, metres, to guess the unit of its position.
+_PLAUSIBLE = (1.0, 40.0)
+#: Metres per unit that a file or a person may have used, most probable first.
+_UNITS = (("millimetres", 0.001), ("centimetres", 0.01))
+#: A camera this near to a wall is in it, metres.
+_IN_WALL = 0.02
+#: Lowest plausible height of a camera, metres.
+_LOWEST = -0.05
+#: Flesh around the joints, metres, and the nearest visible depth.
+_FLESH, _NEAR = 0.1, 0.05
+#: Plausible fields of view in degrees; the widest is that of a lens without distortion.
+_NARROWEST, _WIDEST = 3.0, 170.0
+#: Largest plausible distance of a principal point from the image centre, as a share of the image side.
+_OFF_CENTER = 0.35
+#: Largest share of an image beyond the valid radius of its lens.
+_FOLDED = 0.01
+#: Degrees off the axis at which all cameras are limited, even without folding.
+_UNLIMITED = 89.0
+
+
+def check_cameras(samples: SceneSamples, obstacles: Sequence[Obstacle]) -> Iterator[Finding]:
+    """Check all cameras. ``obstacles``: what a camera must not be inside of."""
+    scene = samples.scene
+    of_rig: dict[str, list[tuple[str, Finding]]] = {}
+    for name in scene.scene_cameras:
+        for kind, finding in _check_camera(name, samples, obstacles):
+            if finding.key.startswith("rig."):
+                of_rig.setdefault(kind, []).append((name, finding))
+            else:
+                yield finding
+    for same in of_rig.values():
+        others = ", ".join(name for name, _ in same[1:])
+        finding = same[0][1]
+        yield replace(finding, text=finding.text + f" (the same: {others})") if others else finding
+    if scene.config.rig is not None:
+        cameras = {
+            name: camera.camera
+            for name, camera in scene.scene_cameras.items()
+            if name not in scene.config.cameras
+        }
+        for message in check_rig(cameras):
+            yield Finding("warning", "rig.file", message)
+
+
+def visible(camera: Camera, rotations: Array, translations: Array, points: Array) -> NDArray[np.bool_]:
+    """Whether a camera may see something at points, with flesh around them.
+
+    Args:
+        camera: Size, K and lens.
+        rotations: Its rotations (N, 3, 3) from ``map`` to the optical frame, or one (1, 3, 3).
+        translations: Its translations (N, 3) or (1, 3), metres.
+        points: (N, P, 3) in ``map``.
+
+    Returns:
+        (N, P) bool.
+    """
+    optical = np.einsum("nij,npj->npi", rotations, points) + translations[:, None]
+    with np.errstate(all="ignore"):
+        pixels, depth = camera.project_optical(optical)
+        margin = _FLESH * camera.K[[0, 1], [0, 1]] / depth[..., None]
+        inside = ((pixels >= -margin) & (pixels <= np.array(camera.size) + margin)).all(axis=-1)
+        return np.asarray(inside & (depth > _NEAR) & (depth < _FARTHEST))
+
+
+def covered_pixels(name: str, samples: SceneSamples) -> float:
+    """Pixels of the rectangles that humans cover in an image, mean over time."""
+    camera = samples.scene.scene_cameras[name].camera
+    rotations, translations = samples.camera_poses[name]
+    area = 0.0
+    for joints in samples.joints.values():
+        optical = np.einsum("nij,npj->npi", rotations, joints) + translations[:, None]
+        with np.errstate(all="ignore"):
+            pixels, depth = camera.project_optical(optical)
+            margin = _FLESH * camera.K[[0, 1], [0, 1]] / depth[..., None]
+        near = (depth > _NEAR)[..., None] & np.isfinite(pixels)
+        low = np.where(near, pixels - margin, np.inf).min(axis=1)
+        high = np.where(near, pixels + margin, -np.inf).max(axis=1)
+        sides = np.clip(high, 0, camera.size) - np.clip(low, 0, camera.size)
+        area += float(np.clip(sides, 0, None).prod(axis=1).mean())
+    return area
+
+
+def _check_camera(
+    name: str, samples: SceneSamples, obstacles: Sequence[Obstacle]
+) -> Iterator[tuple[str, Finding]]:
+    """Kind and finding."""
+    scene = samples.scene
+    key = pose_key(scene, name)
+    far = _far(name, samples)
+    if far:
+        yield "far", Finding("error", key, far)
+    else:
+        place = _place(name, samples, obstacles)
+        if place:
+            yield "place", Finding("error", key, place)
+        unseen = _sees_nobody(name, samples)
+        if unseen:
+            yield "nobody", Finding("error", key, unseen)
+    for kind, option, text in _check_intrinsics(name, scene):
+        severity: Severity = "warning"
+        yield kind, Finding(severity, intrinsics_key(scene, name, option), text)
+
+
+def pose_key(scene: Scene, name: str) -> str:
+    """Key that gives the pose of a camera."""
+    config = scene.config.cameras.get(name)
+    if config is None:
+        return "rig.file"
+    for key in ("position", "t", "P"):
+        if getattr(config, key) is not None:
+            return f"cameras.{name}.{key}"
+    return f"cameras.{name}." + ("calibration" if config.trajectory is None else "trajectory.file")
+
+
+def intrinsics_key(scene: Scene, name: str, option: str) -> str:
+    """Key ``option`` of a camera, or the one that gives its intrinsics."""
+    config = scene.config.cameras.get(name)
+    if config is None:
+        return "rig.file"
+    if option == "distortion" and config.distortion:
+        return f"cameras.{name}.distortion"
+    given = (key for key in ("fov_deg", "K", "P", "calibration") if getattr(config, key) is not None)
+    return f"cameras.{name}.{next(given, 'size')}"
+
+
+def _far(name: str, samples: SceneSamples) -> str | None:
+    """Finding about a camera that is too far away to see anything."""
+    centers = samples.centers(name)
+    distances = np.linalg.norm(centers - samples.middle, axis=1)
+    # a person may be the one who is far from everything
+    if distances.min() < _FARTHEST or np.linalg.norm(centers[0]) < np.linalg.norm(samples.middle):
+        return None
+    distance = float(distances.min())
+    where = f"{distance / 1000:.3g} km" if distance >= 1000 else f"{distance:.0f} m"
+    text = f"camera {name} is {where} from the people, and nothing beyond {_FARTHEST:g} m is rendered"
+    for unit, scale in _UNITS:
+        if _PLAUSIBLE[0] < np.linalg.norm(centers[0]) * scale < _PLAUSIBLE[1]:
+            return f"{text}; scene files are in metres: were {unit} given? {_in_unit(name, samples, scale)}"
+    return f"{text}; check its position and unit (metres)"
+
+
+def _in_unit(name: str, samples: SceneSamples, scale: float) -> str:
+    """Remedy for a position in a unit of ``scale`` metres."""
+    config = samples.scene.config.cameras.get(name)
+    own_pose = config is not None and (config.position is not None or config.t is not None)
+    if config is None or (config.calibration is not None and not own_pose):
+        return f"then {'rig.' if config is None else ''}unit is {scale:g} times what it is now"
+    if config.position is not None:
+        return f"then set position: {numbers(np.array(config.position) * scale, 3)}"
+    if config.t is not None:
+        return f"then set t: {numbers(np.array(config.t) * scale, 4)}"
+    return f"then multiply the translation by {scale:g}"
+
+
+def _place(name: str, samples: SceneSamples, obstacles: Sequence[Obstacle]) -> str | None:
+    """Finding about a camera outside the room, in a wall, below the floor, or inside something."""
+    centers, room = samples.centers(name), samples.scene.environment.room
+    moments = [f" at {time:.1f} s" for time in samples.times] if len(centers) > 1 else [""]
+    if room is not None:
+        outside = _outside(centers, np.array(room.size))
+        if outside is not None:
+            index, text = outside
+            return f"camera {name} is at {numbers(centers[index])}{moments[index]}, {text}"
+    elif centers[:, 2].min() < _LOWEST:
+        index = int(np.argmax(centers[:, 2] < _LOWEST))
+        return f"camera {name} is below the floor{moments[index]}, at z = {centers[index, 2]:.2f} m: is z up?"
+    for obstacle in obstacles:
+        inside = obstacle.contains(centers, samples.times)
+        if inside.any():
+            index = int(np.argmax(inside))
+            where = f"{numbers(centers[index])}{moments[index % len(moments)]}"
+            return f"camera {name} is inside {obstacle.name}, at {where}: move one of them"
+    return None
+
+
+def _outside(centers: Array, size: Array) -> tuple[int, str] | None:
+    """First of the centres (N, 3) that is outside a room of a size (3,) or in a wall, and the text."""
+    half = size / 2
+    beyond = np.abs(centers - (0, 0, half[2])) - half
+    worst = beyond.max(axis=1)
+    index = int(np.argmax(worst > -_IN_WALL))
+    if worst[index] <= -_IN_WALL:
+        return None
+    axis = int(np.argmax(beyond[index]))
+    wall = "wall" if axis < 2 else "floor" if centers[index, 2] < half[2] else "ceiling"
+    x, y, z = half[0], half[1], size[2]
+    space = f"x {-x:g} to {x:g}, y {-y:g} to {y:g}, z 0 to {z:g}"
+    if worst[index] <= _IN_WALL:
+        return index, f"in the {wall} of the room: move it into {space}"
+    how_far = f"{worst[index]:.3g} m outside the room of {size[0]:g} x {size[1]:g} x {z:g} m"
+    return index, f"{how_far}: move it into {space}, enlarge the room (room.size), or set room: null"
+
+
+def _sees_nobody(name: str, samples: SceneSamples) -> str | None:
+    """Finding about a camera that never sees a human."""
+    scene = samples.scene
+    if not samples.joints:
+        return None
+    camera, poses = scene.scene_cameras[name].camera, samples.camera_poses[name]
+    if any(visible(camera, *poses, _with_middles(joints)).any() for joints in samples.joints.values()):
+        return None
+    if _sees_object(name, samples):
+        return None
+    who = "anybody" if len(samples.joints) > 1 else next(iter(samples.joints))
+    text = f"camera {name} never sees {who} in the first {samples.duration:.0f} s"
+    config = scene.config.cameras.get(name)
+    target = numbers(samples.middle, 1)
+    if scene.scene_cameras[name].moves:
+        return f"{text}: is its file in the frame map, with z forward?"
+    if config is None or config.look_at is None:
+        for hypothesis, pose in _other_poses(camera):
+            seen = (visible(camera, *pose, _with_middles(joints)).any() for joints in samples.joints.values())
+            if any(seen):
+                return f"{text}; it would if {hypothesis}"
+    toward = samples.middle - camera.center
+    angle = float(np.degrees(angle_between(camera.R[2], toward)))
+    how = f"they are {np.linalg.norm(toward):.1f} m away, {angle:.0f} degrees from its optical axis"
+    remedy = "turn or move it"
+    if config is not None and config.look_at is not None:
+        remedy = f"set look_at: {target}, or a wider fov_deg" if angle < 60 else f"set look_at: {target}"
+    return f"{text}: {how}; {remedy}"
+
+
+def _other_poses(camera: Camera) -> Iterator[tuple[str, tuple[Array, Array]]]:
+    """Plausible poses that other conventions give to the same numbers R and t."""
+    r, t = camera.R, camera.t
+    flip = np.diag([1.0, -1.0, -1.0])
+    for text, rotation, translation in (
+        ("its pose were inverted: R and t transform map to the camera, x_cam = R x + t", r.T, -r.T @ t),
+        ("t were its position in map; t is -R times the position", r, -r @ t),
+        (
+            "its y axis pointed up and z backward, as in OpenGL and Blender; here y is down, z forward",
+            flip @ r,
+            flip @ t,
+        ),
+        ("its pose were inverted, in the axes of OpenGL and Blender", flip @ r.T, -flip @ r.T @ t),
+    ):
+        upright, height = rotation[1, 2] < 0, -rotation[:, 2] @ translation
+        if upright and height > _LOWEST:
+            yield text, (rotation[None], np.asarray(translation)[None])
+
+
+def _sees_object(name: str, samples: SceneSamples) -> bool:
+    """Whether a camera sees an object with a label or keyframes, which may be its purpose."""
+    scene = samples.scene
+    camera, (rotations, translations) = scene.scene_cameras[name].camera, samples.camera_poses[name]
+    for item in scene.objects.values():
+        if not (item.moves or item.instance):
+            continue
+        vertices = item.mesh.vertices[:: max(1, len(item.mesh.vertices) // 200)]
+        times = samples.times[:: max(1, len(samples.times) // 60)] if item.moves else samples.times[:1]
+        points = np.stack([item.at(float(time)).apply(vertices) for time in times])
+        n = len(rotations)
+        if n > 1:
+            points = points[np.linspace(0, len(points) - 1, n).astype(int)]
+        if visible(camera, rotations, translations, points).any():
+            return True
+    return False
+
+
+def _with_middles(joints: Array) -> Array:
+    """Joints (N, J, 3), and points between each and the next, so that large views of limbs count."""
+    between = [share * joints[:, 1:] + (1 - share) * joints[:, :-1] for share in (0.25, 0.5, 0.75)]
+    return np.concatenate([joints, *between], axis=1)
+
+
+def _check_intrinsics(name: str, scene: Scene) -> Iterator[tuple[str, str, str]]:
+    """Kind, key and text."""
+    camera, config = scene.scene_cameras[name].whole, scene.config.cameras.get(name)
+    for message in _wrong_size(camera):
+        yield "size", "K", f"camera {name}: {message}"
+    if camera.distorted:
+        lost, limit = _lost_share(camera), float(np.degrees(np.arctan(camera.lens.valid_radius)))
+        if lost > _FOLDED and limit < _UNLIMITED:
+            text = (
+                f"camera {name}: {lost:.0%} of the image sees nothing, because the distortion folds "
+                f"{limit:.1f} degrees off the axis: are order and sign of the coefficients correct, and do "
+                "they belong to this K?"
+            )
+            yield "lens", "distortion", text
+            return
+    degrees = float(np.degrees(field_of_view(camera).horizontal))
+    text = f"camera {name} has a field of view of {degrees:.4g} degrees"
+    if degrees < _NARROWEST:
+        given = None if config is None else config.fov_deg
+        hint = "is the focal length in pixels, and the image size correct?"
+        if given is not None:
+            hint = f"if {given:g} is in radians, set fov_deg: {np.degrees(given):.1f}"
+        yield "fov", "fov_deg", f"{text}: {hint}"
+    elif degrees > _WIDEST and not camera.distorted:
+        text += " without distortion, so a person covers a few pixels"
+        yield "fov", "fov_deg", f"{text}: a fisheye lens needs distortion_model: equidistant"
+
+
+def _wrong_size(camera: Camera) -> list[str]:
+    """Messages about a K that is not that of the image."""
+    messages = check_image_size(camera)
+    share = (camera.K[:2, 2] + 0.5) / camera.size
+    if messages or np.abs(share - 0.5).max() <= _OFF_CENTER:
+        return messages
+    (cx, cy), (width, height) = camera.K[:2, 2], camera.size
+    where = "outside" if (share < 0).any() or (share > 1).any() else "at the edge of"
+    what = "does K belong to an image of another size, or was the image cropped (roi)?"
+    return [f"the principal point ({cx:.1f}, {cy:.1f}) is {where} the {width}x{height} image: {what}"]
+
+
+def _lost_share(camera: Camera) -> float:
+    """Share of the image that no ray through the lens reaches."""
+    width, height = camera.size
+    columns, rows = np.meshgrid(np.linspace(0, width - 1, 25), np.linspace(0, height - 1, 19))
+    rays = camera.rays(np.column_stack([columns.ravel(), rows.ravel()]))
+    return float(1 - np.isfinite(rays).all(axis=1).mean())

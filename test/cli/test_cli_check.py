@@ -1,0 +1,88 @@
+"""``humansim check``: exit codes, text and JSON; and the warnings of ``humansim run``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from humansim_ros.cli import main as cli
+from humansim_ros.cli.check import warn_about_mistakes
+from humansim_ros.scene import Scene
+
+SOUND = """\
+humans: {anna: {motion: wave}}
+cameras:
+  front:
+    position: [3, 0, 1.6]
+    look_at: [0, 0, 1]
+"""
+
+
+@pytest.fixture(autouse=True)
+def gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The rate is not checked: the number of cores is that of the machine."""
+    monkeypatch.setattr("humansim_ros.scene.checks.has_gpu", lambda: True)
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: Any) -> int:
+    monkeypatch.setattr("sys.argv", ["humansim", *map(str, arguments)])
+    return cli.main()
+
+
+def test_a_sound_scene_exits_with_0(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "sound.yaml"
+    path.write_text(SOUND)
+    assert run(monkeypatch, "check", path) == 0
+    assert capsys.readouterr().out == f"{path}: no problems found (1 camera, 1 human)\n"
+
+
+def test_findings_exit_with_1_and_name_file_line_and_key(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "far.yaml"
+    path.write_text(SOUND.replace("[3, 0, 1.6]", "[3000, 0, 1600]"))
+    assert run(monkeypatch, "check", path) == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(
+        f"error: {path}:4: cameras.front.position: camera front is 3.4 km from the people"
+    )
+    assert lines[-1] == f"{path}: 1 problem found (1 camera, 1 human)"
+
+
+def test_json_has_the_fields_of_each_finding(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "away.yaml"
+    path.write_text(SOUND.replace("look_at: [0, 0, 1]", "look_at: [6, 0, 1]\n    fov_deg: 1"))
+    assert run(monkeypatch, "check", path, "--json") == 1
+    data = json.loads(capsys.readouterr().out)
+    assert data["scene"] == str(path)
+    found = [(each["severity"], each["line"], each["key"]) for each in data["findings"]]
+    assert found == [("error", 4, "cameras.front.position"), ("warning", 6, "cameras.front.fov_deg")]
+    assert all(each["path"] == str(path) and each["text"] for each in data["findings"])
+
+
+@pytest.mark.parametrize("text", ["cameras: {front: {size: 640}}", "- a", "", "cameras: {front: {fov: 3}}"])
+def test_a_scene_that_cannot_be_loaded_exits_with_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], text: str
+) -> None:
+    path = tmp_path / "broken.yaml"
+    path.write_text(text)
+    assert run(monkeypatch, "check", path) == 2
+    assert run(monkeypatch, "check", tmp_path / "gone.yaml") == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert all(line.startswith(f"error: {tmp_path}/") for line in captured.err.splitlines())
+
+
+def test_run_warns_about_the_same_mistakes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "away.yaml"
+    path.write_text(SOUND.replace("look_at: [0, 0, 1]", "look_at: [6, 0, 1]"))
+    warn_about_mistakes(Scene.load(path))
+    error = capsys.readouterr().err
+    assert error.startswith(f"warning: {path}:4: cameras.front.position: camera front never sees anna")

@@ -32,6 +32,8 @@ REQUIRES = [
     "pyyaml>=6.0",
     "rich>=13.0",
     "scipy>=1.11,<1.18",
+    # tomllib of Python 3.11 and later
+    "tomli>=2.0; python_version < '3.11'",
     "typer>=0.9",
 ]
 

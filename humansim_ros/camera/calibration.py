@@ -40,7 +40,9 @@ Z_UP_FROM_FILE: Mapping[str, Array] = {
 }
 _MAX_BYTES = 8 << 20
 #: Suffixes of calibration files in a folder.
-_SUFFIXES = (".yaml", ".yml", ".json", ".xml", ".ini", ".txt", ".cam", ".krtd")
+_SUFFIXES = (".yaml", ".yml", ".json", ".toml", ".xml", ".ini", ".txt", ".cam", ".krtd")
+#: Formats by the usual ends of their file names, where the suffix alone does not tell.
+_USUAL_NAMES = {"par.txt": "middlebury", ".qca.txt": "qualisys", "transforms.json": "transforms"}
 #: Largest distance of principal points of equal images from their median, as a fraction.
 _SAME_IMAGE = 0.25
 #: Smallest image side that is guessed, pixels.
@@ -54,7 +56,7 @@ class Calibration:
 
     ``cameras``: cameras by name. ``format``: format of the file, None for a folder with files of several
     formats. ``unit``: metres per unit of the file; ``up``: axis of the file that points up. ``sizes``: image
-    size of the cameras whose size is in the file.
+    size of the cameras whose size is in the file. ``posed``: names of the cameras with extrinsics.
     """
 
     cameras: dict[str, Camera]
@@ -62,6 +64,7 @@ class Calibration:
     unit: float
     up: str
     sizes: dict[str, ImageSize]
+    posed: frozenset[str]
 
 
 class _UnknownFormat(CameraError):
@@ -88,7 +91,8 @@ def read_calibration(
         image: PNG or JPEG file with the size of the images.
 
     Returns:
-        Cameras by name, in the order of the file; without extrinsics at the origin, looking along +z.
+        Cameras by name, in the order of the file. Cameras without extrinsics are left out, with a
+        HumansimWarning, if others have some; without any extrinsics, all are at the origin and look along +z.
 
     Raises:
         CameraError: The file cannot be read, or is not a calibration. It has the file, and the key or line.
@@ -145,14 +149,28 @@ def load_calibration(
     text = read_text(file, CameraError, "calibration", most)
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
-    parsed, format = _detect_format(str(file), text)
-    raw = format.read(parsed)
-    unit, up = format.unit if unit is None else unit, format.up if up is None else up
+    parsed, format = _detect_format(str(file), text, size)
+    raw = _with_poses(parsed.path, format.read(parsed))
+    if unit is None:
+        unit = format.unit if format.find_unit is None else format.find_unit(parsed, raw)
+    up = format.up if up is None else up
     sizes = _sizes(parsed.path, raw, format, size)
     rotation = Z_UP_FROM_FILE[up]
     cameras = {name: _camera(parsed.path, name, raw[name], sizes[name], unit, rotation) for name in raw}
     in_file = {name: camera.size for name, camera in raw.items() if camera.size is not None}
-    return Calibration(cameras, format, unit, up, in_file)
+    posed = frozenset(name for name, camera in raw.items() if camera.R is not None)
+    return Calibration(cameras, format, unit, up, in_file, posed)
+
+
+def _with_poses(path: str, raw: dict[str, RawCamera]) -> dict[str, RawCamera]:
+    """Cameras with extrinsics; all cameras if the file has no extrinsics."""
+    posed = {name: camera for name, camera in raw.items() if camera.R is not None}
+    missing = [name for name in raw if name not in posed]
+    if posed and missing:
+        warn_about(path, f"left out, because the file has no extrinsics of them: {_some(missing)}")
+    elif len(missing) > 1:
+        warn_about(path, "the file has no extrinsics: all cameras are at the origin")
+    return posed or raw
 
 
 def _folder(folder: Path, size: ImageSize | None, unit: float | None, up: str | None) -> Calibration:
@@ -177,15 +195,20 @@ def _folder(folder: Path, size: ImageSize | None, unit: float | None, up: str | 
         raise CameraError(f"no calibration in this folder ({', '.join(_SUFFIXES)}){binary}", path=folder)
     names = _unique_names({str(file): list(calibration.cameras) for file, calibration in read.items()})
     cameras, sizes = {}, {}
+    posed = set()
     for file, calibration in read.items():
         for name, camera in calibration.cameras.items():
             unique = names[str(file), name]
             cameras[unique] = camera
+            if name in calibration.posed:
+                posed.add(unique)
             if name in calibration.sizes:
                 sizes[unique] = calibration.sizes[name]
     first = next(iter(read.values()))
     alike = all(calibration.format is first.format for calibration in read.values())
-    return Calibration(cameras, first.format if alike else None, first.unit, first.up, sizes)
+    return Calibration(
+        cameras, first.format if alike else None, first.unit, first.up, sizes, frozenset(posed)
+    )
 
 
 def join_calibrations(read: Mapping[str, Mapping[str, Camera]]) -> dict[str, Camera]:
@@ -218,9 +241,9 @@ def _unique_names(read: Mapping[str, Sequence[str]]) -> dict[tuple[str, str], st
     return names
 
 
-def _detect_format(path: str, text: str) -> tuple[CalibrationFile, CalibrationFormat]:
+def _detect_format(path: str, text: str, size: ImageSize | None) -> tuple[CalibrationFile, CalibrationFormat]:
     syntax = detect_syntax(path, text)
-    file = parse(path, text, syntax)
+    file = replace(parse(path, text, syntax), given_size=size)
     formats = [format for format in FORMATS if format.syntax == syntax]
     for format in formats:
         if format.matches(file):
@@ -266,13 +289,13 @@ def _principal_point(raw: RawCamera) -> Array:
 
 def _camera(path: str, name: str, raw: RawCamera, size: ImageSize, unit: float, rotation: Array) -> Camera:
     """Convert a camera to metres and ``map``; errors get the file, line and key."""
-    t = raw.t if raw.center is None else -_orthonormal(raw.R) @ raw.center
+    t = raw.t if raw.center is None else -_orthonormal(raw.rotation) @ raw.center
     rectified = None if raw.rectified is None else raw.rectified * [1, 1, 1, unit]
     rest = (raw.distortion, raw.model, raw.rectification, rectified)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            camera = Camera(size, raw.K, raw.R @ rotation.T, t * unit, *rest)
+            camera = Camera(size, raw.K, raw.rotation @ rotation.T, t * unit, *rest)
         except CameraError as error:
             part = error.key or ""
             at = raw.locations.get(part) or raw.locations.get("") or SourceLocation()
@@ -287,7 +310,7 @@ def _camera(path: str, name: str, raw: RawCamera, size: ImageSize, unit: float, 
 
 
 def _mirrors(raw: RawCamera, part: str) -> bool:
-    matrix = {"R": raw.R, "rectification": raw.rectification}.get(part)
+    matrix = {"R": raw.rotation, "rectification": raw.rectification}.get(part)
     if matrix is None:
         return False
     return bool(np.abs(matrix @ matrix.T - np.eye(3)).max() < 1e-3)
@@ -411,8 +434,9 @@ def _format_of(target: Path, name: str | None, count: int) -> CalibrationFormat:
             raise CameraError(message, path=target)
         return names[name]
     suffix = target.suffix.lower()
-    if suffix == ".txt" and target.stem.endswith("par"):
-        return names["middlebury"]
+    for ending, usual in _USUAL_NAMES.items():
+        if target.name.lower().endswith(ending):
+            return names[usual]
     matches = [format for format in FORMATS if format.suffix == suffix and suffix]
     if suffix in (".yaml", ".txt", ".yml") and matches and (count == 1 or matches[0].multiple):
         return matches[0]

@@ -24,7 +24,7 @@ LENSES = {
 BY_NAME = {form.name: form for form in FORMATS}
 K = np.array([[711.25, 0, 1 / 3 + 310], [0, 690.1, 245.7], [0, 0, 1]])
 #: Formats with computed numbers, which may change in the last digit.
-COMPUTED = ("p", "colmap", "cam", "kalibr")
+COMPUTED = ("p", "colmap", "cam", "kalibr", "anipose", "transforms")
 #: Formats without an image size need it for reading.
 SIZE = (640, 480)
 

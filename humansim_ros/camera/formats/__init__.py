@@ -5,9 +5,12 @@ and syntax, and functions that recognise, read and write it), and add it to :dat
 the package needs no change: ``camera/calibration.py`` converts units and axes, guesses missing image sizes,
 checks cameras, writes files, and reports errors with file, line and key for all formats; the command line
 takes the names of formats from :data:`FORMATS`. ``formats/base.py`` has helpers for numbers and names,
-``formats/lens_models.py`` for names of distortion models.
+``formats/containers.py`` for lists and mappings of cameras, ``formats/lens_models.py`` for names of lens
+models.
 """
 
+from humansim_ros.camera.formats.anipose import ANIPOSE
+from humansim_ros.camera.formats.association import ASSOCIATION
 from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, RawCamera, SourceLocation
 from humansim_ros.camera.formats.colmap import COLMAP
 from humansim_ros.camera.formats.datasets import H36M, PANOPTIC, SHELF
@@ -16,14 +19,18 @@ from humansim_ros.camera.formats.krtd import KRTD
 from humansim_ros.camera.formats.middlebury import MIDDLEBURY
 from humansim_ros.camera.formats.opencv import OPENCV, OPENCV_JSON, OPENCV_XML
 from humansim_ros.camera.formats.projection import PROJECTION
+from humansim_ros.camera.formats.qualisys import QUALISYS
+from humansim_ros.camera.formats.realsense import OPEN3D, REALSENSE
 from humansim_ros.camera.formats.ros import CAMERA_INFO, INI
 from humansim_ros.camera.formats.scene import SCENE
 from humansim_ros.camera.formats.thesis import CAM
+from humansim_ros.camera.formats.transforms import TRANSFORMS
 
 #: All formats, in the order in which they are tried: the first one that recognises a file reads it.
 FORMATS: tuple[CalibrationFormat, ...] = (
     *(CAMERA_INFO, INI, KALIBR, SCENE),
-    *(H36M, PANOPTIC, SHELF),
+    *(H36M, ASSOCIATION, PANOPTIC, SHELF, TRANSFORMS, ANIPOSE),
+    *(QUALISYS, REALSENSE, OPEN3D),
     *(OPENCV, OPENCV_XML, OPENCV_JSON),
     *(CAM, COLMAP, MIDDLEBURY, KRTD, PROJECTION),
 )

@@ -48,12 +48,13 @@ class SourceLocation:
 class RawCamera:
     """A camera in the unit and the world axes of its file.
 
-    ``K`` (3, 3), ``R`` (3, 3), ``t`` (3,): x_cam = R x + t; or ``center`` (3,) in place of t. ``locations``:
-    location of each of these values in the file; "" is that of the camera.
+    ``K`` (3, 3), ``R`` (3, 3), ``t`` (3,): x_cam = R x + t; or ``center`` (3,) in place of t. R is None if
+    the file has no extrinsics of the camera. ``locations``: location of each of these values in the file; ""
+    is that of the camera.
     """
 
     K: Array
-    R: Array = field(default_factory=lambda: np.eye(3))
+    R: Array | None = None
     t: Array = field(default_factory=lambda: np.zeros(3))
     center: Array | None = None
     size: ImageSize | None = None
@@ -63,22 +64,39 @@ class RawCamera:
     rectified: Array | None = None
     locations: Mapping[str, SourceLocation] = field(default_factory=dict)
 
+    @property
+    def rotation(self) -> Array:
+        """R; the identity without extrinsics."""
+        return np.eye(3) if self.R is None else self.R
+
+    @property
+    def position(self) -> Array:
+        """Camera centre (3,) in the unit and axes of the file."""
+        return -self.rotation.T @ self.t if self.center is None else self.center
+
 
 @dataclass(frozen=True)
 class CalibrationFile:
-    """A calibration file that is being read: its text and, for YAML, JSON and XML, its parsed content.
+    """A calibration file that is being read: its text and, except for plain text, its parsed content.
 
     Keys are paths into ``document``. Wrong values raise CameraError with file, key, and line where known.
+    ``tree``, ``key_lines``: nodes of YAML, and lines of the keys of TOML. ``given_size``: image size that the
+    caller knows.
     """
 
     path: str
     text: str
     document: Any = None
     tree: yaml.Node | None = None
+    key_lines: Mapping[tuple[str, ...], int] = field(default_factory=dict)
+    given_size: ImageSize | None = None
 
     def location(self, *keys: Key) -> SourceLocation:
         """Location of the value at a key path."""
-        return SourceLocation(".".join(map(str, keys)) or None, line_of(self.tree, keys))
+        line = line_of(self.tree, keys)
+        for length in range(len(keys), 0, -1):
+            line = line or self.key_lines.get(tuple(map(str, keys[:length])))
+        return SourceLocation(".".join(map(str, keys)) or None, line)
 
     def error(self, message: str, *keys: Key, line: int | None = None) -> CameraError:
         """Error about the value at a key path."""
@@ -129,6 +147,15 @@ class CalibrationFile:
     def size(self, width: Sequence[Key], height: Sequence[Key]) -> ImageSize:
         """Image size from the key paths of its width and height."""
         return self.positive_integer(*width), self.positive_integer(*height)
+
+    def pair_size(self, *keys: Key) -> ImageSize | None:
+        """Image size from a list of width and height; None if it is absent."""
+        if self.get(*keys) is None:
+            return None
+        values = self.numbers((2,), *keys)
+        if any(value != int(value) or value <= 0 for value in values):
+            raise self.error("needs width and height, whole numbers above zero", *keys)
+        return int(values[0]), int(values[1])
 
     def positive_integer(self, *keys: Key) -> int:
         """Positive integer at a key path."""
@@ -193,7 +220,7 @@ class CalibrationFormat:
         name: Name on the command line.
         title: Name in messages.
         suffix: Suffix of its files.
-        syntax: ``text``, ``yaml``, ``json`` or ``xml``.
+        syntax: ``text``, ``yaml``, ``json``, ``toml`` or ``xml``.
         matches: Whether a file of this syntax has this format.
         read: Cameras of a file by name.
         write: Text of each file by its name; a format of one file has the name "".
@@ -203,6 +230,7 @@ class CalibrationFormat:
         holds_size, holds_pose, holds_skew, holds_rectified: Parts of a camera that it can store.
         lenses: Distortion models that it can store, and the number of their coefficients.
         sizes: Usual image sizes of a format that does not store the size.
+        find_unit: Finds the metres per unit of a file, where the format does not define them.
     """
 
     name: str
@@ -221,6 +249,7 @@ class CalibrationFormat:
     holds_rectified: bool = False
     lenses: Mapping[str, int] = field(default_factory=dict)
     sizes: tuple[ImageSize, ...] = ()
+    find_unit: Callable[[CalibrationFile, Mapping[str, RawCamera]], float] | None = None
 
 
 def to_number(value: Any) -> float:

@@ -11,6 +11,7 @@ import numpy as np
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, Key, RawCamera, nested
+from humansim_ros.camera.formats.containers import Keys, find_cameras, has_keys
 from humansim_ros.camera.formats.lens_models import check_count
 from humansim_ros.errors import CameraError
 from humansim_ros.types import Array
@@ -24,6 +25,8 @@ _H36M_SIZES = {
     "58860488": (1000, 1000),
     "60457274": (1000, 1002),
 }
+#: Keys of the intrinsics in Shelf and Campus, of which one is enough to recognise them.
+_SHELF_INTRINSICS = {"fx", "k", "f"}
 _PANEL_AND_NODE = re.compile(r"([0-9]{2})_([0-9]{2})")
 _SUBJECT = re.compile(r"(S[0-9]+)_(.+)", re.DOTALL)
 
@@ -89,39 +92,48 @@ def _write_h36m(cameras: Mapping[str, Camera]) -> dict[str, str]:
 # -- Shelf and Campus: x = R (X - T), where T is the camera centre; millimetres, z up
 
 
+def _shelf_cameras(file: CalibrationFile) -> list[tuple[str, Keys]]:
+    return find_cameras(file, has_keys({"R"}, {"T"}, _SHELF_INTRINSICS), has_keys({"R", "T", "fx", "f"}))
+
+
 def _is_shelf(file: CalibrationFile) -> bool:
-    cameras = file.document
-    if not isinstance(cameras, dict) or not cameras:
-        return False
-    return all(isinstance(c, dict) and {"R", "T"} < set(c) and {"fx", "k"} & set(c) for c in cameras.values())
+    return bool(_shelf_cameras(file))
 
 
 def _read_shelf(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
-    for name in file.document:
-        fx, fy, cx, cy = (float(file.numbers((), name, key)) for key in ("fx", "fy", "cx", "cy"))
-        radial: Array = np.zeros(3)
-        tangential: Array = np.zeros(2)
-        if file.get(name, "k") is not None:
-            radial = file.numbers((3,), name, "k")
-        if file.get(name, "p") is not None:
-            tangential = file.numbers((2,), name, "p")
-        camera = RawCamera(
-            np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
-            file.numbers((3, 3), name, "R"),
-            center=file.numbers((3,), name, "T"),
-            distortion=(*radial[:2], *tangential, radial[2]),
-            model="plumb_bob",
-            locations={
-                "": file.location(name),
-                "K": file.location(name, "fx"),
-                "R": file.location(name, "R"),
-                "t": file.location(name, "T"),
-                "distortion": file.location(name, "k"),
-            },
-        )
-        file.add(cameras, name, camera, name)
+    for name, at in _shelf_cameras(file):
+        file.add(cameras, name, _shelf_camera(file, at), *at)
     return cameras
+
+
+def _shelf_camera(file: CalibrationFile, at: Keys) -> RawCamera:
+    if file.get(*at, "f") is not None and file.get(*at, "fx") is None:  # VoxelPose's own arrays
+        fx, fy, cx, cy = (*file.numbers((2,), *at, "f"), *file.numbers((2,), *at, "c"))
+    else:
+        fx, fy, cx, cy = (float(file.numbers((), *at, key)) for key in ("fx", "fy", "cx", "cy"))
+    radial: Array = np.zeros(3)
+    tangential: Array = np.zeros(2)
+    if file.get(*at, "k") is not None:
+        radial = file.numbers((3,), *at, "k")
+    if file.get(*at, "p") is not None:
+        tangential = file.numbers((2,), *at, "p")
+    posed = file.get(*at, "R") is not None or file.get(*at, "T") is not None
+    return RawCamera(
+        np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]]),
+        file.numbers((3, 3), *at, "R") if posed else None,
+        center=file.numbers((3,), *at, "T") if posed else None,
+        size=file.pair_size(*at, "imgSize"),
+        distortion=(*radial[:2], *tangential, radial[2]),
+        model="plumb_bob",
+        locations={
+            "": file.location(*at),
+            "K": file.location(*at, "fx"),
+            "R": file.location(*at, "R"),
+            "t": file.location(*at, "T"),
+            "distortion": file.location(*at, "k"),
+        },
+    )
 
 
 def _write_shelf(cameras: Mapping[str, Camera]) -> dict[str, str]:
@@ -157,15 +169,12 @@ def _read_panoptic(file: CalibrationFile) -> dict[str, RawCamera]:
         if file.get(*at, "distCoef") is not None:
             distortion = file.some_numbers(*at, "distCoef")
         check_count(file, "plumb_bob", distortion, (*at, "distCoef"))
-        size = None
-        if file.get(*at, "resolution") is not None:
-            file.numbers((2,), *at, "resolution")
-            size = file.size((*at, "resolution", 0), (*at, "resolution", 1))
+        posed = file.get(*at, "R") is not None or file.get(*at, "t") is not None
         camera = RawCamera(
             file.numbers((3, 3), *at, "K"),
-            file.numbers((3, 3), *at, "R"),
-            file.numbers((3,), *at, "t"),
-            size=size,
+            file.numbers((3, 3), *at, "R") if posed else None,
+            file.numbers((3,), *at, "t") if posed else np.zeros(3),
+            size=file.pair_size(*at, "resolution"),
             distortion=tuple(distortion),
             model="plumb_bob",
             locations={

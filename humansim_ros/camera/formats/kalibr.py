@@ -1,6 +1,7 @@
 """camchain.yaml and camchain-imucam.yaml of Kalibr: x_cn = T_cn_cnm1 x_cn-1, metres.
 
-The world frame is the first camera, or the IMU if the file has T_cam_imu. Omnidirectional models are refused.
+The world frame is the first camera, or the IMU if the file has T_cam_imu, or T_imu_cam (its inverse) as in
+OpenVINS. Omnidirectional models are refused.
 https://github.com/ethz-asl/kalibr/wiki/yaml-formats
 """
 
@@ -14,10 +15,14 @@ import numpy as np
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import CalibrationFile, CalibrationFormat, Key, RawCamera, row
 from humansim_ros.camera.formats.lens_models import check_count
-from humansim_ros.rotations import invert_rigid
+from humansim_ros.rotations import invert_rigid, transform
 from humansim_ros.types import Array
 
+#: Largest error of orthonormality that rounding explains.
+_ROUNDING = 1e-3
 _CAMERA = re.compile(r"cam[0-9]+")
+#: Extrinsics of the IMU: from the IMU to the camera, and the inverse.
+_IMU = ("T_cam_imu", "T_imu_cam")
 _MODELS = {"radtan": "plumb_bob", "equidistant": "equidistant", "equi": "equidistant", "none": None}
 
 
@@ -34,10 +39,12 @@ def _read(file: CalibrationFile) -> dict[str, RawCamera]:
     cameras: dict[str, RawCamera] = {}
     names = _names(file)
     pose: Array | None = None
-    imu = file.get(names[0], "T_cam_imu") is not None
     for name in names:
-        if imu and file.get(name, "T_cam_imu") is not None:
-            pose, key = _transform(file, name, "T_cam_imu"), "T_cam_imu"
+        # with extrinsics of the IMU for the first camera, the chain starts there
+        imu = next((key for key in _IMU if file.get(name, key) is not None), None)
+        if imu is not None and (pose is None or file.get(names[0], imu) is not None):
+            pose, key = _transform(file, name, imu), imu
+            pose = invert_rigid(_rigid(pose)) if imu == "T_imu_cam" else pose
         elif pose is None:
             pose, key = np.eye(4), "T_cn_cnm1"
         else:
@@ -51,6 +58,15 @@ def _transform(file: CalibrationFile, *keys: Key) -> Array:
     if not np.allclose(matrix[3], [0, 0, 0, 1], atol=1e-9):
         raise file.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
     return matrix
+
+
+def _rigid(matrix: Array) -> Array:
+    """The same transform with an exact rotation, where its error is that of rounding."""
+    rotation = matrix[:3, :3]
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > _ROUNDING:
+        return matrix
+    u, _, vt = np.linalg.svd(rotation)
+    return transform(u @ vt, matrix[:3, 3])
 
 
 def _camera(file: CalibrationFile, name: str, pose: Array, pose_key: str) -> RawCamera:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.formats.base import (
@@ -29,6 +28,7 @@ from humansim_ros.camera.formats.base import (
     row,
 )
 from humansim_ros.camera.formats.lens_models import COUNTS, find_model
+from humansim_ros.camera.formats.rotations import rotation_of, vector_of
 from humansim_ros.camera.formats.syntax import detect_syntax, parse
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.files import read_text
@@ -169,7 +169,7 @@ def _camera(entries: Mapping[str, _Entry | None], suffix: str, stereo: bool, tab
     distortion = np.zeros(0) if entries["distortion"] is None else entries["distortion"].numbers()
     return RawCamera(
         k.matrix((3, 3)),
-        np.eye(3) if rotation is None else _rotation(rotation),
+        _pose_rotation(rotation, stereo),
         np.zeros(3) if t is None else t.matrix((3,)),
         size=_size(entries),
         distortion=tuple(distortion),
@@ -180,12 +180,11 @@ def _camera(entries: Mapping[str, _Entry | None], suffix: str, stereo: bool, tab
     )
 
 
-def _rotation(entry: _Entry) -> Array:
-    """Rotation from a matrix or a rotation vector."""
-    values = entry.numbers()
-    if len(values) == 3:
-        return np.asarray(Rotation.from_rotvec(values).as_matrix(), dtype=float)
-    return entry.matrix((3, 3))
+def _pose_rotation(entry: _Entry | None, stereo: bool) -> Array | None:
+    """R of a camera; None without extrinsics. The first camera of a stereo pair is the world."""
+    if entry is None:
+        return np.eye(3) if stereo else None
+    return rotation_of(entry.file, *entry.keys)
 
 
 def _size(entries: Mapping[str, _Entry | None]) -> tuple[int, int] | None:
@@ -251,7 +250,7 @@ def _entries(cameras: Mapping[str, Camera]) -> dict[str, _Value]:
             f"K_{name}": camera.K,
             f"distortion_model_{name}": str(camera.model),
             f"dist_{name}": np.array([camera.distortion]),
-            f"R_{name}": Rotation.from_matrix(camera.R).as_rotvec()[:, None],
+            f"R_{name}": vector_of(camera.R)[:, None],
             f"Rot_{name}": camera.R,
             f"T_{name}": camera.t[:, None],
             **_stereo_entries(camera, f"_{name}"),

@@ -1,9 +1,10 @@
-"""Safe parsing of YAML, JSON and XML: no objects from tags, limits on size and depth, no duplicate keys."""
+"""Safe parsing of YAML, JSON, TOML and XML: no objects from tags, limits of size and depth, unique keys."""
 
 from __future__ import annotations
 
 import json
 import re
+import sys
 from itertools import islice
 from typing import Any
 from xml.etree.ElementTree import Element, ParseError
@@ -16,8 +17,13 @@ from humansim_ros.camera.formats.base import CalibrationFile
 from humansim_ros.errors import CameraError
 from humansim_ros.io.yaml import Loader, parse_yaml
 
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
 #: Most characters of a file; YAML is slow to parse. A file with hundreds of cameras is much smaller.
-_MAX = {"yaml": 1 << 19, "json": 8 << 20, "xml": 4 << 20}
+_MAX = {"yaml": 1 << 19, "json": 8 << 20, "toml": 1 << 18, "xml": 4 << 20}
 _MAX_DEPTH = 20
 #: Header of OpenCV, which is not valid YAML 1.1.
 _HEADER = re.compile(r"\A\s*%YAML:1\.[0-9]+[^\n]*")
@@ -25,6 +31,12 @@ _HEADER = re.compile(r"\A\s*%YAML:1\.[0-9]+[^\n]*")
 _END = re.compile(r"\n---\s*\Z")
 #: Row of a matrix in plain text, with or without a name.
 _NUMBERS = re.compile(r"([A-Za-z_][^\s:=]*\s*:\s+)?[+-]?[0-9.][^\s,]*([\s,]+[+-]?[0-9.][^\s,]*){2,}")
+#: Header of a table and assignment of a key in TOML, and characters in which they are searched.
+_TABLE = re.compile(r"^[ \t]*\[\[?[ \t]*([\w.\"'-]+)[ \t]*\]\]?[ \t]*(?:#.*)?$", re.MULTILINE)
+_ASSIGNMENT = re.compile(r"^[ \t]*([\w.\"'-]+)[ \t]*=[ \t]*\S", re.MULTILINE)
+_TOML_HEAD = 1 << 14
+#: Most dots of a line of TOML: parsing dotted keys takes the square of their length.
+_MAX_DOTS = 128
 _KEY = re.compile(r"\s*[\"']?[\w./ -]+[\"']?\s*:(\s|\Z)")
 
 
@@ -33,11 +45,13 @@ class Matrix(dict[str, Any]):
 
 
 def detect_syntax(path: str, text: str) -> str:
-    """Detect whether a text is ``yaml``, ``json``, ``xml`` or plain ``text`` by its first lines."""
+    """Detect whether a text is ``yaml``, ``json``, ``toml``, ``xml`` or plain ``text`` by its first lines."""
     first = _first_lines(path, text)
     head = first[0].strip()[:1] if first else ""
     if head == "<":
         return "xml"
+    if head != "{" and _TABLE.search(text, 0, _TOML_HEAD) and _ASSIGNMENT.search(text, 0, _TOML_HEAD):
+        return "toml"
     if head == "{":
         return "json" if text.lstrip("\ufeff \t\r\n{")[:1] in ('"', "") else "yaml"
     if head == "[" and len(first[0].split("]")[0].strip("[ \t").split('"')) > 1:
@@ -66,6 +80,8 @@ def parse(path: str, text: str, syntax: str) -> CalibrationFile:
         return CalibrationFile(path, text, document, tree)
     if syntax == "json":
         return CalibrationFile(path, text, _parse_json(path, text))
+    if syntax == "toml":
+        return CalibrationFile(path, text, _parse_toml(path, text), key_lines=_toml_lines(text))
     if syntax == "xml":
         return CalibrationFile(path, text, _parse_xml(path, text))
     return CalibrationFile(path, text)
@@ -103,6 +119,38 @@ def _parse_json(path: str, text: str) -> Any:
         raise CameraError(f"not valid JSON: {reason}", path=path) from None
 
 
+def _parse_toml(path: str, text: str) -> Any:
+    for number, line in enumerate(text.split("\n"), 1):
+        if line.count(".") > _MAX_DOTS:
+            raise CameraError("this line is too long for a calibration file", path=path, line=number)
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as reason:
+        said = re.fullmatch(r"(.*?) \(at line ([0-9]+), column [0-9]+\)", str(reason), re.DOTALL)
+        message, at = (said[1], int(said[2])) if said else (str(reason), None)
+        raise CameraError(f"not valid TOML: {message[:200]}", path=path, line=at) from None
+    except (ValueError, RecursionError) as reason:
+        raise CameraError(f"not valid TOML: {reason}", path=path) from None
+
+
+def _toml_lines(text: str) -> dict[tuple[str, ...], int]:
+    """Lines of the tables and keys of TOML, by their paths."""
+    lines: dict[tuple[str, ...], int] = {}
+    table: tuple[str, ...] = ()
+    for number, line in enumerate(text.split("\n"), 1):
+        header, assignment = _TABLE.match(line), _ASSIGNMENT.match(line)
+        if header:
+            table = _toml_path(header[1])
+            lines.setdefault(table, number)
+        elif assignment:
+            lines.setdefault((*table, *_toml_path(assignment[1])), number)
+    return lines
+
+
+def _toml_path(name: str) -> tuple[str, ...]:
+    return tuple(part.strip("\"'") for part in name.split("."))
+
+
 def _parse_xml(path: str, text: str) -> Any:
     try:
         root = defusedxml.ElementTree.fromstring(text, forbid_dtd=True)
@@ -113,10 +161,23 @@ def _parse_xml(path: str, text: str) -> Any:
         raise CameraError("a calibration file must not have document types or entities", path=path) from None
     except (ValueError, LookupError) as reason:  # an unknown encoding
         raise CameraError(f"not valid XML: {reason}", path=path) from None
+    if root.tag == "calibration" and root.find("cameras/camera") is not None:
+        return {root.tag: _attributes(root, path)}
     if root.tag != "opencv_storage":
-        message = f"XML with <{root.tag[:40]}> is not a known calibration format; known is <opencv_storage>"
+        known = "known are <opencv_storage> and the <calibration> of Qualisys"
+        message = f"XML with <{root.tag[:40]}> is not a known calibration format; {known}"
         raise CameraError(message, path=path)
     return _value(root, path)
+
+
+def _attributes(element: Element, path: str, depth: int = 0) -> dict[str, Any]:
+    """Attributes of an element and lists of its children by their tags, for XML of attributes."""
+    if depth > _MAX_DEPTH:
+        raise CameraError("the elements are nested too deeply", path=path, key=element.tag[:40])
+    content: dict[str, Any] = {}
+    for child in element:
+        content.setdefault(child.tag, []).append(_attributes(child, path, depth + 1))
+    return {**content, **element.attrib}
 
 
 def _value(element: Element, path: str, depth: int = 0) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Camera, load_calibration
+from humansim_ros.camera import Calibration, Camera, load_calibration
 from humansim_ros.camera.idealize import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
@@ -187,7 +187,7 @@ def _calibrated(config: CameraConfig, source: SceneSource) -> Camera:
     """Camera of a calibration file."""
     assert config.calibration is not None
     file = config.calibration
-    cameras = read_cameras(file, "calibration", config, source)
+    cameras = read_cameras(file, "calibration", config, source).cameras
     if config.camera is None and len(cameras) > 1:
         raise CameraError(f"{file} has {len(cameras)} cameras ({', '.join(cameras)}): name one", key="camera")
     if config.camera is not None and config.camera not in cameras:
@@ -196,9 +196,7 @@ def _calibrated(config: CameraConfig, source: SceneSource) -> Camera:
     return next(iter(cameras.values())) if config.camera is None else cameras[config.camera]
 
 
-def read_cameras(
-    file: str, key: str, config: CameraConfig | RigConfig, source: SceneSource
-) -> dict[str, Camera]:
+def read_cameras(file: str, key: str, config: CameraConfig | RigConfig, source: SceneSource) -> Calibration:
     """Read a calibration file with the size, unit and up axis of a section.
 
     Args:
@@ -221,7 +219,7 @@ def read_cameras(
     for name, (width, height) in read.sizes.items():
         if config.size not in (None, (width, height)):
             raise CameraError(f"camera {name} of {file} has images of {width}x{height} pixels", key="size")
-    return read.cameras
+    return read
 
 
 @contextmanager

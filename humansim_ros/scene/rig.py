@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Sequence
 
-from humansim_ros.camera import Camera
+from humansim_ros.camera import Calibration, Camera
 from humansim_ros.camera.placement import RigPlacement, common_point
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import CameraError, SceneError, in_section
@@ -61,7 +61,7 @@ def _build_rig(rig: RigConfig, source: SceneSource) -> dict[str, SceneCamera]:
 def _rig_cameras(rig: RigConfig, source: SceneSource) -> dict[str, tuple[str, Camera]]:
     """Name in the file and camera, by name in ROS."""
     cameras: dict[str, tuple[str, Camera]] = {}
-    read = read_cameras(rig.file, "file", rig, source)
+    read = _with_poses(rig, read_cameras(rig.file, "file", rig, source), source)
     missing = set(rig.cameras or ()) - set(read)
     if missing:
         known = ", ".join(read)
@@ -73,6 +73,21 @@ def _rig_cameras(rig: RigConfig, source: SceneSource) -> dict[str, tuple[str, Ca
         cameras[name] = original, read[original]
     placement = _placement(rig, [camera for _, camera in cameras.values()])
     return {name: (original, placement.camera(camera)) for name, (original, camera) in cameras.items()}
+
+
+def _with_poses(rig: RigConfig, read: Calibration, source: SceneSource) -> dict[str, Camera]:
+    """Cameras of the rig's file that have extrinsics; a single camera may be placed without them."""
+    if len(read.cameras) == 1 and (rig.position is not None or any(rig.rotation_deg)):
+        return read.cameras
+    posed = {name: camera for name, camera in read.cameras.items() if name in read.posed}
+    missing = [name for name in read.cameras if name not in posed and name in (rig.cameras or read.cameras)]
+    if not posed:
+        hint = "give each of its cameras in 'cameras', with calibration and a pose"
+        message = f"{rig.file} has no extrinsics: {hint}"
+        raise CameraError(message, key="file")
+    if missing:
+        source.warn("rig.file", f"left out, because they have no extrinsics: {', '.join(missing[:4])}")
+    return posed
 
 
 def _placement(rig: RigConfig, cameras: Sequence[Camera]) -> RigPlacement:

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros import Scene, write_calibration
 from humansim_ros.camera.rigs import Optics, ring
-from humansim_ros.errors import SceneError
+from humansim_ros.errors import CameraError, HumansimWarning, SceneError
 
 RIG = ring(3, 3, 1.5, (0, 0, 1), Optics())
 
@@ -44,3 +44,37 @@ def test_one_of_position_and_look_at_is_given(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="placed by position and by look_at") as caught:
         scene_with(tmp_path, "look_at: [0, 0, 1], position: [0, 0, 1]")
     assert caught.value.line == 2
+
+
+K = "[700, 0, 310, 0, 690, 245, 0, 0, 1]"
+
+
+def easymocap(tmp_path: Path, posed: str) -> None:
+    (tmp_path / "intri.yml").write_text("%YAML:1.0\n---\n" + "".join(f"K_{n}: {K}\n" for n in "ab"))
+    if posed:
+        poses = "".join(f"R_{n}: [0, 0, 0]\nT_{n}: [0, 0, 3]\n" for n in posed)
+        (tmp_path / "extri.yml").write_text("%YAML:1.0\n---\n" + poses)
+    (tmp_path / "scene.yaml").write_text("room: null\nrig: {file: intri.yml, size: [640, 480]}\n")
+
+
+def test_cameras_without_extrinsics_are_not_put_at_the_origin(tmp_path: Path) -> None:
+    easymocap(tmp_path, posed="b")
+    with pytest.warns(HumansimWarning, match="no extrinsics of them: a"):
+        assert list(Scene.load(tmp_path / "scene.yaml").cameras) == ["b"]
+
+
+def test_a_rig_without_any_extrinsics_is_refused(tmp_path: Path) -> None:
+    easymocap(tmp_path, posed="")
+    with pytest.warns(HumansimWarning), pytest.raises(CameraError) as caught:
+        Scene.load(tmp_path / "scene.yaml")
+    assert "rig.file: intri.yml has no extrinsics: give each of its cameras in 'cameras'" in str(caught.value)
+    assert caught.value.line == 2
+
+
+def test_a_single_camera_without_extrinsics_can_be_placed(tmp_path: Path) -> None:
+    (tmp_path / "one.yml").write_text(f"%YAML:1.0\n---\nK: {K}\n")
+    rig = "rig: {file: one.yml, size: [640, 480], position: [0, -3, 1], rotation_deg: [-90, 0, 0]}"
+    (tmp_path / "scene.yaml").write_text(f"room: null\n{rig}\n")
+    # it looked along z of the file, which is now y of map
+    (camera,) = Scene.load(tmp_path / "scene.yaml").cameras.values()
+    assert_allclose(camera.project([[0, 0, 1]])[0], [[310, 245]], atol=1e-9)

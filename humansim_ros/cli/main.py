@@ -185,6 +185,7 @@ _GROUPS = {
         "Read, convert and draw calibrations; arrange cameras to rigs.", ("camera", "camera_rig")
     ),
     "human": _Group("List, draw, build and rig humans.", ("human",)),
+    "mesh": _Group("List the built-in meshes for objects.", ("mesh",)),
     "motion": _Group("Describe, match, retarget and draw motions.", ("motion",)),
 }
 #: ``-h`` as well as ``--help``.

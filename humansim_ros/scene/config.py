@@ -141,15 +141,18 @@ class ObjectConfig(_FileSection):
     _file_key = "mesh"
 
     mesh: FileName = Field(
-        default="box", description="box, sphere, cylinder, or a file: .obj (z up, metres), .gltf, .glb"
+        default="box",
+        description="box, sphere, cylinder, table, chair, door, screen, shelf, "
+        "or a file: .obj (z up, metres), .gltf, .glb",
     )
     color: ByteColor = Field(default=(170, 150, 130), description="red, green, blue; 0 to 255")
     size: tuple[_Size, _Size, _Size] = Field(
         default=(1.0, 1.0, 1.0),
-        description="size along its own x, y, z: metres for a built-in mesh, else factors",
+        description="size along its own x, y, z: metres for box, sphere and cylinder, else factors",
     )
     position: _BoundedVector3 = Field(
-        default=(0.0, 0.0, 0.0), description="position of its center (of the origin of a file)"
+        default=(0.0, 0.0, 0.0),
+        description="position of its center (of the origin of a file; of the floor of furniture)",
     )
     rotation_deg: _BoundedVector3 = Field(
         default=(0.0, 0.0, 0.0), description="degrees about the x axis of map, then y, then z"

@@ -19,6 +19,7 @@ from humansim_ros.motion.keyframes import Keyframes, read_keyframes
 from humansim_ros.render import Body
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
+from humansim_ros.scene.furniture import FURNITURE
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
@@ -62,8 +63,8 @@ class SceneObject:
 
     Attributes:
         name: Name in the scene.
-        shape: box, sphere, cylinder, or the path of the mesh file.
-        color: Red, green, blue; sRGB.
+        shape: Name of a built-in mesh, or the path of the mesh file.
+        color: Red, green, blue, sRGB; of furniture the main colour.
         mesh: Mesh at size 1 about its own origin.
         initial_pose: Pose without keyframes.
         keyframes: Keyframes that move the object; None if it is static.
@@ -99,20 +100,26 @@ class SceneObject:
         Raises:
             HumansimError: The mesh cannot be read; ``key`` is relative to the section.
         """
+        colored = "color" in config.model_fields_set
         with in_section("mesh"):
             in_memory = source.mesh(config.mesh)
             if in_memory is not None:
                 shape, mesh = config.mesh, in_memory
             elif config.mesh in SHAPES:
                 shape, mesh = config.mesh, SHAPES[config.mesh]()
+            elif config.mesh in FURNITURE:
+                shape, mesh = config.mesh, FURNITURE[config.mesh].mesh(config.color if colored else None)
             else:
-                path = source.find(config.mesh, f"the built-in meshes are {', '.join(SHAPES)}")
+                path = source.find(config.mesh, f"the built-in meshes are {', '.join(BUILT_IN_MESHES)}")
                 shape, mesh = str(path.resolve()), read_mesh_z_up(path)
-        plain = mesh.texture is None or "color" in config.model_fields_set
-        colors = np.tile(np.array(config.color, np.uint8), (len(mesh.vertices), 1)) if plain else None
+        color = config.color
+        if shape in FURNITURE:
+            color = config.color if colored else FURNITURE[shape].color
+        elif colored or (mesh.colors is None and mesh.texture is None):
+            mesh = replace(mesh, colors=np.tile(np.array(color, np.uint8), (len(mesh.vertices), 1)))
         rotation = Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_quat()
         pose = ObjectPose(np.array(config.position), rotation, np.array(config.size))
-        return cls(name, shape, config.color, replace(mesh, colors=colors), pose, keyframes, instance)
+        return cls(name, shape, color, mesh, pose, keyframes, instance)
 
     @property
     def moves(self) -> bool:
@@ -262,3 +269,10 @@ def _cylinder() -> Mesh:
 
 #: Built-in meshes of 1 m, centred.
 SHAPES = {"box": _box, "sphere": _sphere, "cylinder": _cylinder}
+#: Descriptions of all built-in meshes by name.
+BUILT_IN_MESHES: dict[str, str] = {
+    "box": "box, 1 m along each axis, centred",
+    "sphere": "sphere of diameter 1 m, centred",
+    "cylinder": "cylinder of diameter and height 1 m along z, centred",
+    **{name: f"{furniture.description}; on the floor" for name, furniture in FURNITURE.items()},
+}

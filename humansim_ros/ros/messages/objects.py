@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from visualization_msgs.msg import Marker
 from humansim_ros.errors import RosError
 from humansim_ros.motion.joint_poses import Velocity
 from humansim_ros.ros.messages.headers import WORLD_FRAME, header
+from humansim_ros.scene.furniture import FURNITURE
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 
 _MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker.CYLINDER}
@@ -19,7 +21,9 @@ _MARKER_TYPES = {"box": Marker.CUBE, "sphere": Marker.SPHERE, "cylinder": Marker
 
 def object_message(scene_object: SceneObject, pose: ObjectPose, stamp: int) -> Marker:
     """Build ``objects/<name>/marker``: a moving object with its pose and size, as RViz shows it."""
-    shape = _MARKER_TYPES.get(scene_object.shape, Marker.MESH_RESOURCE)
+    furniture = scene_object.shape in FURNITURE
+    other = Marker.TRIANGLE_LIST if furniture else Marker.MESH_RESOURCE
+    shape = _MARKER_TYPES.get(scene_object.shape, other)
     marker = Marker(header=header(stamp, WORLD_FRAME), ns=f"objects/{scene_object.name}", type=shape)
     marker.action = Marker.ADD
     x, y, z = pose.position.tolist()
@@ -30,7 +34,16 @@ def object_message(scene_object: SceneObject, pose: ObjectPose, stamp: int) -> M
     marker.color = ColorRGBA(r=red, g=green, b=blue, a=1.0)
     if shape == Marker.MESH_RESOURCE:
         marker.mesh_resource = Path(scene_object.shape).as_uri()
+    elif furniture:
+        marker.points = _triangle_points(scene_object.shape)
     return marker
+
+
+@lru_cache
+def _triangle_points(name: str) -> list[Point]:
+    """Corners of the triangles of a built-in piece of furniture, three for each."""
+    mesh = FURNITURE[name].mesh()
+    return [Point(x=x, y=y, z=z) for x, y, z in mesh.vertices[mesh.triangles].reshape(-1, 3).tolist()]
 
 
 def read_object(message: Marker) -> ObjectPose:

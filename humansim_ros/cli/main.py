@@ -42,6 +42,10 @@ def run(
     joint_names: Annotated[
         str | None, typer.Option(help="Joint table for the motion (name or YAML file).")
     ] = None,
+    live: Annotated[
+        list[str] | None,
+        typer.Option(help="Human that another node moves, such as live motion capture; may be repeated."),
+    ] = None,
     duration: Annotated[float | None, typer.Option(help="Seconds after which to stop.", min=0.1)] = None,
     processes: Annotated[
         int | None,
@@ -49,24 +53,30 @@ def run(
     ] = None,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them."""
+    from humansim_ros.ros.first_images import FirstImages
     from humansim_ros.ros.processes import scene_processes
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
     from humansim_ros.scene.config import load_config
 
+    start = time.monotonic()
     _check_machine()
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
     with tempfile.TemporaryDirectory(prefix="humansim-") as folder:
         path = scene or resource_path("config/scenes/demo.yaml")
-        if motion or mesh or joint_names:
-            path = _scene_with(path, motion, mesh, joint_names, Path(folder))
+        if motion or mesh or joint_names or live:
+            path = _scene_with(path, motion, mesh, joint_names, live or (), Path(folder))
             loaded = Scene.from_config(load_config(path))  # errors do not name the temporary file
         else:
             loaded = Scene.load(path)
         _describe(loaded)
         warn_about_mistakes(loaded)
-        with Supervisor(scene_processes(path, processes)) as nodes:
-            print("running; Ctrl-C stops", flush=True)
+        node_processes = scene_processes(path, processes)
+        with Supervisor(node_processes) as nodes:
+            names = ", ".join(process.node_name for process in node_processes)
+            print(f"starting {names}; Ctrl-C stops", flush=True)
+            first = FirstImages(list(loaded.cameras), list(loaded.actors), start)
+            nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
             try:
                 dead = nodes.wait(None if duration is None else time.monotonic() + duration)
             except KeyboardInterrupt:
@@ -104,21 +114,27 @@ def _check_machine() -> None:
 
 
 def _scene_with(
-    path: Path, motion: str | None, mesh: str | None, joint_names: str | None, folder: Path
+    path: Path,
+    motion: str | None,
+    mesh: str | None,
+    joint_names: str | None,
+    live: Sequence[str],
+    folder: Path,
 ) -> Path:
-    """Write a copy of a scene whose first human has another motion or body.
+    """Write a copy of a scene whose first human has another motion or body, and with live humans.
 
     Args:
         path: Scene file.
         motion: Motion file or built-in motion; it is placed in the centre of the room.
         mesh: Body of the human.
         joint_names: Joint table of the motion.
+        live: Names of the humans that another node moves.
         folder: Folder of the copy.
     """
     import yaml
 
     from humansim_ros.errors import SceneError
-    from humansim_ros.scene.config import load_config, map_files
+    from humansim_ros.scene.config import LIVE, load_config, map_files
     from humansim_ros.scene.source import SceneSource
     from humansim_ros.scene.variety import with_variety
 
@@ -129,6 +145,16 @@ def _scene_with(
     config.setdefault("room", None)
     if not config["humans"]:
         raise SceneError("the scene has no human to give a motion or mesh to", path=path, key="humans")
+    for name in live:
+        if name not in config["humans"]:
+            known = ", ".join(config["humans"])
+            raise SceneError(f"no human {name!r} for --live; the scene has {known}", path=path, key="humans")
+        place = config["humans"][name]["motion"]
+        config["humans"][name]["motion"] = {
+            "file": LIVE,
+            "position": place["position"],
+            "yaw_deg": place["yaw_deg"],
+        }
     human = next(iter(config["humans"].values()))
     if mesh:
         human["body"] = _absolute(mesh)
@@ -143,7 +169,11 @@ def _scene_with(
 
 
 def _absolute_in(folder: Path, name: str) -> str:
-    """Absolute path of a file that a scene names; names of built-ins stay."""
+    """Absolute path of a file that a scene names; names of built-ins, and ``live``, stay."""
+    from humansim_ros.scene.config import LIVE
+
+    if name == LIVE:
+        return name
     path = folder / name.split("#")[0]
     # a folder may have the name of a built-in
     is_path = (exists(path) and (path.is_file() or "/" in name)) or "{name}" in name
@@ -157,7 +187,12 @@ def _absolute(name: str) -> str:
 
 
 def _describe(scene: Any) -> None:
+    from humansim_ros.scene.config import LIVE
+
     for actor in scene.actors.values():
+        if actor.motion.motion.path == LIVE:
+            print(f"{actor.name}: {actor.human.name}, live: moved by joints on /humans/{actor.name}/motion")
+            continue
         frame, motion = actor.motion.frame, actor.motion.motion
         print(
             f"{actor.name}: {actor.human.name}, {Path(motion.path).name} "

@@ -33,6 +33,8 @@ _INTERVALS = 5
 _MAX_PERIODS_LATE = 1.5
 #: Seconds without any vertices after which the scene at its start is shown.
 _START_SCENE_AFTER = 1.5
+#: Nanoseconds after the start in which the other nodes may still be starting.
+_STARTING = 15_000_000_000
 #: Nanoseconds back that mean a clock that was set back (a bag played again), not a late message.
 _CLOCK_SET_BACK = 1_000_000_000
 
@@ -152,6 +154,8 @@ class FrameSynchronizer:
             for name in self._expected[part]
             if name not in getattr(frame, part)
         }
+        if not self._last and self._node.now() - self._started < _STARTING:
+            return  # the skinners may be starting
         self._node.count("drops")
         source = "its skinner" if {*missing} & {*self._scene.actors} else "the motion player"
         self._node.get_logger().warn(

@@ -18,9 +18,9 @@ from humansim_ros.ros.processes import WARNINGS_SHOWN
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.scene import Scene
 
-#: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: a new
-#: subscriber delays some frames.
-_MAX_LOST, _LATE_AFTER = 0.05, 3
+#: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: a camera that
+#: prepares its first frame delays the others for up to three seconds.
+_MAX_LOST, _LATE_AFTER = 0.05, 5
 
 
 class SceneNode(Node):

@@ -32,11 +32,14 @@ class Supervisor:
         threads = render_threads(processes)
         self._environment = {**os.environ, **threads, WARNINGS_SHOWN: "1", **(environment or {})}
         self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._helpers: list[subprocess.Popen[bytes]] = []
 
     def __enter__(self) -> Supervisor:
         try:
             for process in self._processes:
-                self._running[process.node_name] = self._start(process)
+                self._running[process.node_name] = self._start(
+                    "humansim_ros.ros.nodes", process.executable, *process.ros_arguments
+                )
         except BaseException:
             self.stop()
             raise
@@ -51,6 +54,10 @@ class Supervisor:
     def pids(self) -> dict[str, int]:
         """Process ids by node name."""
         return {name: process.pid for name, process in self._running.items()}
+
+    def start_helper(self, module: str, *arguments: str) -> None:
+        """Start a Python module as a process that may end at any time; it is stopped with the nodes."""
+        self._helpers.append(self._start(module, *arguments))
 
     def dead(self) -> tuple[str, int] | None:
         """Name and exit code of a node that has ended unexpectedly; None while all run."""
@@ -76,7 +83,8 @@ class Supervisor:
     def stop(self) -> None:
         """Send SIGINT to all nodes, then SIGTERM and SIGKILL to nodes that still run."""
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
-            alive = [process for process in self._running.values() if process.poll() is None]
+            processes = [*self._helpers, *self._running.values()]
+            alive = [process for process in processes if process.poll() is None]
             for process in alive:
                 with suppress(ProcessLookupError):
                     process.send_signal(number)
@@ -85,9 +93,9 @@ class Supervisor:
                 with suppress(subprocess.TimeoutExpired):
                     process.wait(max(0.0, deadline - time.monotonic()))
 
-    def _start(self, process: NodeProcess) -> subprocess.Popen[bytes]:
+    def _start(self, module: str, *arguments: str) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
-            [sys.executable, "-m", "humansim_ros.ros.nodes", process.executable, *process.ros_arguments],
+            [sys.executable, "-m", module, *arguments],
             env=self._environment,
             # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
             start_new_session=True,

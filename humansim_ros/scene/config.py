@@ -27,6 +27,10 @@ if TYPE_CHECKING:
     import yaml
 
 
+#: Motion of a human that another node moves, such as live motion capture; it stands at rest until then.
+LIVE = "live"
+
+
 class _FileName(str):
     """Value of a key that names a file."""
 
@@ -59,7 +63,10 @@ class _FileSection(Section):
 class MotionConfig(_FileSection):
     """Motion of a human."""
 
-    file: FileName = Field(default="walk", description="name of a built-in motion, or a BVH or glTF file")
+    file: FileName = Field(
+        default="walk",
+        description="name of a built-in motion, or a BVH or glTF file; live: joints from another ROS node",
+    )
     joint_names: FileName | None = Field(
         default=None, description="name of a built-in joint table, or a YAML file; detected if absent"
     )

@@ -48,6 +48,7 @@ class JointSource:
             one rotation convention.
         slack: (L,) observed deviations from ``links``, metres.
         since: First stamp of the source, if the motion player has announced it.
+        number: Number of a detected source, from 1; 0 for a known one.
     """
 
     names: tuple[str, ...]
@@ -55,6 +56,7 @@ class JointSource:
     links: Array
     slack: Array
     since: int = 0
+    number: int = 0
 
     @classmethod
     def of_poses(cls, poses: JointPoses, retargeter: Retargeter, since: int = 0) -> JointSource:
@@ -131,24 +133,31 @@ class LiveRetargeter:
     several in a row they count as another source.
     """
 
-    def __init__(self, actor: Actor, table: str | None = None) -> None:
+    def __init__(self, actor: Actor, table: str | None = None, live: bool = False) -> None:
+        """``live``: the human has no motion of the scene."""
         self._actor = actor
         self._table = table
-        self._scene = JointSource.of_actor(actor)
+        self._scene = () if live else (JointSource.of_actor(actor),)
         # newest first
         self._legends: list[JointSource] = []
         self._detected: list[JointSource] = []
         self._source: JointSource | None = None
+        self._detections = 0
         self._calibration: list[JointPoses] = []
         self._deviating: list[JointPoses] = []
         self._max_rejected = _REJECTED
         self._refused: tuple[tuple[str, ...], str] | None = None
 
     @property
+    def source_number(self) -> int:
+        """Number of the current source: 0 for a known one, from 1 for detected ones."""
+        return 0 if self._source is None else self._source.number
+
+    @property
     def detected_source(self) -> str:
         """Description of the current source if it has been detected; empty for a known source."""
         source = self._source
-        if source is None or not any(source is detected for detected in self._detected):
+        if source is None or not source.number:
             return ""
         retargeter = source.retargeter
         stature = float(np.ptp(self._actor.human.mesh.vertices[:, 1])) / retargeter.scale
@@ -203,7 +212,7 @@ class LiveRetargeter:
         """Known sources, the most likely first. A legend is not valid for earlier stamps."""
         valid = [legend for legend in self._legends if stamp is None or legend.since <= stamp]
         yield from valid or self._legends
-        yield self._scene
+        yield from self._scene
         yield from self._detected
 
     def _detect(self, first: Sequence[JointPoses]) -> JointSource:
@@ -216,7 +225,8 @@ class LiveRetargeter:
         except MotionError as error:
             self._refused = (poses.names, f"{error} (parameter joint_names)")
             raise MotionError(self._refused[1]) from None
-        source = self._fit(poses, match)
+        self._detections += 1
+        source = self._fit(poses, match, self._detections)
         # a source that first came without some joints is replaced by the complete one
         complete = [known for known in self._detected if not set(known.names) < set(source.names)]
         self._detected = [source, *complete][:_MAX_DETECTED]
@@ -229,12 +239,13 @@ class LiveRetargeter:
         if newest and len(self._calibration) < _CALIBRATION_POSES:
             self._calibration.append(poses)
             if len(self._calibration) == _CALIBRATION_POSES:
-                source = self._fit(_joined(self._calibration), source.retargeter.match)
+                source = self._fit(_joined(self._calibration), source.retargeter.match, source.number)
                 self._detected[0] = source
         return source
 
-    def _fit(self, poses: JointPoses, match: JointMatch) -> JointSource:
+    def _fit(self, poses: JointPoses, match: JointMatch, number: int) -> JointSource:
         source = JointSource.of_poses(poses, Retargeter.fit_live(poses, match, self._actor.human.skeleton))
+        source = replace(source, number=number)
         if len(poses.positions) >= _CALIBRATION_POSES:
             return source
         # the noise of its joints is unknown yet

@@ -22,8 +22,12 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.bvh import PositionChannels
 from humansim_ros.motion.files import find_motion, read_motion
 from humansim_ros.motion.kinematics import Motion
+from humansim_ros.scene.config import LIVE
 
 T = TypeVar("T")
+
+#: Motion whose first frame is a person who stands with hanging arms.
+_STANDING = "wave"
 
 
 @dataclass(frozen=True)
@@ -108,10 +112,13 @@ class SceneSource:
         return human if skinning is None else replace(human, skinning=skinning)
 
     def motion(self, name: str, positions: PositionChannels) -> Motion:
-        """Read a motion by name or path."""
+        """Read a motion by name or path; the rest pose for ``live``."""
         motion = self._object(name, Motion)
         if motion is not None:
             return motion
+        if name == LIVE:
+            standing = read_motion(_STANDING)
+            return replace(standing, values=standing.values[:1], path=LIVE)
         return read_motion(find_motion(name, self.folder, SceneError), positions)
 
     def mesh(self, name: str) -> Mesh | None:

@@ -227,6 +227,7 @@ def test_a_missing_file_is_refused(tmp_path: Path) -> None:
 def test_a_wrong_option_is_refused() -> None:
     refused(humansim("run", "--no-such-option"), "--no-such-option")
     refused(humansim("no-such-command"), "no-such-command")
+    refused(humansim("run", "--live", "nobody"), "nobody", "walker")
 
 
 def test_a_folder_that_cannot_be_created_is_refused(tmp_path: Path) -> None:

@@ -47,6 +47,7 @@ from humansim_ros.ros.messages.images import image_message
 from humansim_ros.ros.messages.legends import (
     instance_legend,
     joints_legend,
+    live_legend,
     motion_legend,
     part_legend,
     read_motion_legend,
@@ -72,6 +73,7 @@ __all__ = [
     "joint_view_message",
     "joints_legend",
     "joints_message",
+    "live_legend",
     "mesh_message",
     "motion_legend",
     "motion_message",

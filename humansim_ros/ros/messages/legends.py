@@ -20,6 +20,11 @@ def motion_legend(source: JointSource) -> String:
     return _legend(source.to_dict())
 
 
+def live_legend() -> String:
+    """Build ``humans/<id>/motion/legend`` of a human that another node moves."""
+    return _legend({"live": True})
+
+
 def read_motion_legend(message: String) -> dict[str, Any]:
     """Read a ``motion/legend`` message. Raises RosError if it is not a JSON object."""
     try:

@@ -1,7 +1,8 @@
 """Node ``motion_player``: plays the motions of all humans of a scene from one clock.
 
 Publishes ``humans/<id>/motion``, latched ``humans/<id>/motion/legend``, ``marker`` and ``twist`` of every
-moving object (``objects/<name>``), and ``pose`` and ``twist`` of every camera with a trajectory.
+moving object (``objects/<name>``), and ``pose`` and ``twist`` of every camera with a trajectory. Of a live
+human, which another node moves, it publishes only the stamps of its frames, ``humans/<id>/frame``.
 
 Frame k has the stamp start + round(k * period). It is sent ``lead`` before its stamp on the wall clock, so
 that bodies are ready at the stamp. A late player skips to the newest frame and counts the drops. Cameras
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from typing import Any, TypeVar
@@ -33,6 +34,9 @@ from visualization_msgs.msg import Marker
 from humansim_ros.errors import HumansimError
 from humansim_ros.ros.frame_pacing import FramePacing
 from humansim_ros.ros.messages import (
+    WORLD_FRAME,
+    header,
+    live_legend,
     motion_legend,
     motion_message,
     object_message,
@@ -44,6 +48,7 @@ from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.playback import Change, Playback, PlaybackClock, Tick
 
@@ -73,12 +78,11 @@ class MotionPlayerNode(SceneNode):
         self._changes: list[tuple[Change, JointSource]] = []
         self._motion_parameters = MotionParameters(self, self._playback)
         for name in self.scene.actors:
-            description = "publish the motion; false: another source drives the human, such as live capture"
+            description = "publish the motion; false: another node does, such as live motion capture"
             declare(f"{name}.play", True, description)
-        self._motions = {
-            name: self.create_publisher(MultiDOFJointState, f"humans/{name}/motion", DATA)
-            for name in self.scene.actors
-        }
+        #: Publishers of motions by human, and of the stamps of its frames for a live human.
+        self._motions: dict[str, Any] = {}
+        self._live: dict[str, Any] = {}
         self._markers = {
             name: self.create_publisher(Marker, f"objects/{name}/marker", DATA)
             for name in self.scene.moving_objects
@@ -95,8 +99,8 @@ class MotionPlayerNode(SceneNode):
             name: self.create_publisher(String, f"humans/{name}/motion/legend", LATCHED)
             for name in self.scene.actors
         }
-        for name, actor in self._playback.actors.items():
-            self._legends[name].publish(motion_legend(JointSource.of_actor(actor)))
+        self._sources = {name: JointSource.of_actor(actor) for name, actor in self._playback.actors.items()}
+        self._update_sources()
         self.add_pre_set_parameters_callback(self._motion_parameters.complete)
         self.add_on_set_parameters_callback(self._prepare)
         self.add_post_set_parameters_callback(self._apply)
@@ -143,9 +147,10 @@ class MotionPlayerNode(SceneNode):
         """Publish one frame."""
         self._pacing.add_sent(tick.stamp, time.monotonic())
         scene_poses = self._playback.show(tick.elapsed, tick.pace)
-        for name, poses in scene_poses.poses.items():
-            if self.get_parameter(f"{name}.play").value:
-                self._motions[name].publish(motion_message(poses, tick.stamp))
+        for name, publisher in self._motions.items():
+            publisher.publish(motion_message(scene_poses.poses[name], tick.stamp))
+        for publisher in self._live.values():
+            publisher.publish(header(tick.stamp, WORLD_FRAME))
         for name, object_pose in scene_poses.objects.items():
             moving = self.scene.moving_objects[name]
             self._twists[f"objects/{name}"].publish(twist_message(object_pose.velocity, tick.stamp))
@@ -195,8 +200,9 @@ class MotionPlayerNode(SceneNode):
         """Make accepted parameters effective."""
         since = 0 if self._playback_clock.last is None else self._playback_clock.last + 1
         for change, source in self._changes:
-            self._legends[change.name].publish(motion_legend(replace(source, since=since)))
+            self._sources[change.name] = replace(source, since=since)
             self._playback.apply(change)
+        self._update_sources({change.name for change, _ in self._changes})
         self._changes = []
         values = {parameter.name: parameter.value for parameter in parameters}
         if "speed" in values:
@@ -207,6 +213,23 @@ class MotionPlayerNode(SceneNode):
                 self._publish_at_once(tick)
         if "seek" in values:
             self._go_to(values["seek"])
+
+    def _update_sources(self, changed: Collection[str] = ()) -> None:
+        """Publish the motion of every human that is not live, and the legend of each change.
+
+        ``changed``: humans with another motion.
+        """
+        for name in self._legends:
+            live = self._playback.settings[name].file == LIVE or not self.get_parameter(f"{name}.play").value
+            old, new = (self._motions, self._live) if live else (self._live, self._motions)
+            if name in new and name not in changed:
+                continue
+            self._legends[name].publish(live_legend() if live else motion_legend(self._sources[name]))
+            if name in old:
+                self.destroy_publisher(old.pop(name))
+            if name not in new:
+                kind, topic = (Header, "frame") if live else (MultiDOFJointState, "motion")
+                new[name] = self.create_publisher(kind, f"humans/{name}/{topic}", DATA)
 
     def _go_to(self, seconds: float) -> None:
         """Jump to a scene time, as if all humans had played their present motions from the start."""

@@ -1,8 +1,9 @@
 """Node ``skinner``: poses and skins one human from its motion messages.
 
 Subscribes to ``humans/<id>/motion`` of any sender: the motion player, or live motion capture, whose joint
-names, scale and rest pose are detected from its messages (docs/playing.md); and to the legend of the motion
-player, ``humans/<id>/motion/legend``. Publishes ``humans/<id>/joints``, ``vertices`` and ``markers`` with the
+names, scale and rest pose are detected from its messages (docs/playing.md); to the legend of the motion
+player, ``humans/<id>/motion/legend``; and to ``humans/<id>/frame``, with which the motion player gives the
+stamps of the frames of a live human. Publishes ``humans/<id>/joints``, ``vertices`` and ``markers`` with the
 same stamp, and latched ``humans/<id>/mesh``.
 """
 
@@ -10,10 +11,12 @@ from __future__ import annotations
 
 import sys
 import time
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
-from std_msgs.msg import String
+from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
 from humansim_ros.errors import HumansimError, SceneError
@@ -31,7 +34,13 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.motion_player import MAX_LEAD
 from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.ros.source_log import SourceLog
+from humansim_ros.scene.actor import HumanState
+from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.live import LiveRetargeter
+
+#: Seconds without a frame of the motion player after which a live source gives the stamps itself.
+_PLAYER_GONE_AFTER = 3.0
 
 
 class SkinnerNode(SceneNode):
@@ -51,8 +60,12 @@ class SkinnerNode(SceneNode):
         table = self.text_parameter(
             "joint_names", "", "Joint table of a live source (built-in name or YAML file); empty: detected"
         )
-        self._live_retargeter = LiveRetargeter(self._actor, self._find_table(table))
-        self._logged_source = ""
+        live = self.scene.config.humans[name].motion.file == LIVE
+        self._live_retargeter = LiveRetargeter(self._actor, self._find_table(table), live)
+        # of a live human: its newest message, its last body, and when the player last asked for a frame
+        self._message: MultiDOFJointState | None = None
+        self._body: HumanState | None = None
+        self._asked: float | None = None
         self._joints = self.create_publisher(MultiDOFJointState, f"humans/{name}/joints", DATA)
         self._vertices = self.create_publisher(PointCloud2, f"humans/{name}/vertices", DATA)
         self._markers = self.create_publisher(MarkerArray, f"humans/{name}/markers", DATA)
@@ -64,6 +77,8 @@ class SkinnerNode(SceneNode):
         self.create_subscription(String, f"humans/{name}/motion/legend", self._on_legend, LATCHED)
         motion = f"humans/{name}/motion"
         self._motion = self.create_subscription(MultiDOFJointState, motion, self._on_motion, NEWEST)
+        self._log = SourceLog(self.get_logger().info, name, self._motion.topic_name)
+        self.create_subscription(Header, f"humans/{name}/frame", self._on_frame, NEWEST)
         self.get_logger().info(f"skinning {name} ({len(self._actor.human.mesh.vertices)} vertices)")
 
     def _find_table(self, name: str) -> str | None:
@@ -76,19 +91,40 @@ class SkinnerNode(SceneNode):
         return path
 
     def _on_motion(self, message: MultiDOFJointState) -> None:
+        if self._asked is not None and time.monotonic() - self._asked < _PLAYER_GONE_AFTER:
+            self._message = message  # shown in the next frame
+            return
+        if state := self._retarget(message):
+            self._publish(state, to_nanoseconds(message.header.stamp))
+
+    def _on_frame(self, frame: Header) -> None:
+        """Publish a live human at the stamp of a frame of the motion player: its newest pose, or at rest."""
+        self._asked = time.monotonic()
+        message, self._message = self._message, None
+        if message is not None and (state := self._retarget(message)):
+            self._body = state
+            self.report_lateness(to_nanoseconds(message.header.stamp), "age")
+        silent = self._log.add_frame(message is not None, self._asked)
+        body = self._body or self._actor.at(0.0)
+        moves = body.linear is not None and bool(body.linear.any())
+        self._publish(_at_standstill(body) if silent and moves else body, to_nanoseconds(frame.stamp))
+
+    def _retarget(self, message: MultiDOFJointState) -> HumanState | None:
+        """Body of a motion message; None if the message cannot be used."""
         stamp = to_nanoseconds(message.header.stamp)
         try:
             state = self._live_retargeter.retarget(read_joints(message), stamp)
         except HumansimError as error:
             self.report_skipped(str(error))
-            return
-        if self._live_retargeter.detected_source != self._logged_source:
-            self._logged_source = self._live_retargeter.detected_source
-            self.get_logger().info(f"joint source: {self._logged_source or 'the motion player'}")
-            if (publishers := self.count_publishers(self._motion.topic_name)) > 1:
-                self.get_logger().warn(
-                    f"{publishers} nodes publish {self._motion.topic_name}: stop all but one"
-                )
+            return None
+        number, text = self._live_retargeter.source_number, self._live_retargeter.detected_source
+        changed = self._log.add_source(number, text, time.monotonic())
+        if changed and (publishers := self.count_publishers(self._motion.topic_name)) > 1:
+            self.get_logger().warn(f"{publishers} nodes publish {self._motion.topic_name}: stop all but one")
+        return state
+
+    def _publish(self, state: HumanState, stamp: int) -> None:
+        self._body = state
         joints, vertices = joints_message(state, stamp), vertices_message(state.vertices, stamp)
         self._wait_for(stamp)
         self._joints.publish(joints)
@@ -113,9 +149,19 @@ class SkinnerNode(SceneNode):
 
     def _on_legend(self, message: String) -> None:
         try:
-            self._live_retargeter.add_legend(read_motion_legend(message))
+            legend = read_motion_legend(message)
+            if not legend.get("live"):
+                self._live_retargeter.add_legend(legend)
+                self._message = self._asked = None  # the player moves the human
+                self._log.forget_frames()
         except HumansimError as error:
             self.get_logger().error(f"legend not used: {error}", throttle_duration_sec=1.0)
+
+
+def _at_standstill(state: HumanState) -> HumanState:
+    """State with velocities of zero."""
+    nothing = np.zeros((len(state.joints), 3))
+    return replace(state, linear=nothing, angular=nothing)
 
 
 def main() -> int:

@@ -19,7 +19,7 @@ MARKED_BY_NAME = {
     "ros": {"rclpy", "ros_support"},
     "gl": {"GLRenderer", "PyrenderRenderer", "Simulation", "make_renderer", "moderngl"},
     "process": {"multiprocessing", "subprocess"},
-    "real_files": {"SHARED_DATA", "needs_shared_data", "shared_data"},
+    "real_files": {"needs_shared_data", "shared_data"},
 }
 #: Markers of all tests of a module that imports one of these names: it is skipped without rclpy.
 MARKED_BY_IMPORT = {"ros": {"rclpy", "ros_support"}}
@@ -35,6 +35,16 @@ hypothesis.settings.load_profile("patient")
 needs_shared_data = pytest.mark.skipif(
     not SHARED_DATA.is_dir(), reason=f"no shared files at {SHARED_DATA} (HUMANSIM_SHARED_DATA)"
 )
+
+
+def if_shared(*values: Any) -> list[Any]:
+    """Parameters of a test that are shared files: none if the folder is missing, so that nothing is skipped.
+
+    The other parameters are stand-ins, of which the same is shown (test/stand_ins.py).
+    """
+    marked = [pytest.param(*each if isinstance(each, tuple) else (each,), marks=needs_shared_data)
+              for each in values]  # fmt: skip
+    return marked if SHARED_DATA.is_dir() else []
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

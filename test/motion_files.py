@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from motion_text import FileStyle, bvh_text
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
@@ -101,6 +102,22 @@ class StandIn:
             {joint + (joint >= number): offset for joint, offset in self.ends.items()},
         )
 
+    def with_joint_below(self, role: str, name: str, offset: tuple[float, float, float]) -> StandIn:
+        """The skeleton with one more joint at the end of a chain, with an end site as far again."""
+        above = self.joint(role)
+        number = above + 1  # depth first
+        while number < len(self.names) and self.parents[number] >= above:
+            number += 1
+        parents = [parent + (parent >= number) for parent in self.parents]
+        ends = {joint + (joint >= number): end for joint, end in self.ends.items() if joint != above}
+        return StandIn(
+            (*self.names[:number], name, *self.names[number:]),
+            (*self.roles[:number], name, *self.roles[number:]),
+            (*parents[:number], above, *parents[number:]),
+            np.insert(self.offsets, number, offset, axis=0),
+            {**ends, number: offset},
+        )
+
     def motion(self, rotations: Rotations, root: Array | None = None, axes: Array | None = None) -> Motion:
         """The BVH text of :meth:`text`, read again."""
         return read_text(self.text(rotations, root, axes))
@@ -111,6 +128,7 @@ class StandIn:
         root: Array | None = None,
         axes: Array | None = None,
         frame_time: float = 1 / 30,
+        style: FileStyle = FileStyle(),  # noqa: B008  # frozen
     ) -> str:
         """BVH text.
 
@@ -120,43 +138,31 @@ class StandIn:
             axes: (J, 3, 3) axes of the joints in the T pose; those of the file if absent. World positions do
                 not depend on them, but OFFSETs and rotation channels do.
             frame_time: Seconds between frames.
+            style: How the file is written.
         """
-        count = max((len(turn) for turn in rotations.values()), default=1)
+        local, root = self._frames(rotations, root)
         axes = np.broadcast_to(np.eye(3), (len(self.names), 3, 3)) if axes is None else axes
-        root = np.zeros((count, 3)) if root is None else root
-        still = np.broadcast_to(np.eye(3), (count, 3, 3))
-        columns = [root + self.offsets[0]]
+        return bvh_text(self, local, root, axes, frame_time, style)
+
+    def positions(self, rotations: Rotations, root: Array | None = None) -> Array:
+        """Positions (F, J + ends, 3) of joints, then end sites, in the T pose's axes, in centimetres."""
+        local, root = self._frames(rotations, root)
+        turns, points = np.empty_like(local), np.empty((*local.shape[:2], 3))
+        for joint, parent in enumerate(self.parents):
+            above = np.eye(3) if parent < 0 else turns[:, parent]
+            turns[:, joint] = above @ local[:, joint]
+            points[:, joint] = root if parent < 0 else points[:, parent] + above @ self.offsets[joint]
+        ends = [points[:, joint] + turns[:, joint] @ np.array(end) for joint, end in self.ends.items()]
+        return np.concatenate([points, np.stack(ends, axis=1)], axis=1) if ends else points
+
+    def _frames(self, rotations: Rotations, root: Array | None) -> tuple[Array, Array]:
+        """Local rotations (F, J, 3, 3) and root positions (F, 3), centimetres."""
+        count = max((len(turn) for turn in rotations.values()), default=1)
+        local = np.tile(np.eye(3), (count, len(self.names), 1, 1))
         for joint, role in enumerate(self.roles):
-            local = rotations[role].as_matrix() if role in rotations else still
-            turn = Rotation.from_matrix(self._above(joint, axes).T @ local @ axes[joint])
-            columns.append(turn.as_euler("ZXY", degrees=True))
-        lines = ["HIERARCHY", *self._hierarchy(0, axes, 0), "MOTION", f"Frames: {count}"]
-        lines.append(f"Frame Time: {frame_time:.6f}")
-        lines += [" ".join(f"{value:.8f}" for value in row) for row in np.hstack(columns)]
-        return "\n".join(lines) + "\n"
-
-    def _above(self, joint: int, axes: Array) -> Array:
-        """Axes (3, 3) of the parent of a joint: those of the file for the root."""
-        parent = self.parents[joint]
-        return np.eye(3) if parent < 0 else axes[parent]
-
-    def _hierarchy(self, joint: int, axes: Array, depth: int) -> list[str]:
-        """Lines of a joint and all below it."""
-        tab = "\t" * depth
-        kind, channels = ("ROOT", "6 Xposition Yposition Zposition") if depth == 0 else ("JOINT", "3")
-
-        def offset(vector: Array, frame: Array) -> str:
-            return "OFFSET " + " ".join(f"{value:.8f}" for value in frame.T @ vector)
-
-        lines = [f"{tab}{kind} {self.names[joint]}", f"{tab}{{"]
-        lines.append(f"{tab}\t{offset(self.offsets[joint], self._above(joint, axes))}")
-        lines.append(f"{tab}\tCHANNELS {channels} Zrotation Xrotation Yrotation")
-        for child in self.children(joint):
-            lines += self._hierarchy(child, axes, depth + 1)
-        if joint in self.ends:
-            end = offset(np.array(self.ends[joint]), axes[joint])
-            lines += [f"{tab}\tEnd Site", f"{tab}\t{{", f"{tab}\t\t{end}", f"{tab}\t}}"]
-        return [*lines, f"{tab}}}"]
+            if role in rotations:
+                local[:, joint] = rotations[role].as_matrix()
+        return local, self.offsets[0] + (np.zeros((count, 3)) if root is None else root)
 
 
 def stand_in(family: str | Mapping[str, str] = "biovision", without: Sequence[str] = ()) -> StandIn:

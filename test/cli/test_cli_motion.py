@@ -13,8 +13,9 @@ import cv2
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT, needs_shared_data
+from conftest import ROOT, if_shared
 from scipy.spatial.transform import Rotation
+from stand_ins import ALL, motion_path
 from waiting import PATIENCE
 
 from humansim_ros.body import hanim_skeleton
@@ -48,31 +49,39 @@ def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
     return Command(capsys, monkeypatch)
 
 
-@needs_shared_data
-@pytest.mark.parametrize("stem", ["pybvh_test1", "mixamo_freebvh", "firepal_vr"])
-def test_joint_positions_agree_with_blender(command: Command, shared_data: Path, stem: str) -> None:
+def reference(stem: str, positions: str, last: bool) -> tuple[int, dict[str, np.ndarray], float]:
+    """First or last frame of a file, its joints by Blender or by the generator of the file, and their size."""
+    if stem in ALL:
+        points = ALL[stem].positions(positions)
+        frame = len(points) - 1 if last else 0
+        return frame, dict(zip(ALL[stem].names, points[frame], strict=True)), np.ptp(points[0])
     with np.load(REFERENCE) as blender:
-        names, frames = blender[f"{stem}/names"], blender[f"{stem}/frames"]
-        expected, size = blender[f"{stem}/positions"], blender[f"{stem}/size"]
-    file = shared_data / "bvh" / f"{stem}.bvh"
-    found = command.json("joints", file, "--frame", frames[-1])
-    assert list(found) == list(read_bvh(file).joint_names)
-    ours = np.array([found[name] for name in names])
-    assert np.abs(ours - expected[-1]).max() < 2e-5 * size
+        key = f"{stem}/positions_added" if positions == "add" else f"{stem}/positions"
+        points = blender[key][-1 if last else 0]
+        frame = int(blender[f"{stem}/frames"][-1 if last else 0])
+        return frame, dict(zip(blender[f"{stem}/names"], points, strict=True)), float(blender[f"{stem}/size"])
 
 
-@needs_shared_data
+@pytest.mark.parametrize(
+    "stem", ["own_z_up", "own_mixamo", "own_xsens", *if_shared("pybvh_test1", "mixamo_freebvh", "firepal_vr")]
+)
+def test_joint_positions_agree_with_the_reference(command: Command, stem: str) -> None:
+    frame, expected, size = reference(stem, "replace", last=True)
+    found = command.json("joints", motion_path(stem), "--frame", frame)
+    assert list(found) == list(read_bvh(motion_path(stem)).joint_names)
+    for name, place in expected.items():
+        assert np.abs(found[name] - place).max() < 2e-5 * size
+
+
+@pytest.mark.parametrize("stem", ["own_makehuman", *if_shared("makehuman_walk1")])
 @pytest.mark.parametrize("positions", ["replace", "add"])
 def test_positions_option_decides_the_meaning_of_position_channels(
-    command: Command, shared_data: Path, positions: str
+    command: Command, stem: str, positions: str
 ) -> None:
-    key = "positions" if positions == "replace" else "positions_added"
-    with np.load(REFERENCE) as blender:
-        names, expected = blender["makehuman_walk1/names"], blender[f"makehuman_walk1/{key}"][0]
-        size = blender["makehuman_walk1/size"]
-    file = shared_data / "bvh" / "makehuman_walk1.bvh"
-    found = command.json("joints", file, "--positions", positions)
-    assert np.abs(np.array([found[name] for name in names]) - expected).max() < 2e-5 * size
+    _, expected, size = reference(stem, positions, last=False)
+    found = command.json("joints", motion_path(stem), "--positions", positions)
+    for name, place in expected.items():
+        assert np.abs(found[name] - place).max() < 2e-5 * size
 
 
 @pytest.mark.parametrize("mode", ["full", "thesis"])
@@ -116,30 +125,28 @@ def test_feet_limits_scale_and_body_change_the_retargeting(command: Command) -> 
     assert command.json("retarget", "walk", "--frame", 40, "--clamp").keys() == plain.keys()
 
 
-@needs_shared_data
-def test_info_prints_facts_as_json_and_as_text(command: Command, shared_data: Path) -> None:
-    file = shared_data / "bvh" / "pybvh_cmu_12_01_walk.bvh"
+@pytest.mark.parametrize(("stem", "frames"), [("own_cmu", 121), *if_shared(("pybvh_cmu_12_01_walk", 524))])
+def test_info_prints_facts_as_json_and_as_text(command: Command, stem: str, frames: int) -> None:
+    file = motion_path(stem)
     facts = command.json("info", file)
-    assert (facts["frames"], facts["up"], facts["unit_name"]) == (524, "y", "cmu")
+    assert (facts["frames"], facts["up"], facts["unit_name"]) == (frames, "y", "cmu")
     assert facts["roles"]["LeftElbow"] == "LeftForeArm"
     assert 1.5 < facts["stature"] < 2.0
     assert facts["unknown"] is None
     code, out, _ = command("info", file)
     assert code == 0
-    assert "524 frames" in out and "cmu" in out
+    assert f"{frames} frames" in out and "cmu" in out
 
 
-@needs_shared_data
-def test_info_of_no_person_gives_the_reason_and_retargeting_is_refused(
-    command: Command, shared_data: Path
-) -> None:
-    file = shared_data / "bvh" / "fairmotion_sinusoidal.bvh"
+@pytest.mark.parametrize("stem", ["no_end_sites", *if_shared("fairmotion_sinusoidal")])
+def test_info_of_no_person_gives_the_reason_and_retargeting_is_refused(command: Command, stem: str) -> None:
+    file = motion_path(stem)
     facts = command.json("info", file)
     assert facts["stature"] is None and facts["unknown"]
     assert facts["frames"] > 0
     code, out, err = command("retarget", file, "--json")
     assert (code, out) == (2, "")
-    assert "fairmotion_sinusoidal.bvh" in err and "Traceback" not in err
+    assert f"{stem}.bvh" in err and "Traceback" not in err
 
 
 def test_options_override_detected_values(command: Command) -> None:
@@ -147,10 +154,12 @@ def test_options_override_detected_values(command: Command) -> None:
     assert (facts["unit"], facts["unit_name"], facts["facing"]) == (0.02, "given", "x")
 
 
-@needs_shared_data
-def test_warnings_are_in_the_json_only(command: Command, shared_data: Path) -> None:
-    file = shared_data / "bvh" / "assimp_Boxing_Toes.bvh"
-    assert any("3070" in text for text in command.json("info", file)["warnings"])
+@pytest.mark.parametrize(
+    ("stem", "rows"), [("own_more_rows", "121"), *if_shared(("assimp_Boxing_Toes", "3070"))]
+)
+def test_warnings_are_in_the_json_only(command: Command, stem: str, rows: str) -> None:
+    file = motion_path(stem)
+    assert any(rows in text for text in command.json("info", file)["warnings"])
     code, out, err = command("joints", file, "--json")
     assert code == 0
     assert json.loads(out)
@@ -212,13 +221,9 @@ def test_a_video_plays_the_whole_motion(command: Command, tmp_path: Path, suffix
     assert np.abs(frames[0].astype(int) - frames[10]).max() > 60
 
 
-@needs_shared_data
-def test_motions_of_no_person_are_drawn_in_file_axes(
-    command: Command, shared_data: Path, tmp_path: Path
-) -> None:
-    code, _, err = command(
-        "render", shared_data / "bvh" / "fairmotion_sinusoidal.bvh", "-o", tmp_path / "s.png", "--phases", 2
-    )
+@pytest.mark.parametrize("stem", ["no_end_sites", *if_shared("fairmotion_sinusoidal")])
+def test_motions_of_no_person_are_drawn_in_file_axes(command: Command, stem: str, tmp_path: Path) -> None:
+    code, _, err = command("render", motion_path(stem), "-o", tmp_path / "s.png", "--phases", 2)
     assert code == 0
     assert "not as a person" in err
     assert cv2.imread(str(tmp_path / "s.png")).std() > 5

@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import if_shared
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from stand_ins import motion_path
 
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_bvh, write_bvh
@@ -266,14 +268,16 @@ def test_a_joint_without_channels_stays_at_its_offset(tmp_path: Path) -> None:
     )
 
 
-def test_a_root_without_channels_can_be_read(shared_data: Path) -> None:
-    motion = read_bvh(shared_data / "bvh" / "firepal_vr.bvh")
+@pytest.mark.parametrize("stem", ["rootless", *if_shared("firepal_vr")])
+def test_a_root_without_channels_can_be_read(stem: str) -> None:
+    motion = read_bvh(motion_path(stem))
     assert motion.channels[0] == ()
     assert motion.n_frames > 1
 
 
-def test_rotation_before_position_at_a_real_root(shared_data: Path) -> None:
-    motion = read_bvh(shared_data / "bvh" / "pybvh_rotation_first_root.bvh")
+@pytest.mark.parametrize("stem", ["rotation_first", *if_shared("pybvh_rotation_first_root")])
+def test_rotation_before_position_at_the_root(stem: str) -> None:
+    motion = read_bvh(motion_path(stem))
     assert [name[1:] for name in motion.channels[0]] == ["rotation"] * 3 + ["position"] * 3
     x, y, z = (motion.channels[0].index(f"{axis}position") for axis in "XYZ")
     np.testing.assert_array_equal(motion.world_positions()[:, 0], motion.values[:, [x, y, z]])
@@ -600,9 +604,15 @@ def test_a_written_motion_reads_back_the_same(
     )
 
 
-@pytest.mark.parametrize("stem", ["mixamo_freebvh", "pybvh_test1", "firepal_vr", "bvhtoolbox_walk01"])
-def test_a_real_motion_written_and_read_is_the_same(shared_data: Path, tmp_path: Path, stem: str) -> None:
-    motion = read_bvh(shared_data / "bvh" / f"{stem}.bvh")
+@pytest.mark.parametrize(
+    "stem",
+    [
+        *("own_mixamo", "own_z_up", "own_humanik", "own_all_channels", "rootless"),
+        *if_shared("mixamo_freebvh", "pybvh_test1", "firepal_vr", "bvhtoolbox_walk01"),
+    ],
+)
+def test_a_motion_of_another_program_written_and_read_is_the_same(tmp_path: Path, stem: str) -> None:
+    motion = read_bvh(motion_path(stem))
     write_bvh(tmp_path / "out.bvh", motion)
     assert_same(read_bvh(tmp_path / "out.bvh"), motion)
 

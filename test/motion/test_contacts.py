@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import needs_shared_data
+from conftest import if_shared
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from test_retarget import MATCHED, SKELETON, in_world, read
+from test_retarget import SHARED, SKELETON, in_world, read
 
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.inverse_kinematics import two_bone
@@ -21,9 +21,7 @@ from humansim_ros.motion.stances import find_stances, slide_distances
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.types import Array
 
-stems = pytest.mark.parametrize(
-    "stem", ["walk", *(pytest.param(s, marks=needs_shared_data) for s in MATCHED)]
-)
+stems = pytest.mark.parametrize("stem", ["walk", "own_mixamo", "own_z_up", "own_cmu", *if_shared(*SHARED)])
 point = st.tuples(*[st.floats(-0.5, 0.5)] * 3).map(np.array)
 
 

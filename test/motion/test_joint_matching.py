@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from conftest import SHARED_DATA, if_shared
+from stand_ins import ALL, motion_path
 
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import MotionError
@@ -37,23 +39,26 @@ def test_every_built_in_table_has_a_driver_for_every_bone() -> None:
 @pytest.mark.parametrize(
     ("stem", "expected"),
     [
-        ("bvhio_example", "biovision"),
-        ("mocapbank_bvhpython", "xsens"),
-        ("aitviewer_sample", "xsens"),
-        ("mixamo_freebvh", "mixamo"),
-        ("bvhtoolbox_walk01", "humanik"),
-        ("animdraw_rokoko_jesse_dance", "rokoko"),
-        ("pybvh_cmu_12_01_walk", "cmu"),
-        ("animdraw_cmu1_jumping_jacks", "cmu_max"),
-        ("assimp_Boxing_Toes", "biovision"),
-        ("pybvh_test1", "humanik"),
-        ("makehuman_walk1", "makehuman"),
-        ("makehuman_tpose", "makehuman"),
+        *((name, each.table) for name, each in ALL.items()),
+        *if_shared(
+            ("bvhio_example", "biovision"),
+            ("mocapbank_bvhpython", "xsens"),
+            ("aitviewer_sample", "xsens"),
+            ("mixamo_freebvh", "mixamo"),
+            ("bvhtoolbox_walk01", "humanik"),
+            ("animdraw_rokoko_jesse_dance", "rokoko"),
+            ("pybvh_cmu_12_01_walk", "cmu"),
+            ("animdraw_cmu1_jumping_jacks", "cmu_max"),
+            ("assimp_Boxing_Toes", "biovision"),
+            ("pybvh_test1", "humanik"),
+            ("makehuman_walk1", "makehuman"),
+            ("makehuman_tpose", "makehuman"),
+        ),
     ],
 )
 @pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
-def test_real_motions_match_their_table(shared_data: Path, stem: str, expected: str) -> None:
-    motion = read_bvh(shared_data / "bvh" / f"{stem}.bvh")
+def test_motions_match_their_table(stem: str, expected: str) -> None:
+    motion = read_bvh(motion_path(stem))
     match = match_names(motion.joint_names)
     assert match.table == expected
     assert match.complete
@@ -71,31 +76,32 @@ NOT_PEOPLE = {"fairmotion_sinusoidal", "firepal_vr", "pybvh_rotation_first_root"
 
 
 @pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
-def test_limbs_run_from_parent_to_child_in_every_matched_file(shared_data: Path) -> None:
+@pytest.mark.parametrize(
+    "stem", [*ALL, *if_shared(*sorted(path.stem for path in (SHARED_DATA / "bvh").glob("*.bvh")))]
+)
+def test_limbs_run_from_parent_to_child_in_every_matched_file(stem: str) -> None:
     """A clavicle matched as an upper arm, or left as right, would break the chain."""
-    matched = set()
-    for path in sorted((shared_data / "bvh").glob("*.bvh")):
-        try:
-            motion = read_bvh(path)
-            match = match_names(motion.joint_names)
-        except MotionError:
-            continue
-        matched.add(path.stem)
+    try:
+        motion = read_bvh(motion_path(stem))
+        match = match_names(motion.joint_names)
+    except MotionError:
+        assert stem not in {*ALL, *PEOPLE}
+        return
+    assert stem not in NOT_PEOPLE
+    for bone in LIMBS:
+        start, above = match.parallel[bone]
+        links = 0
+        while above != start and links < 3:  # with bones for twist between them
+            above, links = int(motion.parents[above]), links + 1
+        assert above == start, bone
+    for lower, upper in (("knee", "hip"), ("elbow", "shoulder")):
+        for side in "lr":
+            assert match.parallel[f"{side}_{lower}"][0] == match.parallel[f"{side}_{upper}"][1]
+    for side, words in (("l", ("left", ".l", "_l")), ("r", ("right", ".r", "_r"))):
         for bone in LIMBS:
-            start, above = match.parallel[bone]
-            links = 0
-            while above != start and links < 3:  # with bones for twist between them
-                above, links = int(motion.parents[above]), links + 1
-            assert above == start, (path.stem, bone)
-        for lower, upper in (("knee", "hip"), ("elbow", "shoulder")):
-            for side in "lr":
-                assert match.parallel[f"{side}_{lower}"][0] == match.parallel[f"{side}_{upper}"][1], path.stem
-        for side, words in (("l", ("left", ".l", "_l")), ("r", ("right", ".r", "_r"))):
-            for bone in LIMBS:
-                if bone.startswith(side):
-                    name = motion.joint_names[match.parallel[bone][0]].lower()
-                    assert any(word in name for word in words)
-    assert matched >= PEOPLE and not matched & NOT_PEOPLE
+            if bone.startswith(side):
+                name = motion.joint_names[match.parallel[bone][0]].lower()
+                assert any(word in name for word in words)
 
 
 @pytest.mark.parametrize(

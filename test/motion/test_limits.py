@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT, needs_shared_data
+from conftest import ROOT, if_shared
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from stand_ins import STAND_INS
 from test_retarget import at_frames, in_world, read, some_frames
 
 from humansim_ros.body import Skeleton, hanim_skeleton
@@ -313,11 +314,8 @@ def test_angles_do_not_depend_on_the_pose_the_skeleton_was_made_in() -> None:
 @pytest.mark.parametrize(
     "stem",
     [
-        "walk",
-        *(
-            pytest.param(stem, marks=needs_shared_data)
-            for stem in ("pybvh_cmu_12_01_walk", "bvhtoolbox_walk01", "mixamo_freebvh", "pybvh_test1")
-        ),
+        *("walk", *STAND_INS),
+        *if_shared("pybvh_cmu_12_01_walk", "bvhtoolbox_walk01", "mixamo_freebvh", "pybvh_test1"),
     ],
 )
 def test_ordinary_motions_stay_within_the_limits(stem: str) -> None:

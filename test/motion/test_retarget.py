@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, SHARED_DATA, needs_shared_data
+from conftest import ROOT, if_shared
 from scipy.spatial.transform import Rotation
+from stand_ins import ALL, NO_PERSON, STAND_INS, STANDING_AT_REST, motion_path
 
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimWarning, MotionError
@@ -24,9 +25,8 @@ from humansim_ros.motion.world_motion import MotionLoop, Placement, WorldMotion
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
-WALK = ROOT / "assets" / "motions" / "walk.bvh"
-#: Files that a built-in table fits.
-MATCHED = (
+#: Shared files that a built-in table fits.
+SHARED = (
     "aitviewer_sample",
     "animdraw_cmu1_jumping_jacks",
     "animdraw_rokoko_jesse_dance",
@@ -38,19 +38,18 @@ MATCHED = (
     "pybvh_cmu_12_01_walk",
     "pybvh_test1",
 )
-#: All but one, whose bones lie along x at rest.
-STANDING_AT_REST = [stem for stem in MATCHED if stem != "animdraw_rokoko_jesse_dance"]
+MATCHED = [*STAND_INS, *if_shared(*SHARED)]
+#: All but those whose bones lie along x at rest.
+STANDING = [*STANDING_AT_REST, *if_shared(*(s for s in SHARED if s != "animdraw_rokoko_jesse_dance"))]
 SKELETON = hanim_skeleton()
-real_and_ours = pytest.mark.parametrize(
-    "stem", ["walk", *(pytest.param(stem, marks=needs_shared_data) for stem in MATCHED)]
-)
+real_and_ours = pytest.mark.parametrize("stem", ["walk", *MATCHED])
 
 
 @cache
 def read(stem: str) -> Motion:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HumansimWarning)
-        return read_bvh(WALK if stem == "walk" else SHARED_DATA / "bvh" / f"{stem}.bvh")
+        return read_bvh(motion_path(stem))
 
 
 def in_world(motion: Motion, loop: MotionLoop = "none", placement: Placement | None = None) -> WorldMotion:
@@ -105,17 +104,19 @@ def test_world_positions_are_a_similarity_transform_of_the_file(stem: str) -> No
 @pytest.mark.parametrize(
     ("stem", "unit", "up"),
     [
-        ("bvhio_example", "inch", "y"),
-        ("mixamo_freebvh", "cm", "y"),
-        ("bvhtoolbox_walk01", "cm", "y"),
-        ("animdraw_rokoko_jesse_dance", "cm", "y"),
-        ("pybvh_cmu_12_01_walk", "cmu", "y"),
-        ("animdraw_cmu1_jumping_jacks", "cmu", "y"),
-        ("pybvh_test1", "inch", "z"),
+        *((name, each.unit_name, each.style.up) for name, each in ALL.items()),
+        *if_shared(
+            ("bvhio_example", "inch", "y"),
+            ("mixamo_freebvh", "cm", "y"),
+            ("bvhtoolbox_walk01", "cm", "y"),
+            ("animdraw_rokoko_jesse_dance", "cm", "y"),
+            ("pybvh_cmu_12_01_walk", "cmu", "y"),
+            ("animdraw_cmu1_jumping_jacks", "cmu", "y"),
+            ("pybvh_test1", "inch", "z"),
+        ),
     ],
 )
-@needs_shared_data
-def test_unit_and_up_axis_of_real_files_are_detected(stem: str, unit: str, up: str) -> None:
+def test_unit_and_up_axis_of_files_are_detected(stem: str, unit: str, up: str) -> None:
     frame = in_world(read(stem)).frame
     assert (frame.unit_name, frame.up) == (unit, up)
     assert 1.45 < frame.stature < 2.0
@@ -415,13 +416,7 @@ def test_swing_is_the_smallest_rotation_from_the_inherited_one(stem: str) -> Non
         np.testing.assert_allclose(turn, smallest, atol=1e-6, err_msg=name)
 
 
-@pytest.mark.parametrize(
-    "stem",
-    [
-        "walk",
-        *(pytest.param(s, marks=needs_shared_data) for s in MATCHED if s != "animdraw_rokoko_jesse_dance"),
-    ],
-)
+@pytest.mark.parametrize("stem", ["walk", *STANDING])
 def test_difference_bones_take_the_rotation_of_their_joint_from_rest(stem: str) -> None:
     motion, retargeter, frames, frame, _, posed = retargeted(stem, 4)
     to_world = Rotation.from_matrix(frame.world_from_file)
@@ -434,10 +429,10 @@ def test_difference_bones_take_the_rotation_of_their_joint_from_rest(stem: str) 
             assert ((turn * rest) * ours.inv()).magnitude() < 1e-6, name
 
 
-@needs_shared_data
-def test_without_a_standing_rest_pose_it_is_the_straightest_frame() -> None:
+@pytest.mark.parametrize("stem", ["own_rokoko", *if_shared("animdraw_rokoko_jesse_dance")])
+def test_without_a_standing_rest_pose_it_is_the_straightest_frame(stem: str) -> None:
     """In this file bones lie along x at rest; pelvis and trunk still follow hips and shoulders."""
-    motion, retargeter, frames, frame, _, posed = retargeted("animdraw_rokoko_jesse_dance", 40)
+    motion, retargeter, frames, frame, _, posed = retargeted(stem, 40)
     roles = retargeter.match.roles
     positions = motion.world_positions(frames) @ frame.world_from_file.T
     for part, bone in (("Hip", "HumanoidRoot"), ("Hip", "HumanoidRoot_to_l_hip"), ("Shoulder", "vl5")):
@@ -458,8 +453,7 @@ def resting(stem: str) -> WorldMotion:
 
 
 @pytest.mark.parametrize(
-    "stem",
-    ["walk", *(pytest.param(s, marks=needs_shared_data) for s in ("mixamo_freebvh", "aitviewer_sample"))],
+    "stem", ["walk", "own_mixamo", "own_xsens", *if_shared("mixamo_freebvh", "aitviewer_sample")]
 )
 def test_the_rest_pose_of_the_motion_stands_upright_facing_x(stem: str) -> None:
     world = resting(stem)
@@ -475,11 +469,7 @@ def test_the_rest_pose_of_the_motion_stands_upright_facing_x(stem: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "stem",
-    [
-        "walk",
-        *(pytest.param(s, marks=needs_shared_data) for s in ("bvhtoolbox_walk01", "pybvh_cmu_12_01_walk")),
-    ],
+    "stem", ["walk", *STAND_INS, *if_shared("bvhtoolbox_walk01", "pybvh_cmu_12_01_walk")]
 )
 def test_walking_persons_face_their_direction_of_travel(stem: str) -> None:
     *_, posed = retargeted(stem, 30)
@@ -500,11 +490,8 @@ def test_the_head_is_above_the_feet(stem: str) -> None:
 @pytest.mark.parametrize(
     "stem",
     [
-        "walk",
-        *(
-            pytest.param(s, marks=needs_shared_data)
-            for s in ("bvhio_example", "mixamo_freebvh", "bvhtoolbox_walk01", "pybvh_cmu_12_01_walk")
-        ),
+        *("walk", "own_mixamo", "own_z_up", "own_rokoko"),
+        *if_shared("bvhio_example", "mixamo_freebvh", "bvhtoolbox_walk01", "pybvh_cmu_12_01_walk"),
     ],
 )
 def test_the_skin_stands_on_the_floor(stem: str) -> None:
@@ -537,7 +524,7 @@ def test_a_person_twice_as_tall_covers_the_same_ground_on_our_skeleton() -> None
     np.testing.assert_allclose(paths[0], paths[1], atol=1e-6)
 
 
-@pytest.mark.parametrize("stem", [pytest.param(s, marks=needs_shared_data) for s in STANDING_AT_REST])
+@pytest.mark.parametrize("stem", STANDING)
 def test_ground_covered_is_scaled_by_ankle_to_head_height(stem: str) -> None:
     """Heights measured from the rest offsets and from [thesis table 4.1]."""
     motion = read(stem)
@@ -581,9 +568,7 @@ def test_a_skeleton_without_height_is_an_error() -> None:
         detect_file_frame(flat, match_names(flat.joint_names))
 
 
-@pytest.mark.parametrize(
-    "stem", [pytest.param(s, marks=needs_shared_data) for s in ("firepal_vr", "fairmotion_sinusoidal")]
-)
+@pytest.mark.parametrize("stem", [*NO_PERSON, *if_shared("firepal_vr", "fairmotion_sinusoidal")])
 def test_a_motion_without_a_person_is_an_error(stem: str) -> None:
     with pytest.raises(MotionError, match=f"{stem}.*no joint table fits"):
         match_names(read(stem).joint_names, path=f"{stem}.bvh")

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT, SHARED_DATA, needs_shared_data
+from conftest import if_shared
+from stand_ins import NO_PERSON, STAND_INS, motion_path
 
 from humansim_ros.errors import HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_bvh
@@ -32,16 +33,16 @@ PEOPLE: dict[str, set[str]] = {
     "pybvh_cmu_12_01_walk": {"Wrist"},
     "pybvh_test1": set(),
     "walk": set(),
+    **{name: set() for name in STAND_INS},
 }
 LIMBS = [f"{side}{part}" for side in ("Left", "Right") for part in
          ("Hip", "Knee", "Ankle", "Shoulder", "Elbow", "Wrist")]  # fmt: skip
 
 
 def read(stem: str) -> Motion:
-    path = ROOT / "assets" / "motions" / "walk.bvh" if stem == "walk" else SHARED_DATA / "bvh" / f"{stem}.bvh"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", HumansimWarning)
-        return read_bvh(path)
+        return read_bvh(motion_path(stem))
 
 
 def nameless(motion: Motion) -> Motion:
@@ -75,7 +76,7 @@ def shuffled(motion: Motion, seed: int) -> tuple[Motion, list[int]]:
 
 
 @pytest.mark.parametrize(
-    "stem", [stem if stem == "walk" else pytest.param(stem, marks=needs_shared_data) for stem in PEOPLE]
+    "stem", ["walk", *STAND_INS, *if_shared(*(stem for stem in PEOPLE if stem not in ("walk", *STAND_INS)))]
 )
 def test_a_person_without_names_has_the_same_limbs(stem: str) -> None:
     motion = read(stem)
@@ -109,8 +110,9 @@ def test_names_that_give_only_the_sides_are_used() -> None:
     assert sure.roles["LeftKnee"] == other.roles["RightKnee"] == guess.roles["LeftKnee"]
 
 
-@needs_shared_data
-@pytest.mark.parametrize("stem", ["firepal_vr", "fairmotion_sinusoidal", "pybvh_rotation_first_root"])
+@pytest.mark.parametrize(
+    "stem", [*NO_PERSON, *if_shared("firepal_vr", "fairmotion_sinusoidal", "pybvh_rotation_first_root")]
+)
 def test_a_skeleton_that_is_not_a_person_has_no_match(stem: str) -> None:
     assert match_shape(read(stem)) is None
     with pytest.raises(MotionError, match="shape of a person"):

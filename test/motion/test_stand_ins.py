@@ -8,17 +8,7 @@ import numpy as np
 import pytest
 from motion_files import Array, StandIn, an_l, one_axis, random_axes, stand_in, walk, wrong_hips
 from scipy.spatial.transform import Rotation
-
-
-def at_frame(person: StandIn, rotations: dict[str, Rotation], frame: int) -> Array:
-    """Positions (J, 3) in the file by forward kinematics in the axes of the T pose."""
-    turns: list[Rotation] = []
-    points: list[Array] = []
-    for role, parent, offset in zip(person.roles, person.parents, person.offsets, strict=True):
-        above = Rotation.identity() if parent < 0 else turns[parent]
-        turns.append(above * rotations[role][frame] if role in rotations else above)
-        points.append(above.apply(offset) + (points[parent] if parent >= 0 else 0))
-    return np.array(points)
+from stand_ins import ALL
 
 
 @pytest.mark.parametrize("axes", [None, one_axis, an_l, random_axes])
@@ -30,7 +20,7 @@ def test_joints_are_where_forward_kinematics_puts_them_in_any_axes(
     motion = person.motion(turns, axes=None if axes is None else axes(person))
     named = [motion.joint(name) for name in person.names]
     for frame in (0, 7):
-        expected = at_frame(person, turns, frame)
+        expected = person.positions(turns)[frame, : len(named)]
         np.testing.assert_allclose(motion.world_positions()[frame, named], expected, atol=1e-4)
 
 
@@ -63,3 +53,21 @@ def test_collars_rise_at_rest_and_shoulders_stay() -> None:
     both = [p.offsets[p.joint("LeftCollar")] + p.offsets[p.joint("LeftShoulder")] for p in (plain, raised)]
     np.testing.assert_allclose(both[0], both[1])
     assert collar[0] == plain.offsets[plain.joint("LeftCollar"), 0]
+
+
+def test_each_program_writes_the_same_walk_in_its_own_way() -> None:
+    """Files differ in unit, axes and layout; joints of the same role are at the same place of the person."""
+    texts = {name: each.text() for name, each in ALL.items()}
+    assert len({text.partition("MOTION")[0] for text in texts.values()}) == len(texts)
+    assert "\r\n" in texts["own_xsens"] and "\r" not in texts["own_mixamo"]
+    assert (
+        "Frames: 120\n" in texts["own_more_rows"]
+        and texts["own_more_rows"].count("\n")
+        == 121 + texts["own_more_rows"].partition("Frame Time")[0].count("\n") + 1
+    )
+    assert "e+0" in texts["own_humanik"] and "e+0" not in texts["own_mixamo"]
+    centimetres = ALL["own_more_rows"].positions()[:, ALL["own_more_rows"].names.index("LeftKnee")]
+    for name, each in ALL.items():
+        knee = each.positions()[:, each.person.joint("LeftKnee")] * each.style.unit
+        knee = knee if each.style.up == "y" else knee[:, [0, 2, 1]] * [1, 1, -1]
+        np.testing.assert_allclose(knee, centimetres, atol=1e-9, err_msg=name)

@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import needs_shared_data
+from conftest import if_shared
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from stand_ins import STAND_INS
 from test_retarget import (
-    MATCHED,
+    SHARED,
     SKELETON,
-    STANDING_AT_REST,
+    STANDING,
     at_frames,
     in_world,
     read,
@@ -39,7 +40,6 @@ from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.types import Array
 
 LIMBS = [f"{side}_{part}" for side in "lr" for part in ("shoulder", "elbow", "hip", "knee")]
-shared = [pytest.param(stem, marks=needs_shared_data) for stem in STANDING_AT_REST]
 
 
 def at_rest(motion: Motion) -> WorldMotion:
@@ -84,7 +84,7 @@ def test_a_twist_about_a_link_is_the_bones_twist(joint: str, end: str, bone: str
         np.testing.assert_allclose(about_bone, [0, expected, 0], atol=1e-4)
 
 
-@pytest.mark.parametrize("stem", ["walk", *shared])
+@pytest.mark.parametrize("stem", ["walk", *STANDING])
 def test_bones_rotate_from_rest_as_their_joints_do(stem: str) -> None:
     """Joint rotations by SciPy down the tree; the rest of the bones from the file with all rotations zero.
 
@@ -106,10 +106,7 @@ def test_bones_rotate_from_rest_as_their_joints_do(stem: str) -> None:
 
 @pytest.mark.parametrize(
     "stem",
-    [
-        "walk",
-        *(pytest.param(stem, marks=needs_shared_data) for stem in MATCHED if stem != "aitviewer_sample"),
-    ],
+    ["walk", *STAND_INS, *if_shared(*(stem for stem in SHARED if stem != "aitviewer_sample"))],
 )
 def test_elbows_and_knees_bend_about_the_axes_of_the_skeleton(stem: str) -> None:
     """The plane of a bent limb shows the twist of its bones, in any rest pose.
@@ -342,7 +339,7 @@ def without_turns(poses: JointPoses, w: float) -> JointPoses:
     return JointPoses(poses.names, poses.positions, rotations)
 
 
-@pytest.mark.parametrize("stem", ["walk", *shared])
+@pytest.mark.parametrize("stem", ["walk", *STANDING])
 def test_a_live_source_is_fitted_to_its_first_pose(stem: str) -> None:
     motion = read(stem)
     world = in_world(motion)

@@ -209,7 +209,6 @@ def test_a_camera_that_fails_does_not_stop_the_others(
 
     stage = Stage("half", scene_path)
     simulation = Simulation(stage.rig.scene, ("depth",), start=START)
-    stage.subscribe(Image, "left/depth/image", "right/depth/image")
     frame = simulation.frame(0)
     render = GLRenderer.render
 
@@ -219,6 +218,7 @@ def test_a_camera_that_fails_does_not_stop_the_others(
         return render(self, bodies, camera, *rest, **named)
 
     monkeypatch.setattr(GLRenderer, "render", fail)
+    stage.subscribe(Image, "left/depth/image", "right/depth/image")
     stage.send(frame)
     assert stage.client.spin_until(lambda: frame.stamp in stage.messages_of("right/depth/image"))
     assert not stage.messages_of("left/depth/image")

@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from conftest import ROOT, SHARED_DATA, needs_shared_data
+from conftest import ROOT, if_shared
 from ros_support import Client, write_scene
 from scipy.spatial.transform import Rotation
+from stand_ins import motion_path
 from waiting import PATIENCE
 
 from humansim_ros.errors import HumansimError, MotionError, RosError
@@ -311,7 +312,7 @@ def test_messages_that_are_none_are_refused(actor: Actor) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("stem", ["walk", pytest.param("mixamo_freebvh", marks=needs_shared_data)])
+@pytest.mark.parametrize("stem", ["walk", "own_mixamo", *if_shared("mixamo_freebvh")])
 def test_the_example_drives_a_skinner_in_another_process(ros: None, tmp_path: Path, stem: str) -> None:
     """Bones are parallel to the links of the example's joints, upright, on the floor."""
     from rclpy.parameter import Parameter
@@ -319,19 +320,19 @@ def test_the_example_drives_a_skinner_in_another_process(ros: None, tmp_path: Pa
 
     from humansim_ros.ros.nodes.skinner import SkinnerNode
 
-    human = f"human_{stem[:6]}"
+    human = f"human_{stem}"
     scene = tmp_path / "scene.yaml"
     scene.write_text(
         f"humans: {{{human}: {{}}}}\ncameras: {{c: {{position: [3, 0, 1], look_at: [0, 0, 1]}}}}\n"
     )
-    file = SHARED_DATA / "bvh" / f"{stem}.bvh"
+    file = motion_path(stem)
     if stem == "walk":
         # as another program would call its joints
         text = (ROOT / "assets" / "motions" / "walk.bvh").read_text()
         file = tmp_path / "suit.bvh"
         file.write_text(re.sub(r"(?<=JOINT )\w+", lambda name: f"suit:{MIXAMO.get(name[0], name[0])}", text))
     skinner = SkinnerNode(parameter_overrides=[Parameter("scene", value=str(scene))])
-    client = Client(f"watcher_{stem[:6]}")
+    client = Client(f"watcher_{stem}")
     client.executor.add_node(skinner)
     motion_topic, joints_topic = (f"/humans/{human}/{kind}" for kind in ("motion", "joints"))
     client.subscribe(MultiDOFJointState, [motion_topic, joints_topic], 500)

@@ -8,13 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.image_size import guess_image_size
+from humansim_ros.camera.image_size import COMMON, guess_image_size
 from humansim_ros.rotations import angle_between
+from humansim_ros.types import Array
 
 #: Largest plausible distance of a principal point from the image centre, as a fraction of the image side.
 _OFF_CENTER = 0.075
-#: Largest difference of that fraction between both sides for an image that was scaled, not cropped.
-_SAME_SCALE = 0.1
+#: Factor by which the centre of another image size must fit better, and largest difference of the shapes.
+_BETTER, _SAME_SHAPE = 6.0, 0.02
+#: Distance from the centre that no lens has, and largest difference of that fraction between both sides for
+#: an image that was scaled, not cropped.
+_FAR_OFF, _SAME_SCALE = 0.2, 0.1
 #: Plausible focal lengths of the rectified image, as multiples of those of the real image.
 _ZOOM = (0.4, 2.5)
 #: Largest plausible difference of the focal lengths, and largest skew, as fractions of a focal length.
@@ -90,27 +94,58 @@ def check_rig(cameras: Mapping[str, Camera]) -> list[str]:
 
 
 def check_image_size(camera: Camera) -> list[str]:
-    """Check whether K fits the image size. Returns messages."""
+    """Check whether K is that of an image of another size. Returns messages.
+
+    Principal points of real cameras may be far from the centre. The evidence is strong only if the image
+    centre of another size fits much better, and that image has the same shape.
+    """
     (width, height), (cx, cy) = camera.size, camera.K[:2, 2]
-    share = (camera.K[:2, 2] + 0.5) / camera.size
+    share = _principal_share(camera)
+    distance = float(np.abs(share - 0.5).max())
     low, high = sorted(share)
-    if np.abs(share - 0.5).max() <= _OFF_CENTER or low <= 0 or high / low >= 1 + _SAME_SCALE:
+    if distance <= _OFF_CENTER or low <= 0:
         return []
-    fitting = "{}x{}".format(*guess_image_size((cx, cy)))
+    fitting = guess_image_size((cx, cy))
+    rest = float(np.abs((camera.K[:2, 2] + 0.5) / fitting - 0.5).max())
+    same_shape = abs(fitting[0] * height / (fitting[1] * width) - 1) < _SAME_SHAPE
+    common = fitting in COMMON or fitting[::-1] in COMMON
+    far = distance > _FAR_OFF and high / low < 1 + _SAME_SCALE
+    if not far and not (common and same_shape and rest < distance / _BETTER):
+        return []
     where = f"the principal point ({cx:.1f}, {cy:.1f}) is at {share[0]:.0%} and {share[1]:.0%}"
-    what = f"this K is that of an image of about {fitting}; is the size wrong, or was the image scaled?"
+    size = "{}x{}".format(*fitting)
+    what = f"this K is that of an image of about {size}; is the size wrong, or was the image scaled?"
     return [f"{where} of a {width}x{height} image: {what}"]
+
+
+def note_principal_points(cameras: Mapping[str, Camera]) -> list[str]:
+    """One note about all cameras of a file whose principal point is far from the image centre."""
+    distances = {
+        name: float(np.abs(_principal_share(camera) - 0.5).max())
+        for name, camera in cameras.items()
+        if not check_image_size(camera)
+    }
+    far = {name: distance for name, distance in distances.items() if distance > _OFF_CENTER}
+    if not far:
+        return []
+    name = max(far, key=far.__getitem__)
+    (cx, cy), (width, height) = cameras[name].K[:2, 2], cameras[name].size
+    what = (
+        f"the principal point of {name}, ({cx:.1f}, {cy:.1f}), is {far[name]:.0%} of a side from the centre"
+    )
+    others = f", and those of {len(far) - 1} more are above {_OFF_CENTER:.1%}" if len(far) > 1 else ""
+    return [f"note: {what} of its {width}x{height} image{others}: a real lens, or a cropped image"]
+
+
+def _principal_share(camera: Camera) -> Array:
+    """Principal point (2,) as fractions of the image sides."""
+    return np.asarray((camera.K[:2, 2] + 0.5) / camera.size)
 
 
 def _check_intrinsics(camera: Camera) -> Iterator[str]:
     width = camera.size[0]
-    (fx, skew, cx), (_, fy, cy) = camera.K[:2]
-    share = (camera.K[:2, 2] + 0.5) / camera.size
-    messages = check_image_size(camera)
-    yield from messages
-    if not messages and np.abs(share - 0.5).max() > _OFF_CENTER:
-        where = f"({cx:.1f}, {cy:.1f}) is at {share[0]:.0%} and {share[1]:.0%} of the image's sides"
-        yield f"the principal point {where}: was the image cropped?"
+    (fx, skew, _), (_, fy, _) = camera.K[:2]
+    yield from check_image_size(camera)
     if abs(fx / fy - 1) > _NOT_SQUARE:
         yield f"the pixels are not square: fx / fy is {fx / fy:.3f}"
     if abs(skew) > _SKEWED * fx:

@@ -40,7 +40,7 @@ def show(
     camera: CameraOption = None,
 ) -> None:
     """Print the cameras of a calibration: K, lens, pose, field of view, and implausible values."""
-    from humansim_ros.camera.checks import check_rig
+    from humansim_ros.camera.checks import check_rig, note_principal_points
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -56,7 +56,7 @@ def show(
         "unit": calibration.unit,
         "up": calibration.up,
         "cameras": described,
-        "warnings": [*of_file, *check_rig(cameras)],
+        "warnings": [*of_file, *check_rig(cameras), *note_principal_points(cameras)],
     }
     print_text(to_json(facts) if as_json else "\n".join(_lines(calibration, facts)))
 

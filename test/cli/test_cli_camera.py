@@ -169,7 +169,6 @@ def test_plausible_cameras_pass_all_checks() -> None:
 @pytest.mark.parametrize(
     ("odd", "said"),
     [
-        (camera(K=[[600, 0, 380], [0, 600, 239.5], [0, 0, 1]]), "was the image cropped?"),
         (camera(K=[[600, 0, 320], [0, 1200, 240], [0, 0, 1]]), "the pixels are not square: fx / fy is 0.500"),
         (camera(K=[[600, 30, 320], [0, 600, 240], [0, 0, 1]]), "a skew of 30, 5.0% of the focal length"),
         (camera(K=[[0.9, 0, 320], [0, 0.9, 240], [0, 0, 1]]), "is K in pixels?"),
@@ -186,6 +185,42 @@ def test_plausible_cameras_pass_all_checks() -> None:
 def test_implausible_cameras_are_reported(odd: Camera, said: str) -> None:
     (message,) = check_camera(odd)
     assert said in message
+
+
+#: Principal points of VGA cameras as in CMU Panoptic: off the centre in any direction.
+OFF_CENTRE = [(374.3, 226.2), (388.1, 270.4), (366.0, 252.9), (399.2, 233.7), (260.3, 209.8), (345.6, 281.1)]
+
+
+def test_principal_points_off_the_centre_are_one_note(tmp_path: Path) -> None:
+    cameras = {
+        f"00_0{i}": camera(K=[[745, 0, x], [0, 745, y], [0, 0, 1]]) for i, (x, y) in enumerate(OFF_CENTRE)
+    }
+    assert [message for one in cameras.values() for message in check_camera(one)] == []
+    write_calibration(tmp_path / "c.json", cameras, "panoptic")
+    facts = shown(tmp_path / "c.json")
+    assert [one["warnings"] for one in facts["cameras"]] == [[]] * len(cameras)
+    (note,) = facts["warnings"]
+    assert note.startswith(
+        "note: the principal point of 00_03, (399.2, 233.7), is 12% of a side from the centre"
+    )
+    assert "those of 4 more are above 7.5%" in note
+    read_calibration(tmp_path / "c.json")  # says nothing: no warning is an error here
+
+
+@pytest.mark.parametrize(
+    ("size", "of"),
+    [
+        ((1640, 1232), (1280, 960)),
+        ((1920, 1080), (1280, 720)),
+        ((640, 480), (1280, 960)),
+        ((700, 525), (1400, 1050)),
+    ],
+)
+def test_a_k_of_another_image_size_is_told(size: tuple[int, int], of: tuple[int, int]) -> None:
+    middle = np.array(of) / 2 * [1.004, 0.993] - 0.5
+    wrong = camera(size=size, K=[[of[0], 0, middle[0]], [0, of[0], middle[1]], [0, 0, 1]])
+    (message,) = check_camera(wrong)
+    assert f"of a {size[0]}x{size[1]} image: this K is that of an image of about {of[0] // 100}" in message
 
 
 def test_rigs_in_other_units_or_axes_are_reported() -> None:

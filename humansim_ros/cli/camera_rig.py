@@ -311,6 +311,17 @@ def _write_rig(
 def _scene_text(cameras: Mapping[str, Camera], look_at: tuple[float, float, float], radius: float) -> str:
     """Text of a scene with a room around all cameras, and a human."""
     x, y, _ = look_at
+    if radius >= _WALK_RIG_RADIUS:
+        motion = f"{{file: walk, position: [{x:g}, {y - _WALK_RADIUS:g}], loop: continue}}"
+    else:
+        motion = f"{{file: wave, position: [{x:g}, {y:g}], anchor: center}}"
+    room = room_around(cameras, (x, y))
+    return f"rate: 30\nroom: {room}\nhumans:\n  walker: {{motion: {motion}}}\n"
+
+
+def room_around(cameras: Mapping[str, Camera], target: tuple[float, float]) -> str:
+    """Value of a scene's ``room``: all cameras and a person who walks around x, y are inside it."""
+    x, y = target
     centers = [camera.center.tolist() for camera in cameras.values()]
     within = [
         *centers,
@@ -320,12 +331,7 @@ def _scene_text(cameras: Mapping[str, Camera], look_at: tuple[float, float, floa
     sides = [2 * (max(abs(position[axis]) for position in within) + _WALL_DISTANCE) for axis in (0, 1)]
     needed = (*sides, max(center[2] for center in centers) + 0.3)
     size = [round(max(pair), 1) for pair in zip(_ROOM, needed, strict=True)]
-    room = "null" if max(size) > _LARGEST_ROOM else f"{{size: {size}}}"
-    if radius >= _WALK_RIG_RADIUS:
-        motion = f"{{file: walk, position: [{x:g}, {y - _WALK_RADIUS:g}], loop: continue}}"
-    else:
-        motion = f"{{file: wave, position: [{x:g}, {y:g}], anchor: center}}"
-    return f"rate: 30\nroom: {room}\nhumans:\n  walker: {{motion: {motion}}}\n"
+    return "null" if max(size) > _LARGEST_ROOM else f"{{size: {size}}}"
 
 
 # -- plot

@@ -217,7 +217,8 @@ class _Group:
 
 _GROUPS = {
     "camera": _Group(
-        "Read, convert and draw calibrations; arrange cameras to rigs.", ("camera", "camera_rig")
+        "Read, convert, place and draw calibrations; arrange cameras to rigs.",
+        ("camera", "camera_rig", "camera_place"),
     ),
     "human": _Group("List, draw, build and rig humans.", ("human",)),
     "mesh": _Group("List the built-in meshes for objects.", ("mesh",)),

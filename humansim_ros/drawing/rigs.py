@@ -51,8 +51,10 @@ _SHARED_LABEL = 14
 _LEVELS = 10
 
 
-def rig_image(cameras: Mapping[str, Camera]) -> Image:
+def rig_image(cameras: Mapping[str, Camera], points: Array | None = None) -> Image:
     """Draw cameras from above and from the side, with their names, their views and the floor in metres.
+
+    ``points``: points (N, 3) in ``map`` that are drawn as crosses, such as floor points.
 
     Raises:
         CameraError: There is no camera, or one is farther away than 100 km.
@@ -60,9 +62,10 @@ def rig_image(cameras: Mapping[str, Camera]) -> Image:
     rig = _Rig.of(cameras)
     count = len(cameras)
     title = f"{count} camera{'s' if count > 1 else ''}, metres in map"
-    from_side, cell = _from_side(rig)
+    crosses = np.zeros((0, 3)) if points is None else points
+    from_side, cell = _from_side(rig, crosses)
     headings = ("from above", f"from the side; a square of the floor is {cell:g} m")
-    return _sheet(title, headings, [_from_above(rig), from_side])
+    return _sheet(title, headings, [_from_above(rig, crosses), from_side])
 
 
 def coverage_image(
@@ -165,15 +168,22 @@ class _Plan:
                 _draw_label(image, label, position, 0.36, anchor="middle" if axis == 0 else "right")
 
 
-def _from_above(rig: _Rig) -> Image:
+def _from_above(rig: _Rig, points: Array) -> Image:
     image = _panel()
     plan = _Plan.fitting(rig.low[:2], rig.high[:2])
     plan.draw_axes(image)
     for border, color in zip(rig.borders, rig.colors, strict=True):
         fill_polygon(image, plan.pixels(border), color, _OPACITY)
     _draw_map_axes(image, plan, rig)
+    _draw_crosses(image, plan.pixels(points))
     _draw_cameras_above(image, plan, rig, rig.colors)
     return image
+
+
+def _draw_crosses(image: Image, pixels: Array) -> None:
+    for pixel in pixels:
+        for arm in ((5, 5), (5, -5)):
+            draw_line(image, [pixel - arm, pixel + arm], INK, 2)
 
 
 def _draw_cameras_above(image: Image, plan: _Plan, rig: _Rig, colors: Sequence[Color]) -> None:
@@ -237,7 +247,7 @@ def _draw_map_axes(image: Image, plan: _Plan, rig: _Rig) -> None:
         _draw_label(image, "xy"[axis], pixels[1] + np.array([5, -5]), 0.45, _AXES[axis])
 
 
-def _from_side(rig: _Rig) -> tuple[Image, float]:
+def _from_side(rig: _Rig, points: Array) -> tuple[Image, float]:
     """Draw the cameras from the side; also returns the size of a square of the floor in metres."""
     image = _panel()
     cell = _round_cell(float((rig.high - rig.low)[:2].max()))
@@ -257,6 +267,7 @@ def _from_side(rig: _Rig) -> tuple[Image, float]:
         pixels = eye.project(ends)[0]
         draw_line(image, pixels, color, 2)
         _draw_label(image, "xyz"[axis], pixels[1] + np.array([5, -5]), 0.45, color)
+    _draw_crosses(image, eye.project(points)[0])
     names = list(rig.cameras)
     for number in np.argsort(-eye.project(centers)[1]):
         color, center = rig.colors[number], centers[number]

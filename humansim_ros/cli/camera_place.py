@@ -1,0 +1,338 @@
+"""``humansim camera place``: the pose of a calibration in ``map``, as a scene and an image."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Callable, Mapping
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from humansim_ros.cli.camera import load
+from humansim_ros.cli.camera_rig import room_around
+from humansim_ros.cli.options import (
+    CalibrationArgument,
+    ImageOption,
+    JsonOption,
+    SizeOption,
+    UnitOption,
+    UpOption,
+)
+from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
+from humansim_ros.errors import CameraError, HumansimError
+
+if TYPE_CHECKING:
+    from humansim_ros.camera import Camera
+    from humansim_ros.camera.calibration import Calibration
+    from humansim_ros.camera.placing import FoundPlacement
+    from humansim_ros.types import Array
+
+#: Stature of the person whom the cameras should see, and distance from its ends that is not tested, metres.
+_STATURE, _MARGIN = 1.8, 0.05
+#: Digits of written positions and angles.
+_DIGITS = 9
+#: Largest plausible difference between distances in map and in the file, as a fraction.
+_OTHER_UNIT = 0.05
+
+
+class BoardChoice(Enum):
+    """Choices of ``place --board``."""
+
+    floor = "floor"
+    z_up = "z_up"
+    z_down = "z_down"
+    standing = "standing"
+
+
+def place(
+    file: CalibrationArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "--output", "-o", help="Scene to write (.yaml). Without it, the section rig is printed."
+        ),
+    ] = None,
+    plot: Annotated[
+        Path | None,
+        typer.Option(help="Image of the placed rig (.png); beside the scene if absent.", show_default=False),
+    ] = None,
+    tilt: Annotated[
+        float | None,
+        typer.Option(help="Degrees by which a camera looks down; with --height. The other cameras follow."),
+    ] = None,
+    roll: Annotated[
+        float, typer.Option(help="Degrees by which that camera is turned clockwise; with --tilt.")
+    ] = 0.0,
+    camera: Annotated[
+        str | None, typer.Option(help="Camera of --tilt or --board-pose; the first if absent.")
+    ] = None,
+    floor_points: Annotated[
+        Path | None, typer.Option(help="YAML or JSON file with three floor points or more.")
+    ] = None,
+    floor_point: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Floor point: its pixels, as 'left:312,400 right:280,410', or its place in the world of the "
+            "file, as '0.1,0.2,3'; 'map:0,1' adds its place in the room. Three or more."
+        ),
+    ] = None,
+    board: Annotated[
+        BoardChoice | None,
+        typer.Option(
+            help="The calibration board lies on the floor (floor; z_up or z_down to state its z axis), or "
+            "stands upright.",
+            show_default=False,
+        ),
+    ] = None,
+    board_pose: Annotated[
+        str | None,
+        typer.Option(
+            help="Rotation vector and translation of the board in the frame of a camera: six numbers. "
+            "Without it, the board is the world of the file."
+        ),
+    ] = None,
+    height: Annotated[
+        float | None,
+        typer.Option(
+            help="Height above the floor, metres: of the camera of --tilt, of the origin of a standing "
+            "board, or the mean of all cameras."
+        ),
+    ] = None,
+    yaw_deg: Annotated[float, typer.Option(help="Turn the rig about the vertical, degrees.")] = 0.0,
+    at: Annotated[
+        tuple[float, float],
+        typer.Option(help="x y of map below the point at which the cameras look (of the board), metres."),
+    ] = (0.0, 0.0),
+    size: SizeOption = None,
+    image: ImageOption = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find the pose of a calibration in the room: by a tilt, floor points, a board, or level cameras."""
+    from humansim_ros.camera import placing
+
+    if not all(map(math.isfinite, (tilt or 0, roll, height or 0, yaw_deg, *at))):
+        raise HumansimError("the options must be finite numbers")
+    methods = {
+        "--tilt": tilt is not None,
+        "--floor-points": floor_points is not None or bool(floor_point),
+        "--board": board is not None,
+    }
+    given = [option for option, is_given in methods.items() if is_given]
+    if len(given) > 1:
+        raise HumansimError(f"give one of {', '.join(methods)}, not {' and '.join(given)}")
+    if output is not None:
+        _check_scene(output, file)
+        plot = plot or output.with_suffix(".png")
+    if plot is not None:
+        if plot.suffix.lower() != ".png":
+            raise HumansimError("the image is a .png file: give it this suffix", path=plot)
+        check_output(plot)
+    calibration = load(file, size, image, unit, up)
+    cameras = _posed(calibration, file)
+    of = camera if camera is not None else next(iter(cameras))
+    if of not in cameras:
+        raise CameraError(f"no camera {of!r}; the names are {', '.join(list(cameras)[:8])}", path=file)
+    if tilt is not None:
+        if height is None:
+            raise HumansimError("--tilt needs --height as well: the height of the camera above the floor")
+        found = placing.place_by_tilt(cameras, of, height, math.radians(tilt), math.radians(roll))
+    elif given == ["--floor-points"]:
+        points = _floor_points(calibration, floor_points, floor_point or [])
+        found = placing.place_by_floor(cameras, points)
+    elif board is not None:
+        pose = _board_pose(calibration, cameras[of], board_pose)
+        found = placing.place_by_board(cameras, pose, board.value, height or 0.0)
+    else:
+        found = placing.place_by_level(cameras, height)
+    found = placing.turned(found, math.radians(yaw_deg), at)
+    placed = {name: found.placement.camera(one) for name, one in cameras.items()}
+    facts = _facts(file, given[0].removeprefix("--") if given else "level", found, placed)
+    section = _rig_section(file, output, calibration, found, unit, up, size or image)
+    if output is not None:
+        x, y = facts["person_at"]
+        person = f"{{motion: {{file: wave, position: [{x:g}, {y:g}], anchor: center}}}}"
+        room = room_around(placed, (x, y))
+        _write(output, f"rate: 30\nroom: {room}\nhumans:\n  person: {person}\n{section}")
+    if plot is not None:
+        from humansim_ros.drawing.canvas import write_png
+        from humansim_ros.drawing.rigs import rig_image
+
+        with report_write_errors(plot):
+            write_png(plot, rig_image(placed, found.points))
+    written = [str(path) for path in (output, plot) if path is not None]
+    _warn(placed, facts)
+    if as_json:
+        print_text(to_json({**facts, "wrote": written}))
+        return
+    print_text("\n".join(_lines(facts)))
+    print_text(section if output is None else f"wrote {output}; try: humansim run {output}")
+    if plot is not None:
+        print_text(f"wrote {plot}")
+
+
+def _check_scene(output: Path, file: str) -> None:
+    if output.suffix.lower() not in (".yaml", ".yml"):
+        raise HumansimError("a scene is a .yaml file: give it this suffix", path=output)
+    check_output(output)
+    if "://" not in file and output.resolve() == Path(file).resolve():
+        raise HumansimError("would be overwritten: give another file with --output", path=output)
+
+
+def _posed(calibration: Calibration, file: str) -> dict[str, Camera]:
+    """Cameras with extrinsics; a single camera may have none."""
+    posed = {name: one for name, one in calibration.cameras.items() if name in calibration.posed}
+    if posed or len(calibration.cameras) == 1:
+        return posed or calibration.cameras
+    message = "has no extrinsics: the poses of its cameras to each other are unknown, so it cannot be placed"
+    raise CameraError(message, path=file)
+
+
+def _in_metres(calibration: Calibration) -> Array:
+    """Matrix (3, 3) from the unit and axes of the file to metres and z up."""
+    from humansim_ros.camera.calibration import Z_UP_FROM_FILE
+
+    return calibration.unit * Z_UP_FROM_FILE[calibration.up]
+
+
+def _floor_points(calibration: Calibration, path: Path | None, texts: list[str]) -> list[Any]:
+    from humansim_ros.camera.floor_points import parse_floor_point, read_floor_points
+
+    in_metres = _in_metres(calibration)
+    points = [] if path is None else read_floor_points(path, in_metres)
+    return points + [parse_floor_point(text, in_metres) for text in texts]
+
+
+def _board_pose(calibration: Calibration, camera: Camera, text: str | None) -> Array:
+    """Pose (4, 4) of the board in the world of the file, metres."""
+    import numpy as np
+
+    from humansim_ros.camera.calibration import Z_UP_FROM_FILE
+    from humansim_ros.rotations import rotation_vector_to_matrix, transform
+
+    if text is None:
+        return transform(Z_UP_FROM_FILE[calibration.up], np.zeros(3))
+    try:
+        values = np.array([float(word) for word in text.replace(",", " ").split()])
+    except ValueError:
+        values = np.zeros(0)
+    if len(values) != 6 or not np.isfinite(values).all():
+        message = "needs six numbers, a rotation vector (radians) and a translation (unit of the file)"
+        raise HumansimError(f"--board-pose: {message}, not {text!r}")
+    in_camera = transform(rotation_vector_to_matrix(values[:3]), values[3:] * calibration.unit)
+    return np.asarray(camera.world_from_optical @ in_camera)
+
+
+def _facts(file: str, method: str, found: FoundPlacement, placed: Mapping[str, Camera]) -> dict[str, Any]:
+    """Facts about a placement for ``--json``."""
+    import numpy as np
+
+    from humansim_ros.camera.placing import look_target
+
+    x, y, _ = (round(float(value), 3) + 0.0 for value in look_target(placed))
+    heights = np.linspace(_MARGIN, _STATURE - _MARGIN, 9)
+    person = np.column_stack([np.full(9, x), np.full(9, y), heights])
+    cameras = []
+    for name, camera in placed.items():
+        pixels = camera.project(person)[0]
+        inside = ((pixels >= -0.5) & (pixels < np.array(camera.size) - 0.5)).all(axis=1)
+        down = math.degrees(math.asin(max(-1.0, min(1.0, -float(camera.R[2, 2])))))
+        cameras.append(
+            {
+                "name": name,
+                "center": (np.round(camera.center, _DIGITS) + 0.0).tolist(),
+                "tilt_deg": down,
+                "sees": "all" if inside.all() else "part" if inside.any() else "nothing",
+            }
+        )
+    return {
+        "file": file,
+        "method": method,
+        "residuals": found.residuals,
+        "position": (np.round(found.placement.position, _DIGITS) + 0.0).tolist(),
+        "rotation_deg": (np.round(found.placement.rotation_deg, _DIGITS) + 0.0).tolist(),
+        "person_at": [x, y],
+        "cameras": cameras,
+    }
+
+
+def _lines(facts: dict[str, Any]) -> list[str]:
+    lines = [f"{facts['file']}: placed by {facts['method']}"]
+    lines += [f"  {text}: {value}" for text, value in facts["residuals"].items()]
+    longest = max(len(camera["name"]) for camera in facts["cameras"])
+    for camera in facts["cameras"]:
+        x, y, z = camera["center"]
+        down = f"looks {camera['tilt_deg']:.1f} degrees down"
+        sees = f"sees {camera['sees']} of a person of {_STATURE:g} m"
+        lines.append(f"  {camera['name']:{longest}}  at {x:.2f} {y:.2f}, {z:.2f} m high, {down}, {sees}")
+    x, y = facts["person_at"]
+    return [*lines, f"  the person stands at {x:g} {y:g}"]
+
+
+def _warn(placed: Mapping[str, Camera], facts: dict[str, Any]) -> None:
+    low = min(float(camera.center[2]) for camera in placed.values())
+    if low < 0:
+        print_warning(f"the lowest camera is {-low:.2f} m below the floor")
+    blind = [camera["name"] for camera in facts["cameras"] if camera["sees"] == "nothing"]
+    if blind:
+        print_warning(f"the person is not in the view of {', '.join(blind[:4])}")
+    ratio = float(facts["residuals"].get("distances in map per distance of the file", "1"))
+    if abs(ratio - 1) > _OTHER_UNIT:
+        print_warning(
+            f"distances in map are {ratio:g} times those of the file: is the unit of the file correct?"
+        )
+
+
+def _rig_section(
+    file: str,
+    output: Path | None,
+    calibration: Calibration,
+    found: FoundPlacement,
+    unit: float | None,
+    up: str | None,
+    sized: Any,
+) -> str:
+    """Section ``rig`` of a scene.
+
+    Args:
+        file: Calibration file.
+        output: Scene file, from whose folder the calibration is found.
+        calibration: Content of the calibration file.
+        found: Its placement.
+        unit: Option ``--unit``.
+        up: Option ``--up``.
+        sized: Whether the size was given by an option.
+    """
+    name = file
+    if "://" not in file and output is not None and not Path(file).is_absolute():
+        name = os.path.relpath(Path(file).resolve(), output.resolve().parent)
+    lines = ["rig:", f"  file: {json.dumps(name)}"]
+    if unit is not None or (calibration.format is not None and calibration.format.find_unit is not None):
+        lines.append(f"  unit: {calibration.unit:g}")
+    if up is not None:
+        lines.append(f"  up_axis: {json.dumps(up)}")
+    if sized:
+        width, height = next(iter(calibration.cameras.values())).size
+        lines.append(f"  size: [{width}, {height}]")
+    for key, values in (
+        ("rotation_deg", found.placement.rotation_deg),
+        ("position", found.placement.position),
+    ):
+        lines.append(f"  {key}: [{', '.join(repr(round(float(v), _DIGITS) + 0.0) for v in values)}]")
+    return "\n".join(lines) + "\n"
+
+
+def _write(path: Path, text: str) -> None:
+    from humansim_ros.io.files import atomic_path
+
+    with report_write_errors(path), atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+#: Commands of this module by name.
+COMMANDS: dict[str, Callable[..., None]] = {"place": place}

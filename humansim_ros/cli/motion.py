@@ -26,6 +26,7 @@ from humansim_ros.resources import resource_path
 if TYPE_CHECKING:
     from humansim_ros.motion import Motion
     from humansim_ros.motion.export import PosedBones
+    from humansim_ros.motion.world_motion import WorldMotion
 
 
 class PositionsChoice(Enum):
@@ -66,6 +67,14 @@ MotionUpOption = Annotated[
 FacingOption = Annotated[
     str | None, typer.Option(help="Axis of the file that the person faces at rest; detected if absent.")
 ]
+MinConfidenceOption = Annotated[
+    float | None,
+    typer.Option(
+        help="Lowest confidence that the motion is that of a person; 0.12 if absent, 0 for animals.",
+        min=0.0,
+        max=1.0,
+    ),
+]
 PositionsOption = Annotated[
     PositionsChoice,
     typer.Option("--positions", help="Whether position channels replace the OFFSET or are added to it."),
@@ -80,6 +89,7 @@ def info(
     up: MotionUpOption = None,
     facing: FacingOption = None,
     positions: PositionsOption = PositionsChoice.auto,
+    min_confidence: MinConfidenceOption = None,
 ) -> None:
     """Describe a motion file: joints, unit, axes, joint match, foot sliding, warnings."""
     from humansim_ros.motion.files import find_motion
@@ -87,7 +97,7 @@ def info(
 
     _check_unit(unit)
     read = read_with_warnings(Path(find_motion(file)), positions.value)
-    facts = describe_motion(read, joint_names, unit, up, facing).to_dict()
+    facts = describe_motion(read, joint_names, unit, up, facing, min_confidence).to_dict()
     print_text(to_json(facts) if as_json else "\n".join(_info_lines(facts)))
 
 
@@ -128,6 +138,7 @@ def retarget(
     up: MotionUpOption = None,
     facing: FacingOption = None,
     positions: PositionsOption = PositionsChoice.auto,
+    min_confidence: MinConfidenceOption = None,
     root_scale: Annotated[
         str | None, typer.Option(help="Scale of the root motion: legs, height, or a number.")
     ] = None,
@@ -170,7 +181,10 @@ def retarget(
     motion = _read(file, positions)
     number = _frame_number(frame or 0, motion)
     placement = Placement(position, math.radians(yaw_deg))
-    world = to_world(motion, joint_names, unit, up, facing, placement=placement, mirror=mirror)
+    world = to_world(
+        motion, joint_names, unit, up, facing, min_confidence, placement=placement, mirror=mirror
+    )
+    _warn_of(world)
     skeleton = hanim_skeleton() if body is None else _human(body).skeleton
     retargeter = Retargeter.fit(world, skeleton, mode.value, _root_scale(root_scale))
     if pin_feet:
@@ -202,13 +216,14 @@ def table(
     ] = None,
     joint_names: JointTableOption = None,
     positions: PositionsOption = PositionsChoice.auto,
+    min_confidence: MinConfidenceOption = None,
 ) -> None:
     """Print or write the joint match: the joint that drives each bone, and the confidence."""
     from humansim_ros.motion.joint_match import table_text, write_table
     from humansim_ros.motion.joint_matching import match_motion
 
     motion = _read(file, positions)
-    match = match_motion(motion, joint_names)
+    match = match_motion(motion, joint_names, min_confidence)
     if output is None:
         print_text(table_text(match, motion).rstrip())
         return
@@ -255,6 +270,7 @@ def render(
     up: MotionUpOption = None,
     facing: FacingOption = None,
     positions: PositionsOption = PositionsChoice.auto,
+    min_confidence: MinConfidenceOption = None,
 ) -> None:
     """Draw a motion as images or video: stick figures (left blue, right red) and a human."""
     from humansim_ros.drawing.motions import (
@@ -276,13 +292,14 @@ def render(
     artists: list[Artist] = []
     try:
         try:
-            world = to_world(motion, joint_names, unit, up, facing)
+            world = to_world(motion, joint_names, unit, up, facing, min_confidence)
         except MotionError as error:
             if joint_names or facing or unit is not None:
                 raise
             print_warning(f"drawn in the axes of the file, not as a person: {error.message}")
             artists.append(StickFigureArtist.of_file(motion, panel, view.value, up))
         else:
+            _warn_of(world)
             artists.append(StickFigureArtist.of_world(world, panel, view.value))
             if not no_skin:
                 artists.append(SkinnedArtist(_human(body), world, panel, view.value))
@@ -309,6 +326,13 @@ def _read(file: str, positions: PositionsChoice) -> Motion:
     from humansim_ros.motion.files import find_motion, read_motion
 
     return read_motion(find_motion(file), positions.value)
+
+
+def _warn_of(world: WorldMotion) -> None:
+    from humansim_ros.motion.motion_checks import playing_warnings
+
+    for text in playing_warnings(world):
+        print_warning(f"{world.motion.path}: {text}")
 
 
 def _human(body: str) -> Any:

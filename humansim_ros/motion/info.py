@@ -21,6 +21,7 @@ from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.limits import load_limits
+from humansim_ros.motion.motion_checks import playing_warnings, posture_warnings
 from humansim_ros.motion.penetration import fit_capsules, report_penetration
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.stances import find_stances, slide_distances
@@ -51,6 +52,9 @@ class MotionInfo:
     movement onto the general skeleton; ``speed``: mean speed over the floor, m/s; ``travel``: x and y from
     the first frame to the last; ``heading_deg``: mean heading, or None without a common one. Both are
     relative to the rest pose facing +x, with y to its left.
+
+    ``jumps``: frame to which the person jumps, and distance in metres. ``warnings``: of the reader and of the
+    checks.
 
     First ``checked_frames``: ``stances``; ``slide``: mean slide of a standing foot, mm; ``limits``:
     violations of joint limits; ``penetration``: the deepest self-penetration.
@@ -85,6 +89,7 @@ class MotionInfo:
     speed: float | None = None
     travel: list[float] | None = None
     heading_deg: float | None = None
+    jumps: list[dict[str, Any]] | None = None
     checked_frames: int | None = None
     stances: int | None = None
     slide: float | None = None
@@ -121,6 +126,7 @@ def to_world(
     unit: float | None = None,
     up: str | None = None,
     facing: str | None = None,
+    min_confidence: float | None = None,
     **options: Any,
 ) -> WorldMotion:
     """Place a motion in ``map``, with joints and file frame detected where they are not given.
@@ -131,12 +137,13 @@ def to_world(
         unit: Metres per file unit.
         up: File axis that points up.
         facing: File axis that the person faces at rest.
+        min_confidence: Lowest confidence of the joint match; None for 0.12.
         options: Other fields of :class:`WorldMotion`; ``loop`` is ``none`` by default.
 
     Raises:
         MotionError: The motion is not that of a person, or a given value does not fit it.
     """
-    match = match_motion(motion, table)
+    match = match_motion(motion, table, min_confidence)
     frame = detect_file_frame(motion, match, unit, up, facing)
     return WorldMotion(motion, match, frame, **{"loop": "none", **options})
 
@@ -147,6 +154,7 @@ def describe_motion(
     unit: float | None = None,
     up: str | None = None,
     facing: str | None = None,
+    min_confidence: float | None = None,
 ) -> MotionInfo:
     """Summarise a motion; of a motion without a person, only the file.
 
@@ -156,6 +164,7 @@ def describe_motion(
         unit: Metres per file unit.
         up: File axis that points up.
         facing: File axis that the person faces at rest.
+        min_confidence: Lowest confidence of the joint match; None for 0.12.
 
     Raises:
         MotionError: A given value does not fit the motion.
@@ -164,12 +173,14 @@ def describe_motion(
         if axis is not None:
             axis_vector(axis)
     try:
-        world = to_world(loaded.motion, table, unit, up, facing)
+        world = to_world(loaded.motion, table, unit, up, facing, min_confidence)
     except MotionError as error:
         if table is not None or _is_person(loaded.motion):
             raise  # a given value is the reason
         return MotionInfo(**_file_summary(loaded), unknown=error.message)
-    return MotionInfo(**_file_summary(loaded), **_person_summary(world, hanim_skeleton()))
+    summary = _person_summary(world, hanim_skeleton())
+    found = [f"{loaded.motion.path}: {text}" for text in summary.pop("warnings")]
+    return MotionInfo(**{**_file_summary(loaded), "warnings": (*loaded.warnings, *found)}, **summary)
 
 
 def headings(match: JointMatch, poses: JointPoses) -> Array:
@@ -232,9 +243,14 @@ def _file_summary(loaded: LoadedMotion) -> dict[str, Any]:
 def _person_summary(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
     motion, match, frame = world.motion, world.match, world.frame
     retargeter = Retargeter.fit(world, skeleton)
-    poses = world.sample(_sample_frames(motion.n_frames) * motion.frame_time)
+    samples = _sample_frames(motion.n_frames)
+    poses = world.sample(samples * motion.frame_time)
     hips = poses.positions[:, match.roles["Hips"], :2]
-    distance = np.linalg.norm(np.diff(hips, axis=0), axis=-1).sum()
+    steps = np.linalg.norm(np.diff(hips, axis=0), axis=-1)
+    # the step from one sample to the next that contains a jump
+    steps[np.searchsorted(samples, [jump.frame for jump in world.jumps]) - 1] = 0.0
+    distance = steps.sum()
+    first, last = np.searchsorted(samples, world.steady_frames[[0, -1]])
     heading = mean_heading(match, poses)
     return {
         "table": match.table,
@@ -251,8 +267,10 @@ def _person_summary(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
         "floor": _floor(world),
         "root_scale": retargeter.scale,
         "speed": float(distance / motion.duration) if motion.duration > 0 else 0.0,
-        "travel": (hips[-1] - hips[0]).tolist(),
+        "travel": (hips[last] - hips[first]).tolist(),
         "heading_deg": None if heading is None else float(np.degrees(heading)),
+        "jumps": [asdict(jump) for jump in world.jumps],
+        "warnings": [*playing_warnings(world), *posture_warnings(world, poses)],
         **_check_summary(world, retargeter),
     }
 
@@ -260,7 +278,8 @@ def _person_summary(world: WorldMotion, skeleton: Skeleton) -> dict[str, Any]:
 def _floor(world: WorldMotion) -> float:
     """Height of the floor on the file's up axis, file units."""
     upward = axis_vector(world.frame.up)
-    points = world.motion.world_positions(_sample_frames(world.motion.n_frames))
+    steady = world.steady_frames
+    points = world.motion.world_positions(steady[_sample_frames(len(steady))])
     return floor_height((points @ upward).min(-1)) * float(upward.sum())
 
 

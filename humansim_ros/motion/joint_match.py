@@ -28,6 +28,10 @@ REQUIRED_BONES = (
     "r_shoulder",
     "r_elbow",
 )
+#: A motion whose match has a lower confidence is refused as not being that of a person.
+MIN_CONFIDENCE = 0.12
+#: Below this confidence, scenes and commands state it.
+LOW_CONFIDENCE = 0.7
 #: Deeper joints are not indented further.
 _MAX_INDENT = 40
 
@@ -46,6 +50,7 @@ class JointMatch:
         confidence: 0 to 1.
         extra: Bone -> joint of the same name, for bones that the general skeleton lacks (fingers, for
             example).
+        reasons: Reasons why the motion may not be that of a person.
     """
 
     table: str
@@ -56,6 +61,7 @@ class JointMatch:
     by: Literal["names", "shape", "given"] = "names"
     confidence: float = 1.0
     extra: Mapping[str, int] = field(default_factory=dict)
+    reasons: tuple[str, ...] = ()
 
     def with_extra_bones(self, bone_names: Sequence[str], joint_names: Sequence[str]) -> JointMatch:
         """Match the bones that the general skeleton does not have to joints of the same names."""
@@ -63,6 +69,16 @@ class JointMatch:
         joints = {name: number for number, name in enumerate(joint_names)}
         extra = {name: joints[name] for name in bone_names if name in joints and name not in general}
         return replace(self, extra=extra)
+
+    @property
+    def warning(self) -> str | None:
+        """The confidence and its reasons, where it is low."""
+        if self.confidence >= LOW_CONFIDENCE:
+            return None
+        why = "".join(f"; {reason}" for reason in self.reasons)
+        return (
+            f"the joints of a person are matched by {self.by} with a confidence of {self.confidence:.0%}{why}"
+        )
 
     @property
     def complete(self) -> bool:

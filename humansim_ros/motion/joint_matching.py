@@ -9,7 +9,8 @@ from pathlib import Path
 
 from humansim_ros.errors import MotionError
 from humansim_ros.io.files import exists
-from humansim_ros.motion.joint_match import REQUIRED_BONES, JointMatch, match_roles
+from humansim_ros.motion.animals import look_at_body
+from humansim_ros.motion.joint_match import MIN_CONFIDENCE, REQUIRED_BONES, JointMatch, match_roles
 from humansim_ros.motion.joint_tables import (
     REQUIRED_ROLES,
     JointTable,
@@ -32,25 +33,46 @@ _CHAINS = (
 )
 
 
-def match_motion(motion: Motion, table: str | os.PathLike[str] | None = None) -> JointMatch:
+def match_motion(
+    motion: Motion,
+    table: str | os.PathLike[str] | None = None,
+    min_confidence: float | None = None,
+) -> JointMatch:
     """Match the joints of a motion to bones.
 
     By ``table`` (the name of a built-in table or a YAML file); else by the built-in table whose names and
-    hierarchy fit best; else by the shape of the skeleton.
+    hierarchy fit best; else by the shape of the skeleton. Signs of an animal lower the confidence.
 
     Raises:
-        MotionError: The table does not fit, or the motion is not that of a person.
+        MotionError: The table does not fit, or the motion is not that of a person: its confidence is below
+            ``min_confidence`` (by default 0.12).
     """
+    min_confidence = MIN_CONFIDENCE if min_confidence is None else min_confidence
     try:
-        return match_names(motion.joint_names, table, motion.path, motion.parents)
+        match = match_names(motion.joint_names, table, motion.path, motion.parents)
     except MotionError as by_names:
         if table is not None:
             raise
-        match = match_shape(motion)
-        if match is None:
+        by_shape = match_shape(motion, min_confidence)
+        if by_shape is None:
             message = f"{by_names.message}. Nor has the skeleton the shape of a person"
             raise MotionError(message, path=motion.path) from None
-        return match
+        match = by_shape
+    signs = look_at_body(motion, match.roles)
+    if signs is not None and signs.plausibility < 1:
+        # reasons alone refuse nobody
+        least = 0.0 if signs.is_animal else min(match.confidence, MIN_CONFIDENCE)
+        confidence = max(match.confidence * signs.plausibility, least)
+        match = replace(match, confidence=confidence, reasons=signs.reasons)
+    if match.confidence < min_confidence:
+        raise MotionError(
+            "this is not a person"
+            + (f" but rather an animal: {', '.join(match.reasons)}" if match.reasons else "")
+            + f" (confidence {match.confidence:.1%}, below {min_confidence:.0%}). To play it nevertheless, "
+            "set min_confidence to 0 (--min-confidence 0)",
+            path=motion.path,
+        )
+    return match
 
 
 def match_names(

@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from humansim_ros.motion.joint_match import JointMatch, match_roles
+from humansim_ros.motion.joint_match import MIN_CONFIDENCE, JointMatch, match_roles
 from humansim_ros.motion.joint_tables import JointTable
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.rotations import unit_vectors
@@ -27,8 +27,6 @@ _LEG, _ARM = np.array([0.43, 0.41, 0.16]), np.array([0.42, 0.36, 0.22])
 _ARM_BY_LEG, _HEAD_BY_LEG = 0.72, 0.28
 #: Standard deviation of the length of a bone, as a share of it.
 _BONE_VARIATION = 0.01
-#: A lower confidence is not a person.
-_MIN_CONFIDENCE = 0.12
 _LEFT = re.compile(r"left|(?<![a-z])l(?=[_. -])|(?<=[_. :-])l(?![a-z])", re.IGNORECASE)
 _RIGHT = re.compile(r"right|(?<![a-z])r(?=[_. -])|(?<=[_. :-])r(?![a-z])", re.IGNORECASE)
 
@@ -53,8 +51,10 @@ class _Pair:
     symmetry: float
 
 
-def match_shape(motion: Motion) -> JointMatch | None:
+def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> JointMatch | None:
     """Match the joints of a person by the shape of the skeleton; None if the motion has no person.
+
+    A motion has no person if the similarity to one is below ``min_confidence``.
 
     ``confidence`` is the similarity to a person; it is lower where left and right are uncertain.
     """
@@ -64,7 +64,7 @@ def match_shape(motion: Motion) -> JointMatch | None:
         person = _person(tree, legs, arms)
         if person is not None and (best is None or person[0] > best[0]):
             best = person
-    if best is None or best[0] < _MIN_CONFIDENCE:
+    if best is None or best[0] < min_confidence:
         return None
     likelihood, roles = best
     roles, side_confidence = _assign_sides(motion, roles)

@@ -14,6 +14,7 @@ from humansim_ros.errors import MotionError
 from humansim_ros.motion.file_frame import FileFrame
 from humansim_ros.motion.joint_match import JointMatch, opposite_joints
 from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
+from humansim_ros.motion.jumps import Jump, find_jumps, joint_path, steady_frames
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.rotations import WORLD_FROM_BODY, matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.types import Array, Indices
@@ -27,7 +28,7 @@ class Placement:
     """Place of a motion in ``map``: its anchor is at ``position`` (x, y), rotated by ``yaw`` radians.
 
     ``anchor``: ``start`` is the root in the first frame, ``center`` the middle of the ground that the motion
-    covers, ``file`` the origin of the file.
+    covers, ``file`` the origin of the file. Rest frames at the start do not count, nor frames between jumps.
     """
 
     position: tuple[float, float] = (0.0, 0.0)
@@ -102,6 +103,11 @@ class WorldMotion:
     def names(self) -> tuple[str, ...]:
         """Names of the joints."""
         return self.motion.joint_names
+
+    @cached_property
+    def jumps(self) -> tuple[Jump, ...]:
+        """Jumps of the person in the whole file."""
+        return find_jumps(self._hips_path, self.motion.frame_time)
 
     @property
     def _end(self) -> float:
@@ -184,11 +190,23 @@ class WorldMotion:
         return _yaw_matrix(self.placement.yaw) @ self.frame.world_from_file
 
     @cached_property
-    def _translation(self) -> Array:
-        """Translation (3,) in ``map`` that puts the anchor at its place and the feet on the floor."""
+    def _hips_path(self) -> Array:
+        """Positions (F, 3) of the hips, metres, file axes."""
+        return self.frame.unit * joint_path(self.motion, self.match.roles["Hips"])
+
+    @cached_property
+    def steady_frames(self) -> Indices:
+        """Numbers of the frames of the played part that tell where the person is."""
         step = self.motion.frame_time
         first, last = (int(np.floor(t / step + 1e-6)) for t in (self.start, self._end))
-        frames = slice(first, last + 1, max(1, (last - first) // 500))
+        played = np.arange(first, last + 1)
+        steady = played[steady_frames(self.motion, self.jumps)[played]]
+        return steady if len(steady) else played
+
+    @cached_property
+    def _translation(self) -> Array:
+        """Translation (3,) in ``map`` that puts the anchor at its place and the feet on the floor."""
+        frames = self.steady_frames[:: max(1, (len(self.steady_frames) - 1) // 500)]
         points = self.motion.world_positions(frames) @ (self.frame.unit * self._map_from_file).T
         root = points[:, self.match.roles["Hips"], :2]
         anchor = {"start": root[0], "center": (root.min(0) + root.max(0)) / 2, "file": np.zeros(2)}[
@@ -280,8 +298,10 @@ class WorldMotion:
     @cached_property
     def _cycle_step(self) -> tuple[float, Array]:
         """Yaw and translation (3,) on the floor from the start of a cycle to its end."""
+        # a rest frame at the start is not where the person starts
+        start = max(self.start, self.steady_frames[0] * self.motion.frame_time) if self.jumps else self.start
         positions, rotations = self._to_map(
-            *self._local_poses(self.start + np.array([0.0, self.cycle_length]))
+            *self._local_poses(np.array([start, self.start + self.cycle_length]))
         )
         root = self.match.roles["Hips"]
         change = rotations[1, root] @ rotations[0, root].T

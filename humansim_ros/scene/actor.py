@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.errors import in_section
+from humansim_ros.errors import in_section, warn_about
 from humansim_ros.humans.human import Human
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.file_frame import detect_file_frame
@@ -15,6 +15,7 @@ from humansim_ros.motion.joint_matching import match_motion
 from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
 from humansim_ros.motion.keyframe_tracks import SPACE_JOINTS, KeyframeSpace, KeyframeTrack, undo_keyframes
 from humansim_ros.motion.kinematics import Motion
+from humansim_ros.motion.motion_checks import playing_warnings
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.render import Body
@@ -105,7 +106,8 @@ class Actor:
                 motion = source.motion(config.file, config.positions)
         table = None if config.joint_names is None else source.joint_table(config.joint_names)
         with in_section("file" if table is None else "joint_names"):
-            match = match_motion(motion, table).with_extra_bones(human.skeleton.names, motion.joint_names)
+            match = match_motion(motion, table, config.min_confidence)
+        match = match.with_extra_bones(human.skeleton.names, motion.joint_names)
         world = WorldMotion(
             motion,
             match,
@@ -118,6 +120,8 @@ class Actor:
             config.blend,
             config.mirror,
         )
+        for warning in playing_warnings(world):
+            warn_about(motion.path, warning)
         retargeter = Retargeter.fit(world, human.skeleton, config.retarget, config.root_scale, config.clamp)
         if config.pin_feet:
             world = replace(world, correction=FootContacts.detect(world, retargeter))

@@ -102,6 +102,12 @@ class MotionConfig(_FileSection):
     positions: Literal["auto", "replace", "add"] = Field(
         default="auto", description="whether position channels replace the OFFSET or are added to it"
     )
+    min_confidence: float | None = Field(
+        default=None,
+        ge=0,
+        le=1,
+        description="lowest confidence that the motion is that of a person, 0.12 if absent; 0 for animals",
+    )
     retarget: Literal["full", "thesis"] = Field(
         default="full", description="full rotations with twist, or bones parallel to links as in the thesis"
     )

@@ -22,7 +22,7 @@ from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene
 
 #: Keys that describe the motion file; another file starts with their defaults.
-_FILE_KEYS = ("joint_names", "unit", "up", "facing", "positions", "start", "end")
+_FILE_KEYS = ("joint_names", "min_confidence", "unit", "up", "facing", "positions", "start", "end")
 #: Keys whose change restarts a motion; after other changes it continues.
 _RESTART_KEYS = {"file", "start", "end", "offset"}
 #: Keys whose change keeps the time within the round and drops the number of rounds.

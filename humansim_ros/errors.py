@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
@@ -61,6 +61,20 @@ def in_section(section: str) -> Iterator[None]:
         yield
     except HumansimError as error:
         raise error.within(section) from (error.__cause__ if error.path is None else error)
+
+
+def near_names(word: str, known: Iterable[str], least: float = 0.6) -> list[str]:
+    """Names that resemble a word, the nearest first; case does not matter. ``least``: similarity, 0 to 1."""
+    from difflib import get_close_matches  # only when something is wrong
+
+    by_lower = {name.lower(): name for name in known}
+    return [by_lower[name] for name in get_close_matches(word.lower(), by_lower, 3, least)]
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """End of a message about an unknown name: ``; did you mean 'walk'?``, or nothing."""
+    near = near_names(word, known)
+    return f"; did you mean {near[0]!r}?" if near else ""
 
 
 class ResourceError(HumansimError):

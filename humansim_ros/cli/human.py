@@ -136,6 +136,7 @@ def rig(
 
     from humansim_ros.humans.description import MeshHuman
     from humansim_ros.humans.loading import make_human
+    from humansim_ros.io.schema_errors import schema_error
 
     _check_human(output)
     _check_image(preview)
@@ -144,9 +145,8 @@ def rig(
     try:
         described = MeshHuman.model_validate({"mesh": str(mesh), **options, **given})
     except ValidationError as reason:
-        first = reason.errors()[0]
-        where = f"--{first['loc'][0]}: " if first["loc"] else ""
-        raise HumansimError(f"{where}{first['msg'].removeprefix('Value error, ')}") from None
+        fault = schema_error(reason, MeshHuman, HumansimError)
+        raise HumansimError(f"--{fault.key}: {fault.message}" if fault.key else fault.message) from None
     _write(make_human(mesh, described), output, preview)
 
 

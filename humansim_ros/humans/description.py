@@ -11,10 +11,15 @@ from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Skinning
 from humansim_ros.humans.makehuman.paint import Outfit
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig
-from humansim_ros.io.schema import Axis, ByteColor, Section
-from humansim_ros.io.yaml import read_yaml, validation_error
+from humansim_ros.io.schema import Axis, ByteColor, Expected, Section
+from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.yaml import read_yaml
 
-OutfitName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$")]
+OutfitName = Annotated[
+    str,
+    StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_-]*$"),
+    Expected("a name of letters, digits, _ and - that begins with a letter"),
+]
 
 
 class Clothes(Section):
@@ -88,7 +93,4 @@ def read_description(path: str | os.PathLike[str]) -> MeshHuman | ParametricHuma
     try:
         return model.model_validate(data)
     except ValidationError as reason:
-        known = f"; known here: {', '.join(model.model_fields)}"
-        raise validation_error(
-            reason, tree, MeshError, path, lambda keys: known if len(keys) == 1 else ""
-        ) from None
+        raise schema_error(reason, model, MeshError, path, tree) from None

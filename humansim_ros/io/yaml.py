@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any
 
 import yaml
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.files import read_text
-
-if TYPE_CHECKING:
-    from pydantic import ValidationError
 
 #: Size of a file; PyYAML takes many seconds for megabytes.
 _MAX_BYTES = 1 << 20
@@ -130,30 +127,6 @@ def line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
         # merged keys come first; a later key overrides them
         line, node = matches[-1][0].start_mark.line + 1, matches[-1][1]
     return line
-
-
-def validation_error(
-    reason: ValidationError,
-    tree: yaml.Node | None,
-    error: type[HumansimError],
-    path: str | os.PathLike[str] | None,
-    hint: Callable[[list[Any]], str] = lambda keys: "",
-) -> HumansimError:
-    """Make an error with line and key of the first error that pydantic found in a file.
-
-    Args:
-        reason: Exception of pydantic.
-        tree: Nodes of the file.
-        error: Error class to make.
-        path: File, for messages.
-        hint: Text after "unknown key" for a path of keys.
-    """
-    first = reason.errors()[0]
-    keys = [key for key in first["loc"] if key != "[key]"]
-    message = first["msg"].removeprefix("Value error, ")
-    if first["type"] == "extra_forbidden":
-        message = "unknown key" + hint(keys)
-    return error(message, path=path, line=line_of(tree, keys), key=".".join(map(str, keys)) or None)
 
 
 def _refuse_repeated_keys(

@@ -25,6 +25,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from humansim_ros.errors import MeshError
 from humansim_ros.hierarchy import levels
 from humansim_ros.io.files import read_bytes, resolve_inside
+from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
@@ -234,9 +235,8 @@ class Gltf:
         try:
             document = _Document.model_validate(content)
         except ValidationError as reason:
-            first = reason.errors()[0]
-            key = ".".join(map(str, first["loc"])) or None
-            raise MeshError(f"not a glTF 2 file: {first['msg']}", path=path, key=key) from None
+            fault = schema_error(reason, _Document, MeshError)
+            raise MeshError(f"not a glTF 2 file: {fault.message}", path=path, key=fault.key) from None
         if not document.asset.version.startswith("2."):
             version = document.asset.version
             raise MeshError(

@@ -13,7 +13,8 @@ from pydantic import ValidationError, model_validator
 from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.errors import MotionError
 from humansim_ros.io.schema import Section
-from humansim_ros.io.yaml import read_yaml, validation_error
+from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.yaml import read_yaml
 from humansim_ros.resources import resource_path
 
 #: Roles without which height, facing and place of a person are unknown.
@@ -79,6 +80,9 @@ class JointTable(Section):
     def _fill_defaults(cls, data: Any) -> Any:
         if not isinstance(data, Mapping) or not isinstance(data.get("joints"), Mapping):
             return data
+        mappings = [data.get(key) or {} for key in ("joints", "parallel", "difference")]
+        if not all(isinstance(part, Mapping) and all(isinstance(k, str) for k in part) for part in mappings):
+            return data  # the schema says what is wrong
         joints = dict(data["joints"])
         for role, names in data["joints"].items():
             right = f"Right{role[4:]}"
@@ -118,7 +122,7 @@ def load_table(path: str | os.PathLike[str]) -> JointTable:
     try:
         return JointTable.model_validate(data)
     except ValidationError as reason:
-        raise validation_error(reason, tree, MotionError, path) from None
+        raise schema_error(reason, JointTable, MotionError, path, tree) from None
 
 
 @functools.cache

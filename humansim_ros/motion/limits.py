@@ -16,7 +16,8 @@ from pydantic import ValidationError
 
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton, side_of
 from humansim_ros.errors import MotionError
-from humansim_ros.io.yaml import read_yaml, validation_error
+from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.yaml import read_yaml
 from humansim_ros.motion.joint_angles import (
     ConeCoordinates,
     HingeCoordinates,
@@ -205,5 +206,5 @@ def load_limits(path: str | os.PathLike[str] | None = None, skeleton: Skeleton |
     try:
         table = LimitTable.model_validate(data)
     except ValidationError as reason:
-        raise validation_error(reason, tree, MotionError, path) from None
+        raise schema_error(reason, LimitTable, MotionError, path, tree) from None
     return JointLimits(table, hanim_skeleton()).for_skeleton(skeleton or hanim_skeleton())

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
     ConfigDict,
     Field,
     StringConstraints,
@@ -17,8 +16,9 @@ from pydantic import (
 )
 
 from humansim_ros.errors import SceneError
-from humansim_ros.io.schema import Axis, ByteColor, Section
-from humansim_ros.io.yaml import read_yaml, validation_error
+from humansim_ros.io.schema import Axis, ByteColor, Expected, Section
+from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.yaml import read_yaml
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.make import RendererName
 from humansim_ros.sensor.config import SensorConfig
@@ -36,7 +36,7 @@ class _FileName(str):
 
 
 #: A path, or the name of a built-in where the key says so. Relative paths start from the scene's folder.
-FileName = Annotated[str, AfterValidator(_FileName)]
+FileName = Annotated[str, AfterValidator(_FileName), Expected("a name or path", "names or paths")]
 _Vector3 = tuple[float, float, float]
 _Row4 = tuple[float, float, float, float]
 #: Metres or degrees; values beyond are mistakes.
@@ -46,22 +46,35 @@ _Radiance = Annotated[float, Field(ge=0, le=1e4)]
 _LinearColor = tuple[_Radiance, _Radiance, _Radiance]
 _Size = Annotated[float, Field(gt=0, le=1e6)]
 #: Names become parts of ROS topics and frames.
-_Name = Annotated[str, StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+_Name = Annotated[
+    str,
+    StringConstraints(pattern=r"^[A-Za-z][A-Za-z0-9_]*$"),
+    Expected("a name of letters, digits and _ that begins with a letter"),
+]
 
 
 class _FileSection(Section):
     """Section that a text alone can stand for: the name of its file."""
 
-    _file_key: ClassVar[str] = "file"
+    #: Key of the file.
+    file_key: ClassVar[str] = "file"
 
     @model_validator(mode="before")
     @classmethod
     def _file_alone(cls, value: Any) -> Any:
-        return {cls._file_key: value} if isinstance(value, str) else value
+        return {cls.file_key: value} if isinstance(value, str) else value
 
 
 class MotionConfig(_FileSection):
     """Motion of a human."""
+
+    other_words: ClassVar[dict[str, str]] = {
+        "file": "path bvh name clip",
+        "yaw_deg": "heading rotation yaw direction",
+        "position": "location place pos",
+        "unit": "scale",
+        "joint_names": "joints mapping",
+    }
 
     file: FileName = Field(
         default="walk",
@@ -123,6 +136,8 @@ class MotionConfig(_FileSection):
 class KeyframesConfig(_FileSection):
     """Keyframes that move, rotate and scale a human or an object: a file, and one of its objects."""
 
+    other_words: ClassVar[dict[str, str]] = {"file": "path", "object": "name"}
+
     file: FileName = Field(description="a keyframe animation file (XML)")
     object: str | None = Field(
         default=None, description="name in the file; the name of the human or object if absent"
@@ -132,7 +147,13 @@ class KeyframesConfig(_FileSection):
 class HumanConfig(_FileSection):
     """One human."""
 
-    _file_key = "body"
+    other_words: ClassVar[dict[str, str]] = {
+        "body": "mesh model character human",
+        "motion": "animation bvh clip",
+        "outfit": "clothes texture costume",
+    }
+
+    file_key: ClassVar[str] = "body"
 
     body: FileName = Field(
         default="adult_man",
@@ -151,7 +172,15 @@ class HumanConfig(_FileSection):
 class ObjectConfig(_FileSection):
     """One object, static or moving."""
 
-    _file_key = "mesh"
+    other_words: ClassVar[dict[str, str]] = {
+        "mesh": "shape model body",
+        "rotation_deg": "rotation yaw_deg orientation",
+        "size": "scale dimensions",
+        "position": "location place pos",
+        "color": "rgb",
+    }
+
+    file_key: ClassVar[str] = "mesh"
 
     mesh: FileName = Field(
         default="box",
@@ -177,6 +206,8 @@ class ObjectConfig(_FileSection):
 class TrajectoryConfig(_FileSection):
     """Trajectory of a camera."""
 
+    other_words: ClassVar[dict[str, str]] = {"file": "path"}
+
     file: FileName = Field(description="a trajectory in the format of the TUM RGB-D benchmark")
     end: Literal["clamp", "loop", "ping_pong"] = Field(
         default="clamp", description="after the last pose: stay, start again, or go back"
@@ -199,10 +230,25 @@ class CameraConfig(Section):
     trajectory, P or calibration).
     """
 
+    other_words: ClassVar[dict[str, str]] = {
+        "size": "resolution image_size",
+        "fov_deg": "fov hfov field_of_view angle",
+        "K": "intrinsics camera_matrix",
+        "distortion": "d dist dist_coeffs distortion_coefficients distortion_coeffs",
+        "distortion_model": "lens model",
+        "position": "location pos center centre",
+        "look_at": "target lookat",
+        "t": "translation",
+        "R": "rotation",
+        "calibration": "file",
+    }
+
     model_config = ConfigDict(coerce_numbers_to_str=True)  # cameras of files may have the names 0, 1, 2
 
     size: tuple[int, int] | None = Field(
-        default=None, description="width, height in pixels; from the calibration, or 640, 480, if absent"
+        default=None,
+        examples=[[640, 480]],
+        description="width, height in pixels; from the calibration, or 640, 480, if absent",
     )
     calibration: FileName | None = Field(
         default=None, description="a calibration file, or a file:// or package:// URL"
@@ -216,18 +262,32 @@ class CameraConfig(Section):
     up_axis: Axis | None = Field(
         default=None, description="up axis of that file; as its format defines if absent"
     )
-    position: _Vector3 | None = None
-    look_at: _Vector3 | None = None
+    position: _Vector3 | None = Field(
+        default=None, examples=[[3.1, 2.8, 2.2]], description="center of the camera in map, metres"
+    )
+    look_at: _Vector3 | None = Field(
+        default=None, examples=[[0, 0, 0.8]], description="point of map at the image center, metres"
+    )
     up: _Vector3 = Field(
         default=(0.0, 0.0, 1.0), description="direction that points up in the image; with look_at only"
     )
     fov_deg: float | None = Field(
         default=None, gt=0, lt=180, description="horizontal field of view without distortion"
     )
-    K: tuple[_Vector3, _Vector3, _Vector3] | None = None
-    R: tuple[_Vector3, _Vector3, _Vector3] | None = None
-    t: _Vector3 | None = None
-    P: tuple[_Row4, _Row4, _Row4] | None = None
+    K: tuple[_Vector3, _Vector3, _Vector3] | None = Field(
+        default=None, examples=[[[620, 0, 319.5], [0, 620, 239.5], [0, 0, 1]]], description="intrinsics"
+    )
+    R: tuple[_Vector3, _Vector3, _Vector3] | None = Field(
+        default=None,
+        examples=[[[0, 1, 0], [0, 0, -1], [-1, 0, 0]]],
+        description="rotation from map to the optical frame",
+    )
+    t: _Vector3 | None = Field(
+        default=None,
+        examples=[[0.1, 1.2, 3.4]],
+        description="translation from map to the optical frame, metres",
+    )
+    P: tuple[_Row4, _Row4, _Row4] | None = Field(default=None, description="projection matrix K [R | t]")
     distortion: tuple[float, ...] = Field(default=(), description="coefficients in the order of ROS")
     distortion_model: Literal["plumb_bob", "rational_polynomial", "equidistant"] | None = Field(
         default=None, description="chosen by the number of coefficients if absent"
@@ -287,7 +347,7 @@ class RigConfig(_FileSection):
         default=None, min_length=1, description="names of cameras in the file; all if absent"
     )
     size: tuple[int, int] | None = Field(
-        default=None, description="width, height in pixels, if the file has none"
+        default=None, examples=[[640, 480]], description="width, height in pixels, if the file has none"
     )
     unit: float | None = Field(
         default=None, gt=0, description="metres per unit of that file; as its format defines if absent"
@@ -326,6 +386,8 @@ class RigConfig(_FileSection):
 class RoomConfig(Section):
     """The furnished room."""
 
+    other_words: ClassVar[dict[str, str]] = {"size": "dimensions"}
+
     size: tuple[float, float, float] = Field(
         default=(7.0, 6.4, 2.8), description="length along x, width along y, height; metres"
     )
@@ -340,6 +402,8 @@ class RoomConfig(Section):
 
 class VarietyConfig(Section):
     """Random humans from a seed."""
+
+    other_words: ClassVar[dict[str, str]] = {"count": "number n", "bodies": "humans people"}
 
     count: int = Field(ge=0, le=1000, description="number of humans")
     seed: int = Field(default=1, ge=0, description="the same seed gives the same humans")
@@ -362,6 +426,8 @@ class VarietyConfig(Section):
 
 class LightConfig(Section):
     """Light, shadows and tone mapping. Colours are linear light: 1 shows a surface in its own colour."""
+
+    other_words: ClassVar[dict[str, str]] = {"strength": "intensity", "sun": "direction"}
 
     mode: Literal["lit", "shadeless"] = Field(
         default="lit", description="shadeless: colours of surfaces without light and shadow"
@@ -471,6 +537,12 @@ class RandomiseConfig(Section):
 class SceneConfig(Section):
     """Content of a scene file."""
 
+    other_words: ClassVar[dict[str, str]] = {
+        "rate": "fps framerate frame_rate hz frequency",
+        "humans": "people persons actors human",
+        "variety": "random crowd",
+    }
+
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
     renderer: RendererName = Field(default="moderngl", description="pyrender is for comparisons")
     room: RoomConfig | None = Field(default=RoomConfig(), description="furnished room; null for none")
@@ -513,7 +585,7 @@ def check_config(
     try:
         return SceneConfig.model_validate(data)
     except ValidationError as reason:
-        raise validation_error(reason, tree, SceneError, path, _known_keys) from None
+        raise schema_error(reason, SceneConfig, SceneError, path, tree) from None
 
 
 def map_files(value: Any, change: Callable[[str], str]) -> Any:
@@ -523,18 +595,3 @@ def map_files(value: Any, change: Callable[[str], str]) -> Any:
     if isinstance(value, dict):
         return {key: map_files(part, change) for key, part in value.items()}
     return [map_files(part, change) for part in value] if isinstance(value, (list, tuple)) else value
-
-
-def _known_keys(keys: list[Any]) -> str:
-    model: type[BaseModel] = SceneConfig
-    for key in keys[:-1]:
-        if key in model.model_fields:  # other keys are names of humans, cameras, objects
-            model = _section(model.model_fields[key].annotation) or model
-    return f"; known here: {', '.join(model.model_fields)}"
-
-
-def _section(annotation: Any) -> type[BaseModel] | None:
-    """Section that is the type of a key, one of its alternatives, or the type of its values."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return annotation
-    return next((section for inner in get_args(annotation) if (section := _section(inner))), None)

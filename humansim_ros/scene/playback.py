@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from humansim_ros.errors import MotionError, in_section
+from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.motion.joint_poses import JointPoses, Velocity
 from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.scene.actor import Actor
@@ -251,9 +252,7 @@ def _with(old: MotionConfig, changes: Mapping[str, Any], of_scene: MotionConfig)
     try:
         return MotionConfig.model_validate({**values, **changes})
     except ValidationError as reason:
-        first = reason.errors()[0]
-        message = first["msg"].removeprefix("Value error, ")
-        raise MotionError(message, key=".".join(map(str, first["loc"]))) from None
+        raise schema_error(reason, MotionConfig, MotionError) from None
 
 
 def _in_round(motion: WorldMotion, played: float) -> float:

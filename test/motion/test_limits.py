@@ -352,8 +352,8 @@ PAIR = yaml.safe_load(TABLE.read_text())["joints"][1]["first"]
     ("text", "message"),
     [
         ("[1, 2", "not valid YAML"),
-        ("name: x", "margin: Field required"),
-        ("- 1", "valid dictionary"),
+        ("name: x", "margin: this key is missing: give a number from 0 to 90"),
+        ("- 1", "give a mapping with the keys name, margin"),
         ("[" * 5000, "YAML"),
         (broken(bone="tail"), r"joints.1: no bone 'tail'"),
         (broken(colour="red"), r"joints.1.colour: unknown key"),

@@ -150,11 +150,15 @@ def test_a_mesh_file_is_coloured_sized_and_stood_up(tmp_path: Path) -> None:
     [
         ("mesh: sphere", "mesh: cone", "objects.ball.mesh: no such file .*built-in meshes are box, sphere"),
         ("keyframes: moves.xml}", "keyframes: gone.xml}", r"objects.*keyframes\.file: no such file"),
-        ("[0.05, 0.9, 2]", "[0.05, 0, 2]", r":6: objects\.screen\.size\.1: .*greater than 0"),
+        ("[0.05, 0.9, 2]", "[0.05, 0, 2]", r":6: objects\.screen\.size\.1: .*above 0"),
         ("[250, 30, 30]", "[256, 30, 30]", r"objects\.ball\.color\.0: .*255"),
-        ("color:", "colour:", r"unknown key; known here: mesh, color, size, position, rotation_deg"),
-        ("[1.5, 0, 1]", "[1.5, .nan, 1]", "finite"),
-        ("ball:", "a ball:", "pattern"),
+        (
+            "color:",
+            "colour:",
+            r"unknown key; did you mean `color`. Known here: mesh, color, size, position, rotation_deg",
+        ),
+        ("[1.5, 0, 1]", "[1.5, .nan, 1]", "found nan"),
+        ("ball:", "a ball:", "found the name 'a ball'"),
     ],
 )
 def test_a_wrong_object_is_named_with_its_key(tmp_path: Path, old: str, new: str, message: str) -> None:

@@ -134,8 +134,8 @@ def test_a_camera_in_memory_may_get_another_pose() -> None:
 @pytest.mark.parametrize(
     ("change", "key", "message"),
     [
-        ({"rat": 3}, "rat", "unknown key; known here: rate"),
-        ({"rate": "fast"}, "rate", "valid number"),
+        ({"rat": 3}, "rat", "unknown key; did you mean `rate`? Known here: rate"),
+        ({"rate": "fast"}, "rate", "give a number"),
         (
             {"humans": {"anna": {"motion": "wlak"}}},
             "humans.anna.motion.file",
@@ -143,7 +143,7 @@ def test_a_camera_in_memory_may_get_another_pose() -> None:
         ),
         ({"humans": {"anna": {"body": BALL}}}, "humans.anna.body", "must be a Human, not a Mesh"),
         ({"humans": {"anna": BALL}}, "humans.anna.body", "must be a Human, not a Mesh"),
-        ({"humans": {"a b": {}}}, "humans.a b", "pattern"),
+        ({"humans": {"a b": {}}}, "humans.a b", "give a name of letters, digits and _"),
         ({"cameras": {}}, None, "at least one camera"),
         (
             {"cameras": {"c": {"position": [1, 1, 1], "look_at": [1, 1, 1]}}},

@@ -1,0 +1,339 @@
+"""Errors of schemas in words of their own: what a key needs, and what was given.
+
+The messages are made of the annotations of the schema, not of the messages of the validation library.
+"""
+
+from __future__ import annotations
+
+import collections.abc
+import os
+import types
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union, get_args, get_origin
+
+import annotated_types
+from pydantic import BaseModel, StringConstraints
+from pydantic.fields import FieldInfo
+
+from humansim_ros.errors import HumansimError, did_you_mean
+from humansim_ros.io.schema import Expected
+from humansim_ros.io.unknown_keys import unknown_key
+from humansim_ros.io.yaml import line_of
+
+if TYPE_CHECKING:
+    import yaml
+    from pydantic import ValidationError
+
+_COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
+#: Longest value and longest description that a message shows, characters.
+_LONGEST_VALUE, _LONGEST_DESCRIPTION = 60, 70
+_MAPPINGS = (dict, collections.abc.Mapping)
+_LISTS = (tuple, list, collections.abc.Sequence)
+
+
+@dataclass(frozen=True)
+class _Place:
+    """The key of an error, what it needs, and the field that says it."""
+
+    keys: tuple[Any, ...]
+    annotation: Any
+    field: FieldInfo | None
+    is_name: bool = False
+
+
+def schema_error(
+    reason: ValidationError,
+    model: type[BaseModel],
+    error: type[HumansimError],
+    path: str | os.PathLike[str] | None = None,
+    tree: yaml.Node | None = None,
+) -> HumansimError:
+    """Make an error of the first fault that the validation of a model has found.
+
+    Args:
+        reason: Exception of the validation.
+        model: The model that was validated.
+        error: Error class to make.
+        path: File, for messages.
+        tree: YAML nodes of the file, for the line.
+
+    Returns:
+        Error with key and line; its message says what is needed and what was found.
+    """
+    faults = reason.errors(include_url=False)
+    first = _best(faults)
+    place = _place(model, tuple(first["loc"]))
+    keys, line = place.keys, line_of(tree, [key for key in first["loc"] if key != "[key]"])
+    if first["type"] == "extra_forbidden":
+        keys = tuple(first["loc"])
+        message = unknown_key(model, keys)
+    elif first["type"] == "value_error":
+        message = str(first["msg"]).removeprefix("Value error, ")
+        keys = _with_numbers(place, first)
+    elif first["type"] == "missing" and not isinstance(first["loc"][-1], int):
+        message = f"this key is missing: {needed(place.annotation, place.field)}"
+    else:
+        message = f"{needed(place.annotation, place.field)}; found {_found(first, place)}"
+        keys = _with_numbers(place, first)
+    return error(message, path=path, line=line, key=".".join(map(str, keys)) or None)
+
+
+def needed(annotation: Any, field: FieldInfo | None = None) -> str:
+    """What a key needs, as a request: ``give two whole numbers (width, height), such as [640, 480]``."""
+    metadata = () if field is None else field.metadata
+    text = f"give {_Words.of(annotation, metadata).one}"
+    if field is None:
+        return text
+    description = (field.description or "").split(";")[0].split(":")[0].strip()
+    if description and len(description) <= _LONGEST_DESCRIPTION and description not in text:
+        text += f" ({description})"
+    example = _example(annotation, field)
+    return f"{text}, such as {example}" if example else text
+
+
+def show_value(value: Any) -> str:
+    """A value of a file as a short text."""
+    if value is None:
+        return "null"
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, (int, float)):
+        text = str(value)
+        return text if len(text) <= _LONGEST_VALUE else "a very long number"
+    if isinstance(value, str):
+        text = repr(str(value)[: _LONGEST_VALUE + 1])
+        return text if len(value) <= _LONGEST_VALUE else f"a text of {len(value)} characters"
+    if isinstance(value, Mapping):
+        names = ", ".join(str(key)[:20] for key in list(value)[:5])
+        return f"a mapping with the keys {names}{' …' if len(value) > 5 else ''}" if value else "{}"
+    if isinstance(value, Sequence) and not isinstance(value, (bytes, bytearray)):
+        few = [show_value(part) for part in value[:10]]
+        text = f"[{', '.join(few)}]"
+        return text if len(value) <= 10 and len(text) <= _LONGEST_VALUE else f"a list of {len(value)} values"
+    if isinstance(value, (bytes, bytearray)):
+        return "binary data"
+    name = type(value).__name__
+    return f"the {name} {value}" if name in ("date", "datetime") else f"a value of type {name}"
+
+
+# --- the place of an error
+
+
+def _best(faults: Sequence[Any]) -> Any:
+    """The first fault; of the alternatives of a key, the one that was meant is the one with most keys."""
+    first = faults[0]
+    if len(faults) == 1:
+        return first
+    same = [fault for fault in faults if fault["loc"][:-1] == first["loc"][:-1]]
+    deeper = [
+        fault
+        for fault in faults
+        if len(fault["loc"]) > len(first["loc"])
+        and fault["loc"][: len(first["loc"]) - 1] == first["loc"][:-1]
+    ]
+    mapping = [fault for fault in deeper if str(fault["loc"][len(first["loc"]) - 1]).startswith("dict[")]
+    return mapping[0] if mapping and len(same) >= 1 and not isinstance(first["input"], (str, list)) else first
+
+
+def _place(model: type[BaseModel], location: tuple[Any, ...]) -> _Place:
+    """The place of an error: as deep as the location goes, but lists of plain values are one place."""
+    place = _Place((), model, None)
+    for number, part in enumerate(location):
+        annotation = _plain(place.annotation)
+        if part == "[key]":
+            return place
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            found = _field(annotation, part)
+            if found is None:
+                return place
+            place = _Place((*place.keys, part), found.annotation, found)
+        elif get_origin(annotation) in _MAPPINGS:
+            names, values = get_args(annotation)
+            is_name = location[number + 1 : number + 2] == ("[key]",)
+            place = _Place((*place.keys, part), names if is_name else values, None, is_name)
+        elif get_origin(annotation) in _LISTS and _has_sections(annotation) and isinstance(part, int):
+            place = _Place((*place.keys, part), get_args(annotation)[0], None)
+        elif _is_union(annotation) and str(part).startswith("dict["):
+            mapping = next(each for each in get_args(annotation) if get_origin(_plain(each)) in _MAPPINGS)
+            place = _Place(place.keys, mapping, place.field)
+        else:
+            return place
+    return place
+
+
+def _with_numbers(place: _Place, fault: Any) -> tuple[Any, ...]:
+    """Keys of a place and the numbers of values in its lists, without the alternatives' names in between."""
+    return (*place.keys, *(part for part in fault["loc"][len(place.keys) :] if isinstance(part, int)))
+
+
+def _field(model: type[BaseModel], name: Any) -> FieldInfo | None:
+    by_alias = {info.alias or key: info for key, info in model.model_fields.items()}
+    return by_alias.get(name) or model.model_fields.get(name)
+
+
+def _found(first: Any, place: _Place) -> str:
+    """What was given at a place; of a long list, the wrong value."""
+    if place.is_name:
+        return f"the name {show_value(place.keys[-1])}"
+    depth = len(place.keys)
+    inner = [part for part in first["loc"][depth:] if isinstance(part, int)]
+    value = show_value(first["input"])
+    if first["type"] == "missing":  # a list is too short
+        return value
+    if not inner:
+        return value + did_you_mean(str(first["input"]), _choices(place.annotation))
+    position = " of row ".join(str(part + 1) for part in reversed(inner))
+    return f"{value} as number {position}"
+
+
+def _choices(annotation: Any) -> list[str]:
+    """Texts that an annotation allows."""
+    if get_origin(annotation) is Literal:
+        return [choice for choice in get_args(annotation) if isinstance(choice, str)]
+    return [choice for part in get_args(annotation) for choice in _choices(part)]
+
+
+# --- what an annotation needs
+
+
+@dataclass(frozen=True)
+class _Words:
+    """What one value needs, and what several need: ``a number above 0``, ``numbers above 0``."""
+
+    one: str
+    many: str
+
+    @classmethod
+    def of(cls, annotation: Any, metadata: Sequence[Any] = ()) -> _Words:
+        """Words for an annotation with the metadata of its field."""
+        if get_origin(annotation) is Annotated:
+            inner, *more = get_args(annotation)
+            return cls.of(inner, [*metadata, *more])
+        metadata = list(_flat(metadata))
+        for part in metadata:
+            if isinstance(part, Expected):
+                return cls(part.one, part.many or part.one)
+        if _is_union(annotation):
+            members = [member for member in get_args(annotation) if member is not type(None)]
+            words = [cls.of(member, metadata if len(members) == 1 else ()) for member in members]
+            return cls(_either([w.one for w in words]), _either([w.many for w in words]))
+        origin = get_origin(annotation)
+        if origin is Literal:
+            choices = _either([str(choice) for choice in get_args(annotation)])
+            return cls(choices, choices)
+        if origin in _LISTS:
+            return cls._of_list(annotation, metadata)
+        if origin in _MAPPINGS or annotation in _MAPPINGS:
+            values = cls.of(get_args(annotation)[1]).many if get_args(annotation) else "values"
+            one = f"a mapping of names to {values}"
+            return cls(one + _at_least_one(metadata), f"mappings of names to {values}")
+        if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+            return cls._of_section(annotation)
+        if annotation is bool:
+            return cls("true or false", "true or false")
+        if annotation in (int, float):
+            whole, limits = "whole " if annotation is int else "", _limits(metadata)
+            return cls(f"a {whole}number{limits}", f"{whole}numbers{limits}")
+        return cls("a text", "texts")
+
+    @classmethod
+    def _of_list(cls, annotation: Any, metadata: Sequence[Any]) -> _Words:
+        parts = [part for part in get_args(annotation) if part is not Ellipsis]
+        many = cls.of(parts[0]).many
+        count = (
+            len(parts) if get_origin(annotation) is tuple and Ellipsis not in get_args(annotation) else None
+        )
+        lengths = [part.min_length for part in metadata if isinstance(part, annotated_types.MinLen)]
+        longest = [part.max_length for part in metadata if isinstance(part, annotated_types.MaxLen)]
+        if count is None and lengths and lengths == longest:
+            count = lengths[0]
+        if count is None:
+            return cls(f"a list of {many}{_at_least_one(metadata)}", f"lists of {many}")
+        number = _COUNTS[count] if count < len(_COUNTS) else str(count)
+        if get_origin(_plain(parts[0])) in _LISTS:
+            inner = cls.of(parts[0]).one
+            return cls(f"{number} rows of {inner}", f"lists of {number} rows of {inner}")
+        return cls(f"{number} {many}", f"lists of {number} {many}")
+
+    @classmethod
+    def _of_section(cls, model: type[BaseModel]) -> _Words:
+        names = [info.alias or name for name, info in model.model_fields.items()]
+        listed = ", ".join(names[:6]) + (" …" if len(names) > 6 else "")
+        alone = getattr(model, "file_key", None)
+        one = f"a mapping with the keys {listed}"
+        return cls(one + (f", or a text, its {alone}" if alone else ""), f"mappings with the keys {listed}")
+
+
+def _at_least_one(metadata: Sequence[Any]) -> str:
+    return ", at least one" if any(isinstance(part, annotated_types.MinLen) for part in metadata) else ""
+
+
+def _limits(metadata: Sequence[Any]) -> str:
+    """Limits of a number: `` from 0 to 1``."""
+    at_least = [part.ge for part in metadata if isinstance(part, annotated_types.Ge)]
+    above = [part.gt for part in metadata if isinstance(part, annotated_types.Gt)]
+    at_most = [part.le for part in metadata if isinstance(part, annotated_types.Le)]
+    below = [part.lt for part in metadata if isinstance(part, annotated_types.Lt)]
+    if at_least and at_most:
+        return f" from {_number(at_least[0])} to {_number(at_most[0])}"
+    low = f"of {_number(at_least[0])} or more" if at_least else f"above {_number(above[0])}" if above else ""
+    high = f"at most {_number(at_most[0])}" if at_most else f"below {_number(below[0])}" if below else ""
+    return "".join(f" {text}" for text in (" and ".join(filter(None, (low, high))),) if text)
+
+
+def _number(value: Any) -> str:
+    return f"{value:g}" if abs(value) < 1e15 else str(value)
+
+
+def _either(texts: Sequence[str]) -> str:
+    unique = list(dict.fromkeys(texts))
+    return unique[0] if len(unique) == 1 else f"{', '.join(unique[:-1])} or {unique[-1]}"
+
+
+def _flat(metadata: Sequence[Any]) -> Iterator[Any]:
+    """Metadata, with those inside a ``Field`` of an annotation."""
+    for part in metadata:
+        if isinstance(part, FieldInfo):
+            yield from _flat(part.metadata)
+        elif isinstance(part, annotated_types.GroupedMetadata) and not isinstance(part, StringConstraints):
+            yield from part
+        else:
+            yield part
+
+
+def _example(annotation: Any, field: FieldInfo) -> str:
+    """An example of a list of numbers; other values need none."""
+    if field.examples:
+        return str(field.examples[0])
+    plain = _plain(annotation)
+    default = field.default if isinstance(field.default, tuple) else ()
+    is_list = get_origin(plain) in _LISTS and not _has_sections(plain)
+    return show_value(list(default)) if is_list and default else ""
+
+
+def _plain(annotation: Any) -> Any:
+    """Annotation without metadata and without None."""
+    while True:
+        if get_origin(annotation) is Annotated:
+            annotation = get_args(annotation)[0]
+        elif _is_union(annotation) and len(members := _members(annotation)) == 1:
+            annotation = members[0]
+        else:
+            return annotation
+
+
+def _members(annotation: Any) -> list[Any]:
+    return [member for member in get_args(annotation) if member is not type(None)]
+
+
+def _is_union(annotation: Any) -> bool:
+    return get_origin(annotation) in (Union, types.UnionType)
+
+
+def _has_sections(annotation: Any) -> bool:
+    """Whether an annotation has a section somewhere within."""
+    plain = _plain(annotation)
+    if isinstance(plain, type) and issubclass(plain, BaseModel):
+        return True
+    return any(_has_sections(part) for part in get_args(plain) if part is not Ellipsis)

@@ -16,7 +16,8 @@ from pydantic import ConfigDict, Field, ValidationError, model_validator
 from humansim_ros.camera.placing import FloorPoint
 from humansim_ros.errors import CameraError
 from humansim_ros.io.schema import Section
-from humansim_ros.io.yaml import read_yaml, validation_error
+from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.yaml import read_yaml
 from humansim_ros.types import Array
 
 _Number = Annotated[float, Field(ge=-1e9, le=1e9)]
@@ -60,7 +61,7 @@ def read_floor_points(path: str | os.PathLike[str], in_metres: Array) -> list[Fl
     try:
         file = _File.model_validate(data)
     except ValidationError as reason:
-        raise validation_error(reason, tree, CameraError, path) from None
+        raise schema_error(reason, _File, CameraError, path, tree) from None
     return [
         FloorPoint(
             None if point.xyz is None else in_metres @ np.array(point.xyz),

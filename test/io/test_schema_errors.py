@@ -11,6 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal, Union, get_args, get_origi
 import pytest
 from pydantic import BaseModel, Field, ValidationError
 
+from humansim_ros.camera.floor_points import _File as FloorPoints
 from humansim_ros.errors import HumansimError
 from humansim_ros.humans.description import MeshHuman, ParametricHuman
 from humansim_ros.io.schema import Axis, Section
@@ -72,7 +73,7 @@ def faults(model: type[BaseModel], value: Any) -> HumansimError | None:
     return None
 
 
-MODELS = (SceneConfig, MeshHuman, ParametricHuman, JointTable, LimitTable, _Document)
+MODELS = (SceneConfig, MeshHuman, ParametricHuman, JointTable, LimitTable, _Document, FloorPoints)
 
 
 @pytest.mark.slow

@@ -50,7 +50,7 @@ def command(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch)
 
 
 def reference(stem: str, positions: str, last: bool) -> tuple[int, dict[str, np.ndarray], float]:
-    """First or last frame of a file, its joints by Blender or by the generator of the file, and their size."""
+    """First or last frame of a file, its joints by Blender or by its generator, and their size."""
     if stem in ALL:
         points = ALL[stem].positions(positions)
         frame = len(points) - 1 if last else 0

@@ -60,11 +60,7 @@ def test_each_program_writes_the_same_walk_in_its_own_way() -> None:
     texts = {name: each.text() for name, each in ALL.items()}
     assert len({text.partition("MOTION")[0] for text in texts.values()}) == len(texts)
     assert "\r\n" in texts["own_xsens"] and "\r" not in texts["own_mixamo"]
-    assert (
-        "Frames: 120\n" in texts["own_more_rows"]
-        and texts["own_more_rows"].count("\n")
-        == 121 + texts["own_more_rows"].partition("Frame Time")[0].count("\n") + 1
-    )
+    assert "Frames: 120\n" in texts["own_more_rows"] and "Frames: 121\n" in texts["own_mixamo"]
     assert "e+0" in texts["own_humanik"] and "e+0" not in texts["own_mixamo"]
     centimetres = ALL["own_more_rows"].positions()[:, ALL["own_more_rows"].names.index("LeftKnee")]
     for name, each in ALL.items():

@@ -10,6 +10,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from calibration_files import CALIBRATIONS, calibration_path
+from conftest import if_shared
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
@@ -45,35 +47,64 @@ def assert_sees(camera: Camera, pixels: Array, points: Array = POINTS) -> None:
     assert_allclose(camera.project(points)[0], pixels, atol=1e-6)
 
 
-# -- real files
+# -- files of other programs
+
+
+@pytest.mark.parametrize("name", CALIBRATIONS)
+@pytest.mark.filterwarnings("ignore:.*is that of an image of about 1280x960")
+def test_cameras_of_a_file_are_those_that_it_was_written_from(name: str) -> None:
+    cameras, known = read_calibration(calibration_path(name)), CALIBRATIONS[name].cameras
+    assert list(cameras) == list(known)
+    for key, truth in known.items():
+        camera = cameras[key]
+        assert camera.size == truth.size
+        assert_allclose(camera.center, truth.center, atol=1e-9)
+        points = truth.center + np.random.default_rng(1).uniform([-1, -1, 3], [1, 1, 5], (20, 3)) @ truth.R
+        lens = np.array(truth.distortion or [0.0] * 5)
+        assert_sees(camera, theirs(points, truth.R, truth.t, truth.K, lens), points)
+        if truth.projection is not None:
+            assert_allclose(camera.rectified_projection, truth.projection, atol=1e-9)
+            assert_allclose(camera.rectification_matrix, truth.rectification, atol=1e-9)
 
 
 @pytest.mark.parametrize(
     ("name", "form", "count", "first", "size"),
     [
-        ("anipose_uwupose.toml", "anipose", 2, "A", (1920, 1080)),
-        ("campus_voxelpose.json", "shelf", 3, "0", (360, 288)),
-        ("human36m_camera-parameters.json", "human36m", 44, "S1_54138969", (1000, 1002)),
-        ("image_common_calib5.ini", "ini", 1, "mono_left", (640, 480)),
-        ("image_common_calib8.ini", "ini", 1, "mono_left", (640, 480)),
-        ("openvins_euroc_radtan_kalibr.yaml", "kalibr", 2, "cam0", (752, 480)),
-        ("pose2sim_calib.toml", "anipose", 4, "int_cam0_img", (3840, 2160)),
-        ("qualisys_pose2sim.qca.txt", "qualisys", 4, "cam01", (1088, 1920)),
-        ("raspicam_camerav1_1280x720.yaml", "camera_info", 1, "camerav1_1280x720", (1280, 720)),
-        ("raspicam_camerav2_1280x960.yaml", "camera_info", 1, "camerav2_1280x960", (1280, 960)),
-        ("raspicam_camerav2_1640x1232.yaml", "camera_info", 1, "camerav2_1640x1232", (1640, 1232)),
-        ("raspicam_camerav2_410x308.yaml", "camera_info", 1, "camerav2_410x308", (410, 308)),
-        ("shelf_4dassociation.json", "4dassociation", 5, "0", (1032, 776)),
-        ("shelf_voxelpose.json", "shelf", 5, "0", (1032, 776)),
-        ("templeSR_par.txt", "middlebury", 16, "templeSR0001", (640, 480)),
-        ("usb_cam_camera_info.yaml", "camera_info", 1, "test_camera", (640, 480)),
+        *(
+            (
+                name,
+                each.form,
+                len(each.cameras),
+                next(iter(each.cameras)),
+                next(iter(each.cameras.values())).size,
+            )
+            for name, each in CALIBRATIONS.items()
+        ),
+        *if_shared(
+            ("anipose_uwupose.toml", "anipose", 2, "A", (1920, 1080)),
+            ("campus_voxelpose.json", "shelf", 3, "0", (360, 288)),
+            ("human36m_camera-parameters.json", "human36m", 44, "S1_54138969", (1000, 1002)),
+            ("image_common_calib5.ini", "ini", 1, "mono_left", (640, 480)),
+            ("image_common_calib8.ini", "ini", 1, "mono_left", (640, 480)),
+            ("openvins_euroc_radtan_kalibr.yaml", "kalibr", 2, "cam0", (752, 480)),
+            ("pose2sim_calib.toml", "anipose", 4, "int_cam0_img", (3840, 2160)),
+            ("qualisys_pose2sim.qca.txt", "qualisys", 4, "cam01", (1088, 1920)),
+            ("raspicam_camerav1_1280x720.yaml", "camera_info", 1, "camerav1_1280x720", (1280, 720)),
+            ("raspicam_camerav2_1280x960.yaml", "camera_info", 1, "camerav2_1280x960", (1280, 960)),
+            ("raspicam_camerav2_1640x1232.yaml", "camera_info", 1, "camerav2_1640x1232", (1640, 1232)),
+            ("raspicam_camerav2_410x308.yaml", "camera_info", 1, "camerav2_410x308", (410, 308)),
+            ("shelf_4dassociation.json", "4dassociation", 5, "0", (1032, 776)),
+            ("shelf_voxelpose.json", "shelf", 5, "0", (1032, 776)),
+            ("templeSR_par.txt", "middlebury", 16, "templeSR0001", (640, 480)),
+            ("usb_cam_camera_info.yaml", "camera_info", 1, "test_camera", (640, 480)),
+        ),
     ],
 )
-def test_formats_of_real_files_are_detected_by_content(
-    tmp_path: Path, shared_data: Path, name: str, form: str, count: int, first: str, size: tuple[int, int]
+def test_formats_of_files_are_detected_by_content(
+    tmp_path: Path, name: str, form: str, count: int, first: str, size: tuple[int, int]
 ) -> None:
     anonymous = tmp_path / "calibration"
-    shutil.copy(shared_data / "calib" / name, anonymous)
+    shutil.copy(calibration_path(name), anonymous)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         calibration = load_calibration(anonymous)
@@ -81,7 +112,7 @@ def test_formats_of_real_files_are_detected_by_content(
     mislabelled = [
         str(w.message) for w in caught if "is that of an image of about 1280x960" in str(w.message)
     ]
-    assert bool(mislabelled) == (name == "raspicam_camerav2_1640x1232.yaml")
+    assert bool(mislabelled) == name.endswith("1640x1232.yaml")
     assert calibration.format is not None and calibration.format.name == form
     assert len(calibration.cameras) == count
     assert next(iter(calibration.cameras)) == first
@@ -90,11 +121,16 @@ def test_formats_of_real_files_are_detected_by_content(
 
 @pytest.mark.parametrize(
     ("file", "length"),
-    [("image_common_calib5.ini", 5), ("image_common_calib8.ini", 8), ("usb_cam_camera_info.yaml", 5)],
+    [
+        *(("own_5.ini", 5), ("own_8.ini", 8), ("own_stereo.yaml", 5)),
+        *if_shared(
+            ("image_common_calib5.ini", 5), ("image_common_calib8.ini", 8), ("usb_cam_camera_info.yaml", 5)
+        ),
+    ],
 )
-def test_lens_and_stereo_matrices_are_those_of_the_file(shared_data: Path, file: str, length: int) -> None:
-    (camera,) = read_calibration(shared_data / "calib" / file).values()
-    text = (shared_data / "calib" / file).read_text()
+def test_lens_and_stereo_matrices_are_those_of_the_file(file: str, length: int) -> None:
+    (camera,) = read_calibration(calibration_path(file)).values()
+    text = calibration_path(file).read_text()
     said = [
         float(w)
         for w in text.replace(",", " ").replace("[", " ").replace("]", " ").split()
@@ -108,8 +144,9 @@ def test_lens_and_stereo_matrices_are_those_of_the_file(shared_data: Path, file:
     assert_allclose(camera.rectification_matrix, rectification, atol=2e-6)  # rounded in the file
 
 
-def test_human36m_projects_as_opencv_does_with_the_files_own_numbers(shared_data: Path) -> None:
-    path = shared_data / "calib" / "human36m_camera-parameters.json"
+@pytest.mark.parametrize("file", ["own_human36m.json", *if_shared("human36m_camera-parameters.json")])
+def test_human36m_projects_as_opencv_does_with_the_files_own_numbers(file: str) -> None:
+    path = calibration_path(file)
     data, cameras = json.loads(path.read_text()), read_calibration(path)
     for name in ("S1_54138969", "S9_60457274"):
         subject, serial = name.split("_")
@@ -121,8 +158,9 @@ def test_human36m_projects_as_opencv_does_with_the_files_own_numbers(shared_data
         assert 1 < cameras[name].center[2] < 2  # on a stand, z up
 
 
-def test_shelf_in_two_formats_has_the_same_camera_positions(tmp_path: Path, shared_data: Path) -> None:
-    path = shared_data / "calib" / "shelf_voxelpose.json"
+@pytest.mark.parametrize("file", ["own_shelf.json", *if_shared("shelf_voxelpose.json")])
+def test_shelf_in_two_formats_has_the_same_camera_positions(tmp_path: Path, file: str) -> None:
+    path = calibration_path(file)
     data, cameras = json.loads(path.read_text()), read_calibration(path, size=(1032, 776))
     blocks = []
     for scale, (name, c) in zip((1, -1, 1e-3, 7, -20), data.items(), strict=True):
@@ -139,8 +177,9 @@ def test_shelf_in_two_formats_has_the_same_camera_positions(tmp_path: Path, shar
         assert_allclose(others[name].project(points)[0], camera.project(points)[0], atol=0.01)
 
 
-def test_middlebury_cameras_all_look_at_the_temple(shared_data: Path) -> None:
-    path = shared_data / "calib" / "templeSR_par.txt"
+@pytest.mark.parametrize("file", ["own_middlebury_par.txt", *if_shared("templeSR_par.txt")])
+def test_middlebury_cameras_all_look_at_the_temple(file: str) -> None:
+    path = calibration_path(file)
     cameras = read_calibration(path)
     for line, (name, camera) in zip(path.read_text().splitlines()[1:], cameras.items(), strict=True):
         image, *words = line.split()

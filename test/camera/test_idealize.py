@@ -12,7 +12,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from conftest import ROOT, needs_shared_data
+from calibration_files import calibration_path
+from conftest import ROOT, if_shared
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import ArrayLike
@@ -335,13 +336,16 @@ def test_the_command_does_not_overwrite_its_input(tmp_path: Path) -> None:
     assert (tmp_path / "cam.yaml").read_text() == before
 
 
-@needs_shared_data
 @pytest.mark.parametrize(
-    "name", ["usb_cam_camera_info.yaml", "human36m_camera-parameters.json", "shelf_voxelpose.json"]
+    "name",
+    [
+        *("own_stereo.yaml", "own_human36m.json", "own_shelf.json"),
+        *if_shared("usb_cam_camera_info.yaml", "human36m_camera-parameters.json", "shelf_voxelpose.json"),
+    ],
 )
 @pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
-def test_real_calibrations_are_idealized(shared_data: Path, name: str) -> None:
-    for camera in list(read_calibration(shared_data / "calib" / name).values())[:5]:
+def test_calibrations_of_other_programs_are_idealized(name: str) -> None:
+    for camera in list(read_calibration(calibration_path(name)).values())[:5]:
         ideal = idealize(camera)
         rng = np.random.default_rng(1)
         real = rng.uniform(0, np.subtract(camera.size, 1), (200, 2))

@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from calibration_files import calibration_path
+from conftest import if_shared
 from numpy.testing import assert_allclose
 
 from humansim_ros.camera import Camera, read_calibration, write_calibration
@@ -48,12 +50,16 @@ def test_invalid_file_names_are_refused(words: list[str]) -> None:
     assert "File name too long" in result.stderr
 
 
-def test_show_prints_all_values_of_a_camera(shared_data: Path) -> None:
-    path = shared_data / "calib" / "usb_cam_camera_info.yaml"
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [("own_stereo.yaml", "left_camera"), *if_shared(("usb_cam_camera_info.yaml", "test_camera"))],
+)
+def test_show_prints_all_values_of_a_camera(file: str, name: str) -> None:
+    path = calibration_path(file)
     facts = shown(path)
     (camera,) = facts["cameras"]
     assert (facts["form"], facts["unit"], facts["up"], facts["warnings"]) == ("camera_info", 1.0, "z", [])
-    assert (camera["name"], camera["size"], camera["model"]) == ("test_camera", [640, 480], "plumb_bob")
+    assert (camera["name"], camera["size"], camera["model"]) == (name, [640, 480], "plumb_bob")
     assert camera["distortion"] == [-0.361976, 0.11051, 0.001014, 0.000505, 0]
     assert camera["K"][0] == [438.783367, 0, 305.593336] and camera["rectified"][0][0] == 393.6538
     assert camera["center"] == [0, 0, 0] and camera["baseline"] == 0
@@ -64,35 +70,56 @@ def test_show_prints_all_values_of_a_camera(shared_data: Path) -> None:
         assert part in text
 
 
-def test_show_names_the_size_that_k_belongs_to(shared_data: Path) -> None:
-    path = shared_data / "calib" / "raspicam_camerav2_1640x1232.yaml"
+@pytest.mark.parametrize(
+    ("file", "others"),
+    [
+        ("own_mislabelled_1640x1232.yaml", ("own_1280x720.yaml", "own_410x308.yaml")),
+        *if_shared(
+            (
+                "raspicam_camerav2_1640x1232.yaml",
+                ("raspicam_camerav1_1280x720.yaml", "raspicam_camerav2_410x308.yaml"),
+            )
+        ),
+    ],
+)
+def test_show_names_the_size_that_k_belongs_to(file: str, others: tuple[str, ...]) -> None:
+    path = calibration_path(file)
     (camera,) = shown(path)["cameras"]
     assert (
         "39% and 39% of a 1640x1232 image: this K is that of an image of about 1280x960"
         in camera["warnings"][0]
     )
     assert shown(path, "--size", "1280x960")["cameras"][0]["warnings"] == []
-    for name in ("raspicam_camerav1_1280x720.yaml", "raspicam_camerav2_410x308.yaml"):
-        assert shown(shared_data / "calib" / name)["cameras"][0]["warnings"] == []
+    for name in others:
+        assert shown(calibration_path(name))["cameras"][0]["warnings"] == []
 
 
-def test_show_takes_sizes_units_axes_and_names(tmp_path: Path, shared_data: Path) -> None:
-    facts = shown(shared_data / "calib" / "human36m_camera-parameters.json", "--camera", "S9_*")
+@pytest.mark.parametrize(
+    ("human36m", "shelf"),
+    [
+        ("own_human36m.json", "own_shelf.json"),
+        *if_shared(("human36m_camera-parameters.json", "shelf_voxelpose.json")),
+    ],
+)
+def test_show_takes_sizes_units_axes_and_names(human36m: str, shelf: str) -> None:
+    facts = shown(calibration_path(human36m), "--camera", "S9_*")
     assert [camera["name"] for camera in facts["cameras"]] == [
         f"S9_{n}" for n in (54138969, 55011271, 58860488, 60457274)
     ]
     assert facts["unit"] == 0.001
-    path = shared_data / "calib" / "shelf_voxelpose.json"
+    path = calibration_path(shelf)
     facts = shown(path, "--size", "1032x776", "--unit", "1", "--up", "-z", "--camera", "0")
-    assert_allclose(facts["cameras"][0]["center"], [-1586.4496078, 2109.46905869, -1104.209800652])
+    center = np.ravel(json.loads(path.read_text())["0"]["T"])  # millimetres
+    assert_allclose(facts["cameras"][0]["center"], center * [1, -1, -1])
     said = humansim("show", path, "--camera", "9")
     assert said.returncode == 2 and "no camera is named 9; the names are 0, 1, 2" in said.stderr
     said = humansim("show", path, "--size", "large")
     assert said.returncode == 2 and "--size: needs width and height" in said.stderr
 
 
-def test_convert_from_format_to_format(tmp_path: Path, shared_data: Path) -> None:
-    path = shared_data / "calib" / "shelf_voxelpose.json"
+@pytest.mark.parametrize("shelf", ["own_shelf.json", *if_shared("shelf_voxelpose.json")])
+def test_convert_from_format_to_format(tmp_path: Path, shelf: str) -> None:
+    path = calibration_path(shelf)
     steps = [
         ("colmap", tmp_path / "model"),
         ("kalibr", tmp_path / "chain.yaml"),
@@ -113,8 +140,9 @@ def test_convert_from_format_to_format(tmp_path: Path, shared_data: Path) -> Non
         assert_allclose(other.P, camera.P, rtol=1e-12, atol=1e-9)
 
 
-def test_convert_joins_files_and_splits_rigs(tmp_path: Path, shared_data: Path) -> None:
-    files = [shared_data / "calib" / f"image_common_calib{n}.ini" for n in (5, 8)]
+@pytest.mark.parametrize("stem", ["own_", *if_shared("image_common_calib")])
+def test_convert_joins_files_and_splits_rigs(tmp_path: Path, stem: str) -> None:
+    files = [calibration_path(f"{stem}{n}.ini") for n in (5, 8)]
     result = humansim("convert", *files, "-o", tmp_path / "both.xml", "--to", "opencv_xml")
     assert result.returncode == 0 and "several cameras mono_left" in result.stderr
     result = humansim("convert", tmp_path / "both.xml", "-o", tmp_path / "rig", "--to", "camera_info")
@@ -126,17 +154,20 @@ def test_convert_joins_files_and_splits_rigs(tmp_path: Path, shared_data: Path) 
         assert np.array_equal(other.rectified_projection, camera.rectified_projection)
 
 
-def test_convert_warns_about_lost_values_or_refuses(tmp_path: Path, shared_data: Path) -> None:
-    shelf = shared_data / "calib" / "shelf_voxelpose.json"
-    result = humansim("convert", shelf, "-o", tmp_path / "rig", "--to", "camera_info")
+@pytest.mark.parametrize(
+    ("shelf", "bent"),
+    [("own_shelf.json", "own_stereo.yaml"), *if_shared(("shelf_voxelpose.json", "usb_cam_camera_info.yaml"))],
+)
+def test_convert_warns_about_lost_values_or_refuses(tmp_path: Path, shelf: str, bent: str) -> None:
+    result = humansim("convert", calibration_path(shelf), "-o", tmp_path / "rig", "--to", "camera_info")
     assert result.returncode == 0 and "R and t of 0, 1, 2, 3 and 1 more are left out" in result.stderr
-    result = humansim("convert", shared_data / "calib/usb_cam_camera_info.yaml", "-o", tmp_path / "p.txt")
+    result = humansim("convert", calibration_path(bent), "-o", tmp_path / "p.txt")
     assert result.returncode == 2 and "cannot store plumb_bob distortion: idealize" in result.stderr
     assert not (tmp_path / "p.txt").exists()
 
 
-def test_an_unknown_format_prints_all_formats(tmp_path: Path, shared_data: Path) -> None:
-    path = shared_data / "calib/usb_cam_camera_info.yaml"
+def test_an_unknown_format_prints_all_formats(tmp_path: Path) -> None:
+    path = calibration_path("own_stereo.yaml")
     result = humansim("convert", path, "-o", tmp_path / "a.yaml", "--to", "nonsense")
     assert result.returncode == 2
     assert result.stderr.strip().endswith(f"known are {', '.join(form.name for form in FORMATS)}")

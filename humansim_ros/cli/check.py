@@ -11,6 +11,7 @@ from humansim_ros.cli.options import JsonOption
 from humansim_ros.cli.output import print_text, print_warning, to_json
 
 if TYPE_CHECKING:
+    from humansim_ros.cli.scene_options import SceneOptions
     from humansim_ros.scene import Scene
 
 
@@ -35,12 +36,17 @@ def check(
         raise typer.Exit(1)
 
 
-def warn_about_mistakes(scene: Scene) -> None:
-    """Print the findings of a quick check as warnings, for commands that play a scene."""
+def warn_about_mistakes(scene: Scene, options: SceneOptions | None = None) -> None:
+    """Print the findings of a quick check as warnings, for commands that play a scene.
+
+    ``options``: options that have replaced parts of the scene.
+    """
     from humansim_ros.scene import check_scene
 
+    human = next(iter(scene.actors), "")
     for finding in check_scene(scene, quick=True):
-        print_warning(str(finding))
+        option = None if options is None else options.option(human, finding.key)
+        print_warning(str(finding) if option is None else f"{option}: {finding.text}")
 
 
 def _count(number: int, word: str) -> str:

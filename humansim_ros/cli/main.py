@@ -16,8 +16,8 @@ import typer
 
 from humansim_ros.cli.check import check, warn_about_mistakes
 from humansim_ros.cli.options import join_numbers
+from humansim_ros.cli.scene_options import SceneOptions
 from humansim_ros.errors import HumansimError, show_warnings
-from humansim_ros.io.files import exists, expand_user
 from humansim_ros.resources import resource_path
 
 
@@ -57,20 +57,20 @@ def run(
     from humansim_ros.ros.processes import scene_processes
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
-    from humansim_ros.scene.config import load_config
 
     start = time.monotonic()
     _check_machine()
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
     with tempfile.TemporaryDirectory(prefix="humansim-") as folder:
         path = scene or resource_path("config/scenes/demo.yaml")
-        if motion or mesh or joint_names or live:
-            path = _scene_with(path, motion, mesh, joint_names, live or (), Path(folder))
-            loaded = Scene.from_config(load_config(path))  # errors do not name the temporary file
+        options = SceneOptions(motion, mesh, joint_names, live or ())
+        if options:
+            changed = options.write(path, Path(folder))
+            loaded, path = options.load(path, changed), changed
         else:
             loaded = Scene.load(path)
         _describe(loaded)
-        warn_about_mistakes(loaded)
+        warn_about_mistakes(loaded, options)
         node_processes = scene_processes(path, processes)
         with Supervisor(node_processes) as nodes:
             names = ", ".join(process.node_name for process in node_processes)
@@ -111,79 +111,6 @@ def _check_machine() -> None:
 
     require_ros()
     create_context().release()
-
-
-def _scene_with(
-    path: Path,
-    motion: str | None,
-    mesh: str | None,
-    joint_names: str | None,
-    live: Sequence[str],
-    folder: Path,
-) -> Path:
-    """Write a copy of a scene whose first human has another motion or body, and with live humans.
-
-    Args:
-        path: Scene file.
-        motion: Motion file or built-in motion; it is placed in the centre of the room.
-        mesh: Body of the human.
-        joint_names: Joint table of the motion.
-        live: Names of the humans that another node moves.
-        folder: Folder of the copy.
-    """
-    import yaml
-
-    from humansim_ros.errors import SceneError
-    from humansim_ros.scene.config import LIVE, load_config, map_files
-    from humansim_ros.scene.source import SceneSource
-    from humansim_ros.scene.variety import with_variety
-
-    source = SceneSource.of_file(path)
-    with source.locating_errors():
-        scene = with_variety(load_config(path), source)
-    config = map_files(scene.model_dump(exclude_none=True), lambda name: _absolute_in(source.folder, name))
-    config.setdefault("room", None)
-    if not config["humans"]:
-        raise SceneError("the scene has no human to give a motion or mesh to", path=path, key="humans")
-    for name in live:
-        if name not in config["humans"]:
-            known = ", ".join(config["humans"])
-            raise SceneError(f"no human {name!r} for --live; the scene has {known}", path=path, key="humans")
-        place = config["humans"][name]["motion"]
-        config["humans"][name]["motion"] = {
-            "file": LIVE,
-            "position": place["position"],
-            "yaw_deg": place["yaw_deg"],
-        }
-    human = next(iter(config["humans"].values()))
-    if mesh:
-        human["body"] = _absolute(mesh)
-        human.pop("outfit", None)
-    if motion:
-        human["motion"] = {"file": _absolute(motion), "anchor": "center"}
-    if joint_names:
-        human["motion"]["joint_names"] = _absolute(joint_names)
-    changed = folder / path.name
-    changed.write_text(yaml.safe_dump(config, sort_keys=False))
-    return changed
-
-
-def _absolute_in(folder: Path, name: str) -> str:
-    """Absolute path of a file that a scene names; names of built-ins, and ``live``, stay."""
-    from humansim_ros.scene.config import LIVE
-
-    if name == LIVE:
-        return name
-    path = folder / name.split("#")[0]
-    # a folder may have the name of a built-in
-    is_path = (exists(path) and (path.is_file() or "/" in name)) or "{name}" in name
-    return str(folder / name if is_path else name)
-
-
-def _absolute(name: str) -> str:
-    """Absolute path; the name of a built-in is unchanged."""
-    path = expand_user(name)
-    return str(path.resolve()) if path.suffix or exists(path) else name
 
 
 def _describe(scene: Any) -> None:

@@ -214,8 +214,8 @@ def _outside(centers: Array, size: Array) -> tuple[int, str] | None:
 def _sees_nobody(name: str, samples: SceneSamples) -> str | None:
     """Finding about a camera that never sees a human."""
     scene = samples.scene
-    if not samples.joints:
-        return None
+    if len(samples.joints) < max(1, len(scene.actors)):
+        return None  # another node may move somebody to the camera
     camera, poses = scene.scene_cameras[name].camera, samples.camera_poses[name]
     if any(visible(camera, *poses, _with_middles(joints)).any() for joints in samples.joints.values()):
         return None

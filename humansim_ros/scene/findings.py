@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
 
@@ -84,8 +85,12 @@ class SceneSamples:
 
     @cached_property
     def joints(self) -> dict[str, Array]:
-        """Joint positions (N, J, 3) in ``map`` by human."""
-        return {name: actor.joint_paths(self.times) for name, actor in self.scene.actors.items()}
+        """Joint positions (N, J, 3) in ``map`` by human, without those that another node moves."""
+        return {
+            name: actor.joint_paths(self.times)
+            for name, actor in self.scene.actors.items()
+            if self.scene.config.humans[name].motion.file != LIVE
+        }
 
     @cached_property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:

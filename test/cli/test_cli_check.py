@@ -10,6 +10,8 @@ import pytest
 
 from humansim_ros.cli import main as cli
 from humansim_ros.cli.check import warn_about_mistakes
+from humansim_ros.cli.scene_options import SceneOptions
+from humansim_ros.errors import HumansimError
 from humansim_ros.scene import Scene
 
 SOUND = """\
@@ -86,3 +88,60 @@ def test_run_warns_about_the_same_mistakes(tmp_path: Path, capsys: pytest.Captur
     warn_about_mistakes(Scene.load(path))
     error = capsys.readouterr().err
     assert error.startswith(f"warning: {path}:4: cameras.front.position: camera front never sees anna")
+
+
+# --- options of `humansim run` that replace parts of a scene
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("motion", "gone.bvh", "no such file"),
+        ("motion", "wlak", "no 'wlak'"),
+        ("motion", "broken.bvh", "broken.bvh:1: "),
+        ("mesh", "gone.glb", "no such file"),
+        ("mesh", "broken.obj", "broken.obj"),
+        ("joint_names", "gone.yaml", "gone.yaml"),
+    ],
+)
+def test_errors_name_the_option_and_no_temporary_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, option: str, value: str, message: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scene.yaml").write_text(SOUND)
+    (tmp_path / "broken.bvh").write_text("no motion\n")
+    (tmp_path / "broken.obj").write_text("v 0 0 zero\n")
+    copy = tmp_path / "copy"
+    copy.mkdir()
+    options = SceneOptions(**{option: value})
+    changed = options.write(Path("scene.yaml"), copy)
+    with pytest.raises(HumansimError) as caught:
+        options.load(Path("scene.yaml"), changed)
+    assert str(caught.value).startswith(f"--{option.replace('_', '-')}: ")
+    assert message in str(caught.value)
+    assert str(copy) not in str(caught.value)
+
+
+def test_errors_of_the_rest_of_the_scene_name_its_own_file_and_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(SOUND + "objects: {box: {mesh: gone.obj}}\n")
+    (tmp_path / "copy").mkdir()
+    options = SceneOptions(motion="walk")
+    with pytest.raises(HumansimError) as caught:
+        options.load(path, options.write(path, tmp_path / "copy"))
+    assert str(caught.value).startswith(f"{path}:6: objects.box.mesh: no such file")
+    path.write_text(SOUND + "objects: {pillar: {position: [0, 0, 0.5]}}\n")
+    warn_about_mistakes(options.load(path, options.write(path, tmp_path / "copy")), options)
+    warning = capsys.readouterr().err
+    assert warning.startswith("warning: --motion: anna is inside the object pillar")
+
+
+def test_a_live_human_is_not_checked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(SOUND.replace("look_at: [0, 0, 1]", "look_at: [6, 0, 1]"))
+    (tmp_path / "copy").mkdir()
+    options = SceneOptions(live=("anna",))
+    warn_about_mistakes(options.load(path, options.write(path, tmp_path / "copy")), options)
+    assert capsys.readouterr().err == ""

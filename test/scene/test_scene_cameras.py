@@ -490,7 +490,7 @@ def edge_width(view: View) -> int:
 
 def test_another_motion_leaves_the_files_of_a_scene_where_they_are(tmp_path: Path) -> None:
     """``humansim run SCENE --motion``: the changed scene is in another folder."""
-    from humansim_ros.cli.main import _scene_with
+    from humansim_ros.cli.scene_options import SceneOptions
 
     home, other = tmp_path / "home", tmp_path / "other"
     home.mkdir()
@@ -503,7 +503,7 @@ def test_another_motion_leaves_the_files_of_a_scene_where_they_are(tmp_path: Pat
         "  moves: {size: [64, 48], trajectory: way.txt}\n  own: {calibration: P.txt}\n"
         "rig: {file: P.txt, background: '{name}.png'}\n"
     )
-    changed = _scene_with(home / "scene.yaml", "wave", None, None, other)
+    changed = SceneOptions(motion="wave").write(home / "scene.yaml", other)
     scene = Scene.load(changed)
     assert scene.path.parent == other
     assert list(scene.moving_cameras) == ["moves"]

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError
+from humansim_ros.motion.body_lines import BodyLines
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.rotations import WORLD_FROM_BODY
@@ -22,10 +23,10 @@ _PLAUSIBLE_STATURE = (1.2, 2.1)
 _TYPICAL_STATURE = 1.7
 #: Stature in metres between which the unit that a file format defines is accepted.
 _ACCEPTED_STATURE = (0.4, 2.6)
-#: A person stands in a pose if ankles and head are at least this share of the length of the links apart.
-_STANDING_SHARE = 0.7
-#: Poses count as equally straight from this share of the straightest pose's extent.
-_STRAIGHT_SHARE = 0.97
+#: Angle (degrees) between hips and a file axis up to which the axis is the person's left or right.
+_SNAP_ANGLE = 3.0
+#: Most frames in which the person is measured.
+_MAX_FRAMES = 400
 
 
 @dataclass(frozen=True)
@@ -37,9 +38,10 @@ class FileFrame:
         unit: Metres per file unit.
         unit_name: Name of the unit, or ``unknown`` where no known unit gives the height of a person and 1.7 m
             is assumed.
-        world_from_file: (3, 3) rotation that puts the facing of the rest pose on +x. rest_from_body: Body
-        axes in the rest pose of the file, (3, 3); or in the axes of each joint, (J, 3, 3),
-            where the OFFSETs are not a standing person and the straightest frame is the rest pose.
+        world_from_file: (3, 3) rotation that puts the facing of the rest pose on +x.
+        rest_from_body: Body axes in the rest pose of the file, (3, 3); or in the axes of each joint,
+            (J, 3, 3), where the OFFSETs are not a standing person and the straightest frame is the rest
+            pose.
         ankle_to_head: Height in file units.
     """
 
@@ -90,7 +92,9 @@ def detect_file_frame(
     """
     roles = match.roles
     rest = motion.rest_positions()
-    transforms = motion.world_transforms(np.unique(np.linspace(0, motion.n_frames - 1, 120).astype(int)))
+    transforms = motion.world_transforms(
+        np.unique(np.linspace(0, motion.n_frames - 1, _MAX_FRAMES).astype(int))
+    )
     frames = transforms[..., :3, 3]
     head = roles.get("Head", roles.get("Neck", roles["Hips"]))
     ankles = [roles.get(f"{side}Ankle", roles[f"{side}Knee"]) for side in ("Left", "Right")]
@@ -100,23 +104,20 @@ def detect_file_frame(
     height = ankle_to_head(rest, motion.parents, match)
     if height <= 0:
         raise MotionError("the skeleton has no height: all its OFFSETs are zero", path=motion.path)
-    extent = rest[head] - rest[ankles].mean(0)
-    if np.linalg.norm(extent) > _STANDING_SHARE * height:
-        rest_up = _nearest_axis(extent)
+    if BodyLines.of(rest[None], roles).stands()[0]:
+        rest_up = _nearest_axis(rest[head] - rest[ankles].mean(0))
         if (rest_up == detected_up).all():
-            rest_axes = axes = _body_axes(rest, roles, up_axis, motion, facing)
+            rest_axes = axes = _body_axes(rest, roles, up_axis, motion, facing, snap=True)
         else:
             # the rest pose lies in file space and the root raises it: facing is that of the first frame
-            rest_axes = _body_axes(rest, roles, rest_up, motion)
-            axes = _body_axes(frames[0], roles, up_axis, motion, facing)
+            rest_axes = _body_axes(rest, roles, rest_up, motion, snap=True)
+            axes = _body_axes(frames[0], roles, up_axis, motion, facing, snap=True)
     else:
-        # The OFFSETs are not a standing person (all bones along one axis, say). The straightest frame is the
-        # rest pose; of frames that are nearly as straight, the one with the feet flattest on the floor.
-        straight = np.linalg.norm(frames[:, head] - frames[:, ankles].mean(1), axis=-1)
-        tiptoe = (frames[:, ankles] @ up_axis).sum(1) - 2 * (frames @ up_axis).min(1)
-        straightest = int(np.argmin(np.where(straight > _STRAIGHT_SHARE * straight.max(), tiptoe, np.inf)))
+        # The OFFSETs are not a standing person (all bones along one axis, say): the frame in which the person
+        # stands straightest is the rest pose.
+        straightest = int(np.argmin(BodyLines.of(frames, roles).bend(up_axis)))
         axes = _body_axes(frames[straightest], roles, up_axis, motion, facing)
-        rest_axes = np.swapaxes(transforms[straightest, :, :3, :3], -1, -2) @ axes
+        rest_axes = _rest_axes(transforms[straightest], roles, axes)
     stature = height * (1 + _ANKLE_SHARE)
     low, high = _ACCEPTED_STATURE
     if unit is None and motion.unit is not None and low <= stature * motion.unit <= high:
@@ -185,20 +186,23 @@ def _nearest_axis(direction: Array) -> Array:
 
 
 def _body_axes(
-    positions: Array, roles: Mapping[str, int], up: Array, motion: Motion, facing: str | None = None
+    positions: Array,
+    roles: Mapping[str, int],
+    up: Array,
+    motion: Motion,
+    facing: str | None = None,
+    snap: bool = False,
 ) -> Array:
-    """Body axes (left, up, forward as columns) in file space of a pose (J, 3), snapped to file axes."""
+    """Body axes (left, up, forward as columns) in file space of a pose (J, 3).
+
+    ``snap``: to the axes of the file, where hips and shoulders are nearly along one.
+    """
     if facing is not None:
         forward = axis_vector(facing)
         if forward @ up:
             raise MotionError(f"a person cannot face {facing} where {axis_name(up)} is up", path=motion.path)
         return np.stack([np.cross(up, forward), up, forward], axis=1)
-    left = sum(
-        positions[roles[f"Left{part}"]] - positions[roles[f"Right{part}"]]
-        for part in ("Hip", "Shoulder")
-        if f"Left{part}" in roles and f"Right{part}" in roles
-    )
-    left = np.asarray(left, dtype=float) * (up == 0)
+    left = BodyLines.of(positions[None], roles).left[0] * (up == 0)
     if np.linalg.norm(left) < 1e-9:
         raise MotionError(
             "left and right hips are at the same place, so the facing cannot be detected: give it",
@@ -206,9 +210,25 @@ def _body_axes(
         )
     left /= np.linalg.norm(left)
     axis = _nearest_axis(left)
-    if axis @ left > np.cos(np.radians(25)):
+    if snap and axis @ left > np.cos(np.radians(_SNAP_ANGLE)):
         left = axis
     return np.stack([left, up, np.cross(left, up)], axis=1)
+
+
+def _rest_axes(transforms: Array, roles: Mapping[str, int], axes: Array) -> Array:
+    """Body axes (J, 3, 3) in the axes of each joint, in a pose (J, 4, 4) that becomes the rest pose.
+
+    Joints of the trunk have the axes of hips, shoulders and trunk, because the person may lean or twist a
+    little in this pose. All others have the axes of the whole body.
+    """
+    lines = BodyLines.of(transforms[None, :, :3, 3], roles)
+    rest = np.broadcast_to(axes, (len(transforms), 3, 3)).copy()
+    chest = dict.fromkeys(("LeftCollar", "RightCollar", "Chest"), lines.shoulders)
+    trunk = {**chest, "Spine": lines.left, "Hips": lines.hips}
+    for role, left in trunk.items():
+        if role in roles and np.linalg.norm(np.cross(left, lines.trunk)) > 0:
+            rest[roles[role]] = lines.axes(left)[0]
+    return np.swapaxes(transforms[:, :3, :3], -1, -2) @ rest
 
 
 def _guess_unit(stature: float) -> tuple[str, float]:

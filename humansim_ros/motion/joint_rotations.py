@@ -1,16 +1,27 @@
-"""Joint rotations estimated from joint positions, for sources that send positions only."""
+"""Joint rotations estimated from joint positions, and joints whose rotations contradict their positions."""
 
 from __future__ import annotations
 
 import numpy as np
 
+from humansim_ros.motion.body_lines import BodyLines
+from humansim_ros.motion.bone_drivers import SHORTEST_LINK
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.rotations import from_y_axis, quaternion_to_matrix, rotate, unit_vectors
+from humansim_ros.rotations import (
+    WORLD_FROM_BODY,
+    angle_between,
+    from_y_axis,
+    quaternion_to_matrix,
+    rotate,
+    unit_vectors,
+)
 from humansim_ros.types import Array
 
 #: Rotations that differ by less than this angle (radians) over joints and time are constant.
 _CONSTANT_ANGLE = 1e-6
+#: Median angles (degrees) between a line and a joint up to which they rotate together.
+_HIPS, _SHOULDERS, _FLEXIBLE = 12.0, 15.0, 25.0
 
 
 def has_rotations(poses: JointPoses) -> bool:
@@ -22,40 +33,74 @@ def has_rotations(poses: JointPoses) -> bool:
     return bool((cosine < np.cos(_CONSTANT_ANGLE / 2) - 1e-12).any())
 
 
-def rotations_from_positions(poses: JointPoses, match: JointMatch) -> Array:
-    """Joint rotations (N, J, 3, 3) from rest: joints of the trunk follow the shoulders, others the hips.
+def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[str, ...]:
+    """Bones whose driving joint does not rotate as the lines between the joints do.
 
-    Feet follow their shins.
+    The rotation of such a joint does not describe the body: for example, that of hips which a neural network
+    predicts independently, or of a root that does not move. Rigid hips carry the line between the hip
+    joints. Chest and spine carry the line between the shoulders within some degrees, and joints of limbs
+    their links.
+
+    Args:
+        poses: Joint poses.
+        match: Joints that drive bones.
+        standing: The rotations count from a rest pose that stands and faces +x.
     """
-    roles, points = match.roles, poses.positions
+    roles = match.roles
+    back = np.swapaxes(quaternion_to_matrix(poses.rotations), -1, -2)
+    lines = BodyLines.of(poses.positions, roles)
+    left = np.array([0.0, 1.0, 0.0]) if standing else None
 
-    def at(role: str) -> Array:
-        return points[:, roles[role]]
+    def deviates(joint: int, line: Array, most: float, rest: Array | None = None) -> bool:
+        """Whether lines (N, 3) differ more from their direction at rest, in the axes of a joint."""
+        known = np.linalg.norm(line, axis=-1) > SHORTEST_LINK
+        inside = rotate(back[known, joint], unit_vectors(line[known]))
+        if not len(inside):
+            return False
+        return bool(
+            np.median(angle_between(inside, inside.mean(0) if rest is None else rest)) > np.radians(most)
+        )
 
-    hips = (at("LeftHip") + at("RightHip")) / 2
-    top = next((role for role in ("Neck", "Head", "LeftShoulder") if role in roles), "Hips")
-    has_shoulders = {"LeftShoulder", "RightShoulder"} <= {*roles}
-    chest = (at("LeftShoulder") + at("RightShoulder")) / 2 if has_shoulders else at(top)
-    pelvis = _body_rotation(at("LeftHip") - at("RightHip"), chest - hips)
-    rotations = np.repeat(pelvis[:, None], points.shape[1], axis=1)
-    if has_shoulders:
-        trunk = _body_rotation(at("LeftShoulder") - at("RightShoulder"), chest - hips)
-        for bone, joint in match.difference.items():
-            if bone in ("vl5", "vt3") or "sternoclavicular" in bone:
-                rotations[:, joint] = trunk
-    # a foot takes the shortest rotation of its shin from straight down
-    for side, bone in (("Left", "l_ankle"), ("Right", "r_ankle")):
-        if bone in match.difference and {f"{side}Knee", f"{side}Ankle"} <= {*roles}:
-            shin = at(f"{side}Ankle") - at(f"{side}Knee")
-            in_pelvis = unit_vectors(rotate(np.swapaxes(pelvis, -1, -2), -shin))
-            up = quaternion_to_matrix(from_y_axis(in_pelvis[:, [1, 2, 0]]))
-            order = np.eye(3)[[1, 2, 0]]
-            rotations[:, match.difference[bone]] = pelvis @ order.T @ up @ order
-    return rotations
+    joints = set()
+    for role, line, most in (
+        ("Hips", lines.hips, _HIPS),
+        ("Spine", lines.left, _FLEXIBLE),
+        ("Chest", lines.shoulders, _SHOULDERS),
+    ):
+        if role in roles and deviates(roles[role], line, most, left):
+            joints.add(roles[role])
+    for side in ("Left", "Right"):
+        ankle, toe = roles.get(f"{side}Ankle"), roles.get(f"{side}Toe")
+        if ankle is None or toe is None:
+            continue
+        if deviates(ankle, poses.positions[:, toe] - poses.positions[:, ankle], _FLEXIBLE):
+            joints.add(ankle)
+    links = {
+        bone: (start, poses.positions[:, end] - poses.positions[:, start])
+        for bone, (start, end) in match.parallel.items()
+    }
+    return (
+        *(bone for bone, joint in match.difference.items() if joint in joints),
+        *(bone for bone, (start, link) in links.items() if deviates(start, link, _FLEXIBLE)),
+    )
 
 
-def _body_rotation(left: Array, up: Array) -> Array:
-    """Rotations (N, 3, 3) of a body (x forward, y left, z up) with left and nearly up along these (N, 3)."""
-    y = unit_vectors(left)
-    x = unit_vectors(np.cross(y, up))
-    return np.stack([x, y, np.cross(x, y)], axis=-1)
+def line_rotations(poses: JointPoses, match: JointMatch) -> Array:
+    """Rotations from rest (N, 4, 3, 3) of pelvis, chest, left foot and right foot, from joint positions.
+
+    The pelvis follows hips and trunk, the chest follows shoulders and trunk, and a foot follows its shin.
+    """
+    lines = BodyLines.of(poses.positions, match.roles)
+    pelvis, chest = (lines.axes(left) @ WORLD_FROM_BODY.T for left in (lines.hips, lines.shoulders))
+    feet = []
+    for side in ("Left", "Right"):
+        knee, ankle = (match.roles.get(f"{side}{part}") for part in ("Knee", "Ankle"))
+        if knee is None or ankle is None:
+            feet.append(pelvis)
+            continue
+        # the shortest rotation of the shin from straight down
+        shin = poses.positions[:, ankle] - poses.positions[:, knee]
+        in_pelvis = unit_vectors(rotate(np.swapaxes(pelvis, -1, -2), -shin))
+        up = quaternion_to_matrix(from_y_axis(in_pelvis[:, [1, 2, 0]]))
+        feet.append(pelvis @ WORLD_FROM_BODY @ up @ WORLD_FROM_BODY.T)
+    return np.stack([pelvis, chest, *feet], axis=1)

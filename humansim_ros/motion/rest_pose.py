@@ -2,21 +2,43 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
 
-from humansim_ros.motion.bone_drivers import SHORTEST_LINK, BoneDrivers, link_vectors, swing_onto
+from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.motion.body_lines import BodyLines
+from humansim_ros.motion.bone_drivers import (
+    LINE_ROTATIONS,
+    SHORTEST_LINK,
+    BoneDrivers,
+    link_vectors,
+    swing_onto,
+)
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.motion.joint_rotations import rotations_from_positions
-from humansim_ros.rotations import WORLD_FROM_BODY, quaternion_to_matrix, rotate, unit_vectors
+from humansim_ros.motion.joint_rotations import line_rotations
+from humansim_ros.rotations import (
+    WORLD_FROM_BODY,
+    angle_between,
+    quaternion_to_matrix,
+    rotate,
+    rotation_vector_to_matrix,
+    unit_vectors,
+)
 from humansim_ros.types import Array
 
 #: Percentage of the poses, those with the lowest ankles, in which feet are flat on the floor.
 _FLAT_PERCENTILE = 20
 #: A hinge axis is known where bends agree this well (length of the mean of unit axes).
 _HINGE_AGREEMENT = 0.8
+#: Bones that leave their rest pose as their links do, instead of being parallel to them: in most files these
+#: links rise from the spine to the shoulders at rest.
+COLLARS = ("l_sternoclavicular", "r_sternoclavicular")
+#: Angle (degrees) by which the trunk of a body may differ from that of the joints.
+_TRUNK_TOLERANCE = 13.0
+_TRUNK = ("sacroiliac", "vl5", "vl5_to_l_sternoclavicular", "vl5_to_r_sternoclavicular")
 #: Hinges of elbows and knees: upper and lower bone, axis of a bend forwards and backwards from a T pose.
 _HINGES = (
     ("l_shoulder", "l_elbow", (0.0, 0.0, -1.0)),
@@ -76,13 +98,48 @@ def rest_from_first_pose(drivers: BoneDrivers, poses: JointPoses) -> Array:
 
     In the first pose, the bones are where the shortest rotations put them.
     """
-    first = poses.positions[:1]
-    posed = replace(drivers, extra=False).swing(first, rotations_from_positions(poses, drivers.match)[:1])
+    skeleton = drivers.skeleton
+    by_lines = replace(drivers, extra=False, loose=skeleton.names, rest_links={})
+    first = JointPoses(poses.names, poses.positions[:1], poses.rotations[:1])
+    posed = by_lines.swing(first.positions, line_rotations(first, drivers.match))[0]
     rotations = quaternion_to_matrix(poses.rotations[0])
-    rest = np.array(posed[0])
+    rest = WORLD_FROM_BODY @ skeleton.rest[:, :3, :3]
     for driven in drivers.driven:
-        rest[driven.bones] = np.swapaxes(rotations[driven.starts], -1, -2) @ posed[0, driven.bones]
-    return rest
+        _, of_joints = driven.split(driven.starts >= 0)
+        rest[of_joints.bones] = np.swapaxes(rotations[of_joints.starts], -1, -2) @ posed[of_joints.bones]
+    return np.asarray(rest)
+
+
+def collar_links(
+    skeleton: Skeleton, directions: Mapping[str, Array]
+) -> dict[str, tuple[float, float, float]]:
+    """Directions of the links of the collars at rest, in the axes of the bones at rest.
+
+    ``directions``: bone -> direction (3,) of its link at rest, in a body that faces +x.
+    """
+    out = {}
+    for bone in COLLARS:
+        if bone in directions and np.linalg.norm(directions[bone]) > 0:
+            at_rest = WORLD_FROM_BODY @ skeleton.rest[skeleton.bone(bone), :3, :3]
+            x, y, z = (at_rest.T @ directions[bone]).tolist()
+            out[bone] = (x, y, z)
+    return out
+
+
+def collar_directions(poses: JointPoses, match: JointMatch, loose: Collection[str]) -> dict[str, Array]:
+    """Directions (3,) of the links of the collars at joint rotation zero, in a body that faces +x.
+
+    Those of ``loose`` bones are the mean directions from the chest.
+    """
+    chest = line_rotations(poses, match)[:, LINE_ROTATIONS.index("chest")]
+    at_zero = dict(zip(match.parallel, link_directions_at_rest(poses, match), strict=True))
+    out = {}
+    for bone in set(COLLARS) & at_zero.keys():
+        start, end = match.parallel[bone]
+        link = unit_vectors(poses.positions[:, end] - poses.positions[:, start])
+        from_chest = unit_vectors(rotate(np.swapaxes(chest, -1, -2), link).mean(0))
+        out[bone] = from_chest if bone in loose else at_zero[bone]
+    return out
 
 
 def align_hinges(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
@@ -109,6 +166,35 @@ def align_hinges(drivers: BoneDrivers, rest: Array, poses: JointPoses) -> Array:
             angle = np.arctan2(*actual[[0, 2]]) - np.arctan2(*expected[[0, 2]])
             c, s = np.cos(angle), np.sin(angle)
             rest[index] = rest[index] @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+    return rest
+
+
+def align_trunk(drivers: BoneDrivers, rest: Array, poses: JointPoses, posed: Array) -> Array:
+    """``rest`` with a trunk that differs from that of the joints by a tolerance at most.
+
+    Skeletons place the shoulders a little in front of the hips or behind them, and a body keeps its own
+    proportions. A larger difference is the posture of the person.
+
+    Args:
+        drivers: Drivers of the bones.
+        rest: Bone axes (B, 3, 3) at joint rotation zero.
+        poses: Joint poses at N times.
+        posed: Bone frames (N, B, 4, 4) of these poses with ``rest``.
+    """
+    skeleton, match = drivers.skeleton, drivers.match
+    joint = match.difference.get("vl5")
+    if joint is None or "vl5" in drivers.loose:
+        return rest
+    back = np.swapaxes(quaternion_to_matrix(poses.rotations[:, joint]), -1, -2)
+    lines = (BodyLines.of_body(posed, skeleton), BodyLines.of(poses.positions, match.roles))
+    ours, theirs = (rotate(back, unit_vectors(each.trunk)).mean(0) for each in lines)
+    excess = float(angle_between(ours, theirs)) - np.radians(_TRUNK_TOLERANCE)
+    if excess <= 0:
+        return rest
+    lean = rotation_vector_to_matrix(excess * unit_vectors(np.cross(ours, theirs)))
+    trunk = [skeleton.bone(bone) for bone in _TRUNK if bone in match.difference]
+    rest = np.array(rest)
+    rest[trunk] = lean @ rest[trunk]
     return rest
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -14,11 +14,15 @@ from humansim_ros.errors import MotionError
 from humansim_ros.motion.bone_drivers import SHORTEST_LINK, BoneDrivers
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.motion.joint_rotations import has_rotations, rotations_from_positions
+from humansim_ros.motion.joint_rotations import has_rotations, line_rotations, loose_bones
 from humansim_ros.motion.limits import JointLimits, load_limits
 from humansim_ros.motion.rest_pose import (
+    COLLARS,
     align_feet,
     align_hinges,
+    align_trunk,
+    collar_directions,
+    collar_links,
     is_standing_at_rest,
     rest_from_first_pose,
     shared_rest,
@@ -64,6 +68,10 @@ class Retargeter:
         rest: (B, 3, 3) axes of the bones at joint rotation zero, for ``full``.
         positions_only: Do not use the rotations of the joints.
         clamp: Keep joints within their limits (docs/limits.md).
+        loose: Bones whose joints do not rotate as the lines between joints do, for ``full``. The rotations of
+            these joints are not used.
+        rest_links: Bone -> direction of its link at rest, in the axes of the bone at rest. A bone of these, a
+            collar, leaves its rest pose as its link does, instead of being parallel to it.
     """
 
     skeleton: Skeleton
@@ -75,6 +83,8 @@ class Retargeter:
     rest: Array | None = None
     positions_only: bool = False
     clamp: bool = False
+    loose: tuple[str, ...] = ()
+    rest_links: Mapping[str, tuple[float, float, float]] = field(default_factory=dict)
 
     @classmethod
     def fit(
@@ -105,10 +115,14 @@ class Retargeter:
         fitted = cls(skeleton, motion.match, scale, (float(position[0]), float(position[1])), mode=mode)
         fitted = replace(fitted, clamp=clamp)
         if mode == "full":
+            fitted = replace(fitted, loose=loose_bones(poses, motion.match, standing=True))
             rest = shared_rest(fitted._drivers, poses)
             if not motion.frame.offsets_stand:
                 # a rest pose that is a frame of the motion has unknown twist: hinges and feet measure it
                 rest = align_feet(fitted._drivers, align_hinges(fitted._drivers, rest, poses), poses)
+            links = collar_directions(poses, motion.match, fitted.loose)
+            fitted = replace(fitted, rest=rest, rest_links=collar_links(skeleton, links))
+            rest = align_trunk(fitted._drivers, rest, poses, fitted.pose(poses))
             fitted = replace(fitted, rest=rest)
         lowest = sole_heights(skeleton, fitted.pose(poses)).min(-1)
         return replace(fitted, lift=-floor_height(lowest))
@@ -128,10 +142,14 @@ class Retargeter:
         fitted = cls(skeleton, match, _leg_scale(poses, match, skeleton))
         if has_rotations(poses):
             standing = is_standing_at_rest(poses, match)
+            fitted = replace(fitted, mode="full", loose=loose_bones(poses, match, standing))
             rest = (shared_rest if standing else rest_from_first_pose)(fitted._drivers, poses)
-            fitted = replace(fitted, mode="full", rest=rest)
+            links = collar_directions(poses, match, fitted.loose if standing else COLLARS)
+            fitted = replace(fitted, rest=rest)
         else:
+            links = collar_directions(poses, match, COLLARS)
             fitted = replace(fitted, positions_only=True)
+        fitted = replace(fitted, rest_links=collar_links(skeleton, links))
         lowest = sole_heights(skeleton, fitted.pose(poses)).min(-1)
         # a person who starts with a jump is in the air, not on the floor
         above = np.maximum(poses.positions[..., 2].min(-1) - _LOWEST_JOINT, 0.0)
@@ -156,6 +174,8 @@ class Retargeter:
             "rest": None if self.rest is None else self.rest.tolist(),
             "positions_only": self.positions_only,
             "clamp": self.clamp,
+            "loose": list(self.loose),
+            "rest_links": {bone: list(link) for bone, link in self.rest_links.items()},
         }
 
     @classmethod
@@ -178,14 +198,20 @@ class Retargeter:
             )
             rest = None if data["rest"] is None else np.array(data["rest"], dtype=float)
             x, y = data["origin"]
-            numbers = [float(data["scale"]), float(x), float(y), float(data["lift"])]
+            placed = float(data["scale"]), float(x), float(y), float(data["lift"])
             mode: RetargetMode = data["mode"]
+            loose = tuple(str(bone) for bone in data.get("loose", ()))
+            links = {
+                str(b): (float(x), float(y), float(z)) for b, (x, y, z) in data.get("rest_links", {}).items()
+            }
         except (KeyError, TypeError, ValueError, AttributeError) as reason:
             raise MotionError(f"these are not the constants of a retargeter: {reason!r}") from None
         sizes = rest is None or (rest.shape == (len(skeleton), 3, 3) and np.isfinite(rest).all())
-        if mode not in ("full", "thesis") or not np.isfinite(numbers).all() or not sizes:
+        numbers = [*placed, *(number for link in links.values() for number in link)]
+        known = {*loose, *links} <= {*skeleton.names}
+        if mode not in ("full", "thesis") or not np.isfinite(numbers).all() or not sizes or not known:
             raise MotionError("these are not the constants of a retargeter for this skeleton")
-        scale, x, y, lift = numbers
+        scale, x, y, lift = placed
         return cls(
             skeleton,
             match,
@@ -196,6 +222,8 @@ class Retargeter:
             rest,
             bool(data.get("positions_only")),
             bool(data.get("clamp")),
+            loose,
+            links,
         )
 
     def apply(self, poses: JointPoses) -> tuple[Array, Array]:
@@ -225,9 +253,9 @@ class Retargeter:
         The third value is the translation (N, 3) that places the body.
         """
         joint_rotations = quaternion_to_matrix(poses.rotations)
+        if self._drivers.loose:
+            joint_rotations = np.append(joint_rotations, line_rotations(poses, self.match), axis=1)
         if self.rest is None:
-            if self.positions_only:
-                joint_rotations = rotations_from_positions(poses, self.match)
             rotations = self._drivers.swing(poses.positions, joint_rotations)
         else:
             rotations = self._drivers.transfer(poses.positions, joint_rotations, self.rest)
@@ -255,7 +283,9 @@ class Retargeter:
     @cached_property
     def _drivers(self) -> BoneDrivers:
         # the method of the thesis does not drive extra bones
-        return BoneDrivers(self.skeleton, self.match, extra=self.mode == "full")
+        extra = self.mode == "full"
+        loose = self.skeleton.names if self.positions_only else self.loose
+        return BoneDrivers(self.skeleton, self.match, extra, self.rest_links, loose)
 
 
 def skeleton_ankle_to_head(skeleton: Skeleton) -> float:

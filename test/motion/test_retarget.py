@@ -396,6 +396,8 @@ def test_bones_are_parallel_to_their_joint_links(stem: str, mode: RetargetMode) 
     motion, retargeter, frames, frame, _, posed = retargeted(stem, mode=mode)
     positions = motion.world_positions(frames)
     for bone, (start, end) in retargeter.match.parallel.items():
+        if mode == "full" and "sternoclavicular" in bone:
+            continue  # a collar leaves its rest pose as its link does
         link = (positions[:, end] - positions[:, start]) @ frame.world_from_file.T
         if np.linalg.norm(link, axis=-1).max() * frame.unit < 1e-3:
             continue
@@ -431,7 +433,7 @@ def test_difference_bones_take_the_rotation_of_their_joint_from_rest(stem: str) 
 
 @pytest.mark.parametrize("stem", ["own_rokoko", *if_shared("animdraw_rokoko_jesse_dance")])
 def test_without_a_standing_rest_pose_it_is_the_straightest_frame(stem: str) -> None:
-    """In this file bones lie along x at rest; pelvis and trunk still follow hips and shoulders."""
+    """In this file bones lie along x in the OFFSETs; pelvis and trunk still follow hips and shoulders."""
     motion, retargeter, frames, frame, _, posed = retargeted(stem, 40)
     roles = retargeter.match.roles
     positions = motion.world_positions(frames) @ frame.world_from_file.T
@@ -439,10 +441,10 @@ def test_without_a_standing_rest_pose_it_is_the_straightest_frame(stem: str) -> 
         link = unit_vectors(positions[:, roles[f"Left{part}"]] - positions[:, roles[f"Right{part}"]])
         rest = SKELETON.rest[SKELETON.bone(bone), :3, :3]
         left = posed[:, SKELETON.bone(bone), :3, :3] @ rest.T[:, 0]
-        assert np.degrees(np.arccos((left * link).sum(-1))).max() < 30, bone
+        assert np.degrees(np.arccos(np.clip((left * link).sum(-1), -1, 1))).max() < 15, bone
     chest = posed[:, SKELETON.bone("vl5"), :3, 1]
     spine = unit_vectors(positions[:, roles["Neck"]] - positions[:, roles["Hips"]])
-    assert np.degrees(np.arccos((chest * spine).sum(-1))).max() < 30
+    assert np.degrees(np.arccos((chest * spine).sum(-1))).max() < 15
 
 
 def resting(stem: str) -> WorldMotion:

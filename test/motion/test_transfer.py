@@ -410,7 +410,18 @@ def test_the_constants_survive_json(mode: RetargetMode) -> None:
 
 
 @pytest.mark.parametrize(
-    "broken", [{"rest": [1, 2]}, {"scale": "x"}, {"mode": "half"}, {"lift": float("nan")}]
+    "broken",
+    [
+        {"rest": [1, 2]},
+        {"scale": "x"},
+        {"mode": "half"},
+        {"lift": float("nan")},
+        {"loose": ["tail"]},
+        {"loose": 3},
+        {"rest_links": {"l_hip": [1, 2]}},
+        {"rest_links": {"l_hip": [1, 2, float("nan")]}},
+        {"rest_links": {"tail": [0, 1, 0]}},
+    ],
 )
 def test_broken_constants_are_errors(broken: dict[str, Any]) -> None:
     data = Retargeter.fit(in_world(read("walk")), SKELETON).to_dict()

@@ -1,0 +1,308 @@
+"""Hips, shoulders, trunk and thighs of the body follow those of the file, whatever its OFFSETs are."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import motion_files as files
+import numpy as np
+import pytest
+from conftest import SHARED_DATA, needs_shared_data
+from motion_files import StandIn, an_l, one_axis, random_axes, stand_in
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.body import hanim_skeleton
+from humansim_ros.errors import HumansimWarning, MotionError
+from humansim_ros.motion import Motion, read_bvh
+from humansim_ros.motion.file_frame import detect_file_frame
+from humansim_ros.motion.joint_matching import match_motion
+from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.motion.retarget import Retargeter, RetargetMode
+from humansim_ros.motion.world_motion import WorldMotion
+from humansim_ros.types import Array
+
+SKELETON = hanim_skeleton()
+#: Files of a chain, of a head with two hands, of six joints, and of a dog.
+NO_PERSONS = ("fairmotion_sinusoidal", "firepal_vr", "pybvh_rotation_first_root", "dog_D1_010")
+PERSONS = [p.stem for p in sorted((SHARED_DATA / "bvh").glob("*.bvh")) if p.stem not in NO_PERSONS]
+MOTIONS: dict[str, Mapping[str, Rotation]] = {
+    "walk": files.walk(40),
+    "walk to the side": files.walk(40, heading=35),
+    "bow": files.bow(70, 40),
+    "raised arms": files.raise_arms(40),
+    "stands": files.arms_down(),
+}
+
+
+def in_world(motion: Motion) -> WorldMotion:
+    match = match_motion(motion)
+    return WorldMotion(motion, match, detect_file_frame(motion, match), loop="none")
+
+
+def lines(at: Callable[[str], Array]) -> dict[str, Array]:
+    """Directions (N, 3) of hips, shoulders, trunk and thighs from the positions of joints."""
+    hips = (at("LeftHip") + at("RightHip")) / 2
+    vectors = {
+        "hips": at("LeftHip") - at("RightHip"),
+        "shoulders": at("LeftShoulder") - at("RightShoulder"),
+        "trunk": (at("LeftShoulder") + at("RightShoulder")) / 2 - hips,
+        "left thigh": at("LeftKnee") - at("LeftHip"),
+        "right thigh": at("RightKnee") - at("RightHip"),
+    }
+    return {name: line / np.linalg.norm(line, axis=-1, keepdims=True) for name, line in vectors.items()}
+
+
+def lines_of_joints(poses: JointPoses, roles: Mapping[str, int]) -> dict[str, Array]:
+    return lines(lambda role: poses.positions[:, roles[role]])
+
+
+def lines_of_body(posed: Array) -> dict[str, Array]:
+    def head(role: str) -> Array:
+        bone = role.replace("Left", "l_").replace("Right", "r_").lower()
+        return posed[:, SKELETON.bone(bone), :3, 3]
+
+    return lines(head)
+
+
+def differences(posed: Array, poses: JointPoses, roles: Mapping[str, int]) -> dict[str, float]:
+    """Median angle (degrees) between each line of the body and that of the joints."""
+    ours, theirs = lines_of_body(posed), lines_of_joints(poses, roles)
+    cosines = {name: np.clip((ours[name] * theirs[name]).sum(-1), -1, 1) for name in ours}
+    return {name: float(np.median(np.degrees(np.arccos(cosine)))) for name, cosine in cosines.items()}
+
+
+def body_differences(motion: Motion) -> dict[str, float]:
+    world = in_world(motion)
+    poses = world.sample(world.frame_times[:: motion.n_frames // 400 + 1])
+    return differences(Retargeter.fit(world, SKELETON).pose(poses), poses, world.match.roles)
+
+
+@needs_shared_data
+@pytest.mark.parametrize("stem", PERSONS)
+def test_the_body_has_the_lines_of_every_real_person(stem: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HumansimWarning)
+        try:
+            motion = read_bvh(SHARED_DATA / "bvh" / f"{stem}.bvh")
+        except MotionError as error:
+            pytest.skip(f"not readable: {error.message}")
+    found = body_differences(motion)
+    assert max(found.values()) < 15, found
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("axes", [None, one_axis, an_l, random_axes])
+@pytest.mark.parametrize("family", ["mixamo", "lafan1", "cmu", "bandai_namco"])
+def test_the_body_has_the_lines_of_a_person_in_any_axes(
+    family: str, axes: Callable[[StandIn], Array] | None, motion: str
+) -> None:
+    person = stand_in(family)
+    found = body_differences(person.motion(MOTIONS[motion], axes=None if axes is None else axes(person)))
+    assert max(found.values()) < 5, found
+
+
+# OFFSETs as rest pose
+
+
+@pytest.mark.parametrize(
+    ("axes", "stands"), [(None, True), (one_axis, False), (an_l, False), (random_axes, False)]
+)
+def test_offsets_are_a_rest_pose_where_trunk_and_legs_are_those_of_a_standing_person(
+    axes: Callable[[StandIn], Array] | None, stands: bool
+) -> None:
+    person = stand_in("humanik")
+    motion = person.motion(files.walk(20), axes=None if axes is None else axes(person))
+    assert in_world(motion).frame.offsets_stand is stands
+
+
+@pytest.mark.parametrize("role", ["HeadTop", "LeftKnee"])
+def test_a_large_head_and_legs_apart_are_a_rest_pose(role: str) -> None:
+    """A cartoon figure, and CMU's skeletons, whose thighs point 20 degrees to the sides."""
+    person = stand_in("cmu")
+    if role == "LeftKnee":
+        person = person.moved(role, 42 * np.array([np.sin(0.35), -np.cos(0.35), 0]))
+    else:
+        person = replace(person, ends={**person.ends, person.joint("Head"): (0.0, 70.0, -10.0)})
+    assert in_world(person.motion(files.walk(20))).frame.offsets_stand
+
+
+@pytest.mark.parametrize("family", ["mixamo", "biovision"])
+@pytest.mark.parametrize("degrees", [-30, -20, 20, 30])
+def test_a_rest_pose_that_leans_is_taken_over_by_the_body(family: str, degrees: float) -> None:
+    person = stand_in(family)
+    lean = Rotation.from_euler("x", degrees, degrees=True)
+    for role in ("Spine", "Chest", "Neck", "LeftCollar"):
+        person = person.moved(role, lean.apply(person.offsets[person.joint(role)]))
+    motion = person.motion(files.walk(40))
+    assert in_world(motion).frame.offsets_stand
+    found = body_differences(motion)
+    assert max(found.values()) < 15, found
+
+
+def test_without_a_rest_pose_a_bow_is_not_taken_for_standing() -> None:
+    """The person stands for a tenth of the time, on tiptoe, and bows with flat feet."""
+    person = stand_in("bandai_namco")
+    bend = np.concatenate([np.zeros(6), np.full(54, 1.0)])
+    turns = {
+        role: Rotation.from_rotvec(turn.as_rotvec()[[30]] * bend[:, None])
+        for role, turn in files.bow(70).items()
+    }
+    tiptoe = {f"{side}Ankle": files.turns("x", 25 * (1 - bend)) for side in ("Left", "Right")}
+    arms = files.arms_down(60)
+    found = body_differences(person.motion({**turns, **tiptoe, **arms}, axes=one_axis(person)))
+    assert max(found.values()) < 8, found
+
+
+def test_hips_are_not_snapped_to_the_axes_of_the_file() -> None:
+    person = stand_in("lafan1")
+    world = in_world(person.motion(files.walk(40, heading=12), axes=one_axis(person)))
+    # the person faces +x, not a file axis 12 degrees beside it
+    hips = lines_of_joints(world.sample(world.frame_times), world.match.roles)["hips"]
+    assert np.degrees(np.arctan2(hips[:, 0], hips[:, 1])).mean() == pytest.approx(0, abs=3)
+
+
+# Collars
+
+
+def rise_of_collars(posed: Array, side: str) -> Array:
+    """Elevation (N,) of a collar over its elevation at rest, in the axes of the chest, degrees."""
+    chest = SKELETON.bone("vl5")
+    turn = posed[:, chest, :3, :3] @ SKELETON.rest[chest, :3, :3].T
+    bone, shoulder = (SKELETON.bone(f"{side}_{name}") for name in ("sternoclavicular", "shoulder"))
+    collar = np.einsum("nji,nj->ni", turn, posed[:, shoulder, :3, 3] - posed[:, bone, :3, 3])
+    at_rest = SKELETON.heads[shoulder] - SKELETON.heads[bone]
+    elevations = [np.degrees(np.arctan2(v[..., 1], np.abs(v[..., 0]))) for v in (collar, at_rest)]
+    return np.asarray(elevations[0] - elevations[1])
+
+
+def retargeted(motion: Motion, mode: RetargetMode = "full") -> Array:
+    world = in_world(motion)
+    return Retargeter.fit(world, SKELETON, mode).pose(world.sample(world.frame_times))
+
+
+@pytest.mark.parametrize("family", ["cmu", "mixamo", "smpl", "biovision"])
+@pytest.mark.parametrize("degrees", [-10, 0, 25])
+def test_collars_that_rise_in_the_offsets_do_not_shrug_the_shoulders(family: str, degrees: float) -> None:
+    posed = retargeted(stand_in(family).with_raised_collars(degrees).motion(files.walk(40)))
+    for side in "lr":
+        np.testing.assert_allclose(rise_of_collars(posed, side), 0, atol=1)
+
+
+@pytest.mark.parametrize("axes", [None, one_axis])
+@pytest.mark.parametrize("family", ["cmu", "mixamo"])
+def test_raised_arms_raise_the_collars(family: str, axes: Callable[[StandIn], Array] | None) -> None:
+    person = stand_in(family).with_raised_collars(20)
+    motion = person.motion(files.raise_arms(40, collar=25), axes=None if axes is None else axes(person))
+    for side in "lr":
+        rise = rise_of_collars(retargeted(motion), side)
+        np.testing.assert_allclose(rise[[0, 20]], [0, 25], atol=3)
+
+
+def test_in_mode_thesis_collars_are_parallel_to_their_links() -> None:
+    world = in_world(stand_in("cmu").with_raised_collars(25).motion(files.walk(10)))
+    poses = world.sample(world.frame_times)
+    posed = Retargeter.fit(world, SKELETON, "thesis").pose(poses)
+    start, end = world.match.parallel["l_sternoclavicular"]
+    link = poses.positions[:, end] - poses.positions[:, start]
+    along = posed[:, SKELETON.bone("l_sternoclavicular"), :3, 1]
+    np.testing.assert_allclose(along, link / np.linalg.norm(link, axis=-1, keepdims=True), atol=1e-7)
+
+
+# Rotations that do not describe the body
+
+
+def largest_difference(a: Array, b: Array, bones: tuple[str, ...]) -> float:
+    """Largest angle (degrees) between the rotations of bones in two bodies (N, B, 4, 4)."""
+    numbers = [SKELETON.bone(bone) for bone in bones]
+    ours, theirs = (Rotation.from_matrix(p[:, numbers, :3, :3].reshape(-1, 3, 3)) for p in (a, b))
+    return float(np.degrees((ours.inv() * theirs).magnitude()).max())
+
+
+def wrong_hips(turns: Mapping[str, Rotation]) -> Motion:
+    person, rotations = files.wrong_hips(stand_in("mixamo"), turns)
+    return person.motion(rotations)
+
+
+@pytest.mark.parametrize("motion", ["walk", "walk to the side", "raised arms"])
+def test_the_pelvis_follows_the_hip_joints_where_the_hips_rotate_on_their_own(motion: str) -> None:
+    right, wrong = stand_in("mixamo").motion(MOTIONS[motion]), wrong_hips(MOTIONS[motion])
+    trunk = ("HumanoidRoot", "HumanoidRoot_to_l_hip", "sacroiliac", "vl5", "l_hip", "r_knee", "l_shoulder")
+    assert largest_difference(retargeted(wrong), retargeted(right), trunk) < 12
+    assert max(body_differences(wrong).values()) < 5
+
+
+def test_the_chest_follows_the_shoulders_where_it_rotates_on_its_own() -> None:
+    """Additional joints above collars and neck undo the rotation of the chest."""
+    person, frames = stand_in("humanik"), 40
+    wrong = files.turns("y", 70 * np.sin(files.phases(frames)))
+    turns = {**files.walk(frames)}
+    turns["Chest"] = wrong * (right := turns["Chest"])
+    for role in ("LeftCollar", "RightCollar", "Neck"):
+        name = f"{role}_virtual"
+        person = person.with_joint_above(role, name)
+        turns[name] = (wrong * right).inv() * right
+    found = body_differences(person.motion(turns))
+    assert max(found.values()) < 5, found
+    expected = retargeted(stand_in("humanik").motion(files.walk(frames)))
+    assert largest_difference(retargeted(person.motion(turns)), expected, ("HumanoidRoot", "vl5")) < 12
+
+
+@pytest.mark.parametrize("motion", MOTIONS)
+@pytest.mark.parametrize("axes", [None, one_axis])
+def test_the_rotations_of_ordinary_joints_are_used(
+    axes: Callable[[StandIn], Array] | None, motion: str
+) -> None:
+    person = stand_in("mixamo")
+    world = in_world(person.motion(MOTIONS[motion], axes=None if axes is None else axes(person)))
+    assert Retargeter.fit(world, SKELETON).loose == ()
+
+
+def test_the_legend_has_all_that_the_body_needs() -> None:
+    """Hips that rotate on their own, raised collars, OFFSETs along one axis: all by way of JSON."""
+    person, turns = files.wrong_hips(stand_in("mixamo").with_raised_collars(20), files.walk(30))
+    world = in_world(person.motion(turns, axes=one_axis(person)))
+    retargeter = Retargeter.fit(world, SKELETON)
+    again = Retargeter.from_dict(json.loads(json.dumps(retargeter.to_dict())), SKELETON)
+    poses = world.sample([0.0, 0.7])
+    np.testing.assert_array_equal(again.pose(poses), retargeter.pose(poses))
+    assert again.loose == retargeter.loose != ()
+
+
+# Live sources
+
+
+def without_rotations(poses: JointPoses) -> JointPoses:
+    return JointPoses(poses.names, poses.positions, np.zeros_like(poses.rotations))
+
+
+def in_own_axes(poses: JointPoses) -> JointPoses:
+    """The same joints, each with constant axes of its own."""
+    own = Rotation.random(len(poses.names), random_state=5).as_matrix()
+    turns = Rotation.from_quat(poses.rotations.reshape(-1, 4)).as_matrix().reshape(-1, len(own), 3, 3) @ own
+    quaternions = Rotation.from_matrix(turns.reshape(-1, 3, 3)).as_quat().reshape(poses.rotations.shape)
+    return JointPoses(poses.names, poses.positions, quaternions)
+
+
+SOURCES = {"rest pose": lambda poses: poses, "own axes": in_own_axes, "positions": without_rotations}
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_a_live_source_does_not_shrug_and_raises_its_collars(source: str) -> None:
+    world = in_world(stand_in("smpl").with_raised_collars(25).motion(files.raise_arms(40, collar=25)))
+    poses = SOURCES[source](world.sample(world.frame_times))
+    first = JointPoses(poses.names, poses.positions[:1], poses.rotations[:1])
+    posed = Retargeter.fit_live(first, world.match, SKELETON).pose(poses)
+    for side in "lr":
+        np.testing.assert_allclose(rise_of_collars(posed, side)[[0, 20]], [0, 25], atol=4)
+
+
+@pytest.mark.parametrize("source", SOURCES)
+def test_the_pelvis_of_a_live_source_follows_the_hip_joints(source: str) -> None:
+    world = in_world(wrong_hips(files.walk(40)))
+    poses = SOURCES[source](world.sample(world.frame_times))
+    posed = Retargeter.fit_live(poses, world.match, SKELETON).pose(poses)
+    found = differences(posed, poses, world.match.roles)
+    assert max(found.values()) < 5, found

@@ -2,11 +2,13 @@
 
     python tools/figures/motion_figures.py FOLDER
 
-Directions: largest angle between a limb bone and its link. Twist: largest difference, about the bone, between
-the rotation of the joint since the first frame and that of the bone. Bend axes: mean angle, over elbows and
-knees, between the actual bend axis and that of the skeleton, in the modes ``thesis`` and ``full``. Slide:
-mean distance that the sole slides in a stance, as retargeted and with pinned feet. Lowest: 1st and 50th
-percentile of the lowest point of the feet. Height: 95th percentile of the top of the head above the floor.
+Directions: largest angle between a limb bone and its link. Twist: largest difference, about the bone,
+between the rotation of the joint since the first frame and that of the bone. Body lines: median angle
+between the lines of the body and those of the file (hips, shoulders, middle of the hips to middle of the
+shoulders, thighs); the largest of the five. Bend axes: mean angle, over elbows and knees, between the
+actual bend axis and that of the skeleton, in the modes ``thesis`` and ``full``. Slide: mean distance that
+the sole slides in a stance, as retargeted and with pinned feet. Lowest: 1st and 50th percentile of the
+lowest point of the feet. Height: 95th percentile of the top of the head above the floor.
 """
 
 from __future__ import annotations
@@ -22,6 +24,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import HumansimError
 from humansim_ros.motion import read_bvh
+from humansim_ros.motion.body_lines import BodyLines
 from humansim_ros.motion.contacts import FootContacts
 from humansim_ros.motion.file_frame import detect_file_frame
 from humansim_ros.motion.joint_matching import match_motion
@@ -29,7 +32,7 @@ from humansim_ros.motion.retarget import Retargeter, RetargetMode
 from humansim_ros.motion.soles import sole_heights
 from humansim_ros.motion.stances import find_stances, slide_distances
 from humansim_ros.motion.world_motion import WorldMotion
-from humansim_ros.rotations import WORLD_FROM_BODY
+from humansim_ros.rotations import WORLD_FROM_BODY, angle_between
 from humansim_ros.types import Array
 
 SKELETON = hanim_skeleton()
@@ -46,6 +49,7 @@ HEADER = (
     "up, unit",
     "directions °",
     "twist °",
+    "body lines °",
     "bend axes °, thesis / full",
     "slide mm, as is / pinned",
     "lowest mm",
@@ -77,6 +81,7 @@ def row(path: Path) -> list[str]:
         f"{world.frame.up}, {world.frame.unit_name}",
         f"{directions(posed['full'], poses.positions, full):.4f}",
         f"{twist(posed['full'], poses.rotations, full):.2f}",
+        f"{body_lines(posed['full'], poses.positions, full):.0f}",
         axes,
         f"{before.mean():.0f} / {after.mean():.1f} ({len(stances)})" if stances else "no stance",
         f"{lowest[0]:.0f}, {lowest[1]:.0f}",
@@ -106,6 +111,14 @@ def twist(posed: Array, rotations: Array, retargeter: Retargeter) -> float:
         about = (expected.inv() * ours).as_rotvec(degrees=True)[:, 1]
         worst = max(worst, float(np.abs(about).max()))
     return worst
+
+
+def body_lines(posed: Array, positions: Array, retargeter: Retargeter) -> float:
+    """Largest of the median angles between the lines of the body and those of the file, degrees."""
+    ours, theirs = BodyLines.of_body(posed, SKELETON), BodyLines.of(positions, retargeter.match.roles)
+    pairs = [(ours.hips, theirs.hips), (ours.shoulders, theirs.shoulders), (ours.trunk, theirs.trunk)]
+    pairs += zip(ours.thighs, theirs.thighs, strict=True)
+    return max(float(np.degrees(np.median(angle_between(a, b)))) for a, b in pairs)
 
 
 def bend_axes(posed: Array) -> float:

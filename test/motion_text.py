@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -89,7 +90,9 @@ def bvh_text(
         above = np.eye(3) if parent < 0 else axes[parent]
         order = style.orders.get(person.roles[joint], style.order)
         turn = Rotation.from_matrix(above.T @ local[:, joint] @ axes[joint])
-        angles = turn.as_euler(order, degrees=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # at a pole one of the three angles is free
+            angles = turn.as_euler(order, degrees=True)
         offset = style.points(person.offsets[joint]) @ above
         position = style.points(root) if parent < 0 else np.broadcast_to(offset, (count, 3))
         if style.positions == "added":

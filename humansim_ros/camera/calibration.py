@@ -118,6 +118,7 @@ def load_calibration(
     unit: float | None = None,
     up: str | None = None,
     image: str | os.PathLike[str] | None = None,
+    all_cameras: bool = False,
 ) -> Calibration:
     """Read a calibration file as :func:`read_calibration` does, with its format, unit, axis and sizes.
 
@@ -127,6 +128,7 @@ def load_calibration(
         unit: Metres per unit of the file.
         up: Axis of the file that points up.
         image: PNG or JPEG file with the size of the images.
+        all_cameras: Keep cameras without extrinsics, for uses that do not need them.
 
     Raises:
         CameraError: The file cannot be read, or is not a calibration.
@@ -144,13 +146,15 @@ def load_calibration(
     if exists(file) and file.is_dir() and (file / CAMERAS).is_file():
         file = file / (IMAGES if (file / IMAGES).is_file() else CAMERAS)
     if exists(file) and file.is_dir():
-        return _folder(file, size, unit, up)
+        return _folder(file, size, unit, up, all_cameras)
     most = MAX_BYTES_COLMAP if file.name in (CAMERAS, IMAGES) else _MAX_BYTES
     text = read_text(file, CameraError, "calibration", most)
     if "\r" in text:
         text = text.replace("\r\n", "\n").replace("\r", "\n")
     parsed, format = _detect_format(str(file), text, size)
-    raw = _with_poses(parsed.path, format.read(parsed))
+    raw = format.read(parsed)
+    if not all_cameras:
+        raw = _with_poses(parsed.path, raw)
     if unit is None:
         unit = format.unit if format.find_unit is None else format.find_unit(parsed, raw)
     up = format.up if up is None else up
@@ -173,8 +177,18 @@ def _with_poses(path: str, raw: dict[str, RawCamera]) -> dict[str, RawCamera]:
     return posed or raw
 
 
-def _folder(folder: Path, size: ImageSize | None, unit: float | None, up: str | None) -> Calibration:
-    """Read all calibrations of a folder."""
+def _folder(
+    folder: Path, size: ImageSize | None, unit: float | None, up: str | None, all_cameras: bool
+) -> Calibration:
+    """Read all calibrations of a folder.
+
+    Args:
+        folder: The folder.
+        size: As for :func:`load_calibration`, as all arguments.
+        unit: Metres per unit of the files.
+        up: Axis of the files that points up.
+        all_cameras: Keep cameras without extrinsics.
+    """
     try:
         files = sorted(f for f in folder.iterdir() if f.suffix.lower() in _SUFFIXES and f.is_file())
     except OSError as reason:
@@ -186,7 +200,7 @@ def _folder(folder: Path, size: ImageSize | None, unit: float | None, up: str | 
     read: dict[Path, Calibration] = {}
     for file in files:
         try:
-            read[file] = load_calibration(file, size=size, unit=unit, up=up)
+            read[file] = load_calibration(file, size=size, unit=unit, up=up, all_cameras=all_cameras)
         except _UnknownFormat:
             warn_about(file, "is not a known calibration format: ignored")
     if not read:

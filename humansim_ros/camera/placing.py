@@ -8,7 +8,7 @@ rotation; where it does not determine the position, the point at which the camer
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -32,8 +32,6 @@ _NEAREST, _FARTHEST, _AHEAD = 1.0, 10.0, 3.0
 _DETERMINED = 0.01
 #: Smallest length of the mean up axis of cameras that stand upright.
 _UPRIGHT = 0.3
-#: Largest residual, in any unit, that is only rounding.
-_ROUNDING = 1e-6
 #: Smallest width of floor points, as a share of their length.
 _NARROW = 0.02
 
@@ -53,10 +51,17 @@ class FloorPoint:
 
 @dataclass(frozen=True)
 class FoundPlacement:
-    """A placement, and how well the input agrees: text -> value with its unit."""
+    """A placement, and how well the input agrees.
+
+    ``residuals``: root mean squares by name: ``reprojection_px``, ``plane_mm``, ``map_mm`` of floor points,
+    ``roll_deg`` of the cameras, ``axes_mm`` of the optical axes from their common point. ``scale``: distances
+    in ``map`` per distance of the file, where floor points tell both. ``points``: the floor points (N, 3) in
+    ``map``.
+    """
 
     placement: RigPlacement
-    residuals: dict[str, str]
+    residuals: dict[str, float]
+    scale: float | None = None
     points: Array = field(default_factory=lambda: np.zeros((0, 3)))
 
 
@@ -73,7 +78,7 @@ def place_by_tilt(
         roll: Angle by which it is turned clockwise about its optical axis, radians.
 
     Returns:
-        The placement; its residual is the roll of the other cameras.
+        The placement; ``roll_deg`` is that of the other cameras.
     """
     if not abs(tilt) <= np.pi / 2:
         raise CameraError("must be from -90 to 90 degrees", key="tilt")
@@ -82,9 +87,7 @@ def place_by_tilt(
     in_camera = Rotation.from_rotvec([0, 0, -roll]).apply(upright)
     placement = _standing(np.asarray(in_camera @ camera.R), camera.center, height)
     others = {key: one for key, one in cameras.items() if key != name}
-    return FoundPlacement(
-        _over_origin(placement, cameras), _rolls(placement, others, "roll of other cameras")
-    )
+    return FoundPlacement(_over_origin(placement, cameras), _rolls(placement, others))
 
 
 def place_by_floor(cameras: Mapping[str, Camera], points: Sequence[FloorPoint]) -> FoundPlacement:
@@ -95,7 +98,8 @@ def place_by_floor(cameras: Mapping[str, Camera], points: Sequence[FloorPoint]) 
     """
     if len(points) < 3:
         raise CameraError(f"the plane of the floor needs three points or more, not {len(points)}")
-    residuals: dict[str, str] = {}
+    residuals: dict[str, float] = {}
+    scale = None
     positions, errors = [], []
     for number, point in enumerate(points, 1):
         if point.xyz is not None:
@@ -105,24 +109,23 @@ def place_by_floor(cameras: Mapping[str, Camera], points: Sequence[FloorPoint]) 
             positions.append(position)
             errors.append(error)
     if errors:
-        residuals["reprojection of the floor points"] = _said(_rms(errors), "px")
+        residuals["reprojection_px"] = _rms(errors)
     floor = np.array(positions)
     middle = floor.mean(0)
     _, spread, axes = np.linalg.svd(floor - middle)
     if spread[1] <= _NARROW * spread[0]:
         raise CameraError("the floor points lie on a line: give points that are apart in both directions")
-    residuals["distance of the points from the plane"] = _said(_rms((floor - middle) @ axes[2]) * 1000, "mm")
+    residuals["plane_mm"] = _rms((floor - middle) @ axes[2]) * 1000
     centers = np.array([camera.center for camera in cameras.values()])
     above = float(np.median((centers - middle) @ axes[2]))
     placement = _standing(axes[2] if above >= 0 else -axes[2], middle, 0.0)
     known = [index for index, point in enumerate(points) if point.on_map is not None]
     if known:
         on_map = np.array([points[index].on_map for index in known], dtype=float)
-        placement, more = _aligned(placement, floor[known], on_map)
-        residuals |= more
+        placement, residuals["map_mm"], scale = _aligned(placement, floor[known], on_map)
     else:
         placement = _over_origin(placement, cameras)
-    return FoundPlacement(placement, residuals, placement.points(floor))
+    return FoundPlacement(placement, residuals, scale, placement.points(floor))
 
 
 def place_by_board(
@@ -145,7 +148,7 @@ def place_by_board(
     up, along = ups[side], board[:3, 0]
     rotation = np.stack([along, np.cross(up, along), up])
     placement = RigPlacement(rotation, np.array([0, 0, height]) - rotation @ board[:3, 3])
-    return FoundPlacement(placement, _rolls(placement, cameras, "roll of the cameras"))
+    return FoundPlacement(placement, _rolls(placement, cameras))
 
 
 def place_by_level(cameras: Mapping[str, Camera], height: float | None = None) -> FoundPlacement:
@@ -175,10 +178,10 @@ def place_by_level(cameras: Mapping[str, Camera], height: float | None = None) -
         offset = _TARGET_HEIGHT - float(placement.points(target)[2])
         lowest = float(placement.points(centers)[:, 2].min()) + offset
         placement = placement.moved([0, 0, offset + max(_LOWEST_CAMERA - lowest, 0.0)])
-    residuals = _rolls(placement, cameras, "roll of the cameras")
+    residuals = _rolls(placement, cameras)
     if target is not None:
         across = [_distance_to_axis(camera, target) for camera in rig]
-        residuals["distance of the optical axes from their common point"] = _said(_rms(across) * 1000, "mm")
+        residuals["axes_mm"] = _rms(across) * 1000
     return FoundPlacement(_over_origin(placement, cameras), residuals)
 
 
@@ -188,7 +191,7 @@ def turned(found: FoundPlacement, yaw: float, at: ArrayLike) -> FoundPlacement:
         Rotation.from_rotvec(yaw * _UP).as_matrix(), np.array([*np.asarray(at, dtype=float), 0.0])
     )
     placement = RigPlacement(turn.rotation @ found.placement.rotation, turn.points(found.placement.position))
-    return FoundPlacement(placement, found.residuals, turn.points(found.points))
+    return replace(found, placement=placement, points=turn.points(found.points))
 
 
 def triangulate(
@@ -263,8 +266,13 @@ def _over_origin(placement: RigPlacement, cameras: Mapping[str, Camera]) -> RigP
     return placement.moved([-target[0], -target[1], 0.0])
 
 
-def _aligned(placement: RigPlacement, floor: Array, on_map: Array) -> tuple[RigPlacement, dict[str, str]]:
-    """Turn and move a placement along the floor so that points (N, 3) are at x, y (N, 2) of ``map``."""
+def _aligned(
+    placement: RigPlacement, floor: Array, on_map: Array
+) -> tuple[RigPlacement, float, float | None]:
+    """Turn and move a placement along the floor so that points (N, 3) are at x, y (N, 2) of ``map``.
+
+    Also the root mean square of their distances to these places, mm, and the scale of FoundPlacement.
+    """
     level = placement.points(floor)[:, :2]
     here, there = level - level.mean(0), on_map - on_map.mean(0)
     yaw = float(np.arctan2((here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]).sum(), (here * there).sum()))
@@ -273,29 +281,21 @@ def _aligned(placement: RigPlacement, floor: Array, on_map: Array) -> tuple[RigP
     offset = on_map.mean(0) - rotated.points(floor)[:, :2].mean(0)
     moved = rotated.moved([*offset, 0.0])
     errors = np.linalg.norm(moved.points(floor)[:, :2] - on_map, axis=1)
-    residuals = {"distance of the points from their places in map": _said(_rms(errors) * 1000, "mm")}
-    length = float(np.linalg.norm(here))
-    if length > 0 and np.linalg.norm(there) > 0:
-        residuals["distances in map per distance of the file"] = f"{np.linalg.norm(there) / length:.4g}"
-    return moved, residuals
+    lengths = float(np.linalg.norm(here)), float(np.linalg.norm(there))
+    return moved, 1000 * _rms(errors), lengths[1] / lengths[0] if min(lengths) > 0 else None
 
 
-def _rolls(placement: RigPlacement, cameras: Mapping[str, Camera], text: str) -> dict[str, str]:
+def _rolls(placement: RigPlacement, cameras: Mapping[str, Camera]) -> dict[str, float]:
     """Root mean square of the angles between the horizontal axes of images and the floor."""
     if not cameras:
         return {}
     right = np.array([placement.camera(camera).R[0] for camera in cameras.values()])
-    return {text: _said(float(np.degrees(_rms(np.pi / 2 - angle_between(right, _UP)))), "degrees")}
+    return {"roll_deg": float(np.degrees(_rms(np.pi / 2 - angle_between(right, _UP))))}
 
 
 def _distance_to_axis(camera: Camera, point: Array) -> float:
     offset = point - camera.center
     return float(np.linalg.norm(offset - (offset @ camera.R[2]) * camera.R[2]))
-
-
-def _said(value: float, unit: str) -> str:
-    """Text of a residual; rounding errors are 0."""
-    return f"{value if value > _ROUNDING else 0.0:.3g} {unit}"
 
 
 def _rms(values: ArrayLike) -> float:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -35,6 +36,16 @@ if TYPE_CHECKING:
 _STATURE, _MARGIN = 1.8, 0.05
 #: Digits of written positions and angles.
 _DIGITS = 9
+#: Text and unit of each residual.
+_RESIDUALS = {
+    "reprojection_px": ("reprojection of the floor points", "px"),
+    "plane_mm": ("distance of the floor points from their plane", "mm"),
+    "map_mm": ("distance of the floor points from their places in map", "mm"),
+    "roll_deg": ("roll of the cameras", "degrees"),
+    "axes_mm": ("distance of the optical axes from their common point", "mm"),
+}
+#: Largest roll of cameras that stand upright, degrees.
+_UPRIGHT = 10.0
 #: Largest plausible difference between distances in map and in the file, as a fraction.
 _OTHER_UNIT = 0.05
 
@@ -46,6 +57,42 @@ class BoardChoice(Enum):
     z_up = "z_up"
     z_down = "z_down"
     standing = "standing"
+
+
+@dataclass(frozen=True)
+class _Method:
+    """How a rig is placed: the options of ``place`` with these names."""
+
+    tilt: float | None
+    roll: float
+    height: float | None
+    camera: str | None
+    floor_points: Path | None
+    floor_point: tuple[str, ...]
+    board: BoardChoice | None
+    board_pose: str | None
+
+    def find(self, calibration: Calibration, file: str) -> FoundPlacement:
+        """Find the placement of a calibration."""
+        from humansim_ros.camera import placing
+
+        cameras = _posed(calibration, file)
+        name = self.camera if self.camera is not None else next(iter(cameras))
+        if name not in cameras:
+            known = ", ".join(list(cameras)[:8])
+            raise CameraError(f"no camera {name!r}; the names are {known}", path=file)
+        if self.tilt is not None:
+            if self.height is None:
+                raise HumansimError("--tilt needs --height as well: the height of the camera above the floor")
+            angles = math.radians(self.tilt), math.radians(self.roll)
+            return placing.place_by_tilt(cameras, name, self.height, *angles)
+        if self.floor_points is not None or self.floor_point:
+            points = _floor_points(calibration, self.floor_points, self.floor_point)
+            return placing.place_by_floor(cameras, points)
+        if self.board is not None:
+            pose = _board_pose(calibration, cameras[name], self.board_pose)
+            return placing.place_by_board(cameras, pose, self.board.value, self.height or 0.0)
+        return placing.place_by_level(cameras, self.height)
 
 
 def place(
@@ -102,6 +149,9 @@ def place(
             "board, or the mean of all cameras."
         ),
     ] = None,
+    fit_unit: Annotated[
+        bool, typer.Option("--fit-unit", help="Take the unit of the file from floor points with map.")
+    ] = False,
     yaw_deg: Annotated[float, typer.Option(help="Turn the rig about the vertical, degrees.")] = 0.0,
     at: Annotated[
         tuple[float, float],
@@ -133,26 +183,19 @@ def place(
         if plot.suffix.lower() != ".png":
             raise HumansimError("the image is a .png file: give it this suffix", path=plot)
         check_output(plot)
+    how = _Method(tilt, roll, height, camera, floor_points, tuple(floor_point or ()), board, board_pose)
     calibration = load(file, size, image, unit, up)
-    cameras = _posed(calibration, file)
-    of = camera if camera is not None else next(iter(cameras))
-    if of not in cameras:
-        raise CameraError(f"no camera {of!r}; the names are {', '.join(list(cameras)[:8])}", path=file)
-    if tilt is not None:
-        if height is None:
-            raise HumansimError("--tilt needs --height as well: the height of the camera above the floor")
-        found = placing.place_by_tilt(cameras, of, height, math.radians(tilt), math.radians(roll))
-    elif given == ["--floor-points"]:
-        points = _floor_points(calibration, floor_points, floor_point or [])
-        found = placing.place_by_floor(cameras, points)
-    elif board is not None:
-        pose = _board_pose(calibration, cameras[of], board_pose)
-        found = placing.place_by_board(cameras, pose, board.value, height or 0.0)
-    else:
-        found = placing.place_by_level(cameras, height)
+    found = how.find(calibration, file)
+    if fit_unit:
+        if found.scale is None:
+            raise HumansimError("--fit-unit needs two floor points or more with their places in map")
+        unit = calibration.unit * found.scale
+        calibration = load(file, size, image, unit, up)
+        found = how.find(calibration, file)
     found = placing.turned(found, math.radians(yaw_deg), at)
-    placed = {name: found.placement.camera(one) for name, one in cameras.items()}
-    facts = _facts(file, given[0].removeprefix("--") if given else "level", found, placed)
+    placed = {name: found.placement.camera(one) for name, one in _posed(calibration, file).items()}
+    method = given[0].removeprefix("--") if given else "level"
+    facts = _facts(file, method, found, placed, calibration.unit)
     section = _rig_section(file, output, calibration, found, unit, up, size or image)
     if output is not None:
         x, y = facts["person_at"]
@@ -200,7 +243,7 @@ def _in_metres(calibration: Calibration) -> Array:
     return calibration.unit * Z_UP_FROM_FILE[calibration.up]
 
 
-def _floor_points(calibration: Calibration, path: Path | None, texts: list[str]) -> list[Any]:
+def _floor_points(calibration: Calibration, path: Path | None, texts: Sequence[str]) -> list[Any]:
     from humansim_ros.camera.floor_points import parse_floor_point, read_floor_points
 
     in_metres = _in_metres(calibration)
@@ -228,8 +271,22 @@ def _board_pose(calibration: Calibration, camera: Camera, text: str | None) -> A
     return np.asarray(camera.world_from_optical @ in_camera)
 
 
-def _facts(file: str, method: str, found: FoundPlacement, placed: Mapping[str, Camera]) -> dict[str, Any]:
-    """Facts about a placement for ``--json``."""
+def _rounded(value: float) -> float:
+    return round(value, _DIGITS) + 0.0
+
+
+def _facts(
+    file: str, method: str, found: FoundPlacement, placed: Mapping[str, Camera], unit: float
+) -> dict[str, Any]:
+    """Facts about a placement for ``--json``.
+
+    Args:
+        file: Calibration file.
+        method: Name of the method.
+        found: The placement.
+        placed: Cameras in ``map``.
+        unit: Metres per unit of the file.
+    """
     import numpy as np
 
     from humansim_ros.camera.placing import look_target
@@ -253,7 +310,9 @@ def _facts(file: str, method: str, found: FoundPlacement, placed: Mapping[str, C
     return {
         "file": file,
         "method": method,
-        "residuals": found.residuals,
+        "residuals": {key: _rounded(value) for key, value in found.residuals.items()},
+        "scale": None if found.scale is None else _rounded(found.scale),
+        "unit": unit,
         "position": (np.round(found.placement.position, _DIGITS) + 0.0).tolist(),
         "rotation_deg": (np.round(found.placement.rotation_deg, _DIGITS) + 0.0).tolist(),
         "person_at": [x, y],
@@ -263,7 +322,9 @@ def _facts(file: str, method: str, found: FoundPlacement, placed: Mapping[str, C
 
 def _lines(facts: dict[str, Any]) -> list[str]:
     lines = [f"{facts['file']}: placed by {facts['method']}"]
-    lines += [f"  {text}: {value}" for text, value in facts["residuals"].items()]
+    for key, value in facts["residuals"].items():
+        text, unit = _RESIDUALS[key]
+        lines.append(f"  {text}: {value:.3g} {unit}")
     longest = max(len(camera["name"]) for camera in facts["cameras"])
     for camera in facts["cameras"]:
         x, y, z = camera["center"]
@@ -281,11 +342,12 @@ def _warn(placed: Mapping[str, Camera], facts: dict[str, Any]) -> None:
     blind = [camera["name"] for camera in facts["cameras"] if camera["sees"] == "nothing"]
     if blind:
         print_warning(f"the person is not in the view of {', '.join(blind[:4])}")
-    ratio = float(facts["residuals"].get("distances in map per distance of the file", "1"))
-    if abs(ratio - 1) > _OTHER_UNIT:
-        print_warning(
-            f"distances in map are {ratio:g} times those of the file: is the unit of the file correct?"
-        )
+    if facts["scale"] is not None and abs(facts["scale"] - 1) > _OTHER_UNIT:
+        times = f"distances in map are {facts['scale']:.4g} times those of the file"
+        print_warning(f"{times}: is the unit of the file correct? --fit-unit takes it from map")
+    if facts["method"] == "level" and facts["residuals"]["roll_deg"] > _UPRIGHT:
+        roll = f"the cameras are rolled by {facts['residuals']['roll_deg']:.0f} degrees"
+        print_warning(f"{roll}, so they do not stand upright: place them by floor points")
 
 
 def _rig_section(

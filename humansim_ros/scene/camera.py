@@ -211,7 +211,13 @@ def read_cameras(file: str, key: str, config: CameraConfig | RigConfig, source: 
     with in_section(key):
         path = source.find_url(file)
     try:
-        read = load_calibration(path, size=config.size, unit=config.unit, up=config.up_axis)
+        read = load_calibration(
+            path,
+            size=config.size,
+            unit=config.unit,
+            up=config.up_axis,
+            all_cameras=isinstance(config, CameraConfig),  # the scene may have its pose
+        )
     except CameraError as error:
         if error.path is None:  # of size, unit or up axis
             raise

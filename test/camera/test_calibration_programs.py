@@ -210,6 +210,12 @@ def test_lists_and_wrapping_keys_change_nothing(
     assert_same(read(tmp_path, "c.json", WRAPPINGS[wrapping](cameras()), size=SIZE))
 
 
+@pytest.mark.parametrize("cameras", [shelf, association])
+def test_lists_may_be_indented(tmp_path: Path, cameras: Callable[[], dict[str, Any]]) -> None:
+    text = json.dumps(WRAPPINGS["list with names"](cameras()), indent=2)
+    assert_same(read(tmp_path, "c.json", text, size=SIZE))
+
+
 def test_cameras_of_a_list_without_names_have_numbers(tmp_path: Path) -> None:
     assert list(read(tmp_path, "c.json", list(shelf().values()), size=SIZE)) == ["0", "1", "2"]
 

@@ -147,7 +147,7 @@ def test_without_an_output_the_section_is_printed(
     assert_allclose(
         [camera["center"] for camera in facts["cameras"]], [c.center for c in RIG.values()], atol=1e-6
     )
-    assert facts["residuals"]["distances in map per distance of the file"] == "1"
+    assert facts["scale"] == pytest.approx(1) and facts["residuals"]["map_mm"] < 1e-3
 
 
 def test_a_wrong_unit_is_told_by_known_places(
@@ -157,6 +157,11 @@ def test_a_wrong_unit_is_told_by_known_places(
     floor = floor_file(tmp_path, True)
     _, _, err = run(capsys, monkeypatch, path, "--unit", 0.002, "--floor-points", floor)
     assert "distances in map are 0.5 times those of the file: is the unit of the file correct?" in err
+    fitted = run(capsys, monkeypatch, path, "--unit", 0.002, "--floor-points", floor, "--fit-unit", "--json")
+    facts = json.loads(fitted[1])
+    assert facts["unit"] == pytest.approx(0.001) and not fitted[2]
+    centers = [camera["center"] for camera in facts["cameras"]]
+    assert_allclose(centers, [camera.center for camera in RIG.values()], atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -179,6 +184,7 @@ def test_a_wrong_unit_is_told_by_known_places(
         (["--floor-point", "left:1,2,3"], "needs 2 numbers with commas between them"),
         (["--floor-point", "a:1,2 a:1,2"], "--floor-point: 'a:1,2' is repeated"),
         (["--floor-point", "map:1,2"], "is not a floor point: use"),
+        (["--fit-unit"], "--fit-unit needs two floor points or more"),
         (["--plot", "rig.jpg"], "the image is a .png file"),
         (["-o", "scene.txt"], "a scene is a .yaml file"),
         (["--floor-points", "nowhere.yaml"], "no such floor points file"),

@@ -63,6 +63,13 @@ def test_cameras_without_extrinsics_are_not_put_at_the_origin(tmp_path: Path) ->
         assert list(Scene.load(tmp_path / "scene.yaml").cameras) == ["b"]
 
 
+def test_a_camera_without_extrinsics_can_have_its_pose_in_the_scene(tmp_path: Path) -> None:
+    easymocap(tmp_path, posed="b")
+    camera = "{calibration: intri.yml, camera: a, size: [640, 480], position: [3, 0, 1], look_at: [0, 0, 1]}"
+    (tmp_path / "scene.yaml").write_text(f"room: null\ncameras: {{one: {camera}}}\n")
+    assert_allclose(Scene.load(tmp_path / "scene.yaml").cameras["one"].center, [3, 0, 1], atol=1e-12)
+
+
 def test_a_rig_without_any_extrinsics_is_refused(tmp_path: Path) -> None:
     easymocap(tmp_path, posed="")
     with pytest.warns(HumansimWarning), pytest.raises(CameraError) as caught:

@@ -54,7 +54,7 @@ def detect_syntax(path: str, text: str) -> str:
         return "toml"
     if head == "{":
         return "json" if text.lstrip("\ufeff \t\r\n{")[:1] in ('"', "") else "yaml"
-    if head == "[" and len(first[0].split("]")[0].strip("[ \t").split('"')) > 1:
+    if head == "[" and text.lstrip("\ufeff \t\r\n[")[:1] in ('"', "{"):
         return "json"
     if _HEADER.match(text):
         return "yaml"

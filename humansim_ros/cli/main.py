@@ -17,6 +17,7 @@ import typer
 from humansim_ros.cli.check import check, warn_about_mistakes
 from humansim_ros.cli.options import join_numbers
 from humansim_ros.cli.scene_options import SceneOptions
+from humansim_ros.cli.snapshot import snapshot
 from humansim_ros.errors import HumansimError, show_warnings
 from humansim_ros.resources import resource_path
 
@@ -131,7 +132,7 @@ def _describe(scene: Any) -> None:
 
 
 #: Commands of this module by name.
-COMMANDS: dict[str, Callable[..., None]] = {"run": run, "check": check, "demo": demo}
+COMMANDS: dict[str, Callable[..., None]] = {"run": run, "check": check, "snapshot": snapshot, "demo": demo}
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import cv2
 import numpy as np
@@ -40,12 +41,89 @@ def color_labels(labels: NDArray[np.integer]) -> Image:
     return palette[np.where(labels > 0, (labels - 1) % 255 + 1, 0)]
 
 
+def color_image(image: NDArray[np.uint8], encoding: str = "rgb8") -> Image:
+    """RGB image (H, W, 3) of the output of a sensor: rgb8, bgr8, mono8, bayer_rggb8."""
+    if encoding == "bgr8":
+        return np.ascontiguousarray(image[..., ::-1])
+    if encoding == "bayer_rggb8":
+        # OpenCV names the pattern after its second row
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BayerBG2RGB), dtype=np.uint8)
+    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image
+
+
+def color_channel(name: str, values: Any) -> Image:
+    """Image (H, W, 3) of a channel of a view, for people.
+
+    Depth: near is red, far is blue. Labels: a colour each. Normals: x, y, z as red, green, blue. Texture
+    coordinates: u, v as red, green. Flow: direction as hue, length as brightness. Masks: a colour for each
+    human or object. Shadow: white where the light is blocked.
+
+    Args:
+        name: Name of the channel.
+        values: The channel, as :class:`~humansim_ros.render.View` has it.
+    """
+    return _PICTURES[name](values)
+
+
+def _color_masks(masks: Mapping[int, NDArray[Any]]) -> Image:
+    """Color coverage images (bool, or 0 to 255) by label; the strongest at each pixel."""
+    colors = color_labels(np.array([list(masks)], np.intp))[0].astype(float)
+    shape = next(iter(masks.values()), np.zeros((1, 1))).shape
+    out = np.zeros((*shape, 3))
+    for mask, color in zip(masks.values(), colors, strict=True):
+        share = mask.astype(float) if mask.dtype == bool else mask / 255
+        out = np.maximum(out, share[..., None] * color)
+    return np.rint(out).astype(np.uint8)
+
+
+def _color_normals(normals: NDArray[np.float32]) -> Image:
+    has = normals.any(axis=2, keepdims=True)
+    return np.asarray(np.rint(127.5 * (normals + 1)) * has, dtype=np.uint8)
+
+
+def _color_coordinates(uv: NDArray[np.float32]) -> Image:
+    red_green = np.nan_to_num(np.mod(uv, 1.0))
+    return np.rint(255 * np.dstack([red_green, np.zeros_like(red_green[..., :1])])).astype(np.uint8)
+
+
+def _color_flow(flow: NDArray[np.float32]) -> Image:
+    x, y = np.moveaxis(np.nan_to_num(flow), -1, 0)
+    length = np.hypot(x, y)
+    longest = max(float(np.percentile(length, 99.5)), 1e-3)
+    hue = np.mod(np.degrees(np.arctan2(y, x)), 360) / 2
+    value = 255 * np.clip(length / longest, 0, 1)
+    return hsv_colors(hue.ravel(), 200, value.ravel()).reshape(*hue.shape, 3)
+
+
+def _grey(values: NDArray[np.uint8]) -> Image:
+    return np.repeat(values[..., None], 3, axis=2)
+
+
+_PICTURES: dict[str, Callable[[Any], Image]] = {
+    "rgb": color_image,
+    "depth": color_depth,
+    "instance": color_labels,
+    "part": color_labels,
+    "face": color_labels,
+    "normal": _color_normals,
+    "uv": _color_coordinates,
+    "flow": _color_flow,
+    "flow_back": _color_flow,
+    "flow_hidden": lambda hidden: _grey(255 * hidden),
+    "flow_back_hidden": lambda hidden: _grey(255 * hidden),
+    "alpha": _color_masks,
+    "amodal": _color_masks,
+    "shadow": _grey,
+}
+
+
 def draw_joints(
     image: Image,
     pixels: NDArray[np.floating],
     visible: NDArray[np.integer],
     names: Sequence[str],
     parents: Sequence[str | None],
+    radius: float = 3,
 ) -> Image:
     """Draw joints over a copy of an image: filled discs where visible, circles where hidden.
 
@@ -55,16 +133,22 @@ def draw_joints(
         visible: State of the joints, (J,): visible, hidden or outside (:mod:`humansim_ros.truth.joints`).
         names: Names of the joints, (J,). The prefix ``l_`` or ``r_`` chooses the colour of the line.
         parents: Name of each joint's parent, (J,), to which a line is drawn; None for no line.
+        radius: Radius of the discs in pixels.
     """
     out = image.copy()
     pixel_of = {name: pixel for name, pixel in zip(names, pixels, strict=True) if np.isfinite(pixel).all()}
     for name, parent in zip(names, parents, strict=True):
         if parent is not None and name in pixel_of and parent in pixel_of:
-            draw_line(out, [pixel_of[parent], pixel_of[name]], _SIDE_COLORS[side_of(name)], 2)
+            draw_line(
+                out,
+                [pixel_of[parent], pixel_of[name]],
+                _SIDE_COLORS[side_of(name)],
+                max(1, round(0.6 * radius)),
+            )
     for name, state in zip(names, visible, strict=True):
         if name in pixel_of and state != OUTSIDE:
             color, width = (_VISIBLE_COLOR, -1) if state == VISIBLE else (_HIDDEN_COLOR, 1)
-            draw_disc(out, pixel_of[name], 3, color, width)
+            draw_disc(out, pixel_of[name], radius, color, width)
     return out
 
 

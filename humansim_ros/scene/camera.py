@@ -111,6 +111,19 @@ class SceneCamera:
         sensor = Sensor(self.sensor.config, self.region.of(whole), self.name)
         return replace(self, whole=whole, sensor=sensor)
 
+    def smaller(self, size: tuple[int, int]) -> SceneCamera:
+        """The same view in a smaller image (width, height), for pictures.
+
+        Its sensor has larger pixels, and no chromatic aberration, which is less than one of them.
+        """
+        raw = self.camera
+        sx, sy = size[0] / raw.size[0], size[1] / raw.size[1]
+        # the centre of the top-left pixel is (0, 0)
+        scale = np.array([[sx, 0, (sx - 1) / 2], [0, sy, (sy - 1) / 2], [0, 0, 1]])
+        whole = replace(raw, size=size, K=scale @ raw.K, rectification=None, rectified=None)
+        config = self.sensor.config.model_copy(update={"chromatic_aberration": None})
+        return replace(self, whole=whole, region=Region(), sensor=Sensor(config, whole, self.name))
+
     @cached_property
     def camera(self) -> Camera:
         """Camera of ``image_raw`` at its initial pose."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
+from humansim_ros.errors import SceneError
 from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with
 from humansim_ros.scene.actor import Actor, HumanState
@@ -135,32 +136,40 @@ class Simulation:
         """The first ``count`` frames, one after the other."""
         return (self.frame(index) for index in range(count))
 
-    def frame(self, index: int) -> Frame:
-        """Frame ``index``; its stamp is ``start + round(index * period)``."""
+    def frame(self, index: int, cameras: Collection[str] | None = None) -> Frame:
+        """Frame ``index``; its stamp is ``start + round(index * period)``.
+
+        ``cameras``: names of the cameras to render; all if None. Raises SceneError for an unknown name.
+        """
         adjacent: dict[AdjacentName, SceneState] = {
             name: self._at(self.scene.frame_time(index + step))[2]
             for name, step in zip(ADJACENT_NAMES, (1, -1), strict=True)
             if comparing_with(name, self.channels)
         }
         poses, humans, state = self._at(self.scene.frame_time(index))
-        cameras = {
+        chosen = self._cameras(cameras)
+        at_their_poses = {
             name: camera.camera_at(poses.cameras[name]) if camera.moves else camera.camera
-            for name, camera in self.scene.scene_cameras.items()
+            for name, camera in chosen.items()
         }
-        views = {
-            name: self._view(camera, state, adjacent) for name, camera in self.scene.scene_cameras.items()
-        }
+        views = {name: self._view(camera, state, adjacent) for name, camera in chosen.items()}
         return Frame(
             index=index,
             stamp=state.stamp,
             humans=humans,
             views=views,
-            truth={name: state.camera_truth(cameras[name], view) for name, view in views.items()},
+            truth={name: state.camera_truth(at_their_poses[name], view) for name, view in views.items()},
             objects=poses.objects,
-            cameras=cameras,
+            cameras=at_their_poses,
             bodies=state.bodies,
             labels=self.scene.labels,
         )
+
+    def _cameras(self, names: Collection[str] | None) -> dict[str, SceneCamera]:
+        known = self.scene.scene_cameras
+        if unknown := set(names or ()) - known.keys():
+            raise SceneError(f"no camera {min(unknown)!r}; the cameras are {', '.join(known)}")
+        return {name: camera for name, camera in known.items() if names is None or name in names}
 
     def close(self) -> None:
         """Free the renderer."""

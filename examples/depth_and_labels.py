@@ -17,7 +17,7 @@ def main() -> None:
                 "near": {"body": "child", "motion": {"file": "wave", "position": [1.0, 0.4]}},
                 "far": {"body": "adult_man", "motion": {"file": "wave", "position": [-1.0, -0.4]}},
             },
-            "cameras": {"eye": {"position": [3.5, 0, 1.4], "look_at": [0, 0, 1.0]}},
+            "cameras": {"eye": {"position": [3.3, 0, 1.4], "look_at": [0, 0, 1.0]}},
         }
     )
     with Simulation(scene, channels=("depth", "instance", "part", "amodal")) as simulation:

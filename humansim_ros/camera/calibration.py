@@ -24,7 +24,7 @@ from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.camera.formats.syntax import detect_syntax, parse
 from humansim_ros.camera.image_size import guess_image_size, image_size
-from humansim_ros.errors import CameraError, HumansimWarning, ResourceError, warn_about
+from humansim_ros.errors import CameraError, HumansimWarning, ResourceError, did_you_mean, warn_about
 from humansim_ros.io.files import atomic_path, exists, read_text
 from humansim_ros.resources import resource_root
 from humansim_ros.types import Array, ImageSize
@@ -444,7 +444,8 @@ def _format_of(target: Path, name: str | None, count: int) -> CalibrationFormat:
     names = {format.name: format for format in FORMATS}
     if name is not None:
         if name not in names:
-            message = f"unknown calibration format {name!r}; known are {', '.join(names)}"
+            known = ", ".join(names) + did_you_mean(name, names)
+            message = f"unknown calibration format {name!r}; known are {known}"
             raise CameraError(message, path=target)
         return names[name]
     suffix = target.suffix.lower()

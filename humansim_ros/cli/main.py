@@ -188,7 +188,7 @@ def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
 
 def _parser_message(error: Any) -> str:
     """Text of an error of the command-line parser, with the command whose help explains more."""
-    message = str(error.format_message())
+    message = str(error.format_message()).replace("Value error, ", "")
     if type(error).__name__ == "NoArgsIsHelpError":
         return message
     context = getattr(error, "ctx", None)

@@ -17,7 +17,7 @@ from scipy.sparse import csr_matrix
 from humansim_ros.body.rigging import triangle_parts
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.body.skinning import SkinningFunction, make_skinner
-from humansim_ros.errors import MeshError
+from humansim_ros.errors import MeshError, did_you_mean
 from humansim_ros.io.images import decode_image
 from humansim_ros.io.npz import read_npz, write_npz
 from humansim_ros.mesh.mesh import Mesh
@@ -71,7 +71,8 @@ class Human:
         if outfit == self.outfit and (self.mesh.texture is not None or self.mesh.colors is not None):
             return self
         if outfit not in self.looks:
-            raise MeshError(f"{self.name} has no outfit {outfit!r}; outfits are {', '.join(self.outfits)}")
+            known = ", ".join(self.outfits) + did_you_mean(outfit, self.outfits)
+            raise MeshError(f"{self.name} has no outfit {outfit!r}; outfits are {known}")
         look = self.looks[outfit]
         if look.ndim == 1:
             mesh = replace(self.mesh, texture=decode_image(look), colors=None)

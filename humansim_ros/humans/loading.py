@@ -31,7 +31,7 @@ from humansim_ros.humans.makehuman.building import build
 from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
 from humansim_ros.io.assets import find_asset
-from humansim_ros.io.files import read_bytes, resolve_relative
+from humansim_ros.io.files import missing_file, read_bytes, resolve_relative
 from humansim_ros.io.images import decode_image, encode_image
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_mesh import read_gltf
@@ -138,7 +138,7 @@ def _described(path: Path) -> Human:
     if mesh.suffix.lower() not in SUFFIXES or mesh.suffix.lower() in (".yaml", ".yml"):
         raise MeshError("a mesh is .obj, .gltf, .glb or an SMPL model (.npz)", path=path, key="mesh")
     if not exists or not mesh.is_file():
-        raise MeshError(f"no such file {str(mesh)!r}", path=path, key="mesh")
+        raise MeshError(missing_file(mesh), path=path, key="mesh")
     options = description.model_copy(
         update={
             "outfits": {

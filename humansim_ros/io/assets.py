@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
-from humansim_ros.errors import HumansimError
-from humansim_ros.io.files import exists, expand_user
+from humansim_ros.errors import HumansimError, did_you_mean
+from humansim_ros.io.files import exists, expand_user, missing_file
 from humansim_ros.resources import resource_path
 
 AssetKind = Literal["humans", "motions"]
@@ -40,6 +40,8 @@ def find_asset(
         return resource_path(f"assets/{kind}") / f"{name}{_SUFFIXES[kind]}"
     path = (folder or Path.cwd()) / expand_user(name)
     if not exists(path):
-        missing = f"no such file {str(path)!r}" if Path(name).suffix else f"no {name!r}"
-        raise error(f"{missing}; the built-in {kind} are {', '.join(known)}")
+        hint = f"the built-in {kind} are {', '.join(known)}"
+        if Path(name).suffix:
+            raise error(missing_file(path, hint))
+        raise error(f"no {name!r}; {hint}{did_you_mean(name, known)}")
     return path

@@ -6,9 +6,13 @@ import os
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import islice
 from pathlib import Path
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, near_names
+
+#: Names of a folder that are compared with the name of a missing file.
+_MOST_NAMES = 5000
 
 
 @contextmanager
@@ -18,8 +22,9 @@ def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], wha
         raise error("a file name cannot contain a NUL character", path=path)
     try:
         yield
-    except FileNotFoundError:
-        raise error(f"no such {what} file; check the path", path=path) from None
+    except (FileNotFoundError, NotADirectoryError):
+        near = near_file(Path(path))
+        raise error(f"no such {what} file; {near or 'check the path'}", path=path) from None
     except IsADirectoryError:
         raise error(f"this is a folder, not a {what} file", path=path) from None
     except OSError as reason:
@@ -70,6 +75,49 @@ def read_text(
         return data.decode("utf-8-sig")
     except UnicodeDecodeError:
         return data.decode("latin-1")
+
+
+def missing_file(path: Path, hint: str = "") -> str:
+    """Message about a file that is missing, with a file of its folder that resembles it.
+
+    ``hint``: what to use instead of a file.
+    """
+    return "; ".join(filter(None, (f"no such file {str(path)!r}", hint, near_file(path))))
+
+
+def near_file(path: Path) -> str:
+    """What was probably meant by the path of a missing file; empty if nothing resembles it."""
+    try:
+        if path.is_symlink():
+            return "it is a link to a file that is missing"
+        folder = next((parent for parent in path.parents if parent.exists()), None)
+        if folder is None:
+            return ""
+        if not folder.is_dir():
+            return f"{str(folder)!r} is not a folder"
+        missing = path.relative_to(folder).parts[0]
+        if folder != path.parent:
+            near = near_names(missing, _names(folder))
+            return f"{str(folder)!r} has no folder {missing!r}" + (
+                f"; did you mean {near[0]!r}?" if near else ""
+            )
+        stems: dict[str, list[str]] = {}
+        for name in _names(folder):
+            stems.setdefault(Path(name).stem, []).append(name)
+        nearest = next(iter(near_names(path.stem, stems)), None)
+        if nearest is None:
+            return ""
+        # a file of the same kind comes first
+        meant = min(stems[nearest], key=lambda name: (Path(name).suffix != path.suffix, name))
+        return f"did you mean {meant!r}?"
+    except (OSError, ValueError):  # not readable, name too long, or with a NUL character
+        return ""
+
+
+def _names(folder: Path) -> list[str]:
+    """Names in a folder, the first thousands."""
+    with os.scandir(folder) as entries:
+        return [entry.name for entry in islice(entries, _MOST_NAMES)]
 
 
 def expand_user(name: str) -> Path:

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from humansim_ros.errors import MotionError
+from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.io.files import exists
 from humansim_ros.motion.animals import look_at_body
 from humansim_ros.motion.joint_match import MIN_CONFIDENCE, REQUIRED_BONES, JointMatch, match_roles
@@ -180,8 +180,7 @@ def _candidates(
         return tables
     named = [t for t in tables if t.name == os.fspath(table)]
     if not named and not exists(Path(table)):
-        known = ", ".join(t.name for t in tables)
-        raise MotionError(
-            f"no joint table {os.fspath(table)!r}: give a YAML file or one of {known}", path=path
-        )
+        name = os.fspath(table)
+        known = ", ".join(t.name for t in tables) + did_you_mean(name, (t.name for t in tables))
+        raise MotionError(f"no joint table {name!r}: give a YAML file or one of {known}", path=path)
     return named or [load_table(table)]

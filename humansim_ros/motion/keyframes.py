@@ -20,7 +20,7 @@ import numpy as np
 from defusedxml.common import DefusedXmlException
 from numpy.typing import ArrayLike
 
-from humansim_ros.errors import MotionError
+from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.io.files import atomic_path, read_bytes
 from humansim_ros.motion.keyframe_tracks import (
     DEFAULT_RATE,
@@ -66,7 +66,7 @@ class Keyframes:
     def track(self, name: str) -> KeyframeTrack:
         """Track of an object; MotionError, with the known names, if it has none."""
         if name not in self.tracks:
-            known = ", ".join(list(self.tracks)[:20])
+            known = ", ".join(list(self.tracks)[:20]) + did_you_mean(name, self.tracks)
             raise MotionError(f"no object {name[:40]!r}; the file moves {known}", path=self.path)
         return self.tracks[name]
 

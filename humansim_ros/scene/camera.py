@@ -16,7 +16,7 @@ from humansim_ros.camera import Calibration, Camera, load_calibration
 from humansim_ros.camera.idealize import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.errors import CameraError, in_section
+from humansim_ros.errors import CameraError, did_you_mean, in_section
 from humansim_ros.motion.joint_poses import VELOCITY_STEP, Velocity
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
@@ -204,7 +204,7 @@ def _calibrated(config: CameraConfig, source: SceneSource) -> Camera:
     if config.camera is None and len(cameras) > 1:
         raise CameraError(f"{file} has {len(cameras)} cameras ({', '.join(cameras)}): name one", key="camera")
     if config.camera is not None and config.camera not in cameras:
-        known = ", ".join(cameras)
+        known = ", ".join(cameras) + did_you_mean(config.camera, cameras)
         raise CameraError(f"no camera {config.camera!r} in {file}; there are {known}", key="camera")
     return next(iter(cameras.values())) if config.camera is None else cameras[config.camera]
 

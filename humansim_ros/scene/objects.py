@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from humansim_ros.errors import MotionError, in_section, warn_about
+from humansim_ros.errors import MotionError, did_you_mean, in_section, warn_about
 from humansim_ros.mesh.load import read_mesh_z_up
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.joint_poses import Velocity
@@ -110,7 +110,8 @@ class SceneObject:
             elif config.mesh in FURNITURE:
                 shape, mesh = config.mesh, FURNITURE[config.mesh].mesh(config.color if colored else None)
             else:
-                path = source.find(config.mesh, f"the built-in meshes are {', '.join(BUILT_IN_MESHES)}")
+                known = ", ".join(BUILT_IN_MESHES) + did_you_mean(config.mesh, BUILT_IN_MESHES)
+                path = source.find(config.mesh, f"the built-in meshes are {known}")
                 shape, mesh = str(path.resolve()), read_mesh_z_up(path)
         color = config.color
         if shape in FURNITURE:

@@ -16,9 +16,9 @@ from humansim_ros.types import Array
 _BEYOND = 0.02
 #: Farthest plausible position of a human, metres.
 _FARTHEST = 200.0
-#: Bones that nothing may cross, from joint to joint: not hands, forearms and feet, which touch things.
+#: Bones that nothing may cross, from joint to joint: not hands, forearms and feet, which touch things, nor
+#: the root, which is on the seat of a person who sits.
 _BONES = (
-    ("HumanoidRoot", "sacroiliac"),
     ("sacroiliac", "vl5"),
     ("vl5", "vt3"),
     ("l_hip", "l_knee"),

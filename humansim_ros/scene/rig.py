@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from humansim_ros.camera import Calibration, Camera
 from humansim_ros.camera.placement import RigPlacement, common_point
 from humansim_ros.camera.region import Region
-from humansim_ros.errors import CameraError, SceneError, in_section
+from humansim_ros.errors import CameraError, SceneError, did_you_mean, in_section
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.scene.backdrops import load_backdrop
 from humansim_ros.scene.camera import SceneCamera, read_cameras
@@ -64,7 +64,7 @@ def _rig_cameras(rig: RigConfig, source: SceneSource) -> dict[str, tuple[str, Ca
     read = _with_poses(rig, read_cameras(rig.file, "file", rig, source), source)
     missing = set(rig.cameras or ()) - set(read)
     if missing:
-        known = ", ".join(read)
+        known = ", ".join(read) + did_you_mean(min(missing), read)
         raise CameraError(f"no camera {min(missing)!r} in {rig.file}; there are {known}", key="cameras")
     for original in rig.cameras or read:
         name = _topic_name(original)
@@ -113,7 +113,8 @@ def _backdrops(rig: RigConfig, names: Sequence[str], source: SceneSource) -> dic
     for name, file in (rig.background or {}).items():
         with in_section(name):
             if name not in names:
-                raise SceneError(f"no camera {name!r} in this rig; there are {', '.join(names)}")
+                known = ", ".join(names) + did_you_mean(name, names)
+                raise SceneError(f"no camera {name!r} in this rig; there are {known}")
             backdrops[name] = load_backdrop(source.find(file))
     return backdrops
 

@@ -16,7 +16,7 @@ from humansim_ros.errors import HumansimError, SceneError, in_section, warn_abou
 from humansim_ros.humans.human import Human, Skinning
 from humansim_ros.humans.loading import load_human
 from humansim_ros.io.assets import find_asset
-from humansim_ros.io.files import exists, expand_user
+from humansim_ros.io.files import exists, expand_user, missing_file
 from humansim_ros.io.yaml import line_of, read_yaml
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.bvh import PositionChannels
@@ -71,7 +71,7 @@ class SceneSource:
         """Path of an existing file or folder. ``hint``: what to use instead, for the SceneError."""
         path = self.folder / expand_user(name)
         if not exists(path):
-            raise SceneError(f"no such file {str(path)!r}" + (f"; {hint}" if hint else ""))
+            raise SceneError(missing_file(path, hint))
         return path
 
     def find_url(self, name: str) -> Path:
@@ -83,7 +83,7 @@ class SceneSource:
         except HumansimError as error:
             raise SceneError(f"{name}: {error.message}") from None
         if not exists(path):
-            raise SceneError(f"no such file {str(path)!r}")
+            raise SceneError(missing_file(path))
         return path
 
     def joint_table(self, name: str) -> str:

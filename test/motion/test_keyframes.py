@@ -384,7 +384,7 @@ def test_a_human_may_follow_an_object_of_another_name(tmp_path: Path) -> None:
 def test_keyframes_that_do_not_fit_the_scene_are_errors(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match=r"scene\.yaml:3: humans\.anna\.keyframes\.file: no such file"):
         actor(tmp_path, "keyframes: keyz.xml")
-    with pytest.raises(SceneError, match="known here: file, object"):
+    with pytest.raises(SceneError, match="nown here: file, object"):
         actor(tmp_path, "keyframes: {file: keys.xml, objekt: anna}")
     with pytest.raises(MotionError, match=r"keys\.xml: no object 'anna'; the file moves door"):
         actor(tmp_path, file=keys("door"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import re
+import runpy
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera, Trajectory, write_calibration
+from humansim_ros.cli import main as cli
 from humansim_ros.mesh.solids import closed_parts, points_inside, segments_crossing, volume
 from humansim_ros.scene import Finding, Scene, check_scene
 from humansim_ros.scene.actor import Actor
@@ -410,6 +412,29 @@ def test_scenes_of_the_package_and_of_its_documents_have_no_findings(text: str, 
         pytest.skip("it names files of the reader")
     content.setdefault("cameras", CLEAN["cameras"])
     assert check_scene(Scene.from_dict(content, folder), processors=4) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["depth_and_labels", "hello_scene"])
+def test_scenes_of_the_examples_have_no_findings(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Played(Exception):
+        """Instead of playing the scene."""
+
+    def play(scene: Scene, **_: Any) -> None:
+        assert check_scene(scene, processors=4) == []
+        raise Played
+
+    monkeypatch.setattr("humansim_ros.scene.simulation.Simulation", play)
+    with pytest.raises(Played):
+        runpy.run_path(str(ROOT / "examples" / f"{name}.py"), run_name="__main__")
+
+
+@pytest.mark.slow
+def test_a_scene_of_a_generated_rig_has_no_findings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    command = "camera rig --ring 4 --radius 3 --height 1.8 --look-at 0 0 1 -o"
+    monkeypatch.setattr("sys.argv", ["humansim", *command.split(), str(tmp_path)])
+    assert cli.main() == 0
+    assert check_scene(Scene.load(tmp_path / "scene.yaml"), processors=4) == []
 
 
 # --- geometry

@@ -1,0 +1,104 @@
+"""Files that cannot be read (missing, folders, empty, binary …), and the names that were meant."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from humansim_ros.errors import HumansimError, did_you_mean
+from humansim_ros.io.assets import find_asset
+from humansim_ros.io.files import missing_file, read_bytes, read_text
+
+
+def message(path: Path) -> str:
+    with pytest.raises(HumansimError) as caught:
+        read_text(path, HumansimError, "scene")
+    assert caught.value.path == str(path)
+    return caught.value.message
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "scene.yaml").write_text("rate: 3\n")
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "Walk_01.bvh").write_text("x")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [("scen.yaml", "scene.yaml"), ("Scene.yml", "scene.yaml"), ("data/walk_1.bvh", "Walk_01.bvh")],
+)
+def test_a_missing_file_names_the_one_that_was_meant(folder: Path, name: str, meant: str) -> None:
+    assert message(folder / name) == f"no such scene file; did you mean {meant!r}?"
+    assert missing_file(folder / name) == f"no such file {str(folder / name)!r}; did you mean {meant!r}?"
+
+
+def test_a_missing_file_without_a_resemblance_names_none(folder: Path) -> None:
+    assert message(folder / "q.yaml") == "no such scene file; check the path"
+    assert missing_file(folder / "q.yaml", "give another") == f"no such file '{folder}/q.yaml'; give another"
+
+
+def test_a_missing_folder_is_named(folder: Path) -> None:
+    assert message(folder / "dta" / "sub" / "a.yaml") == (
+        f"no such scene file; '{folder}' has no folder 'dta'; did you mean 'data'?"
+    )
+    assert (
+        message(folder / "scene.yaml" / "a.yaml")
+        == f"no such scene file; '{folder}/scene.yaml' is not a folder"
+    )
+
+
+def test_a_broken_link_is_named(folder: Path) -> None:
+    (folder / "link.yaml").symlink_to(folder / "gone.yaml")
+    assert message(folder / "link.yaml") == "no such scene file; it is a link to a file that is missing"
+
+
+def test_a_folder_is_not_a_missing_file(folder: Path) -> None:
+    assert message(folder / "data") == "this is a folder, not a scene file"
+
+
+def test_a_file_without_permission_is_not_a_missing_file(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(Path, "open", refuse)  # root may read all files
+    assert message(folder / "scene.yaml") == "cannot read the scene file: Permission denied"
+
+
+@pytest.mark.parametrize("content", [b"", b" \n\t\n"])
+def test_an_empty_file_is_named(folder: Path, content: bytes) -> None:
+    (folder / "empty.yaml").write_bytes(content)
+    assert message(folder / "empty.yaml") == "the scene file is empty"
+
+
+def test_a_binary_file_is_not_a_text(folder: Path) -> None:
+    (folder / "image.yaml").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR")
+    assert message(folder / "image.yaml") == "this is a binary file, not a scene text file"
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "a\0b", "~nobody_of_this_name/x"])
+def test_impossible_names_are_errors_too(folder: Path, name: str) -> None:
+    assert missing_file(folder / name).startswith("no such file ")
+    with pytest.raises(HumansimError):
+        read_bytes(folder / name, HumansimError, "scene")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "meant"),
+    [
+        ("wlak", "motions", "walk"),
+        ("adult_mann", "humans", "adult_man"),
+        ("Adult-Man", "humans", "adult_man"),
+    ],
+)
+def test_a_misspelt_built_in_is_recognised(name: str, kind: str, meant: str) -> None:
+    with pytest.raises(HumansimError, match=rf"no '{name}'; the built-in .*; did you mean '{meant}'\?"):
+        find_asset(name, kind)  # type: ignore[arg-type]
+
+
+def test_an_unknown_word_that_resembles_nothing_gets_no_suggestion() -> None:
+    assert did_you_mean("zzz", ["walk", "run"]) == ""

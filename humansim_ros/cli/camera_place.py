@@ -45,7 +45,7 @@ _RESIDUALS = {
     "axes_mm": ("distance of the optical axes from their common point", "mm"),
 }
 #: Largest roll of cameras that stand upright, degrees.
-_UPRIGHT = 10.0
+_UPRIGHT = 5.0
 #: Largest plausible difference between distances in map and in the file, as a fraction.
 _OTHER_UNIT = 0.05
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from test_placement import moved_rig
 
-from humansim_ros.camera import Camera
+from humansim_ros.camera import Camera, read_calibration
 from humansim_ros.camera.placing import (
     FloorPoint,
     FoundPlacement,
@@ -178,6 +179,25 @@ def test_levelling_tolerates_cameras_that_are_not_quite_upright() -> None:
     assert np.degrees(np.arccos(up[2])) < 2
     assert 0.3 < found.residuals["roll_deg"] < 4
     assert found.residuals["axes_mm"] > 5
+
+
+@pytest.mark.parametrize(
+    ("file", "only", "degrees"),
+    [
+        ("shelf_voxelpose.json", "", 2.5),
+        ("campus_voxelpose.json", "", 1.5),
+        ("human36m_camera-parameters.json", "S1_", 2.5),
+        ("human36m_camera-parameters.json", "S9_", 2.5),
+    ],
+)
+@pytest.mark.filterwarnings("ignore:.*image size is not in the file")
+def test_levelling_finds_the_vertical_of_real_rigs(
+    shared_data: Path, file: str, only: str, degrees: float
+) -> None:
+    read = read_calibration(shared_data / "calib" / file)
+    in_file, pose = moved_rig(11, {name: camera for name, camera in read.items() if name.startswith(only)})
+    up = place_by_level(in_file).placement.rotation @ pose[:3, :3].T @ [0, 0, 1]
+    assert np.degrees(np.arccos(up[2])) < degrees
 
 
 def test_a_stereo_pair_is_levelled_by_the_up_axes_of_its_images() -> None:

@@ -164,6 +164,19 @@ def test_a_wrong_unit_is_told_by_known_places(
     assert_allclose(centers, [camera.center for camera in RIG.values()], atol=1e-5)
 
 
+def test_cameras_that_do_not_stand_upright_are_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rolled = {}
+    for angle, (name, camera) in zip((0, 20, -15, 0), RIG.items(), strict=True):
+        turn = Rotation.from_euler("z", angle, degrees=True).as_matrix()
+        rolled[name] = replace(camera, R=turn @ camera.R, t=turn @ camera.t)
+    write_calibration(tmp_path / "rig.json", rolled, "4dassociation")
+    code, said, err = run(capsys, monkeypatch, tmp_path / "rig.json")
+    assert code == 0 and "roll of the cameras: " in said
+    assert "so they do not stand upright: place them by floor points" in err
+
+
 @pytest.mark.parametrize(
     ("options", "said"),
     [

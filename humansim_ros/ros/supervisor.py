@@ -15,7 +15,7 @@ from types import TracebackType
 from humansim_ros.ros.processes import WARNINGS_SHOWN, NodeProcess, render_threads
 
 _PR_SET_PDEATHSIG = 1
-#: Seconds that a node has to stop after SIGINT, and again after SIGTERM.
+#: Seconds that a node has to stop after SIGTERM, and again after SIGINT.
 _STOP_LIMIT = 4.0
 
 
@@ -81,8 +81,11 @@ class Supervisor:
         return None
 
     def stop(self) -> None:
-        """Send SIGINT to all nodes, then SIGTERM and SIGKILL to nodes that still run."""
-        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+        """Send SIGTERM to all nodes, then SIGINT and SIGKILL to nodes that still run.
+
+        Both stop a node in order. SIGTERM first, because SIGINT prints a traceback while Python starts.
+        """
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL):
             processes = [*self._helpers, *self._running.values()]
             alive = [process for process in processes if process.poll() is None]
             for process in alive:
@@ -104,6 +107,6 @@ class Supervisor:
 
 
 def _die_with_parent() -> None:
-    """In the child: request SIGINT if the parent dies without stopping it (Linux)."""
+    """In the child: request SIGTERM if the parent dies without stopping it (Linux)."""
     with suppress(OSError, AttributeError):
-        ctypes.CDLL("libc.so.6").prctl(_PR_SET_PDEATHSIG, signal.SIGINT)
+        ctypes.CDLL("libc.so.6").prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -93,15 +93,18 @@ def run(
 
 
 def demo(
+    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="Output folder.")] = Path("demo"),
     duration: Annotated[float, typer.Option(help="Seconds to record.", min=1.0, max=120.0)] = 10.0,
 ) -> None:
-    """Run the demo scene, subscribe to its topics like a client, and draw the received messages."""
+    """Run a scene, subscribe to its topics like a client, and draw the received messages."""
     from humansim_ros.ros.demo import record_demo
 
     _check_machine()
     signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
-    if not record_demo(resource_path("config/scenes/demo.yaml"), output, duration):
+    path = scene or resource_path("config/scenes/demo.yaml")
+    video = "walk.mp4" if scene is None else f"{scene.stem}.mp4"
+    if not record_demo(path, output, duration, video):
         raise typer.Exit(1)
 
 
@@ -132,7 +135,12 @@ def _describe(scene: Any) -> None:
 
 
 #: Commands of this module by name.
-COMMANDS: dict[str, Callable[..., None]] = {"run": run, "check": check, "snapshot": snapshot, "demo": demo}
+COMMANDS: dict[str, Callable[..., None]] = {
+    "run": run,
+    "check": check,
+    "snapshot": snapshot,
+    "demo": demo,
+}
 
 
 @dataclass(frozen=True)

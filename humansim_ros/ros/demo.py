@@ -20,24 +20,43 @@ from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.runtime import prepare_transport
 from humansim_ros.ros.supervisor import Supervisor
 from humansim_ros.scene import Scene
+from humansim_ros.scene.config import LIVE
 from humansim_ros.types import Image
 
-#: Seconds until every topic must have sent a message.
+#: Seconds in which another topic must have sent its first message.
 _START_LIMIT = 60.0
-#: Width of the image of one camera in the video.
-_VIDEO_WIDTH = 480
-#: Newest stamps that are held until one of them has arrived from all cameras.
-_MAX_INCOMPLETE = 20
+#: Size of the image of one camera in the video.
+_VIDEO_SIZE = (480, 360)
+#: Newest stamps that are held until one of them has arrived from all cameras, and their memory in bytes.
+_MAX_INCOMPLETE, _MAX_BYTES = 20, 1 << 29
+#: Most cameras that the pictures show.
+_MAX_CAMERAS = 8
+#: Quality of the JPEG images that the frames of the video are held as.
+_JPEG_QUALITY = 92
 #: Element type and shape of a pixel, by image encoding.
 _PIXELS: dict[str, tuple[type, tuple[int, ...]]] = {
     "rgb8": (np.uint8, (3,)),
     "32FC1": (np.float32, ()),
     "mono8": (np.uint8, ()),
+    "bgr8": (np.uint8, (3,)),
+    "bayer_rggb8": (np.uint8, ()),
+}
+#: Conversion of ``image_raw`` to RGB, by image encoding.
+_TO_RGB = {
+    "bgr8": cv2.COLOR_BGR2RGB,
+    "mono8": cv2.COLOR_GRAY2RGB,
+    "bayer_rggb8": cv2.COLOR_BayerBG2RGB,  # OpenCV names the pattern by its second row
 }
 
 
-def record_demo(scene_path: Path, output: Path, duration: float) -> bool:
-    """Write ``contact_sheet.png`` and ``walk.mp4`` to a folder, and print a table of the topics.
+def record_demo(scene_path: Path, output: Path, duration: float, video: str = "walk.mp4") -> bool:
+    """Write ``contact_sheet.png`` and a video to a folder, and print a table of the topics.
+
+    Args:
+        scene_path: Scene file.
+        output: Folder of the pictures.
+        duration: Seconds to record.
+        video: File name of the video.
 
     Returns:
         False if a node failed or a topic sent nothing.
@@ -58,12 +77,15 @@ def record_demo(scene_path: Path, output: Path, duration: float) -> bool:
         task = progress.add_task("writing pictures", total=2)
         canvas.write_png(output / "contact_sheet.png", _contact_sheet(scene, recorder))
         progress.advance(task)
-        canvas.write_mp4(output / "walk.mp4", _video(scene, recorder), scene.config.rate)
+        canvas.write_mp4(output / video, _video(scene, recorder), scene.config.rate)
         progress.advance(task)
     console.print(_topic_table(recorder, seconds))
     complete, total = recorder.complete_stamps()
-    console.print(f"frames with all {len(scene.cameras)} cameras at equal stamps: {complete} of {total}")
-    for name in ("contact_sheet.png", "walk.mp4"):
+    shown, count = len(recorder.cameras), len(scene.cameras)
+    if shown < count:
+        console.print(f"the pictures show {shown} of the {count} cameras: {', '.join(recorder.cameras)}")
+    console.print(f"frames with all {shown} cameras at equal stamps: {complete} of {total}")
+    for name in ("contact_sheet.png", video):
         console.print(f"wrote {output / name}")
     return True
 
@@ -76,10 +98,14 @@ def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Co
     """
     with _progress(console) as progress:
         task = progress.add_task("starting the nodes", total=None)
-        limit = time.monotonic() + _START_LIMIT
-        while recorder.silent and not nodes.dead() and time.monotonic() < limit:
+        silent, limit = recorder.silent, time.monotonic() + _START_LIMIT
+        while silent and not nodes.dead() and time.monotonic() < limit:
             recorder.spin(0.1)
-        silent = recorder.silent
+            if len(recorder.silent) < len(silent):
+                limit = time.monotonic() + _START_LIMIT
+            silent = recorder.silent
+        while not silent and not recorder.sheet and not nodes.dead() and time.monotonic() < limit:
+            recorder.spin(0.1)
         recorder.reset()
         progress.update(task, description="recording", total=duration)
         begin = time.monotonic()
@@ -126,14 +152,18 @@ class _Recorder:
         self._incomplete: dict[int, dict[str, bytes]] = {}
         #: Serialised messages of the latest stamp that is complete, by topic.
         self.sheet: dict[str, bytes] = {}
-        #: Scaled images by stamp and camera.
+        #: Scaled images as JPEG by stamp and camera.
         self.thumbnails: dict[int, dict[str, Any]] = {}
+        #: Cameras of the pictures.
+        self.cameras = list(scene.cameras)[:_MAX_CAMERAS]
         topics: list[tuple[str, Any]] = []
         for human in scene.actors:
-            topics += [(f"/humans/{human}/{kind}", MultiDOFJointState) for kind in ("motion", "joints")]
+            live = scene.config.humans[human].motion.file == LIVE
+            kinds = ("joints",) if live else ("motion", "joints")
+            topics += [(f"/humans/{human}/{kind}", MultiDOFJointState) for kind in kinds]
             topics.append((f"/humans/{human}/vertices", PointCloud2))
         self._sheet_topics = []
-        for camera in scene.cameras:
+        for camera in self.cameras:
             images = [f"/{camera}/{kind}" for kind in ("image_raw", "depth/image", "part/image")]
             topics += [(topic, Image) for topic in images]
             topics += [(f"/{camera}/camera_info", CameraInfo), (f"/{camera}/joints", PointCloud2)]
@@ -172,9 +202,12 @@ class _Recorder:
         self.thumbnails.clear()
 
     def complete_stamps(self) -> tuple[int, int]:
-        """Number of stamps with images of all cameras, and of any."""
-        complete = sum(len(images) == len(self.scene.cameras) for images in self.thumbnails.values())
-        return complete, len(self.thumbnails)
+        """Number of stamps with images of all cameras, and of any, from the first of them to the last."""
+        complete = [stamp for stamp, images in self.thumbnails.items() if len(images) == len(self.cameras)]
+        if not complete:
+            return 0, len(self.thumbnails)
+        # the first and the last frame of the recording were on their way
+        return len(complete), sum(min(complete) <= stamp <= max(complete) for stamp in self.thumbnails)
 
     def _callback(self, topic: str) -> Callable[[bytes], None]:
         """Create the callback for serialised messages of a topic; few of them are deserialised."""
@@ -187,9 +220,9 @@ class _Recorder:
             self.messages[topic] += 1
             self.bytes[topic] += len(data)
             if topic.endswith("/image_raw"):
-                image = self.image(topic, data)
-                size = (_VIDEO_WIDTH, round(image.shape[0] * _VIDEO_WIDTH / image.shape[1]))
-                self.thumbnails.setdefault(stamp, {})[camera] = cv2.resize(image, size)
+                picture = _fitted(self.image(topic, data), _VIDEO_SIZE)
+                quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+                self.thumbnails.setdefault(stamp, {})[camera] = cv2.imencode(".jpg", picture, quality)[1]
             if topic in self._sheet_topics:
                 self._store_for_sheet(stamp, topic, data)
 
@@ -205,15 +238,20 @@ class _Recorder:
         """Read the pixels of a serialised image message."""
         message = self.message(topic, data)
         dtype, pixel = _PIXELS[message.encoding]
-        return np.frombuffer(message.data, dtype).reshape(message.height, message.width, *pixel)
+        pixels: Any = np.frombuffer(message.data, dtype).reshape(message.height, message.width, *pixel)
+        convert = _TO_RGB.get(message.encoding) if topic.endswith("/image_raw") else None
+        return pixels if convert is None else cv2.cvtColor(pixels, convert)
 
     def _store_for_sheet(self, stamp: int, topic: str, data: bytes) -> None:
         """Hold messages of the newest stamps until one stamp is complete."""
         self._incomplete.setdefault(stamp, {})[topic] = data
         if len(self._incomplete[stamp]) == len(self._sheet_topics):
             self.sheet = self._incomplete[stamp]
-        for old in sorted(self._incomplete)[:-_MAX_INCOMPLETE]:
-            del self._incomplete[old]
+        held = sum(len(part) for parts in self._incomplete.values() for part in parts.values())
+        for old in sorted(self._incomplete)[:-1]:
+            if len(self._incomplete) <= _MAX_INCOMPLETE and held <= _MAX_BYTES:
+                break
+            held -= sum(len(part) for part in self._incomplete.pop(old).values())
 
 
 def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
@@ -222,7 +260,7 @@ def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
     if not recorder.sheet:
         raise HumansimError("no frame was received from all cameras: the machine is too slow for this scene")
     rows = []
-    for camera in scene.cameras:
+    for camera in recorder.cameras:
         image, depth, part = (
             recorder.image(topic, recorder.sheet[topic])
             for topic in (f"/{camera}/{kind}" for kind in ("image_raw", "depth/image", "part/image"))
@@ -247,21 +285,31 @@ def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
             ]
         )
     titles = ("image_raw", "image_raw with joints", "depth/image", "part/image")
-    return views.contact_sheet(rows, titles, list(scene.cameras))
+    return views.contact_sheet(rows, titles, recorder.cameras)
 
 
 def _video(scene: Scene, recorder: _Recorder) -> Iterator[Image]:
-    """Frames with all cameras at one stamp, two cameras a row; each is repeated until the next stamp."""
-    names = list(scene.cameras)
-    thumbnails = recorder.thumbnails
+    """Frames with all cameras at one stamp in a grid; each is repeated until the next stamp."""
+    names, thumbnails = recorder.cameras, recorder.thumbnails
+    columns = round(np.ceil(np.sqrt(len(names))))
     complete = [stamp for stamp in sorted(thumbnails) if len(thumbnails[stamp]) == len(names)]
     for stamp, following in zip(complete, [*complete[1:], None], strict=True):
-        images = thumbnails[stamp]
-        rows = [
-            np.concatenate([images[n] for n in names[i : i + 2]], axis=1) for i in range(0, len(names), 2)
-        ]
+        images: list[Any] = [cv2.imdecode(thumbnails[stamp][name], cv2.IMREAD_UNCHANGED) for name in names]
+        images += [np.zeros_like(images[0])] * (-len(images) % columns)
+        rows = [np.concatenate(images[i : i + columns], axis=1) for i in range(0, len(images), columns)]
         periods = 1 if following is None else round((following - stamp) * 1e-9 / scene.period)
         yield from [np.concatenate(rows)] * max(1, periods)
+
+
+def _fitted(image: Image, size: tuple[int, int]) -> Image:
+    """RGB image scaled into a size (width, height), centred on black."""
+    width, height = size
+    factor = min(width / image.shape[1], height / image.shape[0])
+    inner = (max(1, round(image.shape[1] * factor)), max(1, round(image.shape[0] * factor)))
+    out = np.zeros((height, width, 3), np.uint8)
+    x, y = (width - inner[0]) // 2, (height - inner[1]) // 2
+    out[y : y + inner[1], x : x + inner[0]] = cv2.resize(image, inner, interpolation=cv2.INTER_AREA)
+    return out
 
 
 def _topic_table(recorder: _Recorder, seconds: float) -> Table:

@@ -103,6 +103,8 @@ class FrameSynchronizer:
         for name in moving:
             self._subscribe(TwistStamped, f"{name}/twist", "twists", name, messages.read_twist)
         self._done = node.create_publisher(Header, "frame_done", DATA)
+        if not any(self._expected.values()):  # nothing moves: the player gives the stamps alone
+            node.create_subscription(Header, "frame", self._on_static_frame, NEWEST)
         description = "Show the scene at its start while no vertices arrive"
         self._shows_start = bool(node.described_parameter("start_scene", True, description, read_only=True))
         self._started = node.now()
@@ -191,17 +193,26 @@ class FrameSynchronizer:
         self._node.report_lateness(stamp, "arrival")
         joints_of = cache(lambda human: _read_joints(frame.joints[human]))
         self._pass_on(stamp, frame.vertices, joints_of, objects, cameras)
-        done = messages.header(stamp, self._node.get_fully_qualified_name())
-        self._done.publish(done)
+        self._report_done(stamp)
         if any(self._is_complete(later) for later in self._frames):
             self._schedule_next_frame()
+
+    def _report_done(self, stamp: int) -> None:
+        self._done.publish(messages.header(stamp, self._node.get_fully_qualified_name()))
+
+    def _on_static_frame(self, frame: Header) -> None:
+        """Show a scene in which nothing moves, at the stamps of the motion player."""
+        self._start_scene_timer.cancel()
+        self._last = messages.to_nanoseconds(frame.stamp)
+        self._pass_on(self._last, {}, _no_joints, {}, {})
+        self._report_done(self._last)
 
     def _show_start_scene(self) -> None:
         now = self._node.now()
         has_sources = any(self._expected.values())
         if self._last and has_sources:
             self._start_scene_timer.cancel()
-        elif (self._shows_start and now - self._started > _START_SCENE_AFTER * 1e9) or not has_sources:
+        elif self._shows_start and (now - self._started > _START_SCENE_AFTER * 1e9 or not has_sources):
             if not self._start_scene_logged and has_sources:
                 self._start_scene_logged = True
                 self._node.get_logger().info("no vertices are published: showing the scene at its start")
@@ -243,6 +254,10 @@ class FrameSynchronizer:
             )
         except HumansimError as error:
             self._node.report_skipped(str(error))
+
+
+def _no_joints(human: str) -> JointMotion:
+    raise KeyError(human)
 
 
 def _check_vertices(name: str, vertices: Float32Array, count: int) -> None:

@@ -2,7 +2,8 @@
 
 Publishes ``humans/<id>/motion``, latched ``humans/<id>/motion/legend``, ``marker`` and ``twist`` of every
 moving object (``objects/<name>``), and ``pose`` and ``twist`` of every camera with a trajectory. Of a live
-human, which another node moves, it publishes only the stamps of its frames, ``humans/<id>/frame``.
+human, which another node moves, it publishes only the stamps of its frames, ``humans/<id>/frame``; and the
+stamps of all frames, ``frame``, for cameras to which nothing moves.
 
 Frame k has the stamp start + round(k * period). It is sent ``lead`` before its stamp on the wall clock, so
 that bodies are ready at the stamp. A late player skips to the newest frame and counts the drops. Cameras
@@ -88,6 +89,7 @@ class MotionPlayerNode(SceneNode):
             for name in self.scene.moving_objects
         }
         moving = [*(f"objects/{name}" for name in self._markers), *self.scene.moving_cameras]
+        self._frame_stamps = self.create_publisher(Header, "frame", DATA)
         self._twists = {
             topic: self.create_publisher(TwistStamped, f"{topic}/twist", DATA) for topic in moving
         }
@@ -149,8 +151,9 @@ class MotionPlayerNode(SceneNode):
         scene_poses = self._playback.show(tick.elapsed, tick.pace)
         for name, publisher in self._motions.items():
             publisher.publish(motion_message(scene_poses.poses[name], tick.stamp))
-        for publisher in self._live.values():
-            publisher.publish(header(tick.stamp, WORLD_FRAME))
+        for publisher in (*self._live.values(), self._frame_stamps):
+            if publisher.get_subscription_count():
+                publisher.publish(header(tick.stamp, WORLD_FRAME))
         for name, object_pose in scene_poses.objects.items():
             moving = self.scene.moving_objects[name]
             self._twists[f"objects/{name}"].publish(twist_message(object_pose.velocity, tick.stamp))

@@ -46,6 +46,7 @@ from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState
 
 from humansim_ros.resources import resource_path
+from humansim_ros.ros.cpu_time import CpuTime
 from humansim_ros.ros.messages import serialised_stamp
 from humansim_ros.ros.processes import cores, scene_processes
 from humansim_ros.ros.qos import DATA
@@ -109,25 +110,6 @@ TABLE = (
     Setting("rgb as JPEG", cores()),
     Setting("rgb, 8 cameras", cores()),
 )
-
-
-@dataclass(frozen=True)
-class Times:
-    """Used CPU seconds: by process, and of the whole machine."""
-
-    processes: dict[str, float]
-    machine: float
-
-    @classmethod
-    def now(cls, processes: dict[str, int]) -> Times:
-        tick = os.sysconf("SC_CLK_TCK")
-        seconds = {}
-        for name, pid in processes.items():
-            fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
-            seconds[name] = (int(fields[11]) + int(fields[12])) / tick
-        machine = [int(n) for n in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
-        used = sum(machine) - machine[3] - machine[4]  # without idle and waiting for a disk
-        return cls(seconds, used / tick)
 
 
 def set_nice(pids: Iterable[int], nice: int) -> None:
@@ -240,11 +222,11 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int, loops: in
             while time.monotonic() < settled:
                 executor.spin_once(timeout_sec=0.05)
             diagnostics.clear()
-            begin, before = time.time_ns(), Times.now(running)
+            begin, before = time.time_ns(), CpuTime.now(running)
             end = begin + round(1e9 * seconds)
             while time.time_ns() < end:
                 executor.spin_once(timeout_sec=0.05)
-            after = Times.now(running)
+            used = CpuTime.now(running).since(before)
             while time.time_ns() < end + STRAGGLERS:
                 executor.spin_once(timeout_sec=0.05)
     executor.shutdown()
@@ -255,7 +237,7 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int, loops: in
     complete = set.intersection(*(set(arrived[topic]) for topic in topics))
     images = [set(arrived[f"/{camera}/{kinds[0]}"]) for camera in cameras]
     latencies = np.array([ms for camera in cameras for ms in arrived[f"/{camera}/{kinds[0]}"].values()])
-    cpu = {name: after.processes[name] - before.processes[name] for name in running}
+    cpu = used.processes
     stages = {"motion": arrived["motion"], **{name: arrived[f"/{name}/{kinds[0]}"] for name in cameras}}
     return {
         "lowest_hz": min(counts.values()) / seconds,
@@ -265,7 +247,7 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int, loops: in
         "latency_ms_median": float(np.median(latencies)),
         "latency_ms_p99": float(np.percentile(latencies, 99)),
         "cpu_ms_per_frame": 1e3 * sum(cpu.values()) / played,
-        "other_cores": (after.machine - before.machine - sum(cpu.values())) / seconds,
+        "other_cores": (used.machine - used.total) / seconds,
         "cpu_ms": {name: 1e3 * used / played for name, used in cpu.items()},
         "after_stamp_ms": {
             **{name: float(np.median(times)) for name, times in diagnostics.items()},

@@ -14,6 +14,7 @@ from typing import Annotated, Any
 
 import typer
 
+from humansim_ros.cli.bench import bench
 from humansim_ros.cli.check import check, warn_about_mistakes
 from humansim_ros.cli.options import join_numbers
 from humansim_ros.cli.scene_options import SceneOptions
@@ -140,6 +141,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "check": check,
     "snapshot": snapshot,
     "demo": demo,
+    "bench": bench,
 }
 
 

@@ -132,7 +132,11 @@ class SceneNode(Node):
 
         ``event``: ``lateness`` when the frame is sent, or another name.
         """
-        self._lateness.setdefault(event, []).append((self.now() - stamp) * 1e-6)
+        self.report_time((self.now() - stamp) * 1e-6, event)
+
+    def report_time(self, milliseconds: float, event: str) -> None:
+        """Record a time for the diagnostics: its maximum and median in a second."""
+        self._lateness.setdefault(event, []).append(milliseconds)
 
     def close(self) -> None:
         """Free resources besides the ROS entities of the node."""

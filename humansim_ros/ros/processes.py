@@ -16,11 +16,12 @@ WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
 
 @dataclass(frozen=True)
 class NodeProcess:
-    """A process to start: executable of this package, name of its node, parameters of its node."""
+    """A process to start: executable of this package; name, parameters and log level of its node."""
 
     executable: str
     node_name: str
-    parameters: Mapping[str, str | bool | list[str]]
+    parameters: Mapping[str, str | bool | float | list[str]]
+    log_level: str = "info"
 
     @property
     def ros_arguments(self) -> list[str]:
@@ -29,7 +30,7 @@ class NodeProcess:
         for name, value in self.parameters.items():
             # quoted, because ROS parses values as YAML: a camera named off would be a boolean
             arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
-        return arguments
+        return arguments if self.log_level == "info" else [*arguments, "--log-level", self.log_level]
 
 
 def cores() -> int:

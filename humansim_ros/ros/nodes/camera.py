@@ -9,6 +9,7 @@ As camera drivers, it has ``camera_info``, ``set_camera_info`` and ``camera_info
 from __future__ import annotations
 
 import sys
+import time
 from dataclasses import replace
 from typing import Any
 
@@ -111,6 +112,11 @@ class CameraNode(SceneNode):
 
     def publish_frame(self, state: SceneState) -> None:
         """Render and publish the subscribed channels, and the forward flow of the previous frame."""
+        start = time.monotonic()
+        self._publish_frame(state)
+        self.report_time(1e3 * (time.monotonic() - start), "render")
+
+    def _publish_frame(self, state: SceneState) -> None:
         stamp = state.stamp
         exposure = self._pose.exposure(state)
         channels = self._images.subscribed()

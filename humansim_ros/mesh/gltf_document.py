@@ -16,16 +16,17 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from humansim_ros.errors import MeshError
 from humansim_ros.hierarchy import levels
 from humansim_ros.io.files import read_bytes, resolve_inside
 from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.mesh.gltf_schema import Animation, Document, GltfMaterial, GltfMesh, Node, Skin
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
@@ -35,180 +36,7 @@ _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126:
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 _COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu")
 
-Index = Annotated[int, Field(ge=0)]
-Vector = tuple[float, float, float]
 Item = TypeVar("Item")
-
-
-class _Part(BaseModel):  # not a Section: files may have further keys
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-
-class _Buffer(_Part):
-    byteLength: Annotated[int, Field(ge=1)]
-    uri: str | None = None
-
-
-class _BufferView(_Part):
-    buffer: Index
-    byteOffset: Index = 0
-    byteLength: Annotated[int, Field(ge=1)]
-    byteStride: Annotated[int, Field(ge=4, le=252)] | None = None
-
-
-class _SparseIndices(_Part):
-    bufferView: Index
-    byteOffset: Index = 0
-    componentType: Literal[5121, 5123, 5125]
-
-
-class _SparseValues(_Part):
-    bufferView: Index
-    byteOffset: Index = 0
-
-
-class _Sparse(_Part):
-    count: Annotated[int, Field(ge=1)]
-    indices: _SparseIndices
-    values: _SparseValues
-
-
-class _Accessor(_Part):
-    bufferView: Index | None = None
-    byteOffset: Index = 0
-    componentType: Literal[5120, 5121, 5122, 5123, 5125, 5126]
-    normalized: bool = False
-    count: Annotated[int, Field(ge=1)]
-    type: Literal["SCALAR", "VEC2", "VEC3", "VEC4", "MAT2", "MAT3", "MAT4"]
-    sparse: _Sparse | None = None
-
-
-class Primitive(_Part):
-    """Part of a mesh with one material; ``mode`` 4, 5, 6: triangles, strip, fan."""
-
-    attributes: dict[str, Index]
-    indices: Index | None = None
-    material: Index | None = None
-    mode: Annotated[int, Field(ge=0, le=6)] = 4
-
-
-class GltfMesh(_Part):
-    """Primitives of a mesh."""
-
-    name: str = ""
-    primitives: tuple[Primitive, ...]
-
-
-class Skin(_Part):
-    """Joints (node indices) and the accessor of their inverse bind matrices."""
-
-    name: str = ""
-    joints: Annotated[tuple[Index, ...], Field(min_length=1)]
-    inverseBindMatrices: Index | None = None
-
-
-class Node(_Part):
-    """Node of the tree with its transform in its parent."""
-
-    name: str = ""
-    children: tuple[Index, ...] = ()
-    mesh: Index | None = None
-    skin: Index | None = None
-    matrix: Annotated[tuple[float, ...], Field(min_length=16, max_length=16)] | None = None
-    translation: Vector = (0.0, 0.0, 0.0)
-    rotation: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-    scale: Vector = (1.0, 1.0, 1.0)
-
-
-class TextureInfo(_Part):
-    """Reference to a texture, its set of texture coordinates, and ``scale`` of normal maps."""
-
-    index: Index
-    texCoord: Index = 0
-    scale: float = 1.0
-    extensions: dict[str, Any] = {}
-
-
-class _Pbr(_Part):
-    baseColorFactor: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
-    baseColorTexture: TextureInfo | None = None
-    metallicFactor: float = 1.0
-    roughnessFactor: float = 1.0
-    metallicRoughnessTexture: TextureInfo | None = None
-
-
-class GltfMaterial(_Part):
-    """Material; colours are linear factors."""
-
-    name: str = ""
-    pbrMetallicRoughness: _Pbr = _Pbr()
-    normalTexture: TextureInfo | None = None
-    occlusionTexture: TextureInfo | None = None
-    emissiveTexture: TextureInfo | None = None
-    emissiveFactor: Vector = (0.0, 0.0, 0.0)
-    alphaMode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"
-    alphaCutoff: float = 0.5
-    doubleSided: bool = False
-    extensions: dict[str, Any] = {}
-
-
-class _Wrap(_Part):
-    wrapS: Literal[33071, 33648, 10497] = 10497
-    wrapT: Literal[33071, 33648, 10497] = 10497
-
-
-class _Texture(_Part):
-    source: Index | None = None
-    sampler: Index | None = None
-
-
-class _Image(_Part):
-    uri: str | None = None
-    bufferView: Index | None = None
-
-
-class _Target(_Part):
-    node: Index | None = None
-    path: str
-
-
-class _Channel(_Part):
-    sampler: Index
-    target: _Target
-
-
-class _Sampler(_Part):
-    input: Index
-    output: Index
-    interpolation: Literal["LINEAR", "STEP", "CUBICSPLINE"] = "LINEAR"
-
-
-class Animation(_Part):
-    """Channels; each animates one property of one node with the values of a sampler."""
-
-    name: str = ""
-    channels: tuple[_Channel, ...]
-    samplers: tuple[_Sampler, ...]
-
-
-class _Asset(_Part):
-    version: str
-
-
-class _Document(_Part):
-    asset: _Asset
-    extensionsRequired: tuple[str, ...] = ()
-    buffers: tuple[_Buffer, ...] = ()
-    bufferViews: tuple[_BufferView, ...] = ()
-    accessors: tuple[_Accessor, ...] = ()
-    meshes: tuple[GltfMesh, ...] = ()
-    skins: tuple[Skin, ...] = ()
-    nodes: tuple[Node, ...] = ()
-    materials: tuple[GltfMaterial, ...] = ()
-    textures: tuple[_Texture, ...] = ()
-    samplers: tuple[_Wrap, ...] = ()
-    images: tuple[_Image, ...] = ()
-    animations: tuple[Animation, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -216,7 +44,7 @@ class Gltf:
     """Content of a glTF file. Wrong content raises MeshError."""
 
     path: Path
-    document: _Document
+    document: Document
     embedded: bytes | None
 
     @classmethod
@@ -233,9 +61,9 @@ class Gltf:
         except (ValueError, RecursionError) as reason:
             raise MeshError(f"not a glTF file: {reason}", path=path) from None
         try:
-            document = _Document.model_validate(content)
+            document = Document.model_validate(content)
         except ValidationError as reason:
-            fault = schema_error(reason, _Document, MeshError)
+            fault = schema_error(reason, Document, MeshError)
             raise MeshError(f"not a glTF 2 file: {fault.message}", path=path, key=fault.key) from None
         if not document.asset.version.startswith("2."):
             version = document.asset.version

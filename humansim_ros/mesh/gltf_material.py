@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+from pydantic import ValidationError
 
 from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.io.images import decode_alpha, decode_image
-from humansim_ros.mesh.gltf_document import Gltf, GltfMaterial, TextureInfo
+from humansim_ros.mesh.gltf_document import Gltf
+from humansim_ros.mesh.gltf_schema import GltfMaterial, TextureInfo, TextureTransform
 from humansim_ros.mesh.material import Material
 from humansim_ros.types import Image
 
 _REPEATED, _MIRRORED, _CLAMPED = 10497, 33648, 33071
+_TRANSFORM = "KHR_texture_transform"
 _EMISSIVE_STRENGTH = "KHR_materials_emissive_strength"
 
 
@@ -80,13 +83,23 @@ def read_image(gltf: Gltf, info: TextureInfo) -> Image | None:
         raise MeshError(error.message, path=gltf.path, key=error.key or f"images.{source}") from None
 
 
+def texture_transform(gltf: Gltf, info: TextureInfo) -> TextureTransform | None:
+    """Transform of the texture coordinates of a texture; None without one. Raises MeshError."""
+    if _TRANSFORM not in info.extensions:
+        return None
+    try:
+        return TextureTransform.model_validate(info.extensions[_TRANSFORM])
+    except ValidationError as reason:
+        raise MeshError(reason.errors()[0]["msg"], path=gltf.path, key=_TRANSFORM) from None
+
+
 def _unsupported(gltf: Gltf, material: GltfMaterial, leading: TextureInfo | None) -> list[str]:
     """Parts of a material that are ignored."""
     parts = [f"extension {name!r}" for name in material.extensions if name != _EMISSIVE_STRENGTH]
     if material.occlusionTexture is not None:
         parts.append("the ambient occlusion map (ambient occlusion is computed)")
     if leading is not None:
-        parts += [f"extension {name!r} of its texture" for name in leading.extensions]
+        parts += [f"extension {name!r} of its texture" for name in leading.extensions if name != _TRANSFORM]
         if _MIRRORED in gltf.wraps(leading.index):
             parts.append("mirrored repetition of the texture")
     return parts

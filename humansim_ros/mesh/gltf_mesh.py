@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +13,9 @@ from scipy.sparse import csr_matrix, vstack
 from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.io.srgb import encode_srgb
 from humansim_ros.mesh.atlas import PLAIN, atlas_mesh, plain_tile
-from humansim_ros.mesh.gltf_document import Gltf, Primitive
-from humansim_ros.mesh.gltf_material import read_image, read_material
+from humansim_ros.mesh.gltf_document import Gltf
+from humansim_ros.mesh.gltf_material import read_image, read_material, texture_transform
+from humansim_ros.mesh.gltf_schema import Primitive
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.mesh.mesh import FaceIndices, Mesh
 from humansim_ros.mesh.skinned import SkinnedMesh, normalise_weights
@@ -37,15 +39,13 @@ class _Piece:
 
 
 def read_gltf(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
-    """Read a glTF file as a skinned mesh, or as a mesh if nothing in it is skinned. Raises MeshError."""
+    """Read a glTF file as a skinned mesh at bind time, or as a mesh if nothing in it is skinned.
+
+    Raises MeshError if the file is wrong or has no triangles.
+    """
     gltf = Gltf.read(path)
     skeleton = GltfSkeleton.of(gltf)
-    pieces = [piece for number in gltf.order for piece in _pieces(gltf, int(number), skeleton)]
-    if not pieces:
-        raise MeshError("the file has no triangles", path=path)
-    total = sum(len(piece.vertices) for piece in pieces)
-    if total > _MAX_VERTICES:
-        raise MeshError(f"{total} vertices; at most {_MAX_VERTICES} are read", path=path)
+    pieces = _all_pieces(gltf, skeleton)
     mesh = _one_mesh(gltf, pieces)
     if skeleton is None:
         return mesh
@@ -60,22 +60,42 @@ def read_gltf(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
     )
 
 
+def read_gltf_scene(path: str | os.PathLike[str]) -> Mesh:
+    """Read the scene of a glTF file as one mesh; skinned meshes have the pose of their nodes.
+
+    Raises MeshError if the file is wrong or has no triangles.
+    """
+    gltf = Gltf.read(path)
+    return _one_mesh(gltf, _all_pieces(gltf, None))
+
+
 def read_gltf_materials(path: str | os.PathLike[str]) -> list[Mesh]:
     """Read the scene of a glTF file as one mesh for each material. Textures may repeat.
 
     Raises MeshError if the file is wrong or has no triangles.
     """
     gltf = Gltf.read(path)
-    pieces = [piece for number in gltf.order for piece in _pieces(gltf, int(number), None)]
-    if not pieces:
-        raise MeshError("the file has no triangles", path=path)
-    if sum(len(piece.vertices) for piece in pieces) > _MAX_VERTICES:
-        raise MeshError(f"at most {_MAX_VERTICES} vertices are read", path=path)
+    pieces = _all_pieces(gltf, None)
     materials = dict.fromkeys((piece.material, piece.uv is not None) for piece in pieces)
     return [
         _material_mesh(gltf, [p for p in pieces if (p.material, p.uv is not None) == kind])
         for kind in materials
     ]
+
+
+def _all_pieces(gltf: Gltf, skeleton: GltfSkeleton | None) -> list[_Piece]:
+    """Pieces of all nodes; in the scene if there is no skeleton."""
+    pieces: list[_Piece] = []
+    total = 0
+    for number in gltf.order:
+        for piece in _pieces(gltf, int(number), skeleton):
+            total += len(piece.vertices)
+            if total > _MAX_VERTICES:
+                raise MeshError(f"more than {_MAX_VERTICES} vertices", path=gltf.path)
+            pieces.append(piece)
+    if not pieces:
+        raise MeshError("the file has no triangles", path=gltf.path)
+    return pieces
 
 
 def _joined(pieces: list[_Piece]) -> tuple[Array, FaceIndices]:
@@ -101,46 +121,63 @@ def _material_mesh(gltf: Gltf, pieces: list[_Piece]) -> Mesh:
     return Mesh(vertices, faces, uv, faces, colors, texture, material=material)
 
 
-def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> list[_Piece]:
+@dataclass(frozen=True)
+class _Placement:
+    """Place of the mesh of a node.
+
+    ``to_common``: (4, 4) transform to the common space. ``joints``: number of each joint of the skin among
+    all ``n_joints``. ``parent_joint``: joint that moves a mesh without skin. ``pose``: (J, 4, 4) transforms
+    of the joints of the skin, which pose a mesh in a scene.
+    """
+
+    to_common: Array
+    joints: NDArray[np.intp] | None = None
+    parent_joint: int | None = None
+    n_joints: int = 0
+    pose: Array | None = None
+
+
+def _pieces(gltf: Gltf, number: int, skeleton: GltfSkeleton | None) -> Iterator[_Piece]:
     """Pieces of the mesh of a node."""
     node = gltf.nodes[number]
     if node.mesh is None:
-        return []
-    joints: Array | None = None
-    if skeleton is None:
-        to_common = gltf.at_rest[number]
-        parent_joint = None
-    elif node.skin is not None:
-        to_common, parent_joint = skeleton.from_skin[node.skin], None
+        return
+    key = f"meshes.{node.mesh}"
+    placement = _placement_in_scene(gltf, number) if skeleton is None else _placement(gltf, number, skeleton)
+    if placement is None:
+        return
+    for primitive in gltf.mesh(node.mesh).primitives:
+        piece = _piece(gltf, primitive, key, placement)
+        if piece is not None:
+            yield piece
+
+
+def _placement_in_scene(gltf: Gltf, number: int) -> _Placement:
+    skin = gltf.nodes[number].skin
+    if skin is None:
+        return _Placement(gltf.at_rest[number])
+    joints = np.array(gltf.skin(skin).joints)
+    pose = gltf.at_rest[joints] @ np.linalg.inv(gltf.bind_matrices(skin))
+    return _Placement(gltf.at_rest[number], np.arange(len(joints)), n_joints=len(joints), pose=pose)
+
+
+def _placement(gltf: Gltf, number: int, skeleton: GltfSkeleton) -> _Placement | None:
+    node, n_joints = gltf.nodes[number], len(skeleton.nodes)
+    if node.skin is not None:
         joint_of_node = {int(n): joint for joint, n in enumerate(skeleton.nodes)}
         joints = np.array([joint_of_node[joint] for joint in gltf.skin(node.skin).joints])
-    else:
-        parent_joint = skeleton.joint_of(gltf, number)
-        if parent_joint is None:
-            warn_about(gltf.path, f"{node.name or f'node {number}'!r} has no parent joint and is ignored")
-            return []
-        # a mesh without skin, such as a hat, moves with its joint
-        world = gltf.at_rest
-        to_joint = np.linalg.inv(world[skeleton.nodes[parent_joint]]) @ world[number]
-        to_common = skeleton.bind[parent_joint] @ to_joint
-    mesh = gltf.mesh(node.mesh)
-    n_joints = 0 if skeleton is None else len(skeleton.nodes)
-    read = (
-        _piece(gltf, primitive, f"meshes.{node.mesh}", to_common, joints, parent_joint, n_joints)
-        for primitive in mesh.primitives
-    )
-    return [piece for piece in read if piece is not None]
+        return _Placement(skeleton.from_skin[node.skin], joints, n_joints=n_joints)
+    parent_joint = skeleton.joint_of(gltf, number)
+    if parent_joint is None:
+        warn_about(gltf.path, f"{node.name or f'node {number}'!r} has no parent joint and is ignored")
+        return None
+    # a mesh without skin, such as a hat, moves with its joint
+    world = gltf.at_rest
+    to_joint = np.linalg.inv(world[skeleton.nodes[parent_joint]]) @ world[number]
+    return _Placement(skeleton.bind[parent_joint] @ to_joint, parent_joint=parent_joint, n_joints=n_joints)
 
 
-def _piece(
-    gltf: Gltf,
-    primitive: Primitive,
-    key: str,
-    to_common: Array,
-    joints: Array | None,
-    parent_joint: int | None,
-    n_joints: int,
-) -> _Piece | None:
+def _piece(gltf: Gltf, primitive: Primitive, key: str, placement: _Placement) -> _Piece | None:
     if primitive.mode < 4 or "POSITION" not in primitive.attributes:
         return None  # points or lines
     points = gltf.accessor(primitive.attributes["POSITION"], ["VEC3"], "positions").astype(float)
@@ -153,34 +190,60 @@ def _piece(
     triangles = _triangles(corners, primitive.mode)
     if not len(triangles):
         return None
+    weights: csr_matrix | None = None
+    to_common = placement.to_common
     vertices = points @ to_common[:3, :3].T + to_common[:3, 3]
-    if np.linalg.det(to_common[:3, :3]) < 0:
+    mirrored = np.linalg.det(to_common[:3, :3]) < 0
+    if placement.joints is not None and (placement.pose is None or "JOINTS_0" in primitive.attributes):
+        weights = _weights(gltf, primitive, key, placement.joints, len(points), placement.n_joints)
+        if placement.pose is not None:
+            vertices = _posed(points, normalise_weights(weights), placement.pose)
+            mirrored, weights = np.median(np.linalg.det(placement.pose[:, :3, :3])) < 0, None
+    elif placement.parent_joint is not None:
+        ones = np.ones(len(points))
+        columns = np.full(len(points), placement.parent_joint)
+        shape = (len(points), placement.n_joints)
+        weights = csr_matrix((ones, columns, np.arange(len(points) + 1)), shape=shape)
+    if mirrored:
         triangles = triangles[:, ::-1]
-    info = gltf.material(primitive.material).pbrMetallicRoughness.baseColorTexture
-    uv = None
-    name = f"TEXCOORD_{info.texCoord}" if info else "TEXCOORD_0"
-    if name in primitive.attributes:
-        uv = gltf.accessor(primitive.attributes[name], ["VEC2"], "texture coordinates").astype(float)
-        _same_length(gltf, uv, points, key)
+    uv = _texture_coordinates(gltf, primitive, key, len(points))
     colors: Array | None = None
     if "COLOR_0" in primitive.attributes:
         colors = gltf.accessor(primitive.attributes["COLOR_0"], ["VEC3", "VEC4"], "colours").astype(float)
-        _same_length(gltf, colors, points, key)
+        _same_length(gltf, colors, len(points), key)
         if colors.shape[1] == 4 and (colors[:, 3] < 1).any():
             warn_about(gltf.path, f"{key}: the opacity of vertex colours is ignored")
         colors = np.clip(colors[:, :3], 0.0, 1.0)
-    weights: csr_matrix | None = None
-    if joints is not None:
-        weights = _weights(gltf, primitive, key, joints, len(points), n_joints)
-    elif parent_joint is not None:
-        ones = np.ones(len(points))
-        columns = np.full(len(points), parent_joint)
-        weights = csr_matrix((ones, columns, np.arange(len(points) + 1)), shape=(len(points), n_joints))
     return _Piece(vertices, triangles, uv, primitive.material, weights, colors)
 
 
+def _texture_coordinates(gltf: Gltf, primitive: Primitive, key: str, count: int) -> Array | None:
+    """Texture coordinates (V, 2), v down, of the colour of a material; None if there are none."""
+    info = gltf.material(primitive.material).pbrMetallicRoughness.baseColorTexture
+    change = None if info is None else texture_transform(gltf, info)
+    number = 0 if info is None else info.texCoord
+    if change is not None and change.texCoord is not None:
+        number = change.texCoord
+    if f"TEXCOORD_{number}" not in primitive.attributes:
+        return None
+    accessor = primitive.attributes[f"TEXCOORD_{number}"]
+    uv: Array = gltf.accessor(accessor, ["VEC2"], "texture coordinates").astype(float)
+    _same_length(gltf, uv, count, key)
+    if change is None:
+        return uv
+    c, s = np.cos(change.rotation), np.sin(change.rotation)
+    return uv * change.scale @ np.array([[c, -s], [s, c]]) + change.offset
+
+
+def _posed(points: Array, weights: csr_matrix, pose: Array) -> Array:
+    """Vertices (V, 3) of a skinned mesh in a pose (J, 4, 4) [glTF 2.0]."""
+    homogeneous = np.c_[points, np.ones(len(points))]
+    rows = [np.einsum("vi,vi->v", weights @ pose[:, axis], homogeneous) for axis in range(3)]
+    return np.stack(rows, axis=1)
+
+
 def _weights(
-    gltf: Gltf, primitive: Primitive, key: str, joints: Array, n_vertices: int, n_joints: int
+    gltf: Gltf, primitive: Primitive, key: str, joints: NDArray[np.intp], n_vertices: int, n_joints: int
 ) -> csr_matrix:
     """Weights (V, J) of a primitive, summed over its sets of four joints."""
     total = csr_matrix((n_vertices, n_joints))
@@ -189,7 +252,7 @@ def _weights(
         bones = gltf.accessor(primitive.attributes[f"JOINTS_{count}"], ["VEC4"], "joints").astype(np.int64)
         values = gltf.accessor(primitive.attributes[f"WEIGHTS_{count}"], ["VEC4"], "weights").astype(float)
         for array in (bones, values):
-            _same_length(gltf, array, np.empty(n_vertices), key)
+            _same_length(gltf, array, n_vertices, key)
         if bones.max() >= len(joints) and (values[bones >= len(joints)] > 0).any():
             raise MeshError(f"a weight is for joint {bones.max()} of {len(joints)}", path=gltf.path, key=key)
         if (values < 0).any():
@@ -208,9 +271,9 @@ def _weights(
     return total
 
 
-def _same_length(gltf: Gltf, values: NDArray[np.generic], points: NDArray[np.generic], key: str) -> None:
-    if len(values) != len(points):
-        raise MeshError(f"{len(values)} values for {len(points)} vertices", path=gltf.path, key=key)
+def _same_length(gltf: Gltf, values: NDArray[np.generic], count: int, key: str) -> None:
+    if len(values) != count:
+        raise MeshError(f"{len(values)} values for {count} vertices", path=gltf.path, key=key)
 
 
 def _triangles(corners: NDArray[np.int64], mode: int) -> NDArray[np.int64]:

@@ -11,6 +11,9 @@ from humansim_ros.errors import MeshError
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.types import Array
 
+#: Most joints whose rotations are compared with each other.
+_MAX_COMPARED = 1000
+
 
 @dataclass(frozen=True)
 class GltfSkeleton:
@@ -52,10 +55,10 @@ class GltfSkeleton:
                 above = int(gltf.parents[above])
             parents[joint] = joint_of_node[above] if above >= 0 else -1
         frames = np.stack([bind[int(n)] for n in nodes])
-        space = _similarity(np.mean(gltf.at_rest[nodes] @ np.linalg.inv(frames), axis=0), gltf)
+        space, scale = _common_space(gltf.at_rest[nodes] @ np.linalg.inv(frames), gltf)
         names = _names(gltf, nodes)
         # give the common space the scale of the scene
-        scaling = np.diag([*3 * [np.cbrt(np.linalg.det(space[:3, :3]))], 1.0])
+        scaling = np.diag([scale, scale, scale, 1.0])
         frames = scaling @ frames
         from_skin = {skin: scaling @ change for skin, change in from_skin.items()}
         return cls(nodes, names, parents, frames, space @ np.linalg.inv(scaling), from_skin)
@@ -68,16 +71,26 @@ class GltfSkeleton:
         return joint_of_node.get(node)
 
 
-def _similarity(matrix: Array, gltf: Gltf) -> Array:
-    """Nearest similarity transform: rotation, uniform scale and translation."""
-    u, s, vt = np.linalg.svd(matrix[:3, :3])
-    if s.min() < 1e-9 or not np.isfinite(s).all():
+def _common_space(changes: Array, gltf: Gltf) -> tuple[Array, float]:
+    """Similarity transform (4, 4) from bind time to the scene, and its scale.
+
+    ``changes``: (J, 4, 4) of the joints. They are equal if the rest pose of the nodes is the bind pose. Else
+    each joint has its own rotation. So the scale is the median, and rotation and translation are those of the
+    joint whose rotation is nearest to all others; a mean of different rotations would be smaller.
+    """
+    sizes = np.cbrt(np.abs(np.linalg.det(changes[:, :3, :3])))
+    scale = float(np.median(sizes))
+    if not (np.isfinite(changes).all() and scale > 1e-9):
         raise MeshError("the transforms of the skeleton are singular", path=gltf.path, key="skins")
-    out = np.eye(4)
-    flip = np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    out[:3, :3] = u @ flip @ vt * s.mean()
-    out[:3, 3] = matrix[:3, 3]
-    return out
+    usable = np.flatnonzero(sizes > 1e-3 * scale)[:_MAX_COMPARED]  # exporters hide joints by a scale of 0
+    u, _, vt = np.linalg.svd(changes[usable, :3, :3])
+    u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
+    rotations = u @ vt
+    cosines = (np.einsum("aij,bij->ab", rotations, rotations) - 1) / 2
+    middle = int(np.argmin(np.arccos(np.clip(cosines, -1.0, 1.0)).round(6).sum(axis=1)))
+    out = np.array(changes[usable[middle]])
+    out[:3, :3] = scale * rotations[middle]
+    return out, scale
 
 
 def _names(gltf: Gltf, nodes: NDArray[np.intp]) -> tuple[str, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from humansim_ros.errors import MeshError
 from humansim_ros.io.files import read_bytes
-from humansim_ros.mesh.gltf_mesh import read_gltf, read_gltf_materials
+from humansim_ros.mesh.gltf_mesh import read_gltf_materials, read_gltf_scene
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.obj import read_obj, read_obj_materials
 from humansim_ros.types import Array
@@ -25,7 +25,7 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
 
     Units and axes stay as in the file. A file with another suffix is glTF if its content says so, else OBJ.
     The textures of all materials become one image. Materials and textures are searched in the folder of the
-    file and below it. Joints and weights of a glTF file are ignored.
+    file and below it. Skinned meshes of a glTF file have the pose of its nodes.
 
     Raises:
         MeshError: The file is missing or wrong; the error has the file and the line or key.
@@ -39,10 +39,7 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
         >>> mesh.vertices.shape
         (3, 3)
     """
-    if not is_gltf(path):
-        return read_obj(path)
-    read = read_gltf(path)
-    return read if isinstance(read, Mesh) else read.mesh
+    return read_gltf_scene(path) if is_gltf(path) else read_obj(path)
 
 
 def read_mesh_z_up(path: str | os.PathLike[str]) -> Mesh:

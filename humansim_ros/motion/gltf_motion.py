@@ -10,7 +10,8 @@ from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from humansim_ros.errors import MeshError, MotionError, warn_about
-from humansim_ros.mesh.gltf_document import Animation, Gltf
+from humansim_ros.mesh.gltf_document import Gltf
+from humansim_ros.mesh.gltf_schema import Animation
 from humansim_ros.mesh.gltf_skeleton import GltfSkeleton
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.rotations import rotate

@@ -26,7 +26,17 @@ from humansim_ros.errors import MeshError
 from humansim_ros.hierarchy import levels
 from humansim_ros.io.files import read_bytes, resolve_inside
 from humansim_ros.io.schema_errors import schema_error
-from humansim_ros.mesh.gltf_schema import Animation, Document, GltfMaterial, GltfMesh, Node, Skin
+from humansim_ros.mesh.gltf_compression import (
+    DRACO,
+    MAX_DECODED,
+    DracoMesh,
+    DracoPrimitive,
+    MeshoptView,
+    decode_meshopt,
+    draco_primitive,
+    meshopt_view,
+)
+from humansim_ros.mesh.gltf_schema import Animation, Document, GltfMaterial, GltfMesh, Node, Primitive, Skin
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
@@ -34,7 +44,6 @@ from humansim_ros.types import Array
 MAX_VALUES, MAX_BYTES = 100_000_000, 1 << 30
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
-_COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_texture_basisu")
 
 Item = TypeVar("Item")
 
@@ -50,11 +59,7 @@ class Gltf:
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Gltf:
         """Read a .gltf or .glb file; the first bytes decide which."""
-        data = read_bytes(path, MeshError, "glTF")
-        if len(data) > MAX_BYTES:
-            raise MeshError(
-                f"{len(data) >> 20} MB are too large; at most {MAX_BYTES >> 20} MB are read", path=path
-            )
+        data = read_bytes(path, MeshError, "glTF", MAX_BYTES)
         text, embedded = _glb_chunks(data, path) if data[:4] == b"glTF" else (data, None)
         try:
             content = json.loads(text)
@@ -70,9 +75,8 @@ class Gltf:
             raise MeshError(
                 f"glTF {version[:20]!r} is not 2.0: export it again", path=path, key="asset.version"
             )
-        compression = [name for name in document.extensionsRequired if name in _COMPRESSED]
-        if compression:
-            raise MeshError(f"it needs {compression[0]}: export it without compression", path=path)
+        if "KHR_texture_basisu" in document.extensionsRequired:
+            raise MeshError("its textures are KTX2 files: export them as PNG or JPEG", path=path)
         gltf = cls(Path(path), document, embedded)
         _ = gltf.parents  # checks the tree
         return gltf
@@ -192,14 +196,68 @@ class Gltf:
             values[rows] = self._read(
                 sparse.values.bufferView, sparse.values.byteOffset, n, width, dtype, key
             )
-        if accessor.normalized and dtype.kind in "iu":
-            values = np.maximum(values / np.iinfo(dtype).max, -1.0)
+        if accessor.normalized:
+            values = _normalised(values, dtype)
         if dtype.kind == "f" and not np.isfinite(values).all():
             raise self._error(f"{what}: a number is not finite (NaN or infinity)", key)
         if accessor.type.startswith("MAT"):
             n = int(np.sqrt(width))
             return np.swapaxes(values.reshape(-1, n, n), -1, -2)  # the file stores columns
         return values[:, 0] if width == 1 else values
+
+    def attribute(self, primitive: Primitive, name: str, kinds: Sequence[str], what: str) -> NDArray[Any]:
+        """Values of a vertex attribute of a primitive, also of a Draco mesh.
+
+        Args:
+            primitive: Primitive that has the attribute.
+            name: Name of the attribute, such as ``POSITION``.
+            kinds: Valid types.
+            what: Word for messages.
+
+        Raises:
+            MeshError: The accessor or the Draco data are wrong.
+        """
+        number = primitive.attributes[name]
+        mesh, packed = self._draco_mesh(primitive)
+        if mesh is None or name not in packed.attributes:
+            return self.accessor(number, kinds, what)
+        key = f"accessors.{number}"
+        accessor = self._item(self.document.accessors, number, key)
+        values = mesh.attributes.get(packed.attributes[name])
+        shape = (accessor.count, _WIDTHS[accessor.type])
+        if accessor.type not in kinds or values is None or values.reshape(len(values), -1).shape != shape:
+            raise self._error(f"the Draco data do not have these {what}", key)
+        if values.dtype.kind == "f" and not np.isfinite(values).all():
+            raise self._error(f"{what}: a number is not finite (NaN or infinity)", key)
+        return _normalised(values, values.dtype) if accessor.normalized else values
+
+    def indices(self, primitive: Primitive) -> tuple[NDArray[np.int64] | None, int]:
+        """Vertex indices of a primitive, None if it has none; and their mode."""
+        mesh, _ = self._draco_mesh(primitive)
+        if mesh is not None:
+            return mesh.triangles.ravel(), 4
+        if primitive.indices is None:
+            return None, primitive.mode
+        return self.accessor(primitive.indices, ["SCALAR"], "indices").astype(np.int64), primitive.mode
+
+    def _draco_mesh(self, primitive: Primitive) -> tuple[DracoMesh | None, DracoPrimitive]:
+        """Draco mesh of a primitive, or None; and its attributes."""
+        try:
+            packed = draco_primitive(primitive.extensions)
+            position = primitive.attributes["POSITION"]
+            plain = self._item(self.document.accessors, position, "accessors").bufferView
+            if packed is None or plain is not None:  # the same mesh without compression
+                return None, DracoPrimitive(bufferView=0, attributes={})
+            if packed.bufferView not in self._draco_meshes:
+                view = self._view(packed.bufferView, f"bufferViews.{packed.bufferView}")
+                self._draco_meshes[packed.bufferView] = DracoMesh(bytes(view))
+            return self._draco_meshes[packed.bufferView], packed
+        except MeshError as error:
+            raise self._error(error.message, error.key or DRACO) from None
+
+    @cached_property
+    def _draco_meshes(self) -> dict[int, DracoMesh]:
+        return {}
 
     def image(self, number: int) -> bytes:
         """Encoded image file."""
@@ -287,10 +345,39 @@ class Gltf:
 
     def _view(self, number: int, key: str) -> memoryview:
         view = self._item(self.document.bufferViews, number, key)
+        key = f"bufferViews.{number}"
+        if number in self._decoded:
+            return memoryview(self._decoded[number])
+        try:
+            packed = meshopt_view(view.extensions)
+        except MeshError as error:
+            raise self._error(error.message, f"{key}.{error.key}") from None
+        if packed is not None:
+            return self._decode(number, packed, view.byteLength)
         data = self._buffer(view.buffer, key)
         if view.byteOffset + view.byteLength > len(data):
-            raise self._error("the buffer view goes beyond its buffer", f"bufferViews.{number}")
+            raise self._error("the buffer view goes beyond its buffer", key)
         return memoryview(data)[view.byteOffset : view.byteOffset + view.byteLength]
+
+    def _decode(self, number: int, packed: MeshoptView, size: int) -> memoryview:
+        """Content of a meshopt buffer view of ``size`` bytes."""
+        key = f"bufferViews.{number}"
+        if packed.count * packed.byteStride != size:
+            raise self._error(f"{packed.count} elements of {packed.byteStride} bytes are not {size}", key)
+        if size + sum(len(data) for data in self._decoded.values()) > MAX_DECODED:
+            raise self._error(f"more than {MAX_DECODED >> 20} MB of meshopt data", key)
+        data, end = self._buffer(packed.buffer, key), packed.byteOffset + packed.byteLength
+        if end > len(data):
+            raise self._error("the meshopt data go beyond their buffer", key)
+        try:
+            self._decoded[number] = decode_meshopt(packed, data[packed.byteOffset : end])
+        except MeshError as error:
+            raise self._error(error.message, key) from None
+        return memoryview(self._decoded[number])
+
+    @cached_property
+    def _decoded(self) -> dict[int, bytes]:
+        return {}
 
     def _buffer(self, number: int, key: str) -> bytes:
         self._item(self.document.buffers, number, key)
@@ -351,6 +438,11 @@ class Gltf:
 
     def _error(self, message: str, key: str) -> MeshError:
         return MeshError(message, path=self.path, key=key)
+
+
+def _normalised(values: NDArray[Any], dtype: np.dtype[Any]) -> NDArray[Any]:
+    """Floats from 0 to 1, or -1 to 1, from normalised integers."""
+    return np.maximum(values / np.iinfo(dtype).max, -1.0) if dtype.kind in "iu" else values
 
 
 def _glb_chunks(data: bytes, path: str | os.PathLike[str]) -> tuple[bytes, bytes | None]:

@@ -180,14 +180,14 @@ def _placement(gltf: Gltf, number: int, skeleton: GltfSkeleton) -> _Placement | 
 def _piece(gltf: Gltf, primitive: Primitive, key: str, placement: _Placement) -> _Piece | None:
     if primitive.mode < 4 or "POSITION" not in primitive.attributes:
         return None  # points or lines
-    points = gltf.accessor(primitive.attributes["POSITION"], ["VEC3"], "positions").astype(float)
-    if primitive.indices is None:
-        corners: NDArray[np.int64] = np.arange(len(points), dtype=np.int64)
-    else:
-        corners = gltf.accessor(primitive.indices, ["SCALAR"], "indices").astype(np.int64)
+    points = gltf.attribute(primitive, "POSITION", ["VEC3"], "positions").astype(float)
+    indices, mode = gltf.indices(primitive)
+    corners = np.arange(len(points), dtype=np.int64) if indices is None else indices
+    if not len(corners):
+        return None
     if corners.max() >= len(points) or corners.min() < 0:
         raise MeshError(f"a face uses vertex {corners.max()} of {len(points)}", path=gltf.path, key=key)
-    triangles = _triangles(corners, primitive.mode)
+    triangles = _triangles(corners, mode)
     if not len(triangles):
         return None
     weights: csr_matrix | None = None
@@ -209,7 +209,7 @@ def _piece(gltf: Gltf, primitive: Primitive, key: str, placement: _Placement) ->
     uv = _texture_coordinates(gltf, primitive, key, len(points))
     colors: Array | None = None
     if "COLOR_0" in primitive.attributes:
-        colors = gltf.accessor(primitive.attributes["COLOR_0"], ["VEC3", "VEC4"], "colours").astype(float)
+        colors = gltf.attribute(primitive, "COLOR_0", ["VEC3", "VEC4"], "colours").astype(float)
         _same_length(gltf, colors, len(points), key)
         if colors.shape[1] == 4 and (colors[:, 3] < 1).any():
             warn_about(gltf.path, f"{key}: the opacity of vertex colours is ignored")
@@ -224,10 +224,10 @@ def _texture_coordinates(gltf: Gltf, primitive: Primitive, key: str, count: int)
     number = 0 if info is None else info.texCoord
     if change is not None and change.texCoord is not None:
         number = change.texCoord
-    if f"TEXCOORD_{number}" not in primitive.attributes:
+    name = f"TEXCOORD_{number}"
+    if name not in primitive.attributes:
         return None
-    accessor = primitive.attributes[f"TEXCOORD_{number}"]
-    uv: Array = gltf.accessor(accessor, ["VEC2"], "texture coordinates").astype(float)
+    uv: Array = gltf.attribute(primitive, name, ["VEC2"], "texture coordinates").astype(float)
     _same_length(gltf, uv, count, key)
     if change is None:
         return uv
@@ -249,8 +249,8 @@ def _weights(
     total = csr_matrix((n_vertices, n_joints))
     count = 0
     while f"JOINTS_{count}" in primitive.attributes and f"WEIGHTS_{count}" in primitive.attributes:
-        bones = gltf.accessor(primitive.attributes[f"JOINTS_{count}"], ["VEC4"], "joints").astype(np.int64)
-        values = gltf.accessor(primitive.attributes[f"WEIGHTS_{count}"], ["VEC4"], "weights").astype(float)
+        bones = gltf.attribute(primitive, f"JOINTS_{count}", ["VEC4"], "joints").astype(np.int64)
+        values = gltf.attribute(primitive, f"WEIGHTS_{count}", ["VEC4"], "weights").astype(float)
         for array in (bones, values):
             _same_length(gltf, array, n_vertices, key)
         if bones.max() >= len(joints) and (values[bones >= len(joints)] > 0).any():

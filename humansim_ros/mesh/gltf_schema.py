@@ -165,7 +165,7 @@ class Texture(Part):
     sampler: Index | None = None
 
 
-class Image(Part):
+class ImageSource(Part):
     """Encoded image, in a file or a buffer view."""
 
     uri: str | None = None
@@ -179,7 +179,7 @@ class Target(Part):
     path: str
 
 
-class Channel(Part):
+class AnimationChannel(Part):
     """Sampler and target."""
 
     sampler: Index
@@ -198,7 +198,7 @@ class Animation(Part):
     """Channels; each animates one property of one node with the values of a sampler."""
 
     name: str = ""
-    channels: tuple[Channel, ...]
+    channels: tuple[AnimationChannel, ...]
     samplers: tuple[Sampler, ...]
 
 
@@ -222,6 +222,6 @@ class Document(Part):
     materials: tuple[GltfMaterial, ...] = ()
     textures: tuple[Texture, ...] = ()
     samplers: tuple[Wrap, ...] = ()
-    images: tuple[Image, ...] = ()
+    images: tuple[ImageSource, ...] = ()
     animations: tuple[Animation, ...] = ()
     extensions: dict[str, Any] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,12 +95,45 @@ def _common_space(changes: Array, gltf: Gltf) -> tuple[Array, float]:
 
 
 def _names(gltf: Gltf, nodes: NDArray[np.intp]) -> tuple[str, ...]:
+    """Unique names of the joints: those of the VRM bone map, or those of the nodes."""
+    human = _human_bones(gltf)
+    taken = {human[int(node)] for node in nodes if int(node) in human}
     names: list[str] = []
+    used: dict[str, int] = {}
     for node in nodes:
+        if int(node) in human:
+            names.append(human[int(node)])
+            continue
         name = base = gltf.nodes[node].name or f"joint_{node}"
-        number = 0
-        while name in names:
-            number += 1
-            name = f"{base}.{number:03d}"
+        while name in taken:
+            used[base] = used.get(base, 0) + 1
+            name = f"{base}.{used[base]:03d}"
+        taken.add(name)
         names.append(name)
     return tuple(names)
+
+
+def _human_bones(gltf: Gltf) -> dict[int, str]:
+    """Human bone of each node in the map of a VRM avatar [VRM 0.x, 1.0], such as ``leftUpperArm``."""
+    extensions = gltf.document.extensions
+    bones = {name: _member(extensions, name, "humanoid", "humanBones") for name in ("VRMC_vrm", "VRM")}
+    pairs: list[tuple[Any, Any]] = []
+    if isinstance(bones["VRMC_vrm"], dict):
+        pairs = [(bone, _member(place, "node")) for bone, place in bones["VRMC_vrm"].items()]
+    elif isinstance(bones["VRM"], list):
+        pairs = [(_member(entry, "bone"), _member(entry, "node")) for entry in bones["VRM"]]
+    named: dict[Any, Any] = {}
+    bones_named: set[object] = set()
+    for bone, node in pairs:
+        known = isinstance(bone, str) and isinstance(node, int) and 0 <= node < len(gltf.nodes)
+        if known and node not in named and bone not in bones_named:
+            named[node] = bone[:64]
+            bones_named.add(bone)
+    return named
+
+
+def _member(value: Any, *keys: str) -> Any:
+    """Member of nested objects of a JSON document; None if there is none."""
+    for key in keys:
+        value = value.get(key) if isinstance(value, dict) else None
+    return value

@@ -16,6 +16,8 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.obj import read_obj, read_obj_materials
 from humansim_ros.types import Array
 
+#: Suffixes of glTF files; VRM avatars are glTF files.
+GLTF_SUFFIXES = (".gltf", ".glb", ".vrm")
 #: (x, y, z) of a file with y up is (x, -z, y) with z up, as in Blender.
 _Z_UP_FROM_Y_UP: Array = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 
@@ -60,7 +62,7 @@ def read_materials_z_up(path: str | os.PathLike[str], up: Literal["y", "z"] | No
 def is_gltf(path: str | os.PathLike[str]) -> bool:
     """Whether a mesh file is glTF: by its suffix, or by its first bytes if the suffix is unknown."""
     suffix = Path(path).suffix.lower()
-    if suffix in (".obj", ".gltf", ".glb"):
+    if suffix in (".obj", *GLTF_SUFFIXES):
         return suffix != ".obj"
     return read_bytes(path, MeshError, "mesh").lstrip()[:4].startswith((b"glTF", b"{"))
 

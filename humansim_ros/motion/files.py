@@ -10,7 +10,7 @@ from humansim_ros.io.assets import find_asset
 from humansim_ros.motion.bvh import PositionChannels, read_bvh
 from humansim_ros.motion.kinematics import Motion
 
-_GLTF = (".gltf", ".glb")
+_GLTF = (".gltf", ".glb", ".vrm")
 
 
 def find_motion(name: str, folder: Path | None = None, error: type[HumansimError] = MotionError) -> str:

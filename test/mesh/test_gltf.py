@@ -209,7 +209,7 @@ def far_index(document: Document) -> None:
         (in_first("skins", joints=[0, 0]), "twice"),
         (in_first("skins", joints=[999]), "does not exist"),
         (change(asset={"version": "1.0"}), "is not 2.0"),
-        (change(extensionsRequired=["KHR_draco_mesh_compression"]), "without compression"),
+        (change(extensionsRequired=["KHR_texture_basisu"]), "export them as PNG or JPEG"),
         (change(meshes=[{"primitives": []}]), "no triangles"),
         (change(accessors="many"), "accessors"),
     ],

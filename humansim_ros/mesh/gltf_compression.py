@@ -1,0 +1,92 @@
+"""Compressed parts of glTF files: meshopt buffer views and Draco primitives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, ValidationError
+
+from humansim_ros.errors import MeshError
+from humansim_ros.mesh import meshopt
+from humansim_ros.mesh.gltf_schema import Index, Part
+
+DRACO = "KHR_draco_mesh_compression"
+_MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
+#: Largest size of all decoded buffer views, and most elements of one with indices.
+MAX_DECODED, _MAX_INDICES = 1 << 29, 30_000_000
+
+
+class MeshoptView(Part):
+    """Extension of a buffer view: place and layout of the compressed data."""
+
+    buffer: Index
+    byteOffset: Index = 0
+    byteLength: Annotated[int, Field(ge=1)]
+    byteStride: Annotated[int, Field(ge=1, le=256)]
+    count: Annotated[int, Field(ge=1)]
+    mode: Literal["ATTRIBUTES", "TRIANGLES", "INDICES"]
+    filter: Literal["NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL", "COLOR"] = "NONE"
+
+
+class DracoPrimitive(Part):
+    """Extension of a primitive: the buffer view with the compressed mesh, and the ids of its attributes."""
+
+    bufferView: Index
+    attributes: dict[str, Index]
+
+
+class DracoMesh:
+    """Decoded Draco mesh: ``triangles`` (N, 3), and ``attributes`` (V, width) by their id.
+
+    Raises MeshError if DracoPy is missing or refuses the data.
+    """
+
+    def __init__(self, data: bytes) -> None:
+        try:
+            import DracoPy
+        except ImportError:
+            raise MeshError(
+                f"the mesh needs {DRACO}: install the decoder (pip install DracoPy), "
+                "or export the file without compression"
+            ) from None
+        try:
+            decoded = DracoPy.decode(data)
+            self.triangles: NDArray[np.int64] = np.asarray(decoded.faces).reshape(-1, 3).astype(np.int64)
+            self.attributes: dict[int, NDArray[Any]] = {
+                int(attribute["unique_id"]): np.asarray(attribute["data"]) for attribute in decoded.attributes
+            }
+        except Exception as reason:  # also those of the C++ library, which have no common class
+            raise MeshError(f"the Draco data cannot be decoded: {str(reason)[:100]}") from None
+
+
+def meshopt_view(extensions: Mapping[str, Any]) -> MeshoptView | None:
+    """Meshopt extension of a buffer view, or None. Raises MeshError with the key."""
+    name = next((name for name in _MESHOPT if name in extensions), None)
+    return None if name is None else _validated(MeshoptView, extensions[name], name)
+
+
+def draco_primitive(extensions: Mapping[str, Any]) -> DracoPrimitive | None:
+    """Draco extension of a primitive, or None. Raises MeshError with the key."""
+    return _validated(DracoPrimitive, extensions[DRACO], DRACO) if DRACO in extensions else None
+
+
+def decode_meshopt(view: MeshoptView, data: bytes) -> bytes:
+    """Decode the data of a meshopt buffer view. Raises MeshError."""
+    if view.mode != "ATTRIBUTES" and view.count > _MAX_INDICES:
+        raise MeshError(f"{view.count} indices; at most {_MAX_INDICES} are read")
+    try:
+        return meshopt.decode(data, view.mode, view.filter, view.count, view.byteStride).tobytes()
+    except ValueError as reason:
+        raise MeshError(f"the meshopt data cannot be decoded: {reason}") from None
+
+
+def _validated(model: type[Any], content: Any, name: str) -> Any:
+    try:
+        return model.model_validate(content)
+    except ValidationError as reason:
+        first = reason.errors()[0]
+        key = ".".join([name, *map(str, first["loc"])])
+        raise MeshError(first["msg"], key=key) from None

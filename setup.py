@@ -34,6 +34,7 @@ REQUIRES = [
     "scipy>=1.11,<1.18",
     # tomllib of Python 3.11 and later
     "tomli>=2.0; python_version < '3.11'",
+    "trimesh>=4.0",
     "typer>=0.9",
 ]
 
@@ -43,10 +44,14 @@ EXTRAS = {
     "test": [
         "bvhio",
         "colcon-common-extensions",
+        "DracoPy>=1.5",
         "embreex",
         "hypothesis",
+        "lxml>=4.9",
         "mypy",
+        "networkx>=2.8",
         "OpenEXR>=3.3",
+        "pycollada>=0.8",
         "pyrender==0.1.45",
         "pytest",
         "pytest-xdist",
@@ -54,15 +59,16 @@ EXTRAS = {
         "ruff",
         # 70.1 builds wheels on its own; colcon needs an older one than 80
         "setuptools>=70.1,<80",
-        "trimesh>=4.0",
         "types-PyYAML",
         "types-defusedxml",
     ],
+    # mesh files in COLLADA and 3MF, and glTF files with Draco compression
+    "meshes": ["DracoPy>=1.5", "lxml>=4.9", "networkx>=2.8", "pycollada>=0.8"],
     # panoramas of that kind
     "exr": ["OpenEXR>=3.3"],
     # the other renderer
     "pyrender": ["pyrender==0.1.45"],
-    "bench": ["pyrender==0.1.45", "trimesh>=4.0"],
+    "bench": ["pyrender==0.1.45"],
 }
 
 

@@ -116,7 +116,7 @@ def build(
 
 
 def rig(
-    mesh: Annotated[Path, typer.Argument(help="Mesh in T or A pose (.obj, .gltf, .glb), or an SMPL model.")],
+    mesh: Annotated[Path, typer.Argument(help="Mesh in T or A pose (.obj, .glb, .stl …), or an SMPL model.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Output file (.npz).")],
     preview: PreviewOption = None,
     rigging: Annotated[

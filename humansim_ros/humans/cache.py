@@ -13,7 +13,7 @@ from humansim_ros.humans.human import Human, read_human, write_human
 from humansim_ros.resources import resource_path
 
 #: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
-CACHE_VERSION = 1
+CACHE_VERSION = 2
 #: Files in the cache; the least recently used are deleted.
 MAX_HUMANS = 100
 

@@ -52,7 +52,7 @@ DEFAULT_OUTFITS = {
 class MeshHuman(Section):
     """Human made from a mesh."""
 
-    mesh: str = Field(default="", description=".obj, .gltf, .glb, or an SMPL model (.npz)")
+    mesh: str = Field(default="", description="mesh file (.obj, .glb, .ply, .stl …), or an SMPL model (.npz)")
     betas: tuple[float, ...] = Field(default=(), max_length=400, description="shape of an SMPL model")
     rigging: Literal["heat", "thesis"] = Field(
         default="heat", description="rigging method of a mesh without skeleton"

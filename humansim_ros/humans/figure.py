@@ -58,8 +58,13 @@ def to_body_space(
     scale = 1.0 if unit is None else unit
     if unit is None and not PLAUSIBLE_STATURE[0] <= stature <= PLAUSIBLE_STATURE[1]:
         scale = frame.unit
-        assumed = f"{frame.unit_name} assumed, a stature of {stature * scale:.2f} m"
-        warn_about(figure.name, f"the person is {stature:.3g} units tall: {assumed}")
+        known = frame.unit_name != "unknown"
+        assumed = f"{frame.unit_name} assumed" if known else "no unit gives the height of a person"
+        warn_about(
+            figure.name,
+            f"the person is {stature:.3g} units tall: {assumed}, made {stature * scale:.2f} m tall. "
+            "If that is wrong, give 'stature' or 'unit' in a description (docs/humans.md)",
+        )
     vertices = scale * figure.mesh.vertices @ frame.rest_from_body
     joints = scale * figure.joints @ frame.rest_from_body
     hips = joints[[match.roles["LeftHip"], match.roles["RightHip"]]].mean(0)

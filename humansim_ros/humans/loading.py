@@ -16,7 +16,7 @@ from scipy.sparse import csr_matrix
 from humansim_ros.body.fitting import fit_skeleton
 from humansim_ros.body.rigging import dominant_bones, rig
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
-from humansim_ros.errors import MeshError
+from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.humans.cache import cached, content_key
 from humansim_ros.humans.description import (
     DEFAULT_OUTFITS,
@@ -35,13 +35,17 @@ from humansim_ros.io.files import missing_file, read_bytes, resolve_relative
 from humansim_ros.io.images import decode_image, encode_image
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_mesh import read_gltf
+from humansim_ros.mesh.load import read_mesh
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.obj import material_files, read_obj
+from humansim_ros.mesh.mesh_format import MAX_BYTES, MESH_SUFFIXES, format_of, read_format
+from humansim_ros.mesh.obj import material_files
 from humansim_ros.mesh.skinned import SkinnedMesh
 
+_DESCRIPTIONS = (".yaml", ".yml")
 #: Suffixes of files with a human.
-SUFFIXES = (".npz", ".yaml", ".yml", ".obj", ".gltf", ".glb")
-_GLTF = (".gltf", ".glb")
+SUFFIXES = (".npz", *_DESCRIPTIONS, *MESH_SUFFIXES)
+#: Range of statures without a warning, metres.
+_USUAL_STATURE = (1.0, 2.3)
 _SKIN_BONES = ("vt3", "l_wrist", "r_wrist", "l_elbow", "r_elbow")
 _SHOE_BONES = ("l_ankle", "r_ankle")
 _TROUSER_BONES = (
@@ -55,8 +59,9 @@ def load_human(
 ) -> Human:
     """Load a built-in human, or a human from a file.
 
-    A file is a human (.npz), a description (.yaml), a mesh (.obj, .gltf, .glb) or an SMPL model (.npz).
-    Meshes without skeleton are rigged. Results of slow steps are cached on disk (docs/humans.md).
+    A file is a human (.npz), a description (.yaml), a mesh (OBJ, glTF, VRM, PLY, STL, OFF, COLLADA, 3MF) or
+    an SMPL model (.npz). Meshes without skeleton are rigged. Results of slow steps are cached on disk
+    (docs/humans.md).
 
     Args:
         path: Name of a built-in human (``humansim human list``), or file to read.
@@ -87,14 +92,18 @@ def load_human(
 def make_human(path: str | os.PathLike[str], options: MeshHuman | None = None) -> Human:
     """Make a human from a mesh, a skinned mesh or an SMPL model, without the cache. Raises MeshError."""
     options = options or MeshHuman()
-    suffix = Path(path).suffix.lower()
+    human = _made(path, options)
+    if options.stature is None:
+        _warn_about_stature(path, human)
+    return human
+
+
+def _made(path: str | os.PathLike[str], options: MeshHuman) -> Human:
     source: Mesh | SkinnedMesh
-    if suffix == ".npz":
+    if Path(path).suffix.lower() == ".npz":
         source = read_smpl(path, options.betas)
-    elif suffix in _GLTF:
-        source = read_gltf(path)
     else:
-        source = read_obj(path)
+        source = read_gltf(path) if read_format(path)[0] == "gltf" else read_mesh(path)
     if isinstance(source, SkinnedMesh):
         mesh, skeleton, weights = to_body_space(source, options.unit, options.up, options.facing)
         if options.stature is not None:
@@ -108,18 +117,32 @@ def make_human(path: str | os.PathLike[str], options: MeshHuman | None = None) -
     return replace(human, looks=looks).wearing(next(iter(looks)))
 
 
+def _warn_about_stature(path: str | os.PathLike[str], human: Human) -> None:
+    """Warn about a height that is not that of a person."""
+    stature = float(np.ptp(human.mesh.vertices[:, 1]))
+    low, high = _USUAL_STATURE
+    if not low <= stature <= high:
+        warn_about(
+            path,
+            f"the person is {stature:.3g} m tall. If that is wrong, give the height in metres with the key "
+            "'stature' of a description, or with --stature of `humansim human rig` (docs/humans.md)",
+        )
+
+
 def _load(path: Path) -> Human:
     suffix = path.suffix.lower()
     if suffix == ".npz" and not is_smpl(_array_names(path)):
         return read_human(path)
-    if suffix in (".yaml", ".yml"):
+    if suffix in _DESCRIPTIONS:
         return _described(path)
-    if suffix not in SUFFIXES:
+    if suffix not in SUFFIXES and format_of(read_bytes(path, MeshError, "mesh", MAX_BYTES)) is None:
         raise MeshError(
             f"a human is one of {', '.join(SUFFIXES)}, not {suffix or 'a file without suffix'}", path=path
         )
     options = MeshHuman()
-    return cached(content_key(_content(path, options)), path.stem, lambda: make_human(path, options))
+    human = cached(content_key(_content(path, options)), path.stem, lambda: _made(path, options))
+    _warn_about_stature(path, human)
+    return human
 
 
 def _described(path: Path) -> Human:
@@ -135,8 +158,9 @@ def _described(path: Path) -> Human:
 
         return cached(key, path.stem, make)
     mesh, exists = resolve_relative(path, description.mesh)
-    if mesh.suffix.lower() not in SUFFIXES or mesh.suffix.lower() in (".yaml", ".yml"):
-        raise MeshError("a mesh is .obj, .gltf, .glb or an SMPL model (.npz)", path=path, key="mesh")
+    if mesh.suffix.lower() not in SUFFIXES or mesh.suffix.lower() in _DESCRIPTIONS:
+        known = ", ".join(MESH_SUFFIXES)
+        raise MeshError(f"a mesh is {known} or an SMPL model (.npz)", path=path, key="mesh")
     if not exists or not mesh.is_file():
         raise MeshError(missing_file(mesh), path=path, key="mesh")
     options = description.model_copy(
@@ -150,7 +174,10 @@ def _described(path: Path) -> Human:
         }
     )
     key = content_key(_content(mesh, options))
-    return cached(key, path.stem, lambda: replace(make_human(mesh, options), name=path.stem))
+    human = cached(key, path.stem, lambda: replace(_made(mesh, options), name=path.stem))
+    if options.stature is None:
+        _warn_about_stature(path, human)
+    return human
 
 
 def _array_names(path: Path) -> list[str]:
@@ -166,10 +193,13 @@ def _array_names(path: Path) -> list[str]:
 def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
     """All content that a human is made from."""
     yield options.model_dump_json().encode()
-    yield read_bytes(path, MeshError, "mesh")
-    if path.suffix.lower() in _GLTF:
+    kind, data = read_format(path)
+    yield data
+    if path.suffix.lower() == ".npz":
+        return
+    if kind == "gltf":
         yield from Gltf.read(path).external_data()
-    elif path.suffix.lower() == ".obj":
+    elif kind == "obj":
         for file in material_files(path):
             yield read_bytes(file, MeshError, "material")
     for clothes in options.outfits.values():

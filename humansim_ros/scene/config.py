@@ -157,7 +157,7 @@ class HumanConfig(_FileSection):
 
     body: FileName = Field(
         default="adult_man",
-        description="name of a built-in human, or a file: .npz, .yaml, .obj, .gltf, .glb",
+        description="name of a built-in human, or a file: .npz, .yaml, .obj, .glb, .vrm, .ply, .stl …",
     )
     outfit: str | None = Field(default=None, description="name of an outfit; the first if absent")
     skinning: Literal["linear", "dual_quaternion"] | None = Field(
@@ -185,7 +185,7 @@ class ObjectConfig(_FileSection):
     mesh: FileName = Field(
         default="box",
         description="box, sphere, cylinder, table, chair, door, screen, shelf, "
-        "or a file: .obj (z up, metres), .gltf, .glb",
+        "or a mesh file: .obj (z up, metres), .glb, .ply, .stl, .dae …",
     )
     color: ByteColor = Field(default=(170, 150, 130), description="red, green, blue; 0 to 255")
     size: tuple[_Size, _Size, _Size] = Field(
@@ -478,14 +478,16 @@ class LightConfig(Section):
 class WorldMeshConfig(_FileSection):
     """A static mesh file."""
 
-    file: FileName = Field(description="an .obj, .gltf or .glb file, with its materials and textures")
+    file: FileName = Field(
+        description="a mesh file (.obj, .glb, .ply, .stl …), with its materials and textures"
+    )
     position: _BoundedVector3 = Field(default=(0.0, 0.0, 0.0), description="position of its origin")
     rotation_deg: _BoundedVector3 = Field(
         default=(0.0, 0.0, 0.0), description="degrees about the x axis of map, then y, then z"
     )
     scale: _Size = Field(default=1.0, description="metres per unit of the file")
     up_axis: Literal["y", "z"] | None = Field(
-        default=None, description="up axis of the file; y for glTF and z for OBJ if absent"
+        default=None, description="up axis of the file; if absent, as the format has it (z for OBJ, PLY, STL)"
     )
 
 

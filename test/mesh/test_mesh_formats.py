@@ -1,0 +1,261 @@
+"""Meshes in the formats that trimesh reads: what they contain, and wrong or malicious files."""
+
+from __future__ import annotations
+
+import io
+import re
+import subprocess
+import sys
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from humansim_ros.errors import HumansimWarning, MeshError
+from humansim_ros.mesh import read_mesh, trimesh_files
+from humansim_ros.mesh.load import read_materials_z_up, read_mesh_z_up
+from humansim_ros.mesh.mesh import Mesh
+
+FORMATS = ("ply", "stl", "off", "dae", "3mf")
+#: A wedge: no two of its sides are equally long, so that wrong axes and units show.
+POINTS = np.array([[0, 0, 0], [1.5, 0, 0], [1.5, 1, 0], [0, 1, 0], [0, 0, 0.5], [0, 1, 0.5]])
+FACES = np.array([[0, 2, 1], [0, 3, 2], [0, 1, 4], [1, 2, 5], [1, 5, 4], [2, 3, 5], [0, 4, 5], [0, 5, 3]])
+
+
+def wedge() -> trimesh.Trimesh:
+    return trimesh.Trimesh(POINTS, FACES, process=False)
+
+
+def written(path: Path, scene: trimesh.Trimesh | trimesh.Scene | None = None) -> Path:
+    """File in the format of the suffix; 3MF holds one object per mesh of a scene."""
+    model = scene or wedge()
+    if path.suffix == ".dae":
+        model = model.to_mesh() if isinstance(model, trimesh.Scene) else model
+    path.write_bytes(_bytes(model.export(file_type=path.suffix[1:])))
+    return path
+
+
+def _bytes(content: str | bytes) -> bytes:
+    return content.encode() if isinstance(content, str) else content
+
+
+def corners(mesh: Mesh) -> NDArray[np.float64]:
+    """Triangles (N, 3, 3), in a fixed order and beginning with their least corner."""
+    out = []
+    for triangle in mesh.vertices[mesh.triangles].round(5) + 0.0:
+        first = min(range(3), key=lambda k: tuple(triangle[k]))
+        out.append(np.roll(triangle, -first, axis=0))
+    return np.array(sorted(out, key=lambda t: t.ravel().tolist()))
+
+
+EXPECTED = corners(Mesh(POINTS, np.column_stack([FACES, np.full(len(FACES), -1)]).astype(np.int32)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_a_mesh_has_the_triangles_of_its_file(tmp_path: Path, suffix: str) -> None:
+    mesh = read_mesh(written(tmp_path / f"wedge.{suffix}"))
+    np.testing.assert_allclose(corners(mesh), EXPECTED, atol=1e-5)
+    assert len(mesh.vertices) == len(POINTS)  # also those of STL are shared
+    assert mesh.closed
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_the_content_decides_the_format_whatever_the_name(tmp_path: Path, suffix: str) -> None:
+    path = written(tmp_path / f"wedge.{suffix}").rename(tmp_path / "wedge.obj")
+    np.testing.assert_allclose(corners(read_mesh(path)), EXPECTED, atol=1e-5)
+
+
+def test_stl_and_ply_are_read_as_text_and_as_binary(tmp_path: Path) -> None:
+    for name, kind in (("text.stl", "stl_ascii"), ("binary.stl", "stl")):
+        (tmp_path / name).write_bytes(_bytes(wedge().export(file_type=kind)))
+    for name, kind in (("text.ply", "ascii"), ("binary.ply", "binary")):
+        (tmp_path / name).write_bytes(trimesh.exchange.ply.export_ply(wedge(), encoding=kind))
+    for name in ("text.stl", "binary.stl", "text.ply", "binary.ply"):
+        np.testing.assert_allclose(corners(read_mesh(tmp_path / name)), EXPECTED, atol=1e-5)
+
+
+def test_a_binary_stl_that_begins_with_solid_is_binary(tmp_path: Path) -> None:
+    data = bytearray(_bytes(wedge().export(file_type="stl")))
+    data[:5] = b"solid"
+    path = tmp_path / "wedge.stl"
+    path.write_bytes(bytes(data))
+    np.testing.assert_allclose(corners(read_mesh(path)), EXPECTED, atol=1e-5)
+
+
+def test_ply_colours_become_vertex_colours(tmp_path: Path) -> None:
+    mesh = wedge()
+    mesh.visual.vertex_colors = np.c_[np.arange(18).reshape(6, 3) * 10, np.full(6, 255)].astype(np.uint8)
+    read = read_mesh(written(tmp_path / "wedge.ply", mesh))
+    assert read.colors is not None
+    for point, color in zip(read.vertices, read.colors, strict=True):
+        same = np.flatnonzero((point.round(5) == POINTS).all(axis=1))[0]
+        np.testing.assert_array_equal(color, np.arange(18).reshape(6, 3)[same] * 10)
+    faces = wedge()
+    faces.visual.face_colors = np.tile([200, 30, 40, 255], (len(FACES), 1)).astype(np.uint8)
+    read = read_mesh(written(tmp_path / "faces.ply", faces))
+    assert read.colors is not None
+    assert (read.colors == (200, 30, 40)).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("up", "turned"),
+    [
+        ("X_UP", POINTS[:, [1, 2, 0]] * [-1, -1, 1]),  # right is -y, up is x, towards the viewer is z
+        ("Y_UP", POINTS[:, [0, 2, 1]] * [1, -1, 1]),
+        ("Z_UP", POINTS),
+    ],
+)
+def test_collada_is_in_metres_and_z_up_as_it_states(
+    tmp_path: Path, up: str, turned: NDArray[np.float64]
+) -> None:
+    path = written(tmp_path / "wedge.dae")
+    text = path.read_text()
+    asset = f'<unit meter="0.01" name="centimeter"/><up_axis>{up}</up_axis></asset>'
+    head, _, tail = text.partition("</asset>")
+    head = head.split("<up_axis>")[0].split("<unit")[0]
+    path.write_text(head + asset + tail)
+    mesh = read_mesh_z_up(path)
+    np.testing.assert_allclose(np.sort(mesh.vertices, axis=0), np.sort(0.01 * turned, axis=0), atol=1e-7)
+    (material,) = read_materials_z_up(path)
+    np.testing.assert_allclose(material.vertices, mesh.vertices)
+    assert material.colors is not None
+
+
+@pytest.mark.slow
+def test_3mf_is_in_metres_and_its_objects_are_placed(tmp_path: Path) -> None:
+    scene = trimesh.Scene()
+    scene.add_geometry(wedge(), transform=trimesh.transformations.translation_matrix([10, 0, 0]))
+    scene.add_geometry(wedge(), transform=trimesh.transformations.translation_matrix([0, 20, 0]))
+    mesh = read_mesh_z_up(written(tmp_path / "two.3mf", scene))
+    np.testing.assert_allclose(mesh.vertices.max(axis=0), [0.0115, 0.021, 0.0005], atol=1e-7)
+
+
+def test_textures_of_other_formats_are_reported(tmp_path: Path) -> None:
+    path = written(tmp_path / "wedge.dae")
+    path.write_text(path.read_text().replace("</asset>", "</asset><!-- <texture texture='a'/> -->", 1))
+    with pytest.warns(HumansimWarning, match="textures are not read"):
+        read_mesh(path)
+
+
+def test_importing_the_mesh_readers_does_not_import_trimesh() -> None:
+    code = "import sys, humansim_ros.mesh.load; print('trimesh' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+
+
+# Bad input
+
+
+def three_mf(model: str, more: dict[str, bytes] | None = None) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("3D/3dmodel.model", model)
+        for name, content in (more or {}).items():
+            archive.writestr(name, content)
+    return out.getvalue()
+
+
+ENTITIES = (
+    '<?xml version="1.0"?><!DOCTYPE lol [<!ENTITY a "aaaaaaaaaa">'
+    + "".join(f'<!ENTITY {b} "{10 * f"&{a};"}">' for a, b in zip("abcdefghi", "bcdefghij", strict=True))
+    + "]>"
+)
+MODEL = '<model xmlns="http://schemas.microsoft.com/3dmanufacturing/core/2015/02">'
+
+
+def component_bomb() -> bytes:
+    """Objects of ten components each, eight levels deep: a hundred million triangles."""
+    triangle = (
+        "<mesh><vertices><vertex x='0' y='0' z='0'/><vertex x='1' y='0' z='0'/><vertex x='0' y='1' z='0'/>"
+        "</vertices><triangles><triangle v1='0' v2='1' v3='2'/></triangles></mesh>"
+    )
+    objects = f"<object id='0' type='model'>{triangle}</object>"
+    for level in range(1, 9):
+        parts = "".join(
+            f"<component objectid='{level - 1}' transform='1 0 0 0 1 0 0 0 1 {n} 0 0'/>" for n in range(10)
+        )
+        objects += f"<object id='{level}' type='model'><components>{parts}</components></object>"
+    build = "<build><item objectid='8'/></build>"
+    return three_mf(f"{MODEL}<resources>{objects}</resources>{build}</model>")
+
+
+def instance_bomb(path: Path) -> str:
+    """COLLADA nodes of ten instances each, nine levels deep."""
+    text = written(path).read_text()
+    (geometry,) = re.findall(r"<instance_geometry.*?</instance_geometry>", text, re.DOTALL)
+    nodes = f'<node id="n0">{geometry}</node>'
+    for level in range(1, 9):
+        nodes += f'<node id="n{level}">' + 10 * f'<instance_node url="#n{level - 1}"/>' + "</node>"
+    text = text.replace(geometry, '<instance_node url="#n8"/>')
+    library = f"<library_nodes>{nodes}</library_nodes><library_visual_scenes>"
+    return text.replace("<library_visual_scenes>", library)
+
+
+def ply(kind: str, vertices: int, faces: int = 1) -> bytes:
+    """Header of a PLY file."""
+    points = "property float x\nproperty float y\nproperty float z"
+    lists = f"element face {faces}\nproperty list uchar int vertex_indices"
+    return f"ply\nformat {kind} 1.0\nelement vertex {vertices}\n{points}\n{lists}\nend_header\n".encode()
+
+
+def utf_16(text: str) -> bytes:
+    return text.encode("utf-16")
+
+
+HOSTILE = {
+    "counts.ply": (ply("binary_little_endian", 4_000_000_000) + b"\0" * 40, "promises more"),
+    "huge_counts.ply": (ply("ascii", 10**20), "promises more"),
+    "no_faces.ply": (ply("ascii", 1, faces=0) + b"0 0 0\n", "no faces"),
+    "cut.ply": (ply("binary_little_endian", 3) + b"\0" * 20, "not a PLY file"),
+    "far.off": (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "not an OFF|not a OFF|face"),
+    "counts.off": (b"OFF\n999999999 1 0\n0 0 0\n", "promises more"),
+    "text.stl": (b"solid x\nfacet normal 0 0\nendsolid\n", "STL|no faces"),
+    "noise.stl": (bytes(range(256)) * 4, "STL"),
+    "entities.dae": ((ENTITIES + "<COLLADA>&j;</COLLADA>").encode(), "document type"),
+    "hidden.dae": (utf_16(ENTITIES + "<COLLADA>&j;</COLLADA>"), "not UTF-8|vertices|binary"),
+    "seven.dae": (b'<?xml version="1.0" encoding="UTF-7"?><COLLADA/>', "not UTF-8"),
+    "deep.dae": (b"<COLLADA>" + b"<node>" * 100_000, "DAE"),
+    "empty.dae": (b'<?xml version="1.0"?><COLLADA></COLLADA>', "DAE|no faces"),
+    "entities.3mf": (three_mf(ENTITIES + f"{MODEL}&j;</model>"), "document type"),
+    "zeros.3mf": (three_mf(MODEL, {"a.model": bytes(1 << 28), "b": bytes(1 << 28)}), "its archive holds"),
+    "damaged.3mf": (component_bomb()[:-40], "."),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_wrong_or_malicious_file_is_refused_with_the_reason(tmp_path: Path, name: str) -> None:
+    content, message = HOSTILE[name]
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(MeshError, match=message) as caught:
+        read_mesh(path)
+    assert caught.value.path == str(path)
+    assert "Traceback" not in str(caught.value)
+
+
+@pytest.mark.slow
+def test_instances_of_instances_are_read_within_limits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(trimesh_files, "_CPU_SECONDS", 4)
+    path = tmp_path / "bomb.dae"
+    path.write_text(instance_bomb(path))
+    with pytest.raises(MeshError, match="more than 4 GB of memory or 4 s"):
+        read_mesh(path)
+    path = tmp_path / "bomb.3mf"
+    path.write_bytes(component_bomb())
+    assert len(read_mesh(path).vertices) < 1_000_000  # trimesh follows a limited number of components
+
+
+def test_a_missing_package_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = written(tmp_path / "wedge.dae")
+    monkeypatch.setitem(sys.modules, "collada", None)
+    with pytest.raises(MeshError, match="pip install pycollada"):
+        trimesh_files.parse("dae", path.read_bytes())

@@ -227,10 +227,12 @@ def _resized(mesh: Mesh, skeleton: Skeleton, stature: float) -> tuple[Mesh, Skel
 
 
 def _looks(human: Human, outfits: Mapping[str, Clothes], path: Path) -> dict[str, NDArray[np.uint8]]:
-    """Outfits of a mesh: those of the options, else its own texture, else colours by body part."""
+    """Outfits of a mesh: those of the options, else its own texture or colours, else colours by body part."""
     mesh = human.mesh
     if not outfits and mesh.texture is not None:
         return {"default": encode_image(mesh.texture)}
+    if not outfits and mesh.colors is not None:
+        return {"default": mesh.colors}
     looks = {}
     for name, clothes in (outfits or DEFAULT_OUTFITS).items():
         if clothes.texture is None:

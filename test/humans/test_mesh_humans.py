@@ -34,6 +34,8 @@ def test_a_body_of_another_format_is_rigged_like_an_obj(tmp_path: Path, man: Hum
     """In centimetres, with z up."""
     points = 100 * man.mesh.vertices[:, [2, 0, 1]]
     model = trimesh.Trimesh(points, man.mesh.triangles, process=False)
+    if suffix == "ply":
+        model.visual.vertex_colors = np.tile([90, 20, 30, 255], (len(points), 1)).astype(np.uint8)
     paths = [tmp_path / f"person.{kind}" for kind in (suffix, "obj")]
     for path in paths:
         content = model.export(file_type=path.suffix[1:])
@@ -49,7 +51,11 @@ def test_a_body_of_another_format_is_rigged_like_an_obj(tmp_path: Path, man: Hum
         assert np.linalg.norm(off) < 0.07
     if suffix == "stl":  # its triangles share no vertices, a body needs shared ones
         assert len(ours.mesh.vertices) <= len(man.mesh.vertices)
-    assert set(ours.outfits) == {"blue", "red", "green"}
+    if suffix == "ply":
+        assert ours.mesh.colors is not None
+        assert (ours.mesh.colors == (90, 20, 30)).all()
+    else:
+        assert set(ours.outfits) == {"blue", "red", "green"}
 
 
 def vrm(version: int, **changes: Any) -> tuple[dict[str, Any], bytes]:

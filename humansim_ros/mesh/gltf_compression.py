@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from humansim_ros.errors import MeshError
+from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.mesh import meshopt
 from humansim_ros.mesh.gltf_schema import Index, Part
 
@@ -87,6 +88,4 @@ def _validated(model: type[Any], content: Any, name: str) -> Any:
     try:
         return model.model_validate(content)
     except ValidationError as reason:
-        first = reason.errors()[0]
-        key = ".".join([name, *map(str, first["loc"])])
-        raise MeshError(first["msg"], key=key) from None
+        raise schema_error(reason, model, MeshError).within(name) from None

@@ -7,6 +7,7 @@ from pydantic import ValidationError
 
 from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.io.images import decode_alpha, decode_image
+from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import GltfMaterial, TextureInfo, TextureTransform
 from humansim_ros.mesh.material import Material
@@ -90,7 +91,8 @@ def texture_transform(gltf: Gltf, info: TextureInfo) -> TextureTransform | None:
     try:
         return TextureTransform.model_validate(info.extensions[_TRANSFORM])
     except ValidationError as reason:
-        raise MeshError(reason.errors()[0]["msg"], path=gltf.path, key=_TRANSFORM) from None
+        fault = schema_error(reason, TextureTransform, MeshError).within(_TRANSFORM)
+        raise MeshError(fault.message, path=gltf.path, key=fault.key) from None
 
 
 def _unsupported(gltf: Gltf, material: GltfMaterial, leading: TextureInfo | None) -> list[str]:

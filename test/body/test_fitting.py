@@ -13,11 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from conftest import ROOT, SHARED_DATA, needs_shared_data
+from conftest import ROOT, SHARED_DATA, if_shared, needs_shared_data
+from mesh_files import MESHES, mesh_path
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from humansim_ros.body import Skeleton, fit_skeleton, fit_to_skeleton, hanim_skeleton, rig
+from humansim_ros.body import Skeleton, fit_skeleton, fit_to_skeleton, hanim_skeleton, known, rig
 from humansim_ros.body import fitting as fitting_module
 from humansim_ros.body.known import known_joints
 from humansim_ros.body.orientation import body_from_file
@@ -28,7 +29,7 @@ from humansim_ros.mesh.load import read_mesh
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
 
-MESHES = SHARED_DATA / "mesh"
+#: Shared files of MakeHuman's body.
 FIGURES = ("mh2007_male_T_dm.obj", "mh2007_female_A_dm.obj", "human_male_T_uv_m.obj")
 OTHERS = ("RiggedFigure.gltf", "CesiumMan.glb")
 PEOPLE = tuple(sorted(path.stem for path in (ROOT / "assets" / "humans").glob("*.npz")))
@@ -61,12 +62,26 @@ def figure(name: str) -> Mesh:
     """A test mesh, or the mesh of a built-in human."""
     if name in PEOPLE:
         return load_human(ROOT / "assets" / "humans" / f"{name}.npz").mesh
-    if name in FIGURES:
-        return read_mesh(MESHES / name)
-    scene: Any = trimesh.load(MESHES / name)
+    if name == "own_coarse":
+        return coarse(figure("child"), 0.05)
+    if name in (*FIGURES, *MESHES):
+        return read_mesh(mesh_path(name))
+    scene: Any = trimesh.load(mesh_path(name))
     whole = scene.to_geometry()
     faces = np.column_stack([whole.faces, np.full(len(whole.faces), -1)]).astype(np.int32)
     return Mesh(np.array(whole.vertices, dtype=float), faces)
+
+
+def coarse(mesh: Mesh, cell: float) -> Mesh:
+    """The mesh with all vertices of a cube as one: tens of triangles per limb."""
+    cubes, number = np.unique(np.floor(mesh.vertices / cell), axis=0, return_inverse=True)
+    number = number.ravel()
+    count = np.bincount(number, minlength=len(cubes))[:, None]
+    middles = np.stack([np.bincount(number, axis, len(cubes)) for axis in mesh.vertices.T], axis=1) / count
+    triangles = number[mesh.triangles]
+    corners = np.sort(triangles, axis=1)
+    whole = triangles[(np.diff(corners, axis=1) > 0).all(axis=1)]
+    return Mesh(middles, np.column_stack([whole, np.full(len(whole), -1)]).astype(np.int32))
 
 
 def stranger(mesh: Mesh) -> Mesh:
@@ -83,13 +98,24 @@ def fitted(name: str) -> tuple[Mesh, Skeleton]:
 @cache
 def makers_body() -> tuple[Array, dict[str, Any]]:
     """Vertices of the reference man in metres, and his joints by the authors."""
-    return figure("human_male_T_uv_m.obj").vertices, json.loads((MESHES / "joints_male_T_m.json").read_text())
+    return figure("human_male_T_uv_m.obj").vertices, json.loads(mesh_path("joints_male_T_m.json").read_text())
 
 
-def makers_joint(name: str, vertices: Array) -> Array:
-    """A joint of a body with the topology of the reference man, from the same weighted vertices."""
+def true_joint(name: str, bone: str, makers: str, vertices: Array) -> Array:
+    """A joint of a mesh that was moved and scaled to ``vertices``, by its makers.
+
+    Args:
+        name: Name of the mesh.
+        bone: Our name of the joint.
+        makers: Their name of it, for a mesh with the topology of the reference man.
+        vertices: Vertices (V, 3) after the fit.
+    """
+    if name in MESHES:
+        before = figure(name).vertices
+        scale = np.ptp(vertices[:, 1]) / np.ptp(before[:, 1])
+        return np.asarray(scale * (MESHES[name].joints[bone] - before[0]) + vertices[0])
     man, joints = makers_body()
-    joint = np.array(joints[name]["head"])
+    joint = np.array(joints[makers]["head"])
     near = np.argsort(np.linalg.norm(man - joint, axis=1))[:120]
     # coefficients that sum to one, the smallest there are: scaled, turned and moved bodies keep them
     equations = np.vstack([(man[near] - joint).T, np.ones(len(near))])
@@ -106,9 +132,7 @@ def doubt(name: str) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [*(pytest.param(n, marks=needs_shared_data) for n in FIGURES + OTHERS), *PEOPLE]
-)
+@pytest.mark.parametrize("name", [*if_shared(*FIGURES, *OTHERS), "own_female_A_dm.obj", *PEOPLE])
 def test_a_person_is_oriented_from_all_24_directions_at_any_size_and_position(name: str) -> None:
     mesh = figure(name)
     for turn, size in zip(turns(), itertools.cycle((1e-3, 1.0, 25.4, 1e3)), strict=False):
@@ -173,7 +197,7 @@ def test_impossible_axes_and_units_are_refused(options: Any, said: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ["child", pytest.param("mh2007_female_A_dm.obj", marks=needs_shared_data)])
+@pytest.mark.parametrize("name", ["child", *if_shared("mh2007_female_A_dm.obj")])
 def test_voxels_inside_a_mesh_agree_with_ray_casting(name: str) -> None:
     mesh, _ = fitted(name)
     volume = solid(mesh, 0.011)
@@ -193,8 +217,7 @@ def test_voxels_inside_a_mesh_agree_with_ray_casting(name: str) -> None:
 
 
 @pytest.mark.slow
-@needs_shared_data
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize("name", [*MESHES, *if_shared(*FIGURES)])
 def test_joints_are_near_those_of_the_authors(name: str) -> None:
     mesh, skeleton = fitted(name)
     for ours, theirs, tolerance, _ in JOINTS:
@@ -203,28 +226,47 @@ def test_joints_are_near_those_of_the_authors(name: str) -> None:
                 ours.replace("l_", f"{side}_", 1),
                 theirs.replace("Left", "Right" if side == "r" else "Left"),
             )
-            expected = makers_joint(makers, mesh.vertices)
+            expected = true_joint(name, bone, makers, mesh.vertices)
             away = np.linalg.norm(skeleton.heads[skeleton.bone(bone)] - expected)
             assert away < doubt(name) * tolerance, bone
 
 
 @pytest.mark.slow
 @needs_shared_data
-@pytest.mark.parametrize("name", FIGURES)
+@pytest.mark.parametrize("name", FIGURES if SHARED_DATA.is_dir() else FIGURES[:1])
 def test_joints_of_a_known_body_are_more_accurate(name: str) -> None:
     mesh, skeleton = fit_skeleton(figure(name))
     for ours, theirs, _, tolerance in JOINTS:
-        expected = makers_joint(theirs, mesh.vertices)
+        expected = true_joint(name, ours, theirs, mesh.vertices)
         away = np.linalg.norm(skeleton.heads[skeleton.bone(ours)] - expected)
         assert away < doubt(name) * tolerance, ours
 
 
-@needs_shared_data
-def test_a_known_body_is_recognised_with_eyes_and_faces_in_any_order() -> None:
-    man = figure("human_male_T_uv_m.obj")
+@pytest.fixture
+def known_man(monkeypatch: pytest.MonkeyPatch) -> Mesh:
+    """MakeHuman's body; without it, the quads of a built-in human in its place."""
+    if SHARED_DATA.is_dir():
+        return figure("human_male_T_uv_m.obj")
+    man = load_human(ROOT / "assets" / "humans" / "adult_man.npz")
+    quads = man.mesh.faces[(man.mesh.faces >= 0).all(axis=1)]
+    near = {name: cKDTree(man.mesh.vertices).query(head, 40)[1] for name, head in
+            zip(man.skeleton.names, man.skeleton.heads, strict=True)}  # fmt: skip
+    joints = {name: {"vertices": ring.tolist(), "shares": [1.0] * 40} for name, ring in near.items()}
+    table = {
+        "vertices": len(man.mesh.vertices),
+        "quads": len(quads),
+        "faces": known.topology(quads),
+        "joints": joints,
+    }
+    monkeypatch.setattr(known, "joint_file", lambda: {"makehuman": table})
+    return Mesh(man.mesh.vertices, quads)
+
+
+def test_a_known_body_is_recognised_with_eyes_and_faces_in_any_order(known_man: Mesh) -> None:
+    man = known_man
     rng = np.random.default_rng(0)
     faces = np.roll(man.faces[rng.permutation(len(man.faces))], 1, axis=1)
-    eyes = np.array([[13380, 13381, 13382, 13383]], dtype=np.int32)
+    eyes = len(man.vertices) + np.arange(4, dtype=np.int32)[None]
     more = Mesh(np.vstack([man.vertices, rng.uniform(0, 1, (4, 3))]), np.vstack([faces, eyes]))
     joints, expected = known_joints(more), known_joints(Mesh(man.vertices, man.faces))
     assert joints is not None and expected is not None
@@ -233,7 +275,7 @@ def test_a_known_body_is_recognised_with_eyes_and_faces_in_any_order() -> None:
     other = man.faces.copy()
     other[0] = other[0, ::-1]
     assert known_joints(Mesh(man.vertices, other)) is None
-    assert known_joints(figure("adult_man")) is None
+    assert known_joints(figure("adult_woman")) is None
 
 
 @pytest.mark.slow
@@ -248,7 +290,7 @@ def test_joints_of_built_in_humans_are_near_their_true_joints(name: str) -> None
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*(pytest.param(n, marks=needs_shared_data) for n in FIGURES), *PEOPLE])
+@pytest.mark.parametrize("name", [*if_shared(*FIGURES), "own_female_A_dm.obj", *PEOPLE])
 def test_a_fitted_skeleton_is_connected_symmetric_and_inside_the_mesh(name: str) -> None:
     mesh, skeleton = fitted(name)
     for bone, parent in enumerate(skeleton.parents):
@@ -263,11 +305,10 @@ def test_a_fitted_skeleton_is_connected_symmetric_and_inside_the_mesh(name: str)
     assert body.ray.contains_points(skeleton.heads[limbs]).all()
 
 
-@needs_shared_data
-@pytest.mark.parametrize("name", OTHERS)
-def test_small_meshes_of_other_authors_get_joints_near_their_own(name: str) -> None:
-    """Tens of triangles per limb, several open pieces; the authors placed the joints by eye."""
-    own = load_human(MESHES / name)
+@pytest.mark.parametrize("name", ["own_coarse", *if_shared(*OTHERS)])
+def test_small_meshes_get_joints_near_their_own(name: str) -> None:
+    """Tens of triangles per limb, several open pieces; authors of shared ones placed joints by eye."""
+    own = load_human(ROOT / "assets" / "humans" / "child.npz" if name == "own_coarse" else mesh_path(name))
     mesh, skeleton = fit_skeleton(figure(name), stature=float(np.ptp(own.mesh.vertices[:, 1])))
     for joint in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist"):
         theirs, ours = (s.heads[s.bone(f"l_{joint}")] for s in (own.skeleton, skeleton))
@@ -276,9 +317,7 @@ def test_small_meshes_of_other_authors_get_joints_near_their_own(name: str) -> N
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", ["adult_woman", pytest.param("mh2007_female_A_dm.obj", marks=needs_shared_data)]
-)
+@pytest.mark.parametrize("name", ["adult_woman", "own_female_A_dm.obj", *if_shared("mh2007_female_A_dm.obj")])
 def test_torn_and_open_meshes_get_the_same_fit(name: str) -> None:
     """Programs that write a vertex for each corner separate all faces."""
     mesh, skeleton = fitted(name)
@@ -415,9 +454,9 @@ def test_vertices_without_faces_do_not_count() -> None:
     np.testing.assert_allclose(fit_skeleton(stray)[1].heads, fit_skeleton(man)[1].heads)
 
 
-@needs_shared_data
-def test_the_thesis_method_fits_to_any_skeleton() -> None:
-    mesh, general = figure("mh2007_male_T_dm.obj"), hanim_skeleton()
+@pytest.mark.parametrize("name", ["own_male_T_dm.obj", *if_shared("mh2007_male_T_dm.obj")])
+def test_the_thesis_method_fits_to_any_skeleton(name: str) -> None:
+    mesh, general = figure(name), hanim_skeleton()
     half = replace(general, heads=0.5 * general.heads, tails=0.5 * general.tails)
     small, usual = fit_to_skeleton(mesh, half), fit_to_skeleton(mesh, general)
     np.testing.assert_allclose(small.vertices, 0.5 * usual.vertices, atol=1e-12)

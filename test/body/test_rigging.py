@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, if_shared
+from mesh_files import mesh_path
 from scipy.sparse import csr_matrix
 from scipy.spatial import cKDTree
 
@@ -84,8 +84,9 @@ def test_weights_are_those_of_the_rule(rule: RigRule) -> None:
 
 @pytest.mark.slow
 @BOTH
-def test_weights_of_a_real_body_are_those_of_the_rule(shared_data: Path, rule: RigRule) -> None:
-    mesh = fit_to_skeleton(read_mesh(shared_data / "mesh" / "mh2007_male_T_dm.obj"), SKELETON)
+@pytest.mark.parametrize("name", ["own_male_T_dm.obj", *if_shared("mh2007_male_T_dm.obj")])
+def test_weights_of_a_body_are_those_of_the_rule(name: str, rule: RigRule) -> None:
+    mesh = fit_to_skeleton(read_mesh(mesh_path(name)), SKELETON)
     weights = rig(mesh, SKELETON, rule)
     for vertex in range(0, len(mesh.vertices), 97):
         row = weights[vertex].toarray()[0]
@@ -333,9 +334,10 @@ def test_both_solvers_give_the_same_weights(monkeypatch: pytest.MonkeyPatch) -> 
     assert off.max() < 1e-3
 
 
-def test_arms_do_not_move_a_belly_beside_them(shared_data: Path) -> None:
+@pytest.mark.parametrize("name", ["own_female_A_dm.obj", *if_shared("mh2007_female_A_dm.obj")])
+def test_arms_do_not_move_a_belly_beside_them(name: str) -> None:
     """In an A pose the forearm is in front of the flank, with air between them."""
-    mesh, skeleton = fit_skeleton(read_mesh(shared_data / "mesh" / "mh2007_female_A_dm.obj"))
+    mesh, skeleton = fit_skeleton(read_mesh(mesh_path(name)))
     weights = rig(mesh, skeleton).toarray()
     height, aside = mesh.vertices[:, 1], np.abs(mesh.vertices[:, 0])
     belly = (height > 0.95) & (height < 1.2) & (aside < 0.16)

@@ -12,7 +12,8 @@ import cv2
 import figures
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, if_shared
+from mesh_files import mesh_path
 from waiting import PATIENCE
 
 from humansim_ros.humans.loading import load_human
@@ -62,9 +63,10 @@ def test_show_draws_a_sheet(figure: Path, tmp_path: Path) -> None:
             assert cell[60:].std() > 5, (row, column)
 
 
-def test_rig_makes_a_human_of_a_mesh(tmp_path: Path, shared_data: Path) -> None:
+@pytest.mark.parametrize("name", ["own_male_T_dm.obj", *if_shared("mh2007_male_T_dm.obj")])
+def test_rig_makes_a_human_of_a_mesh(tmp_path: Path, name: str) -> None:
     out = tmp_path / "human.npz"
-    mesh = shared_data / "mesh" / "mh2007_male_T_dm.obj"
+    mesh = mesh_path(name)
     result = humansim("rig", mesh, "-o", out, "--preview", tmp_path / "sheet.png", "--stature", "1.9")
     assert result.returncode == 0, result.stderr
     human = load_human(out)

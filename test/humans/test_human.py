@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, if_shared
+from mesh_files import MESHES, mesh_path
 
 import humansim_ros
 from humansim_ros.body import hanim_skeleton
@@ -94,13 +95,19 @@ def test_the_rest_pose_gives_the_stored_vertices(man: Human) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("figure", ["mh2007_male_T_dm.obj", "mh2007_female_A_dm.obj"])
-def test_a_plain_mesh_becomes_a_dressed_human(shared_data: Path, figure: str) -> None:
-    human = load_human(shared_data / "mesh" / figure)
+@pytest.mark.parametrize(
+    ("figure", "vertices"),
+    [
+        *((name, len(MESHES[name].vertices)) for name in ("own_male_T_dm.obj", "own_female_A_dm.obj")),
+        *if_shared(("mh2007_male_T_dm.obj", 13380), ("mh2007_female_A_dm.obj", 13380)),
+    ],
+)
+def test_a_plain_mesh_becomes_a_dressed_human(figure: str, vertices: int) -> None:
+    human = load_human(mesh_path(figure))
     assert human.name == figure.removesuffix(".obj")
     assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(1.7504, abs=1e-6)
     assert human.mesh.colors is not None
-    assert human.mesh.colors.shape == (13380, 3)
+    assert human.mesh.colors.shape == (vertices, 3)
     assert len(np.unique(human.mesh.colors, axis=0)) >= 5  # skin, hair, shirt, trousers, shoes
     np.testing.assert_allclose(human.pose(human.skeleton.rest), human.mesh.vertices, atol=1e-6)
 

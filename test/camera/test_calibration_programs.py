@@ -270,6 +270,13 @@ def transforms(per_frame: bool = False, fisheye: bool = False) -> dict[str, Any]
     return {"camera_angle_x": 0.5, "aabb_scale": 16, **lens, **size, "frames": frames}
 
 
+def test_transform_matrices_may_have_three_rows(tmp_path: Path) -> None:
+    document = transforms()
+    for frame in document["frames"]:
+        del frame["transform_matrix"][3]
+    assert_same(read(tmp_path, "transforms.json", document))
+
+
 @pytest.mark.parametrize("per_frame", [False, True])
 def test_transforms_have_the_axes_of_opengl_and_pixels_from_the_corner(
     tmp_path: Path, per_frame: bool
@@ -357,6 +364,17 @@ def test_realsense_intrinsics_are_those_of_opencv(tmp_path: Path) -> None:
         read(tmp_path, "c.json", dump(wanted, "distortion.inverse_brown_conrady", D))
     with pytest.raises(CameraError, match=r"model: 'distortion.ftheta' is not a supported lens model"):
         read(tmp_path, "c.json", dump(wanted, "distortion.ftheta", D))
+
+
+def test_streams_of_several_devices_have_the_names_of_both(tmp_path: Path) -> None:
+    def dump(fx: float) -> dict[str, Any]:
+        return {"width": 640, "height": 480, "fx": fx, "fy": 690, "ppx": 310, "ppy": 245}
+
+    devices = {"7": {"color": dump(700), "depth": dump(701)}, "9": {"color": dump(702), "depth": dump(703)}}
+    with pytest.warns(HumansimWarning, match="no extrinsics"):
+        cameras = read(tmp_path, "c.json", {"date": "today", "devices": devices})
+    found = {name: camera.K[0, 0] for name, camera in cameras.items()}
+    assert found == {"7_color": 700, "7_depth": 701, "9_color": 702, "9_depth": 703}
 
 
 def test_matrices_of_open3d_are_in_column_order(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -14,11 +15,10 @@ _DEPTH = 3
 _NAMES = ("name", "camera_name", "camera", "cam_name", "id", "camera_id", "cam_id", "serial", "serial_number")
 
 Keys = tuple[Key, ...]
+Predicate = Callable[[Any], bool]
 
 
-def find_cameras(
-    file: CalibrationFile, is_camera: Callable[[Any], bool], is_part: Callable[[Any], bool]
-) -> list[tuple[str, Keys]]:
+def find_cameras(file: CalibrationFile, is_camera: Predicate, is_part: Predicate) -> list[tuple[str, Keys]]:
     """Find the cameras of a document: their names and key paths, in the order of the file.
 
     Args:
@@ -28,29 +28,39 @@ def find_cameras(
 
     Returns:
         Cameras; empty if the document has none. Cameras of a list without names have their indices as names.
+        Names that several groups have, such as the streams of several devices, begin with that of the group.
     """
     if is_camera(file.document):
         return [(_name(file.document, Path(file.path).stem), ())]
-    for keys, value in _containers(file.document, (), _DEPTH):
-        named = isinstance(value, dict)
-        items = list(value.items()) if named else list(enumerate(value))
-        if any(is_camera(item) for _, item in items):
-            cameras = [(key, item) for key, item in items if is_camera(item) or is_part(item)]
-            return [
-                (str(key) if named else _name(item, str(key)), (*keys, key if named else int(key)))
-                for key, item in cameras
-            ]
-    return []
+    found = list(_search(file.document, (), _DEPTH, is_camera, is_part))
+    counts = Counter(name for name, _ in found)
+    grouped = any(count > 1 for count in counts.values()) and len({keys[:-1] for _, keys in found}) > 1
+    return [(f"{keys[-2]}_{name}" if grouped else name, keys) for name, keys in found]
 
 
-def _containers(value: Any, keys: Keys, depth: int) -> Iterator[tuple[Keys, Any]]:
-    """Mappings and lists of a document with their key paths, outer ones first."""
-    if not isinstance(value, (dict, list)) or depth < 0:
+def _search(
+    value: Any, keys: Keys, depth: int, is_camera: Predicate, is_part: Predicate
+) -> Iterator[tuple[str, Keys]]:
+    """Names and key paths of the cameras in a mapping or list, or below its keys.
+
+    Args:
+        value: Mapping or list; other values have no cameras.
+        keys: Its key path.
+        depth: Most keys above the cameras.
+        is_camera: As for :func:`find_cameras`.
+        is_part: As for :func:`find_cameras`.
+    """
+    if not isinstance(value, (dict, list)):
         return
-    yield keys, value
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield from _containers(inner, (*keys, key), depth - 1)
+    named = isinstance(value, dict)
+    items: list[tuple[Key, Any]] = list(value.items() if isinstance(value, dict) else enumerate(value))
+    if any(is_camera(item) for _, item in items):
+        for key, item in items:
+            if is_camera(item) or is_part(item):
+                yield str(key) if named else _name(item, str(key)), (*keys, key)
+    elif named and depth > 0:
+        for key, item in items:
+            yield from _search(item, (*keys, key), depth - 1, is_camera, is_part)
 
 
 def _name(camera: Any, otherwise: str) -> str:
@@ -62,6 +72,6 @@ def _name(camera: Any, otherwise: str) -> str:
     return otherwise
 
 
-def has_keys(*needed: set[str]) -> Callable[[Any], bool]:
+def has_keys(*needed: set[str]) -> Predicate:
     """Function that tells whether a value is a mapping with a key of each of these sets."""
     return lambda value: isinstance(value, dict) and all(keys & value.keys() for keys in needed)

@@ -76,14 +76,13 @@ def _names(file: CalibrationFile) -> list[str]:
 
 
 def _camera(file: CalibrationFile, index: int, size: ImageSize | None) -> RawCamera:
-    pose = file.numbers((4, 4), "frames", index, "transform_matrix")
-    if not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
-        raise file.error(
-            "needs 0 0 0 1 as the last row of its 4 x 4 numbers", "frames", index, "transform_matrix"
-        )
+    keys = ("frames", index, "transform_matrix")
+    pose = file.numbers((3, 4) if len(file.some_numbers(*keys)) == 12 else (4, 4), *keys)
+    if len(pose) == 4 and not np.allclose(pose[3], [0, 0, 0, 1], atol=1e-6):
+        raise file.error("needs 0 0 0 1 as the last row of its 4 x 4 numbers", *keys)
     k = _matrix(file, index, file.given_size or size)
     model, distortion = _lens(file, index)
-    at = file.location("frames", index, "transform_matrix")
+    at = file.location(*keys)
     return RawCamera(
         k,
         _FLIP @ pose[:3, :3].T,

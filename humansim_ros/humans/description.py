@@ -11,8 +11,8 @@ from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Skinning
 from humansim_ros.humans.makehuman.paint import Outfit
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig
-from humansim_ros.io.schema import Axis, ByteColor, Expected, Section
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.schema import Axis, ByteColor, Section
+from humansim_ros.io.schema_errors import Expected, schema_error
 from humansim_ros.io.yaml import read_yaml
 
 OutfitName = Annotated[

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+
+from humansim_ros.errors import SceneError
+from humansim_ros.io.schema_errors import Expected, schema_error
+
+if TYPE_CHECKING:
+    from pydantic._internal._model_construction import ModelMetaclass
+else:
+    ModelMetaclass = type(BaseModel)
 
 
-class Section(BaseModel):
+class _SectionType(ModelMetaclass):
+    """Makes errors of constructors errors of this package; ``model_validate`` raises those of the library."""
+
+    def __call__(cls, *values: Any, **keys: Any) -> Any:
+        try:
+            return super().__call__(*values, **keys)
+        except ValidationError as reason:
+            raise schema_error(reason, cast("type[BaseModel]", cls), SceneError) from None
+
+
+class Section(BaseModel, metaclass=_SectionType):
     """Mapping of a YAML file; unknown keys and numbers that are not finite are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
     #: Words that others use for keys of this section, separated by spaces, by key.
     other_words: ClassVar[dict[str, str]] = {}
-
-
-@dataclass(frozen=True)
-class Expected:
-    """What a value must be, for error messages; for use in ``Annotated``.
-
-    ``one``: such as ``an axis``. ``many``: of several such values, such as ``axes``.
-    """
-
-    one: str
-    many: str = ""
 
 
 Byte = Annotated[int, Field(ge=0, le=255)]

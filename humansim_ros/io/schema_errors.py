@@ -17,7 +17,6 @@ from pydantic import BaseModel, StringConstraints
 from pydantic.fields import FieldInfo
 
 from humansim_ros.errors import HumansimError, did_you_mean
-from humansim_ros.io.schema import Expected
 from humansim_ros.io.unknown_keys import unknown_key
 from humansim_ros.io.yaml import line_of
 
@@ -30,6 +29,17 @@ _COUNTS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight",
 _LONGEST_VALUE, _LONGEST_DESCRIPTION = 60, 70
 _MAPPINGS = (dict, collections.abc.Mapping)
 _LISTS = (tuple, list, collections.abc.Sequence)
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What a value must be, for error messages; for use in ``Annotated``.
+
+    ``one``: such as ``an axis``. ``many``: of several such values, such as ``axes``.
+    """
+
+    one: str
+    many: str = ""
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from pydantic import (
 )
 
 from humansim_ros.errors import SceneError
-from humansim_ros.io.schema import Axis, ByteColor, Expected, Section
-from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.schema import Axis, ByteColor, Section
+from humansim_ros.io.schema_errors import Expected, schema_error
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.make import RendererName

@@ -178,14 +178,14 @@ def test_the_rectified_projection_is_that_of_the_region(shown: tuple[Scene, Fram
     [
         ("roi: {x: 100, y: 0, width: 221, height: 240}", "roi", "not within 320x240"),
         ("roi: {x: 0, y: 240, width: 320, height: 1}", "roi", "not within 320x240"),
-        ("roi: {x: -1, y: 0, width: 20, height: 20}", "roi.x", "greater than or equal to 0"),
-        ("roi: {x: 0, y: 0, width: 0, height: 20}", "roi.width", "greater than 0"),
-        ("roi: {x: 0, y: 0, width: 20}", "roi.height", "required"),
+        ("roi: {x: -1, y: 0, width: 20, height: 20}", "roi.x", "0 or more"),
+        ("roi: {x: 0, y: 0, width: 0, height: 20}", "roi.width", "above 0"),
+        ("roi: {x: 0, y: 0, width: 20}", "roi.height", "this key is missing"),
         ("binning: [0, 1]", "binning", "must be between 1 and the image size"),
         ("binning: [1, 241]", "binning", "must be between 1 and the image size"),
         ("binning: [2, 3], roi: {width: 20, height: 2}", "binning", "must be between 1 and the image size"),
-        ("binning: [2]", "binning.1", "required"),
-        ("binning: 2", "binning", "tuple"),
+        ("binning: [2]", "binning.1", "two whole numbers"),
+        ("binning: 2", "binning", "give two whole numbers"),
     ],
 )
 def test_a_region_outside_the_sensor_is_refused_with_its_key(

@@ -20,6 +20,7 @@ from humansim_ros.mesh.gltf_document import _Document
 from humansim_ros.motion.joint_tables import JointTable
 from humansim_ros.motion.limit_table import LimitTable
 from humansim_ros.scene.config import SceneConfig
+from humansim_ros.sensor import SensorConfig
 
 #: Wrong values of all types that YAML has.
 VALUES: tuple[Any, ...] = (
@@ -203,3 +204,14 @@ def test_a_message_says_what_is_needed_and_what_was_found(value: Any, key: str, 
 )
 def test_values_are_shown_as_in_a_file_and_never_at_length(value: Any, text: str) -> None:
     assert show_value(value) == text
+
+
+def test_a_constructor_in_python_has_the_same_errors() -> None:
+    with pytest.raises(HumansimError) as caught:
+        SensorConfig(exposure_time="long", noise={"full_well": 5})
+    assert str(caught.value) == (
+        "exposure_time: give a number from 0 to 10 (exposure time of a row, seconds); found 'long'"
+    )
+    with pytest.raises(HumansimError, match=r"noise.full_well: give a number from 10 to 1e\+07 .*; found 5"):
+        SensorConfig(noise={"full_well": 5})
+    assert SensorConfig(noise={"full_well": 50}).noise is not None

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.io.files import exists
 from humansim_ros.motion.animals import look_at_body
+from humansim_ros.motion.joint_keys import loose_keys, loose_table_key
 from humansim_ros.motion.joint_match import MIN_CONFIDENCE, REQUIRED_BONES, JointMatch, match_roles
 from humansim_ros.motion.joint_tables import (
     REQUIRED_ROLES,
@@ -23,6 +24,8 @@ from humansim_ros.motion.kinematics import Motion
 from humansim_ros.motion.skeleton_matching import match_shape
 from humansim_ros.types import Indices
 
+#: Table of common names, which is used where no other fits.
+_COMMON = "common"
 #: Chains of roles: the joint of each is a descendant of the joint before it.
 _CHAINS = (
     ("Hips", "LeftHip", "LeftKnee", "LeftAnkle", "LeftToe"),
@@ -93,22 +96,11 @@ def match_names(
         MotionError: No table fits; the message names the bones and roles without joints.
     """
     tables = _candidates(table, path)
-    matches = [match_table(candidate, joint_names, parents) for candidate in tables]
-    present = {comparison_key(name) for name in joint_names}
+    best = _best_match(tables, joint_names, parents)
+    if not best.complete:
+        loose = _best_match(tables, joint_names, parents, loose=True)
+        best = loose if loose.complete else best
 
-    def fit(pair: tuple[JointTable, JointMatch]) -> tuple[bool, int, int, int, float]:
-        candidate, match = pair
-        hints = sum(comparison_key(hint) in present for hint in candidate.hints)
-        named = sum(role in match.roles for role in candidate.joints)
-        return (
-            match.complete,
-            len(match.parallel) + len(match.difference),
-            hints,
-            named,
-            named / len(candidate.joints),
-        )
-
-    _, best = max(zip(tables, matches, strict=True), key=fit)
     if not best.complete:
         lacking = [
             bone for bone in REQUIRED_BONES if bone not in best.parallel and bone not in best.difference
@@ -124,24 +116,74 @@ def match_names(
     return best if table is None else replace(best, by="given")
 
 
-def match_table(table: JointTable, joint_names: Sequence[str], parents: Indices | None = None) -> JointMatch:
-    """Match joints to bones by one table; joints whose ``parents`` contradict their role are left out."""
+def _best_match(
+    tables: Sequence[JointTable], joint_names: Sequence[str], parents: Indices | None, loose: bool = False
+) -> JointMatch:
+    """Match by the table that fits best. Exactly spelt, the table of common names yields to all others."""
+    matches = [match_table(candidate, joint_names, parents, loose) for candidate in tables]
+    present = {comparison_key(name) for name in joint_names}
+
+    def fit(pair: tuple[JointTable, JointMatch]) -> tuple[bool, bool, int, int, int, float]:
+        candidate, match = pair
+        hints = sum(comparison_key(hint) in present for hint in candidate.hints)
+        named = sum(role in match.roles for role in candidate.joints)
+        return (
+            match.complete,
+            loose or candidate.name != _COMMON,
+            len(match.parallel) + len(match.difference),
+            hints,
+            named,
+            named / len(candidate.joints),
+        )
+
+    return max(zip(tables, matches, strict=True), key=fit)[1]
+
+
+def match_table(
+    table: JointTable, joint_names: Sequence[str], parents: Indices | None = None, loose: bool = False
+) -> JointMatch:
+    """Match joints to bones by one table.
+
+    Args:
+        table: Joint table.
+        joint_names: Names of J joints.
+        parents: (J,) parent of each joint, where known; joints that contradict their role are left out.
+        loose: Compare names without what all joints begin or end with, and in any spelling of the sides.
+    """
+    roles = _loose_roles(table, joint_names) if loose else _named_roles(table, joint_names)
+    if parents is not None:
+        roles = _consistent_roles(roles, parents)
+    ends = {name: number for number, name in enumerate(joint_names)}
+    for role in sorted({role for link in table.parallel.values() for role in link} - set(table.joints)):
+        base = roles.get(role.removesuffix("_end"))
+        if base is not None and (joint := ends.get(f"{joint_names[base]}_end")) is not None:
+            roles[role] = joint
+    return match_roles(table, roles, joint_names)
+
+
+def _named_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
+    """Joint of each role of a table: the first of its names that is there, exactly or nearly so."""
     numbered = list(reversed(list(enumerate(joint_names))))
     exact = {plain_name(name): number for number, name in numbered}
     similar = {comparison_key(name): number for number, name in numbered}
-
-    def find(names: Iterable[str]) -> int | None:
+    roles = {}
+    for role, names in table.joints.items():
         joints = (exact.get(name, similar.get(comparison_key(name))) for name in names)
-        return next((joint for joint in joints if joint is not None), None)
+        roles[role] = next((joint for joint in joints if joint is not None), None)
+    return {role: joint for role, joint in roles.items() if joint is not None}
 
-    roles = {role: joint for role, names in table.joints.items() if (joint := find(names)) is not None}
-    if parents is not None:
-        roles = _consistent_roles(roles, parents)
-    for role in sorted({role for link in table.parallel.values() for role in link} - set(table.joints)):
-        base = roles.get(role.removesuffix("_end"))
-        if base is not None and (joint := find([f"{joint_names[base]}_end"])) is not None:
-            roles[role] = joint
-    return match_roles(table, roles, joint_names)
+
+def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
+    """As :func:`_named_roles`, in any spelling of the sides. Right sides are spelt as the left ones."""
+    joint_of = {key: number for number, key in reversed(list(enumerate(loose_keys(joint_names))))}
+    roles = {}
+    for role, names in table.joints.items():
+        left = f"Left{role[5:]}" if role.startswith("Right") else role
+        keys = [loose_table_key(left, name) for name in table.joints.get(left, names)]
+        if left != role:
+            keys = [key.replace("left", "right", 1) for key in keys]
+        roles[role] = next((joint_of[key] for key in keys if key in joint_of), None)
+    return {role: joint for role, joint in roles.items() if joint is not None}
 
 
 def _consistent_roles(roles: Mapping[str, int], parents: Indices) -> dict[str, int]:

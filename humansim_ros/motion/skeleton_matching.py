@@ -15,18 +15,22 @@ import numpy as np
 
 from humansim_ros.motion.joint_match import MIN_CONFIDENCE, JointMatch, match_roles
 from humansim_ros.motion.joint_tables import JointTable
+from humansim_ros.motion.joint_tree import BranchPair, JointTree
 from humansim_ros.motion.kinematics import Motion
 from humansim_ros.rotations import unit_vectors
 from humansim_ros.types import Array
 
-#: Two branches are a pair if their lengths differ by at most this share.
-_PAIR_TOLERANCE = 0.12
 #: Shares of a leg (thigh, shin, foot) and of an arm (upper arm, forearm, hand) of a typical person.
 _LEG, _ARM = np.array([0.43, 0.41, 0.16]), np.array([0.42, 0.36, 0.22])
 #: Length of an arm, and of neck and head, as shares of the length of a leg.
 _ARM_BY_LEG, _HEAD_BY_LEG = 0.72, 0.28
-#: Standard deviation of the length of a bone, as a share of it.
-_BONE_VARIATION = 0.01
+#: A joint with so many children is a hand, a foot or a head: those are fingers, toes, or parts of a face.
+_MANY_CHILDREN = 3
+#: Factor of the likelihood of a limb that does not end at its hand or foot.
+_WRONG_END = 0.2
+_HAND = re.compile(r"hand|wrist", re.IGNORECASE)
+_FOOT = re.compile(r"foot|ankle", re.IGNORECASE)
+_HEAD = re.compile(r"head|skull", re.IGNORECASE)
 _LEFT = re.compile(r"left|(?<![a-z])l(?=[_. -])|(?<=[_. :-])l(?![a-z])", re.IGNORECASE)
 _RIGHT = re.compile(r"right|(?<![a-z])r(?=[_. -])|(?<=[_. :-])r(?![a-z])", re.IGNORECASE)
 
@@ -41,16 +45,6 @@ class _Limb:
     likelihood: float
 
 
-@dataclass(frozen=True)
-class _Pair:
-    """Two similar branches of a joint: their first joints, and the length of the longer."""
-
-    joint: int
-    branches: tuple[int, int]
-    length: float
-    symmetry: float
-
-
 def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> JointMatch | None:
     """Match the joints of a person by the shape of the skeleton; None if the motion has no person.
 
@@ -58,7 +52,7 @@ def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> Joint
 
     ``confidence`` is the similarity to a person; it is lower where left and right are uncertain.
     """
-    tree = _Tree(motion)
+    tree = JointTree(motion)
     best: tuple[float, dict[str, int]] | None = None
     for legs, arms in _limb_pairs(tree):
         person = _person(tree, legs, arms)
@@ -74,75 +68,12 @@ def match_shape(motion: Motion, min_confidence: float = MIN_CONFIDENCE) -> Joint
     )
     if not match.complete:
         return None
-    confidence = round(min(1.0, float(likelihood * side_confidence)), 3)
+    # uncertain sides alone refuse nobody
+    confidence = round(min(1.0, max(float(likelihood * side_confidence), min(likelihood, MIN_CONFIDENCE))), 3)
     return replace(match, by="shape", confidence=confidence)
 
 
-class _Tree:
-    """Joint tree of a motion, with link lengths and the longest chain below each joint."""
-
-    def __init__(self, motion: Motion) -> None:
-        self.parents = motion.parents
-        count = motion.n_joints
-        frames = np.unique(np.linspace(0, motion.n_frames - 1, 5).astype(int))
-        self.links = np.median(np.linalg.norm(motion.local_translations(frames), axis=-1), axis=0)
-        self.links[self.parents < 0] = 0.0
-        self.points = motion.world_positions(np.unique(np.linspace(0, motion.n_frames - 1, 60).astype(int)))
-        self.children: list[list[int]] = [[] for _ in range(count)]
-        for joint in range(count - 1, -1, -1):
-            if self.parents[joint] >= 0:
-                self.children[int(self.parents[joint])].insert(0, joint)
-        #: Longest way from a joint's parent through the joint to a leaf.
-        self.reach = self.links.copy()
-        self.next = np.full(count, -1)
-        for joint in range(count - 1, -1, -1):  # children come after parents
-            if self.children[joint]:
-                farthest = max(self.children[joint], key=lambda child: self.reach[child])
-                self.reach[joint] += self.reach[farthest]
-                self.next[joint] = farthest
-        self.size = float(self.reach.max(initial=0.0))
-
-    def stiffness(self, a: int, b: int) -> float:
-        """1 where the distance of two joints is constant, as along a bone; less where a joint bends."""
-        if int(self.parents[b]) == a:
-            return 1.0
-        distance = np.linalg.norm(self.points[:, a] - self.points[:, b], axis=-1)
-        return float(np.exp(-0.5 * (distance.std() / max(distance.mean(), 1e-9) / _BONE_VARIATION) ** 2))
-
-    def chain(self, joint: int) -> list[int]:
-        """Longest chain of a branch, from its first joint to the leaf."""
-        out = [joint]
-        while self.next[out[-1]] >= 0:
-            out.append(int(self.next[out[-1]]))
-        return out
-
-    def path(self, joint: int) -> list[int]:
-        """A joint and its ancestors, upwards."""
-        out = [joint]
-        while self.parents[out[-1]] >= 0:
-            out.append(int(self.parents[out[-1]]))
-        return out
-
-    def pairs(self) -> list[_Pair]:
-        """All pairs of similar long branches of one joint, or of joints without length between them."""
-        pairs = []
-        for joint in range(len(self.parents)):
-            branches = [child for child in self._branches(joint) if self.reach[child] > 0.15 * self.size]
-            for a, b in combinations(branches, 2):
-                longer, shorter = sorted((self.reach[a], self.reach[b]), reverse=True)
-                if shorter > (1 - _PAIR_TOLERANCE) * longer:
-                    pairs.append(_Pair(joint, (a, b), float(longer), float(shorter / longer)))
-        return pairs
-
-    def _branches(self, joint: int) -> Iterator[int]:
-        """Children; of a child without length also its children, which start at the same place."""
-        for child in self.children[joint]:
-            yield child
-            if self.links[child] < 1e-3 * self.size and len(self.children[child]) > 1:
-                yield from self.children[child]
-
-
-def _limb_pairs(tree: _Tree) -> Iterator[tuple[_Pair, _Pair]]:
+def _limb_pairs(tree: JointTree) -> Iterator[tuple[BranchPair, BranchPair]]:
     """Candidates for legs and arms: two pairs of branches that share no joint."""
     pairs = sorted(tree.pairs(), key=lambda pair: -pair.length)[:60]
     for legs in pairs:
@@ -164,9 +95,9 @@ def _limb_pairs(tree: _Tree) -> Iterator[tuple[_Pair, _Pair]]:
                 yield legs, arms
 
 
-def _person(tree: _Tree, legs: _Pair, arms: _Pair) -> tuple[float, dict[str, int]] | None:
+def _person(tree: JointTree, legs: BranchPair, arms: BranchPair) -> tuple[float, dict[str, int]] | None:
     """Likelihood of a person with these legs and arms, and the roles of its joints; sides are arbitrary."""
-    leg_limbs, arm_limbs = _limbs(tree, legs, _LEG, 1.05), _limbs(tree, arms, _ARM, 1.2)
+    leg_limbs, arm_limbs = _limbs(tree, legs, _LEG, 1.05, _FOOT), _limbs(tree, arms, _ARM, 1.2, _HAND)
     if leg_limbs is None or arm_limbs is None:
         return None
     roles: dict[str, int] = {"Hips": legs.joint}
@@ -204,9 +135,13 @@ def _person(tree: _Tree, legs: _Pair, arms: _Pair) -> tuple[float, dict[str, int
     head = _head(tree, legs, arms, trunk)
     if head is None:
         return likelihood * 0.4, roles
-    roles["Head"] = head[-2] if len(head) > 1 else head[-1]
-    if len(head) > 2:
+    top = _end_of_chain(tree, head, _HEAD, from_place=0)
+    if top is None:
+        top = max(len(head) - 2, 0)
+    roles["Head"] = head[top]
+    if top > 0:
         roles["Neck"] = head[0]
+    head = head[: top + 2]
     likelihood *= _similarity(sum(tree.links[j] for j in head) / leg_length, _HEAD_BY_LEG, 0.9)
     return likelihood ** (1 / 4), roles
 
@@ -216,13 +151,29 @@ def _similarity(ratio: float, typical: float, spread: float) -> float:
     return float(np.exp(-0.5 * (np.log(max(ratio, 1e-9) / typical) / spread) ** 2))
 
 
-def _limbs(tree: _Tree, pair: _Pair, typical: Array, above: float) -> tuple[_Limb, _Limb] | None:
+def _end_of_chain(tree: JointTree, chain: list[int], called: re.Pattern[str], from_place: int) -> int | None:
+    """Place in a chain of the joint that is a hand, foot or head, by its name or its children, if one is."""
+    places = range(from_place, len(chain))
+    for place in places:
+        if tree.children[chain[place]] and called.search(tree.names[chain[place]]):
+            return place
+    return next((place for place in places if len(tree.children[chain[place]]) >= _MANY_CHILDREN), None)
+
+
+def _limbs(
+    tree: JointTree, pair: BranchPair, typical: Array, above: float, end: re.Pattern[str]
+) -> tuple[_Limb, _Limb] | None:
     """The most likely three joints of each of two limbs; the same places where both chains are equally long.
 
-    ``above``: usual length of limb and collar together, as a multiple of the length of the limb.
+    Args:
+        tree: Joint tree.
+        pair: First joints of the limbs.
+        typical: (3,) shares of the three parts of a limb.
+        above: Usual length of limb and collar together, as a multiple of the length of the limb.
+        end: Names of the third joint.
     """
     chains = [tree.chain(branch) for branch in pair.branches]
-    likelihoods = [_joint_triples(tree, chain, typical, above) for chain in chains]
+    likelihoods = [_joint_triples(tree, chain, typical, above, end) for chain in chains]
     if not all(likelihoods):
         return None
     if len(chains[0]) == len(chains[1]):
@@ -250,9 +201,13 @@ def _limbs(tree: _Tree, pair: _Pair, typical: Array, above: float) -> tuple[_Lim
 
 
 def _joint_triples(
-    tree: _Tree, chain: list[int], typical: Array, above: float
+    tree: JointTree, chain: list[int], typical: Array, above: float, end: re.Pattern[str]
 ) -> dict[tuple[int, int, int], float]:
-    """Places of three joints in a chain -> likelihood (0 to 1) that they are those of a limb."""
+    """Places of three joints in a chain -> likelihood (0 to 1) that they are those of a limb.
+
+    Parameters as in :func:`_limbs`.
+    """
+    last = _end_of_chain(tree, chain, end, from_place=2)
     along = np.cumsum([tree.links[joint] for joint in chain])
     likelihoods = {}
     for i, j, k in combinations(range(min(len(chain), 16)), 3):
@@ -269,17 +224,18 @@ def _joint_triples(
         # a limb ends in a joint, not in an end site; few skeletons have joints within a bone
         likelihood *= 1.0 if tree.children[chain[k]] else 0.6
         skipped = sum(tree.links[chain[m]] > 0.08 * (upper + lower) for m in range(i + 1, k) if m != j)
+        likelihood *= 1.0 if last in (None, k) else _WRONG_END
         likelihoods[i, j, k] = float(likelihood * 0.9**skipped)
     return likelihoods
 
 
-def _collar(tree: _Tree, chain: list[int], place: int) -> int | None:
+def _collar(tree: JointTree, chain: list[int], place: int) -> int | None:
     """Last joint of a chain before a place that is not at the same position."""
     inner = [chain[m] for m in range(place) if tree.links[chain[m + 1]] > 1e-3 * tree.size]
     return inner[-1] if inner else None
 
 
-def _tip(tree: _Tree, chain: list[int], place: int) -> int | None:
+def _tip(tree: JointTree, chain: list[int], place: int) -> int | None:
     """First joint of a chain after a place that is not at the same position."""
     for joint in chain[place + 1 :]:
         if tree.links[joint] > 0.005 * tree.size:
@@ -287,7 +243,7 @@ def _tip(tree: _Tree, chain: list[int], place: int) -> int | None:
     return None
 
 
-def _path_between(tree: _Tree, a: int, b: int) -> list[int] | None:
+def _path_between(tree: JointTree, a: int, b: int) -> list[int] | None:
     """Joints from a to b along the tree; None if they are in different trees."""
     up_a, up_b = tree.path(a), tree.path(b)
     common = next((joint for joint in up_a if joint in up_b), None)
@@ -296,12 +252,12 @@ def _path_between(tree: _Tree, a: int, b: int) -> list[int] | None:
     return [*up_a[: up_a.index(common) + 1], *reversed(up_b[: up_b.index(common)])]
 
 
-def _topmost(tree: _Tree, joints: list[int]) -> int:
+def _topmost(tree: JointTree, joints: list[int]) -> int:
     """The ancestor of all other joints of a path."""
     return next(joint for joint in joints if int(tree.parents[joint]) not in joints)
 
 
-def _head(tree: _Tree, legs: _Pair, arms: _Pair, trunk: list[int]) -> list[int] | None:
+def _head(tree: JointTree, legs: BranchPair, arms: BranchPair, trunk: list[int]) -> list[int] | None:
     """Chain of neck and head: the longest remaining branch at the joint of the arms or its parent."""
     used = {*legs.branches, *arms.branches, *trunk}
     near = [arms.joint, *tree.path(arms.joint)[1:2]]

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 import yaml
-from conftest import SHARED_DATA, if_shared
+from conftest import ROOT, SHARED_DATA, if_shared
 from stand_ins import ALL, motion_path
 
 from humansim_ros.body import hanim_skeleton
 from humansim_ros.errors import MotionError
 from humansim_ros.motion import read_bvh
+from humansim_ros.motion.joint_keys import loose_keys
 from humansim_ros.motion.joint_matching import match_names, match_table
 from humansim_ros.motion.joint_tables import JointTable, built_in_tables, load_table, plain_name, right_name
 
@@ -101,7 +104,7 @@ def test_limbs_run_from_parent_to_child_in_every_matched_file(stem: str) -> None
         for bone in LIMBS:
             if bone.startswith(side):
                 name = motion.joint_names[match.parallel[bone][0]].lower()
-                assert any(word in name for word in words)
+                assert name.startswith(side) or any(word in name for word in words)
 
 
 @pytest.mark.parametrize(
@@ -218,6 +221,30 @@ FAMILIES = {
     "L_Shoulder L_Elbow L_Wrist L_Hand",
     "rokoko": "Hips Spine1 Spine2 Spine3 Spine4 Neck Head LeftShoulder<Spine4 LeftArm LeftForeArm "
     "LeftHand LeftThigh<Hips LeftShin LeftFoot LeftToe",
+    "azure_kinect": "PELVIS SPINE_NAVAL SPINE_CHEST NECK HEAD CLAVICLE_LEFT<SPINE_CHEST SHOULDER_LEFT "
+    "ELBOW_LEFT WRIST_LEFT HAND_LEFT HANDTIP_LEFT THUMB_LEFT<WRIST_LEFT HIP_LEFT<PELVIS KNEE_LEFT ANKLE_LEFT "
+    "FOOT_LEFT NOSE<HEAD EYE_LEFT<HEAD EAR_LEFT<HEAD",
+    "azure_kinect 2": "SpineBase SpineMid SpineShoulder Neck Head ShoulderLeft<SpineShoulder ElbowLeft "
+    "WristLeft "
+    "HandLeft HandTipLeft HipLeft<SpineBase KneeLeft AnkleLeft FootLeft",
+    "mocopi": "root torso_1 torso_2 torso_3 torso_4 torso_5 torso_6 torso_7 neck_1 neck_2 head "
+    "l_shoulder<torso_7 l_up_arm l_low_arm l_hand l_up_leg<root l_low_leg l_foot l_toes",
+    "cmu_asf": "hip lhipjoint lfemur ltibia lfoot ltoes lowerback<hip upperback thorax lowerneck "
+    "upperneck head "
+    "lclavicle<thorax lhumerus lradius lwrist lhand lfingers lthumb<lwrist",
+    "mocapnet": "hip abdomen chest neck neck1 head __jaw jaw special04 oris02 oris01 tongue00<jaw "
+    "tongue01 tongue02 "
+    "levator02.l<__jaw eye.l<head lCollar<chest lShldr lForeArm lHand __metacarpal1.l metacarpal1.l "
+    "finger2-1.l "
+    "finger2-2.l metacarpal2.l<lHand finger3-1.l finger3-2.l lButtock<hip lThigh lShin lFoot toe1-1.L "
+    "toe2-1.L<lFoot",
+    "mocapnet 2": "hip abdomen chest neck head lefteye lcollar<chest lshoulder lelbow lhand lthumb1 "
+    "lhip<hip lknee lfoot",
+    "humanik 2": "Hips Spine Spine1 Spine2 Neck Head L_Shoulder<Spine2 L_Arm L_ForeArm L_Hand "
+    "L_UpLeg<Hips L_Leg "
+    "L_Foot L_ToeBase",
+    "common": "my_Pelvis_x my_Torso_x my_UpperChest_x my_Neck_x my_Head_x my_clavicle.L_x<my_UpperChest_x "
+    "my_bicep.L_x my_forearm.L_x my_hand.L_x my_thigh.L_x<my_Pelvis_x my_shin.L_x my_foot.L_x",
     "mixamo": "mixamorig:Hips mixamorig:Spine mixamorig:Spine1 mixamorig:Spine2 mixamorig:Neck "
     "mixamorig:Head mixamorig:HeadTop_End mixamorig:LeftShoulder<mixamorig:Spine2 "
     "mixamorig:LeftArm mixamorig:LeftForeArm mixamorig:LeftHand "
@@ -231,25 +258,39 @@ ARM_AND_SHIN = {
     "cmu_daz": "lShldr lShin", "hanim": "l_shoulder l_knee", "hanim 2": "l_shoulder l_knee",
     "biped": "Bip01_L_UpperArm Bip01_L_Calf", "unreal": "upperarm_l calf_l",
     "unity": "leftUpperArm leftLowerLeg", "smpl": "L_Shoulder L_Knee", "rokoko": "LeftArm LeftShin",
-    "mixamo": "mixamorig:LeftArm mixamorig:LeftLeg",
+    "mixamo": "mixamorig:LeftArm mixamorig:LeftLeg", "azure_kinect": "SHOULDER_LEFT KNEE_LEFT",
+    "azure_kinect 2": "ShoulderLeft KneeLeft", "mocopi": "l_up_arm l_low_leg", "cmu_asf": "lhumerus ltibia",
+    "mocapnet": "lShldr lShin", "mocapnet 2": "lshoulder lknee", "humanik 2": "L_Arm L_Leg",
+    "common": "my_bicep.L_x my_shin.L_x",
 }  # fmt: skip
+
+
+#: Left joints whose side is a small first letter.
+SMALL = {"lhipjoint", "lfemur", "ltibia", "lfoot", "ltoes", "lclavicle", "lhumerus", "lradius",
+         "lwrist", "lhand",
+         "lfingers", "lthumb", "lcollar", "lshoulder", "lelbow", "lthumb1", "lhip", "lknee"}  # fmt: skip
+
+
+def mirrored(name: str) -> str | None:
+    """Name of the joint on the right side."""
+    return f"r{name[1:]}" if name in SMALL else right_name(name)
 
 
 def skeleton_of(family: str) -> tuple[list[str], np.ndarray]:
     """Names and parents (J,), both sides."""
     names, parents = [], []
     words = FAMILIES[family].split()
-    for word in words + [w for w in words if right_name(w.split("<")[0])]:
+    for word in words + [w for w in words if mirrored(w.split("<")[0])]:
         name, _, parent = word.partition("<")
         if name in names:  # its right side
-            name = right_name(name)
-            before = next(n for n in words if right_name(n.split("<")[0]) == name).partition("<")[2]
-            parent = right_name(before) or before if before else ""
+            name = mirrored(name)
+            before = next(n for n in words if mirrored(n.split("<")[0]) == name).partition("<")[2]
+            parent = mirrored(before) or before if before else ""
             if not parent:
                 left = parents[
-                    names.index(next(n.split("<")[0] for n in words if right_name(n.split("<")[0]) == name))
+                    names.index(next(n.split("<")[0] for n in words if mirrored(n.split("<")[0]) == name))
                 ]
-                parent = right_name(names[left]) or names[left]
+                parent = mirrored(names[left]) or names[left]
         names.append(name)
         parents.append(names.index(parent) if parent else len(names) - 2)
     return names, np.array(parents)
@@ -269,7 +310,7 @@ def test_every_family_is_matched_by_names_and_hierarchy(family: str) -> None:
         for bone, (start, end) in match.parallel.items():
             twin = {"l": "r", "r": "l"}[bone[0]] + bone[1:] if bone[1] == "_" else None
             if twin is not None and bone[0] == "l":
-                pair = tuple(names.index(right_name(names[j]) or "") for j in (start, end))
+                pair = tuple(names.index(mirrored(names[j]) or "") for j in (start, end))
                 assert match.parallel[twin] == pair
 
 
@@ -285,3 +326,50 @@ def test_joints_that_contradict_the_hierarchy_do_not_match() -> None:
     with pytest.raises(MotionError, match=r"l_elbow|l_shoulder"):
         match_names(names, parents=wrong)
     assert match_names(names).complete  # names alone cannot know
+
+
+@pytest.mark.parametrize(
+    ("spelling", "change"),
+    [
+        ("a common beginning", lambda name: f"Armature_{name}"),
+        ("a common end", lambda name: f"{name}_dup"),
+        ("both", lambda name: f"man|{name}.x"),
+        ("the side in front", lambda name: re.sub("^(Left|Right)", lambda m: f"{m[1][0]}_", name)),
+        (
+            "the side behind",
+            lambda name: re.sub("^(Left|Right)(.*)", lambda m: f"{m[2]}.{m[1][0].lower()}", name),
+        ),
+        ("a small letter", lambda name: re.sub("^(Left|Right)", lambda m: m[1][0].lower(), name).lower()),
+    ],
+)
+def test_spellings_of_sides_and_common_parts_do_not_matter(
+    spelling: str, change: Callable[[str], str]
+) -> None:
+    for family in ("lafan1", "mvn", "100style"):
+        names, parents = skeleton_of(family)
+        expected, got = (
+            match_names(names, parents=parents),
+            match_names([change(n) for n in names], parents=parents),
+        )
+        limbs = [role for role in expected.roles if role.startswith(("Left", "Right"))]
+        assert {r: got.roles.get(r) for r in limbs} == {r: expected.roles[r] for r in limbs}, (
+            family,
+            got.table,
+        )
+        assert got.by == "names"
+
+
+def test_a_letter_without_its_other_side_is_no_side() -> None:
+    assert loose_keys(["leg", "lleg", "rleg", "lower", "Left_arm", "Right_arm"]) == [
+        "leg", "left leg", "right leg", "lower", "left arm", "right arm"]  # fmt: skip
+
+
+def test_the_page_of_motions_lists_every_table() -> None:
+    page = (ROOT / "docs" / "motion.md").read_text().split("### Joint tables")[1].split("\n## ")[0]
+    assert set(re.findall(r"^\| (.*?) \|", page, re.MULTILINE)) >= {"`mixamo`"}
+    listed = {
+        name
+        for row in re.findall(r"^\| (`.*?`) \|", page, re.MULTILINE)
+        for name in re.findall("`(.*?)`", row)
+    }
+    assert listed == {table.name for table in built_in_tables()}

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from conftest import if_shared
+from motion_files import StandIn, stand_in, walk
 from stand_ins import NO_PERSON, STAND_INS, motion_path
 
 from humansim_ros.errors import HumansimWarning, MotionError
@@ -144,3 +145,62 @@ def test_a_skeleton_of_unknown_names_is_matched_by_shape_saved_and_passed_back(t
     assert (again.parallel, again.difference, again.roles) == (match.parallel, match.difference, match.roles)
     assert "confidence" in (tmp_path / "mine.yaml").read_text().splitlines()[0]
     assert load_table(tmp_path / "mine.yaml").name == "shape"
+
+
+def with_face_and_fingers() -> StandIn:
+    """A person with a face, whose lips are farther from the neck than the eyes, and with fingers and toes."""
+    person = stand_in("lafan1")
+    names, roles, parents, offsets = (
+        list(person.names), list(person.roles), list(person.parents), person.offsets.tolist()
+    )  # fmt: skip
+
+    def add(name: str, parent: int, offset: tuple[float, float, float]) -> int:
+        names.append(name)
+        roles.append(name)
+        parents.append(parent)
+        offsets.append(offset)
+        return len(names) - 1
+
+    head = person.joint("Head")
+    lips = add("special04", add("jaw", head, (0, 2, 4)), (0, -3, 6))
+    for side in (-1, 1):
+        add("oris07", add(f"oris06{side}", lips, (2 * side, 2, 4)), (2 * side, 1, 2))
+        add(f"eye{side}", head, (3 * side, 8, 8))
+    for side, sign in (("Left", 1), ("Right", -1)):
+        wrist = person.joint(f"{side}Wrist")
+        for finger in range(5):
+            joint = add(f"metacarpal{finger}", wrist, (sign * 3, 0, finger - 2.0))
+            for part in range(3):
+                joint = add(f"finger{finger}-{part}", joint, (sign * (6 - part), 0, 0))
+        ankle = person.joint(f"{side}Ankle")
+        for toe in range(4):
+            add(f"toe{toe}", add(f"metatarsal{toe}", ankle, (toe - 1.5, -4, 6)), (0, -2, 6))
+    unique = tuple(f"{name}.{number}" for number, name in enumerate(names))
+    return StandIn(unique, tuple(roles), tuple(parents), np.array(offsets), {})
+
+
+#: Names of no table for the joints of a person, with the words head, hand and foot.
+WORDS = {"Head": "atama_head", "LeftWrist": "te_hand.L", "RightWrist": "te_hand.R", "LeftAnkle": "foot.L",
+         "RightAnkle": "foot.R"}  # fmt: skip
+
+
+@pytest.mark.parametrize("words", [{}, WORDS], ids=["without names", "with some names"])
+def test_many_joints_of_face_and_fingers_do_not_hide_head_and_wrists(words: dict[str, str]) -> None:
+    person = with_face_and_fingers()
+    motion = person.motion(walk())
+    role_of = dict(zip(person.names, person.roles, strict=True))
+    roles = [role_of.get(name, "") for name in motion.joint_names]
+    names = tuple(words.get(role, f"b{number}") for number, role in enumerate(roles))
+    match = match_motion(replace(motion, joint_names=names))
+    assert match.by == "shape"
+    found = {role: roles[joint] for role, joint in match.roles.items()}
+    assert found["Head"] == "Head"
+    assert found["Neck"] == "Neck"
+    for role in LIMBS:
+        assert found[role] == role
+
+
+def test_the_head_of_a_person_without_a_face_is_below_its_end_site() -> None:
+    motion = stand_in("lafan1").motion(walk())
+    match = match_motion(nameless(motion))
+    assert motion.joint_names[match.roles["Head"]] == "Head"

@@ -140,7 +140,12 @@ class BoneDrivers:
         for driven in (links, joints):
             rotations[:, driven.bones] = joint_rotations[:, driven.starts] @ rest[driven.bones]
         if len(links.bones):
-            rotations[:, links.bones] = self._onto_links(rotations[:, links.bones], positions, links)
+            rotations[:, links.bones] = swing_onto(
+                rotations[:, links.bones], link_vectors(positions, links.starts, links.ends)
+            )
+        if self._from_links is not None:
+            bones = self._leaving_rest
+            rotations[:, bones] = rotations[:, bones] @ self._from_links[bones]
         for bone, link in inheriting:
             inherited = self.inherited(rotations, bone)
             if len(link.bones):
@@ -162,6 +167,12 @@ class BoneDrivers:
             joints,
             [(others[[n]], loose.split(loose.bones == bone)[1]) for n, bone in enumerate(others)],
         )
+
+    @cached_property
+    def _leaving_rest(self) -> Indices:
+        """Bones with the rotation of their joint and a link to which they are not parallel."""
+        links, *_ = self._transferred
+        return np.intersect1d(links.bones, [self.skeleton.bone(bone) for bone in self.rest_links])
 
     def _along_links(self, rotations: Array, bones: Indices) -> Array:
         """Rotations (N, b, 3, 3) that make bones parallel to their links at rest, where they differ."""

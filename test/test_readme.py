@@ -50,16 +50,6 @@ def test_the_tracker_of_the_readme_hears_the_cameras(tmp_path: Path) -> None:
     assert re.search(r"camera_1_optical_frame .*sec=\d+.* 64 48", heard()), heard()[:500]
 
 
-def test_the_simulation_of_the_readme_gives_images_and_joints(tmp_path: Path) -> None:
-    (tmp_path / "my_scene.yaml").write_text(SCENE)
-    code = next(block for block in BLOCKS if "Simulation" in block)
-    code += "    print(image.shape, joints.shape)\n    break\n"
-    result = subprocess.run(
-        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE
-    )
-    assert result.stdout == "(48, 64, 3) (27, 3)\n", result.stderr
-
-
 def test_every_file_the_documents_link_to_exists() -> None:
     for document in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))):
         for target in re.findall(r"\]\(([^)#]+)\)", document.read_text()):

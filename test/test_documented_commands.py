@@ -1,0 +1,186 @@
+"""The commands and the Python code of the documents run as printed, with files that the page itself makes.
+
+Names in capitals (WALK.bvh) stand for files of the reader. A YAML block that begins with ``# name.yaml`` is
+that file. Each page runs in a folder of its own, from top to bottom.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import os
+import re
+import shlex
+import subprocess
+import sys
+from importlib import import_module
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import ROOT
+
+from humansim_ros import Camera, Scene, write_calibration
+from humansim_ros.cli import main as cli
+from humansim_ros.io.assets import built_in_names
+from humansim_ros.scene.config import SceneConfig, check_config
+
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+#: Commands that are slow, or run until they are stopped: their options are parsed and their files must exist.
+PARSED = {("run",), ("demo",), ("human", "rig"), ("human", "build"), ("human", "show"), ("human", "info")}
+PARSED |= {("camera", "place"), ("camera", "idealize"), ("camera", "plot"), ("motion", "render"), ("bench",)}
+OWN_FILE = re.compile(r"[A-Z][A-Z_0-9]*(\.\w+)?/?")
+#: Options before a file that the command writes.
+WRITES = ("-o", "--output", "--preview")
+
+
+def commands(text: str) -> list[list[str]]:
+    """Commands of the indented lines and of the bash blocks of a page, without comments."""
+    lines = re.findall(r"^(?:    |\$ )?(?:\S*/bin/)?((?:humansim|ros2|python) .*)$", text, re.MULTILINE)
+    return [shlex.split(line, comments=True) for line in lines]
+
+
+def blocks(text: str, language: str) -> list[str]:
+    return re.findall(rf"```{language}\n(.*?)```", text, re.DOTALL)
+
+
+def prepare(text: str, folder: Path) -> None:
+    """Write the files that a page shows, and stand-ins for the files of the reader."""
+    for block in blocks(text, "yaml"):
+        if name := re.match(r"# (\w+\.yaml)\n", block):
+            (folder / name[1]).write_text(block)
+    for block in blocks(text, "xml"):
+        (folder / "moves.xml").write_text(block)
+    walk = (ROOT / "assets" / "motions" / "walk.bvh").read_bytes()
+    cameras = {
+        "left": Camera.look_at((3, 1, 1.8), (0, 0, 1)),
+        "right": Camera.look_at((3, -1, 1.8), (0, 0, 1)),
+    }
+    for word in {word for line in commands(text) for word in line if OWN_FILE.fullmatch(word)}:
+        if word.endswith(".bvh"):
+            (folder / word).write_bytes(walk)
+        elif word.endswith(".yaml"):
+            name = Path(word).stem.lower()
+            write_calibration(folder / word, {name: cameras.get(name, cameras["left"])}, "kalibr")
+
+
+def missing_files(words: list[str], folder: Path) -> list[str]:
+    """Files in the arguments that neither exist nor belong to the reader."""
+    missing = []
+    for before, word in zip(["", *words], words, strict=False):
+        is_file = re.fullmatch(r"[\w./-]+\.(yaml|bvh|obj|glb|npz|json|toml|png|txt|py)|[\w-]+/", word)
+        if is_file and before not in WRITES and not OWN_FILE.fullmatch(word) and not (folder / word).exists():
+            missing.append(word)
+    return missing
+
+
+def run_as_printed(words: list[str], folder: Path, patch: pytest.MonkeyPatch) -> None:
+    """Run a humansim command in this process, or parse it only."""
+    assert missing_files(words, folder) == [], words
+    path = tuple(word for word in words[:2] if not word.startswith("-"))
+    key = next((path[:n] for n in (1, 2) if path[:n] in PARSED), None)
+    parsed = []
+    with patch.context() as inner:
+        inner.setattr(sys, "argv", ["humansim", *words])
+        if key is not None:
+            table = cli.COMMANDS if len(key) == 1 else _table(*key)
+
+            @functools.wraps(table[key[-1]])
+            def parse_only(**options: object) -> None:
+                parsed.append(options)
+
+            inner.setitem(table, key[-1], parse_only)
+        assert cli.main() == 0, words
+    if key is None:
+        return
+    assert parsed, words
+    if key == ("run",) and (scene := parsed[0].get("scene")) is not None:
+        if (folder / str(scene)).stat().st_size:  # not one that a parsed command would have written
+            loaded = Scene.load(folder / str(scene))
+            assert set(parsed[0].get("live") or ()) <= set(loaded.actors)
+    elif key == ("run",):
+        assert set(parsed[0].get("live") or ()) <= set(Scene.load().actors)
+        for option, kind in (("motion", "motions"), ("mesh", "humans")):
+            value = parsed[0].get(option)
+            assert value is None or OWN_FILE.fullmatch(str(value)) or value in built_in_names(kind)
+    for before, word in pairwise(words):
+        if before in WRITES and not (folder / word).exists():
+            (folder / word).touch()  # for the commands below that use it
+
+
+def _table(group: str, command: str) -> dict[str, object]:
+    for module in cli._GROUPS[group].modules:
+        table = import_module(f"humansim_ros.cli.{module}").COMMANDS
+        if command in table:
+            return table
+    raise AssertionError(f"no command {group} {command}")
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_the_commands_of_a_page_run_in_its_order(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    text = page.read_text()
+    prepare(text, tmp_path)
+    for words in commands(text):
+        if words[0] == "humansim" and not any(set("|<>[]…") & set(word) or word == "FILE" for word in words):
+            run_as_printed(words[1:], tmp_path, monkeypatch)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_ros_commands_name_nodes_and_launch_files_of_the_package(page: Path) -> None:
+    nodes = {path.stem for path in (ROOT / "humansim_ros" / "ros" / "nodes").glob("*.py")} - {"__init__"}
+    for words in commands(page.read_text()):
+        if words[:2] == ["ros2", "launch"]:
+            assert words[2] == "humansim_ros" and (ROOT / "launch" / words[3]).is_file(), words
+        elif words[:2] == ["ros2", "run"]:
+            assert words[2] == "humansim_ros" and words[3] in nodes, words
+        elif words[0] == "python" and words[1].endswith(".py"):
+            assert (ROOT / words[1]).is_file(), words
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_yaml_blocks_with_keys_of_scenes_are_valid(page: Path) -> None:
+    for block in blocks(page.read_text(), "yaml"):
+        data = yaml.safe_load(block)
+        if isinstance(data, dict) and set(data) <= set(SceneConfig.model_fields):
+            camera = {"eye": {"position": [3, 0, 1], "look_at": [0, 0, 1]}}
+            check_config(data if {"cameras", "rig"} & set(data) else {**data, "cameras": camera})
+
+
+@pytest.mark.gl
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "page", [page for page in PAGES if blocks(page.read_text(), "python")], ids=lambda page: page.stem
+)
+def test_the_python_code_of_a_page_runs_alone_and_ends(
+    page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = page.read_text()
+    prepare(text, tmp_path)
+    rig = ["humansim", "camera", "rig", "--ring", "8", "--radius", "3", "-o", str(tmp_path / "cams")]
+    monkeypatch.setattr(sys, "argv", rig)
+    assert cli.main() == 0  # pages say how to make it
+    code = [block for block in blocks(text, "python") if "rclpy" not in block]
+    for block in blocks(text, "python"):
+        ast.parse(block)
+    done = subprocess.run(
+        [sys.executable, "-c", "\n".join(code)],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def test_commands_are_found_in_pages() -> None:
+    found = [tuple(words[:3]) for page in PAGES for words in commands(page.read_text())]
+    assert ("humansim", "snapshot", "my_scene.yaml") in found and ("humansim", "human", "list") in found
+    assert len(found) > 40
+    assert missing_files(["run", "nobody.yaml", "-o", "x.png", "WALK.bvh"], ROOT) == ["nobody.yaml"]

@@ -3,9 +3,9 @@
     humansim run &
     python examples/tracker.py [HUMAN] [FRAMES] [--ros-args ...]
 
-It subscribes to ``<camera>/camera_info`` and ``<camera>/projection`` as to those of real cameras. In place of
-a detector it takes the 2D joints of ``<camera>/joints``: put your own detections of ``<camera>/image_raw``
-there. The error to ``/humans/<HUMAN>/joints`` of the same stamp is the error of the tracker.
+It finds the cameras by their topics, and subscribes to ``<camera>/projection``. In place of a detector it
+takes the 2D joints of ``<camera>/joints``: put your own detections of ``<camera>/image_raw`` there. The error
+to ``/humans/<HUMAN>/joints`` of the same stamp is the error of the tracker.
 """
 
 from __future__ import annotations
@@ -24,7 +24,6 @@ from std_msgs.msg import Float64MultiArray, String
 
 from humansim_ros.ros.messages import read_joint_view
 
-CAMERAS = ("camera_1", "camera_2", "camera_3", "camera_4")
 VISIBLE = 2
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 
@@ -35,20 +34,29 @@ class Tracker(Node):
     def __init__(self, human: str, frames: int) -> None:
         super().__init__("tracker")
         self.human, self.frames = human, frames
+        self.cameras: set[str] = set()
         self.projections: dict[str, np.ndarray] = {}
         self.label: int | None = None
         self.pixels: dict[int, dict[str, np.ndarray]] = defaultdict(dict)
         self.truth: dict[int, np.ndarray] = {}
         self.errors: list[float] = []
-        for camera in CAMERAS:
+        self.create_subscription(MultiDOFJointState, f"humans/{human}/joints", self.on_truth, 10)
+
+        self.create_timer(0.5, self.find_cameras)
+
+    def find_cameras(self) -> None:
+        """Subscribe to cameras that have come."""
+        topics = [name for name, _ in self.get_topic_names_and_types()]
+        found = {name.split("/")[1] for name in topics if name.endswith("/projection")}
+        for camera in sorted(found - self.cameras):
             self.create_subscription(
                 Float64MultiArray, f"{camera}/projection", partial(self.on_projection, camera), LATCHED
             )
             self.create_subscription(
                 PointCloud2, f"{camera}/joints", partial(self.on_pixels, camera), qos_profile_sensor_data
             )
-        self.create_subscription(String, f"{CAMERAS[0]}/joints/legend", self.on_legend, LATCHED)
-        self.create_subscription(MultiDOFJointState, f"humans/{human}/joints", self.on_truth, 10)
+            self.create_subscription(String, f"{camera}/joints/legend", self.on_legend, LATCHED)
+        self.cameras |= found
 
     def on_projection(self, camera: str, message: Float64MultiArray) -> None:
         self.projections[camera] = np.reshape(message.data, (3, 4))
@@ -72,13 +80,14 @@ class Tracker(Node):
 
     def measure(self, stamp: int) -> None:
         """Triangulate the joints of a stamp as soon as everything of it is there."""
-        if stamp not in self.truth or not set(CAMERAS) <= self.pixels[stamp].keys() & self.projections.keys():
+        received = self.pixels[stamp].keys() & self.projections.keys()
+        if stamp not in self.truth or len(self.cameras) < 2 or not self.cameras <= received:
             return
         pixels, truth = self.pixels.pop(stamp), self.truth.pop(stamp)
         for joint, expected in enumerate(truth):
             rows = [
                 row
-                for camera in CAMERAS
+                for camera in self.cameras
                 if np.isfinite(uv := pixels[camera][joint]).all()
                 for row in uv[:, None] * self.projections[camera][2] - self.projections[camera][:2]
             ]

@@ -46,8 +46,8 @@ class FirstImages:
         """Line while some cameras have not delivered."""
         done = len(self.cameras) - len(waiting)
         return (
-            f"{done} of {len(self.cameras)} cameras deliver after {seconds:.0f} s; {some_of(waiting)}: "
-            "loading the scene, then drawing lens and static scene, once for each camera"
+            f"{done} of {len(self.cameras)} cameras deliver after {seconds:.0f} s; waiting for "
+            f"{some_of(waiting)} (the nodes load the scene; each camera draws its lens and room once)"
         )
 
     def report(self, seconds: float, checkout: Path | None = None) -> str:

@@ -83,7 +83,7 @@ def visible(camera: Camera, rotations: Array, translations: Array, points: Array
 
 
 def covered_pixels(name: str, samples: SceneSamples) -> float:
-    """Pixels of the rectangles that humans cover in an image, mean over time."""
+    """Pixels of the rectangles that all humans cover in an image, mean over time and the checked humans."""
     camera = samples.scene.scene_cameras[name].camera
     rotations, translations = samples.camera_poses[name]
     area = 0.0
@@ -97,7 +97,7 @@ def covered_pixels(name: str, samples: SceneSamples) -> float:
         high = np.where(near, pixels + margin, -np.inf).max(axis=1)
         sides = np.clip(high, 0, camera.size) - np.clip(low, 0, camera.size)
         area += float(np.clip(sides, 0, None).prod(axis=1).mean())
-    return area
+    return area * len(samples.scene.actors) / max(1, len(samples.joints))
 
 
 def _check_camera(

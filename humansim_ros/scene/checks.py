@@ -11,9 +11,9 @@ from humansim_ros.scene.obstacles import Obstacle, find_obstacles, without_enclo
 from humansim_ros.scene.people_checks import check_people
 from humansim_ros.scene.scene import Scene
 
-#: Seconds between two times, and most poses of humans, of a complete check and of a quick one.
-_STEP, _POSES = 0.1, 6000
-_QUICK_STEP, _QUICK_POSES = 0.2, 600
+#: Seconds between two times, most poses and most humans of a complete check and of a quick one.
+_COMPLETE = (0.1, 6000, 10_000)
+_QUICK = (0.2, 600, 50)
 #: Factor by which an estimate must be above the processor time of the machine to be reported.
 _TOO_MUCH = 1.3
 
@@ -25,7 +25,8 @@ def check_scene(scene: Scene, quick: bool = False, processors: int | None = None
 
     Args:
         scene: The scene.
-        quick: Check fewer times, and not the furniture of the room, as ``humansim run`` does.
+        quick: Check fewer times, the first 50 humans, and not the furniture of the room, as ``humansim run``
+            does.
         processors: Cores that play the scene, for the estimate of the rate; those of this machine if None,
             unless it has a GPU.
 
@@ -43,7 +44,7 @@ def check_scene(scene: Scene, quick: bool = False, processors: int | None = None
         ...     print(finding.key)
         cameras.front.position
     """
-    samples = SceneSamples(scene, *((_QUICK_STEP, _QUICK_POSES) if quick else (_STEP, _POSES)))
+    samples = SceneSamples(scene, *(_QUICK if quick else _COMPLETE))
 
     obstacles = _obstacles(samples, room=not quick)
     found = [

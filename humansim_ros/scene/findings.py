@@ -59,11 +59,13 @@ class SceneSamples:
         scene: The scene.
         step: Seconds between two times, at least.
         poses: Poses of humans to compute, at most.
+        humans: Humans to check, at most.
     """
 
     scene: Scene
     step: float
     poses: int
+    humans: int = 10_000
 
     @property
     def duration(self) -> float:
@@ -80,17 +82,15 @@ class SceneSamples:
     @cached_property
     def times(self) -> Array:
         """Scene times (N,) in seconds."""
-        most = max(4, self.poses // max(1, len(self.scene.actors)))
+        most = max(4, self.poses // max(1, min(len(self.scene.actors), self.humans)))
         return np.linspace(0, self.duration, min(most, 1 + round(self.duration / self.step)))
 
     @cached_property
     def joints(self) -> dict[str, Array]:
         """Joint positions (N, J, 3) in ``map`` by human, without those that another node moves."""
-        return {
-            name: actor.joint_paths(self.times)
-            for name, actor in self.scene.actors.items()
-            if self.scene.config.humans[name].motion.file != LIVE
-        }
+        humans = self.scene.config.humans
+        names = [name for name in self.scene.actors if humans[name].motion.file != LIVE]
+        return {name: self.scene.actors[name].joint_paths(self.times) for name in names[: self.humans]}
 
     @cached_property
     def camera_poses(self) -> dict[str, tuple[Array, Array]]:

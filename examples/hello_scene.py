@@ -19,14 +19,15 @@ def main() -> None:
             "cameras": {"front": {"position": [3, 0, 1.6], "look_at": [0, 0, 0.9], "fov_deg": 60}},
         }
     )
-    with Simulation(scene) as simulation:
-        frame = simulation.frame(0)
-    print(frame)
-    print(frame.views["front"])
-    for name, human in frame.humans.items():
-        # the end of the topmost bone
-        head = human.positions[human.joint_names.index("vt3_end")]
-        print(f"{name}: the head is at {head.round(3)} m in map")
+    with Simulation(scene, channels=("rgb", "depth", "instance", "part")) as simulation:
+        for frame in simulation.frames(1):
+            print(frame)
+            print(frame.views["front"])
+            for name, human in frame.humans.items():
+                # the end of the topmost bone
+                head = human.positions[human.joint_names.index("vt3_end")]
+                seen = frame.joints["front"][name]
+                print(f"{name}: the head is at {head.round(3)} m in map; {seen}")
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ from pathlib import Path
 import pytest
 import yaml
 from conftest import ROOT
+from waiting import PATIENCE
 
 from humansim_ros import Camera, Scene, write_calibration
 from humansim_ros.cli import main as cli
@@ -174,7 +175,7 @@ def test_the_python_code_of_a_page_runs_alone_and_ends(
         env={**os.environ, "PYTHONPATH": str(ROOT)},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=2 * PATIENCE,
     )
     assert done.returncode == 0, done.stderr
 

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from waiting import PATIENCE
 
 import humansim_ros
 from humansim_ros.errors import ResourceError, SceneError
@@ -313,7 +314,7 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
 
 
 def run(command: list[str | Path], **options: object) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, **options)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=4 * PATIENCE, **options)
     assert done.returncode == 0, f"{command} printed:\n{done.stdout}\n{done.stderr}"
     return done.stdout
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from conftest import ROOT
 from test_packaging import clean_environment, copy_sources, run
+from waiting import PATIENCE
 
 from humansim_ros import Camera, Frame, HumansimError, Scene, Simulation, View, load_human, read_motion
 from humansim_ros.errors import ChannelError, MeshError, MotionError
@@ -162,7 +163,7 @@ def test_type_checkers_see_an_editable_installation(tmp_path: Path) -> None:
         env=clean_environment(),
         capture_output=True,
         text=True,
-        timeout=300,
+        timeout=2 * PATIENCE,
     )
     lines = [line.partition("user.py:")[2] for line in checked.stdout.splitlines() if "user.py:" in line]
     assert "ndarray" in lines[0] and "unsignedinteger" in lines[0], checked.stdout

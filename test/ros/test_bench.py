@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 from ros_support import write_scene
+from waiting import PATIENCE
 
 from humansim_ros import Scene
 from humansim_ros.errors import HumansimError
@@ -88,12 +89,12 @@ def test_bench_measures_a_scene(tmp_path: Path) -> None:
         ],
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=2 * PATIENCE,
         check=False,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )
     assert result.returncode == 0, result.stdout + result.stderr
     data = json.loads(result.stdout)
-    assert data["measured_hz"] > 0.5 and set(data["cameras"]) == {"left", "right"}
+    assert data["measured_hz"] > 0 and set(data["cameras"]) == {"left", "right"}
     assert data["camera_ms"] > 0 and data["frame_ms"] > 0 and data["rate"] == 20
     assert "Traceback" not in result.stderr

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import ros_support  # noqa: F401  # own ROS domain; skips without ROS
 from conftest import ROOT
+from waiting import PATIENCE
 
 #: Cameras of different sizes and encodings, in a room with one colourful object and a live human.
 LIVE = """
@@ -52,7 +53,7 @@ def test_the_demo_draws_any_scene(tmp_path: Path, name: str) -> None:
         ],
         capture_output=True,
         text=True,
-        timeout=200,
+        timeout=2 * PATIENCE,
         check=False,
         env={**os.environ, "PYTHONPATH": str(ROOT)},
     )

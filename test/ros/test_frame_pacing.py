@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 from rclpy.parameter import Parameter
 from ros_support import write_scene
+from waiting import wait_until
 
 from humansim_ros.ros.frame_pacing import FramePacing
 from humansim_ros.ros.nodes.camera import CameraNode
@@ -157,9 +158,7 @@ def test_camera_nodes_of_different_speeds_show_the_same_frames(
         for name in ("left", "right")
     ]
     with spinning([player, *skinners], [cameras[0]], [cameras[1]]):
-        end = time.monotonic() + 60
-        while time.monotonic() < end and any(len(stamps) < 40 for stamps in shown.values()):
-            time.sleep(0.05)
+        wait_until(lambda: all(len(stamps) >= 40 for stamps in shown.values()))
     left, right = shown.values()
     assert min(len(left), len(right)) >= 40
     first = max(left[4], right[4])  # both have reported to the player

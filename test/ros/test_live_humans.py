@@ -16,6 +16,7 @@ from conftest import ROOT
 from rclpy.parameter import Parameter
 from ros_support import Client, write_scene
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from waiting import PATIENCE
 
 from humansim_ros import Scene
 from humansim_ros.ros import messages
@@ -269,12 +270,12 @@ def test_run_live_says_what_it_waits_for_and_follows_the_example(tmp_path: Path)
     client = Client("watcher_of_run")
     client.subscribe(MultiDOFJointState, ["/humans/live/joints"])
     try:
-        assert client.spin_until(lambda: "stands at rest" in output.read_text(), 90), output.read_text()
+        assert client.spin_until(lambda: "stands at rest" in output.read_text()), output.read_text()
         sender = subprocess.Popen(
             [sys.executable, "examples/live_mocap.py", "walk", "live"], env=environment, cwd=ROOT
         )
-        assert client.spin_until(lambda: "follows" in output.read_text(), 90), output.read_text()
-        assert client.spin_until(lambda: "front delivers, after" in output.read_text(), 90)
+        assert client.spin_until(lambda: "follows" in output.read_text()), output.read_text()
+        assert client.spin_until(lambda: "front delivers, after" in output.read_text())
         seen = client.received["/humans/live/joints"]
         places = set()
 
@@ -283,14 +284,16 @@ def test_run_live_says_what_it_waits_for_and_follows_the_example(tmp_path: Path)
                 places.add(tuple(messages.read_joints(seen[max(seen)]).positions[0, 0].round(3)))
             return len(places) > 20
 
-        assert client.spin_until(moves, 60)
+        assert client.spin_until(moves)
     finally:
         for process in (sender, run):
             if process is not None:
                 process.terminate()
-                process.wait(timeout=30)
+                process.wait(timeout=PATIENCE)
         client.close()
     text = output.read_text()
     assert "live: live" not in text and "Traceback" not in text
     assert "live: adult_woman, live: moved by joints on /humans/live/motion" in text
-    assert text.count("stands at rest") == 1 and "[WARN]" not in text
+    # a loaded machine drops frames
+    warnings = [line for line in text.splitlines() if "[WARN]" in line and "dropped" not in line]
+    assert text.count("stands at rest") == 1 and not warnings

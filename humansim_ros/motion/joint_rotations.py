@@ -20,8 +20,10 @@ from humansim_ros.types import Array
 
 #: Rotations that differ by less than this angle (radians) over joints and time are constant.
 _CONSTANT_ANGLE = 1e-6
-#: Median angles (degrees) between a line and a joint up to which they rotate together.
+#: Angles (degrees) between a line and a joint, in the median pose, up to which they rotate together.
 _HIPS, _SHOULDERS, _FLEXIBLE = 12.0, 15.0, 25.0
+#: Share of the poses in which rigid hips may differ more.
+_RIGID_SHARE = 0.1
 
 
 def has_rotations(poses: JointPoses) -> bool:
@@ -51,23 +53,22 @@ def loose_bones(poses: JointPoses, match: JointMatch, standing: bool) -> tuple[s
     lines = BodyLines.of(poses.positions, roles)
     left = np.array([0.0, 1.0, 0.0]) if standing else None
 
-    def deviates(joint: int, line: Array, most: float, rest: Array | None = None) -> bool:
-        """Whether lines (N, 3) differ more from their direction at rest, in the axes of a joint."""
+    def deviates(joint: int, line: Array, most: float, rest: Array | None = None, share: float = 0.5) -> bool:
+        """Whether a share of lines (N, 3) differs more from their direction at rest, in a joint's axes."""
         known = np.linalg.norm(line, axis=-1) > SHORTEST_LINK
         inside = rotate(back[known, joint], unit_vectors(line[known]))
         if not len(inside):
             return False
-        return bool(
-            np.median(angle_between(inside, inside.mean(0) if rest is None else rest)) > np.radians(most)
-        )
+        angles = angle_between(inside, inside.mean(0) if rest is None else rest)
+        return bool(np.quantile(angles, 1 - share) > np.radians(most))
 
     joints = set()
-    for role, line, most in (
-        ("Hips", lines.hips, _HIPS),
-        ("Spine", lines.left, _FLEXIBLE),
-        ("Chest", lines.shoulders, _SHOULDERS),
+    for role, line, most, share in (
+        ("Hips", lines.hips, _HIPS, _RIGID_SHARE),
+        ("Spine", lines.left, _FLEXIBLE, 0.5),
+        ("Chest", lines.shoulders, _SHOULDERS, 0.5),
     ):
-        if role in roles and deviates(roles[role], line, most, left):
+        if role in roles and deviates(roles[role], line, most, left, share):
             joints.add(roles[role])
     for side in ("Left", "Right"):
         ankle, toe = roles.get(f"{side}Ankle"), roles.get(f"{side}Toe")

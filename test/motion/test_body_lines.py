@@ -230,6 +230,17 @@ def test_the_pelvis_follows_the_hip_joints_where_the_hips_rotate_on_their_own(mo
     assert max(body_differences(wrong).values()) < 5
 
 
+def test_hips_that_rotate_on_their_own_for_a_third_of_the_time_are_not_used() -> None:
+    person, turns = files.wrong_hips(stand_in("mixamo"), files.walk(60), degrees=0)
+    right, wrong = turns["Hips"], files.wrong_hips(stand_in("mixamo"), files.walk(60))[1]["Hips"]
+    turn = np.where((np.arange(60) < 20)[:, None], wrong.as_rotvec(), right.as_rotvec())
+    hips = Rotation.from_rotvec(turn)
+    undone = {name: hips.inv() * right * turns[name] for name in person.names if name.endswith("_virtual")}
+    posed = retargeted(person.motion({**turns, "Hips": hips, **undone}))
+    expected = retargeted(stand_in("mixamo").motion(files.walk(60)))
+    assert largest_difference(posed, expected, ("HumanoidRoot", "sacroiliac", "vl5")) < 12
+
+
 def test_the_chest_follows_the_shoulders_where_it_rotates_on_its_own() -> None:
     """Additional joints above collars and neck undo the rotation of the chest."""
     person, frames = stand_in("humanik"), 40

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.humans.makehuman.clothes import BodyRegions, cut_clothes, dress, smooth_under_clothes
 from humansim_ros.humans.makehuman.data import Base, MakeHumanData, VertexIndices, VertexMask, read_base
+from humansim_ros.humans.makehuman.hands import relax_hands
 from humansim_ros.humans.makehuman.layout import TEXTURE_SIZE, downsample, rasterise, relay_uv
 from humansim_ros.humans.makehuman.paint import Canvas, Outfit, openness, paint, skin_share
 from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
@@ -148,7 +149,7 @@ def _naked(source: MakeHumanData, base: Base) -> _Body:
     part = np.zeros(len(rows), np.int64)
     for number, group in ((1, "helper-l-eye"), (2, "helper-r-eye")):
         part[faces[base.face_groups[keep] == group]] = number
-    vertices = base.vertices[rows]
+    vertices = relax_hands(source, base.vertices, points)[rows]
     naked = unskin(vertices, weights[rows], motion)
     floor = np.array([0, float(naked[part == 0, 1].min()), 0])
     naked = naked - floor

@@ -73,6 +73,11 @@ class MakeHumanData:
         return frozenset(self._archive.namelist())
 
     @functools.cached_property
+    def weights(self) -> dict[str, list[tuple[int, float]]]:
+        """Weights of the artists: pairs of vertex and weight for each bone of MakeHuman's default rig."""
+        return dict(self.json(_WEIGHTS)["weights"])
+
+    @functools.cached_property
     def version(self) -> str:
         """Digest of base mesh and weights."""
         return hashlib.sha256(self.read("3dobjs/base.obj") + self.read(_WEIGHTS)).hexdigest()

@@ -106,7 +106,7 @@ def make_bones(points: Mapping[str, Array]) -> Bones:
 def bone_weights(source: MakeHumanData, bones: Bones, vertex_count: int) -> Array:
     """Weights of the artists summed per bone, dense (N, B); at most four per vertex, rows sum to one."""
     weights = np.zeros((vertex_count, len(bones.names)))
-    for name, pairs in source.json("rigs/standard/weights.default.json")["weights"].items():
+    for name, pairs in source.weights.items():
         if not pairs:
             continue
         prefix = max((p for p in WEIGHT_SHARES if name.startswith(p)), key=len)

@@ -93,7 +93,6 @@ def render_humans(folder: Path, all_outfits: bool) -> dict[str, list[list[float]
                 state = actor.at(time)
                 for side, camera in enumerate(cameras_around(state.vertices, human)):
                     view = renderer.render([actor.body(state.vertices)], camera, ("rgb",))
-                    assert view.rgb is not None
                     image = f"{name}-{outfit}-{frame}{side}"
                     write_png(folder / f"{image}.png", view.rgb)
                     joints = [state.positions[state.joint_names.index(joint)] for joint in JOINTS]

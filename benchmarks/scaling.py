@@ -127,7 +127,6 @@ class Stage:
         images = []
         for number in range(case.cameras):
             view = self.renderer.render(bodies, self.camera(number, case.size), CHANNELS)
-            assert view.instance is not None
             images.append(view.instance)
         return images
 

@@ -39,7 +39,8 @@ def run(
         str | None, typer.Option(help="Motion file or built-in motion in place of that of the scene.")
     ] = None,
     mesh: Annotated[
-        str | None, typer.Option(help="Body (.obj, .npz or built-in) in place of that of the scene.")
+        str | None,
+        typer.Option(help="Body (.obj, .glb, .stl, .npz or built-in) in place of that of the scene."),
     ] = None,
     joint_names: Annotated[
         str | None, typer.Option(help="Joint table for the motion (name or YAML file).")

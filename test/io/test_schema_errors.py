@@ -16,7 +16,7 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.humans.description import MeshHuman, ParametricHuman
 from humansim_ros.io.schema import Axis, Section
 from humansim_ros.io.schema_errors import schema_error, show_value
-from humansim_ros.mesh.gltf_document import _Document
+from humansim_ros.mesh.gltf_schema import Document
 from humansim_ros.motion.joint_tables import JointTable
 from humansim_ros.motion.limit_table import LimitTable
 from humansim_ros.scene.config import SceneConfig
@@ -74,7 +74,7 @@ def faults(model: type[BaseModel], value: Any) -> HumansimError | None:
     return None
 
 
-MODELS = (SceneConfig, MeshHuman, ParametricHuman, JointTable, LimitTable, _Document, FloorPoints)
+MODELS = (SceneConfig, MeshHuman, ParametricHuman, JointTable, LimitTable, Document, FloorPoints)
 
 
 @pytest.mark.slow

@@ -118,9 +118,9 @@ _SIDE = (
         *("{s}_wrist", "{side} wrist", "hand", "{s}_radiocarpal", "{side}_wrist", "{side}_wrist", "{S}Wrist")
     ),
     JointName(
-        *("{s}_wrist_end", "finger tips of the {side} hand", "", "{s}_carpal_distal_phalanx_3_tip"),
-        smpl="{side}_hand",
-        near=("smpl",),
+        *("{s}_wrist_end", "tip of the {side} hand, if it is straight", ""),
+        *("{s}_carpal_distal_phalanx_3_tip", "{side}_hand"),
+        near=("hanim2", "smpl"),
     ),
 )
 

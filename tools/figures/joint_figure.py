@@ -87,7 +87,7 @@ def draw() -> Image:
                 draw_text(
                     image, text, (left, round(height) + drop), scale, INK if drop == 2 else (96, 100, 108)
                 )
-    texts = ("Of the right side, r_ stands for l_.", "<name>_end is the end of a bone.")
+    texts = ("Joints of the right side begin with r_.", "<name>_end is the end of a bone.")
     for number, text in enumerate(texts):
         draw_text(image, text, (16, _SIZE[1] - 40 + 22 * number), 0.45, (96, 100, 108))
     return image

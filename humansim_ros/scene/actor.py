@@ -20,7 +20,7 @@ from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.render import Body
 from humansim_ros.rotations import matrix_to_quaternion, moved, quaternion_to_matrix
-from humansim_ros.scene.config import MotionConfig
+from humansim_ros.scene.config import HumanConfig, MotionConfig
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
 
@@ -126,6 +126,33 @@ class Actor:
         if config.pin_feet:
             world = replace(world, correction=FootContacts.detect(world, retargeter))
         return cls(name, instance, human, world, retargeter, config.offset)
+
+    @classmethod
+    def load(
+        cls,
+        name: str,
+        instance: int,
+        config: HumanConfig,
+        source: SceneSource,
+        keyframes: KeyframeTrack | None = None,
+    ) -> Actor:
+        """Load a human of a scene with its motion.
+
+        Args:
+            name: Name in the scene.
+            instance: Instance label, from 1.
+            config: Section of the human.
+            source: Finds its files.
+            keyframes: Keyframes that move it, if any.
+
+        Raises:
+            HumansimError: With the key.
+        """
+        with in_section(f"humans.{name}"):
+            human = source.human(config.body, config.outfit, config.skinning)
+            with in_section("motion"):
+                actor = cls.build(name, instance, human, config.motion, source)
+        return replace(actor, keyframes=keyframes)
 
     def with_motion(self, config: MotionConfig, source: SceneSource, motion: Motion | None = None) -> Actor:
         """The same human with another motion; parameters as in :meth:`build`."""

@@ -416,9 +416,12 @@ class VarietyConfig(Section):
     )
     area: tuple[_Bounded, _Bounded, _Bounded, _Bounded] | None = Field(
         default=None,
-        description="area of their positions: x, y of two corners; the middle of the room if absent",
+        description="area of the middles of their paths: x, y of two corners; the middle of the room if "
+        "absent",
     )
-    spacing: float = Field(default=0.9, ge=0, le=100, description="least distance between two, metres")
+    spacing: float = Field(
+        default=0.9, ge=0, le=100, description="least distance between the middles of two paths, metres"
+    )
     speed: tuple[Annotated[float, Field(gt=0, le=10)], Annotated[float, Field(gt=0, le=10)]] = Field(
         default=(0.9, 1.1), description="least and greatest factor of the motion's speed"
     )

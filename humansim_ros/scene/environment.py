@@ -44,9 +44,7 @@ class Environment:
     @classmethod
     def load(cls, config: SceneConfig, source: SceneSource) -> Environment:
         """Load the environment of a scene. Raises HumansimError with the key."""
-        world, meshes = config.world, list[Mesh]()
-        for number, mesh in enumerate(world.meshes):
-            meshes += _load_meshes(mesh, source, f"world.meshes.{number}")
+        world, meshes = config.world, mesh_files(config, source)
         random = config.randomise is not None and config.randomise.light
         light = random_light(config.light, config.randomise) if random and config.randomise else config.light
         lighting = replace(_lighting(light), shadow_catcher=world.shadow_catcher)
@@ -65,13 +63,19 @@ class Environment:
                 backdrop = load_backdrop(source.find(world.background))
         elif world.background is not None:
             lighting = replace(lighting, background=world.background)
-        return cls(tuple(meshes), config.room, lighting, backdrop)
+        return cls(meshes, config.room, lighting, backdrop)
 
     @cached_property
     def meshes(self) -> tuple[Mesh, ...]:
         """Meshes of the room and of the mesh files."""
         room = [] if self.room is None else furnished_room(self.room.size, self.room.seed)
         return (*room, *self.mesh_files)
+
+
+def mesh_files(config: SceneConfig, source: SceneSource) -> tuple[Mesh, ...]:
+    """Meshes of ``world.meshes`` in ``map``. Raises HumansimError with the key."""
+    files = enumerate(config.world.meshes)
+    return tuple(mesh for n, item in files for mesh in _load_meshes(item, source, f"world.meshes.{n}"))
 
 
 def _lighting(light: LightConfig) -> Lighting:

@@ -16,6 +16,8 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array, Image
 
 _Rng = np.random.Generator
+#: x and y.
+_Point = tuple[float, float]
 
 #: Colours of the books on the shelf.
 _BOOKS = (
@@ -32,6 +34,7 @@ def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int
     """Meshes of a room of ``size`` (x, y, z) metres around the origin; the same seed gives the same room."""
     rng = np.random.default_rng(seed)
     length, width, height = size
+    plan = furniture_plan((length, width))
     x, y = length / 2, width / 2
     wood, pale, dark = _planks(rng, (150, 112, 78)), _planks(rng, (196, 172, 138)), _planks(rng, (92, 66, 48))
     cloth = _weave(rng, (74, 98, 92))
@@ -41,14 +44,14 @@ def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int
         _quad(
             [(-1.9, -1.35, 0.004), (1.9, -1.35, 0.004), (1.9, 1.35, 0.004), (-1.9, 1.35, 0.004)], _rug(rng)
         ),
-        *_table((x - 0.62, -0.5), (0.9, 1.7, 0.74), wood),
-        *_sofa((-x + 0.52, 0.4), (0.95, 2.0), cloth),
-        *_shelf((-0.7, y - 0.19), (1.5, 0.34, 1.9), pale, rng),
-        _box((1.25, y - 0.24, 0.45), (0.5, 0.42, 0.9), dark),
-        _box((0.4, -y + 0.28, 0.22), (0.6, 0.5, 0.44), _cardboard(rng)),
+        *_table(*plan["table"], 0.74, wood),
+        *_sofa(*plan["sofa"], cloth),
+        *_shelf(*plan["shelf"], 1.9, pale, rng),
+        _standing(*plan["cabinet"], 0.9, dark),
+        _standing(*plan["carton"], 0.44, _cardboard(rng)),
         _box((0.42, -y + 0.27, 0.6), (0.42, 0.36, 0.32), _cardboard(rng)),
-        _box((1.1, -y + 0.26, 0.17), (0.45, 0.45, 0.34), _cardboard(rng)),
-        _box((-1.3, -y + 0.03, 1.02), (0.92, 0.05, 2.04), _door(rng)),
+        _standing(*plan["small carton"], 0.34, _cardboard(rng)),
+        _standing(*plan["door"], 2.04, _door(rng)),
     ]
     for center, along, picture_size in (
         ((2.2, y - 0.015, 1.6), (-1, 0, 0), (0.9, 0.65)),
@@ -60,6 +63,20 @@ def furnished_room(size: tuple[float, float, float] = (7.0, 6.4, 2.8), seed: int
     ):
         meshes.append(_picture(center, along, picture_size, rng))
     return meshes
+
+
+def furniture_plan(size: tuple[float, float]) -> dict[str, tuple[_Point, _Point]]:
+    """Center and size along x and y of what stands on the floor of a room of ``size``, by name; metres."""
+    x, y = size[0] / 2, size[1] / 2
+    return {
+        "table": ((x - 0.62, -0.5), (0.9, 1.7)),
+        "sofa": ((-x + 0.52, 0.4), (0.95, 2.0)),
+        "shelf": ((-0.7, y - 0.19), (1.5, 0.34)),
+        "cabinet": ((1.25, y - 0.24), (0.5, 0.42)),
+        "carton": ((0.4, -y + 0.28), (0.6, 0.5)),
+        "small carton": ((1.1, -y + 0.26), (0.45, 0.45)),
+        "door": ((-1.3, -y + 0.03), (0.92, 0.05)),
+    }
 
 
 def _floor(length: float, width: float, image: Image) -> Mesh:
@@ -84,8 +101,8 @@ def _walls(x: float, y: float, height: float, rng: _Rng) -> list[Mesh]:
     return meshes
 
 
-def _table(at: tuple[float, float], size: tuple[float, float, float], image: Image) -> list[Mesh]:
-    (x, y), (w, d, h) = at, size
+def _table(at: _Point, size: _Point, h: float, image: Image) -> list[Mesh]:
+    (x, y), (w, d) = at, size
     legs = [(x + sx * (w / 2 - 0.06), y + sy * (d / 2 - 0.06)) for sx in (-1, 1) for sy in (-1, 1)]
     return [
         _box((x, y, h - 0.02), (w, d, 0.04), image),
@@ -93,7 +110,7 @@ def _table(at: tuple[float, float], size: tuple[float, float, float], image: Ima
     ]
 
 
-def _sofa(at: tuple[float, float], size: tuple[float, float], image: Image) -> list[Mesh]:
+def _sofa(at: _Point, size: _Point, image: Image) -> list[Mesh]:
     (x, y), (w, d) = at, size
     return [
         _box((x, y, 0.22), (w, d, 0.36), image),
@@ -103,8 +120,8 @@ def _sofa(at: tuple[float, float], size: tuple[float, float], image: Image) -> l
     ]
 
 
-def _shelf(at: tuple[float, float], size: tuple[float, float, float], image: Image, rng: _Rng) -> list[Mesh]:
-    (x, y), (w, d, h) = at, size
+def _shelf(at: _Point, size: _Point, h: float, image: Image, rng: _Rng) -> list[Mesh]:
+    (x, y), (w, d) = at, size
     meshes = [_box((x + s * (w / 2 - 0.015), y, h / 2), (0.03, d, h), image) for s in (-1, 1)]
     levels = np.linspace(0.04, h - 0.015, 6)
     meshes += [_box((x, y, float(z)), (w, d, 0.03), image) for z in levels]
@@ -142,6 +159,11 @@ def _turned(mesh: Mesh) -> Mesh:
     """Quad with its front on the other side."""
     faces = np.ascontiguousarray(mesh.faces[:, [0, 3, 2, 1]])
     return replace(mesh, faces=faces, uv_faces=faces)
+
+
+def _standing(at: _Point, size: _Point, height: float, image: Image) -> Mesh:
+    """Box on the floor."""
+    return _box((*at, height / 2), (*size, height), image)
 
 
 def _box(centre: Sequence[float], size: Sequence[float], image: Image) -> Mesh:

@@ -23,7 +23,7 @@ from humansim_ros.resources import resource_path
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.clutter import Obstacles, clutter
-from humansim_ros.scene.config import HumanConfig, ObjectConfig, SceneConfig, check_config, load_config
+from humansim_ros.scene.config import ObjectConfig, SceneConfig, check_config, load_config
 from humansim_ros.scene.environment import Environment
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import random_cameras, random_looks
@@ -155,7 +155,7 @@ class Scene:
         actors: dict[str, Actor] = {}
         for number, (name, human) in enumerate(config.humans.items(), 1):
             try:
-                actors[name] = _actor(name, number, human, source, tracks.get(("humans", name)))
+                actors[name] = Actor.load(name, number, human, source, tracks.get(("humans", name)))
             except HumansimError as error:
                 if name in named:
                     raise
@@ -267,20 +267,6 @@ class Scene:
     def moving_objects(self) -> dict[str, SceneObject]:
         """Objects with keyframes by name."""
         return {name: item for name, item in self.objects.items() if item.moves}
-
-
-def _actor(
-    name: str,
-    instance: int,
-    config: HumanConfig,
-    source: SceneSource,
-    keyframes: KeyframeTrack | None,
-) -> Actor:
-    with in_section(f"humans.{name}"):
-        human = source.human(config.body, config.outfit, config.skinning)
-        with in_section("motion"):
-            actor = Actor.build(name, instance, human, config.motion, source)
-    return replace(actor, keyframes=keyframes)
 
 
 def _add_objects(

@@ -1,34 +1,48 @@
-"""Random humans: bodies, outfits, motions and positions; the same seed gives the same humans."""
+"""Random humans: bodies, outfits, motions and places; the same seed gives the same humans."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import TypeVar
 
-from humansim_ros.errors import SceneError, in_section
+import numpy as np
+
+from humansim_ros.errors import HumansimError, HumansimWarning, SceneError, in_section
+from humansim_ros.humans.human import Human
 from humansim_ros.io.assets import built_in_names
-from humansim_ros.scene.config import (
-    HumanConfig,
-    MotionConfig,
-    SceneConfig,
-    VarietyConfig,
-)
+from humansim_ros.motion.kinematics import Motion
+from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.config import HumanConfig, MotionConfig, SceneConfig, VarietyConfig
+from humansim_ros.scene.floor_plan import things_on_floor
 from humansim_ros.scene.names import variety_names
-from humansim_ros.scene.randomise import random_numbers
+from humansim_ros.scene.objects import load_tracks
+from humansim_ros.scene.placement import Floor, Path
+from humansim_ros.scene.randomise import RandomNumbers, random_numbers
 from humansim_ros.scene.source import SceneSource
+from humansim_ros.types import Array
 
 #: Built-in motions that can be repeated without a visible jump.
 MOTIONS = ("walk", "run", "wave", "pick_up", "sit_stand", "turn_in_place")
-#: Metres on each side of a room where furniture may be.
-_FURNITURE = 1.4
-#: Positions tried for one human before the area counts as full.
-_TRIES = 2000
+#: Metres from the walls of a room to the middles of paths, if no area is given.
+_MARGIN = 1.0
+#: Places tried for a human with one motion: headings, and positions for each; factor of the headings for the
+#: smallest motion when none fits; positions of the last resort.
+_HEADINGS, _POSITIONS, _THOROUGHLY, _TRIES = 12, 24, 10, 2000
+#: Built-in motions that stay in place, and humans that a warning names.
+_IN_PLACE = ("wave", "turn_in_place")
+_LISTED = 5
 Item = TypeVar("Item")
 
 
 def with_variety(config: SceneConfig, source: SceneSource) -> SceneConfig:
     """Configuration with the random humans of its ``variety`` section among its humans.
+
+    The path of each human is inside the room and away from furniture, objects and the paths of all others. A
+    human whose motion finds no such place gets another of the motions. A HumansimWarning names those that
+    find no place with any motion.
 
     A human depends on the seed and its number only: more humans do not change the first ones. Raises
     SceneError with the key if there is no space for them.
@@ -37,66 +51,204 @@ def with_variety(config: SceneConfig, source: SceneSource) -> SceneConfig:
     if variety is None:
         return config
     humans = dict(config.humans)
-    area = _area(variety, config)
-    taken = [human.motion.position for human in humans.values()]
-    for name in variety_names(variety.name, variety.count):
+    names = variety_names(variety.name, variety.count)
+    if not names:
+        return config.model_copy(update={"variety": None})
+    for name in names:
         if name in humans:
             raise SceneError(f"there is a human {name} already", key="variety.name")
-        humans[name] = _random_human(name, variety, area, taken, source)
-        taken.append(humans[name].motion.position)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HumansimWarning)  # the scene reads the same files and warns
+        crowd = _Crowd.of_scene(config, variety, source)
+        humans |= {name: crowd.draw(name) for name in names}
+    if crowd.crossing:
+        listed = ", ".join(crowd.crossing[:_LISTED])
+        more = len(crowd.crossing) - _LISTED
+        source.warn(
+            "variety",
+            f"no free place for {listed}{f' and {more} more' if more > 0 else ''}: they walk through other "
+            "people, furniture or walls. Give fewer people (count), a larger area or room, or motions that "
+            f"stay in place, such as {' and '.join(_IN_PLACE)} (motions)",
+        )
     return config.model_copy(update={"humans": humans, "variety": None})
 
 
-def _random_human(
-    name: str,
-    variety: VarietyConfig,
-    area: Sequence[float],
-    taken: Sequence[tuple[float, float]],
-    source: SceneSource,
-) -> HumanConfig:
-    uniform = random_numbers(variety.seed, name)
-    body = _one_of(variety.bodies or built_in_names("humans"), uniform())
-    with in_section("variety"):
-        outfits = source.human(body, key="bodies").outfits
-    outfit = _one_of(outfits, uniform())
-    motion = _one_of(variety.motions or MOTIONS, uniform())
-    yaw, ahead, mirror = 360 * uniform() - 180, 10 * uniform(), uniform() < 0.5
-    low, high = variety.speed
-    speed = low + (high - low) * uniform()
-    for _ in range(_TRIES):
-        x0, y0, x1, y1 = area
-        position = (x0 + (x1 - x0) * uniform(), y0 + (y1 - y0) * uniform())
-        if all(math.dist(position, other) >= variety.spacing for other in taken):
-            break
-    else:
-        raise SceneError(
-            f"the area has {len(taken)} humans already, and {name} finds no position {variety.spacing:g} m "
-            "from all of them: give a larger area, a smaller spacing, or fewer humans",
-            key="variety.count",
+@dataclass
+class _Crowd:
+    """Random humans that are drawn one after the other.
+
+    Attributes:
+        variety: The section ``variety``.
+        area: x, y of two corners: the middles of all paths are in it.
+        floor: What is on the floor so far.
+        source: Finds bodies and motions.
+        bodies: Bodies so far, by name.
+        motions: Motions so far, by name.
+        paths: Paths so far from the origin along +x, by body and motion.
+        crossing: Names of the humans that found no free place.
+    """
+
+    variety: VarietyConfig
+    area: tuple[tuple[float, float], tuple[float, float]]
+    floor: Floor
+    source: SceneSource
+    bodies: dict[str, Human] = field(default_factory=dict)
+    motions: dict[str, Motion] = field(default_factory=dict)
+    paths: dict[tuple[str, str], Path] = field(default_factory=dict)
+    crossing: list[str] = field(default_factory=list)
+
+    @classmethod
+    def of_scene(cls, config: SceneConfig, variety: VarietyConfig, source: SceneSource) -> _Crowd:
+        """Nobody yet, beside the scene's own humans and things."""
+        tracks = load_tracks(config, source)
+        area, room = _area(variety, config), config.room
+        things = things_on_floor(config, source, tracks, np.array(area))
+        floor = Floor(None if room is None else room.size, things, variety.spacing)
+        for number, (name, human) in enumerate(config.humans.items(), 1):
+            track = tracks.get(("humans", name))
+            floor.add(Path.of_scene(Actor.load(name, number, human, source, track)))
+        return cls(variety, area, floor, source)
+
+    def draw(self, name: str) -> HumanConfig:
+        """The next human. Raises SceneError with the key."""
+        variety, uniform = self.variety, random_numbers(self.variety.seed, name)
+        body = _one_of(variety.bodies or built_in_names("humans"), uniform())
+        outfit = _one_of(self._body(body).outfits, uniform())
+        motions = _order(variety.motions or MOTIONS, uniform)
+        ahead, mirror = 10 * uniform(), uniform() < 0.5
+        low, high = variety.speed
+        speed = low + (high - low) * uniform()
+        motion, position, yaw = self._find_place(name, body, motions, mirror, uniform)
+        return HumanConfig(
+            body=body,
+            outfit=outfit,
+            motion=MotionConfig(
+                file=motion,
+                position=position,
+                yaw_deg=yaw,
+                offset=round(ahead, 3),
+                speed=round(speed, 4),
+                mirror=mirror,
+            ),
         )
-    return HumanConfig(
-        body=body,
-        outfit=outfit,
-        motion=MotionConfig(
-            file=motion,
-            position=(round(position[0], 4), round(position[1], 4)),
-            yaw_deg=round(yaw, 3),
-            anchor="center",
-            offset=round(ahead, 3),
-            speed=round(speed, 4),
-            mirror=mirror,
-        ),
-    )
+
+    def _find_place(
+        self, name: str, body: str, motions: Sequence[str], mirror: bool, uniform: RandomNumbers
+    ) -> tuple[str, tuple[float, float], float]:
+        """Motion, start position and heading in degrees.
+
+        Args:
+            name: The human.
+            body: Its body.
+            motions: Motions in the order in which they are tried.
+            mirror: Whether left and right are exchanged.
+            uniform: Its random numbers.
+        """
+        for motion in motions:
+            place = self._try(self._path(body, motion, mirror), uniform)
+            if place is not None:
+                return self._place(name, motion, *place, free=True)
+        paths = {motion: self._path(body, motion, mirror) for motion in motions}
+        smallest = min(motions, key=lambda motion: paths[motion].size)
+        for humans, thoroughly in ((True, _THOROUGHLY), (False, 1)):
+            place = self._try(paths[smallest], uniform, humans, thoroughly)
+            if place is not None:
+                return self._place(name, smallest, *place, free=humans)
+        yaw = round(360 * uniform() - 180, 3)
+        path = paths[smallest].turned(math.radians(yaw))
+        shifts = self._shifts(_TRIES, path, uniform)
+        if not len(shifts):
+            raise SceneError(
+                f"the area has {self.floor.count} humans already, and {name} finds no position "
+                f"{self.variety.spacing:g} m from all of them: give a larger area, a smaller spacing, or "
+                "fewer humans",
+                key="variety.count",
+            )
+        return self._place(name, smallest, path, shifts[0], yaw, free=False)
+
+    def _try(
+        self, origin: Path, uniform: RandomNumbers, humans: bool = True, thoroughly: int = 1
+    ) -> tuple[Path, Array, float] | None:
+        """A free place for a path: the turned path, its move (2,) and its heading; None if none is found.
+
+        Args:
+            origin: The path from the origin along +x.
+            uniform: Random numbers of the human.
+            humans: Keep away from the paths of others.
+            thoroughly: Factor of the number of tries.
+        """
+        for _ in range(_HEADINGS * thoroughly):
+            yaw = round(360 * uniform() - 180, 3)
+            path = origin.turned(math.radians(yaw))
+            shifts = self._shifts(_POSITIONS, path, uniform)
+            shifts = shifts[self.floor.inside(path, shifts)]
+            shifts = shifts[self.floor.clear(path, shifts, humans)]
+            if len(shifts):
+                return path, shifts[0], yaw
+        return None
+
+    def _shifts(self, count: int, path: Path, uniform: RandomNumbers) -> Array:
+        """``count`` random moves (N, 2) of a path into the area, without those that break the spacing."""
+        (x0, y0), (x1, y1) = self.area
+        middles = [(x0 + (x1 - x0) * uniform(), y0 + (y1 - y0) * uniform()) for _ in range(count)]
+        shifts = np.array(middles) - path.middle
+        return shifts[self.floor.spaced(np.array(middles))]
+
+    def _place(
+        self, name: str, motion: str, path: Path, shift: Array, yaw: float, free: bool
+    ) -> tuple[str, tuple[float, float], float]:
+        """Put a path on the floor.
+
+        Args:
+            name: The human.
+            motion: Its motion.
+            path: Its path from the origin with its heading.
+            shift: (2,) by which the path is moved.
+            yaw: The heading, degrees.
+            free: Whether nothing is in the way.
+        """
+        self.floor.add(path.moved(shift))
+        if not free:
+            self.crossing.append(name)
+        return motion, (round(float(shift[0]), 4), round(float(shift[1]), 4)), yaw
+
+    def _body(self, name: str) -> Human:
+        if name not in self.bodies:
+            with in_section("variety"):
+                self.bodies[name] = self.source.human(name, key="bodies")
+        return self.bodies[name]
+
+    def _path(self, body: str, motion: str, mirror: bool) -> Path:
+        """Path from the origin along +x. Raises HumansimError if the human cannot play the motion."""
+        if (body, motion) not in self.paths:
+            config = MotionConfig(file=motion)
+            try:
+                if motion not in self.motions:
+                    with in_section("file"):
+                        self.motions[motion] = self.source.motion(motion, config.positions)
+                actor = Actor.build("", 1, self._body(body), config, self.source, self.motions[motion])
+            except HumansimError as error:
+                raise type(error)(error.message, key="variety.motions") from error.__cause__
+            self.paths[body, motion] = Path.of_cycle(actor)
+        path = self.paths[body, motion]
+        return path.mirrored() if mirror else path
 
 
-def _area(variety: VarietyConfig, config: SceneConfig) -> tuple[float, float, float, float]:
-    """Area of the positions: as configured, else the middle of the room."""
+def _area(variety: VarietyConfig, config: SceneConfig) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Two corners of the area of the humans: as configured, else the middle of the room."""
     if variety.area is not None:
-        return variety.area
+        return variety.area[:2], variety.area[2:]
     size = (6.0, 6.0) if config.room is None else config.room.size[:2]
-    x, y = (max(side / 2 - _FURNITURE, 0.3) for side in size)
-    return -x, -y, x, y
+    x, y = (max(side / 2 - _MARGIN, 0.3) for side in size)
+    return (-x, -y), (x, y)
 
 
 def _one_of(items: Sequence[Item], share: float) -> Item:
     return items[min(int(share * len(items)), len(items) - 1)]
+
+
+def _order(motions: Sequence[str], uniform: RandomNumbers) -> list[str]:
+    """One of the motions, then the others in random order: what is listed twice is first twice as often."""
+    first = _one_of(motions, uniform())
+    others = sorted(set(motions) - {first})
+    return [first, *(name for _, name in sorted((uniform(), name) for name in others))]

@@ -119,6 +119,8 @@ def test_all_cameras_of_a_placed_rig_see_the_person(
     heights = [camera.center[2] for camera in scene.cameras.values()]
     # levelling guesses the height: the cameras look at a point 5 cm below the assumed 1 m
     assert_allclose(heights, (1.2, 1.9, 2.3, 1.6), atol=0.06 if method == "level" else 1e-5)
+    if method not in ("level", "board"):  # their cameras are those of these two, as the heights show
+        return
     with Simulation(scene, channels=("instance",)) as simulation:
         views = simulation.frame(0).views
         for name in RIG:

@@ -98,7 +98,7 @@ def _find_unit(file: CalibrationFile, cameras: Mapping[str, RawCamera]) -> float
     warn_about(
         file.path,
         f"the unit is not in the file; {name} is assumed, because the cameras are then "
-        f"{extent * _UNITS[name]:.3g} m apart ({extent * _UNITS[other]:.3g} m with {other}); to state it, "
+        f"{extent * _UNITS[name]:.3g} m apart ({extent * _UNITS[other]:.5g} m with {other}); to state it, "
         f'set unit, or add [metadata] with {_UNIT} = "{name}" to the file',
     )
     return _UNITS[name]

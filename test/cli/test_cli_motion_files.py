@@ -100,7 +100,7 @@ def test_every_command_gives_a_result_or_one_line(
         ["table", file, "-o", str(tmp_path / "table.yaml")],
     ):
         assert humansim(*words)[0] == (0 if is_person else 2), words
-    if is_person:
+    if is_person and facts["frames"] < 300:
         again = ["--joint-names", str(tmp_path / "table.yaml")]
         assert humansim("retarget", file, "--json", *again)[1] == humansim("retarget", file, "--json")[1]
     if facts["frames"] < 300:

@@ -35,6 +35,7 @@ class Tracker(Node):
         super().__init__("tracker")
         self.human, self.frames = human, frames
         self.cameras: set[str] = set()
+        self.sending: set[str] = set()
         self.projections: dict[str, np.ndarray] = {}
         self.label: int | None = None
         self.pixels: dict[int, dict[str, np.ndarray]] = defaultdict(dict)
@@ -63,9 +64,10 @@ class Tracker(Node):
 
     def on_legend(self, message: String) -> None:
         labels = {name: int(label) for label, name in json.loads(message.data)["human"].items()}
-        self.label = labels[self.human]
+        self.label = labels.get(self.human, self.label)
 
     def on_pixels(self, camera: str, message: PointCloud2) -> None:
+        self.sending.add(camera)
         points = read_joint_view(message)
         points = points[points["human"] == self.label]
         pixels = np.stack([points["u"], points["v"]], axis=1)
@@ -80,14 +82,14 @@ class Tracker(Node):
 
     def measure(self, stamp: int) -> None:
         """Triangulate the joints of a stamp as soon as everything of it is there."""
-        received = self.pixels[stamp].keys() & self.projections.keys()
-        if stamp not in self.truth or len(self.cameras) < 2 or not self.cameras <= received:
+        cameras = self.sending & self.projections.keys()  # others may be listed that send nothing
+        if stamp not in self.truth or len(cameras) < 2 or not cameras <= self.pixels[stamp].keys():
             return
         pixels, truth = self.pixels.pop(stamp), self.truth.pop(stamp)
         for joint, expected in enumerate(truth):
             rows = [
                 row
-                for camera in self.cameras
+                for camera in cameras
                 if np.isfinite(uv := pixels[camera][joint]).all()
                 for row in uv[:, None] * self.projections[camera][2] - self.projections[camera][:2]
             ]

@@ -63,7 +63,7 @@ def in_section(section: str) -> Iterator[None]:
         raise error.within(section) from (error.__cause__ if error.path is None else error)
 
 
-def near_names(word: str, known: Iterable[str], least: float = 0.6) -> list[str]:
+def near_names(word: str, known: Iterable[str], least: float = 0.65) -> list[str]:
     """Names that resemble a word, the nearest first; case does not matter. ``least``: similarity, 0 to 1."""
     from difflib import get_close_matches  # only when something is wrong
 

@@ -126,10 +126,11 @@ def _describe(scene: Any) -> None:
         if actor.motion.motion.path == LIVE:
             print(f"{actor.name}: {actor.human.name}, live: moved by joints on /humans/{actor.name}/motion")
             continue
-        frame, motion = actor.motion.frame, actor.motion.motion
+        frame, motion, match = actor.motion.frame, actor.motion.motion, actor.motion.match
         print(
             f"{actor.name}: {actor.human.name}, {Path(motion.path).name} "
-            f"({actor.motion.match.table} joints, {frame.up} up, unit {frame.unit_name}, "
+            f"({match.table} joints, matched by {match.by}, confidence {match.confidence:.0%}, "
+            f"{frame.up} up, unit {frame.unit_name}, "
             f"{motion.n_frames} frames, recorded person {frame.stature:.2f} m)"
         )
     for name, camera in scene.cameras.items():

@@ -10,9 +10,9 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
-from humansim_ros import HumansimError, __version__, load_human
+from humansim_ros import HumansimError, Scene, __version__, load_human
 from humansim_ros.cli.human import BUILT_IN_FACTS, built_in_humans, describe_human
-from humansim_ros.cli.main import main, make_app
+from humansim_ros.cli.main import _describe, main, make_app
 from humansim_ros.cli.options import join_numbers, parse_size
 
 GROUPS = ("camera", "human", "motion")
@@ -144,3 +144,8 @@ def test_negative_numbers_and_sizes_need_no_quotes(
     scene = yaml.safe_load((tmp_path / "scene.yaml").read_text())
     camera = scene["cameras"]["camera_1"]
     assert camera["size"] == [320, 240] and camera["distortion"][:4] == [-0.3, 0.1, 0, 0]
+
+
+def test_run_says_how_sure_the_joints_are(capsys: pytest.CaptureFixture[str]) -> None:
+    _describe(Scene.load())
+    assert "walk.bvh (biovision joints, matched by names, confidence 100%, y up, " in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Stand-ins for calibration files of other people, written here from cameras that are known.
+"""Stand-ins for calibration files of other people, written from known cameras; and checks of wrong files.
 
 stand_in = CALIBRATIONS["own_shelf.json"]
 calibration_path("own_shelf.json")      # the file, written once per test run; or a shared file
@@ -9,14 +9,20 @@ from __future__ import annotations
 
 import json
 import tempfile
+import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import pytest
 from conftest import SHARED_DATA
 from numpy.typing import NDArray
+
+from humansim_ros.camera import read_calibration
+from humansim_ros.errors import CameraError
 
 Array = NDArray[np.float64]
 
@@ -268,3 +274,38 @@ def calibration_path(name: str) -> Path:
     path = Path(_folder().name) / name
     path.write_text(CALIBRATIONS[name].text)
     return path
+
+
+# Wrong files
+
+
+def changed(document: Mapping[str, Any], path: str, value: Any) -> str:
+    """JSON with a changed value at a path such as cameras.0.K; None removes it."""
+    copy = json.loads(json.dumps(document))
+    place, (*keys, last) = copy, path.split(".")
+    for key in keys:
+        place = place[int(key) if isinstance(place, list) else key]
+    if value is None:
+        del place[last]
+    else:
+        place[last] = value
+    return json.dumps(copy)
+
+
+def assert_refused(folder: Path, text: str, said: str) -> None:
+    """A calibration file with this text is refused with its path and a message."""
+    path = folder / "calibration"
+    path.write_text(text)
+    with pytest.raises(CameraError) as caught:
+        read_calibration(path)
+    assert str(caught.value).startswith(str(path)) and said in str(caught.value)
+
+
+def assert_refused_within(folder: Path, text: str, seconds: float) -> None:
+    """A calibration file with this text is refused within seconds of processor time."""
+    path = folder / "calibration"
+    path.write_text(text)
+    start = time.process_time()
+    with pytest.raises(CameraError):
+        read_calibration(path)
+    assert time.process_time() - start < seconds

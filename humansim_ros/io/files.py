@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 
-from humansim_ros.errors import HumansimError, near_names
+from humansim_ros.errors import HumansimError, did_you_mean, near_names
 
 #: Names of a folder that are compared with the name of a missing file.
 _MOST_NAMES = 5000
@@ -97,10 +97,7 @@ def near_file(path: Path) -> str:
             return f"{str(folder)!r} is not a folder"
         missing = path.relative_to(folder).parts[0]
         if folder != path.parent:
-            near = near_names(missing, _names(folder))
-            return f"{str(folder)!r} has no folder {missing!r}" + (
-                f"; did you mean {near[0]!r}?" if near else ""
-            )
+            return f"{str(folder)!r} has no folder {missing!r}{did_you_mean(missing, _names(folder))}"
         stems: dict[str, list[str]] = {}
         for name in _names(folder):
             stems.setdefault(Path(name).stem, []).append(name)

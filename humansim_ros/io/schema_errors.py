@@ -17,7 +17,7 @@ from pydantic import BaseModel, StringConstraints
 from pydantic.fields import FieldInfo
 
 from humansim_ros.errors import HumansimError, did_you_mean
-from humansim_ros.io.unknown_keys import unknown_key
+from humansim_ros.io.unknown_keys import either, key_names, unknown_key
 from humansim_ros.io.yaml import line_of
 
 if TYPE_CHECKING:
@@ -135,7 +135,6 @@ def _best(faults: Sequence[Any]) -> Any:
     first = faults[0]
     if len(faults) == 1:
         return first
-    same = [fault for fault in faults if fault["loc"][:-1] == first["loc"][:-1]]
     deeper = [
         fault
         for fault in faults
@@ -143,7 +142,7 @@ def _best(faults: Sequence[Any]) -> Any:
         and fault["loc"][: len(first["loc"]) - 1] == first["loc"][:-1]
     ]
     mapping = [fault for fault in deeper if str(fault["loc"][len(first["loc"]) - 1]).startswith("dict[")]
-    return mapping[0] if mapping and len(same) >= 1 and not isinstance(first["input"], (str, list)) else first
+    return mapping[0] if mapping and not isinstance(first["input"], (str, list)) else first
 
 
 def _place(model: type[BaseModel], location: tuple[Any, ...]) -> _Place:
@@ -225,12 +224,12 @@ class _Words:
             if isinstance(part, Expected):
                 return cls(part.one, part.many or part.one)
         if _is_union(annotation):
-            members = [member for member in get_args(annotation) if member is not type(None)]
+            members = _members(annotation)
             words = [cls.of(member, metadata if len(members) == 1 else ()) for member in members]
-            return cls(_either([w.one for w in words]), _either([w.many for w in words]))
+            return cls(either([w.one for w in words]), either([w.many for w in words]))
         origin = get_origin(annotation)
         if origin is Literal:
-            choices = _either([str(choice) for choice in get_args(annotation)])
+            choices = either([str(choice) for choice in get_args(annotation)])
             return cls(choices, choices)
         if origin in _LISTS:
             return cls._of_list(annotation, metadata)
@@ -268,7 +267,7 @@ class _Words:
 
     @classmethod
     def _of_section(cls, model: type[BaseModel]) -> _Words:
-        names = [info.alias or name for name, info in model.model_fields.items()]
+        names = key_names(model)
         listed = ", ".join(names[:6]) + (" …" if len(names) > 6 else "")
         alone = getattr(model, "file_key", None)
         one = f"a mapping with the keys {listed}"
@@ -289,16 +288,12 @@ def _limits(metadata: Sequence[Any]) -> str:
         return f" from {_number(at_least[0])} to {_number(at_most[0])}"
     low = f"of {_number(at_least[0])} or more" if at_least else f"above {_number(above[0])}" if above else ""
     high = f"at most {_number(at_most[0])}" if at_most else f"below {_number(below[0])}" if below else ""
-    return "".join(f" {text}" for text in (" and ".join(filter(None, (low, high))),) if text)
+    text = " and ".join(filter(None, (low, high)))
+    return f" {text}" if text else ""
 
 
 def _number(value: Any) -> str:
     return f"{value:g}" if abs(value) < 1e15 else str(value)
-
-
-def _either(texts: Sequence[str]) -> str:
-    unique = list(dict.fromkeys(texts))
-    return unique[0] if len(unique) == 1 else f"{', '.join(unique[:-1])} or {unique[-1]}"
 
 
 def _flat(metadata: Sequence[Any]) -> Iterator[Any]:

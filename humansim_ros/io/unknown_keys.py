@@ -23,7 +23,7 @@ def unknown_key(model: type[BaseModel], keys: Sequence[Any]) -> str:
         keys: Keys from the top of the file to the unknown one.
     """
     section = _section_at(model, keys[:-1])
-    known = _names(section)
+    known = key_names(section)
     hint = _hint(model, section, keys)
     listed = ", ".join(known)
     return f"unknown key; {hint} Known here: {listed}" if hint else f"unknown key; known here: {listed}"
@@ -32,7 +32,7 @@ def unknown_key(model: type[BaseModel], keys: Sequence[Any]) -> str:
 def _hint(model: type[BaseModel], section: type[BaseModel], keys: Sequence[Any]) -> str:
     name = str(keys[-1])
     word = name.lower().replace("-", "_").replace(" ", "_")
-    known = _names(section)
+    known = key_names(section)
     meant = next((key for key in known if key.lower() == word), None) or _other_words(section).get(word)
     meant = meant or next(iter(near_names(word, known, _VERY_NEAR)), None)
     if meant:
@@ -40,26 +40,32 @@ def _hint(model: type[BaseModel], section: type[BaseModel], keys: Sequence[Any])
     places: dict[str, list[str]] = {}
     nearest = None
     for place, other in sorted(_sections(model, ""), key=lambda pair: _distance(pair[0], keys)):
-        found = name if name in _names(other) else _other_words(other).get(word)
+        found = name if name in key_names(other) else _other_words(other).get(word)
         distance = _distance(place, keys)
         if found and other is not section and (nearest is None or distance <= nearest + 1):
             nearest = distance if nearest is None else nearest
             places.setdefault(found, []).append(_actual(place, keys) or "the top of the file")
     if name in places:
-        return f"`{name}` belongs to {_listed(places[name])}."
+        return f"`{name}` belongs to {_some(places[name])}."
     if places:
         found, where = next(iter(places.items()))
-        return f"did you mean `{found}`, which belongs to {_listed(where)}?"
+        return f"did you mean `{found}`, which belongs to {_some(where)}?"
     meant = next(iter(near_names(word, known, _NEAR)), None)
     return f"did you mean `{meant}`?" if meant else ""
 
 
-def _listed(places: Sequence[str]) -> str:
-    unique = list(dict.fromkeys(places))[:_MOST_PLACES]
+def _some(places: Sequence[str]) -> str:
+    return either(list(dict.fromkeys(places))[:_MOST_PLACES])
+
+
+def either(texts: Sequence[str]) -> str:
+    """Different texts as alternatives: ``a, b or c``."""
+    unique = list(dict.fromkeys(texts))
     return unique[0] if len(unique) == 1 else f"{', '.join(unique[:-1])} or {unique[-1]}"
 
 
-def _names(section: type[BaseModel]) -> list[str]:
+def key_names(section: type[BaseModel]) -> list[str]:
+    """Keys of a section, as files have them."""
     return [info.alias or name for name, info in section.model_fields.items()]
 
 

@@ -34,8 +34,7 @@ from humansim_ros.io.assets import find_asset
 from humansim_ros.io.files import missing_file, read_bytes, resolve_relative
 from humansim_ros.io.images import decode_image, encode_image
 from humansim_ros.mesh.gltf_document import Gltf
-from humansim_ros.mesh.gltf_mesh import read_gltf
-from humansim_ros.mesh.load import read_mesh
+from humansim_ros.mesh.load import read_mesh_or_figure
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.mesh_format import MAX_BYTES, MESH_SUFFIXES, format_of, read_format
 from humansim_ros.mesh.obj import material_files
@@ -103,7 +102,7 @@ def _made(path: str | os.PathLike[str], options: MeshHuman) -> Human:
     if Path(path).suffix.lower() == ".npz":
         source = read_smpl(path, options.betas)
     else:
-        source = read_gltf(path) if read_format(path)[0] == "gltf" else read_mesh(path)
+        source = read_mesh_or_figure(path)
     if isinstance(source, SkinnedMesh):
         mesh, skeleton, weights = to_body_space(source, options.unit, options.up, options.facing)
         if options.stature is not None:
@@ -198,7 +197,7 @@ def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
     if path.suffix.lower() == ".npz":
         return
     if kind == "gltf":
-        yield from Gltf.read(path).external_data()
+        yield from Gltf.parse(path, data).external_data()
     elif kind == "obj":
         for file in material_files(path):
             yield read_bytes(file, MeshError, "material")

@@ -68,7 +68,21 @@ def read_text(
     Raises:
         HumansimError: ``error``, as for :func:`read_bytes`, and for binary files.
     """
-    data = read_bytes(path, error, what, most)
+    return decode_text(read_bytes(path, error, what, most), path, error, what)
+
+
+def decode_text(data: bytes, path: str | os.PathLike[str], error: type[HumansimError], what: str) -> str:
+    """Text of the content of a file: UTF-8 with or without BOM, or else Latin-1.
+
+    Args:
+        data: Content of the file.
+        path: File, for messages.
+        error: Error class to raise.
+        what: Kind of file for messages, such as ``scene``.
+
+    Raises:
+        HumansimError: ``error``, if the file is binary.
+    """
     if b"\0" in data:
         raise error(f"this is a binary file, not a {what} text file", path=path)
     try:

@@ -58,8 +58,12 @@ class Gltf:
 
     @classmethod
     def read(cls, path: str | os.PathLike[str]) -> Gltf:
-        """Read a .gltf or .glb file; the first bytes decide which."""
-        data = read_bytes(path, MeshError, "glTF", MAX_BYTES)
+        """Read a .gltf or .glb file."""
+        return cls.parse(path, read_bytes(path, MeshError, "glTF", MAX_BYTES))
+
+    @classmethod
+    def parse(cls, path: str | os.PathLike[str], data: bytes) -> Gltf:
+        """Parse the content of a .gltf or .glb file; the first bytes decide which."""
         text, embedded = _glb_chunks(data, path) if data[:4] == b"glTF" else (data, None)
         try:
             content = json.loads(text)

@@ -38,12 +38,12 @@ class _Piece:
     colors: Array | None
 
 
-def read_gltf(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
+def read_gltf(path: str | os.PathLike[str], data: bytes) -> Mesh | SkinnedMesh:
     """Read a glTF file as a skinned mesh at bind time, or as a mesh if nothing in it is skinned.
 
-    Raises MeshError if the file is wrong or has no triangles.
+    ``data``: content of the file. Raises MeshError if it is wrong or has no triangles.
     """
-    gltf = Gltf.read(path)
+    gltf = Gltf.parse(path, data)
     skeleton = GltfSkeleton.of(gltf)
     pieces = _all_pieces(gltf, skeleton)
     mesh = _one_mesh(gltf, pieces)
@@ -60,21 +60,21 @@ def read_gltf(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
     )
 
 
-def read_gltf_scene(path: str | os.PathLike[str]) -> Mesh:
+def read_gltf_scene(path: str | os.PathLike[str], data: bytes) -> Mesh:
     """Read the scene of a glTF file as one mesh; skinned meshes have the pose of their nodes.
 
-    Raises MeshError if the file is wrong or has no triangles.
+    ``data``: content of the file. Raises MeshError if it is wrong or has no triangles.
     """
-    gltf = Gltf.read(path)
+    gltf = Gltf.parse(path, data)
     return _one_mesh(gltf, _all_pieces(gltf, None))
 
 
-def read_gltf_materials(path: str | os.PathLike[str]) -> list[Mesh]:
+def read_gltf_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]:
     """Read the scene of a glTF file as one mesh for each material. Textures may repeat.
 
-    Raises MeshError if the file is wrong or has no triangles.
+    ``data``: content of the file. Raises MeshError if it is wrong or has no triangles.
     """
-    gltf = Gltf.read(path)
+    gltf = Gltf.parse(path, data)
     pieces = _all_pieces(gltf, None)
     materials = dict.fromkeys((piece.material, piece.uv is not None) for piece in pieces)
     return [

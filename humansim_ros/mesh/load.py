@@ -8,10 +8,11 @@ from typing import Literal
 
 import numpy as np
 
-from humansim_ros.mesh.gltf_mesh import read_gltf_materials, read_gltf_scene
+from humansim_ros.mesh.gltf_mesh import read_gltf, read_gltf_materials, read_gltf_scene
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.mesh.mesh_format import read_format
+from humansim_ros.mesh.mesh_format import MeshFormat, read_format
 from humansim_ros.mesh.obj import read_obj, read_obj_materials
+from humansim_ros.mesh.skinned import SkinnedMesh
 from humansim_ros.mesh.trimesh_files import read_foreign
 from humansim_ros.types import Array
 
@@ -41,12 +42,21 @@ def read_mesh(path: str | os.PathLike[str]) -> Mesh:
         >>> mesh.vertices.shape
         (3, 3)
     """
-    return _read(path)[0]
+    return _read(path, *read_format(path))[0]
+
+
+def read_mesh_or_figure(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
+    """Read a mesh file as :func:`read_mesh` does, but a glTF file at bind time, with joints and weights.
+
+    Raises MeshError.
+    """
+    kind, data = read_format(path)
+    return read_gltf(path, data) if kind == "gltf" else _read(path, kind, data)[0]
 
 
 def read_mesh_z_up(path: str | os.PathLike[str]) -> Mesh:
     """Read a mesh file as one mesh, with z up; in metres, if the file states its unit. Raises MeshError."""
-    mesh, up, unit = _read(path)
+    mesh, up, unit = _read(path, *read_format(path))
     return _to_z_up(mesh, up, unit)
 
 
@@ -59,7 +69,7 @@ def read_materials_z_up(path: str | os.PathLike[str], up: Literal["y", "z"] | No
     kind, data = read_format(path)
     if kind in ("gltf", "obj"):
         read = read_gltf_materials if kind == "gltf" else read_obj_materials
-        return [_to_z_up(mesh, up or ("y" if kind == "gltf" else "z")) for mesh in read(path)]
+        return [_to_z_up(mesh, up or ("y" if kind == "gltf" else "z")) for mesh in read(path, data)]
     foreign = read_foreign(path, kind, data)
     mesh = foreign.mesh
     if mesh.colors is None:
@@ -67,13 +77,12 @@ def read_materials_z_up(path: str | os.PathLike[str], up: Literal["y", "z"] | No
     return [_to_z_up(mesh, up or foreign.up, foreign.unit)]
 
 
-def _read(path: str | os.PathLike[str]) -> tuple[Mesh, str, float]:
-    """Mesh, up axis and metres per unit of a file."""
-    kind, data = read_format(path)
+def _read(path: str | os.PathLike[str], kind: MeshFormat, data: bytes) -> tuple[Mesh, str, float]:
+    """Mesh, up axis and metres per unit of a file with its format and content."""
     if kind == "gltf":
-        return read_gltf_scene(path), "y", 1.0
+        return read_gltf_scene(path, data), "y", 1.0
     if kind == "obj":
-        return read_obj(path), "z", 1.0
+        return read_obj(path, data), "z", 1.0
     foreign = read_foreign(path, kind, data)
     return foreign.mesh, foreign.up, foreign.unit
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.io.files import read_text, resolve_inside
+from humansim_ros.io.files import decode_text, read_text, resolve_inside
 from humansim_ros.mesh.atlas import PLAIN, atlas_mesh, plain_tile
 from humansim_ros.mesh.material import without_maps
 from humansim_ros.mesh.mesh import FaceIndices, Mesh
@@ -22,20 +22,23 @@ from humansim_ros.types import Array
 _GREY = (0.6, 0.6, 0.6)
 
 
-def read_obj(path: str | os.PathLike[str]) -> Mesh:
+def read_obj(path: str | os.PathLike[str], data: bytes) -> Mesh:
     """Read a Wavefront OBJ file as one mesh with the colours and textures of its materials in one texture.
 
-    Units and axes stay as in the file. Without a material file the mesh has no colours. Raises MeshError with
-    file and line.
+    ``data``: content of the file. Units and axes stay as in the file. Without a material file the mesh has no
+    colours. Raises MeshError with file and line.
     """
     with _errors_of(path):
-        return _one_mesh(_parse(read_text(path, MeshError, "mesh"), os.fspath(path)))
+        return _one_mesh(_parse(path, data))
 
 
-def read_obj_materials(path: str | os.PathLike[str]) -> list[Mesh]:
-    """Read a Wavefront OBJ file as one mesh for each material. Textures may repeat. Raises MeshError."""
+def read_obj_materials(path: str | os.PathLike[str], data: bytes) -> list[Mesh]:
+    """Read a Wavefront OBJ file as one mesh for each material. Textures may repeat.
+
+    ``data``: content of the file. Raises MeshError with file and line.
+    """
     with _errors_of(path):
-        return _by_material(_parse(read_text(path, MeshError, "mesh"), os.fspath(path)))
+        return _by_material(_parse(path, data))
 
 
 @contextmanager
@@ -116,7 +119,8 @@ def _one_mesh(obj: _Obj) -> Mesh:
     return Mesh(obj.points, obj.faces, obj.uv if has_uv else None, obj.uv_faces if has_uv else None)
 
 
-def _parse(text: str, path: str) -> _Obj:
+def _parse(file: str | os.PathLike[str], data: bytes) -> _Obj:
+    path, text = os.fspath(file), decode_text(data, file, MeshError, "mesh")
     vertices: list[list[str]] = []
     uv: list[list[str]] = []
     vertex_lines: list[int] = []

@@ -92,8 +92,7 @@ def make_human(path: str | os.PathLike[str], options: MeshHuman | None = None) -
     """Make a human from a mesh, a skinned mesh or an SMPL model, without the cache. Raises MeshError."""
     options = options or MeshHuman()
     human = _made(path, options)
-    if options.stature is None:
-        _warn_about_stature(path, human)
+    _warn_about_stature(path, human, options)
     return human
 
 
@@ -116,11 +115,11 @@ def _made(path: str | os.PathLike[str], options: MeshHuman) -> Human:
     return replace(human, looks=looks).wearing(next(iter(looks)))
 
 
-def _warn_about_stature(path: str | os.PathLike[str], human: Human) -> None:
-    """Warn about a height that is not that of a person."""
+def _warn_about_stature(path: str | os.PathLike[str], human: Human, options: MeshHuman) -> None:
+    """Warn about a height that is not that of a person, unless the options give it."""
     stature = float(np.ptp(human.mesh.vertices[:, 1]))
     low, high = _USUAL_STATURE
-    if not low <= stature <= high:
+    if options.stature is None and not low <= stature <= high:
         warn_about(
             path,
             f"the person is {stature:.3g} m tall. If that is wrong, give the height in metres with the key "
@@ -138,10 +137,7 @@ def _load(path: Path) -> Human:
         raise MeshError(
             f"a human is one of {', '.join(SUFFIXES)}, not {suffix or 'a file without suffix'}", path=path
         )
-    options = MeshHuman()
-    human = cached(content_key(_content(path, options)), path.stem, lambda: _made(path, options))
-    _warn_about_stature(path, human)
-    return human
+    return _from_mesh(path, path, MeshHuman())
 
 
 def _described(path: Path) -> Human:
@@ -172,10 +168,14 @@ def _described(path: Path) -> Human:
             }
         }
     )
+    return _from_mesh(path, mesh, options)
+
+
+def _from_mesh(path: Path, mesh: Path, options: MeshHuman) -> Human:
+    """Human of a mesh, from the cache if it is there. ``path``: the file that the human has its name from."""
     key = content_key(_content(mesh, options))
     human = cached(key, path.stem, lambda: replace(_made(mesh, options), name=path.stem))
-    if options.stature is None:
-        _warn_about_stature(path, human)
+    _warn_about_stature(path, human, options)
     return human
 
 

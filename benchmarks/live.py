@@ -158,7 +158,7 @@ def measure(setting: Setting, folder: Path, seconds: float, nice: int, loops: in
     """Run the nodes and the subscriber with a setting for some seconds.
 
     Args:
-        setting: What is subscribed to, and options of the nodes.
+        setting: Subscribed topics, and options of the nodes.
         folder: Folder for scene files.
         seconds: Length of the run.
         nice: Nice value of all processes.

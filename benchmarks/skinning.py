@@ -2,7 +2,7 @@
 
     python benchmarks/skinning.py [HUMAN.npz] [--torch PYTHON] [--json FILE]
 
-``--torch``: a Python that can ``import torch``, and for what is to be compared ``anny`` and ``smplx``: an
+``--torch``: a Python that can ``import torch``, ``anny`` and ``smplx``, which are compared: an
 environment of its own with ``pip install torch roma smplx pillow pyyaml`` and ``pip install --no-deps
 anny==0.6.2``. All take the same vertices, weights and bones in float32, turn and turn about on one core with
 one thread, and all must come to the same vertices. The figures are wall-clock milliseconds per frame, of one
@@ -102,7 +102,7 @@ def local_turns(arrays: dict[str, NDArray[np.floating]]) -> tuple[Floats, Floats
 
 
 def torchs(arrays: dict[str, NDArray[np.floating]]) -> tuple[Contestants, list[str]]:
-    """Those of PyTorch, and what is missing."""
+    """Those of PyTorch, and the names of missing packages."""
     import torch
 
     torch.set_num_threads(1)

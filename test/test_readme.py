@@ -1,4 +1,4 @@
-"""What the README promises: its code works as printed, its links lead somewhere, its topics exist."""
+"""The promises of the README: its code works as printed, its links lead somewhere, its topics exist."""
 
 from __future__ import annotations
 

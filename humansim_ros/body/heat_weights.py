@@ -32,7 +32,7 @@ _PELVIS, _SHARP = 0.01, 0.01
 _WELD = 1e-5
 #: Above this count of points, diffusion uses a coarser surface with this spacing.
 _MAX_POINTS, _COARSE = 100_000, 0.005
-#: A mesh with more points and more long faces than this is solved iteratively, in at most so many steps.
+#: A mesh with more points and more long faces than this is solved iteratively; and the most steps of that.
 _FINE, _MANY, _LONG, _STEPS = 5000, 100, 0.15, 400
 #: Width over which bones of the other side of the body fade out.
 _MIDDLE = 0.03

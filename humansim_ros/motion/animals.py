@@ -37,7 +37,7 @@ _TAIL = re.compile(r"tail(?!or)", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class BodySigns:
-    """What a body looks like.
+    """Signs that a body is that of an animal.
 
     Attributes:
         fours: Share of the frames in which the body is on all fours, 0 to 1.
@@ -62,7 +62,7 @@ class BodySigns:
 
     @property
     def is_animal(self) -> bool:
-        """Whether so many signs come together that this is no person."""
+        """Whether enough signs come together to say that this is no person."""
         signs = bool(self.tail) + self.has_animal_proportions
         moves = (signs == 1 and self.fours >= _FOURS) or (signs == 2 and self.upright < _UPRIGHT)
         return moves and not self.stands_in_offsets

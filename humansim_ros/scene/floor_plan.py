@@ -40,7 +40,7 @@ def things_on_floor(
         config: The scene.
         source: Finds mesh files.
         tracks: Keyframes by section and name.
-        area: Two corners (2, 2) of the area of people. What is around all of it is a room: only its walls
+        area: Two corners (2, 2) of the area of people. A mesh around all of it is a room: only its walls
             count.
 
     Raises:

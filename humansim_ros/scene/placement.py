@@ -20,7 +20,7 @@ _STEP, _MOST_POSES = 0.05, 3000
 _DURATION = 60.0
 #: Metres between the points that stand for a path or for a thing.
 _CELL = 0.05
-#: Every so many points of a path are compared first; most bad places show there.
+#: Step between the points of a path that are compared first; most bad places show there.
 _COARSE = 8
 #: Paths after which the paths so far are searched as one.
 _GROUP = 16
@@ -87,7 +87,7 @@ class Path:
 
 
 class Floor:
-    """Floor of a scene, and what is on it.
+    """Floor of a scene, with everything that stands on it.
 
     Args:
         room: Size (x, y) of the room around the origin, metres; None for no walls.

@@ -80,7 +80,7 @@ class _Crowd:
     Attributes:
         variety: The section ``variety``.
         area: x, y of two corners: the middles of all paths are in it.
-        floor: What is on the floor so far.
+        floor: Floor with everything placed so far.
         source: Finds bodies and motions.
         bodies: Bodies so far, by name.
         motions: Motions so far, by name.
@@ -248,7 +248,7 @@ def _one_of(items: Sequence[Item], share: float) -> Item:
 
 
 def _order(motions: Sequence[str], uniform: RandomNumbers) -> list[str]:
-    """One of the motions, then the others in random order: what is listed twice is first twice as often."""
+    """One of the motions, then the others in random order: a motion listed twice is first twice as often."""
     first = _one_of(motions, uniform())
     others = sorted(set(motions) - {first})
     return [first, *(name for _, name in sorted((uniform(), name) for name in others))]

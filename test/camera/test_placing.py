@@ -78,7 +78,7 @@ def test_a_rolled_camera_places_a_rig_with_its_roll() -> None:
     rig = a_rig(0)
     upright = rig["camera_1"]
     roll = np.radians(20)
-    # turned clockwise as seen from behind: what was up in the image is left of it
+    # turned clockwise as seen from behind: up in the old image is left in the new one
     turn = Rotation.from_rotvec([0, 0, roll]).as_matrix().T
     rig["camera_1"] = Camera(upright.size, upright.K, turn @ upright.R, turn @ upright.t)
     in_file, _ = moved_rig(3, rig)

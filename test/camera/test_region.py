@@ -125,7 +125,7 @@ def test_every_pixel_shows_the_surface_on_its_ray(shown: tuple[Scene, Frame], na
     pixels = np.column_stack([columns, rows]).astype(float)
     expected = plane_depth(pixels)
     assert np.abs(depth[rows, columns] - expected).max() < 2e-3
-    # as a share of what a pixel beside would show
+    # as a share of the difference to the next pixel
     off = np.abs(depth[rows, columns] - expected) / np.abs(plane_depth(pixels + np.array([1, 0])) - expected)
     assert np.percentile(off, 90) < 0.1
 

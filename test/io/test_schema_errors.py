@@ -1,4 +1,4 @@
-"""Errors of all schemas are in words of their own, with what a key needs and what was found."""
+"""Errors of all schemas are in words of their own, with the need of a key and the value found."""
 
 from __future__ import annotations
 

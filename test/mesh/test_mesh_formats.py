@@ -1,4 +1,4 @@
-"""Meshes in the formats that trimesh reads: what they contain, and wrong or malicious files."""
+"""Meshes in the formats that trimesh reads: their content, and wrong or malicious files."""
 
 from __future__ import annotations
 

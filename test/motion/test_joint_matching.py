@@ -251,7 +251,7 @@ FAMILIES = {
     "mixamorig:LeftUpLeg<mixamorig:Hips mixamorig:LeftLeg mixamorig:LeftFoot "
     "mixamorig:LeftToeBase",
 }
-#: The joint that is the left upper arm, and that which is the shin, in each.
+#: The joint of the left upper arm, and the joint of the shin, in each.
 ARM_AND_SHIN = {
     "lafan1": "LeftArm LeftLeg", "bandai_namco": "UpperArm_L LowerLeg_L", "100style": "LeftShoulder LeftKnee",
     "mvn": "LeftUpperArm LeftLowerLeg", "perception_neuron": "LeftArm LeftLeg", "optitrack": "LUArm LShin",

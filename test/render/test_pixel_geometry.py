@@ -127,7 +127,7 @@ def test_flow_is_where_the_point_that_a_ray_hits_goes(scene: Scene, camera: Came
     for number, (vertices, triangles) in enumerate(surfaces):
         here = within & (first == number)
         points[here] = np.einsum("ij,ijk->ik", bary[here], vertices[triangles[face[here]]])
-    # a triangle of no area has no such coordinates; what is within centimetres of the lens is not drawn
+    # a triangle of no area has no such coordinates; surfaces within centimetres of the lens are not drawn
     within &= np.isfinite(points).all(axis=2) & np.isfinite(view.depth)
     rows, columns = np.nonzero(within)
     expected = opencv_pixels(other, points[within])

@@ -62,7 +62,7 @@ def test_from_inside_a_human_its_inside_is_what_rays_hit(renderer: Renderer, per
     camera = Camera.look_at(trunk, trunk + np.array([0.2, 0.1, 1]), (320, 240), np.radians(80))
     view = renderer.render([person], camera)
     depth, _, _ = cast(camera, [(person.vertices, person.mesh.triangles)])
-    far = depth > 0.06  # what is nearer than the near plane is cut off
+    far = depth > 0.06  # the near plane cuts off nearer parts
     assert far.mean() > 0.5 and (view.instance[far & (depth < np.inf)] == 1).mean() > 0.99
     both = inner(view.instance) & far & np.isfinite(depth)
     assert np.median(np.abs(view.depth[both] - depth[both])) < 1e-4
@@ -178,7 +178,7 @@ def test_without_its_texture_a_surface_has_its_plain_colour(renderer: Renderer, 
     assert red > 100 and green == blue == 0
 
 
-# what is missing
+# missing parts
 
 
 def test_a_gpu_that_is_not_there_is_named(name: RendererName) -> None:

@@ -107,7 +107,7 @@ def test_a_walking_body_is_what_rays_hit(scene: Scene, name: RendererName, secon
     renderer = renderer_or_skip(name=name)
     camera = CAMERAS[int(seconds * 100) % 4]
     bodies = walkers(scene, seconds)
-    assert bodies[0].mesh.closed, "back faces are to be left out here: that is what is put to the test"
+    assert bodies[0].mesh.closed, "back faces are to be left out here: this test needs a closed mesh"
     assert_agrees(renderer.render(bodies, camera), bodies, [], camera)
     renderer.close()
 

@@ -244,7 +244,7 @@ def test_any_image_size(empty: Renderer, size: tuple[int, int]) -> None:
 @pytest.mark.slow
 def test_cameras_of_different_size_share_a_renderer(room: Renderer, scene: Scene, name: RendererName) -> None:
     bodies = walkers(scene, 0.5)
-    # (still scenes are drawn four times as fine: what the second needs is as large as the first)
+    # still scenes are drawn four times as fine: the second size needs as much memory as the first
     sizes = ((640, 480), (160, 120), (321, 239))
     cameras = [Camera.look_at((3, 2, 2), (0, 0, 1), size) for size in sizes]
     together = [room.render(bodies, camera) for camera in cameras]

@@ -1,4 +1,4 @@
-"""check_scene finds what is wrong in a scene that loads, and nothing in scenes that are right."""
+"""check_scene finds the mistakes of a scene that loads, and nothing in correct scenes."""
 
 from __future__ import annotations
 

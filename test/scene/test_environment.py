@@ -183,7 +183,7 @@ def test_a_panorama_is_seen_by_direction(tmp_path: Path, lens: str) -> None:
     to_up = np.arctan2(ray[:, 2], np.hypot(ray[:, 0], ray[:, 1]))
     light = np.stack([0.5 + to_left / 8, 0.5 + to_up / 4, np.ones(len(rows))], 1)
     np.testing.assert_allclose(rgb[rows, columns], 255 * np.sqrt(light), atol=2.5)
-    # and what it gives of light: the mean, weighted by how steeply it falls
+    # its light is the mean, weighted by the sine of the elevation
     steep = np.cos(up) * np.sin(up)
     sky = ((0.5 + up / 4) * steep)[up > 0].sum() / steep[up > 0].sum()
     assert scene.environment.lighting.sky_color == pytest.approx((0.5, sky, 1.0), abs=0.01)
@@ -275,7 +275,7 @@ def test_clutter_without_a_position_is_reported(tmp_path: Path) -> None:
     assert 5 < len(scene.objects) < 150
 
 
-# --- what is wrong
+# --- wrong input
 
 BAD = {
     "gone.jpg": None,

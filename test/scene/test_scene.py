@@ -53,7 +53,7 @@ def write(tmp_path: Path) -> Write:
     return write_scene
 
 
-# What is read
+# Accepted content
 
 
 def test_a_scene_has_the_humans_and_cameras_of_its_file(write: Write) -> None:
@@ -177,7 +177,7 @@ def load_names(name: str) -> bool:
     return list(SceneConfig.model_validate(config).cameras) == [name]
 
 
-# What is refused
+# Refused content
 
 WRONG: list[tuple[str, str, int | None, str | None, str]] = [
     ("empty", "", None, None, "empty"),

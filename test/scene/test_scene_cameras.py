@@ -468,7 +468,7 @@ def test_what_begins_anew_smears_as_it_did_at_first(folder: Path) -> None:
     for name in ("stands", "flies"):
         assert np.array_equal(first.views[name].rgb, again.views[name].rgb)
         assert len(np.unique(first.views[name].rgb)) > 8, "and it did smear"
-    # one metre a second, and so many of the way's one in its second
+    # one metre a second; in its second, the way moves by one of its metres
     np.testing.assert_allclose(again.objects["board"].velocity.linear, [0, 1, 0], atol=1e-9)
     pose = load(folder, text).scene_cameras["flies"].pose(3.0)
     np.testing.assert_allclose(pose.velocity.linear, [-1.0, 0.5, 0.1], atol=1e-9)

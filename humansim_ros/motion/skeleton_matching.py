@@ -24,7 +24,7 @@ from humansim_ros.types import Array
 _LEG, _ARM = np.array([0.43, 0.41, 0.16]), np.array([0.42, 0.36, 0.22])
 #: Length of an arm, and of neck and head, as shares of the length of a leg.
 _ARM_BY_LEG, _HEAD_BY_LEG = 0.72, 0.28
-#: A joint with this number of children is a hand, a foot or a head: those are fingers, toes, or parts of a face.
+#: A joint with this number of children is a hand, a foot or a head with fingers, toes or parts of a face.
 _MANY_CHILDREN = 3
 #: Factor of the likelihood of a limb that does not end at its hand or foot.
 _WRONG_END = 0.2

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.errors import HumansimError, SceneError, in_section
+from humansim_ros.errors import SceneError, in_section
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframe_tracks import KeyframeTrack
@@ -154,12 +154,7 @@ class Scene:
         tracks = load_tracks(config, source)
         actors: dict[str, Actor] = {}
         for number, (name, human) in enumerate(config.humans.items(), 1):
-            try:
-                actors[name] = Actor.load(name, number, human, source, tracks.get(("humans", name)))
-            except HumansimError as error:
-                if name in named:
-                    raise
-                raise type(error)(error.message, key="variety.motions") from error.__cause__
+            actors[name] = Actor.load(name, number, human, source, tracks.get(("humans", name)))
         objects: dict[str, SceneObject] = {}
         _add_objects(objects, config.objects, source, tracks, actors)
         environment = Environment.load(config, source)

@@ -188,7 +188,7 @@ def test_processes_of_a_scene(tmp_path: Path) -> None:
         NodeProcess("motion_player", "motion_player", scene),
         NodeProcess("skinner", "skinner_anna", {**scene, "human": "anna"}),
         NodeProcess("skinner", "skinner_off", {**scene, "human": "off"}),
-        NodeProcess("camera", "camera_front", {**scene, "start_scene": False, "camera": "front"}),
+        NodeProcess("camera", "front", {**scene, "start_scene": False, "camera": "front"}),
     ]
 
 
@@ -202,12 +202,12 @@ def test_cameras_are_spread_evenly_over_as_many_processes_as_there_are_cores(
         started = scene_processes(path, processes)[1:]
         return [(p.node_name, p.parameters.get("cameras", p.parameters.get("camera"))) for p in started]
 
-    two = [("camera_rig_1", ["a", "c", "e"]), ("camera_rig_2", ["b", "d"])]
+    two = [("_camera_rig_1", ["a", "c", "e"]), ("_camera_rig_2", ["b", "d"])]
     monkeypatch.setattr(processes, "cores", lambda: 2)
     assert spread() == spread(2) == two
-    assert spread(4) == [("camera_rig_1", ["a", "e"]), *((f"camera_{c}", c) for c in "bcd")]
-    assert spread(1) == [("camera_rig_1", ["a", "b", "c", "d", "e"])]
-    assert spread(9) == [(f"camera_{c}", c) for c in "abcde"]
+    assert spread(4) == [("_camera_rig_1", ["a", "e"]), *((c, c) for c in "bcd")]
+    assert spread(1) == [("_camera_rig_1", ["a", "b", "c", "d", "e"])]
+    assert spread(9) == [(c, c) for c in "abcde"]
     names = ("LP_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
     for name in names:
         monkeypatch.delenv(name, raising=False)
@@ -243,6 +243,13 @@ def test_parameters_reach_a_node_as_strings(tmp_path: Path) -> None:
         ("- 1", "not a scene"),
         ("humans: [anna]", "humans: must map"),
         ("cameras: {left cam: {}}", "cameras.left cam: ROS names"),
+        ("cameras: {_left: {}}", "cameras._left: ROS names"),
+        ("cameras: {motion_player: {}}", "cameras.motion_player: .*is the node of the motion player"),
+        (
+            "humans: {a: {}}\ncameras: {skinner_a: {}}",
+            "cameras.skinner_a: .*is the node of the skinner of a:",
+        ),
+        ("variety: {count: 2}\ncameras: {skinner_person_2: {}}", "the skinner of person_2"),
     ],
 )
 def test_processes_of_a_wrong_scene(tmp_path: Path, content: str, message: str) -> None:

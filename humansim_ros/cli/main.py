@@ -76,7 +76,7 @@ def run(
         warn_about_mistakes(loaded, options)
         node_processes = scene_processes(path, processes)
         with Supervisor(node_processes) as nodes:
-            names = ", ".join(process.node_name for process in node_processes)
+            names = ", ".join(name for process in node_processes for name in process.visible_nodes)
             print(f"starting {names}; Ctrl-C stops", flush=True)
             first = FirstImages(list(loaded.cameras), list(loaded.actors), start)
             nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())

@@ -251,7 +251,7 @@ class _Subscriber:
 
     def milliseconds(self, camera: str) -> float:
         """Median time in which a camera rendered and sent a frame; 0 if it has not reported it."""
-        times = self._diagnostics[f"/camera_{camera}"]
+        times = self._diagnostics[f"/{camera}"]
         return median(times) if times else 0.0
 
     def _on_diagnostics(self, message: Any) -> None:

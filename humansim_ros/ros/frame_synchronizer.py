@@ -60,29 +60,40 @@ class FrameSynchronizer:
     """Subscribes to all humans, moving objects and some cameras, and passes complete frames on.
 
     Subscriptions: vertices and joints of every human, marker and twist of every moving object, pose and twist
-    of ``cameras``. Each finished frame is reported on ``frame_done``: the motion player sends a frame only if
-    all cameras have time for it, and every frame is passed on. If nobody listens to the reports, and frames
-    arrive faster than ``on_frame`` returns, the newest one is passed on.
+    of some cameras. Each finished frame is reported on ``frame_done``: the motion player sends a frame only
+    if all cameras have time for it, and every frame is passed on. If nobody listens to the reports, and
+    frames arrive faster than ``on_frame`` returns, the newest one is passed on.
 
     Until the first skinner publishes, the scene at its start is passed on, so that a camera alone shows
     something; not if parameter ``start_scene`` is false.
+
+    Args:
+        node: Node that subscribes.
+        on_frame: Called with each complete frame.
+        cameras: Nodes of the cameras that show the frames; the reports name them.
+        moving_cameras: Names of cameras with a trajectory.
     """
 
     def __init__(
-        self, node: SceneNode, on_frame: Callable[[SceneState], None], cameras: Sequence[str] = ()
+        self,
+        node: SceneNode,
+        on_frame: Callable[[SceneState], None],
+        cameras: Sequence[SceneNode],
+        moving_cameras: Sequence[str] = (),
     ) -> None:
         self._node = node
+        self._reporter = ", ".join(camera.get_fully_qualified_name() for camera in cameras)
         self._scene = node.scene
         self._on_frame = on_frame
         self._period = self._scene.period * 1e9
         humans, objects = list(self._scene.actors), list(self._scene.moving_objects)
-        moving = [*(f"objects/{name}" for name in objects), *cameras]
+        moving = [*(f"objects/{name}" for name in objects), *moving_cameras]
         #: Names of a complete frame, by field of _ReceivedFrame.
         self._expected: dict[str, Sequence[str]] = {
             "vertices": humans,
             "joints": humans,
             "objects": objects,
-            "cameras": list(cameras),
+            "cameras": list(moving_cameras),
             "twists": moving,
         }
         self._frames: dict[int, _ReceivedFrame] = {}
@@ -98,7 +109,7 @@ class FrameSynchronizer:
             )
         for name in objects:
             self._subscribe(Marker, f"objects/{name}/marker", "objects", name, messages.read_object)
-        for name in cameras:
+        for name in moving_cameras:
             self._subscribe(PoseStamped, f"{name}/pose", "cameras", name, messages.read_pose)
         for name in moving:
             self._subscribe(TwistStamped, f"{name}/twist", "twists", name, messages.read_twist)
@@ -198,7 +209,7 @@ class FrameSynchronizer:
             self._schedule_next_frame()
 
     def _report_done(self, stamp: int) -> None:
-        self._done.publish(messages.header(stamp, self._node.get_fully_qualified_name()))
+        self._done.publish(messages.header(stamp, self._reporter))
 
     def _on_static_frame(self, frame: Header) -> None:
         """Show a scene in which nothing moves, at the stamps of the motion player."""

@@ -8,10 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from humansim_ros.scene.names import read_names
+from humansim_ros.scene.names import PLAYER_NODE, read_names, skinner_node
 
 #: Environment variable of nodes whose parent has shown the warnings of the scene.
 WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
+#: Node that receives the frames for the cameras of its process. The tools of ROS hide names that begin with
+#: _, so that users see the same nodes for any number of processes.
+RIG_NODE = "_camera_rig"
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,12 @@ class NodeProcess:
     node_name: str
     parameters: Mapping[str, str | bool | float | list[str]]
     log_level: str = "info"
+
+    @property
+    def visible_nodes(self) -> tuple[str, ...]:
+        """Names of its nodes without hidden ones."""
+        cameras = self.parameters.get("cameras")
+        return tuple(cameras) if isinstance(cameras, list) else (self.node_name,)
 
     @property
     def ros_arguments(self) -> list[str]:
@@ -48,8 +57,8 @@ def scene_processes(scene_path: str | os.PathLike[str], processes: int | None = 
     names = read_names(path)
     scene: dict[str, str | bool] = {"scene": str(path)}
     return [
-        NodeProcess("motion_player", "motion_player", scene),
-        *(NodeProcess("skinner", f"skinner_{name}", {**scene, "human": name}) for name in names.humans),
+        NodeProcess("motion_player", PLAYER_NODE, scene),
+        *(NodeProcess("skinner", skinner_node(name), {**scene, "human": name}) for name in names.humans),
         *_camera_processes(names.cameras, cores() if processes is None else processes, scene),
     ]
 
@@ -62,9 +71,9 @@ def _camera_processes(
     for i in range(count):
         names = list(cameras[i::count])
         if len(names) == 1:
-            yield NodeProcess("camera", f"camera_{names[0]}", {**scene, "camera": names[0]})
+            yield NodeProcess("camera", names[0], {**scene, "camera": names[0]})
         else:
-            yield NodeProcess("camera_rig", f"camera_rig_{i + 1}", {**scene, "cameras": names})
+            yield NodeProcess("camera_rig", f"{RIG_NODE}_{i + 1}", {**scene, "cameras": names})
 
 
 def render_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:

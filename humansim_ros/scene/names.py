@@ -1,19 +1,28 @@
 """Names of the humans and cameras of a scene file, read without the schema and its libraries.
 
 ``ros2 launch`` starts the nodes of a scene, and may run in a Python without the libraries of the nodes.
+Humans and cameras give nodes their names.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from humansim_ros.errors import SceneError
 from humansim_ros.io.yaml import read_yaml
+
+#: Node that plays the motions of a scene.
+PLAYER_NODE = "motion_player"
+
+
+def skinner_node(human: str) -> str:
+    """Name of the node that skins a human. The node of a camera has the name of the camera."""
+    return f"skinner_{human}"
 
 
 @dataclass(frozen=True)
@@ -25,13 +34,35 @@ class SceneNames:
 
 
 def read_names(path: str | os.PathLike[str]) -> SceneNames:
-    """Read the names of a scene file. Raises SceneError for names that ROS does not accept."""
+    """Read the names of a scene file. Raises SceneError for names that ROS does not accept, and for cameras
+    with the name of another node.
+    """
     path = Path(path)
     content, _ = read_yaml(path, SceneError, "scene")
     if not isinstance(content, dict):
         raise SceneError("this is not a scene; it needs the keys humans and cameras", path=path)
     cameras = (*_rig_names(content, path), *_section_names(content, "cameras", path))
-    return SceneNames((*_section_names(content, "humans", path), *_variety_names(content, path)), cameras)
+    humans = (*_section_names(content, "humans", path), *_variety_names(content, path))
+    try:
+        check_node_names(humans, cameras)
+    except SceneError as error:
+        raise SceneError(error.message, path=path, key=error.key) from None
+    return SceneNames(humans, cameras)
+
+
+def check_node_names(humans: Iterable[str], cameras: Iterable[str]) -> None:
+    """Raise SceneError with the key if a camera has the name of another node of its scene."""
+    nodes = {
+        PLAYER_NODE: "the motion player",
+        **{skinner_node(name): f"the skinner of {name}" for name in humans},
+    }
+    for name in cameras:
+        if name in nodes:
+            raise SceneError(
+                f"the node of a camera has its name, and {name} is the node of {nodes[name]}: "
+                "give the camera another name",
+                key=f"cameras.{name}",
+            )
 
 
 def variety_names(prefix: str, count: int) -> list[str]:
@@ -62,9 +93,9 @@ def _section_names(content: Mapping[str, Any], key: str, path: Path) -> list[str
     names = [str(name) for name in section]
     for name in names:
         # names become parts of node and topic names
-        if not re.fullmatch("[A-Za-z_][A-Za-z0-9_]*", name):
+        if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name):
             raise SceneError(
-                "ROS names consist of letters, digits and _ and do not start with a digit",
+                "ROS names consist of letters, digits and _ and begin with a letter",
                 path=path,
                 key=f"{key}.{name}",
             )

@@ -25,6 +25,7 @@ from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.clutter import Obstacles, clutter
 from humansim_ros.scene.config import ObjectConfig, SceneConfig, check_config, load_config
 from humansim_ros.scene.environment import Environment
+from humansim_ros.scene.names import check_node_names
 from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import random_cameras, random_looks
 from humansim_ros.scene.rig import build_cameras
@@ -162,6 +163,7 @@ class Scene:
             name: replace(camera, backdrop=camera.backdrop or environment.backdrop)
             for name, camera in build_cameras(config, source).items()
         }
+        check_node_names(actors, cameras)
         if config.randomise is not None:
             cameras = random_cameras(cameras, config.randomise)
         if config.randomise is not None and config.randomise.clutter:

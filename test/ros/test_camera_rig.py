@@ -22,6 +22,7 @@ from humansim_ros.ros import messages
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.runtime import make_executor
+from humansim_ros.ros.supervisor import Supervisor
 from humansim_ros.scene import Scene, Simulation
 
 START = 7_000_000_000
@@ -169,12 +170,12 @@ def test_a_rig_subscribes_once_to_each_human_and_has_a_node_for_each_camera(play
     for human in HUMANS:
         for kind in ("vertices", "joints"):
             (subscriber,) = node.get_subscriptions_info_by_topic(f"/rig/humans/{human}/{kind}")
-            assert subscriber.node_name == "camera_rig"
+            assert subscriber.node_name == "_camera_rig"
     names = {name for name, namespace in node.get_node_names_and_namespaces() if namespace == "/rig"}
-    assert {"camera_rig", "camera_left", "camera_right"} <= names
+    assert {"_camera_rig", *CAMERAS} <= names
     for camera in CAMERAS:
         (publisher,) = node.get_publishers_info_by_topic(f"/rig/{camera}/image_raw")
-        assert publisher.node_name == f"camera_{camera}"
+        assert publisher.node_name == camera
 
 
 def test_a_frame_with_a_vertex_that_is_not_finite_is_skipped_and_logged_and_the_next_is_rendered(
@@ -222,7 +223,7 @@ def test_a_camera_that_fails_does_not_stop_the_others(
     stage.send(frame)
     assert stage.client.spin_until(lambda: frame.stamp in stage.messages_of("right/depth/image"))
     assert not stage.messages_of("left/depth/image")
-    assert "[half.camera_left]: frame skipped: the left one is broken" in capfd.readouterr().err
+    assert "[half.left]: frame skipped: the left one is broken" in capfd.readouterr().err
     stage.close()
     simulation.close()
 
@@ -237,11 +238,49 @@ def test_a_rig_has_the_cameras_of_its_parameter(ros: None, scene_path: Path) -> 
         rig.destroy_node()
         return names
 
-    assert made() == ["camera_left", "camera_right"]
-    assert made("right") == ["camera_right"]
-    assert made("right", "left", "right") == ["camera_right", "camera_left"]
+    assert made() == ["left", "right"]
+    assert made("right") == ["right"]
+    assert made("right", "left", "right") == ["right", "left"]
     with pytest.raises(SceneError, match="no camera 'middle'; the scene has left, right"):
         made("left", "middle")
+
+
+def nodes_seen_by(client: Client) -> set[str]:
+    """Nodes without namespace; not the clients of this file."""
+    found = client.node.get_node_names_and_namespaces()
+    return {name for name, namespace in found if namespace == "/" and not name.endswith("client")}
+
+
+@pytest.mark.slow
+def test_users_see_the_same_nodes_and_diagnostics_for_any_number_of_processes(
+    ros: None, scene_path: Path
+) -> None:
+    """The tools of ROS hide nodes with a name that begins with _."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from std_msgs.msg import Header
+
+    visible = {"motion_player", "skinner_first", "skinner_second", *CAMERAS}
+    reporters = {1: {"/left, /right"}, 2: {"/left", "/right"}}
+    for number in (1, 2):
+        client = Client("onlooker_client")
+        diagnostics: set[str] = set()
+        done: set[str] = set()
+        client.node.create_subscription(
+            DiagnosticArray, "/diagnostics", lambda m, names=diagnostics: names.add(m.status[0].name), 50
+        )
+        client.node.create_subscription(
+            Header, "/frame_done", lambda m, names=done: names.add(m.frame_id), 50
+        )
+
+        def nodes(client: Client = client) -> set[str]:
+            return {name for name in nodes_seen_by(client) if not name.startswith("_")}
+
+        with Supervisor(scene_processes(scene_path, number)):
+            assert client.spin_until(lambda n=nodes: n() == visible), nodes()
+            everyone = {f"/{name}" for name in visible}
+            assert client.spin_until(lambda d=diagnostics, e=everyone: d == e), diagnostics
+            assert client.spin_until(lambda d=done, n=number: d == reporters[n]), done
+        client.close()
 
 
 def test_a_process_with_a_name_and_a_list_of_cameras(ros: None, tmp_path: Path) -> None:
@@ -254,15 +293,11 @@ def test_a_process_with_a_name_and_a_list_of_cameras(ros: None, tmp_path: Path) 
         stderr=subprocess.PIPE,
         text=True,
     )
-    client = Client("onlooker")
-
-    def names() -> list[str]:
-        found = client.node.get_node_names_and_namespaces()
-        return sorted(name for name, namespace in found if namespace == "/" and name.startswith("camera"))
+    client = Client("onlooker_client")
 
     try:
-        expected = ["camera_off", "camera_rig_1", "camera_right"]
-        assert client.spin_until(lambda: names() == expected), names()
+        expected = {"_camera_rig_1", "off", "right"}
+        assert client.spin_until(lambda: nodes_seen_by(client) == expected), nodes_seen_by(client)
     finally:
         running.send_signal(signal.SIGINT)
         log = running.communicate(timeout=PATIENCE)[1]

@@ -142,8 +142,8 @@ def test_camera_nodes_of_different_speeds_show_the_same_frames(
     ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each camera has a thread, as in a process of its own. Both need more than a period of 50 ms."""
-    shown: dict[str, list[int]] = {"camera_left": [], "camera_right": []}
-    seconds = {"camera_left": 0.07, "camera_right": 0.11}
+    shown: dict[str, list[int]] = {"left": [], "right": []}
+    seconds = {"left": 0.07, "right": 0.11}
 
     def slowly(node: Any, state: Any) -> None:
         time.sleep(seconds[node.get_name()])
@@ -153,10 +153,7 @@ def test_camera_nodes_of_different_speeds_show_the_same_frames(
     scene = write_scene(tmp_path)
     player = node(MotionPlayerNode, scene, "motion_player")
     skinners = [node(SkinnerNode, scene, f"skinner_{human}", human=human) for human in ("first", "second")]
-    cameras = [
-        node(CameraNode, scene, f"camera_{name}", camera=name, start_scene=False)
-        for name in ("left", "right")
-    ]
+    cameras = [node(CameraNode, scene, name, camera=name, start_scene=False) for name in ("left", "right")]
     with spinning([player, *skinners], [cameras[0]], [cameras[1]]):
         wait_until(lambda: all(len(stamps) >= 40 for stamps in shown.values()))
     left, right = shown.values()

@@ -58,8 +58,7 @@ def wait_for_nodes(process: subprocess.Popen[str], number: int) -> dict[int, str
     client = Client("onlooker")
 
     def answering() -> int:
-        names = client.node.get_node_names()
-        return len([name for name in names if name.startswith(("motion_player", "skinner", "camera"))])
+        return len(set(client.node.get_node_names()) - {"onlooker", "humansim_run"})
 
     ready = client.spin_until(lambda: len(nodes()) == number and answering() >= number)
     assert ready, f"{len(nodes())} of {number} nodes run, {answering()} answer"

@@ -391,6 +391,21 @@ def test_a_file_that_is_not_there_is_named_with_its_key(
 
 
 @pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("motion_player", "is the node of the motion player"),
+        ("skinner_anna", "is the node of the skinner of anna"),
+    ],
+)
+def test_a_camera_with_the_name_of_another_node_is_refused(write: Write, name: str, message: str) -> None:
+    path = write(GOOD.replace("  right:", f"  {name}:"))
+    with pytest.raises(SceneError, match=message) as caught:
+        Scene.load(path)
+    line = 1 + path.read_text().splitlines().index(f"  {name}:")
+    assert (caught.value.path, caught.value.key, caught.value.line) == (str(path), f"cameras.{name}", line)
+
+
+@pytest.mark.parametrize(
     ("old", "new", "key"),
     [
         ("[[500, 0, 319.5], [0, 500, 239.5]", "[[0, 0, 319.5], [0, 500, 239.5]", "cameras.right.K"),

@@ -1,5 +1,7 @@
 """Node ``camera``: renders one camera of a scene.
 
+In a running scene the node has the name of its camera.
+
 Subscribes to ``humans/<id>/vertices`` and ``joints`` of every human, ``objects/<name>/marker`` and ``twist``
 of every moving object, and the camera's own ``pose`` and ``twist`` if it has a trajectory, and synchronizes
 them by exact stamp. Publishes images and ground truth with that stamp. Only subscribed topics are rendered.
@@ -44,7 +46,7 @@ class CameraNode(SceneNode):
     def __init__(
         self, name: str = "", scene: Scene | None = None, renderer: Any = None, **options: Any
     ) -> None:
-        super().__init__(f"camera_{name}" if name else "camera", scene, **options)
+        super().__init__(name or "camera", scene, **options)
         self._camera = self._select_camera(name)
         name = self._camera.name
         self._frame = messages.optical_frame(name)
@@ -71,7 +73,7 @@ class CameraNode(SceneNode):
         self._publish_legends()
         if not self._in_rig:
             moving = [name] if self._camera.moves else []
-            self._synchronizer = FrameSynchronizer(self, self.publish_frame, moving)
+            self._synchronizer = FrameSynchronizer(self, self.publish_frame, [self], moving)
         width, height = self._camera.camera.size
         self.get_logger().info(f"{name}: {width}x{height} on {self._renderer.device}")
 

@@ -1,7 +1,8 @@
 """Node ``camera_rig``: several cameras of a scene in one process.
 
-Each camera is a node, ``camera_<name>``, with the topics and services of node ``camera``. The cameras share
-one OpenGL context, the subscriptions to humans and objects, and all cached results of the renderer.
+Each camera is a node with the name, topics, services and diagnostics that it has in a process of its own. The
+cameras share one OpenGL context, the subscriptions to humans and objects, and all cached results of the
+renderer. The node that receives the frames for them is hidden.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from humansim_ros.errors import HumansimError, SceneError
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
+from humansim_ros.ros.processes import RIG_NODE
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene.state import SceneState
 
@@ -24,7 +26,7 @@ class CameraRigNode(SceneNode):
     """Receives complete frames and passes each of them to its cameras in turn."""
 
     def __init__(self, **options: Any) -> None:
-        super().__init__("camera_rig", **options)
+        super().__init__(RIG_NODE, **options)
         names = self._select_cameras()
         self._renderer = self.make_renderer()
         # a node name from the command line is for this node only
@@ -33,13 +35,13 @@ class CameraRigNode(SceneNode):
                 name,
                 self.scene,
                 self._renderer,
-                cli_args=["--ros-args", "-r", f"__node:=camera_{name}"],
+                cli_args=["--ros-args", "-r", f"__node:={name}"],
                 **options,
             )
             for name in names
         ]
         moving = [name for name in names if name in self.scene.moving_cameras]
-        self._synchronizer = FrameSynchronizer(self, self.publish_frame, moving)
+        self._synchronizer = FrameSynchronizer(self, self.publish_frame, self.cameras, moving)
 
     def _select_cameras(self) -> Sequence[str]:
         """Cameras of parameter ``cameras``. Raises SceneError for a camera that the scene does not have."""
@@ -67,8 +69,19 @@ class CameraRigNode(SceneNode):
                 camera.publish_frame(state)
             except HumansimError as error:  # the other cameras may be able to render it
                 camera.report_skipped(str(error))
-        self.count("frames")
-        self.report_lateness(state.stamp)
+
+    def count(self, counter: str, number: int = 1) -> None:
+        """Add to a counter of all cameras: what happens to a frame happens to each of them."""
+        for camera in self.cameras:
+            camera.count(counter, number)
+
+    def report_time(self, milliseconds: float, event: str) -> None:
+        """Record a time for all cameras."""
+        for camera in self.cameras:
+            camera.report_time(milliseconds, event)
+
+    def _publish_diagnostics(self) -> None:
+        """Nothing: the cameras publish them."""
 
     def close(self) -> None:
         """Close all cameras and free the renderer."""

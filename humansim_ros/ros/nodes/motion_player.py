@@ -138,7 +138,7 @@ class MotionPlayerNode(SceneNode):
         late = self._pacing.late_cameras(tick.stamp, self._playback_clock.period, time.monotonic())
         if late:
             self.count("drops", 1 + tick.dropped)
-            self.drop_reason = f"{', '.join(late)} {'is' if len(late) == 1 else 'are'} late"
+            self.drop_reason = f"waiting for {', '.join(late)}"
             return
         self._publish(tick)
 

@@ -23,6 +23,8 @@ except ImportError:  # not on PyPI
 
 #: Received poses that are held: frames are a little older than the newest pose.
 _MAX_POSES = 200
+#: Nanoseconds from which a pose ahead of a frame has a stamp of another clock.
+_MAX_AHEAD = 5_000_000_000
 #: Nanoseconds after its last motion for which a camera counts as moving: poses may be rarer than frames.
 _MOVING_FOR = 1_000_000_000
 
@@ -31,7 +33,8 @@ class CameraPosePublisher:
     """Publishes ``<camera>/extrinsics`` and ``projection``, both latched, and tf.
 
     A static camera has them once, a moving one with the stamp of every frame. ``<camera>/pose`` (optical
-    frame in ``map``) moves any camera: poses are interpolated, and the camera stays at the last one.
+    frame in ``map``) moves any camera: poses are interpolated, and the camera stays at the last one. A pose
+    far ahead of a frame has a stamp of another clock: it holds from that frame on.
     """
 
     def __init__(self, node: SceneNode, camera: SceneCamera) -> None:
@@ -57,6 +60,7 @@ class CameraPosePublisher:
         """Exposure of the camera at a scene state; publishes the camera's pose at its stamp."""
         exposure = state.exposure(self._camera)
         if self._poses:
+            self._restamp_poses_ahead(state.stamp)
             if self._pose_at(state.stamp) is not self._last:  # a resting camera has the same object
                 self._last_motion = state.stamp
             exposure = replace(
@@ -71,6 +75,16 @@ class CameraPosePublisher:
             if self._tf is not None:
                 self._tf.publish(TFMessage(transforms=[transform]))
         return exposure
+
+    def _restamp_poses_ahead(self, stamp: int) -> None:
+        """Give the newest pose the stamp of a frame if its own is far ahead, and would never be reached."""
+        newest, pose = self._poses[-1]
+        if newest - stamp <= _MAX_AHEAD:
+            return
+        self._start = pose
+        self._poses.clear()
+        self._poses.append((stamp, pose))
+        self._node.report_other_clock([f"{self._camera.name}/pose"], (newest - stamp) * 1e-9, "frames")
 
     def _pose_at(self, stamp: int) -> CameraPose:
         """Pose at a stamp from the received poses."""

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import deque
 
 #: Newest sent frames that are remembered.
-_MAX_SENT = 32
+_MAX_SENT = 128
 #: Periods after the stamp of a frame until which two more may be sent while a camera still works on it: so
 #: that a short delay loses no frame.
 _PERIODS_OF_GRACE = 2.5
+#: Camera processes that are waited for.
+_MAX_CAMERAS = 100
 #: Seconds without a report after which a camera no longer delays the others.
 _GIVE_UP_AFTER = 3.0
 
@@ -36,8 +38,16 @@ class FramePacing:
         self._sent.append((stamp, now))
 
     def add_finished(self, camera: str, stamp: int, now: float) -> None:
-        """Record the report of a camera that it has finished a frame, and with it all earlier ones."""
-        self._finished[camera] = (stamp, now)
+        """Record the report of a camera that it has finished a frame, and with it all earlier ones.
+
+        Only frames of the last three seconds count: reports of other frames are of the cameras of another
+        player, or of a camera that no longer delays the others.
+        """
+        if not any(sent == stamp and now - at <= _GIVE_UP_AFTER for sent, at in self._sent):
+            return
+        finished, _ = self._finished.get(camera, (None, 0.0))
+        if finished != stamp and (finished is not None or len(self._finished) < _MAX_CAMERAS):
+            self._finished[camera] = (stamp, now)
 
     def late_cameras(self, stamp: int, period: float, now: float) -> list[str]:
         """Names of the cameras that have no time for a frame of this stamp.

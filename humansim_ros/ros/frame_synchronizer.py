@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections import deque
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
@@ -16,8 +16,8 @@ from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError, RosError
-from humansim_ros.motion.joint_poses import Velocity
 from humansim_ros.ros import messages
+from humansim_ros.ros.frame_buffer import FrameBuffer, GivenUpFrame
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, NEWEST
 from humansim_ros.scene.camera import CameraPose
@@ -25,35 +25,10 @@ from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.state import JointMotion, SceneState
 from humansim_ros.types import Float32Array
 
-#: Incomplete frames that are held before the oldest is dropped.
-_MAX_INCOMPLETE = 8
-#: Intervals between frames from which the period is estimated.
-_INTERVALS = 5
-#: Periods behind the newest frame after which a frame is late.
-_MAX_PERIODS_LATE = 1.5
 #: Seconds without any vertices after which the scene at its start is shown.
 _START_SCENE_AFTER = 1.5
 #: Nanoseconds after the start in which the other nodes may still be starting.
 _STARTING = 15_000_000_000
-#: Nanoseconds back that mean a clock that was set back (a bag played again), not a late message.
-_CLOCK_SET_BACK = 1_000_000_000
-
-
-@dataclass
-class _ReceivedFrame:
-    """Message contents that have arrived for one stamp, by name."""
-
-    #: By human.
-    vertices: dict[str, Float32Array] = field(default_factory=dict)
-    #: Serialised messages by human.
-    joints: dict[str, bytes] = field(default_factory=dict)
-    objects: dict[str, ObjectPose] = field(default_factory=dict)
-    cameras: dict[str, CameraPose] = field(default_factory=dict)
-    #: By topic without ``/twist``.
-    twists: dict[str, Velocity | None] = field(default_factory=dict)
-
-
-_FIELDS = tuple(part.name for part in fields(_ReceivedFrame))
 
 
 class FrameSynchronizer:
@@ -85,36 +60,28 @@ class FrameSynchronizer:
         self._reporter = ", ".join(camera.get_fully_qualified_name() for camera in cameras)
         self._scene = node.scene
         self._on_frame = on_frame
-        self._period = self._scene.period * 1e9
         humans, objects = list(self._scene.actors), list(self._scene.moving_objects)
+        self._moving_cameras = list(moving_cameras)
         moving = [*(f"objects/{name}" for name in objects), *moving_cameras]
-        #: Names of a complete frame, by field of _ReceivedFrame.
-        self._expected: dict[str, Sequence[str]] = {
-            "vertices": humans,
-            "joints": humans,
-            "objects": objects,
-            "cameras": list(moving_cameras),
-            "twists": moving,
-        }
-        self._frames: dict[int, _ReceivedFrame] = {}
-        self._last = self._newest = 0
-        # nanoseconds between the newest frames: the player's rate may differ from the scene's
-        self._intervals: deque[float] = deque([self._period] * _INTERVALS, maxlen=_INTERVALS)
+        self._topics: list[str] = []
         for human in humans:
-            topic = f"humans/{human}"
-            self._subscribe(PointCloud2, f"{topic}/vertices", "vertices", human, messages.read_vertices)
+            self._subscribe(PointCloud2, f"humans/{human}/vertices", partial(self._read_vertices, human))
             # serialised: joints are read only if a topic needs them
+            joints = f"humans/{human}/joints"
+            self._topics.append(joints)
             node.create_subscription(
-                MultiDOFJointState, f"{topic}/joints", partial(self._on_joints, human), NEWEST, raw=True
+                MultiDOFJointState, joints, partial(self._on_joints, joints), NEWEST, raw=True
             )
         for name in objects:
-            self._subscribe(Marker, f"objects/{name}/marker", "objects", name, messages.read_object)
+            self._subscribe(Marker, f"objects/{name}/marker", messages.read_object)
         for name in moving_cameras:
-            self._subscribe(PoseStamped, f"{name}/pose", "cameras", name, messages.read_pose)
+            self._subscribe(PoseStamped, f"{name}/pose", messages.read_pose)
         for name in moving:
-            self._subscribe(TwistStamped, f"{name}/twist", "twists", name, messages.read_twist)
+            self._subscribe(TwistStamped, f"{name}/twist", messages.read_twist)
+        self._buffer = FrameBuffer(self._topics, self._scene.period * 1e9)
+        self._has_frames = False
         self._done = node.create_publisher(Header, "frame_done", DATA)
-        if not any(self._expected.values()):  # nothing moves: the player gives the stamps alone
+        if not self._topics:  # nothing moves: the player gives the stamps alone
             node.create_subscription(Header, "frame", self._on_static_frame, NEWEST)
         description = "Show the scene at its start while no vertices arrive"
         self._shows_start = bool(node.described_parameter("start_scene", True, description, read_only=True))
@@ -122,57 +89,53 @@ class FrameSynchronizer:
         self._start_scene_logged = False
         self._start_scene_timer = node.create_timer(self._scene.period, self._show_start_scene)
 
-    def _subscribe(
-        self, message_type: Any, topic: str, part: str, name: str, read: Callable[[Any], Any]
-    ) -> None:
+    def _subscribe(self, message_type: Any, topic: str, read: Callable[[Any], Any]) -> None:
         def on_message(message: Any) -> None:
             try:
                 content = read(message)
             except HumansimError as error:
-                self._node.report_skipped(f"{name}: {error}")
+                self._node.report_skipped(f"{topic}: {error}")
             else:
-                self._store(messages.to_nanoseconds(message.header.stamp), part, name, content)
+                self._store(topic, messages.to_nanoseconds(message.header.stamp), content)
 
+        self._topics.append(topic)
         self._node.create_subscription(message_type, topic, on_message, NEWEST)
 
-    def _on_joints(self, human: str, data: bytes) -> None:
-        self._store(messages.serialised_stamp(data), "joints", human, data)
+    def _on_joints(self, topic: str, data: bytes) -> None:
+        self._store(topic, messages.serialised_stamp(data), data)
 
-    def _store(self, stamp: int, part: str, name: str, content: Any) -> None:
+    def _read_vertices(self, human: str, message: PointCloud2) -> Float32Array:
+        """Vertices of a message. Raises RosError unless they are those of the body, and finite."""
+        vertices = messages.read_vertices(message)
+        count = len(self._scene.actors[human].human.mesh.vertices)
+        if len(vertices) != count:
+            raise RosError(f"{len(vertices)} vertices, but the body has {count}")
+        if not (np.abs(vertices) < messages.MAX_COORDINATE).all():  # False for NaN, too
+            raise RosError("a vertex is not finite, or more than 1000 km away")
+        return vertices
+
+    def _store(self, topic: str, stamp: int, content: Any) -> None:
         """Store the content of a message with the others of its stamp."""
-        if stamp < self._last - _CLOCK_SET_BACK:
-            self._frames, self._last, self._newest = {}, 0, 0
-        if stamp > self._newest:
-            if self._newest:
-                self._intervals.append(stamp - self._newest)
-                self._period = sorted(self._intervals)[1]  # robust to few reordered or lost frames
-            self._newest = stamp
-        if stamp <= self._last:
-            return
-        getattr(self._frames.setdefault(stamp, _ReceivedFrame()), part)[name] = content
-        if self._is_complete(stamp):
+        steady = time.monotonic()
+        if self._buffer.add(topic, stamp, content, steady):
             self._schedule_next_frame()
-        elif len(self._frames) > _MAX_INCOMPLETE:
-            self._drop_oldest()
+        elif frame := self._buffer.give_up(self._node.now(), steady):
+            self._report_given_up(frame)
 
-    def _is_complete(self, stamp: int) -> bool:
-        frame = self._frames[stamp]
-        return all(len(getattr(frame, part)) == len(self._expected[part]) for part in _FIELDS)
-
-    def _drop_oldest(self) -> None:
-        frame = self._frames.pop(min(self._frames))
-        missing = {
-            name: None
-            for part in _FIELDS
-            for name in self._expected[part]
-            if name not in getattr(frame, part)
-        }
-        if not self._last and self._node.now() - self._started < _STARTING:
+    def _report_given_up(self, frame: GivenUpFrame) -> None:
+        if frame.offsets:
+            self._node.count("foreign_stamps")
+            seconds = max(frame.offsets.values(), key=abs)
+            self._node.report_other_clock(frame.offsets, seconds, "others")
+            return
+        if not self._has_frames and self._node.now() - self._started < _STARTING:
             return  # the skinners may be starting
         self._node.count("drops")
-        source = "its skinner" if {*missing} & {*self._scene.actors} else "the motion player"
+        sources = dict.fromkeys(topic.rpartition("/")[0].removeprefix("humans/") for topic in frame.missing)
+        is_human = any(topic.startswith("humans/") for topic in frame.missing)
+        node = "its skinner" if is_human else "the motion player"
         self._node.get_logger().warn(
-            f"frames wait for {', '.join(missing)}: is {source} running?", throttle_duration_sec=5.0
+            f"frames wait for {', '.join(sources)}: is {node} running?", throttle_duration_sec=5.0
         )
 
     def _schedule_next_frame(self) -> None:
@@ -185,27 +148,27 @@ class FrameSynchronizer:
         """Pass on the oldest complete frame; without pacing, the oldest that is not late, or the newest one
         if all are.
         """
-        complete = sorted(stamp for stamp in self._frames if self._is_complete(stamp))
-        if not complete:
+        paced = self._done.get_subscription_count() > 0
+        frame = self._buffer.take(not paced, self._node.now(), time.monotonic())
+        if frame is None:
             return
-        stamp = complete[0]
-        if not self._done.get_subscription_count():
-            newest, limit = max(self._frames), _MAX_PERIODS_LATE * self._period
-            stamp = next((s for s in complete if newest - s <= limit), complete[-1])
-        self._node.count("drops", sum(older < stamp for older in self._frames))
-        frame = self._frames[stamp]
-        twists = frame.twists
+        self._has_frames = True
+        self._node.count("drops", frame.skipped)
+        content = frame.contents
         objects = {
-            name: replace(pose, velocity=twists[f"objects/{name}"]) for name, pose in frame.objects.items()
+            name: replace(content[f"objects/{name}/marker"], velocity=content[f"objects/{name}/twist"])
+            for name in self._scene.moving_objects
         }
-        cameras = {name: replace(pose, velocity=twists[name]) for name, pose in frame.cameras.items()}
-        self._frames = {later: content for later, content in self._frames.items() if later > stamp}
-        self._last = stamp
-        self._node.report_lateness(stamp, "arrival")
-        joints_of = cache(lambda human: _read_joints(frame.joints[human]))
-        self._pass_on(stamp, frame.vertices, joints_of, objects, cameras)
-        self._report_done(stamp)
-        if any(self._is_complete(later) for later in self._frames):
+        cameras = {
+            name: replace(content[f"{name}/pose"], velocity=content[f"{name}/twist"])
+            for name in self._moving_cameras
+        }
+        vertices = {human: content[f"humans/{human}/vertices"] for human in self._scene.actors}
+        joints_of = cache(lambda human: _read_joints(content[f"humans/{human}/joints"]))
+        self._node.report_lateness(frame.stamp, "arrival")
+        self._pass_on(frame.stamp, vertices, joints_of, objects, cameras)
+        self._report_done(frame.stamp)
+        if self._buffer.has_complete:
             self._schedule_next_frame()
 
     def _report_done(self, stamp: int) -> None:
@@ -214,14 +177,14 @@ class FrameSynchronizer:
     def _on_static_frame(self, frame: Header) -> None:
         """Show a scene in which nothing moves, at the stamps of the motion player."""
         self._start_scene_timer.cancel()
-        self._last = messages.to_nanoseconds(frame.stamp)
-        self._pass_on(self._last, {}, _no_joints, {}, {})
-        self._report_done(self._last)
+        stamp = messages.to_nanoseconds(frame.stamp)
+        self._pass_on(stamp, {}, _no_joints, {}, {})
+        self._report_done(stamp)
 
     def _show_start_scene(self) -> None:
         now = self._node.now()
-        has_sources = any(self._expected.values())
-        if self._last and has_sources:
+        has_sources = bool(self._topics)
+        if self._has_frames:
             self._start_scene_timer.cancel()
         elif self._shows_start and (now - self._started > _START_SCENE_AFTER * 1e9 or not has_sources):
             if not self._start_scene_logged and has_sources:
@@ -237,7 +200,7 @@ class FrameSynchronizer:
                 {name: state.vertices for name, state in states.items()},
                 lambda human: JointMotion(states[human].joints, None, None),
                 objects,
-                {name: CameraPose.of(self._scene.cameras[name]) for name in self._expected["cameras"]},
+                {name: CameraPose.of(self._scene.cameras[name]) for name in self._moving_cameras},
             )
 
     def _pass_on(
@@ -250,8 +213,6 @@ class FrameSynchronizer:
     ) -> None:
         actors = self._scene.actors
         try:
-            for name, points in vertices.items():
-                _check_vertices(name, points, len(actors[name].human.mesh.vertices))
             self._on_frame(
                 SceneState(
                     stamp=stamp,
@@ -269,14 +230,6 @@ class FrameSynchronizer:
 
 def _no_joints(human: str) -> JointMotion:
     raise KeyError(human)
-
-
-def _check_vertices(name: str, vertices: Float32Array, count: int) -> None:
-    """Raise RosError unless these are ``count`` finite vertices."""
-    if len(vertices) != count:
-        raise RosError(f"{name}: {len(vertices)} vertices, but the body has {count}")
-    if not (np.abs(vertices) < messages.MAX_COORDINATE).all():  # False for NaN, too
-        raise RosError(f"{name}: a vertex is not finite, or more than 1000 km away")
 
 
 def _read_joints(data: bytes) -> JointMotion:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from statistics import median
 from typing import Any
 
@@ -126,6 +126,19 @@ class SceneNode(Node):
         """Log that a frame was skipped, and count it as a drop."""
         self.count("drops")
         self.get_logger().error(f"frame skipped: {reason}", throttle_duration_sec=1.0)
+
+    def report_other_clock(self, topics: Iterable[str], seconds: float, others: str) -> None:
+        """Log that the stamps of some topics come from another clock.
+
+        ``seconds``: by which they are ahead of those of the ``others``.
+        """
+        names = ", ".join(map(self.resolve_topic_name, topics))
+        side = "ahead of" if seconds > 0 else "behind"
+        self.get_logger().warn(
+            f"{names}: stamps are {abs(seconds):.1f} s {side} the {others}: are the clocks of the hosts "
+            "synchronised (chrony, NTP), and has every node the same use_sim_time?",
+            throttle_duration_sec=5.0,
+        )
 
     def report_lateness(self, stamp: int, event: str = "lateness") -> None:
         """Record the time from a frame's stamp until now for the diagnostics.

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from render_scenes import renderer_or_skip
-from ros_support import Client, rclpy
+from ros_support import Client, deliver, rclpy
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE
 
@@ -25,12 +25,14 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration
 from humansim_ros.errors import HumansimError
 from humansim_ros.ros import camera_pose, messages
+from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Frame, Scene, Simulation
+from humansim_ros.scene.state import SceneState
 
 PLACE = "size: [128, 96], position: [3, 0.4, 1.4], look_at: [0, 0, 1]"
 BENT = "K: [[120, 1, 66], [0, 118, 46], [0, 0, 1]], distortion: [-0.3, 0.09, 0.001, -0.002]"
@@ -582,12 +584,16 @@ def test_trajectories_move_all_cameras_at_the_same_stamp_until_the_player_pauses
 
 
 def test_a_pose_moves_a_camera_and_an_invalid_pose_is_logged(
-    make: Callable[[str, str], NodeSet], tf: dict[str, list[Any]], capfd: pytest.CaptureFixture[str]
+    make: Callable[[str, str], NodeSet],
+    tf: dict[str, list[Any]],
+    capfd: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     from geometry_msgs.msg import PoseStamped, TransformStamped
     from sensor_msgs.msg import CameraInfo, Image
     from std_msgs.msg import Float64MultiArray
 
+    monkeypatch.setattr(camera_pose, "_MAX_AHEAD", 2_000_000_000_000)
     one = make("posed", f"rate: 20\nroom: null\n{WALL}cameras: {{left: {{{PLACE}}}}}")
     node = one.add(CameraNode)
     one.subscribe(TransformStamped, "left/extrinsics", qos=LATCHED)
@@ -653,6 +659,44 @@ def test_a_pose_moves_a_camera_and_an_invalid_pose_is_logged(
             assert pose_of(one.messages_of("left/extrinsics")[stamp])[1].max() < 4
     log = capfd.readouterr().err
     assert "pose not used: a camera's pose must be in map, this is in 'odom'" in log
+
+
+def test_a_pose_of_another_clock_moves_a_camera_and_does_not_fix_it(
+    ros: None, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """One pose years ahead, a sender whose clock is ahead, and a sender whose clock is right."""
+    scene = Scene.load(write_files(tmp_path, f"room: null\n{WALL}cameras: {{left: {{{PLACE}}}}}"))
+    node = SceneNode("posed", scene)
+    publisher = camera_pose.CameraPosePublisher(node, scene.scene_cameras["left"])
+    now = node.now()
+
+    def send(x: float, stamp: int) -> None:
+        there = camera_pose.CameraPose.of(Camera.look_at((x, 0, 1), (0, 0, 1)))
+        deliver(node, "left/pose", messages.pose_message(there, stamp))
+
+    def x_at(stamp: int) -> float:
+        state = SceneState(
+            stamp=stamp, scene=scene, actors={}, vertices={}, joints_of=lambda _: None, objects={}
+        )
+        pose = publisher.exposure(state).pose_at(0.0)
+        return float((-pose.R.T @ pose.t)[0])
+
+    period = 50_000_000
+    send(2.0, now)
+    assert x_at(now) == pytest.approx(2.0)
+    send(2.5, now + 10**17)
+    assert x_at(now + period) == pytest.approx(2.5)
+    for number in range(2, 30):
+        send(2.5 + 0.01 * number, now + number * period + 10**10)
+        assert x_at(now + number * period) == pytest.approx(2.5 + 0.01 * number)
+    for number in range(30, 33):
+        send(0.1 * number, now + number * period)
+        assert x_at(now + number * period) == pytest.approx(0.1 * number)
+    # poses of a recording, which is older than the frames
+    send(1.5, 7 * period)
+    assert x_at(now + 33 * period) == pytest.approx(1.5)
+    node.destroy_node()
+    assert "/left/pose: stamps are 100000000.0 s ahead of the frames" in capfd.readouterr().err
 
 
 def test_a_camera_with_rare_poses_counts_as_moving_between_them(

@@ -129,12 +129,39 @@ def test_without_reports_and_after_a_pause_nothing_is_late() -> None:
 
 def test_frames_before_a_clock_that_is_set_back_are_forgotten() -> None:
     pacing = FramePacing()
+    pacing.add_sent(50, 0.0)
     pacing.add_finished("camera", 50, 0.0)
     for stamp in (100, 101, 102):
         pacing.add_sent(stamp, 0.0)
     assert pacing.late_cameras(110, 1.0, 0.1) == ["camera"]
     pacing.add_sent(7, 0.2)
     assert pacing.late_cameras(8, 1.0, 0.3) == []
+
+
+def test_reports_of_frames_that_were_not_sent_and_repeated_ones_delay_nothing_for_ever() -> None:
+    """As from the cameras of another player, or from a stranger who repeats one report for ever."""
+    pacing = FramePacing()
+    pacing.add_sent(1, 0.0)
+    pacing.add_finished("repeats", 1, 0.0)
+    late = []
+    for number in range(2, 400):
+        now = 0.05 * number
+        for stamp in (0, 10**18, -5):
+            pacing.add_finished("stranger", stamp, now)
+        pacing.add_finished("repeats", 1, now)
+        late.append(pacing.late_cameras(number, 1.0, now))
+        if not late[-1]:
+            pacing.add_sent(number, now)
+    assert ["repeats"] in late
+    assert late[100:] == [[]] * (len(late) - 100)
+
+
+def test_names_of_reports_are_bounded() -> None:
+    pacing = FramePacing()
+    pacing.add_sent(1, 0.0)
+    for number in range(10_000):
+        pacing.add_finished(f"camera_{number}", 1, 0.0)
+    assert len(pacing._finished) == 100
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import Client, Lockstep, write_scene
+from ros_support import Client, Lockstep, deliver, write_scene
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.body.rigging import dominant_bones
@@ -397,6 +397,26 @@ def test_a_name_that_the_scene_lacks_is_refused_with_the_names_it_has(
 ) -> None:
     with pytest.raises(SceneError, match=r"nobody.*(first|left)"):
         node(**parameters(scene=str(write_scene(tmp_path)), **{key: "nobody"}))
+
+
+def test_a_stamp_far_ahead_does_not_end_the_markers(
+    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = SkinnerNode(**parameters(scene=str(write_scene(tmp_path))))
+    sent: list[int] = []
+    recorder = SimpleNamespace(
+        get_subscription_count=lambda: 1,
+        publish=lambda message: sent.append(messages.to_nanoseconds(message.markers[0].header.stamp)),
+    )
+    monkeypatch.setattr(node, "_markers", recorder)
+    poses = node._actor.joint_poses(0.5)
+    start = node.now() - 10**9
+    stamps = [start, start + 10**17, *(start + number * 50_000_000 for number in range(1, 8))]
+    for stamp in stamps:
+        deliver(node, "humans/first/motion", messages.motion_message(poses, stamp))
+    node.destroy_node()
+    # ten a second
+    assert sent == [*stamps[:3], *stamps[4::2]]
 
 
 def test_a_camera_follows_a_clock_that_is_set_back(ros: None, tmp_path: Path) -> None:

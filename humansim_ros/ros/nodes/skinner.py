@@ -70,7 +70,7 @@ class SkinnerNode(SceneNode):
         self._vertices = self.create_publisher(PointCloud2, f"humans/{name}/vertices", DATA)
         self._markers = self.create_publisher(MarkerArray, f"humans/{name}/markers", DATA)
         self._marker_period = int(1e9 / marker_rate)
-        self._next_marker = 0
+        self._last_marker = 0
         self._marker_builder = MarkerBuilder(self._actor.human)
         self.publish_latched(mesh_message(self._actor.human.mesh), f"humans/{name}/mesh")
         # first, so that a legend arrives before its motion
@@ -130,8 +130,9 @@ class SkinnerNode(SceneNode):
         self._joints.publish(joints)
         if self._vertices.get_subscription_count():
             self._vertices.publish(vertices)
-        if self._markers.get_subscription_count() and stamp >= self._next_marker:
-            self._next_marker = stamp + self._marker_period
+        since_marker = stamp - self._last_marker  # negative after a stamp of another clock
+        if self._markers.get_subscription_count() and not 0 <= since_marker < self._marker_period:
+            self._last_marker = stamp
             self._markers.publish(
                 self._marker_builder.build(self._actor.name, self._actor.instance, state, stamp)
             )

@@ -1,0 +1,103 @@
+"""The synchronizer of a camera: messages of a scene become its states, and clocks that disagree are named."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from ros_support import Client, deliver, write_scene
+
+from humansim_ros.ros import messages
+from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
+from humansim_ros.ros.node import SceneNode
+from humansim_ros.scene.state import SceneState
+
+HUMANS = ("first", "second")
+PERIOD = 50_000_000
+
+
+class Stage:
+    """A node with a synchronizer, and the states that it passes on."""
+
+    def __init__(self, scene: Path) -> None:
+        from rclpy.parameter import Parameter
+
+        given = {"scene": str(scene), "start_scene": False}
+        overrides = [Parameter(name, value=value) for name, value in given.items()]
+        self.node = SceneNode("synchronized", parameter_overrides=overrides, namespace="sync")
+        self.states: list[SceneState] = []
+        self.synchronizer = FrameSynchronizer(self.node, self.states.append, [self.node])
+        self.client = Client("sync_client")
+        self.client.executor.add_node(self.node)
+        self.bodies = {name: actor.at(0.5) for name, actor in self.node.scene.actors.items()}
+
+    def send_vertices(self, human: str, stamp: int, vertices: Any = None) -> None:
+        points = self.bodies[human].vertices if vertices is None else vertices
+        deliver(self.node, f"humans/{human}/vertices", messages.vertices_message(points, stamp))
+
+    def send(self, human: str, stamp: int) -> None:
+        deliver(self.node, f"humans/{human}/joints", messages.joints_message(self.bodies[human], stamp))
+        self.send_vertices(human, stamp)
+
+    def passed_on(self, stamp: int) -> bool:
+        return self.client.spin_until(lambda: any(state.stamp == stamp for state in self.states))
+
+
+@pytest.fixture
+def stage(ros: None, tmp_path: Path) -> Iterator[Stage]:
+    made = Stage(write_scene(tmp_path))
+    yield made
+    made.node.destroy_node()
+    made.client.close()
+
+
+def test_frames_go_on_beside_stamps_that_are_ahead_for_ever(
+    stage: Stage, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """They froze after eight of them. The user is told the topic, the seconds and the remedy."""
+    start = stage.node.now()
+    for number in range(30):
+        stamp = start + number * PERIOD
+        stage.send("first", stamp)
+        stage.send_vertices("first", stamp + 12_300_000_000)
+        stage.send("second", stamp)
+        assert stage.passed_on(stamp)
+    (state,) = (state for state in stage.states if state.stamp == stamp)
+    np.testing.assert_array_equal(state.vertices["first"], stage.bodies["first"].vertices)
+    log = capfd.readouterr().err
+    # the frames are sent faster than their period, and the log is throttled
+    assert re.search(r"/sync/humans/first/vertices: stamps are 1[1-3]\.\d s ahead of the others", log)
+    assert "are the clocks of the hosts synchronised (chrony, NTP)" in log
+
+
+def test_a_silent_human_is_named(stage: Stage, capfd: pytest.CaptureFixture[str]) -> None:
+    start = stage.node.now()
+    for human in HUMANS:
+        stage.send(human, start)
+    assert stage.passed_on(start)
+    for number in range(1, 12):
+        stage.send("first", start + number * PERIOD)
+    log = capfd.readouterr().err
+    assert "frames wait for second: is its skinner running?" in log
+    assert "clocks" not in log
+
+
+def test_vertices_that_are_not_those_of_the_body_are_not_held(
+    stage: Stage, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Eight large clouds of a stranger would fill the memory of a camera."""
+    start = stage.node.now()
+    stage.send_vertices("first", start, np.zeros((100_000, 3), np.float32))
+    assert "vertices, but the body has" in capfd.readouterr().err
+    stage.send_vertices("first", start, np.full_like(stage.bodies["first"].vertices, np.nan))
+    stage.send_vertices("first", start, 1e7 + stage.bodies["first"].vertices)
+    deliver(stage.node, "humans/first/joints", messages.joints_message(stage.bodies["first"], start))
+    stage.send("second", start)
+    stage.send("first", start + PERIOD)
+    stage.send("second", start + PERIOD)
+    assert stage.passed_on(start + PERIOD)
+    assert [state.stamp for state in stage.states] == [start + PERIOD]

@@ -66,7 +66,6 @@ _SETTINGS = {
 }
 #: Settings with a parameter for all humans; parameter ``speed`` without a human is that of the clock.
 _SHARED = tuple(name for name in _SETTINGS if name != "speed")
-_FLOAT_PARAMETERS = {"rate", "speed", "seek", "start", "end"}
 
 
 class MotionParameters:
@@ -104,7 +103,7 @@ class MotionParameters:
 
     def complete(self, parameters: Sequence[Parameter]) -> list[Parameter]:
         """Add parameters that change along: each human's with that for all, start and end with the file."""
-        out = {parameter.name: _converted(parameter) for parameter in parameters}
+        out = {parameter.name: parameter for parameter in parameters}
         for name in [name for name in out if name in _SHARED]:
             for human in self._playback.settings:
                 same = Parameter(f"{human}.{name}", out[name].type_, out[name].value)
@@ -150,11 +149,3 @@ class MotionParameters:
             if each and all(value == each[0] for value in each):
                 common[name] = each[0]
         return common
-
-
-def _converted(parameter: Parameter) -> Parameter:
-    """Convert integers that were typed for a floating-point parameter."""
-    is_float = parameter.name.rpartition(".")[2] in _FLOAT_PARAMETERS
-    if is_float and parameter.type_ == Parameter.Type.INTEGER:
-        return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))
-    return parameter

@@ -9,9 +9,10 @@ from statistics import median
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from humansim_ros.errors import HumansimWarning, RosError
 from humansim_ros.ros.processes import WARNINGS_SHOWN
@@ -76,6 +77,8 @@ class SceneNode(Node):
     ) -> Any:
         """Declare a parameter and return its value.
 
+        An integer is accepted for a floating-point parameter, here and later: 10 is a number as 10.0 is.
+
         Args:
             name: Name of the parameter.
             default: Value unless it is overridden. A parameter type leaves it unset (None).
@@ -97,10 +100,27 @@ class SceneNode(Node):
                 descriptor.floating_point_range = [
                     FloatingPointRange(from_value=low, to_value=high, step=0.0)
                 ]
+        override = self._parameter_overrides.get(name)
+        if override is not None and (isinstance(default, float) or default is Parameter.Type.DOUBLE):
+            self._parameter_overrides[name] = _as_float(override)
         try:
             return self.declare_parameter(name, default, descriptor).value
         except (InvalidParameterTypeException, InvalidParameterValueException) as reason:
             raise RosError(f"parameter {name}: {reason}") from None
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters all at once, as the services do; integers become floating-point numbers where the
+        parameter is one.
+        """
+        return super().set_parameters_atomically(
+            [
+                _as_float(parameter)
+                if self.has_parameter(parameter.name)
+                and self.describe_parameter(parameter.name).type == Parameter.Type.DOUBLE.value
+                else parameter
+                for parameter in parameter_list
+            ]
+        )
 
     def make_renderer(self) -> Any:
         """Create the renderer of the scene on the GPU of parameter ``device``."""
@@ -177,3 +197,10 @@ class SceneNode(Node):
             )
         self._counts = dict.fromkeys(self._counts, 0)
         self._lateness = {}
+
+
+def _as_float(parameter: Parameter) -> Parameter:
+    """Parameter with a floating-point number in place of an integer."""
+    if parameter.type_ != Parameter.Type.INTEGER:
+        return parameter
+    return Parameter(parameter.name, Parameter.Type.DOUBLE, float(parameter.value))

@@ -12,11 +12,11 @@ ROOT = Path(__file__).resolve().parent
 BUILDS_WHEEL = not {"bdist_wheel", "editable_wheel"}.isdisjoint(sys.argv)
 
 COMMANDS = [
-    "humansim = humansim_ros.cli.main:main",
-    "motion_player = humansim_ros.ros.nodes.motion_player:main",
-    "skinner = humansim_ros.ros.nodes.skinner:main",
-    "camera = humansim_ros.ros.nodes.camera:main",
-    "camera_rig = humansim_ros.ros.nodes.camera_rig:main",
+    "humansim = humansim_ros.cli.__main__:main",
+    "motion_player = humansim_ros.ros.nodes.executables:motion_player",
+    "skinner = humansim_ros.ros.nodes.executables:skinner",
+    "camera = humansim_ros.ros.nodes.executables:camera",
+    "camera_rig = humansim_ros.ros.nodes.executables:camera_rig",
 ]
 
 # The upper bounds keep Ubuntu 24.04's own NumPy 1.26 in place: from these releases on, SciPy and OpenCV ask

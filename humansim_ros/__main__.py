@@ -2,7 +2,7 @@
 
 import sys
 
-from humansim_ros.cli.main import main
+from humansim_ros.cli.__main__ import main
 
 if __name__ == "__main__":
     sys.exit(main())

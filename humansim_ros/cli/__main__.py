@@ -1,7 +1,20 @@
 """``python -m humansim_ros.cli``: the ``humansim`` command without its script."""
 
+from __future__ import annotations
+
 import sys
 
-from humansim_ros.cli.main import main
+from humansim_ros.ros.stop_signals import StopRequest, end_process_on_stop
 
-sys.exit(main())
+
+def main() -> int:
+    """Run the command; a stop signal ends it quietly from the first import on."""
+    end_process_on_stop()
+    from humansim_ros.cli.main import main
+
+    StopRequest()
+    return main()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import sys
 import tempfile
 import time
@@ -21,6 +20,7 @@ from humansim_ros.cli.scene_options import SceneOptions
 from humansim_ros.cli.snapshot import snapshot
 from humansim_ros.errors import HumansimError, show_warnings
 from humansim_ros.resources import resource_path
+from humansim_ros.ros.stop_signals import Stopped
 
 
 def _root(
@@ -55,7 +55,7 @@ def run(
         typer.Option(help="Number of processes that share the cameras; one per core if absent.", min=1),
     ] = None,
 ) -> None:
-    """Start all nodes of a scene as processes. Ctrl-C stops them."""
+    """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.ros.first_images import FirstImages
     from humansim_ros.ros.processes import scene_processes
     from humansim_ros.ros.supervisor import Supervisor
@@ -63,7 +63,6 @@ def run(
 
     start = time.monotonic()
     _check_machine()
-    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
     with tempfile.TemporaryDirectory(prefix="humansim-") as folder:
         path = scene or resource_path("config/scenes/demo.yaml")
         options = SceneOptions(motion, mesh, joint_names, live or ())
@@ -76,13 +75,13 @@ def run(
         warn_about_mistakes(loaded, options)
         node_processes = scene_processes(path, processes)
         with Supervisor(node_processes) as nodes:
-            names = ", ".join(name for process in node_processes for name in process.visible_nodes)
-            print(f"starting {names}; Ctrl-C stops", flush=True)
-            first = FirstImages(list(loaded.cameras), list(loaded.actors), start)
-            nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
             try:
+                names = ", ".join(name for process in node_processes for name in process.visible_nodes)
+                print(f"starting {names}; Ctrl-C stops", flush=True)
+                first = FirstImages(list(loaded.cameras), list(loaded.actors), start)
+                nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
                 dead = nodes.wait(None if duration is None else time.monotonic() + duration)
-            except KeyboardInterrupt:
+            except Stopped:
                 dead = None
                 print("stopping", flush=True)
     if dead:
@@ -103,7 +102,6 @@ def demo(
     from humansim_ros.ros.demo import record_demo
 
     _check_machine()
-    signal.signal(signal.SIGTERM, signal.getsignal(signal.SIGINT))
     path = scene or resource_path("config/scenes/demo.yaml")
     video = "walk.mp4" if scene is None else f"{scene.stem}.mp4"
     if not record_demo(path, output, duration, video):
@@ -212,7 +210,10 @@ def _parser_message(error: Any) -> str:
 
 
 def main() -> int:
-    """Entry point: errors of the package are one line on standard error and exit code 2."""
+    """Entry point: errors of the package are one line on standard error and exit code 2.
+
+    A stop signal ends a command in order with exit code 128 + its number, and a run of all nodes with 0.
+    """
     show_warnings()
     arguments = join_numbers(sys.argv[1:])
     try:
@@ -220,8 +221,6 @@ def main() -> int:
     except HumansimError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except KeyboardInterrupt:
-        return 130
     except typer.Abort:
         return 1
     except Exception as error:

@@ -138,11 +138,12 @@ class _Recorder:
         import rclpy
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import qos_profile_sensor_data
+        from rclpy.signals import SignalHandlerOptions
         from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2
 
         self.scene = scene
         prepare_transport()
-        rclpy.init()
+        rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node("humansim_demo")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)

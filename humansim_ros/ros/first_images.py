@@ -16,6 +16,9 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from humansim_ros.ros.parent import end_with_parent
+from humansim_ros.ros.stop_signals import end_process_on_stop
+
 #: Seconds until the first line about cameras that have not delivered yet; then twice as long, and so on.
 _FIRST_PROGRESS = 3.0
 #: Most names of a list that are printed.
@@ -138,10 +141,14 @@ def _checkout() -> Path | None:
 
 
 def main(argument: str) -> None:
-    """Wait and report; a stop signal ends it."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    FirstImages(**json.loads(argument)).wait()
+    """Wait and report; a stop signal ends it, and an output that cannot be written."""
+    end_process_on_stop(0)
+    try:
+        FirstImages(**json.loads(argument)).wait()
+    except OSError:  # of the output: flushing it at the end would fail again
+        os._exit(0)
 
 
 if __name__ == "__main__":
+    end_with_parent()
     main(sys.argv[1])

@@ -14,6 +14,7 @@ from typing import Any
 from humansim_ros.errors import HumansimError, RosError, show_warnings
 from humansim_ros.render.memory import keep_image_blocks
 from humansim_ros.resources import resource_path
+from humansim_ros.ros.stop_signals import Stopped, StopRequest, end_process, end_process_on_stop
 
 #: Environment variables that mean that the user has configured the transports of Fast DDS.
 _TRANSPORT_SETTINGS = (
@@ -22,7 +23,6 @@ _TRANSPORT_SETTINGS = (
     "FASTDDS_BUILTIN_TRANSPORTS",
     "ROS_DISCOVERY_SERVER",
 )
-_STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM)
 #: Seconds after which an idle node notices a stop signal.
 _SPIN_TIMEOUT = 0.1
 #: Seconds after which a shutdown that hangs is aborted.
@@ -67,16 +67,13 @@ def make_executor() -> Any:
     return EventsExecutor()
 
 
-def _interrupt(number: int, _: Any) -> None:
-    raise KeyboardInterrupt
-
-
 def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) -> int:
-    """Run one node, and nodes that it has created, until SIGINT or SIGTERM.
+    """Run one node, and nodes that it has created, until a stop signal; a second one ends it at once.
 
     Returns:
         Exit code: 0 after a stop signal, 2 after invalid input.
     """
+    end_process_on_stop(0)
     show_warnings()
     try:
         require_ros()
@@ -92,9 +89,8 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     options = SignalHandlerOptions.NO
     rclpy.init(args=None if arguments is None else list(arguments), signal_handler_options=options)
     node = None
+    stop = StopRequest(again=end_process)
     try:
-        for number in _STOP_SIGNALS:
-            signal.signal(number, _interrupt)
         node = make()
         # objects created until now stay: a garbage collection of them stops a node for a tenth of a second
         gc.collect()
@@ -102,17 +98,16 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
         executor = make_executor()
         for each in node.nodes:
             executor.add_node(each)
-        received: list[int] = []
-        for number in _STOP_SIGNALS:
-            signal.signal(number, lambda number, _: received.append(number))
-        while not received:  # not spin(), which never sleeps where libstdc++ is old
+        stop.raises = False
+        while stop.number is None:  # not spin(), which never sleeps where libstdc++ is old
             executor.spin_once(_SPIN_TIMEOUT)
     except HumansimError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    except (KeyboardInterrupt, ExternalShutdownException):
+    except (Stopped, ExternalShutdownException):
         pass
     finally:
+        stop.raises = False
         # Fast DDS sometimes spins for ever while its participant is destroyed: then this ends the process
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.alarm(_SHUTDOWN_LIMIT)

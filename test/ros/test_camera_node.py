@@ -431,7 +431,7 @@ def test_an_invalid_calibration_is_an_error_that_names_the_file(
 def test_a_camera_info_url_without_a_file_ends_the_process_with_code_2(tmp_path: Path) -> None:
     scene = write_files(tmp_path, DRIVER)
     result = subprocess.run(
-        [sys.executable, "-m", "humansim_ros.ros.nodes.camera", "--ros-args", "-p", f"scene:={scene}",
+        [sys.executable, "-m", "humansim_ros.ros.nodes", "camera", "--ros-args", "-p", f"scene:={scene}",
          "-p", "camera_info_url:=file:///gone/left.yaml"],
         capture_output=True, text=True, timeout=PATIENCE, check=False,
     )  # fmt: skip
@@ -446,7 +446,7 @@ def test_a_scene_for_a_renderer_that_is_not_installed_ends_the_process_with_code
     scene = write_files(tmp_path, f"renderer: pyrender\nroom: null\ncameras: {{left: {{{PLACE}}}}}")
     (tmp_path / "pyrender.py").write_text("raise ImportError('no pyrender here')")
     result = subprocess.run(
-        [sys.executable, "-m", "humansim_ros.ros.nodes.camera", "--ros-args", "-p", f"scene:={scene}"],
+        [sys.executable, "-m", "humansim_ros.ros.nodes", "camera", "--ros-args", "-p", f"scene:={scene}"],
         env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])},
         capture_output=True, text=True, timeout=PATIENCE, check=False,
     )  # fmt: skip

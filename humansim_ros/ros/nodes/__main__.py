@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import importlib
-import signal
 import sys
 
+from humansim_ros.ros.nodes.executables import run
+from humansim_ros.ros.parent import end_with_parent
+
 if __name__ == "__main__":
-    # Ctrl-C ends the process while the node starts; run_node installs its own handlers
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-    name = sys.argv.pop(1)
-    sys.exit(importlib.import_module(f"humansim_ros.ros.nodes.{name}").main())
+    end_with_parent()
+    sys.exit(run(sys.argv.pop(1)))

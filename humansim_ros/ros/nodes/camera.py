@@ -10,7 +10,6 @@ As camera drivers, it has ``camera_info``, ``set_camera_info`` and ``camera_info
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 from typing import Any
@@ -162,7 +161,3 @@ class CameraNode(SceneNode):
 def main() -> int:
     """Run the node; returns its exit code."""
     return run_node(CameraNode)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

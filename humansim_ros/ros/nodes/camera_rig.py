@@ -7,7 +7,6 @@ renderer. The node that receives the frames for them is hidden.
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from typing import Any
 
@@ -94,7 +93,3 @@ class CameraRigNode(SceneNode):
 def main() -> int:
     """Run the node; returns its exit code."""
     return run_node(CameraRigNode)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -16,7 +16,6 @@ Parameters can be set while it plays; services ``~/pause``, ``~/step`` and ``~/r
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable, Collection, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -272,7 +271,3 @@ class MotionPlayerNode(SceneNode):
 def main() -> int:
     """Run the node; returns its exit code."""
     return run_node(MotionPlayerNode)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

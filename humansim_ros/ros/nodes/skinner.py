@@ -9,7 +9,6 @@ same stamp, and latched ``humans/<id>/mesh``.
 
 from __future__ import annotations
 
-import sys
 import time
 from dataclasses import replace
 from typing import Any
@@ -168,7 +167,3 @@ def _at_standstill(state: HumanState) -> HumanState:
 def main() -> int:
     """Run the node; returns its exit code."""
     return run_node(SkinnerNode)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

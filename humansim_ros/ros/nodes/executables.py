@@ -1,0 +1,33 @@
+"""Entry points of the executables; they import a node only after its process can be stopped quietly."""
+
+from __future__ import annotations
+
+from importlib import import_module
+
+from humansim_ros.ros.stop_signals import end_process_on_stop
+
+
+def run(name: str) -> int:
+    """Run the node of module ``name``; returns its exit code, which is 0 after a stop signal."""
+    end_process_on_stop(0)
+    return int(import_module(f"humansim_ros.ros.nodes.{name}").main())
+
+
+def motion_player() -> int:
+    """Run the motion player."""
+    return run("motion_player")
+
+
+def skinner() -> int:
+    """Run a skinner."""
+    return run("skinner")
+
+
+def camera() -> int:
+    """Run a camera."""
+    return run("camera")
+
+
+def camera_rig() -> int:
+    """Run a camera rig."""
+    return run("camera_rig")

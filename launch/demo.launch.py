@@ -3,11 +3,12 @@
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from humansim_ros.ros.processes import render_threads, scene_processes
+from humansim_ros.ros.processes import WRONG_INPUT, render_threads, scene_processes
 
 # launch/ and config/ are in one folder, in the checkout and in share/humansim_ros
 DEMO_SCENE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "demo.yaml"
@@ -25,9 +26,18 @@ def scene_nodes(context: LaunchContext) -> list[Node]:
             arguments=process.ros_arguments,
             additional_env=render_threads(processes),
             output="screen",
+            respawn=LaunchConfiguration("respawn"),
+            respawn_delay=0.5,
+            respawn_max_retries=20,  # in all
+            on_exit=stop_after_wrong_input,
         )
         for process in processes
     ]
+
+
+def stop_after_wrong_input(event: ProcessExited, context: LaunchContext) -> list[Shutdown]:
+    """Stop all nodes if one has reported wrong input: another start would report it again."""
+    return [Shutdown(reason="wrong input")] if event.returncode == WRONG_INPUT else []
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -38,6 +48,9 @@ def generate_launch_description() -> LaunchDescription:
                 "processes",
                 default_value="",
                 description="Number of processes that share the cameras; empty: one per core",
+            ),
+            DeclareLaunchArgument(
+                "respawn", default_value="true", description="Start a node again that has died: true or false"
             ),
             OpaqueFunction(function=scene_nodes),
         ]

@@ -289,7 +289,9 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
 
     fakes = {
         "launch": {"LaunchContext": dict, "LaunchDescription": list},
-        "launch.actions": {"DeclareLaunchArgument": record, "OpaqueFunction": record},
+        "launch.actions": {"DeclareLaunchArgument": record, "OpaqueFunction": record, "Shutdown": record},
+        "launch.events": {},
+        "launch.events.process": {"ProcessExited": types.SimpleNamespace},
         "launch.substitutions": {"LaunchConfiguration": FakeConfiguration},
         "launch_ros": {},
         "launch_ros.actions": {"Node": record},
@@ -303,7 +305,7 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     spec.loader.exec_module(launch_file)
 
     *arguments, opaque = launch_file.generate_launch_description()
-    assert [argument.args for argument in arguments] == [("scene",), ("processes",)]
+    assert [argument.args for argument in arguments] == [("scene",), ("processes",), ("respawn",)]
     for number in (None, 3):
         configuration = {
             **{a.args[0]: a.default_value for a in arguments},
@@ -315,6 +317,11 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
             (process.executable, process.ros_arguments) for process in expected
         ]
         assert {node.package for node in nodes} == {"humansim_ros"}
+        for node in nodes:
+            assert node.respawn.name == "respawn"
+            assert node.respawn_max_retries > 0  # a negative number would be without end
+            assert node.on_exit(types.SimpleNamespace(returncode=2), configuration)  # wrong input: all stop
+            assert not node.on_exit(types.SimpleNamespace(returncode=-9), configuration)
 
 
 # The three installations. Each test works on a copy of the sources, so that no build folder remains.

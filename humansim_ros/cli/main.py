@@ -54,10 +54,13 @@ def run(
         int | None,
         typer.Option(help="Number of processes that share the cameras; one per core if absent.", min=1),
     ] = None,
+    respawn: Annotated[
+        bool, typer.Option("--respawn/--no-respawn", help="Start a node again that has died.")
+    ] = True,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.ros.first_images import FirstImages
-    from humansim_ros.ros.processes import scene_processes
+    from humansim_ros.ros.processes import WRONG_INPUT, scene_processes
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
 
@@ -80,17 +83,15 @@ def run(
                 print(f"starting {names}; Ctrl-C stops", flush=True)
                 first = FirstImages(list(loaded.cameras), list(loaded.actors), start)
                 nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
-                dead = nodes.wait(None if duration is None else time.monotonic() + duration)
+                dead = nodes.wait(None if duration is None else time.monotonic() + duration, respawn)
             except Stopped:
                 dead = None
                 print("stopping", flush=True)
     if dead:
-        name, code = dead
-        print(
-            f"error: node {name} ended unexpectedly (exit code {code}); the other nodes were stopped",
-            file=sys.stderr,
-        )
-        raise typer.Exit(2 if code == 2 else 1)  # 2: wrong input, which the node has reported
+        wrong_input = dead.code == WRONG_INPUT  # which the node has reported
+        again = " again and again" if respawn and not wrong_input else ""
+        print(f"error: {dead}{again}; the other nodes were stopped", file=sys.stderr)
+        raise typer.Exit(2 if wrong_input else 1)
 
 
 def demo(

@@ -161,7 +161,7 @@ def measure(
         begin, before = time.monotonic(), CpuTime.now(pids)
         subscriber.spin(seconds)
         if dead := nodes.dead():
-            raise RosError(f"node {dead[0]} ended unexpectedly (exit code {dead[1]})")
+            raise RosError(str(dead))
         used, elapsed = CpuTime.now(pids).since(before), time.monotonic() - begin
     names = {process.node_name for process in started if process.executable in ("camera", "camera_rig")}
     frames = max(1, subscriber.complete)
@@ -242,7 +242,7 @@ class _Subscriber:
         while self._silent:
             self.spin(0.1)
             if dead := nodes.dead():
-                raise RosError(f"node {dead[0]} ended unexpectedly (exit code {dead[1]})")
+                raise RosError(str(dead))
             if len(self._silent) < silent:
                 silent, limit = len(self._silent), time.monotonic() + _START_LIMIT
             if time.monotonic() > limit:

@@ -18,7 +18,7 @@ from humansim_ros.drawing import canvas, views
 from humansim_ros.errors import HumansimError
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.runtime import prepare_transport
-from humansim_ros.ros.supervisor import Supervisor
+from humansim_ros.ros.supervisor import EndedProcess, Supervisor
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import LIVE
 from humansim_ros.types import Image
@@ -118,9 +118,9 @@ def _record(nodes: Supervisor, recorder: _Recorder, duration: float, console: Co
     return time.monotonic() - begin
 
 
-def _print_failure(console: Console, dead: tuple[str, int] | None, silent: list[str]) -> None:
+def _print_failure(console: Console, dead: EndedProcess | None, silent: list[str]) -> None:
     if dead:
-        console.print(f"error: node {dead[0]} ended unexpectedly (exit code {dead[1]})", style="red")
+        console.print(f"error: {dead}", style="red")
     else:
         console.print(
             f"error: nothing arrived within {_START_LIMIT:.0f} s on {', '.join(silent)}", style="red"

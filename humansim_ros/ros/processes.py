@@ -15,6 +15,8 @@ WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
 #: Node that receives the frames for the cameras of its process. The tools of ROS hide names that begin with
 #: _, so that users see the same nodes for any number of processes.
 RIG_NODE = "_camera_rig"
+#: Exit code of a node that has reported wrong input: another start would report it again.
+WRONG_INPUT = 2
 
 
 @dataclass(frozen=True)

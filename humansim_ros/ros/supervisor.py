@@ -1,8 +1,7 @@
-"""Supervision of node processes, for ``humansim run``: start, watch and stop them together."""
+"""Supervision of node processes: start, watch, start again, and stop them together."""
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -10,36 +9,61 @@ import sys
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from types import TracebackType
 
-from humansim_ros.ros.processes import WARNINGS_SHOWN, NodeProcess, render_threads
+from humansim_ros.ros.parent import PARENT_PID
+from humansim_ros.ros.processes import WARNINGS_SHOWN, WRONG_INPUT, NodeProcess, render_threads
+from humansim_ros.ros.restart_policy import RestartPolicy
 
-_PR_SET_PDEATHSIG = 1
-#: Seconds that a node has to stop after SIGTERM, and again after SIGINT.
-_STOP_LIMIT = 4.0
+#: Seconds that a node has to stop after SIGTERM: more than it gives its own shutdown.
+_STOP_LIMIT = 6.0
+
+
+@dataclass(frozen=True)
+class EndedProcess:
+    """A node process that has ended unexpectedly.
+
+    Attributes:
+        process: The process.
+        code: Its exit code; the negative number of the signal that ended it.
+    """
+
+    process: NodeProcess
+    code: int
+
+    def __str__(self) -> str:
+        names = self.process.visible_nodes
+        how = (
+            f"exit code {self.code}"
+            if self.code >= 0
+            else f"signal {-self.code}: {signal.strsignal(-self.code)}"
+        )
+        return f"node{'s' * (len(names) > 1)} {', '.join(names)} ended unexpectedly ({how})"
 
 
 class Supervisor:
     """Context manager that runs node processes and stops them at its end.
 
-    Nodes do not repeat scene warnings; the parent has shown them.
+    Nodes do not repeat scene warnings; the parent has shown them. They end when the thread ends that has
+    started them.
     """
 
     def __init__(
         self, processes: Sequence[NodeProcess], environment: Mapping[str, str] | None = None
     ) -> None:
-        self._processes = list(processes)
+        self._processes = {process.node_name: process for process in processes}
         threads = render_threads(processes)
-        self._environment = {**os.environ, **threads, WARNINGS_SHOWN: "1", **(environment or {})}
+        own = {WARNINGS_SHOWN: "1", PARENT_PID: str(os.getpid())}
+        self._environment = {**os.environ, **threads, **own, **(environment or {})}
         self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._started: dict[str, float] = {}
         self._helpers: list[subprocess.Popen[bytes]] = []
 
     def __enter__(self) -> Supervisor:
         try:
-            for process in self._processes:
-                self._running[process.node_name] = self._start(
-                    "humansim_ros.ros.nodes", process.executable, *process.ros_arguments
-                )
+            for name in self._processes:
+                self._start_node(name)
         except BaseException:
             self.stop()
             raise
@@ -59,42 +83,66 @@ class Supervisor:
         """Start a Python module as a process that may end at any time; it is stopped with the nodes."""
         self._helpers.append(self._start(module, *arguments))
 
-    def dead(self) -> tuple[str, int] | None:
-        """Name and exit code of a node that has ended unexpectedly; None while all run."""
+    def dead(self) -> EndedProcess | None:
+        """A process that has ended unexpectedly; None while all run."""
         for name, process in self._running.items():
             code = process.poll()
             if code is not None:
-                return name, code
+                return EndedProcess(self._processes[name], code)
         return None
 
-    def wait(self, until: float | None = None) -> tuple[str, int] | None:
-        """Wait until a node ends unexpectedly, or until the monotonic time ``until``.
+    def wait(self, until: float | None = None, respawn: bool = False) -> EndedProcess | None:
+        """Wait until a process ends unexpectedly, or until the monotonic time ``until``.
+
+        ``respawn``: start processes again that have ended, and go on; not after wrong input, and not without
+        end (:class:`RestartPolicy`).
 
         Returns:
-            Name and exit code of the node, or None at ``until``.
+            The process, or None at ``until``.
         """
+        policies = {name: RestartPolicy() for name in self._processes}
+        starts: dict[str, float] = {}
         while until is None or time.monotonic() < until:
-            dead = self.dead()
-            if dead:
-                return dead
+            while dead := self.dead():
+                name, now = dead.process.node_name, time.monotonic()
+                if not respawn or dead.code == WRONG_INPUT:
+                    return dead
+                delay = policies[name].delay(now - self._started[name])
+                if delay is None:
+                    return dead
+                del self._running[name]
+                starts[name] = now + delay
+                when = f"in {delay:g} s" if delay else "now"
+                print(f"{dead}; started again {when}", file=sys.stderr)
+            for name in [name for name, start in starts.items() if start <= time.monotonic()]:
+                del starts[name]
+                self._start_node(name)
             time.sleep(0.1)
         return None
 
     def stop(self) -> None:
-        """Send SIGTERM to all nodes, then SIGINT and SIGKILL to nodes that still run.
+        """Send SIGTERM to all nodes, then SIGKILL to those that still run: at once after a stop signal."""
+        try:
+            self._send(signal.SIGTERM)
+        finally:
+            self._send(signal.SIGKILL)
 
-        Both stop a node in order. SIGTERM first, because SIGINT prints a traceback while Python starts.
-        """
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGKILL):
-            processes = [*self._helpers, *self._running.values()]
-            alive = [process for process in processes if process.poll() is None]
-            for process in alive:
-                with suppress(ProcessLookupError):
-                    process.send_signal(number)
-            deadline = time.monotonic() + _STOP_LIMIT
-            for process in alive:
-                with suppress(subprocess.TimeoutExpired):
-                    process.wait(max(0.0, deadline - time.monotonic()))
+    def _send(self, number: signal.Signals) -> None:
+        """Send a signal to all processes that run, and wait for their end."""
+        alive = [each for each in (*self._helpers, *self._running.values()) if each.poll() is None]
+        for process in alive:
+            process.send_signal(number)
+        deadline = time.monotonic() + _STOP_LIMIT
+        for process in alive:
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(max(0.0, deadline - time.monotonic()))
+
+    def _start_node(self, name: str) -> None:
+        process = self._processes[name]
+        self._started[name] = time.monotonic()
+        self._running[name] = self._start(
+            "humansim_ros.ros.nodes", process.executable, *process.ros_arguments
+        )
 
     def _start(self, module: str, *arguments: str) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
@@ -102,11 +150,4 @@ class Supervisor:
             env=self._environment,
             # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
             start_new_session=True,
-            preexec_fn=_die_with_parent,
         )
-
-
-def _die_with_parent() -> None:
-    """In the child: request SIGTERM if the parent dies without stopping it (Linux)."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL("libc.so.6").prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)

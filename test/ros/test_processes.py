@@ -25,7 +25,7 @@ CAMERA = "{position: [3, 0, 1], look_at: [0, 0, 1]}"
 def running(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     with (tmp_path / "output").open("w") as output:
         process = subprocess.Popen(
-            [*HUMANSIM, "run", str(write_scene(tmp_path)), "--processes", "2"],
+            [*HUMANSIM, "run", str(write_scene(tmp_path)), "--processes", "2", "--no-respawn"],
             stdout=output,
             stderr=subprocess.STDOUT,
             text=True,
@@ -110,7 +110,7 @@ def test_a_node_that_dies_is_named_and_the_others_stop(
     (victim,) = [pid for pid, line in nodes.items() if "skinner_second" in line]
     os.kill(victim, signal.SIGKILL)
     assert running.wait(PATIENCE) == 1
-    assert "node skinner_second ended unexpectedly" in (tmp_path / "output").read_text()
+    assert "node skinner_second ended unexpectedly (signal 9: Killed)" in (tmp_path / "output").read_text()
     assert are_gone(nodes)
 
 
@@ -262,7 +262,7 @@ def test_a_node_refuses_invalid_input_with_exit_code_2(tmp_path: Path) -> None:
         ("motion_player", "scene:=/gone.yaml"),
     ):
         result = subprocess.run(
-            [sys.executable, "-m", f"humansim_ros.ros.nodes.{node}", "--ros-args", "-p", parameter],
+            [sys.executable, "-m", "humansim_ros.ros.nodes", node, "--ros-args", "-p", parameter],
             capture_output=True,
             text=True,
             timeout=PATIENCE,

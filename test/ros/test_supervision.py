@@ -1,0 +1,290 @@
+"""Nodes that die are started again; stop signals end every process in order; nothing is left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from ros_support import write_scene
+from waiting import PATIENCE, wait_until
+
+HUMANSIM = [sys.executable, "-m", "humansim_ros.cli"]
+NODE = [sys.executable, "-m", "humansim_ros.ros.nodes"]
+SCENE = """
+rate: 20
+humans: {anna: {motion: {file: walk}}}
+cameras: {front: {size: [64, 48], position: [3, 0, 1.5], look_at: [0, 0, 1]}}
+"""
+
+
+class Processes:
+    """All processes that a test has started, with their descendants: by a variable of their environment."""
+
+    def __init__(self) -> None:
+        self._mark = f"HUMANSIM_TEST_MARK={uuid.uuid4()}"
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Environment of the processes."""
+        return {**os.environ, "PYTHONFAULTHANDLER": "", **dict([self._mark.split("=")])}
+
+    def lines(self) -> dict[int, str]:
+        """Command lines by process id."""
+        found = {}
+        for entry in Path("/proc").iterdir():
+            try:
+                if self._mark.encode() in (entry / "environ").read_bytes():
+                    found[int(entry.name)] = (entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+            except (OSError, ValueError):
+                continue
+        return found
+
+    def node(self, name: str) -> int | None:
+        """Process id of the node of this name; None if it does not run."""
+        return next((pid for pid, line in self.lines().items() if f"__node:={name} " in line), None)
+
+    def are_gone(self) -> bool:
+        return wait_until(lambda: not self.lines())
+
+    def start(self, command: list[str], output: Path) -> subprocess.Popen[bytes]:
+        with output.open("wb") as file:
+            return subprocess.Popen(
+                command, stdout=file, stderr=subprocess.STDOUT, env=self.environment, start_new_session=True
+            )
+
+
+@pytest.fixture
+def processes() -> Iterator[Processes]:
+    processes = Processes()
+    yield processes
+    for pid in processes.lines():
+        os.kill(pid, signal.SIGKILL)
+    assert processes.are_gone()
+
+
+@pytest.fixture
+def output(tmp_path: Path) -> Path:
+    return tmp_path / "output"
+
+
+def is_said(output: Path, words: str) -> bool:
+    return wait_until(lambda: words in output.read_text())
+
+
+def handles_hangup(pid: int | None) -> bool:
+    """Whether a process has a handler for SIGHUP, which Python does not install by itself."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return False
+    caught = int(status.partition("SigCgt:")[2].split()[0], 16)
+    return bool(caught >> (signal.SIGHUP - 1) & 1)
+
+
+# Restarts
+
+
+def test_a_node_is_started_again_at_once_then_later_and_later_then_given_up() -> None:
+    from humansim_ros.ros.restart_policy import RestartPolicy
+
+    policy = RestartPolicy()
+    assert [policy.delay(1.0) for _ in range(6)] == [0.0, 0.5, 1.0, 2.0, 4.0, None]
+
+
+def test_a_long_run_ends_a_row_of_deaths() -> None:
+    from humansim_ros.ros.restart_policy import RestartPolicy
+
+    policy = RestartPolicy()
+    assert [policy.delay(ran) for ran in (1.0, 1.0, 60.0, 1.0)] == [0.0, 0.5, 0.0, 0.5]
+
+
+def test_a_node_that_dies_again_and_again_is_given_up(
+    ros: None, processes: Processes, tmp_path: Path, output: Path
+) -> None:
+    run = processes.start([*HUMANSIM, "run", str(write_scene(tmp_path, SCENE))], output)
+
+    def kill() -> None:
+        if pid := processes.node("skinner_anna"):
+            os.kill(pid, signal.SIGKILL)
+        time.sleep(0.05)
+
+    assert wait_until(lambda: run.poll() is not None, step=kill)
+    text = output.read_text()
+    assert run.returncode == 1, text
+    ended = "node skinner_anna ended unexpectedly (signal 9: Killed)"
+    assert f"\n{ended}; started again now\n" in text
+    assert f"\n{ended}; started again in 4 s\n" in text
+    assert f"\nerror: {ended} again and again; the other nodes were stopped\n" in text
+    assert processes.are_gone()
+
+
+def test_a_node_with_wrong_input_is_not_started_again(ros: None, tmp_path: Path) -> None:
+    from humansim_ros.ros.processes import NodeProcess
+    from humansim_ros.ros.supervisor import Supervisor
+
+    scene = str(write_scene(tmp_path, SCENE))
+    wrong = NodeProcess("skinner", "wrong", {"scene": scene, "human": "nobody"})
+    with Supervisor([wrong]) as nodes:
+        ended = nodes.wait(time.monotonic() + PATIENCE, respawn=True)
+    assert ended is not None and ended.code == 2
+    assert str(ended) == "node wrong ended unexpectedly (exit code 2)"
+
+
+# Orphans
+
+
+def test_a_node_whose_parent_is_dead_already_ends(ros: None, tmp_path: Path) -> None:
+    """The parent can die before the node has asked the kernel for a signal at its death."""
+    gone = subprocess.Popen(["true"])
+    gone.wait()
+    result = subprocess.run(
+        [*NODE, "motion_player", "--ros-args", "-p", f"scene:={write_scene(tmp_path, SCENE)}"],
+        env={**os.environ, "HUMANSIM_PARENT_PID": str(gone.pid)},
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert result.returncode == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("delay", [0.05 * 1.5**k for k in range(10)])
+def test_nothing_is_left_of_a_run_that_is_killed_while_it_starts(
+    ros: None, processes: Processes, tmp_path: Path, output: Path, delay: float
+) -> None:
+    run = processes.start([*HUMANSIM, "run", str(write_scene(tmp_path, SCENE))], output)
+    is_said(output, "starting ")
+    time.sleep(delay)  # the moment of the kill
+    run.kill()
+    run.wait()
+    assert processes.are_gone()
+
+
+# Signals
+
+
+@pytest.mark.parametrize("name", ["INT", "TERM", "HUP", "QUIT"])
+def test_a_run_in_the_background_of_a_script_stops_in_order(
+    ros: None, processes: Processes, tmp_path: Path, output: Path, name: str
+) -> None:
+    """Such a shell starts its jobs with SIGINT and SIGQUIT ignored."""
+    run = " ".join([*HUMANSIM, "run", str(write_scene(tmp_path, SCENE))])
+    script = f"{run} & pid=$!; trap 'kill -{name} $pid' USR1; wait $pid; wait $pid; echo code $?"
+    shell = processes.start(["sh", "-c", script], output)
+    assert is_said(output, "starting ")
+    shell.send_signal(signal.SIGUSR1)
+    shell.wait(PATIENCE)
+    assert output.read_text().endswith("stopping\ncode 0\n")
+    assert processes.are_gone()
+
+
+@pytest.mark.parametrize(
+    ("command", "number"),
+    [("demo", signal.SIGTERM), ("bench", signal.SIGHUP), ("bench", signal.SIGINT), ("run", signal.SIGTERM)],
+)
+def test_a_command_that_has_not_finished_says_which_signal_stopped_it(
+    ros: None, processes: Processes, tmp_path: Path, output: Path, command: str, number: signal.Signals
+) -> None:
+    scene = write_scene(tmp_path, SCENE)
+    options = ["-o", str(tmp_path / "pictures")] if command == "demo" else []
+    process = processes.start([*HUMANSIM, command, str(scene), *options], output)
+    if command == "run":
+        assert wait_until(lambda: handles_hangup(process.pid))
+    else:
+        assert wait_until(lambda: len(processes.lines()) == 4)
+    process.send_signal(number)
+    assert process.wait(PATIENCE) == 128 + number
+    assert "Traceback" not in output.read_text()
+    assert processes.are_gone()
+
+
+def test_a_second_signal_kills_what_does_not_stop(
+    ros: None, processes: Processes, tmp_path: Path, output: Path
+) -> None:
+    run = processes.start([*HUMANSIM, "run", str(write_scene(tmp_path, SCENE))], output)
+    assert is_said(output, "starting ")
+    assert wait_until(lambda: handles_hangup(processes.node("motion_player")))
+    os.kill(processes.node("motion_player"), signal.SIGSTOP)
+    run.send_signal(signal.SIGINT)
+    assert is_said(output, "stopping")
+
+    def signal_again() -> None:
+        time.sleep(0.6)
+        run.send_signal(signal.SIGINT)
+
+    assert wait_until(lambda: run.poll() is not None, step=signal_again)
+    assert run.returncode == 130
+    assert processes.are_gone()
+
+
+def test_nohup_is_respected() -> None:
+    code = """
+import os, signal
+signal.signal(signal.SIGHUP, signal.SIG_IGN)
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+from humansim_ros.ros.stop_signals import StopRequest
+StopRequest()
+os.kill(os.getpid(), signal.SIGHUP)
+print("goes on", flush=True)
+os.kill(os.getpid(), signal.SIGINT)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == "goes on\n"
+    assert done.returncode == 130
+    assert not done.stderr
+
+
+def test_a_node_remembers_a_signal_whose_exception_a_library_has_swallowed() -> None:
+    code = """
+import os, signal
+from humansim_ros.ros.stop_signals import StopRequest
+request = StopRequest()
+class Swallower:
+    def __del__(self):
+        os.kill(os.getpid(), signal.SIGTERM)
+del_now = Swallower()
+del del_now
+print(request.number)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout == f"{signal.SIGTERM.value}\n"
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.0])
+@pytest.mark.parametrize("node", ["motion_player", "skinner", "camera", "camera_rig"])
+def test_ctrl_c_while_a_node_starts_is_quiet(
+    ros: None, processes: Processes, tmp_path: Path, output: Path, node: str, delay: float
+) -> None:
+    scene = write_scene(tmp_path, SCENE)
+    process = processes.start([*NODE, node, "--ros-args", "-p", f"scene:={scene}"], output)
+    assert wait_until(lambda: handles_hangup(process.pid))
+    time.sleep(delay)  # the moment of the signal
+    process.send_signal(signal.SIGINT)
+    assert process.wait(PATIENCE) == 0, output.read_text()
+    assert "Traceback" not in output.read_text()
+
+
+@pytest.mark.parametrize("module", ["humansim_ros.ros.nodes.executables", "humansim_ros.cli.__main__"])
+def test_entry_points_import_nothing_before_they_can_be_stopped(module: str) -> None:
+    code = f"import sys, {module}; print(sorted({{name.split('.')[0] for name in sys.modules}}))"
+    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    for package in ("numpy", "rclpy", "typer", "pydantic"):
+        assert f"'{package}'" not in loaded
+
+
+def test_installed_commands_lead_to_the_light_entry_points() -> None:
+    from conftest import ROOT
+
+    commands = [line.strip(' ",') for line in (ROOT / "setup.py").read_text().splitlines() if ":" in line]
+    entries = [line.partition(" = ")[2] for line in commands if " = humansim_ros." in line]
+    assert len(entries) == 5
+    assert {entry.partition(":")[0] for entry in entries} == {
+        "humansim_ros.cli.__main__",
+        "humansim_ros.ros.nodes.executables",
+    }

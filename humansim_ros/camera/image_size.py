@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from humansim_ros.errors import CameraError
-from humansim_ros.io.files import reading_errors, resolve_inside
-from humansim_ros.io.images import declared_size
+from humansim_ros.io.files import open_file, reading_errors, resolve_inside
+from humansim_ros.io.images import MAX_IMAGE_BYTES, declared_size
 from humansim_ros.types import Array, ImageSize
 
 #: Common image sizes of cameras and data sets, landscape.
@@ -57,18 +57,19 @@ def _nearest(fitted: Array, sizes: Iterable[ImageSize]) -> ImageSize | None:
 def size_of_named_image(folder: Path, name: str) -> ImageSize | None:
     """Size of an image that a file in ``folder`` names; None if the image is missing."""
     path = resolve_inside(folder, name)
-    return _read_size(path) if path is not None and path.is_file() else None
+    return _declared_size(path) if path is not None and path.is_file() else None
 
 
 def image_size(path: str | os.PathLike[str]) -> ImageSize:
     """Read the width and height of a PNG or JPEG file. Raises CameraError."""
-    with reading_errors(path, CameraError, "image"):
-        size = _read_size(Path(path))
+    size = _declared_size(path)
     if size is None:
         raise CameraError("this is not a PNG or JPEG image", path=path)
     return size
 
 
-def _read_size(path: Path) -> ImageSize | None:
-    with path.open("rb") as file:
+def _declared_size(path: str | os.PathLike[str]) -> ImageSize | None:
+    """Size in the header of an image file; None for other files. Raises CameraError."""
+    file = open_file(path, CameraError, "image", MAX_IMAGE_BYTES)
+    with file, reading_errors(path, CameraError, "image"):
         return declared_size(file.read(_HEADER_BYTES))

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
     from humansim_ros.camera.calibration import Calibration
     from humansim_ros.camera.idealize import Ideal
 
-#: Largest image file in bytes.
-_MAX_BYTES = 1 << 28
 _JPEG = (".jpg", ".jpeg")
 #: Distance of cameras from the walls, metres; furniture is less deep.
 _WALL_DISTANCE = 1.3
@@ -239,6 +237,7 @@ def _convert_image(ideal: Ideal, path: Path, target: Path, nearest: bool) -> Non
 
     from humansim_ros.camera.image_size import image_size
     from humansim_ros.io.files import atomic_path, read_bytes
+    from humansim_ros.io.images import MAX_IMAGE_BYTES
 
     if path.suffix.lower() not in (".png", *_JPEG):
         raise CameraError("images are .png or .jpg", path=path)
@@ -246,7 +245,7 @@ def _convert_image(ideal: Ideal, path: Path, target: Path, nearest: bool) -> Non
     if size != expected:
         message = f"the image is {size[0]}x{size[1]} pixels, but the camera has {expected[0]}x{expected[1]}"
         raise CameraError(message, path=path, key="size")
-    data = np.frombuffer(read_bytes(path, CameraError, "image", _MAX_BYTES), np.uint8)
+    data = np.frombuffer(read_bytes(path, CameraError, "image", MAX_IMAGE_BYTES), np.uint8)
     try:
         image: Any = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except cv2.error:

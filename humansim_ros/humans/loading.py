@@ -32,7 +32,8 @@ from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
 from humansim_ros.io.assets import find_asset
 from humansim_ros.io.files import missing_file, read_bytes, resolve_relative
-from humansim_ros.io.images import decode_image, encode_image
+from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image, encode_image
+from humansim_ros.io.npz import MAX_BYTES as MAX_NPZ_BYTES
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.load import read_mesh_or_figure
 from humansim_ros.mesh.mesh import Mesh
@@ -181,7 +182,7 @@ def _from_mesh(path: Path, mesh: Path, options: MeshHuman) -> Human:
 
 def _array_names(path: Path) -> list[str]:
     """Names of the arrays of an archive; empty if the file is not an archive."""
-    data = read_bytes(path, MeshError, "human")
+    data = read_bytes(path, MeshError, "human", MAX_NPZ_BYTES)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
@@ -200,10 +201,10 @@ def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
         yield from Gltf.parse(path, data).external_data()
     elif kind == "obj":
         for file in material_files(path):
-            yield read_bytes(file, MeshError, "material")
+            yield read_bytes(file, MeshError, "material", MAX_IMAGE_BYTES)
     for clothes in options.outfits.values():
         if clothes.texture is not None:
-            yield read_bytes(clothes.texture, MeshError, "texture")
+            yield read_bytes(clothes.texture, MeshError, "texture", MAX_IMAGE_BYTES)
 
 
 def _rigged(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton, csr_matrix]:
@@ -240,7 +241,7 @@ def _looks(human: Human, outfits: Mapping[str, Clothes], path: Path) -> dict[str
         key = f"outfits.{name}.texture"
         if mesh.uv is None:
             raise MeshError("the mesh has no texture coordinates: use colours", path=path, key=key)
-        data = read_bytes(clothes.texture, MeshError, "texture")
+        data = read_bytes(clothes.texture, MeshError, "texture", MAX_IMAGE_BYTES)
         decode_image(data)  # raises the error of a wrong image now
         looks[name] = np.frombuffer(data, np.uint8)
     return looks

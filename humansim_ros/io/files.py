@@ -3,16 +3,26 @@
 from __future__ import annotations
 
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
+from typing import BinaryIO
 
 from humansim_ros.errors import HumansimError, did_you_mean, near_names
 
 #: Names of a folder that are compared with the name of a missing file.
 _MOST_NAMES = 5000
+#: Entries of a folder that are no regular files, in words.
+_KINDS = {
+    stat.S_IFDIR: "a folder",
+    stat.S_IFIFO: "a named pipe",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
 
 
 @contextmanager
@@ -25,15 +35,61 @@ def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], wha
     except (FileNotFoundError, NotADirectoryError):
         near = near_file(Path(path))
         raise error(f"no such {what} file; {near or 'check the path'}", path=path) from None
-    except IsADirectoryError:
-        raise error(f"this is a folder, not a {what} file", path=path) from None
     except OSError as reason:
         raise error(f"cannot read the {what} file: {reason.strerror or reason}", path=path) from None
 
 
-def read_bytes(
-    path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int | None = None
-) -> bytes:
+def open_file(path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int) -> BinaryIO:
+    """Open a regular file to read it; all files of users are opened here.
+
+    Opening never waits. What the name stands for and its size are checked before anything is read.
+
+    Args:
+        path: File to open.
+        error: Error class to raise.
+        what: Kind of file for messages, such as ``mesh``.
+        most: Maximum size in bytes.
+
+    Raises:
+        HumansimError: ``error``, if the file is missing, not a regular file (a folder, a named pipe, a
+            device), unreadable, empty or too large.
+    """
+    with reading_errors(path, error, what):
+        # before it is opened: to open a pipe or a device can have effects
+        _check_entry(Path(path).stat(), path, error, what)
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+        try:
+            status = os.fstat(descriptor)
+            _check_entry(status, path, error, what)
+            if status.st_size == 0:
+                raise error(f"the {what} file is empty", path=path)
+            if status.st_size > most:
+                size, limit = size_text(status.st_size), size_text(most)
+                raise error(f"the {what} file is too large: {size}; at most {limit} are read", path=path)
+        except BaseException:
+            os.close(descriptor)
+            raise
+    return os.fdopen(descriptor, "rb")
+
+
+def _check_entry(
+    status: os.stat_result, path: str | os.PathLike[str], error: type[HumansimError], what: str
+) -> None:
+    """Raise ``error`` for anything but a regular file."""
+    if not stat.S_ISREG(status.st_mode):
+        kind = _KINDS.get(stat.S_IFMT(status.st_mode), "something else")
+        raise error(f"cannot read the {what} file: this is {kind}, not a regular file", path=path)
+
+
+def size_text(size: int) -> str:
+    """Number of bytes in words, such as ``1.5 MB``."""
+    for unit, bits in (("GB", 30), ("MB", 20), ("kB", 10)):
+        if size >= 1 << bits:
+            return f"{size / (1 << bits):.1f}".removesuffix(".0") + f" {unit}"
+    return f"{size} bytes"
+
+
+def read_bytes(path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int) -> bytes:
     """Read a file.
 
     Args:
@@ -43,20 +99,16 @@ def read_bytes(
         most: Maximum size in bytes.
 
     Raises:
-        HumansimError: ``error``, if the file is missing, a folder, unreadable, empty or too large.
+        HumansimError: ``error``, as for :func:`open_file`.
     """
-    with reading_errors(path, error, what), Path(path).open("rb") as file:
-        data = file.read() if most is None else file.read(most + 1)
-    if most is not None and len(data) > most:
-        raise error(f"this is too large for a {what} file: more than {most >> 20} MB", path=path)
-    if not data.strip():
+    with open_file(path, error, what, most) as file, reading_errors(path, error, what):
+        data = file.read(os.fstat(file.fileno()).st_size)
+    if not data or data.isspace():
         raise error(f"the {what} file is empty", path=path)
     return data
 
 
-def read_text(
-    path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int | None = None
-) -> str:
+def read_text(path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int) -> str:
     """Read a text file: UTF-8 with or without BOM, or else Latin-1.
 
     Args:
@@ -66,7 +118,7 @@ def read_text(
         most: Maximum size in bytes.
 
     Raises:
-        HumansimError: ``error``, as for :func:`read_bytes`, and for binary files.
+        HumansimError: ``error``, as for :func:`open_file`, and for binary files.
     """
     return decode_text(read_bytes(path, error, what, most), path, error, what)
 

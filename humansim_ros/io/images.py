@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
 
-#: Limit for decoded images: 8192 x 8192.
-MAX_PIXELS = 1 << 26
+#: Limit for decoded images: 8192 x 8192; and for image files: that size without compression.
+MAX_PIXELS, MAX_IMAGE_BYTES = 1 << 26, 1 << 28
 
 
 def decode_image(encoded: NDArray[np.uint8] | bytes, noun: str = "texture") -> NDArray[np.uint8]:

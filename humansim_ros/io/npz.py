@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.files import atomic_path, read_bytes
 
-#: Limit for all arrays of a file together.
+#: Limit for a file, and for all its arrays together.
 MAX_BYTES = 1 << 30
 
 
@@ -41,7 +41,7 @@ def read_npz(
         HumansimError: ``error`` with file and array, if the file is not an archive, is damaged, has pickled
             objects, or is larger than MAX_BYTES.
     """
-    data = read_bytes(path, error, what)
+    data = read_bytes(path, error, what, MAX_BYTES)
     if not data.startswith(b"PK"):
         raise error(f"not a {what} file: it is not an .npz archive", path=path)
     arrays: dict[str, NDArray[Any]] = {}

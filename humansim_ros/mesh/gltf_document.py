@@ -12,7 +12,7 @@ import json
 import os
 import struct
 import urllib.parse
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -25,6 +25,7 @@ from pydantic import ValidationError
 from humansim_ros.errors import MeshError
 from humansim_ros.hierarchy import levels
 from humansim_ros.io.files import read_bytes, resolve_inside
+from humansim_ros.io.images import MAX_IMAGE_BYTES
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.mesh.gltf_compression import (
     DRACO,
@@ -270,7 +271,7 @@ class Gltf:
             return bytes(self._view(image.bufferView, f"images.{number}.bufferView"))
         if image.uri is None:
             raise self._error("the image has no data", f"images.{number}")
-        return self._fetch(image.uri, f"images.{number}.uri")
+        return self._fetch(image.uri, f"images.{number}.uri", MAX_IMAGE_BYTES)
 
     def texture_image(self, number: int) -> int | None:
         """Image index of a texture."""
@@ -392,7 +393,8 @@ class Gltf:
                     raise self._error("the buffer has no data", key)
                 data = self.embedded
             else:
-                data = self._fetch(buffer.uri, f"{key}.uri")
+                rest = MAX_BYTES - sum(len(other) for other in self._buffers.values())
+                data = self._fetch(buffer.uri, f"{key}.uri", rest)
             if len(data) < buffer.byteLength:
                 raise self._error(f"the buffer has {len(data)} bytes, not {buffer.byteLength}", key)
             self._buffers[number] = data
@@ -402,8 +404,11 @@ class Gltf:
     def _buffers(self) -> dict[int, bytes]:
         return {}
 
-    def _fetch(self, uri: str, key: str) -> bytes:
-        """Content of a data URI, or of a file in the folder of this file or below; other URIs are errors."""
+    def _fetch(self, uri: str, key: str, most: int) -> bytes:
+        """Content of a data URI, or of a file in the folder of this file or below; other URIs are errors.
+
+        ``most``: maximum size of a file in bytes.
+        """
         if uri.startswith("data:"):
             head, comma, body = uri.partition(",")
             if not comma or not head.endswith(";base64"):
@@ -419,21 +424,17 @@ class Gltf:
         if target is None:
             raise self._error(f"{uri[:60]!r} is outside the folder of the file", key)
         try:
-            if target.stat().st_size > MAX_BYTES:
-                raise self._error(f"{uri[:60]!r} is too large", key)
-            return target.read_bytes()
-        except OSError as reason:
-            raise self._error(f"cannot read {uri[:60]!r}: {reason.strerror or reason}", key) from None
+            return read_bytes(target, MeshError, "glTF", most)
+        except MeshError as error:
+            raise self._error(f"{uri[:60]!r}: {error.message}", key) from None
 
-    def external_data(self) -> list[bytes]:
-        """Contents of the files that this file refers to."""
+    def external_data(self) -> Iterator[bytes]:
+        """Contents of the files that this file refers to, one after the other."""
         uris = {f"buffers.{n}.uri": buffer.uri for n, buffer in enumerate(self.document.buffers)}
         uris |= {f"images.{n}.uri": image.uri for n, image in enumerate(self.document.images)}
-        return [
-            self._fetch(uri, key)
-            for key, uri in uris.items()
-            if uri is not None and not uri.startswith("data:")
-        ]
+        for key, uri in uris.items():
+            if uri is not None and not uri.startswith("data:"):
+                yield self._fetch(uri, key, MAX_BYTES)
 
     def _item(self, items: Sequence[Item], number: int, key: str) -> Item:
         if not 0 <= number < len(items):

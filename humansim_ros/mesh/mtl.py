@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.io.files import read_bytes, read_text, resolve_inside
-from humansim_ros.io.images import decode_alpha, decode_image
+from humansim_ros.io.files import exists, read_bytes, read_text, resolve_inside
+from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_alpha, decode_image
 from humansim_ros.mesh.atlas import plain_tile
 from humansim_ros.mesh.material import Material, height_to_normal_map
 from humansim_ros.types import Array, Image
@@ -18,6 +18,8 @@ from humansim_ros.types import Array, Image
 Statements = Mapping[str, tuple[int, list[str]]]
 #: Specular reflectance (F0) of Ks 1. Ks 0.5 is glass and plastic (F0 0.04), as in Blender.
 _SPECULAR = 0.08
+#: Largest material file: thousands of materials.
+MAX_BYTES = 16 << 20
 _NORMAL_MAPS = ("norm", "map_Bump", "map_bump", "bump")
 _UNSUPPORTED = ("map_Ks", "map_Ns", "map_Pr", "map_Pm", "map_Ps", "disp", "refl", "decal")
 
@@ -25,7 +27,7 @@ _UNSUPPORTED = ("map_Ks", "map_Ns", "map_Pr", "map_Pm", "map_Ps", "disp", "refl"
 def read_mtl(path: Path) -> dict[str, Statements]:
     """Statements of a material file by material name."""
     materials: dict[str, dict[str, tuple[int, list[str]]]] = {}
-    for number, line in enumerate(read_text(path, MeshError, "material").splitlines(), 1):
+    for number, line in enumerate(read_text(path, MeshError, "material", MAX_BYTES).splitlines(), 1):
         words = line.partition("#")[0].split()
         if words and words[0] == "newmtl":
             materials[" ".join(words[1:])] = latest = {}
@@ -157,7 +159,8 @@ def _alpha(path: Path, statements: Statements) -> Image | None:
     image = _image(path, words, "the material is opaque")
     if image is None:
         return None
-    alpha = decode_alpha(read_bytes(_file(path, words[-1]), MeshError, "texture"))
+    encoded = _encoded(path, words[-1])
+    alpha = None if encoded is None else decode_alpha(encoded)
     return image[..., 0] if alpha is None else alpha
 
 
@@ -167,16 +170,19 @@ def _map(path: Path, statements: Statements, keyword: str) -> Image | None:
 
 def _image(path: Path, words: list[str], fallback: str) -> Image | None:
     """Image that a statement names after its options; None with a warning if the file is missing."""
-    file = _file(path, words[-1])
-    if not file.is_file():
+    encoded = _encoded(path, words[-1])
+    if encoded is None:
         warn_about(path, f"texture {words[-1][:60]!r} not found beside the file: {fallback}")
         return None
     try:
-        return decode_image(read_bytes(file, MeshError, "texture"))
+        return decode_image(encoded)
     except MeshError as error:
-        raise MeshError(error.message, path=file) from None
+        raise MeshError(error.message, path=path.parent / words[-1]) from None
 
 
-def _file(path: Path, name: str) -> Path:
-    """File in the folder of the material file; the folder itself for a name that leads elsewhere."""
-    return resolve_inside(path.parent, name.replace("\\", "/")) or path.parent / ""
+def _encoded(path: Path, name: str) -> bytes | None:
+    """Content of an image file in the folder of the material file or below; None if it is missing."""
+    file = resolve_inside(path.parent, name.replace("\\", "/"))
+    if file is None or not exists(file):
+        return None
+    return read_bytes(file, MeshError, "texture", MAX_IMAGE_BYTES)

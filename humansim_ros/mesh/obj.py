@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.io.files import decode_text, read_text, resolve_inside
+from humansim_ros.io.files import decode_text, exists, read_text, resolve_inside
 from humansim_ros.mesh.atlas import PLAIN, atlas_mesh, plain_tile
 from humansim_ros.mesh.material import without_maps
 from humansim_ros.mesh.mesh import FaceIndices, Mesh
+from humansim_ros.mesh.mesh_format import MAX_BYTES
 from humansim_ros.mesh.mtl import Statements, color_texture, numbers, read_mtl, reflectance
 from humansim_ros.types import Array
 
@@ -62,7 +63,7 @@ def material_files(path: str | os.PathLike[str]) -> list[Path]:
 
 def _references(path: Path, keyword: str) -> list[Path]:
     """Existing files that the lines with a keyword name."""
-    lines = read_text(path, MeshError, "mesh").splitlines()
+    lines = read_text(path, MeshError, "mesh", MAX_BYTES).splitlines()
     names = [line.split(None, 1)[1].strip() for line in lines if line.startswith(f"{keyword} ")]
     if keyword == "map_Kd":
         names = [name.split()[-1] for name in names if name]
@@ -184,7 +185,7 @@ def _read_libraries(obj: _Obj) -> dict[str, tuple[Path, str, Statements]]:
     known: dict[str, tuple[Path, str, Statements]] = {}
     for library in obj.libraries:
         file = resolve_inside(Path(obj.path).resolve().parent, library)
-        if file is None or not file.is_file():
+        if file is None or not exists(file):
             warn_about(
                 obj.path, f"material library {library[:60]!r} not found beside the file: no colours from it"
             )

@@ -6,6 +6,7 @@ as in Blender; files of old programs that add them are detected.
 
 from __future__ import annotations
 
+import io
 import os
 import re
 from collections.abc import Iterable, Iterator
@@ -16,7 +17,7 @@ from typing import Literal
 import numpy as np
 
 from humansim_ros.errors import MotionError, warn_about
-from humansim_ros.io.files import atomic_path, reading_errors
+from humansim_ros.io.files import atomic_path, open_file, reading_errors
 from humansim_ros.motion.bvh_parser import FRAME_TIMES, LARGEST, LONGEST_NAME, Parser
 from humansim_ros.motion.kinematics import CHANNEL_NAMES, Motion
 
@@ -25,6 +26,8 @@ __all__ = ["CHANNEL_NAMES", "Motion", "PositionChannels", "read_bvh", "write_bvh
 #: Whether position channels replace the OFFSET or are added to it; ``auto`` detects it.
 PositionChannels = Literal["auto", "replace", "add"]
 
+#: Largest file: an hour of 60 joints at 120 frames per second.
+_MAX_BYTES = 1 << 30
 #: Positions are added to OFFSETs if they contain less than this share of the OFFSET.
 _ADDED_SHARE = 0.1
 #: Positions that vary by less than this share of the skeleton's size count as constant.
@@ -59,7 +62,9 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
     if positions not in ("auto", "replace", "add"):
         raise MotionError(f"positions are 'auto', 'replace' or 'add', not {positions!r}", path=path)
     # Latin-1 decodes any byte; the parser decodes the lines of the hierarchy again
-    with reading_errors(path, MotionError, "BVH motion"), Path(path).open(encoding="latin-1") as file:
+    what = "BVH motion"
+    file = io.TextIOWrapper(open_file(path, MotionError, what, _MAX_BYTES), "latin-1")
+    with file, reading_errors(path, MotionError, what):
         motion = Parser(path, file).parse()
     if positions != "auto":
         return replace(motion, positions=positions)

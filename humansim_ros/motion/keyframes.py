@@ -9,7 +9,6 @@ import os
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, cast
 from xml.sax import ContentHandler, SAXParseException
 from xml.sax.saxutils import quoteattr
@@ -81,13 +80,7 @@ def read_keyframes(path: str | os.PathLike[str]) -> Keyframes:
     Raises:
         MotionError: The file is not valid, or has a DOCTYPE or entities; with file and line.
     """
-    try:
-        too_large = Path(path).stat().st_size > _MAX_BYTES
-    except OSError:
-        too_large = False  # read_bytes reports the reason
-    if too_large:
-        raise MotionError(f"a keyframe file of more than {_MAX_BYTES >> 20} MiB is not read", path=path)
-    data = read_bytes(path, MotionError, "keyframe")
+    data = read_bytes(path, MotionError, "keyframe", _MAX_BYTES)
     reader = _Reader(os.fspath(path))
     try:
         defusedxml.sax.parseString(data, reader, forbid_dtd=True)

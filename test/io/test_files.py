@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -13,7 +14,7 @@ from humansim_ros.io.files import missing_file, read_bytes, read_text
 
 def message(path: Path) -> str:
     with pytest.raises(HumansimError) as caught:
-        read_text(path, HumansimError, "scene")
+        read_text(path, HumansimError, "scene", 1 << 20)
     assert caught.value.path == str(path)
     return caught.value.message
 
@@ -56,7 +57,8 @@ def test_a_broken_link_is_named(folder: Path) -> None:
 
 
 def test_a_folder_is_not_a_missing_file(folder: Path) -> None:
-    assert message(folder / "data") == "this is a folder, not a scene file"
+    expected = "cannot read the scene file: this is a folder, not a regular file"
+    assert message(folder / "data") == expected
 
 
 def test_a_file_without_permission_is_not_a_missing_file(
@@ -65,7 +67,7 @@ def test_a_file_without_permission_is_not_a_missing_file(
     def refuse(*_: object, **__: object) -> None:
         raise PermissionError(13, "Permission denied")
 
-    monkeypatch.setattr(Path, "open", refuse)  # root may read all files
+    monkeypatch.setattr(os, "open", refuse)  # root may read all files
     assert message(folder / "scene.yaml") == "cannot read the scene file: Permission denied"
 
 
@@ -84,7 +86,7 @@ def test_a_binary_file_is_not_a_text(folder: Path) -> None:
 def test_impossible_names_are_errors_too(folder: Path, name: str) -> None:
     assert missing_file(folder / name).startswith("no such file ")
     with pytest.raises(HumansimError):
-        read_bytes(folder / name, HumansimError, "scene")
+        read_bytes(folder / name, HumansimError, "scene", 1 << 20)
 
 
 @pytest.mark.parametrize(

@@ -58,5 +58,5 @@ def test_repetition_in_files_is_limited(tmp_path: Path, name: str, read: Callabl
 def test_a_file_that_is_far_too_large_is_not_read(tmp_path: Path) -> None:
     path = tmp_path / "huge.yaml"
     path.write_text("#" * (1 << 21))
-    with pytest.raises(HumansimError, match="too large for a scene file: more than 1 MB"):
+    with pytest.raises(HumansimError, match="the scene file is too large: 2 MB; at most 1 MB are read"):
         load_config(path)

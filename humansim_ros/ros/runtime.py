@@ -14,6 +14,7 @@ from typing import Any
 from humansim_ros.errors import HumansimError, RosError, show_warnings
 from humansim_ros.render.memory import keep_image_blocks
 from humansim_ros.resources import resource_path
+from humansim_ros.ros.shared_memory import remove_dead_files
 from humansim_ros.ros.stop_signals import Stopped, StopRequest, end_process, end_process_on_stop
 
 #: Environment variables that mean that the user has configured the transports of Fast DDS.
@@ -45,8 +46,9 @@ def prepare_transport() -> None:
     """Enlarge the shared memory of Fast DDS for images, unless the user has configured Fast DDS.
 
     Call it before ``rclpy.init()``. With Fast DDS's defaults, two of three 640x480 images do not fit and are
-    lost for best-effort subscribers.
+    lost for best-effort subscribers. Removes shared memory that killed processes have left.
     """
+    remove_dead_files()
     if not any(name in os.environ for name in _TRANSPORT_SETTINGS):
         os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(resource_path("config/fastdds.xml"))
     keep_image_blocks()

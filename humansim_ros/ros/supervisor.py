@@ -15,6 +15,7 @@ from types import TracebackType
 from humansim_ros.ros.parent import PARENT_PID
 from humansim_ros.ros.processes import WARNINGS_SHOWN, WRONG_INPUT, NodeProcess, render_threads
 from humansim_ros.ros.restart_policy import RestartPolicy
+from humansim_ros.ros.shared_memory import SharedMemoryFiles, remove_dead_files
 
 #: Seconds that a node has to stop after SIGTERM: more than it gives its own shutdown.
 _STOP_LIMIT = 6.0
@@ -59,6 +60,7 @@ class Supervisor:
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._started: dict[str, float] = {}
         self._helpers: list[subprocess.Popen[bytes]] = []
+        self._shared_memory = SharedMemoryFiles()
 
     def __enter__(self) -> Supervisor:
         try:
@@ -79,12 +81,17 @@ class Supervisor:
         """Process ids by node name."""
         return {name: process.pid for name, process in self._running.items()}
 
+    @property
+    def _all(self) -> list[subprocess.Popen[bytes]]:
+        return [*self._helpers, *self._running.values()]
+
     def start_helper(self, module: str, *arguments: str) -> None:
         """Start a Python module as a process that may end at any time; it is stopped with the nodes."""
         self._helpers.append(self._start(module, *arguments))
 
     def dead(self) -> EndedProcess | None:
         """A process that has ended unexpectedly; None while all run."""
+        self._shared_memory.note(process.pid for process in self._all)
         for name, process in self._running.items():
             code = process.poll()
             if code is not None:
@@ -110,7 +117,7 @@ class Supervisor:
                 delay = policies[name].delay(now - self._started[name])
                 if delay is None:
                     return dead
-                del self._running[name]
+                self._shared_memory.remove([self._running.pop(name).pid])
                 starts[name] = now + delay
                 when = f"in {delay:g} s" if delay else "now"
                 print(f"{dead}; started again {when}", file=sys.stderr)
@@ -122,14 +129,18 @@ class Supervisor:
 
     def stop(self) -> None:
         """Send SIGTERM to all nodes, then SIGKILL to those that still run: at once after a stop signal."""
+        pids = [process.pid for process in self._all]
+        self._shared_memory.note(pids, now=True)
         try:
             self._send(signal.SIGTERM)
         finally:
             self._send(signal.SIGKILL)
+            self._shared_memory.remove(pids)
+            remove_dead_files()  # of nodes that were killed while they started
 
     def _send(self, number: signal.Signals) -> None:
         """Send a signal to all processes that run, and wait for their end."""
-        alive = [each for each in (*self._helpers, *self._running.values()) if each.poll() is None]
+        alive = [each for each in self._all if each.poll() is None]
         for process in alive:
             process.send_signal(number)
         deadline = time.monotonic() + _STOP_LIMIT

@@ -77,6 +77,15 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
     return f"; did you mean {near[0]!r}?" if near else ""
 
 
+def printable(text: str, limit: int = 300) -> str:
+    """Text of somebody else for a line of a log: shortened, and control characters are escaped.
+
+    ``limit``: number of characters that are kept.
+    """
+    kept = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text[:limit])
+    return kept if len(text) <= limit else f"{kept}… ({len(text)} characters)"
+
+
 class ResourceError(HumansimError):
     """A file of the package (configuration, asset) is missing."""
 

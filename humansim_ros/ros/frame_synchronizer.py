@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
@@ -18,6 +17,7 @@ from visualization_msgs.msg import Marker
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.ros import messages
 from humansim_ros.ros.frame_buffer import FrameBuffer, GivenUpFrame
+from humansim_ros.ros.limits import deserialised
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, NEWEST
 from humansim_ros.scene.camera import CameraPose
@@ -140,9 +140,8 @@ class FrameSynchronizer:
 
     def _schedule_next_frame(self) -> None:
         """Process a frame after all messages that have already arrived, so that a late node notices it."""
-        executor = self._node.executor
         # executors that do not take events in turn run tasks before arrived messages: thus two tasks
-        executor.create_task(lambda: executor.create_task(self._process_next_frame) and None)
+        self._node.run_soon(lambda: self._node.run_soon(self._process_next_frame))
 
     def _process_next_frame(self) -> None:
         """Pass on the oldest complete frame; without pacing, the oldest that is not late, or the newest one
@@ -212,7 +211,7 @@ class FrameSynchronizer:
         cameras: dict[str, CameraPose],
     ) -> None:
         actors = self._scene.actors
-        try:
+        with self._node.skip_frame_on_error():
             self._on_frame(
                 SceneState(
                     stamp=stamp,
@@ -224,8 +223,6 @@ class FrameSynchronizer:
                     cameras=cameras,
                 )
             )
-        except HumansimError as error:
-            self._node.report_skipped(str(error))
 
 
 def _no_joints(human: str) -> JointMotion:
@@ -234,4 +231,4 @@ def _no_joints(human: str) -> JointMotion:
 
 def _read_joints(data: bytes) -> JointMotion:
     """Joints of a serialised ``joints`` message."""
-    return messages.joint_motion(messages.read_joints(deserialize_message(data, MultiDOFJointState)))
+    return messages.joint_motion(messages.read_joints(deserialised(data, MultiDOFJointState)))

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from statistics import median
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
-from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from humansim_ros.errors import HumansimWarning, RosError
+from humansim_ros.errors import HumansimError, HumansimWarning, RosError, printable
+from humansim_ros.ros.guarded_node import GuardedNode
 from humansim_ros.ros.processes import WARNINGS_SHOWN
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.scene import Scene
@@ -24,7 +25,7 @@ from humansim_ros.scene import Scene
 _MAX_LOST, _LATE_AFTER = 0.05, 5
 
 
-class SceneNode(Node):
+class SceneNode(GuardedNode):
     """Node with a scene: the one it is given, or that of parameter ``scene``."""
 
     def __init__(self, name: str, scene: Scene | None = None, **options: Any) -> None:
@@ -36,7 +37,6 @@ class SceneNode(Node):
                     warnings.simplefilter("ignore", HumansimWarning)
                 scene = Scene.load(path or None)
         self.scene = scene
-        self._counts: dict[str, int] = {}
         self._lateness: dict[str, list[float]] = {}
         self._late_seconds = 0
         #: Why frames are dropped, for the log.
@@ -138,14 +138,21 @@ class SceneNode(Node):
         """Nanoseconds of the node's clock."""
         return int(self.get_clock().now().nanoseconds)
 
-    def count(self, counter: str, number: int = 1) -> None:
-        """Add to a counter of the diagnostics, such as frames or drops."""
-        self._counts[counter] = self._counts.get(counter, 0) + number
-
     def report_skipped(self, reason: str) -> None:
         """Log that a frame was skipped, and count it as a drop."""
         self.count("drops")
-        self.get_logger().error(f"frame skipped: {reason}", throttle_duration_sec=1.0)
+        self.get_logger().error(f"frame skipped: {printable(reason)}", throttle_duration_sec=1.0)
+
+    @contextmanager
+    def skip_frame_on_error(self) -> Iterator[None]:
+        """Context manager that reports an error of the block as a skipped frame, and goes on."""
+        with self.guard("frame", "it is skipped") as fault:
+            try:
+                yield
+            except HumansimError as error:
+                self.report_skipped(str(error))
+        if fault.reason:
+            self.count("drops")
 
     def report_other_clock(self, topics: Iterable[str], seconds: float, others: str) -> None:
         """Log that the stamps of some topics come from another clock.
@@ -175,11 +182,15 @@ class SceneNode(Node):
         """Free resources besides the ROS entities of the node."""
 
     def _publish_diagnostics(self) -> None:
-        drops = self._counts.get("drops", 0)
+        drops, errors = self._counts.get("drops", 0), self._counts.get("errors", 0)
         status = DiagnosticStatus(name=self.get_fully_qualified_name(), hardware_id="humansim_ros")
-        status.level = DiagnosticStatus.WARN if drops else DiagnosticStatus.OK
+        status.level = DiagnosticStatus.WARN if drops or errors else DiagnosticStatus.OK
         frames = self._counts.get("frames", 0)
-        status.message = f"{frames} frames/s" + (f", {drops} dropped" if drops else "")
+        status.message = (
+            f"{frames} frames/s"
+            + (f", {drops} dropped" if drops else "")
+            + (f", {errors} errors" if errors else "")
+        )
         values: dict[str, object] = {**self._counts}
         for event, times in self._lateness.items():
             values[f"{event}_ms"] = f"{max(times):.1f}"

@@ -7,15 +7,19 @@ import importlib
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from humansim_ros.errors import HumansimError, RosError, show_warnings
 from humansim_ros.render.memory import keep_image_blocks
 from humansim_ros.resources import resource_path
 from humansim_ros.ros.shared_memory import remove_dead_files
 from humansim_ros.ros.stop_signals import Stopped, StopRequest, end_process, end_process_on_stop
+
+if TYPE_CHECKING:
+    from humansim_ros.ros.guarded_node import GuardedNode
 
 #: Environment variables that mean that the user has configured the transports of Fast DDS.
 _TRANSPORT_SETTINGS = (
@@ -26,6 +30,8 @@ _TRANSPORT_SETTINGS = (
 )
 #: Seconds after which an idle node notices a stop signal.
 _SPIN_TIMEOUT = 0.1
+#: Seconds that the executor rests after a first error, and seconds of nothing but errors that end a node.
+_FIRST_PAUSE, _MAX_SECONDS_OF_ERRORS = 0.001, 10.0
 #: Seconds after which a shutdown that hangs is aborted.
 _SHUTDOWN_LIMIT = 5
 
@@ -69,11 +75,41 @@ def make_executor() -> Any:
     return EventsExecutor()
 
 
+def spin(node: GuardedNode, executor: Any, stopped: Callable[[], bool]) -> None:
+    """Spin until ``stopped()`` is true, or the ROS context is shut down.
+
+    Errors outside callbacks, such as a message that the middleware cannot take, are reported by the node.
+    After each, spinning waits a little longer, so that an error that comes back at once does not fill the
+    log or a core.
+
+    Raises:
+        RosError: Nothing but errors for ten seconds.
+    """
+    import rclpy
+    from rclpy.executors import ExternalShutdownException
+
+    last_success, pause = time.monotonic(), _FIRST_PAUSE
+    # not executor.spin(), which never sleeps where libstdc++ is old
+    while not stopped() and rclpy.ok():
+        with node.guard("executor", "it goes on") as fault:
+            try:
+                executor.spin_once(_SPIN_TIMEOUT)
+            except ExternalShutdownException:
+                return
+        if not fault.reason:
+            last_success, pause = time.monotonic(), _FIRST_PAUSE
+            continue
+        if time.monotonic() - last_success > _MAX_SECONDS_OF_ERRORS:
+            raise RosError(f"the executor of {node.get_name()} fails again and again: {fault.reason}")
+        time.sleep(pause)
+        pause = min(2 * pause, _SPIN_TIMEOUT)
+
+
 def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) -> int:
     """Run one node, and nodes that it has created, until a stop signal; a second one ends it at once.
 
     Returns:
-        Exit code: 0 after a stop signal, 2 after invalid input.
+        Exit code: 0 after a stop signal, 1 if the node cannot go on, 2 after invalid input.
     """
     end_process_on_stop(0)
     show_warnings()
@@ -84,7 +120,6 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
         return 2
     prepare_transport()
     import rclpy
-    from rclpy.executors import ExternalShutdownException
     from rclpy.signals import SignalHandlerOptions
 
     # rclpy's own handlers destroy the context while messages are being sent
@@ -101,12 +136,11 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
         for each in node.nodes:
             executor.add_node(each)
         stop.raises = False
-        while stop.number is None:  # not spin(), which never sleeps where libstdc++ is old
-            executor.spin_once(_SPIN_TIMEOUT)
+        spin(node, executor, lambda: stop.number is not None)
     except HumansimError as error:
         print(f"error: {error}", file=sys.stderr)
-        return 2
-    except (Stopped, ExternalShutdownException):
+        return 2 if node is None else 1
+    except Stopped:
         pass
     finally:
         stop.raises = False

@@ -4,6 +4,7 @@ Only standard message types are used. Stamps are integer nanoseconds. World pose
 (REP-103, REP-105).
 """
 
+from humansim_ros.ros.limits import MAX_COORDINATE
 from humansim_ros.ros.messages.camera_truth import (
     BODY_KINDS,
     BOX_POINT,
@@ -25,7 +26,6 @@ from humansim_ros.ros.messages.cameras import (
     read_pose,
 )
 from humansim_ros.ros.messages.headers import (
-    MAX_COORDINATE,
     WORLD_FRAME,
     header,
     optical_frame,

@@ -10,7 +10,8 @@ from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 from humansim_ros.camera import Camera
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import RosError
-from humansim_ros.ros.messages.headers import MAX_COORDINATE, WORLD_FRAME, header, optical_frame
+from humansim_ros.ros.limits import MAX_COORDINATE
+from humansim_ros.ros.messages.headers import WORLD_FRAME, header, optical_frame
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.scene.camera import CameraPose
 

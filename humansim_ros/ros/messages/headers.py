@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import struct
-
 from builtin_interfaces.msg import Time
 from std_msgs.msg import Header
 
+from humansim_ros.errors import RosError
+from humansim_ros.ros.limits import unpack
+
 WORLD_FRAME = "map"
-#: Largest accepted coordinate in metres, and velocity in m/s or rad/s. Larger values are faults.
-MAX_COORDINATE = 1e6
+_SECOND = 1_000_000_000
 
 
 def optical_frame(camera: str) -> str:
@@ -19,19 +19,28 @@ def optical_frame(camera: str) -> str:
 
 def to_time(nanoseconds: int) -> Time:
     """Message of a stamp."""
-    seconds, rest = divmod(nanoseconds, 1_000_000_000)
+    seconds, rest = divmod(nanoseconds, _SECOND)
     return Time(sec=seconds, nanosec=rest)
 
 
 def to_nanoseconds(stamp: Time) -> int:
-    """Stamp of a message."""
-    return int(stamp.sec) * 1_000_000_000 + int(stamp.nanosec)
+    """Stamp of a message. Raises RosError if it is before 1970, or has a second or more of nanoseconds."""
+    return _nanoseconds(stamp.sec, stamp.nanosec)
 
 
 def serialised_stamp(data: bytes) -> int:
-    """Stamp in nanoseconds of a serialised message that begins with a header."""
-    seconds, nanoseconds = struct.unpack_from("<iI", data, 4)  # after four bytes about the encoding
-    return int(seconds) * 1_000_000_000 + int(nanoseconds)
+    """Stamp in nanoseconds of a serialised message that begins with a header.
+
+    Raises:
+        RosError: The message is too short, or its stamp is not valid.
+    """
+    return _nanoseconds(*unpack("iI", data, 4))
+
+
+def _nanoseconds(seconds: int, nanoseconds: int) -> int:
+    if seconds < 0 or nanoseconds >= _SECOND:
+        raise RosError(f"a stamp of {seconds} s and {nanoseconds} ns is not valid")
+    return int(seconds) * _SECOND + int(nanoseconds)
 
 
 def header(stamp: int, frame: str) -> Header:

@@ -16,7 +16,8 @@ from humansim_ros.errors import RosError
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.ros.messages.headers import MAX_COORDINATE, WORLD_FRAME, header
+from humansim_ros.ros.limits import MAX_COORDINATE
+from humansim_ros.ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.ros.messages.points import point_cloud
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.scene import HumanState

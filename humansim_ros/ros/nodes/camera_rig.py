@@ -12,7 +12,7 @@ from typing import Any
 
 from rclpy.parameter import Parameter
 
-from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.errors import SceneError
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
@@ -64,10 +64,8 @@ class CameraRigNode(SceneNode):
     def publish_frame(self, state: SceneState) -> None:
         """Render and publish the subscribed channels of all cameras."""
         for camera in self.cameras:
-            try:
+            with camera.skip_frame_on_error():  # the other cameras may be able to render it
                 camera.publish_frame(state)
-            except HumansimError as error:  # the other cameras may be able to render it
-                camera.report_skipped(str(error))
 
     def count(self, counter: str, number: int = 1) -> None:
         """Add to a counter of all cameras: what happens to a frame happens to each of them."""

@@ -1,0 +1,197 @@
+"""Node whose callbacks cannot end it: their errors are logged and counted, and the node goes on."""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.logging import LoggingSeverity
+from rclpy.node import Node
+
+from humansim_ros.errors import HumansimError, printable
+from humansim_ros.ros.limits import check_serialised, deserialised
+
+#: Seconds between two log lines about errors of one callback.
+_LINE_EVERY = 1.0
+
+
+@dataclass
+class Fault:
+    """An exception that a guard has caught. ``reason``: its kind and text, or empty if there was none."""
+
+    reason: str = ""
+
+
+class GuardedNode(Node):
+    """Node that survives any exception of its callbacks.
+
+    Every subscription, timer, service and parameter callback is guarded, also those that rclpy makes for each
+    node. A failed request is answered with a refusal. Subscriptions take serialised messages: messages that
+    are too long are not deserialised, because that takes seconds and a multiple of their memory.
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        self._counts: dict[str, int] = {}
+        #: Monotonic time of the next log line, and errors since the last one, by source.
+        self._next_line: dict[str, float] = {}
+        self._unlogged: dict[str, int] = {}
+        super().__init__(name, **options)
+
+    def count(self, counter: str, number: int = 1) -> None:
+        """Add to a counter of the diagnostics, such as frames or drops."""
+        self._counts[counter] = self._counts.get(counter, 0) + number
+
+    @contextmanager
+    def guard(self, source: str, consequence: str) -> Iterator[Fault]:
+        """Context manager that logs and counts an exception instead of passing it on.
+
+        Each source has at most one line per second. The traceback is logged at debug level.
+
+        Args:
+            source: What failed, such as ``topic /humans/first/motion``.
+            consequence: What is ignored because of it.
+        """
+        fault = Fault()
+        try:
+            yield fault
+        except Exception as error:
+            text = printable(str(error))
+            kind = "" if isinstance(error, HumansimError) else type(error).__name__
+            fault.reason = ": ".join(part for part in (kind, text) if part)
+            self.count("errors")
+            self._log_fault(source, f"{fault.reason}; {consequence}", bool(kind))
+
+    def run_soon(self, callback: Callable[[], object]) -> None:
+        """Run a callback in the executor after this one."""
+
+        def run() -> None:
+            with self.guard(f"task {_name(callback)}", "it is not repeated"):
+                callback()
+
+        self.executor.create_task(run)
+
+    def _log_fault(self, source: str, text: str, unexpected: bool) -> None:
+        now = time.monotonic()
+        if now < self._next_line.get(source, now):
+            self._unlogged[source] = self._unlogged.get(source, 0) + 1
+            return
+        self._next_line[source] = now + _LINE_EVERY
+        more = self._unlogged.pop(source, 0)
+        self.get_logger().error(f"{source}: {text}" + (f" ({more} more such errors)" if more else ""))
+        if unexpected and self.get_logger().is_enabled_for(LoggingSeverity.DEBUG):
+            lines = traceback.format_exc().splitlines()
+            self.get_logger().debug("\n".join(printable(line) for line in lines))
+
+    def create_subscription(
+        self,
+        msg_type: Any,
+        topic: str,
+        callback: Callable[[Any], object],
+        qos_profile: Any,
+        *,
+        raw: bool = False,
+        **options: Any,
+    ) -> Any:
+        """Create a subscription, as ``Node.create_subscription``, whose callback cannot end the node.
+
+        Args:
+            msg_type: Message type.
+            topic: Topic name.
+            callback: Gets each message.
+            qos_profile: Quality of service, or depth of the queue.
+            raw: Pass serialised messages.
+            options: Other options of ``Node.create_subscription``.
+        """
+
+        def on_data(data: bytes) -> None:
+            with self.guard(f"topic {self.resolve_topic_name(topic)}", "the message is ignored"):
+                if raw:
+                    check_serialised(data, msg_type)
+                callback(data if raw else deserialised(data, msg_type))
+
+        return super().create_subscription(msg_type, topic, on_data, qos_profile, raw=True, **options)
+
+    def create_timer(
+        self, timer_period_sec: float, callback: Callable[[], object], *arguments: Any, **options: Any
+    ) -> Any:
+        """Create a timer, as ``Node.create_timer``, whose callback cannot end the node."""
+
+        def on_time() -> None:
+            with self.guard(f"timer {_name(callback)}", "it goes on at its next time"):
+                callback()
+
+        return super().create_timer(timer_period_sec, on_time, *arguments, **options)
+
+    def create_service(
+        self, srv_type: Any, srv_name: str, callback: Callable[[Any, Any], Any], **options: Any
+    ) -> Any:
+        """Create a service, as ``Node.create_service``, whose callback cannot end the node.
+
+        A request at which it fails is answered with a refusal.
+        """
+
+        def on_request(request: Any, response: Any) -> Any:
+            with self.guard(
+                f"service {self.resolve_service_name(srv_name)}", "the request is refused"
+            ) as fault:
+                return callback(request, response)
+            return _refusal(request, srv_type.Response(), fault.reason)
+
+        return super().create_service(srv_type, srv_name, on_request, **options)
+
+    def add_pre_set_parameters_callback(self, callback: Callable[[Any], Any]) -> None:
+        """Add a callback that completes parameters; all are refused if it fails."""
+
+        def on_parameters(parameters: Sequence[Any]) -> Any:
+            with self.guard("parameters", f"{_names(parameters)} refused"):
+                return callback(parameters)
+            return []  # rclpy refuses an empty list
+
+        super().add_pre_set_parameters_callback(on_parameters)
+
+    def add_on_set_parameters_callback(self, callback: Callable[[Any], Any]) -> None:
+        """Add a callback that accepts or refuses parameters; they are refused if it fails."""
+
+        def on_parameters(parameters: Sequence[Any]) -> Any:
+            with self.guard("parameters", f"{_names(parameters)} refused") as fault:
+                return callback(parameters)
+            return SetParametersResult(successful=False, reason=fault.reason)
+
+        super().add_on_set_parameters_callback(on_parameters)
+
+    def add_post_set_parameters_callback(self, callback: Callable[[Any], Any]) -> None:
+        """Add a callback that makes accepted parameters effective."""
+
+        def on_parameters(parameters: Sequence[Any]) -> None:
+            with self.guard("parameters", f"{_names(parameters)} perhaps without effect"):
+                callback(parameters)
+
+        super().add_post_set_parameters_callback(on_parameters)
+
+
+def _name(callback: Callable[..., object]) -> str:
+    return getattr(callback, "__name__", type(callback).__name__).strip("_")
+
+
+def _names(parameters: Sequence[Any]) -> str:
+    return printable(", ".join(parameter.name for parameter in parameters))
+
+
+def _refusal(request: Any, response: Any, reason: str) -> Any:
+    """Fill the response of a failed request: fields of std_srvs, SetCameraInfo and parameter services."""
+    refused = SetParametersResult(successful=False, reason=reason)
+    if hasattr(response, "success"):
+        response.success = False
+    for text in ("message", "status_message"):
+        if hasattr(response, text):
+            setattr(response, text, reason)
+    if hasattr(response, "results"):
+        response.results = [refused] * len(request.parameters)
+    elif isinstance(getattr(response, "result", None), SetParametersResult):
+        response.result = refused
+    return response

@@ -1,0 +1,66 @@
+"""Limits of what is accepted from the network: numbers, names and sizes of messages."""
+
+from __future__ import annotations
+
+import struct
+from typing import Any
+
+from rclpy.serialization import deserialize_message
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from std_msgs.msg import String
+from visualization_msgs.msg import Marker
+
+from humansim_ros.errors import RosError
+
+#: Largest accepted coordinate in metres, and velocity in m/s or rad/s. Larger values are faults.
+MAX_COORDINATE = 1e6
+#: Most joints of a motion, and most characters of a joint's name.
+MAX_JOINTS, MAX_NAME = 1024, 256
+#: Most fields of a point cloud.
+MAX_FIELDS = 64
+
+#: Bytes of the longest serialised message that is read, by type, and of all other types. rclpy needs up to
+#: 0.6 s for a megabyte of small structures, but only a millisecond for a megabyte of points or text.
+_MAX_BYTES = {MultiDOFJointState: 192 << 10, Marker: 128 << 10, String: 256 << 10, PointCloud2: 64 << 20}
+_MAX_OTHER = 64 << 10
+
+
+def check_serialised(data: bytes, message_type: Any) -> None:
+    """Raise RosError for a serialised message that is too long, or has too many parts, to be read."""
+    limit = _MAX_BYTES.get(message_type, _MAX_OTHER)
+    if len(data) > limit:
+        raise RosError(f"a message of {len(data)} bytes; at most {limit} are read")
+    if message_type is PointCloud2 and (count := _field_count(data)) > MAX_FIELDS:
+        raise RosError(f"a PointCloud2 with {count} fields; at most {MAX_FIELDS} are read")
+
+
+def deserialised(data: bytes, message_type: Any) -> Any:
+    """Message of some type from its serialised form. Raises RosError if it is too long, or is not one."""
+    check_serialised(data, message_type)
+    try:
+        return deserialize_message(data, message_type)
+    except RuntimeError:  # RMWError
+        raise RosError(f"{len(data)} bytes that are no {message_type.__name__}") from None
+
+
+def unpack(form: str, data: bytes, offset: int) -> tuple[int, ...]:
+    """Integers of a serialised message in its byte order, as ``struct.unpack_from``. Raises RosError at its
+    end.
+
+    Args:
+        form: Format of :mod:`struct` without the byte order.
+        data: Serialised message. Its second byte gives the byte order; contents begin at byte 4.
+        offset: Position in ``data``.
+    """
+    try:
+        return struct.unpack_from(("<" if data[1] & 1 else ">") + form, data, offset)
+    except (struct.error, IndexError):
+        raise RosError(f"a message of {len(data)} bytes ends too early") from None
+
+
+def _field_count(data: bytes) -> int:
+    """Number of fields of a serialised PointCloud2: after header, height and width."""
+    (frame_length,) = unpack("I", data, 12)
+    end = -(-(16 + frame_length) // 4) * 4
+    (count,) = unpack("I", data, end + 8)
+    return count

@@ -41,7 +41,7 @@ _SETTINGS = {
         "file",
         Parameter.Type.STRING,
         "motion; setting it reads the file, even the same one again",
-        constraints="built-in motion, or BVH file relative to the scene file",
+        constraints="built-in motion, or BVH or glTF file below the folder of the scene or motion_folders",
     ),
     "loop": _Setting(
         "loop",

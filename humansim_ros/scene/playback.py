@@ -21,6 +21,7 @@ from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.source import SceneSource
 
 #: Keys that describe the motion file; another file starts with their defaults.
 _FILE_KEYS = ("joint_names", "min_confidence", "unit", "up", "facing", "positions", "start", "end")
@@ -201,17 +202,25 @@ class Playback:
         """
         self.apply(self.prepare(name, settings))
 
-    def prepare(self, name: str, settings: Mapping[str, Any]) -> Change:
-        """Read the files for a change without changing anything yet. Raises HumansimError with the key.
+    def prepare(self, name: str, settings: Mapping[str, Any], source: SceneSource | None = None) -> Change:
+        """Read the files for a change without changing anything yet.
 
         The motion file is read only if ``settings`` has ``file``. Keys that describe the old file (joint
         table, unit, start, end …) get their defaults for another file, and the values of the scene for the
         scene's own file.
+
+        Args:
+            name: Name of the human.
+            settings: Keys of a section ``motion`` of a scene file.
+            source: Finds the files; that of the scene if None.
+
+        Raises:
+            HumansimError: The motion cannot be played; with the key.
         """
         with in_section(f"humans.{name}.motion"):
-            return self._prepare(name, settings)
+            return self._prepare(name, settings, source or self.scene.source)
 
-    def _prepare(self, name: str, settings: Mapping[str, Any]) -> Change:
+    def _prepare(self, name: str, settings: Mapping[str, Any], source: SceneSource) -> Change:
         old, before = self.settings[name], self.actors[name]
         new = _with(old, settings, self.scene.config.humans[name].motion)
         different = {key for key in MotionConfig.model_fields if getattr(new, key) != getattr(old, key)}
@@ -220,7 +229,7 @@ class Playback:
             actor = replace(before, motion=replace(before.motion, speed=new.speed))
         else:
             read_again = different & {"file", "positions"}
-            actor = before.with_motion(new, self.scene.source, None if read_again else before.motion.motion)
+            actor = before.with_motion(new, source, None if read_again else before.motion.motion)
         actor.motion.sample(0.0)  # compute now what is computed once for all frames
         return Change(name, new, actor, bool(different & _RESTART_KEYS), bool(different & _ROUND_KEYS))
 

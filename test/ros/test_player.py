@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import threading
 import time
@@ -16,7 +17,7 @@ from conftest import ROOT
 from ros_support import Client, write_scene
 from waiting import PATIENCE, wait_until
 
-from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.errors import HumansimError, HumansimWarning, RosError
 from humansim_ros.motion import read_bvh
 from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.ros import messages
@@ -228,7 +229,11 @@ class PlayerClient:
         from std_msgs.msg import String
 
         scene = [Parameter("scene", value=str(write_scene(folder)))]
-        self.player = MotionPlayerNode(parameter_overrides=scene, namespace=namespace)
+        #: Folder besides that of the scene whose files may be named.
+        self.motions = folder.parent / f"{namespace}_motions"
+        self.motions.mkdir(exist_ok=True)
+        folders = Parameter("motion_folders", value=[str(self.motions)])
+        self.player = MotionPlayerNode(parameter_overrides=[*scene, folders], namespace=namespace)
         self.nodes = [self.player]
         if skinner:
             self.nodes.append(SkinnerNode(parameter_overrides=scene, namespace=namespace))
@@ -448,9 +453,10 @@ def test_a_changed_motion_gives_the_same_truth_as_in_the_scene_file(player: Play
 
 
 def test_values_that_cannot_be_played_are_rejected_and_the_old_motion_continues(
-    player: PlayerClient, tmp_path: Path
+    player: PlayerClient,
 ) -> None:
     """Also with a deleted file: a motion that plays is in memory."""
+    tmp_path = player.motions
     (tmp_path / "broken.bvh").write_text("HIERARCHY\nROOT a\n{\n")
     (tmp_path / "chain.bvh").write_text(
         "HIERARCHY\nROOT a\n{\nOFFSET 0 0 0\nCHANNELS 1 Zrotation\n}\nMOTION\nFrames: 1\nFrame Time: 1\n0\n"
@@ -494,11 +500,11 @@ def test_frames_are_sent_while_a_motion_is_read(
     prepare, publish, during = Playback.prepare, player.player._publish, list[int]()
     five_are_sent = threading.Event()
 
-    def slow(self: Playback, name: str, settings: Any) -> Any:
+    def slow(self: Playback, *change: Any) -> Any:
         monkeypatch.setattr(player.player, "_publish", count)
         assert five_are_sent.wait(PATIENCE), "no frames are sent while the motion is read"
         monkeypatch.setattr(player.player, "_publish", publish)
-        return prepare(self, name, settings)
+        return prepare(self, *change)
 
     def count(tick: Tick) -> None:
         publish(tick)
@@ -510,6 +516,44 @@ def test_frames_are_sent_while_a_motion_is_read(
     assert player.set(first__motion="walk_straight") == ""
     assert player.client.spin_until(lambda: set(during) <= set(player.messages_of()))
     assert moves([(stamp, messages.read_joints(player.messages_of()[stamp])) for stamp in during])
+
+
+def test_a_parameter_reads_no_other_file_of_the_machine_and_quotes_none(
+    player: PlayerClient, tmp_path: Path
+) -> None:
+    """Neither in the answer nor in the log, which is on the network too; a pipe does not stop the player."""
+    from rcl_interfaces.msg import Log
+
+    player.client.subscribe(Log, ["/rosout"])
+    (tmp_path / "elsewhere.bvh").write_text("secret\n")
+    (player.motions / "notes.bvh").write_text("secret\n")
+    os.mkfifo(player.motions / "pipe.bvh")
+    elsewhere, missing = (
+        player.set(motion=str(tmp_path / name)) for name in ("elsewhere.bvh", "missing.bvh")
+    )
+    assert elsewhere == missing.replace("missing", "elsewhere")
+    assert "motion_folders" in elsewhere
+    with pytest.warns(HumansimWarning, match="notes.bvh.*secret"):  # on this machine
+        notes = player.set(motion=str(player.motions / "notes.bvh"))
+    assert "not a motion that can be read" in notes
+    assert "not a regular file" in player.set(motion=str(player.motions / "pipe.bvh"))
+    assert player.set(motion="wave") == ""
+    said = player.client.received["/rosout"]
+    assert player.client.spin_until(lambda: any("not a regular file" in log.msg for log in said.values()))
+    assert not any("secret" in text for text in (elsewhere, notes, *(log.msg for log in said.values())))
+
+
+def test_only_the_motion_parameters_of_a_running_player_name_files(player: PlayerClient) -> None:
+    """All others with a text or texts are read-only, or one of a few words."""
+    from rclpy.parameter import Parameter
+
+    texts = (Parameter.Type.STRING, Parameter.Type.STRING_ARRAY, Parameter.Type.NOT_SET)
+    for node in player.nodes:
+        for name, parameter in node._parameters.items():
+            read_only = node.describe_parameter(name).read_only
+            if parameter.type_ in texts and not read_only:
+                assert name.rpartition(".")[2] in ("motion", "loop", "start", "end", "mirror")
+    assert "read-only" in player.set(motion_folders=["/"])
 
 
 def test_parameters_at_the_start_have_priority_over_the_scene(ros: None, tmp_path: Path) -> None:

@@ -17,10 +17,9 @@ Parameters can be set while it plays; services ``~/pause``, ``~/step`` and ``~/r
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rcl_interfaces.msg import SetParametersResult
@@ -32,6 +31,7 @@ from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError
+from humansim_ros.ros.background import BackgroundWork
 from humansim_ros.ros.frame_pacing import FramePacing
 from humansim_ros.ros.messages import (
     WORLD_FRAME,
@@ -47,14 +47,16 @@ from humansim_ros.ros.messages import (
 from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED
+from humansim_ros.ros.requested_motions import MOTION_FOLDERS, RequestedMotions
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.playback import Change, Playback, PlaybackClock, Tick
 
-T = TypeVar("T")
 #: Largest accepted lead in seconds.
 MAX_LEAD = 0.1
+#: Seconds until a request is given up whose motions are not ready.
+MAX_READING = 20.0
 #: Queue for the reports of the cameras.
 _REPORTS = QoSProfile(depth=50)
 
@@ -77,6 +79,8 @@ class MotionPlayerNode(SceneNode):
         self._playback.elapsed = self._playback_clock.elapsed
         self._changes: list[tuple[Change, JointSource]] = []
         self._motion_parameters = MotionParameters(self, self._playback)
+        self._requested_motions = self._allowed_motions()
+        self._background = BackgroundWork(MAX_READING)
         for name in self.scene.actors:
             description = "publish the motion; false: another node does, such as live motion capture"
             declare(f"{name}.play", True, description)
@@ -177,8 +181,10 @@ class MotionPlayerNode(SceneNode):
         self._changes = []
         changes = self._motion_parameters.changes(parameters)
         try:
-            self._changes = self._run_while_playing(
-                lambda: [self._prepare_change(*change) for change in changes.items()]
+            self._changes = self._background.run(
+                lambda: [self._prepare_change(*change) for change in changes.items()],
+                self._tick,
+                min(0.01, self._playback_clock.period * 0.5e-9),
             )
         except HumansimError as error:
             self.get_logger().error(f"parameters rejected, the old motion goes on: {error}")
@@ -187,16 +193,20 @@ class MotionPlayerNode(SceneNode):
 
     def _prepare_change(self, human: str, settings: Mapping[str, Any]) -> tuple[Change, JointSource]:
         """Prepare a change, and the content of its legend."""
-        change = self._playback.prepare(human, settings)
+        change = self._playback.prepare(human, settings, self._requested_motions)
         return change, JointSource.of_actor(change.actor)
 
-    def _run_while_playing(self, work: Callable[[], T]) -> T:
-        """Run slow work in a thread, and go on playing."""
-        with ThreadPoolExecutor(1) as pool:
-            future = pool.submit(work)
-            while not wait([future], timeout=min(0.01, self._playback_clock.period * 0.5e-9)).done:
-                self._tick()
-        return future.result()
+    def _allowed_motions(self) -> RequestedMotions:
+        """Motions that parameters may be set to over the network; those of the start are among them."""
+        folders = self.described_parameter(
+            MOTION_FOLDERS,
+            Parameter.Type.STRING_ARRAY,
+            "Folders whose files the motion parameters may name, besides the folder of the scene",
+            read_only=True,
+        )
+        named = {human.motion.file for human in self.scene.config.humans.values()}
+        named |= {settings.file for settings in self._playback.settings.values()}
+        return RequestedMotions.of(self.scene.source, folders or (), named)
 
     def _apply(self, parameters: Sequence[Parameter]) -> None:
         """Make accepted parameters effective."""

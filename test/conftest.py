@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 from types import CodeType, FunctionType
@@ -130,3 +131,32 @@ def ros() -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.try_shutdown()
+
+
+@pytest.fixture
+def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
+    """Messages of cameras on /tf and /tf_static; tf2_msgs, which is not on PyPI, may be absent."""
+    from humansim_ros.ros import camera_pose
+    from humansim_ros.ros.nodes.camera import CameraNode
+
+    sent: dict[str, list[Any]] = defaultdict(list)
+
+    class Recorder:
+        def __init__(self, topic: str) -> None:
+            self.topic = topic
+
+        def publish(self, message: Any) -> None:
+            sent[self.topic].append(message.transforms)
+
+    class Transforms:
+        def __init__(self, transforms: Any = ()) -> None:
+            self.transforms = list(transforms)
+
+    publisher = CameraNode.create_publisher
+
+    def create(node: Any, kind: Any, topic: str, qos: Any) -> Any:
+        return Recorder(topic) if kind is Transforms else publisher(node, kind, topic, qos)
+
+    monkeypatch.setattr(camera_pose, "TFMessage", Transforms)
+    monkeypatch.setattr(CameraNode, "create_publisher", create)
+    return sent

@@ -59,7 +59,9 @@ def test_every_file_the_documents_link_to_exists() -> None:
 
 def test_the_readme_lists_the_topics_that_the_nodes_have() -> None:
     source = "".join(path.read_text() for path in (ROOT / "humansim_ros" / "ros").rglob("*.py"))
-    source += " ".join(channel.topic.format(body="<name>") for channel in CHANNEL_TABLE.values())
+    topics = [channel.topic.format(body="<name>") for channel in CHANNEL_TABLE.values()]
+    topics += [channel.rectified_topic for channel in CHANNEL_TABLE.values()]
+    source += " ".join([*topics, *(f"{topic.rpartition('/')[0]}/camera_info" for topic in topics)])
     for topic in re.findall(r"`/<camera>/([a-z_/]+)`", README):
         assert topic in source, topic
     for topic in re.findall(r"`/humans/<id>/([a-z_/]+)`", README):

@@ -81,6 +81,17 @@ class Ideal:
         """
         return _remap(image, self.real_from_ideal, self.real.size, interpolation)
 
+    def without_border(self, image: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Copy of an ideal image (H, W) with NaN where the real image has no pixel."""
+        return np.where(self._inside, image, np.float32(np.nan))
+
+    @cached_property
+    def _inside(self) -> NDArray[np.bool_]:
+        """Pixels (H, W) of the ideal image that are on a pixel of the real one."""
+        width, height = self.real.size
+        x, y = np.moveaxis(self.real_from_ideal, -1, 0)
+        return (x >= -0.5) & (x <= width - 0.5) & (y >= -0.5) & (y <= height - 0.5)
+
     def to_real(self, image: NDArray[Any], interpolation: int = cv2.INTER_LINEAR) -> NDArray[Any]:
         """Convert an ideal image to the real camera; as :meth:`to_ideal`."""
         return _remap(image, self.ideal_from_real, self.camera.size, interpolation)

@@ -39,6 +39,7 @@ class Channel:
         occlusion: The adjacent frame has to be rendered too, to find what is hidden in it.
         per_body: There is one image for each labelled body.
         labels_bodies: The channel describes labelled bodies only. Those of static bodies are cached.
+        rectified_topic: ROS topic of the channel without lens distortion, if there is one.
     """
 
     name: str
@@ -53,6 +54,7 @@ class Channel:
     occlusion: bool = False
     per_body: bool = False
     labels_bodies: bool = False
+    rectified_topic: str = ""
 
     def empty_image(self, shape: tuple[int, ...]) -> NDArray[Any]:
         """Array (H, W, ...) of pixels that show nothing. ``shape``: (H, W)."""
@@ -68,13 +70,15 @@ _PER_BODY: dict[str, Any] = {"labels_bodies": True, "per_body": True}
 _NEXT: dict[str, Any] = {"adjacent_frame": "next_frame"}
 _PREVIOUS: dict[str, Any] = {"adjacent_frame": "previous_frame"}
 _HIDDEN: dict[str, Any] = {"empty": 1, "occlusion": True}
+_RECTIFIED: dict[str, Any] = {"default": True, "rectified_topic": "image_rect"}
+_RECTIFIED_DEPTH: dict[str, Any] = {"default": True, "rectified_topic": "depth/image_rect"}
 
 #: All channels by name.
 CHANNEL_TABLE: dict[str, Channel] = {
     channel.name: channel
     for channel in (
-        Channel("rgb", np.uint8, "image_raw", "", (3,), default=True, passes=_LIT | _OUTLINED),
-        Channel("depth", np.float32, "depth/image", "32FC1", empty=np.inf, default=True),
+        Channel("rgb", np.uint8, "image_raw", "", (3,), passes=_LIT | _OUTLINED, **_RECTIFIED),
+        Channel("depth", np.float32, "depth/image", "32FC1", empty=np.inf, **_RECTIFIED_DEPTH),
         Channel("instance", np.uint16, "instance/image", "mono16", default=True, **_LABELS),
         Channel("part", np.uint8, "part/image", "mono8", default=True, **_LABELS),
         Channel("face", np.int32, "face/image", "32SC1", **_LABELS),

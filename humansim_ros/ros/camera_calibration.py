@@ -15,10 +15,10 @@ from sensor_msgs.srv import SetCameraInfo
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration, resolve_url, write_calibration
-from humansim_ros.camera.region import Region
 from humansim_ros.errors import CameraError, HumansimError
-from humansim_ros.ros.messages import camera_info_message, optical_frame, read_camera_info
+from humansim_ros.ros.messages import camera_info_message, read_camera_info
 from humansim_ros.ros.node import SceneNode
+from humansim_ros.scene.camera import SceneCamera
 
 
 def read_single_camera(url: str, name: str) -> Camera:
@@ -39,19 +39,21 @@ class PublishedCalibration:
 
     The service replaces the content and writes it where camera drivers do, to
     ``$ROS_HOME/camera_info/<camera>.yaml``.
+
+    ``frame``: optical frame of the camera.
     """
 
-    def __init__(self, node: SceneNode, name: str, camera: Camera, region: Region) -> None:
+    def __init__(self, node: SceneNode, camera: SceneCamera, frame: str) -> None:
         self._node = node
-        self._name = name
-        self._rendered = camera
-        self._region = region
-        self._published = camera
+        self._name = name = camera.name
+        self._frame = frame
+        self._region = camera.region
+        self._rendered = self._published = camera.whole
         node.create_service(SetCameraInfo, f"{name}/set_camera_info", self._on_set)
 
     def message(self, stamp: int) -> CameraInfo:
         """Build ``camera_info`` of a frame."""
-        return camera_info_message(self._published, stamp, optical_frame(self._name), self._region)
+        return camera_info_message(self._published, stamp, self._frame, self._region)
 
     def replace(self, camera: Camera, source: str | None = None) -> None:
         """Publish another calibration. Raises CameraError naming ``source`` for another image size."""

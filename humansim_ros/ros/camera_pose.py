@@ -35,10 +35,13 @@ class CameraPosePublisher:
     A static camera has them once, a moving one with the stamp of every frame. ``<camera>/pose`` (optical
     frame in ``map``) moves any camera: poses are interpolated, and the camera stays at the last one. A pose
     far ahead of a frame has a stamp of another clock: it holds from that frame on.
+
+    ``frame``: optical frame of the camera.
     """
 
-    def __init__(self, node: SceneNode, camera: SceneCamera) -> None:
+    def __init__(self, node: SceneNode, camera: SceneCamera, frame: str) -> None:
         self._node = node
+        self._frame = frame
         self._camera = camera
         self._poses: deque[tuple[int, CameraPose]] = deque(maxlen=_MAX_POSES)
         #: Pose before the first of _poses, and pose of the last frame.
@@ -114,7 +117,7 @@ class CameraPosePublisher:
 
     def _publish(self, pose: CameraPose, stamp: int) -> TransformStamped:
         camera = self._camera.camera_at(pose)
-        transform = messages.extrinsics_message(self._camera.name, camera, stamp)
+        transform = messages.extrinsics_message(camera, stamp, self._frame)
         self._extrinsics.publish(transform)
         self._projection.publish(messages.projection_message(camera))
         return transform

@@ -17,7 +17,7 @@ from rcl_interfaces.msg import SetParametersResult
 from sensor_msgs.msg import CompressedImage
 
 from humansim_ros.errors import RosError
-from humansim_ros.ros.messages import header, optical_frame
+from humansim_ros.ros.messages import header
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA
 
@@ -90,11 +90,19 @@ def _encode(image: NDArray[Any], suffix: str, settings: Sequence[int]) -> NDArra
 
 
 class _CompressedPublisher:
-    """Publisher of compressed images, with its parameters."""
+    """Publisher of compressed images, with its parameters.
 
-    def __init__(self, node: SceneNode, camera: str, topic: str, transport: str) -> None:
+    Args:
+        node: Node of the camera.
+        camera: Name of the camera.
+        topic: Topic of the images below the name of the camera.
+        frame: Optical frame of the camera.
+        transport: Name of the plugin of image_transport, the last part of the topic.
+    """
+
+    def __init__(self, node: SceneNode, camera: str, topic: str, frame: str, transport: str) -> None:
         self._node = node
-        self._frame = optical_frame(camera)
+        self._frame = frame
         self._parameters = f"{camera}.{topic.replace('/', '.')}.{transport}."
         self._publisher = node.create_publisher(CompressedImage, f"{camera}/{topic}/{transport}", DATA)
 
@@ -130,10 +138,18 @@ class _CompressedPublisher:
 
 
 class CompressedImagePublisher(_CompressedPublisher):
-    """Publisher of ``<camera>/image_raw/compressed``."""
+    """Publisher of ``<camera>/image_raw/compressed``.
 
-    def __init__(self, node: SceneNode, camera: str, topic: str, encoding: str) -> None:
-        super().__init__(node, camera, topic, "compressed")
+    Args:
+        node: Node of the camera.
+        camera: Name of the camera.
+        topic: Topic of the images below the name of the camera.
+        frame: Optical frame of the camera.
+        encoding: ROS encoding of the images.
+    """
+
+    def __init__(self, node: SceneNode, camera: str, topic: str, frame: str, encoding: str) -> None:
+        super().__init__(node, camera, topic, frame, "compressed")
         self._encoding = encoding
         self._declare("format", "jpeg", None, "jpeg or png")
         self._restrict("format", "jpeg", "png")
@@ -147,10 +163,17 @@ class CompressedImagePublisher(_CompressedPublisher):
 
 
 class CompressedDepthPublisher(_CompressedPublisher):
-    """Publisher of ``<camera>/depth/image/compressedDepth``."""
+    """Publisher of ``<camera>/depth/image/compressedDepth``.
 
-    def __init__(self, node: SceneNode, camera: str, topic: str) -> None:
-        super().__init__(node, camera, topic, "compressedDepth")
+    Args:
+        node: Node of the camera.
+        camera: Name of the camera.
+        topic: Topic of the images below the name of the camera.
+        frame: Optical frame of the camera.
+    """
+
+    def __init__(self, node: SceneNode, camera: str, topic: str, frame: str) -> None:
+        super().__init__(node, camera, topic, frame, "compressedDepth")
         self._declare("format", "png", None, "png")
         self._restrict("format", "png")
         self._declare("depth_max", 10.0, (1.0, 100.0), "Metres from which on depth is not encoded")

@@ -158,6 +158,16 @@ class SceneCamera:
         ideal = rectify(self.camera)
         return None if ideal.camera is ideal.real else ideal
 
+    def rectified_at(self, pose: CameraPose) -> Camera:
+        """Camera of ``image_rect`` at a pose."""
+        if self.rectified is None:
+            return self.camera_at(pose)
+        ideal = self.rectified.camera
+        if pose.R is self.camera.R and pose.t is self.camera.t:
+            return ideal
+        rotation = self.camera.rectification_matrix
+        return replace(ideal, R=rotation @ pose.R, t=rotation @ pose.t)
+
     @property
     def encoding(self) -> str:
         """Encoding of ``image_raw``."""

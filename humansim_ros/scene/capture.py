@@ -9,7 +9,7 @@ import numpy as np
 
 from humansim_ros.render import AdjacentFrame, Body, Renderer, View
 from humansim_ros.scene.camera import CameraPose, SceneCamera
-from humansim_ros.types import Image
+from humansim_ros.types import Float32Array, Image
 
 
 @dataclass(frozen=True)
@@ -78,3 +78,15 @@ def capture(
             yield sample.rgb
 
     return view.with_channels(rgb=camera.sensor.expose(images(), stamp))
+
+
+def capture_rectified_depth(renderer: Renderer, camera: SceneCamera, exposure: Exposure) -> Float32Array:
+    """Depth (H, W) in metres along the axis of the camera of ``image_rect``, at the stamp.
+
+    It is rendered with that camera: depth that is interpolated from another image is wrong at edges, and the
+    depth of the nearest pixel on surfaces that are seen at an angle. NaN where ``image_raw`` has no pixel.
+    """
+    pose = exposure.pose_at(0.0)
+    seen = camera.rectified_at(pose)
+    depth = renderer.render(exposure.bodies_at(0.0), seen, ("depth",), exposure.moving).depth
+    return depth if camera.rectified is None else camera.rectified.without_border(depth)

@@ -7,7 +7,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -458,32 +457,6 @@ def test_a_scene_for_a_renderer_that_is_not_installed_ends_the_process_with_code
 # --- cameras that move
 
 
-@pytest.fixture
-def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
-    """Messages of cameras on /tf and /tf_static; tf2_msgs, which is not on PyPI, may be absent."""
-    sent: dict[str, list[Any]] = defaultdict(list)
-
-    class Recorder:
-        def __init__(self, topic: str) -> None:
-            self.topic = topic
-
-        def publish(self, message: Any) -> None:
-            sent[self.topic].append(message.transforms)
-
-    class Transforms:
-        def __init__(self, transforms: Any = ()) -> None:
-            self.transforms = list(transforms)
-
-    publisher = CameraNode.create_publisher
-
-    def create(node: Any, kind: Any, topic: str, qos: Any) -> Any:
-        return Recorder(topic) if kind is Transforms else publisher(node, kind, topic, qos)
-
-    monkeypatch.setattr(camera_pose, "TFMessage", Transforms)
-    monkeypatch.setattr(CameraNode, "create_publisher", create)
-    return sent
-
-
 def pose_of(message: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Rotation (3, 3) and position (3,) of a TransformStamped."""
     p, q = message.transform.translation, message.transform.rotation
@@ -667,7 +640,7 @@ def test_a_pose_of_another_clock_moves_a_camera_and_does_not_fix_it(
     """One pose years ahead, a sender whose clock is ahead, and a sender whose clock is right."""
     scene = Scene.load(write_files(tmp_path, f"room: null\n{WALL}cameras: {{left: {{{PLACE}}}}}"))
     node = SceneNode("posed", scene)
-    publisher = camera_pose.CameraPosePublisher(node, scene.scene_cameras["left"])
+    publisher = camera_pose.CameraPosePublisher(node, scene.scene_cameras["left"], "left_optical_frame")
     now = node.now()
 
     def send(x: float, stamp: int) -> None:

@@ -132,7 +132,7 @@ def test_camera_info_is_that_of_an_undistorted_driver(read_outside: Any) -> None
 
 def test_extrinsics_are_the_pose_of_the_optical_frame_as_in_tf(read_outside: Any) -> None:
     camera = Camera.look_at([2.0, -1.0, 1.5], [0.0, 0.0, 1.0])
-    message = read_outside(messages.extrinsics_message("cam", camera, STAMP))
+    message = read_outside(messages.extrinsics_message(camera, STAMP, "cam_optical_frame"))
     assert (message.header.frame_id, message.child_frame_id) == ("map", "cam_optical_frame")
     t, q = message.transform.translation, message.transform.rotation
     assert np.allclose([t.x, t.y, t.z], [2.0, -1.0, 1.5], atol=1e-12)

@@ -11,7 +11,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import RosError
 from humansim_ros.ros.limits import MAX_COORDINATE
-from humansim_ros.ros.messages.headers import WORLD_FRAME, header, optical_frame
+from humansim_ros.ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.scene.camera import CameraPose
 
@@ -83,9 +83,12 @@ def read_pose(message: PoseStamped) -> CameraPose:
     return CameraPose(r, -r @ position)
 
 
-def extrinsics_message(name: str, camera: Camera, stamp: int) -> TransformStamped:
-    """Build ``<camera>/extrinsics``: pose of the optical frame in ``map``, as tf has it."""
-    message = TransformStamped(header=header(stamp, WORLD_FRAME), child_frame_id=optical_frame(name))
+def extrinsics_message(camera: Camera, stamp: int, frame: str) -> TransformStamped:
+    """Build ``<camera>/extrinsics``: pose of the optical frame in ``map``, as tf has it.
+
+    ``frame``: optical frame of the camera.
+    """
+    message = TransformStamped(header=header(stamp, WORLD_FRAME), child_frame_id=frame)
     x, y, z = camera.center.tolist()
     message.transform.translation = Vector3(x=x, y=y, z=z)
     x, y, z, w = matrix_to_quaternion(camera.R.T).tolist()

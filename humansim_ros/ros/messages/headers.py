@@ -13,7 +13,7 @@ _SECOND = 1_000_000_000
 
 
 def optical_frame(camera: str) -> str:
-    """Optical frame of a camera: z forward, x right, y down (REP-103)."""
+    """Optical frame of a camera unless its parameters name another: z forward, x right, y down (REP-103)."""
     return f"{camera}_optical_frame"
 
 

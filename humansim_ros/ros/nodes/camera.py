@@ -14,21 +14,18 @@ import time
 from dataclasses import replace
 from typing import Any
 
-from sensor_msgs.msg import CameraInfo, Image
-
-from humansim_ros.errors import CameraError, SceneError
+from humansim_ros.errors import CameraError, RosError, SceneError
 from humansim_ros.render.channels import comparing_with
 from humansim_ros.ros import messages
 from humansim_ros.ros.camera_calibration import PublishedCalibration, read_single_camera
 from humansim_ros.ros.camera_pose import CameraPosePublisher
-from humansim_ros.ros.camera_publishers import ImagePublishers, TruthPublishers, needed
+from humansim_ros.ros.camera_publishers import ImagePublishers, InfoPublishers, TruthPublishers, needed
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import SceneCamera
-from humansim_ros.scene.capture import Exposure, capture
+from humansim_ros.scene.capture import Exposure, capture, capture_rectified_depth
 from humansim_ros.scene.state import SceneState
 
 #: Channels that need the next frame, and the previous one.
@@ -48,27 +45,22 @@ class CameraNode(SceneNode):
         super().__init__(name or "camera", scene, **options)
         self._camera = self._select_camera(name)
         name = self._camera.name
-        self._frame = messages.optical_frame(name)
+        frame = self._optical_frame(name)
         self._in_rig = renderer is not None
         self._renderer = renderer if self._in_rig else self.make_renderer()
-        self._images = ImagePublishers(
-            self, name, self._camera.encoding, self.scene.labels, self._renderer.channels
-        )
+        self._images = ImagePublishers(self, self._camera, frame, self.scene.labels, self._renderer.channels)
         #: Stamp and exposure of the previous frame, if flow is subscribed to.
         self._previous: tuple[int, Exposure] | None = None
-        self._rect = None
-        if self._camera.rectified is not None:
-            self._rect = self.create_publisher(Image, f"{name}/image_rect", DATA)
-        self._info = self.create_publisher(CameraInfo, f"{name}/camera_info", DATA)
-        self._truth = TruthPublishers(self, name)
-        self._calibration = PublishedCalibration(self, name, self._camera.whole, self._camera.region)
+        self._infos = InfoPublishers(self, name)
+        self._truth = TruthPublishers(self, name, frame)
+        self._calibration = PublishedCalibration(self, self._camera, frame)
         if url := self.text_parameter(
             "published_info_url",
             "",
             "Calibration file to publish as camera_info in place of the rendered lens; empty: the truth",
         ):
             self._calibration.replace(read_single_camera(url, name), url)
-        self._pose = CameraPosePublisher(self, self._camera)
+        self._pose = CameraPosePublisher(self, self._camera, frame)
         self._publish_legends()
         if not self._in_rig:
             moving = [name] if self._camera.moves else []
@@ -95,6 +87,18 @@ class CameraNode(SceneNode):
             return camera.with_calibration(read_single_camera(url, name))
         except CameraError as error:
             raise CameraError(error.message, path=error.path or url, line=error.line, key=error.key) from None
+
+    def _optical_frame(self, name: str) -> str:
+        """Optical frame of camera ``name`` in messages and tf. Raises RosError for one that tf2 refuses."""
+        frame = self.text_parameter(
+            "frame_id", "", "Optical frame of the camera; empty: <camera>_optical_frame"
+        )
+        prefix = self.text_parameter("frame_prefix", "", "Text before the optical frame, such as lab/")
+        frame = prefix + (frame or messages.optical_frame(name))
+        if frame.startswith("/"):
+            parameter = "frame_prefix" if prefix else "frame_id"
+            raise RosError(f"parameter {parameter}: frames do not begin with /, as in {frame}")
+        return frame
 
     def close(self) -> None:
         """Free the renderer, unless it belongs to a rig."""
@@ -140,18 +144,18 @@ class CameraNode(SceneNode):
     def _publish_view(self, state: SceneState, exposure: Exposure, channels: set[str]) -> None:
         stamp = state.stamp
         truth_topics = self._truth.subscribed()
-        rectify = self._rect is not None and self._rect.get_subscription_count() > 0
-        rendered = channels | needed(truth_topics) | ({"rgb"} if rectify else set())
-        if self._info.get_subscription_count():
-            self._info.publish(self._calibration.message(stamp))
-        if not rendered:
+        rectified = self._images.rectified_subscribed()
+        rendered = channels | needed(truth_topics) | (rectified & {"rgb"})
+        self._infos.publish(lambda: self._calibration.message(stamp))
+        if not rendered and not rectified:
             return
         view = capture(self._renderer, self._camera, exposure, rendered, stamp)
         self._images.publish(view, channels, stamp)
-        if self._rect is not None and rectify and "rgb" in view.channels:
-            encoding = self._camera.encoding.replace("bayer_rggb8", "rgb8")
-            image = self._camera.rectify(view.rgb)
-            self._rect.publish(messages.image_message(image, encoding, stamp, self._frame))
+        if "rgb" in rectified:
+            self._images.publish_rectified("rgb", self._camera.rectify(view.rgb), stamp)
+        if "depth" in rectified:
+            depth = capture_rectified_depth(self._renderer, self._camera, exposure)
+            self._images.publish_rectified("depth", depth, stamp)
         truth = state.camera_truth(self._camera.camera_at(exposure.pose_at(0.0)), view)
         self._truth.publish(truth_topics, truth, stamp)
         self.count("frames")

@@ -46,7 +46,7 @@ class CameraPosePublisher:
         self._poses: deque[tuple[int, CameraPose]] = deque(maxlen=_MAX_POSES)
         #: Pose before the first of _poses, and pose of the last frame.
         self._start = self._last = CameraPose.of(camera.camera)
-        self._last_motion = 0
+        self._last_stamp = self._last_motion = 0
         self._extrinsics = node.create_publisher(TransformStamped, f"{camera.name}/extrinsics", LATCHED)
         self._projection = node.create_publisher(Float64MultiArray, f"{camera.name}/projection", LATCHED)
         self._tf = self._tf_static = None
@@ -62,6 +62,9 @@ class CameraPosePublisher:
     def exposure(self, state: SceneState) -> Exposure:
         """Exposure of the camera at a scene state; publishes the camera's pose at its stamp."""
         exposure = state.exposure(self._camera)
+        if self._poses and state.stamp < self._last_stamp:
+            self._follow_clock(self._last_stamp, state.stamp)
+        self._last_stamp = state.stamp
         if self._poses:
             self._restamp_poses_ahead(state.stamp)
             if self._pose_at(state.stamp) is not self._last:  # a resting camera has the same object
@@ -88,6 +91,11 @@ class CameraPosePublisher:
         self._poses.clear()
         self._poses.append((stamp, pose))
         self._node.report_other_clock([f"{self._camera.name}/pose"], (newest - stamp) * 1e-9, "frames")
+
+    def _follow_clock(self, before: int, after: int) -> None:
+        """Keep the last pose when the clock is set back: poses of before would be in the future."""
+        since = [item for item in self._poses if item[0] < (before + after) / 2]
+        self._poses = deque(since or [(after, self._last)], maxlen=_MAX_POSES)
 
     def _pose_at(self, stamp: int) -> CameraPose:
         """Pose at a stamp from the received poses."""

@@ -27,8 +27,8 @@ from humansim_ros.types import Float32Array
 
 #: Seconds without any vertices after which the scene at its start is shown.
 _START_SCENE_AFTER = 1.5
-#: Nanoseconds after the start in which the other nodes may still be starting.
-_STARTING = 15_000_000_000
+#: Seconds after the start in which the other nodes may still be starting.
+_STARTING = 15.0
 
 
 class FrameSynchronizer:
@@ -85,7 +85,7 @@ class FrameSynchronizer:
             node.create_subscription(Header, "frame", self._on_static_frame, NEWEST)
         description = "Show the scene at its start while no vertices arrive"
         self._shows_start = bool(node.described_parameter("start_scene", True, description, read_only=True))
-        self._started = node.now()
+        self._started = time.monotonic()
         self._start_scene_logged = False
         self._start_scene_timer = node.create_timer(self._scene.period, self._show_start_scene)
 
@@ -128,7 +128,7 @@ class FrameSynchronizer:
             seconds = max(frame.offsets.values(), key=abs)
             self._node.report_other_clock(frame.offsets, seconds, "others")
             return
-        if not self._has_frames and self._node.now() - self._started < _STARTING:
+        if not self._has_frames and time.monotonic() - self._started < _STARTING:
             return  # the skinners may be starting
         self._node.count("drops")
         sources = dict.fromkeys(topic.rpartition("/")[0].removeprefix("humans/") for topic in frame.missing)
@@ -181,11 +181,11 @@ class FrameSynchronizer:
         self._report_done(stamp)
 
     def _show_start_scene(self) -> None:
-        now = self._node.now()
         has_sources = bool(self._topics)
+        waited = time.monotonic() - self._started > _START_SCENE_AFTER
         if self._has_frames:
             self._start_scene_timer.cancel()
-        elif self._shows_start and (now - self._started > _START_SCENE_AFTER * 1e9 or not has_sources):
+        elif self._shows_start and (waited or not has_sources):
             if not self._start_scene_logged and has_sources:
                 self._start_scene_logged = True
                 self._node.get_logger().info("no vertices are published: showing the scene at its start")
@@ -195,7 +195,7 @@ class FrameSynchronizer:
                 for name, moving in self._scene.moving_objects.items()
             }
             self._pass_on(
-                now,
+                self._node.now(),
                 {name: state.vertices for name, state in states.items()},
                 lambda human: JointMotion(states[human].joints, None, None),
                 objects,

@@ -11,6 +11,8 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from rclpy.parameter import Parameter
 
@@ -23,6 +25,8 @@ from humansim_ros.scene import Scene
 #: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: a camera that
 #: prepares its first frame delays the others for up to three seconds.
 _MAX_LOST, _LATE_AFTER = 0.05, 5
+#: Seconds between two looks for simulated time that has not started.
+_CLOCK_CHECK_EVERY = 5.0
 
 
 class SceneNode(GuardedNode):
@@ -30,6 +34,8 @@ class SceneNode(GuardedNode):
 
     def __init__(self, name: str, scene: Scene | None = None, **options: Any) -> None:
         super().__init__(name, **options)
+        #: Nobody can set this clock, so that timers go on when the system clock is set back.
+        self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
         if scene is None:
             path = self.text_parameter("scene", "", "Scene file (YAML); empty: the demo scene")
             with warnings.catch_warnings():
@@ -44,6 +50,7 @@ class SceneNode(GuardedNode):
         self._latched_publishers: list[Any] = []
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DATA)
         self.create_timer(1.0, self._publish_diagnostics)
+        self.create_timer(_CLOCK_CHECK_EVERY, self._check_clock, clock=self._steady_clock)
 
     @property
     def nodes(self) -> Sequence[SceneNode]:
@@ -134,9 +141,29 @@ class SceneNode(GuardedNode):
         publisher.publish(message)
         self._latched_publishers.append(publisher)
 
+    def create_timer(
+        self, timer_period_sec: float, callback: Any, *arguments: Any, clock: Any = None, **options: Any
+    ) -> Any:
+        """Create a timer on the steady clock, or on simulated time if the node uses it.
+
+        Args:
+            timer_period_sec: Seconds between calls.
+            callback: Function without parameters.
+            *arguments: Further arguments of rclpy.
+            clock: Another clock.
+            **options: Further arguments of rclpy.
+        """
+        if clock is None and not self.has_simulated_time():
+            clock = self._steady_clock
+        return super().create_timer(timer_period_sec, callback, *arguments, clock=clock, **options)
+
     def now(self) -> int:
         """Nanoseconds of the node's clock."""
         return int(self.get_clock().now().nanoseconds)
+
+    def has_simulated_time(self) -> bool:
+        """Whether the node's clock follows ``/clock`` (parameter ``use_sim_time``)."""
+        return bool(self.get_clock().ros_time_is_active)
 
     def report_skipped(self, reason: str) -> None:
         """Log that a frame was skipped, and count it as a drop."""
@@ -180,6 +207,17 @@ class SceneNode(GuardedNode):
 
     def close(self) -> None:
         """Free resources besides the ROS entities of the node."""
+
+    def _check_clock(self) -> None:
+        """Log while simulated time does not start: timers stand until then."""
+        if self.now() or not self.has_simulated_time():
+            return
+        publishers = self.count_publishers("/clock")
+        self.get_logger().warn(
+            "use_sim_time is true, but "
+            + ("no time has arrived on /clock" if publishers else "nothing publishes /clock")
+            + ": start the simulator, or ros2 bag play --clock; or leave use_sim_time false"
+        )
 
     def _publish_diagnostics(self) -> None:
         drops, errors = self._counts.get("drops", 0), self._counts.get("errors", 0)

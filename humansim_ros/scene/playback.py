@@ -31,8 +31,6 @@ _RESTART_KEYS = {"file", "start", "end", "offset"}
 _ROUND_KEYS = {"loop", "blend"}
 #: Nanoseconds by which a frame may be early; at most a tenth of a period.
 _EARLY = 5_000_000
-#: Nanoseconds that the wall clock goes back when it has been set.
-_SET_BACK = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -56,8 +54,8 @@ class PlaybackClock:
     """Stamps of frames on a wall clock in nanoseconds, and the scene time of each.
 
     Frame k has the stamp start + round(k * period); :meth:`cut` sets a new start. Stamps increase, unless the
-    wall clock is set back. The scene time follows the stamps at ``speed``, does not change while paused, and
-    jumps only by :meth:`seek`.
+    wall clock is set (:meth:`shift`). The scene time follows the stamps at ``speed``, does not change while
+    paused, and jumps only by :meth:`seek`.
     """
 
     def __init__(self, rate: float, speed: float = 1.0, seconds: float = 0.0) -> None:
@@ -75,7 +73,7 @@ class PlaybackClock:
         """The newest frame that is due; None if there is none, as timers may be early."""
         if now <= 0:
             return None  # simulated time has not started: zero is never a stamp
-        if self.last is None or now < self.last - _SET_BACK:
+        if self.last is None:
             return self.cut(now)
         frame = int((now - self._start + min(0.1 * self.period, _EARLY)) / self.period)
         if frame < self._next:
@@ -85,13 +83,17 @@ class PlaybackClock:
 
     def cut(self, now: int) -> Tick:
         """A frame now; the next frames are counted from it."""
-        stamp = now
-        if self.last is not None and now >= self.last - _SET_BACK:
-            stamp = max(now, self.last + 1)
-        elif self.last is not None:
-            self._base, self._steps = (None, self.elapsed), 0
+        stamp = now if self.last is None else max(now, self.last + 1)
         self._start, self._next = stamp, 1
         return self._tick(stamp)
+
+    def shift(self, step: int) -> None:
+        """Follow a wall clock that was set by ``step`` nanoseconds: stamps jump, scene time goes on."""
+        since, elapsed = self._base
+        self._start += step
+        self._base = (None if since is None else since + step, elapsed)
+        if self.last is not None:
+            self.last += step
 
     def set_rate(self, rate: float, now: int) -> Tick:
         """Set the frames per second from now on."""

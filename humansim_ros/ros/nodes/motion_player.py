@@ -32,6 +32,7 @@ from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.ros.background import BackgroundWork
+from humansim_ros.ros.clock_steps import ClockSteps
 from humansim_ros.ros.frame_pacing import FramePacing
 from humansim_ros.ros.messages import (
     WORLD_FRAME,
@@ -76,6 +77,7 @@ class MotionPlayerNode(SceneNode):
         self._requested_lead = 1e9 * self.number_parameter("lead", 0.01, 0.0, MAX_LEAD, description)
         self._playback = Playback(self.scene)
         self._playback_clock = PlaybackClock(rate, speed, seek)
+        self._clock_steps = ClockSteps(lambda: self.now(), self.has_simulated_time)
         self._playback.elapsed = self._playback_clock.elapsed
         self._changes: list[tuple[Change, JointSource]] = []
         self._motion_parameters = MotionParameters(self, self._playback)
@@ -127,7 +129,25 @@ class MotionPlayerNode(SceneNode):
 
     def _stamp_now(self) -> int:
         """Stamp of a frame that is sent now."""
-        return self.now() + self._lead
+        now, step = self._clock_steps.read()
+        if step:
+            self._follow_clock(step)
+        return now + self._lead
+
+    def _follow_clock(self, step: int) -> None:
+        """Go on after the clock was set by ``step`` nanoseconds."""
+        started = self._playback_clock.last is not None
+        self._playback_clock.shift(step)
+        if not started:
+            return
+        clock = "simulated time" if self.has_simulated_time() else "the system clock"
+        step_text = f"{abs(step) * 1e-9:.2f} s {'ahead' if step > 0 else 'back'}"
+        text = f"{clock} was set {step_text}: stamps jump with it, scene time goes on"
+        self.get_logger().warn(text, throttle_duration_sec=5.0)
+        if step < 0:  # no legend may be of a later stamp than its motion
+            self._sources = {name: replace(source, since=0) for name, source in self._sources.items()}
+            for name in self._motions:
+                self._legends[name].publish(motion_legend(self._sources[name]))
 
     def _tick(self) -> None:
         now = self._stamp_now()

@@ -111,11 +111,11 @@ def demo(
 
 def _check_machine() -> None:
     """Raise an error without ROS or OpenGL, once and before a process starts."""
-    from humansim_ros.render.context import create_context
+    from humansim_ros.render.context import OpenGLContext
     from humansim_ros.ros.runtime import require_ros
 
     require_ros()
-    create_context().release()
+    OpenGLContext().close()
 
 
 def _describe(scene: Any) -> None:

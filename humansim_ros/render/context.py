@@ -1,8 +1,11 @@
-"""OpenGL contexts through EGL: creation, use, and detection of lost contexts."""
+"""OpenGL contexts through EGL: creation, use in the thread that made them, lost contexts, release."""
 
 from __future__ import annotations
 
 import itertools
+import os
+import threading
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -12,16 +15,114 @@ from humansim_ros.errors import RenderError
 
 #: Largest number of devices that are tried.
 _MAX_DEVICES = 16
+_FORKED = (
+    "OpenGL has been used in the process that this one was forked from, and does not work here. Start worker "
+    'processes with "spawn" (multiprocessing.get_context("spawn"), DataLoader(..., '
+    'multiprocessing_context="spawn")), and make a Simulation in each. Without a GPU, LP_NUM_THREADS=0 in '
+    "the environment before the first Simulation helps, too"
+)
 
 
-def create_context(device: int | None = None) -> moderngl.Context:
-    """Create an OpenGL 3.3 context through EGL.
+class OpenGLContext:
+    """OpenGL 3.3 context through EGL, for the thread that makes it.
 
-    ``device``: number of the device in the order of EGL, GPUs first; the first one that works if None.
+    It is freed by :meth:`close`, or when nothing refers to it any more, by any thread.
+
+    Attributes:
+        gl: The context of moderngl, to create objects with.
+        device: Name of the device, such as ``llvmpipe (LLVM 15.0.6, 256 bits)``.
+
+    Args:
+        device: Number of the device in the order of EGL, GPUs first; the first one that works if None.
 
     Raises:
-        RenderError: There is no such device, or OpenGL is missing. The message names the packages to install.
+        RenderError: There is no such device, or OpenGL is missing (the message names the packages to
+            install), or the process was forked from one that has used OpenGL.
     """
+
+    def __init__(self, device: int | None = None) -> None:
+        _process.check()
+        self.gl = _create(device)
+        self._pid, self._thread = os.getpid(), threading.get_ident()
+        self._free = weakref.finalize(self, _free, self.gl, self._pid)
+        self._free.atexit = False  # the process frees all
+        # A new context is current. EGL frees a context, in any thread, if it is current in none.
+        with self.gl:
+            self.device = str(self.gl.info["GL_RENDERER"])
+        _process.add(self.device)
+
+    def close(self) -> None:
+        """Free the context and all its objects. Raises RenderError in another thread."""
+        if self._free.alive:
+            self._check_thread()
+            self._free()
+
+    def check(self) -> None:
+        """Raise RenderError if the context has been closed, or is used in a wrong thread or process."""
+        if not self._free.alive:
+            raise RenderError("this renderer has been closed")
+        if os.getpid() != self._pid:
+            _process.check()
+        self._check_thread()
+
+    def _check_thread(self) -> None:
+        if threading.get_ident() != self._thread:
+            raise RenderError(
+                "a renderer and its Simulation belong to the thread that made them: make one per thread"
+            )
+
+    @contextmanager
+    def current(self) -> Iterator[None]:
+        """Make the context current for the duration of ``with``.
+
+        Raises:
+            RenderError: See :meth:`check`; or the context has been lost, or OpenGL failed.
+        """
+        self.check()
+        with self.gl:
+            try:
+                # without a context OpenGL fails silently and reads arbitrary memory: test an allocation
+                self.gl.buffer(reserve=4).release()
+            except moderngl.Error:
+                raise RenderError(
+                    "the OpenGL context was lost, for example because the GPU was reset or removed: create a "
+                    "new renderer, or restart this node"
+                ) from None
+            try:
+                yield
+            except moderngl.Error as reason:
+                raise RenderError(
+                    f"OpenGL failed, possibly out of memory ({str(reason).splitlines()[0]})"
+                ) from None
+
+
+class _Process:
+    """The process that has used OpenGL first.
+
+    A process forked from it waits for ever for the threads of the driver, which are not forked. Mesa's
+    renderer for the CPU has none if LP_NUM_THREADS is 0 when it starts.
+    """
+
+    def __init__(self) -> None:
+        self._pid: int | None = None
+        self._without_threads = False
+
+    def check(self) -> None:
+        """Raise RenderError in a forked process in which OpenGL does not work."""
+        if self._pid is None:
+            self._pid, self._without_threads = os.getpid(), os.environ.get("LP_NUM_THREADS") == "0"
+        elif os.getpid() != self._pid and not self._without_threads:
+            raise RenderError(_FORKED)
+
+    def add(self, device: str) -> None:
+        """Take into account a device that has a context."""
+        self._without_threads &= device.startswith("llvmpipe")
+
+
+_process = _Process()
+
+
+def _create(device: int | None) -> moderngl.Context:
     reasons: list[str] = []
     for number in itertools.count() if device is None else [device]:
         try:
@@ -38,27 +139,7 @@ def create_context(device: int | None = None) -> moderngl.Context:
     )
 
 
-@contextmanager
-def current(ctx: moderngl.Context) -> Iterator[None]:
-    """Make a context current in this thread for the duration of ``with``.
-
-    Raises:
-        RenderError: The context has been released or lost, or OpenGL failed.
-    """
-    if isinstance(ctx.mglo, moderngl.InvalidObject):
-        raise RenderError("this renderer has been closed")
-    with ctx:
-        try:
-            # without a context OpenGL fails silently and reads arbitrary memory: test it with an allocation
-            ctx.buffer(reserve=4).release()
-        except moderngl.Error:
-            raise RenderError(
-                "the OpenGL context was lost, for example because the GPU was reset or removed: create a new "
-                "renderer, or restart this node"
-            ) from None
-        try:
-            yield
-        except moderngl.Error as reason:
-            raise RenderError(
-                f"OpenGL failed, possibly out of memory ({str(reason).splitlines()[0]})"
-            ) from None
+def _free(gl: moderngl.Context, pid: int) -> None:
+    """Free a context, unless in a forked process, where the driver could wait for threads for ever."""
+    if os.getpid() == pid:
+        gl.release()

@@ -21,7 +21,7 @@ from humansim_ros.render.body_buffers import BodyCache, PosedBody
 from humansim_ros.render.caches import LruCache
 from humansim_ros.render.channels import ADJACENT_NAMES, ALL_CHANNELS, CHANNEL_TABLE, View, comparing_with
 from humansim_ros.render.contact_shadow_pass import ContactShadowPass
-from humansim_ros.render.context import create_context, current
+from humansim_ros.render.context import OpenGLContext
 from humansim_ros.render.edge_antialiasing import edge_crossings
 from humansim_ros.render.frame_cache import FrameCache
 from humansim_ros.render.lighting import Lighting
@@ -46,7 +46,7 @@ _MAX_SIZES = 32
 
 
 class GLRenderer(Renderer):
-    """Renders bodies in a static scene with OpenGL. It has its own context; use it from one thread.
+    """Renders bodies in a static scene with OpenGL, in a context of its own, in the thread that makes it.
 
     Args:
         static_meshes: Meshes of the static scene, in ``map``, metres.
@@ -70,19 +70,21 @@ class GLRenderer(Renderer):
     ) -> None:
         keep_image_blocks()
         light = lighting or Lighting()
-        self._ctx = create_context(device)
-        # rows of an image run down, those of OpenGL run up: images are mirrored
-        self._ctx.front_face = "cw"
+        self._context = OpenGLContext(device)
+        self._ctx = self._context.gl
         check_bodies(static_bodies)
         self._static_bodies = tuple(static_bodies)
         shadows = ["STATIC_SHADOWS", "MOVING_SHADOWS"] if light.shadow == "soft" else []
         skin = ["SKIN_AND_CLOTH"] if light.materials and light.mode == "lit" else []
-        self._lit = lit_program(self._ctx, light, (*shadows, *skin))
-        self._ids = link(self._ctx, "triangle_ids.vert", "triangle_ids.frag")
-        self._static = StaticLayers(
-            self._ctx, static_meshes, self._static_bodies, light, self._ids, self._lit
-        )
-        self._contact_shadows = ContactShadowPass(self._ctx)
+        with self._context.current():
+            # rows of an image run down, those of OpenGL run up: images are mirrored
+            self._ctx.front_face = "cw"
+            self._lit = lit_program(self._ctx, light, (*shadows, *skin))
+            self._ids = link(self._ctx, "triangle_ids.vert", "triangle_ids.frag")
+            self._static = StaticLayers(
+                self._ctx, static_meshes, self._static_bodies, light, self._ids, self._lit
+            )
+            self._contact_shadows = ContactShadowPass(self._ctx)
         self._bodies = BodyCache(self._ctx, self._lit, self._ids)
         self._frames = FrameCache()
         self._targets: LruCache[tuple[int, int], RenderTarget] = LruCache(
@@ -92,8 +94,7 @@ class GLRenderer(Renderer):
     @property
     def device(self) -> str:
         """Name of the device, such as ``llvmpipe (LLVM 15.0.6, 256 bits)``."""
-        with self._ctx:
-            return str(self._ctx.info["GL_RENDERER"])
+        return self._context.device
 
     @property
     def meshes_on_device(self) -> int:
@@ -101,11 +102,14 @@ class GLRenderer(Renderer):
         return len(self._bodies)
 
     def close(self) -> None:
-        self._ctx.release()
+        self._context.close()
+
+    def check_usable(self) -> None:
+        self._context.check()
 
     def render_request(self, request: RenderRequest) -> View:
         bodies, passes = self._moving(request.bodies), Passes.of(request.channels)
-        with current(self._ctx):
+        with self._context.current():
             self._bodies.release_unused()
             frame = self._frame(bodies, request.camera, passes, request)
             adjacent: AdjacentFrames = {}

@@ -26,7 +26,7 @@ from humansim_ros.errors import HumansimWarning, RenderError
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.caches import WeakCache
 from humansim_ros.render.channels import CHANNEL_TABLE, CHANNELS, View
-from humansim_ros.render.context import create_context, current
+from humansim_ros.render.context import OpenGLContext
 from humansim_ros.render.lens_tessellation import NEAR
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.mesh_buffers import ExpandedMesh
@@ -45,7 +45,7 @@ _SUPERSAMPLING, _MAX_SUPERSAMPLED_SIDE = 2, 2048
 class PyrenderRenderer(Renderer):
     """Renders bodies in a static scene with pyrender, in an OpenGL context of its own.
 
-    Cameras may have skew but no distortion. Use it from one thread.
+    Cameras may have skew but no distortion. Use it in the thread that makes it.
 
     Args:
         static_meshes: Meshes of the static scene, in ``map``, metres.
@@ -75,11 +75,10 @@ class PyrenderRenderer(Renderer):
                 stacklevel=2,
             )
         self._library, self._gl_error = import_pyrender()
-        self._ctx = create_context(device)
+        self._context = OpenGLContext(device)
         # their own __del__ would delete objects of whichever context is current
         quiet = type("QuietRenderer", (self._library.Renderer,), {"__del__": lambda self: None})
         self._colour_pass, self._id_pass = (quiet(1, 1) for _ in range(2))
-        self._closed = False
         self._shapes: WeakCache[_Shape] = WeakCache()
         static = [
             Body(m, m.vertices.astype(np.float32), np.zeros(len(m.triangles), np.uint8), 0, "object")
@@ -94,16 +93,13 @@ class PyrenderRenderer(Renderer):
     @property
     def device(self) -> str:
         """Name of the device, such as ``pyrender on llvmpipe (LLVM 15.0.6, 256 bits)``."""
-        with self._ctx:
-            return f"pyrender on {self._ctx.info['GL_RENDERER']}"
+        return f"pyrender on {self._context.device}"
 
     def close(self) -> None:
-        if not self._closed:
-            self._closed = True
-            with self._ctx:
-                for renderer in (self._colour_pass, self._id_pass):
-                    renderer.delete()
-            self._ctx.release()
+        self._context.close()
+
+    def check_usable(self) -> None:
+        self._context.check()
 
     def render_request(self, request: RenderRequest) -> View:
         camera, channels = request.camera, request.channels
@@ -115,7 +111,7 @@ class PyrenderRenderer(Renderer):
         moving = [self._posed(body) for body in request.bodies]
         shapes = [*self._static, *moving]
         view: dict[str, Any] = {}
-        with current(self._ctx):
+        with self._context.current():
             if "rgb" in channels:
                 static = {id(body) for body in self._static_bodies}
                 pairs = zip(request.bodies, moving, strict=True)

@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NoReturn, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,7 @@ from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.render.channels import CHANNEL_TABLE, CHANNELS, AdjacentName, View, check_channels
 from humansim_ros.types import Float32Array, Image
 
+_Self = TypeVar("_Self", bound="Renderer")
 #: Kind of a body.
 Kind = Literal["human", "object"]
 
@@ -104,11 +105,22 @@ class Renderer(ABC):
     """Renders bodies in a static scene as a camera sees them.
 
     A subclass defines ``channels``, the channels that it supports, ``name``, :meth:`render_request` and
-    :meth:`close`.
+    :meth:`close`. Use it in a ``with`` statement, or call :meth:`close`, to free its memory at once.
     """
 
     channels: Collection[str]
     name: str
+
+    def __enter__(self: _Self) -> _Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __reduce__(self) -> NoReturn:
+        raise RenderError(
+            "a renderer and its Simulation cannot be copied to another process: make one in each"
+        )
 
     def render(
         self,
@@ -144,6 +156,13 @@ class Renderer(ABC):
     @abstractmethod
     def render_request(self, request: RenderRequest) -> View:
         """Render a checked request."""
+
+    def check_usable(self) -> None:
+        """Raise RenderError if it has been closed, or belongs to another thread or process.
+
+        A renderer without OpenGL may be usable anywhere.
+        """
+        return
 
     @abstractmethod
     def close(self) -> None:

@@ -83,7 +83,8 @@ class Simulation:
     """Play a scene: iterate over its frames without end, or get :meth:`frames` or one :meth:`frame`.
 
     The same scene gives the same frames. Use it in a ``with`` statement, or call :meth:`close`, to free the
-    renderer.
+    renderer; else it is freed some time after the last reference to it. A simulation belongs to the thread
+    that makes it (docs/scene.md, "Threads and worker processes").
 
     Args:
         scene: The scene.
@@ -139,8 +140,14 @@ class Simulation:
     def frame(self, index: int, cameras: Collection[str] | None = None) -> Frame:
         """Frame ``index``; its stamp is ``start + round(index * period)``.
 
-        ``cameras``: names of the cameras to render; all if None. Raises SceneError for an unknown name.
+        ``cameras``: names of the cameras to render; all if None.
+
+        Raises:
+            SceneError: There is no camera of a name.
+            RenderError: The simulation belongs to another thread, or to the process that this one was forked
+                from, or has been closed; or OpenGL failed.
         """
+        self.renderer.check_usable()  # before playback is set to the frame, which another thread may be using
         adjacent: dict[AdjacentName, SceneState] = {
             name: self._at(self.scene.frame_time(index + step))[2]
             for name, step in zip(ADJACENT_NAMES, (1, -1), strict=True)

@@ -278,7 +278,7 @@ egl.eglGetCurrentDisplay.restype = ctypes.c_void_p
 renderer = make_renderer({name!r})
 scene = [body(wall(3, 0, 1, 0.4))], along_x()
 assert renderer.render(*scene).instance.any()
-with renderer._ctx:
+with renderer._context.gl:
     display = egl.eglGetCurrentDisplay()
 egl.eglTerminate(ctypes.c_void_p(display))
 """

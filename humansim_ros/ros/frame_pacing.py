@@ -69,9 +69,8 @@ class FramePacing:
             if len(pending) == 2 and stamp - oldest <= _PERIODS_OF_GRACE * period:
                 continue
             if now - max(heard, sent_at) > _GIVE_UP_AFTER:
-                del self._finished[
-                    camera
-                ]  # it has ended, or waits for something: it counts again when it reports
+                # it has ended, or waits for something: it counts again when it reports
+                del self._finished[camera]
             else:
                 late.append(camera)
         return late

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from functools import lru_cache
 
 from humansim_ros.motion.joint_tables import comparison_key
 
@@ -19,7 +20,8 @@ _LEFT = (
 )
 
 
-def loose_keys(names: Sequence[str]) -> list[str]:
+@lru_cache(4)
+def loose_keys(names: tuple[str, ...]) -> list[str]:
     """Keys of joint names: ``L_UpLeg_x``, ``lUpLeg`` and ``upleg.L`` all become ``left upleg``.
 
     What all names begin or end with is left out. A letter is a side only if the name of the other side is
@@ -30,6 +32,7 @@ def loose_keys(names: Sequence[str]) -> list[str]:
     return [_with_side(key, present) for key in keys]
 
 
+@lru_cache(1 << 13)
 def loose_table_key(role: str, name: str) -> str:
     """Key of a name of a joint table; :func:`loose_keys` gives the same to such a joint."""
     if not role.startswith("Left"):

@@ -175,7 +175,7 @@ def _named_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int
 
 def _loose_roles(table: JointTable, joint_names: Sequence[str]) -> dict[str, int]:
     """As :func:`_named_roles`, in any spelling of the sides. Right sides are spelt as the left ones."""
-    joint_of = {key: number for number, key in reversed(list(enumerate(loose_keys(joint_names))))}
+    joint_of = {key: number for number, key in reversed(list(enumerate(loose_keys(tuple(joint_names)))))}
     roles = {}
     for role, names in table.joints.items():
         left = f"Left{role[5:]}" if role.startswith("Right") else role

@@ -125,17 +125,23 @@ def load_table(path: str | os.PathLike[str]) -> JointTable:
         raise schema_error(reason, JointTable, MotionError, path, tree) from None
 
 
+#: Names whose keys are held: those of all tables, and those of some motions.
+_MAX_KEYS = 1 << 13
+
+
 @functools.cache
 def built_in_tables() -> tuple[JointTable, ...]:
     """Tables of the package (config/joint_names)."""
     return tuple(load_table(path) for path in sorted(resource_path("config/joint_names").glob("*.yaml")))
 
 
+@functools.lru_cache(_MAX_KEYS)
 def plain_name(joint: str) -> str:
     """Name of a joint without the namespace of a program (``mixamorig:Hips`` -> ``Hips``)."""
     return _PREFIX.sub("", joint) or joint
 
 
+@functools.lru_cache(_MAX_KEYS)
 def comparison_key(joint: str) -> str:
     """Name of a joint for comparisons: without namespace, case, blanks and punctuation."""
     return re.sub(r"[\s._-]+", "", plain_name(joint)).casefold()

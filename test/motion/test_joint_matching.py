@@ -360,7 +360,7 @@ def test_spellings_of_sides_and_common_parts_do_not_matter(
 
 
 def test_a_letter_without_its_other_side_is_no_side() -> None:
-    assert loose_keys(["leg", "lleg", "rleg", "lower", "Left_arm", "Right_arm"]) == [
+    assert loose_keys(("leg", "lleg", "rleg", "lower", "Left_arm", "Right_arm")) == [
         "leg", "left leg", "right leg", "lower", "left arm", "right arm"]  # fmt: skip
 
 

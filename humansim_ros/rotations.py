@@ -104,6 +104,14 @@ def slerp(start: Array, end: Array, fraction: Array) -> Array:
     return result
 
 
+def are_rotations(matrices: Array) -> bool:
+    """Whether all matrices (..., 3, 3) are rotations, to 0.001."""
+    if not (np.abs(matrices) < 2).all():  # False for NaN, too
+        return False
+    products = matrices @ np.swapaxes(matrices, -1, -2)
+    return bool((np.abs(products - np.eye(3)) < 1e-3).all() and (np.linalg.det(matrices) > 0).all())
+
+
 def from_y_axis(direction: Array) -> Array:
     """Shortest rotations (..., 4) xyzw that turn the y axis onto unit vectors (..., 3).
 

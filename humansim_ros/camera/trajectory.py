@@ -10,6 +10,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
+from humansim_ros.bounds import MAX_COORDINATE
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError, warn_about
 from humansim_ros.io.files import atomic_path, read_text
@@ -22,8 +23,6 @@ End = Literal["clamp", "loop", "ping_pong"]
 #: Largest file: more than a million poses.
 _MAX_BYTES = 1 << 26
 _COLUMNS = "timestamp tx ty tz qx qy qz qw"
-#: Largest coordinate, metres; larger ones are a mistake.
-_FARTHEST = 1e6
 #: Error of the length of a quaternion that rounding explains.
 _ROUNDING = 1e-2
 #: Limits of the length of a quaternion.
@@ -61,7 +60,7 @@ class Trajectory:
             raise CameraError("a trajectory needs at least one time, and a position and rotation for each")
         if not all(np.isfinite(part).all() for part in (times, positions, rotations)):
             raise CameraError("a number of the trajectory is not finite (NaN or infinity)")
-        if np.abs(positions).max() > _FARTHEST or np.abs(rotations).max() > _LONGEST:
+        if np.abs(positions).max() > MAX_COORDINATE or np.abs(rotations).max() > _LONGEST:
             raise CameraError(
                 "positions must be within 1000 km, and rotations must be quaternions of length 1"
             )
@@ -101,7 +100,7 @@ class Trajectory:
             errors = {
                 "a number is not finite (NaN or infinity)": not np.isfinite(row).all(),
                 "the quaternion qx qy qz qw is far from length 1": not _SHORTEST < length < _LONGEST,
-                "a position is more than 1000 km away": max(map(abs, row[1:4])) > _FARTHEST,
+                "a position is more than 1000 km away": max(map(abs, row[1:4])) > MAX_COORDINATE,
                 "the time is not later than that of the line before": bool(rows) and row[0] <= rows[-1][0],
             }
             for message, wrong in errors.items():

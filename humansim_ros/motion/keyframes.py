@@ -19,6 +19,7 @@ import numpy as np
 from defusedxml.common import DefusedXmlException
 from numpy.typing import ArrayLike
 
+from humansim_ros.bounds import MAX_COORDINATE
 from humansim_ros.errors import MotionError, did_you_mean
 from humansim_ros.io.files import atomic_path, read_bytes
 from humansim_ros.motion.keyframe_tracks import (
@@ -32,8 +33,8 @@ from humansim_ros.motion.keyframe_tracks import (
 
 #: Larger files are not read.
 _MAX_BYTES = 64 * 2**20
-#: Frame numbers, metres and degrees beyond these are mistakes.
-_MAX_FRAMES, _MAX = 10**9, 1e6
+#: Frame numbers beyond this are mistakes.
+_MAX_FRAMES = 10**9
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 #: Characters that XML 1.0 cannot hold, escaped or not.
 _NO_XML = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f\ud800-\udfff\ufffe\uffff]")
@@ -296,8 +297,8 @@ class _Reader(ContentHandler):
         if not _NUMBER.fullmatch(word):
             raise self._error(f"{key} is {word[:40]!r}: a finite number is needed", line)
         value = float(word)
-        if not abs(value) <= _MAX:
-            raise self._error(f"{key} is {word[:40]}: more than {_MAX:g} is a mistake", line)
+        if not abs(value) <= MAX_COORDINATE:
+            raise self._error(f"{key} is {word[:40]}: more than {MAX_COORDINATE:g} is a mistake", line)
         return value
 
     def _unknown(self, name: str, where: tuple[str, ...]) -> MotionError:

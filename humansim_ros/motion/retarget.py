@@ -10,6 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.bone_drivers import SHORTEST_LINK, BoneDrivers
 from humansim_ros.motion.joint_match import JointMatch
@@ -31,6 +32,7 @@ from humansim_ros.motion.soles import sole_heights
 from humansim_ros.motion.world_motion import WorldMotion, floor_height
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
+    are_rotations,
     matrix_to_quaternion,
     quaternion_to_matrix,
     rotate,
@@ -204,14 +206,14 @@ class Retargeter:
             links = {
                 str(b): (float(x), float(y), float(z)) for b, (x, y, z) in data.get("rest_links", {}).items()
             }
-        except (KeyError, TypeError, ValueError, AttributeError) as reason:
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as reason:
             raise MotionError(f"these are not the constants of a retargeter: {reason!r}") from None
-        sizes = rest is None or (rest.shape == (len(skeleton), 3, 3) and np.isfinite(rest).all())
-        numbers = [*placed, *(number for link in links.values() for number in link)]
+        fits = rest is None or (rest.shape == (len(skeleton), 3, 3) and are_rotations(rest))
+        numbers = [*placed, match.confidence, *(number for link in links.values() for number in link)]
         known = {*loose, *links} <= {*skeleton.names}
-        if mode not in ("full", "thesis") or not np.isfinite(numbers).all() or not sizes or not known:
-            raise MotionError("these are not the constants of a retargeter for this skeleton")
         scale, x, y, lift = placed
+        if mode not in ("full", "thesis") or not (within_bounds(numbers) and scale > 0 and fits and known):
+            raise MotionError("these are not the constants of a retargeter for this skeleton")
         return cls(
             skeleton,
             match,

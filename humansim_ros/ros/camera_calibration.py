@@ -15,7 +15,7 @@ from sensor_msgs.srv import SetCameraInfo
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration, resolve_url, write_calibration
-from humansim_ros.errors import CameraError, HumansimError
+from humansim_ros.errors import CameraError, HumansimError, printable
 from humansim_ros.ros.messages import camera_info_message, read_camera_info
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.scene.camera import SceneCamera
@@ -69,7 +69,7 @@ class PublishedCalibration:
             camera = read_camera_info(info)
             self.replace(camera)
         except HumansimError as error:
-            response.success, response.status_message = False, str(error)
+            response.success, response.status_message = False, printable(str(error))
             return response
         home = os.environ.get("ROS_HOME") or str(Path.home() / ".ros")
         path = Path(home) / "camera_info" / f"{self._name}.yaml"

@@ -8,7 +8,7 @@ from dataclasses import replace
 from geometry_msgs.msg import PoseStamped, TransformStamped
 from std_msgs.msg import Float64MultiArray
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, printable
 from humansim_ros.ros import messages
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
@@ -111,7 +111,9 @@ class CameraPosePublisher:
         try:
             pose = messages.read_pose(message)
         except HumansimError as error:
-            self._node.get_logger().error(f"pose not used: {error}", throttle_duration_sec=1.0)
+            self._node.get_logger().error(
+                f"pose not used: {printable(str(error))}", throttle_duration_sec=1.0
+            )
             return
         stamp = messages.to_nanoseconds(message.header.stamp) or self._node.now()
         if not self._poses and self._tf_static is not None:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import Header
@@ -105,14 +104,19 @@ class FrameSynchronizer:
         self._store(topic, messages.serialised_stamp(data), data)
 
     def _read_vertices(self, human: str, message: PointCloud2) -> Float32Array:
-        """Vertices of a message. Raises RosError unless they are those of the body, and finite."""
+        """Vertices of a message. Raises RosError unless they are those of the body."""
         vertices = messages.read_vertices(message)
         count = len(self._scene.actors[human].human.mesh.vertices)
         if len(vertices) != count:
             raise RosError(f"{len(vertices)} vertices, but the body has {count}")
-        if not (np.abs(vertices) < messages.MAX_COORDINATE).all():  # False for NaN, too
-            raise RosError("a vertex is not finite, or more than 1000 km away")
         return vertices
+
+    def _read_joints(self, human: str, data: bytes) -> JointMotion:
+        """Joints of a serialised message. Raises RosError unless they are those of the body."""
+        poses = messages.read_joints(deserialised(data, MultiDOFJointState))
+        if poses.names != self._scene.actors[human].human.skeleton.joint_names:
+            raise RosError(f"{human}: {len(poses.names)} joints that are not those of its body")
+        return messages.joint_motion(poses)
 
     def _store(self, topic: str, stamp: int, content: Any) -> None:
         """Store the content of a message with the others of its stamp."""
@@ -163,7 +167,7 @@ class FrameSynchronizer:
             for name in self._moving_cameras
         }
         vertices = {human: content[f"humans/{human}/vertices"] for human in self._scene.actors}
-        joints_of = cache(lambda human: _read_joints(content[f"humans/{human}/joints"]))
+        joints_of = cache(lambda human: self._read_joints(human, content[f"humans/{human}/joints"]))
         self._node.report_lateness(frame.stamp, "arrival")
         self._pass_on(frame.stamp, vertices, joints_of, objects, cameras)
         self._report_done(frame.stamp)
@@ -227,8 +231,3 @@ class FrameSynchronizer:
 
 def _no_joints(human: str) -> JointMotion:
     raise KeyError(human)
-
-
-def _read_joints(data: bytes) -> JointMotion:
-    """Joints of a serialised ``joints`` message."""
-    return messages.joint_motion(messages.read_joints(deserialised(data, MultiDOFJointState)))

@@ -1,4 +1,4 @@
-"""Limits of what is accepted from the network: numbers, names and sizes of messages."""
+"""Limits of sizes of messages from the network."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import RosError
 
-#: Largest accepted coordinate in metres, and velocity in m/s or rad/s. Larger values are faults.
-MAX_COORDINATE = 1e6
 #: Most joints of a motion, and most characters of a joint's name.
 MAX_JOINTS, MAX_NAME = 1024, 256
 #: Most fields of a point cloud.

@@ -239,7 +239,7 @@ class SceneNode(GuardedNode):
         self._diagnostics.publish(message)
         self._late_seconds = self._late_seconds + 1 if drops > _MAX_LOST * (drops + frames) else 0
         if self._late_seconds >= _LATE_AFTER:
-            reason = f": {self.drop_reason}" if self.drop_reason else ""
+            reason = f": {printable(self.drop_reason)}" if self.drop_reason else ""
             self.get_logger().warn(
                 f"{drops} of {drops + frames} frames dropped in the last second{reason}",
                 throttle_duration_sec=10.0,

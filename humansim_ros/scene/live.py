@@ -4,12 +4,14 @@ live motion capture, of which only messages are known.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.joint_match import JointMatch
 from humansim_ros.motion.joint_matching import match_names
@@ -100,11 +102,12 @@ class JointSource:
         retargeter = Retargeter.from_dict(data, actor.human.skeleton)
         match = retargeter.match
         used = [*match.roles.values(), *match.difference.values()]
-        used += [joint for link in match.parallel.values() for joint in link]
+        used += [*match.extra.values(), *(joint for link in match.parallel.values() for joint in link)]
         limbs = sum(bone in match.parallel for bone in _LIMBS)
         if not names or not match.complete or not all(0 <= joint < len(names) for joint in used):
             raise MotionError("this is not the legend of a motion: joints have no name")
-        if links.shape != (limbs, 3) or slack.shape != (limbs,) or not np.isfinite([*links.T, slack]).all():
+        fits = links.shape == (limbs, 3) and slack.shape == (limbs,)
+        if not fits or not within_bounds(links) or not within_bounds(slack) or (slack < 0).any():
             raise MotionError("this is not the legend of a motion: its links are wrong")
         return cls(names, retargeter, links, slack, since)
 
@@ -175,7 +178,7 @@ class LiveRetargeter:
     def retarget(self, poses: JointPoses, stamp: int | None = None) -> HumanState:
         """Body at one stamp from poses (N = 1). Raises MotionError if these joints cannot drive it."""
         if len(set(poses.names)) < len(poses.names):
-            twice = sorted({name for name in poses.names if poses.names.count(name) > 1})
+            twice = sorted(name for name, count in Counter(poses.names).items() if count > 1)
             raise MotionError(f"joint names appear twice: {', '.join(twice[:6])}")
         space = SPACE_JOINTS if set(SPACE_JOINTS) <= set(poses.names) else ()
         own = tuple(name for name in poses.names if name not in space)

@@ -4,7 +4,6 @@ Only standard message types are used. Stamps are integer nanoseconds. World pose
 (REP-103, REP-105).
 """
 
-from humansim_ros.ros.limits import MAX_COORDINATE
 from humansim_ros.ros.messages.camera_truth import (
     BODY_KINDS,
     BOX_POINT,
@@ -59,7 +58,6 @@ __all__ = [
     "BODY_KINDS",
     "BOX_POINT",
     "JOINT_POINT",
-    "MAX_COORDINATE",
     "VISIBLE_VERTEX",
     "WORLD_FRAME",
     "MarkerBuilder",

@@ -7,15 +7,17 @@ from geometry_msgs.msg import Point, PoseStamped, Quaternion, TransformStamped, 
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
+from humansim_ros.bounds import within_bounds
 from humansim_ros.camera import Camera
 from humansim_ros.camera.region import Region
-from humansim_ros.errors import RosError
-from humansim_ros.ros.limits import MAX_COORDINATE
+from humansim_ros.errors import CameraError, RosError
 from humansim_ros.ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
 from humansim_ros.scene.camera import CameraPose
 
 _WHOLE_SENSOR = Region()
+#: Most distortion coefficients of any lens model, and most characters of its name.
+_MAX_DISTORTION, _MAX_NAME = 14, 64
 
 
 def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region = _WHOLE_SENSOR) -> CameraInfo:
@@ -45,6 +47,10 @@ def camera_info_message(camera: Camera, stamp: int, frame: str, region: Region =
 
 def read_camera_info(message: CameraInfo) -> Camera:
     """Read the camera of a CameraInfo, at the origin. Raises CameraError if it is not a valid camera."""
+    if len(message.d) > _MAX_DISTORTION or len(message.distortion_model) > _MAX_NAME:
+        raise CameraError(f"a lens with more than {_MAX_DISTORTION} coefficients, or of no known model")
+    if not within_bounds([*message.k, *message.d, *message.r, *message.p]):
+        raise CameraError("a number of a calibration is not finite, or above a million")
     k, r = np.reshape(message.k, (3, 3)), np.reshape(message.r, (3, 3))
     return Camera(
         (message.width, message.height),
@@ -76,9 +82,10 @@ def read_pose(message: PoseStamped) -> CameraPose:
         raise RosError(f"a camera's pose must be in {WORLD_FRAME}, this is in {message.header.frame_id!r}")
     p, q = message.pose.position, message.pose.orientation
     position, rotation = np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w])
-    near = (np.abs(position) < MAX_COORDINATE).all()  # False for NaN, too
-    if not near or not abs(np.linalg.norm(rotation) - 1) < 1e-3:
-        raise RosError("a camera's pose is not finite, or its quaternion has not length 1")
+    if not within_bounds([*position, *rotation]) or not abs(np.linalg.norm(rotation) - 1) < 1e-3:
+        raise RosError(
+            "a camera's pose is not finite, is more than 1000 km away, or its quaternion has not length 1"
+        )
     r = quaternion_to_matrix(rotation / np.linalg.norm(rotation)).T
     return CameraPose(r, -r @ position)
 

@@ -12,11 +12,12 @@ from shape_msgs.msg import MeshTriangle
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
+from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import RosError
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.ros.limits import MAX_COORDINATE
+from humansim_ros.ros.limits import MAX_JOINTS, MAX_NAME
 from humansim_ros.ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.ros.messages.points import point_cloud
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
@@ -66,32 +67,36 @@ def _joint_state(
 def read_joints(message: MultiDOFJointState) -> JointPoses:
     """Read the joint poses (N = 1) of a ``motion`` or ``joints`` message.
 
-    Velocities that are not finite are left out.
+    Velocities that are not finite, or beyond :mod:`humansim_ros.bounds`, are left out.
 
     Raises:
-        RosError: Array lengths differ, a pose is not finite, or the message is not in ``map``.
+        RosError: Array lengths differ, there are too many joints, two have one name, a pose is not finite,
+            or the message is not in ``map``.
     """
     if message.header.frame_id != WORLD_FRAME:
         raise RosError(f"joints must be in {WORLD_FRAME}, these are in {message.header.frame_id!r}")
     names = tuple(message.joint_names)
+    if len(message.transforms) != len(names) or not names:
+        raise RosError(f"{len(names)} joint names but {len(message.transforms)} transforms")
+    if len(names) > MAX_JOINTS or max(map(len, names)) > MAX_NAME:
+        raise RosError(f"more than {MAX_JOINTS} joints, or a name of more than {MAX_NAME} characters")
     positions = np.array([(t.translation.x, t.translation.y, t.translation.z) for t in message.transforms])
     rotations = np.array(
         [(t.rotation.x, t.rotation.y, t.rotation.z, t.rotation.w) for t in message.transforms]
     )
-    if len(positions) != len(names) or not names:
-        raise RosError(f"{len(names)} joint names but {len(positions)} transforms")
+    if not (within_bounds(positions) and within_bounds(rotations)):
+        raise RosError("a joint's pose is not finite, or is more than 1000 km away")
     length = np.linalg.norm(rotations, axis=1)
     if not length.any():  # a source without rotations may leave them unset
         rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(names), 1))
         length = np.ones(len(names))
-    near = (np.abs(positions) < MAX_COORDINATE).all()  # False for NaN, too
-    if not (near and np.isfinite(length).all() and (length > 0.5).all()):
-        raise RosError("a joint's pose is not finite or its quaternion has no length")
+    if not (length > 0.5).all():
+        raise RosError("a joint's quaternion has no length")
     linear = angular = None
     if len(message.twist) == len(names):
         linear = np.array([[(t.linear.x, t.linear.y, t.linear.z) for t in message.twist]])
         angular = np.array([[(t.angular.x, t.angular.y, t.angular.z) for t in message.twist]])
-        if not ((np.abs(linear) < MAX_COORDINATE).all() and (np.abs(angular) < MAX_COORDINATE).all()):
+        if not (within_bounds(linear) and within_bounds(angular)):
             linear = angular = None
     return JointPoses(names, positions[None], (rotations / length[:, None])[None], linear, angular)
 
@@ -113,15 +118,23 @@ def vertices_message(vertices: Float32Array, stamp: int) -> PointCloud2:
 
 
 def read_vertices(message: PointCloud2) -> Float32Array:
-    """Read the vertices (V, 3) of a ``vertices`` message. Raises RosError for another layout."""
+    """Read the vertices (V, 3) of a ``vertices`` message.
+
+    Raises:
+        RosError: Another layout, or a vertex is not finite.
+    """
     layout = [(f.name, f.offset, f.datatype) for f in message.fields[:3]]
     expected = [(name, 4 * i, PointField.FLOAT32) for i, name in enumerate("xyz")]
     data = np.frombuffer(message.data, dtype=np.uint8)
     count = message.width * message.height
-    if layout != expected or message.is_bigendian or len(data) != count * message.point_step:
+    whole = message.point_step >= 12 and len(data) == count * message.point_step
+    if layout != expected or message.is_bigendian or not whole:
         raise RosError("vertices must be a PointCloud2 with x y z float32 first, little-endian")
     rows = data.reshape(count, message.point_step)[:, :12]
-    return np.ascontiguousarray(rows).view("<f4").reshape(count, 3)
+    vertices = np.ascontiguousarray(rows).view("<f4").reshape(count, 3)
+    if not within_bounds(vertices):
+        raise RosError("a vertex is not finite, or more than 1000 km away")
+    return vertices
 
 
 def mesh_message(mesh: Mesh) -> MeshMessage:

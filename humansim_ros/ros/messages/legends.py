@@ -28,12 +28,17 @@ def live_legend() -> String:
 def read_motion_legend(message: String) -> dict[str, Any]:
     """Read a ``motion/legend`` message. Raises RosError if it is not a JSON object."""
     try:
-        data = json.loads(message.data)
-    except ValueError as reason:
+        data = json.loads(message.data, parse_constant=_refuse_constant)
+    except (ValueError, RecursionError) as reason:
         raise RosError(f"a legend must be JSON: {reason}") from None
     if not isinstance(data, dict):
         raise RosError("a legend must be a JSON object")
     return data
+
+
+def _refuse_constant(name: str) -> None:
+    """Of NaN and infinity, which Python's module accepts."""
+    raise ValueError(f"{name} is no number of JSON")
 
 
 def instance_legend(labels: Mapping[str, int]) -> String:

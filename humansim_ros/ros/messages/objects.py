@@ -10,6 +10,7 @@ from geometry_msgs.msg import Point, Pose, Quaternion, TwistStamped, Vector3
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker
 
+from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import RosError
 from humansim_ros.motion.joint_poses import Velocity
 from humansim_ros.ros.messages.headers import WORLD_FRAME, header
@@ -50,9 +51,10 @@ def read_object(message: Marker) -> ObjectPose:
     """Read the object pose of a ``marker`` message. Raises RosError if it is not finite or has no size."""
     p, q, s = message.pose.position, message.pose.orientation, message.scale
     pose = ObjectPose(np.array([p.x, p.y, p.z]), np.array([q.x, q.y, q.z, q.w]), np.array([s.x, s.y, s.z]))
-    finite = all(np.isfinite(part).all() for part in (pose.position, pose.rotation, pose.size))
-    if not finite or abs(np.linalg.norm(pose.rotation) - 1) > 1e-3 or not (pose.size > 0).all():
-        raise RosError("an object's pose is not finite, its quaternion has not length 1, or its size is 0")
+    if not within_bounds([*pose.position, *pose.rotation, *pose.size]):
+        raise RosError("an object's pose or size is not finite, or above 1000 km")
+    if not abs(np.linalg.norm(pose.rotation) - 1) < 1e-3 or not (pose.size > 0).all():
+        raise RosError("an object's quaternion has not length 1, or its size is 0")
     return pose
 
 
@@ -68,7 +70,9 @@ def twist_message(velocity: Velocity | None, stamp: int) -> TwistStamped:
 
 
 def read_twist(message: TwistStamped) -> Velocity | None:
-    """Read the velocity of a ``twist`` message; None if it is not finite."""
+    """Read the velocity of a ``twist`` message; None if it is not finite, or beyond
+    :mod:`humansim_ros.bounds`.
+    """
     parts = message.twist.linear, message.twist.angular
     linear, angular = (np.array([part.x, part.y, part.z]) for part in parts)
-    return Velocity(linear, angular) if np.isfinite([*linear, *angular]).all() else None
+    return Velocity(linear, angular) if within_bounds([*linear, *angular]) else None

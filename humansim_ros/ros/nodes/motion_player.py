@@ -30,7 +30,7 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, printable
 from humansim_ros.ros.background import BackgroundWork
 from humansim_ros.ros.clock_steps import ClockSteps
 from humansim_ros.ros.frame_pacing import FramePacing
@@ -207,8 +207,9 @@ class MotionPlayerNode(SceneNode):
                 min(0.01, self._playback_clock.period * 0.5e-9),
             )
         except HumansimError as error:
-            self.get_logger().error(f"parameters rejected, the old motion goes on: {error}")
-            return SetParametersResult(successful=False, reason=str(error))
+            reason = printable(str(error), 1000)
+            self.get_logger().error(f"parameters rejected, the old motion goes on: {reason}")
+            return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
 
     def _prepare_change(self, human: str, settings: Mapping[str, Any]) -> tuple[Change, JointSource]:

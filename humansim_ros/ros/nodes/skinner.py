@@ -18,7 +18,8 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import Header, String
 from visualization_msgs.msg import MarkerArray
 
-from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.bounds import within_bounds
+from humansim_ros.errors import HumansimError, RosError, SceneError, printable
 from humansim_ros.motion.joint_tables import built_in_tables, load_table
 from humansim_ros.ros.messages import (
     MarkerBuilder,
@@ -110,9 +111,11 @@ class SkinnerNode(SceneNode):
 
     def _retarget(self, message: MultiDOFJointState) -> HumanState | None:
         """Body of a motion message; None if the message cannot be used."""
-        stamp = to_nanoseconds(message.header.stamp)
         try:
+            stamp = to_nanoseconds(message.header.stamp)
             state = self._live_retargeter.retarget(read_joints(message), stamp)
+            if not within_bounds(state.vertices):
+                raise RosError("the body would not be finite, or be more than 1000 km away")
         except HumansimError as error:
             self.report_skipped(str(error))
             return None
@@ -155,7 +158,7 @@ class SkinnerNode(SceneNode):
                 self._message = self._asked = None  # the player moves the human
                 self._log.forget_frames()
         except HumansimError as error:
-            self.get_logger().error(f"legend not used: {error}", throttle_duration_sec=1.0)
+            self.get_logger().error(f"legend not used: {printable(str(error))}", throttle_duration_sec=1.0)
 
 
 def _at_standstill(state: HumanState) -> HumanState:

@@ -8,7 +8,13 @@ from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from humansim_ros.ros.processes import WRONG_INPUT, render_threads, scene_processes
+from humansim_ros.ros.processes import (
+    WRONG_INPUT,
+    relative_namespace,
+    render_threads,
+    scene_processes,
+    whole_number,
+)
 
 # launch/ and config/ are in one folder, in the checkout and in share/humansim_ros
 DEMO_SCENE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "demo.yaml"
@@ -16,12 +22,14 @@ DEMO_SCENE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "demo.y
 
 def scene_nodes(context: LaunchContext) -> list[Node]:
     scene = LaunchConfiguration("scene").perform(context)
-    number = LaunchConfiguration("processes").perform(context)
-    processes = scene_processes(scene, int(number) if number else None)
+    number = whole_number("processes", LaunchConfiguration("processes").perform(context))
+    frame_prefix = LaunchConfiguration("frame_prefix").perform(context)
+    processes = scene_processes(scene, number, frame_prefix=frame_prefix)
     return [
         Node(
             package="humansim_ros",
             executable=process.executable,
+            namespace=relative_namespace(LaunchConfiguration("namespace").perform(context)),
             # name and parameters; with `parameters`, a camera named off would become a boolean
             arguments=process.ros_arguments,
             additional_env=render_threads(processes),
@@ -48,6 +56,12 @@ def generate_launch_description() -> LaunchDescription:
                 "processes",
                 default_value="",
                 description="Number of processes that share the cameras; empty: one per core",
+            ),
+            DeclareLaunchArgument("namespace", default_value="", description="Namespace of all nodes"),
+            DeclareLaunchArgument(
+                "frame_prefix",
+                default_value="",
+                description="Text before the optical frames of the cameras, such as lab/",
             ),
             DeclareLaunchArgument(
                 "respawn", default_value="true", description="Start a node again that has died: true or false"

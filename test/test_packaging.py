@@ -19,7 +19,7 @@ import yaml
 from waiting import PATIENCE
 
 import humansim_ros
-from humansim_ros.errors import ResourceError, SceneError
+from humansim_ros.errors import ResourceError, RosError, SceneError
 from humansim_ros.resources import resource_path, resource_root
 from humansim_ros.ros import processes
 from humansim_ros.ros.processes import NodeProcess, scene_processes
@@ -305,12 +305,11 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     spec.loader.exec_module(launch_file)
 
     *arguments, opaque = launch_file.generate_launch_description()
-    assert [argument.args for argument in arguments] == [("scene",), ("processes",), ("respawn",)]
+    names = ["scene", "processes", "namespace", "frame_prefix", "respawn"]
+    assert [argument.args for argument in arguments] == [(name,) for name in names]
+    defaults = {name: argument.default_value for name, argument in zip(names, arguments, strict=True)}
     for number in (None, 3):
-        configuration = {
-            **{a.args[0]: a.default_value for a in arguments},
-            **({"processes": str(number)} if number else {}),
-        }
+        configuration = {**defaults, **({"processes": str(number)} if number else {})}
         nodes = opaque.function(configuration)
         expected = scene_processes(resource_path("config/scenes/demo.yaml"), number)
         assert [(node.executable, node.arguments) for node in nodes] == [
@@ -322,6 +321,28 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
             assert node.respawn_max_retries > 0  # a negative number would be without end
             assert node.on_exit(types.SimpleNamespace(returncode=2), configuration)  # wrong input: all stop
             assert not node.on_exit(types.SimpleNamespace(returncode=-9), configuration)
+            assert node.namespace == ""
+    # launch prints the message of an exception
+    for number in ("x", "0", "-1", "2.5"):
+        with pytest.raises(RosError, match=f"launch argument processes must be .*, not '{number}'"):
+            opaque.function({**defaults, "processes": number})
+    nodes = opaque.function({**defaults, "namespace": "/lab", "frame_prefix": "lab/", "processes": "2"})
+    # as namespace, so that PushRosNamespace of a launch file that includes this one is put before it
+    assert {node.namespace for node in nodes} == {"lab"}
+    assert not [word for node in nodes for word in node.arguments if "__ns" in word]
+    prefixed = ['frame_prefix:="lab/"' in node.arguments for node in nodes]
+    assert prefixed == [node.executable == "camera_rig" for node in nodes] and sum(prefixed) == 2
+
+
+def test_processes_in_a_namespace(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(SCENE.replace("off", "'off'"))
+    for process in scene_processes(path, namespace="/lab/left", frame_prefix="lab/"):
+        assert "__ns:=/lab/left" in process.ros_arguments
+        assert process.parameters.get("frame_prefix") == ("lab/" if process.executable == "camera" else None)
+    for namespace in ("a b", "lab//x", "1", "é"):
+        with pytest.raises(RosError, match="names between / have letters"):
+            scene_processes(path, namespace=namespace)
 
 
 # The three installations. Each test works on a copy of the sources, so that no build folder remains.

@@ -54,13 +54,17 @@ def run(
         int | None,
         typer.Option(help="Number of processes that share the cameras; one per core if absent.", min=1),
     ] = None,
+    namespace: Annotated[str, typer.Option(help="ROS namespace of all nodes and topics.")] = "",
+    frame_prefix: Annotated[
+        str, typer.Option(help="Text before the optical frames of the cameras, such as lab/.")
+    ] = "",
     respawn: Annotated[
         bool, typer.Option("--respawn/--no-respawn", help="Start a node again that has died.")
     ] = True,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.ros.first_images import FirstImages
-    from humansim_ros.ros.processes import WRONG_INPUT, scene_processes
+    from humansim_ros.ros.processes import WRONG_INPUT, relative_namespace, scene_processes
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
 
@@ -74,14 +78,15 @@ def run(
             loaded, path = options.load(path, changed), changed
         else:
             loaded = Scene.load(path)
-        _describe(loaded)
+        namespace = relative_namespace(namespace)
+        _describe(loaded, namespace)
         warn_about_mistakes(loaded, options)
-        node_processes = scene_processes(path, processes)
+        node_processes = scene_processes(path, processes, namespace, frame_prefix)
         with Supervisor(node_processes) as nodes:
             try:
                 names = ", ".join(name for process in node_processes for name in process.visible_nodes)
                 print(f"starting {names}; Ctrl-C stops", flush=True)
-                first = FirstImages(list(loaded.cameras), list(loaded.actors), start)
+                first = FirstImages(list(loaded.cameras), list(loaded.actors), start, namespace)
                 nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
                 dead = nodes.wait(None if duration is None else time.monotonic() + duration, respawn)
             except Stopped:
@@ -118,12 +123,13 @@ def _check_machine() -> None:
     OpenGLContext().close()
 
 
-def _describe(scene: Any) -> None:
+def _describe(scene: Any, namespace: str) -> None:
     from humansim_ros.scene.config import LIVE
 
     for actor in scene.actors.values():
         if actor.motion.motion.path == LIVE:
-            print(f"{actor.name}: {actor.human.name}, live: moved by joints on /humans/{actor.name}/motion")
+            topic = f"{namespace and f'/{namespace}'}/humans/{actor.name}/motion"
+            print(f"{actor.name}: {actor.human.name}, live: moved by joints on {topic}")
             continue
         frame, motion, match = actor.motion.frame, actor.motion.motion, actor.motion.match
         print(

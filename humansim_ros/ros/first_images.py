@@ -35,11 +35,13 @@ class FirstImages:
         cameras: Names of the cameras.
         humans: Names of the humans.
         start: Monotonic time of the start, seconds.
+        namespace: ROS namespace of the nodes, without the first /.
     """
 
     cameras: Sequence[str]
     humans: Sequence[str]
     start: float
+    namespace: str = ""
 
     def to_argument(self) -> str:
         """Argument of the process."""
@@ -62,8 +64,8 @@ class FirstImages:
         cameras = f"all {count} cameras deliver" if count > 1 else f"{self.cameras[0]} delivers"
         range_ = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
         where = ", this computer only" if range_ == "LOCALHOST" else ""
-        topics = [f"/{camera}/image_raw" for camera in self.cameras]
-        truth = [f"/humans/{human}/joints" for human in self.humans]
+        topics = [self._topic(f"{camera}/image_raw") for camera in self.cameras]
+        truth = [self._topic(f"humans/{human}/joints") for human in self.humans]
         lines = [
             f"{cameras}, after {seconds:.1f} s",
             f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}{where}: images on {some_of(topics)}"
@@ -73,14 +75,17 @@ class FirstImages:
         ]
         return "\n".join(lines)
 
+    def _topic(self, name: str) -> str:
+        return f"/{self.namespace}/{name}" if self.namespace else f"/{name}"
+
     def _commands(self, checkout: Path | None) -> list[str]:
-        topic = f"/{self.cameras[0]}/image_raw"
+        topic = self._topic(f"{self.cameras[0]}/image_raw")
         if shutil.which("ros2"):
             view = (
                 [f"ros2 run rqt_image_view rqt_image_view {topic}"] if shutil.which("rqt_image_view") else []
             )
             return [f"ros2 topic hz {topic}", *view]
-        if checkout is not None and self.humans and len(self.cameras) > 1:
+        if checkout is not None and self.humans and len(self.cameras) > 1 and not self.namespace:
             return [f"python {checkout / 'examples' / 'tracker.py'} {self.humans[0]}"]
         return ['python my_tracker.py      # with the subscriber of README.md, section "Use it"']
 
@@ -105,7 +110,7 @@ class FirstImages:
 
         subscriptions = {
             camera: node.create_subscription(
-                Image, f"/{camera}/image_raw", listener(camera), qos_profile_sensor_data, raw=True
+                Image, self._topic(f"{camera}/image_raw"), listener(camera), qos_profile_sensor_data, raw=True
             )
             for camera in self.cameras
         }

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from humansim_ros.errors import RosError
 from humansim_ros.scene.names import PLAYER_NODE, read_names, skinner_node
 
 #: Environment variable of nodes whose parent has shown the warnings of the scene.
@@ -21,12 +23,21 @@ WRONG_INPUT = 2
 
 @dataclass(frozen=True)
 class NodeProcess:
-    """A process to start: executable of this package; name, parameters and log level of its node."""
+    """A process to start.
+
+    Attributes:
+        executable: Executable of this package.
+        node_name: Name of its node.
+        parameters: Parameters of its nodes.
+        log_level: Log level of its nodes.
+        namespace: ROS namespace of its nodes, without the first /.
+    """
 
     executable: str
     node_name: str
     parameters: Mapping[str, str | bool | float | list[str]]
     log_level: str = "info"
+    namespace: str = ""
 
     @property
     def visible_nodes(self) -> tuple[str, ...]:
@@ -36,8 +47,10 @@ class NodeProcess:
 
     @property
     def ros_arguments(self) -> list[str]:
-        """Command-line arguments that set name and parameters of the node."""
+        """Command-line arguments that set name, namespace and parameters of the node."""
         arguments = ["--ros-args", "-r", f"__node:={self.node_name}"]
+        if self.namespace:
+            arguments += ["-r", f"__ns:=/{self.namespace}"]
         for name, value in self.parameters.items():
             # quoted, because ROS parses values as YAML: a camera named off would be a boolean
             arguments += ["-p", f"{name}:={json.dumps(value, ensure_ascii=False)}"]
@@ -49,26 +62,59 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def scene_processes(scene_path: str | os.PathLike[str], processes: int | None = None) -> list[NodeProcess]:
+def whole_number(name: str, text: str) -> int | None:
+    """Read an argument of the launch file that is a number from 1, or empty. Raises RosError naming it."""
+    if not text.strip():
+        return None
+    if not text.strip().isdecimal() or int(text) < 1:
+        raise RosError(f"launch argument {name} must be a whole number from 1, or empty, not {text!r}")
+    return int(text)
+
+
+def relative_namespace(text: str) -> str:
+    """A ROS namespace without its first /; empty for none. Raises RosError if it is not valid."""
+    namespace = text.strip("/")
+    if namespace and not re.fullmatch(r"[A-Za-z_]\w*(/[A-Za-z_]\w*)*", namespace, re.ASCII):
+        raise RosError(
+            f"namespace {text!r}: the names between / have letters, digits and _, and begin with no digit"
+        )
+    return namespace
+
+
+def scene_processes(
+    scene_path: str | os.PathLike[str],
+    processes: int | None = None,
+    namespace: str = "",
+    frame_prefix: str = "",
+) -> list[NodeProcess]:
     """List the processes of a scene: motion player, one skinner per human, and camera processes.
 
-    ``processes``: number of processes that share the cameras; one per core if None. Raises SceneError for
-    names that ROS does not accept.
+    Args:
+        scene_path: Scene file.
+        processes: Number of processes that share the cameras; one per core if None.
+        namespace: ROS namespace of all nodes.
+        frame_prefix: Text before the optical frames of all cameras.
+
+    Raises:
+        HumansimError: A name of the scene, or the namespace, is not valid in ROS.
     """
     path = Path(scene_path).resolve()
     names = read_names(path)
+    namespace = relative_namespace(namespace)
     scene: dict[str, str | bool] = {"scene": str(path)}
-    return [
+    of_cameras = {**scene, **({"frame_prefix": frame_prefix} if frame_prefix else {})}
+    listed = [
         NodeProcess("motion_player", PLAYER_NODE, scene),
         *(NodeProcess("skinner", skinner_node(name), {**scene, "human": name}) for name in names.humans),
-        *_camera_processes(names.cameras, cores() if processes is None else processes, scene),
+        *_camera_processes(names.cameras, cores() if processes is None else processes, of_cameras),
     ]
+    return [replace(process, namespace=namespace) for process in listed]
 
 
 def _camera_processes(
     cameras: Sequence[str], processes: int, scene: Mapping[str, str | bool]
 ) -> Iterator[NodeProcess]:
-    count = min(max(1, processes), len(cameras))
+    count = min(processes, len(cameras))
     scene = {**scene, "start_scene": False}  # the skinners will come
     for i in range(count):
         names = list(cameras[i::count])

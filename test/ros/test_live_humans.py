@@ -249,6 +249,9 @@ def test_the_report_of_the_first_images_names_domain_topics_and_a_next_command(
     (tmp_path / "ros2").write_text("#!/bin/sh\n")
     (tmp_path / "ros2").chmod(0o755)
     assert "ros2 topic hz /camera_1/image_raw" in first.report(2.14)
+    inside = FirstImages(["camera_1"], ["anna"], 0.0, "lab").report(2.14, Path())
+    assert "images on /lab/camera_1/image_raw; truth on /lab/humans/anna/joints" in inside
+    assert "ros2 topic hz /lab/camera_1/image_raw" in inside
     assert "1 of 6 cameras" in first.progress(first.cameras[1:], 4.0)
 
 

@@ -121,6 +121,30 @@ def test_nodes_end_with_a_run_that_is_killed(ros: None, running: subprocess.Pope
     assert are_gone(nodes)
 
 
+@pytest.mark.slow
+def test_a_run_in_a_namespace(ros: None, tmp_path: Path) -> None:
+    from sensor_msgs.msg import Image
+
+    client = Client("outside")
+    topics = ["/lab/left/image_raw", "/lab/right/depth/image"]
+    client.subscribe(Image, topics)
+    output = tmp_path / "output"
+    options = ["--namespace", "/lab", "--frame-prefix", "lab/", "--processes", "1"]
+    with output.open("w") as file:
+        run = subprocess.Popen([*HUMANSIM, "run", write_scene(tmp_path), *options], stdout=file, stderr=file)
+    try:
+        assert client.spin_until(lambda: len(client.received) == len(topics)), output.read_text()
+        assert wait_until(lambda: "images on /lab/left/image_raw" in output.read_text())
+    finally:
+        run.send_signal(signal.SIGINT)
+        assert run.wait(PATIENCE) == 0
+    for topic in topics:
+        (message, *_) = client.received[topic].values()
+        assert message.header.frame_id == f"lab/{topic.split('/')[2]}_optical_frame"
+    client.close()
+    assert "Traceback" not in output.read_text()
+
+
 def humansim(*arguments: str | Path, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [*HUMANSIM, *map(str, arguments)],

@@ -12,7 +12,7 @@ _PERIODS_OF_GRACE = 2.5
 #: Camera processes that are waited for.
 _MAX_CAMERAS = 100
 #: Seconds without a report after which a camera no longer delays the others.
-_GIVE_UP_AFTER = 3.0
+_GIVE_UP_AFTER = 2.0
 
 
 class FramePacing:
@@ -40,7 +40,7 @@ class FramePacing:
     def add_finished(self, camera: str, stamp: int, now: float) -> None:
         """Record the report of a camera that it has finished a frame, and with it all earlier ones.
 
-        Only frames of the last three seconds count: reports of other frames are of the cameras of another
+        Only frames of the last two seconds count: reports of other frames are of the cameras of another
         player, or of a camera that no longer delays the others.
         """
         if not any(sent == stamp and now - at <= _GIVE_UP_AFTER for sent, at in self._sent):
@@ -48,6 +48,10 @@ class FramePacing:
         finished, _ = self._finished.get(camera, (None, 0.0))
         if finished != stamp and (finished is not None or len(self._finished) < _MAX_CAMERAS):
             self._finished[camera] = (stamp, now)
+
+    def forget_cameras(self) -> None:
+        """Forget all reports, because a camera is gone: each camera counts again when it reports."""
+        self._finished.clear()
 
     def late_cameras(self, stamp: int, period: float, now: float) -> list[str]:
         """Names of the cameras that have no time for a frame of this stamp.

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from rclpy.qos import QoSDurabilityPolicy, QoSHistoryPolicy, QoSProfile, QoSReliabilityPolicy
+from rclpy.duration import Duration
+from rclpy.qos import (
+    QoSDurabilityPolicy,
+    QoSHistoryPolicy,
+    QoSLivelinessPolicy,
+    QoSProfile,
+    QoSReliabilityPolicy,
+)
 
 
 def _profile(depth: int, durability: QoSDurabilityPolicy) -> QoSProfile:
@@ -22,3 +29,13 @@ NEWEST = _profile(3, QoSDurabilityPolicy.VOLATILE)
 
 #: Publishers of messages that are sent once; late joiners get the last one.
 LATCHED = _profile(1, QoSDurabilityPolicy.TRANSIENT_LOCAL)
+
+#: Reports of cameras to the motion player, which is told half a second after a camera has died. One for each
+#: camera process and frame; a lost one is replaced by the next.
+REPORTS = QoSProfile(
+    depth=50,
+    history=QoSHistoryPolicy.KEEP_LAST,
+    reliability=QoSReliabilityPolicy.RELIABLE,
+    liveliness=QoSLivelinessPolicy.AUTOMATIC,
+    liveliness_lease_duration=Duration(seconds=0.5),
+)

@@ -14,11 +14,6 @@ class RestartPolicy:
     def __init__(self) -> None:
         self._deaths = 0
 
-    @property
-    def deaths(self) -> int:
-        """Number of deaths in a row."""
-        return self._deaths
-
     def delay(self, ran: float) -> float | None:
         """Record a death, and return the seconds until the node is started again; None: it is given up.
 

@@ -14,13 +14,16 @@ from typing import Any
 
 import pytest
 from rclpy.parameter import Parameter
-from ros_support import write_scene
+from ros_support import Client, Lockstep, write_scene
+from std_msgs.msg import Header
 from waiting import wait_until
 
 from humansim_ros.ros.frame_pacing import FramePacing
+from humansim_ros.ros.messages import header
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
+from humansim_ros.ros.qos import REPORTS
 from humansim_ros.ros.runtime import make_executor
 
 SECOND = 1_000_000_000
@@ -191,6 +194,29 @@ def test_camera_nodes_of_different_speeds_show_the_same_frames(
     for each in (player, *skinners, *cameras):
         each.close()
         each.destroy_node()
+
+
+def test_a_camera_that_has_died_delays_the_others_no_longer(ros: None, tmp_path: Path) -> None:
+    """The middleware tells the player, long before it gives a silent camera up."""
+    player = node(MotionPlayerNode, write_scene(tmp_path), "motion_player")
+    lockstep, client = Lockstep(player), Client("camera_process")
+    client.executor.add_node(player)
+    reports = client.node.create_publisher(Header, "/paced/frame_done", REPORTS)
+    client.spin_until_matched(player)
+    first = lockstep.play()
+    reports.publish(header(first, "/front"))
+    now = time.monotonic()
+
+    def late() -> list[str]:
+        return player._pacing.late_cameras(first + 3 * SECOND, PERIOD, now)
+
+    for _ in range(3):
+        lockstep.play()
+    assert client.spin_until(late)
+    client.node.destroy_publisher(reports)
+    assert client.spin_until(lambda: not late())
+    player.destroy_node()
+    client.close()
 
 
 def node(kind: type, scene: Path, name: str, **parameters: str | bool) -> Any:

@@ -23,8 +23,8 @@ from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rcl_interfaces.msg import SetParametersResult
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
@@ -47,9 +47,10 @@ from humansim_ros.ros.messages import (
 )
 from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import DATA, LATCHED
+from humansim_ros.ros.qos import DATA, LATCHED, REPORTS
 from humansim_ros.ros.requested_motions import MOTION_FOLDERS, RequestedMotions
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.scene import Scene
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.playback import Change, Playback, PlaybackClock, Tick
@@ -58,8 +59,6 @@ from humansim_ros.scene.playback import Change, Playback, PlaybackClock, Tick
 MAX_LEAD = 0.1
 #: Seconds until a request is given up whose motions are not ready.
 MAX_READING = 20.0
-#: Queue for the reports of the cameras.
-_REPORTS = QoSProfile(depth=50)
 
 
 class MotionPlayerNode(SceneNode):
@@ -115,8 +114,8 @@ class MotionPlayerNode(SceneNode):
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/restart", self._on_restart)
         self._pacing = FramePacing()
-        # one report for each camera process and frame; a lost one is replaced by the next
-        self.create_subscription(Header, "frame_done", self._on_frame_done, _REPORTS)
+        events = SubscriptionEventCallbacks(liveliness=self._on_liveliness)
+        self.create_subscription(Header, "frame_done", self._on_frame_done, REPORTS, event_callbacks=events)
         self._frame_timer = self.create_timer(self._playback_clock.period * 1e-9, self._tick)
         self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {self.scene.path}")
 
@@ -167,6 +166,10 @@ class MotionPlayerNode(SceneNode):
 
     def _on_frame_done(self, report: Header) -> None:
         self._pacing.add_finished(report.frame_id, to_nanoseconds(report.stamp), time.monotonic())
+
+    def _on_liveliness(self, change: QoSLivelinessChangedInfo) -> None:
+        if change.alive_count_change < 0:  # a camera process has ended or died
+            self._pacing.forget_cameras()
 
     def _publish(self, tick: Tick) -> None:
         """Publish one frame."""
@@ -299,6 +302,6 @@ class MotionPlayerNode(SceneNode):
         )
 
 
-def main() -> int:
-    """Run the node; returns its exit code."""
-    return run_node(MotionPlayerNode)
+def main(scene: Scene | None = None) -> int:
+    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    return run_node(lambda: MotionPlayerNode(scene=scene))

@@ -3,7 +3,8 @@
     python tools/kill_nodes.py [SCENE] [--kills 20] [--seed 1] [--processes 2]
 
 After each ``kill -9``, a late subscriber waits for all topics of the process: ``latched`` says when it had
-every latched message of the new process, ``back`` when data flowed on every topic too. ``others`` is the
+every latched message of the new process, ``back`` when data flowed on every topic too, and ``cpu`` how much
+CPU time the process needed for that, which depends little on the load of the machine. ``others`` is the
 longest gap between messages of the topics that do not depend on the process: bodies for a camera process, and
 images of the other camera processes; motions for a skinner. Exit code 1: a process was not back within the
 limit, another process ended, or a process is left at the end.
@@ -19,6 +20,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -40,10 +42,8 @@ from humansim_ros.ros.processes import NodeProcess, scene_processes
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.ros.runtime import make_executor, prepare_transport
 
-#: Seconds until a process counts as lost.
-LIMIT = 60.0
 #: Shortest and longest time between a return and the next kill, seconds.
-PAUSE = (2.0, 5.0)
+PAUSE = (4.0, 12.0)
 #: Latched and other topics of a camera.
 LATCHED_OF_CAMERAS = {
     "instance/legend": String,
@@ -88,7 +88,9 @@ class Kill:
         latched: Seconds until a late subscriber had all latched messages.
         back: Seconds until it had data of all topics.
         others: Longest gap in the topics that do not depend on the process, seconds; None if all do.
+        cpu: Seconds of CPU time that the new process needed until then.
         missing: Topics on which nothing arrived.
+        ended: Process ids of others that ended meanwhile.
     """
 
     name: str
@@ -96,7 +98,9 @@ class Kill:
     latched: float = float("nan")
     back: float = float("nan")
     others: float | None = None
+    cpu: float = float("nan")
     missing: list[str] = field(default_factory=list)
+    ended: list[int] = field(default_factory=list)
 
 
 def victims_of(scene: Path, processes: int | None) -> list[Victim]:
@@ -139,7 +143,9 @@ def victims_of(scene: Path, processes: int | None) -> list[Victim]:
 class Suite:
     """``humansim run`` of a scene, and a subscriber to all topics with data."""
 
-    def __init__(self, scene: Path, processes: int | None) -> None:
+    def __init__(self, scene: Path, processes: int | None, limit: float) -> None:
+        """``limit``: seconds until a process counts as lost."""
+        self._limit = limit
         self.victims = victims_of(scene, processes)
         options = [] if processes is None else ["--processes", str(processes)]
         self.run = subprocess.Popen([sys.executable, "-m", "humansim_ros.cli", "run", str(scene), *options])
@@ -152,32 +158,35 @@ class Suite:
         for victim in self.victims:
             self._subscribe(self._node, victim.flowing, self._arrivals, qos_profile_sensor_data)
 
-    def close(self) -> list[str]:
-        """Stop the run; returns the command lines of processes that are left."""
-        pids = self.pids()
+    def close(self) -> list[int]:
+        """Stop the run; returns the process ids of children that are left."""
+        pids = self.children()
         self.run.send_signal(signal.SIGINT)
-        self.run.wait(LIMIT)
+        self.run.wait(self._limit)
         self._executor.shutdown()
         self._node.destroy_node()
         rclpy.try_shutdown()
-        return [line for line, pid in pids.items() if Path(f"/proc/{pid}").exists()]
+        return [pid for pid in pids if Path(f"/proc/{pid}").exists()]
 
-    def pids(self) -> dict[str, int]:
-        """Process ids of the nodes by command line."""
-        found = {}
-        for entry in Path("/proc").iterdir():
-            try:
-                parent = int((entry / "stat").read_text().rpartition(")")[2].split()[1])
-                if parent == self.run.pid:
-                    found[(entry / "cmdline").read_bytes().replace(b"\0", b" ").decode()] = int(entry.name)
-            except (OSError, ValueError, IndexError):
-                continue
-        return found
+    def children(self) -> list[int]:
+        """Process ids of the children of the run."""
+        try:
+            text = Path(f"/proc/{self.run.pid}/task/{self.run.pid}/children").read_text()
+        except OSError:  # it has ended
+            return []
+        return [int(pid) for pid in text.split()]
 
     def pid(self, victim: Victim) -> int | None:
         """Process id of a victim; None if it does not run."""
-        mark = f"__node:={victim.process.node_name} "
-        return next((pid for line, pid in self.pids().items() if mark in line), None)
+        name = victim.process.node_name
+        for pid in self.children():
+            with suppress(OSError):
+                folder = Path(f"/proc/{pid}")
+                line = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+                # a spare process has become the node if it has its name, of which Linux keeps 15 letters
+                if f"__node:={name} " in line or (folder / "comm").read_text().strip() == name[:15]:
+                    return pid
+        return None
 
     def wait_for_data(self) -> None:
         """Wait until data has arrived on all topics. Raises RuntimeError if it does not arrive."""
@@ -195,6 +204,7 @@ class Suite:
         """Kill a process, and wait until it is back."""
         killed = self.pid(victim)
         assert killed is not None, victim.name
+        others = {pid: cpu_seconds(pid) for pid in self.children() if pid != killed}
         self._arrivals.clear()
         outcome = Kill(victim.name)
         late = rclpy.create_node("late_subscriber")
@@ -217,6 +227,9 @@ class Suite:
         if not outcome.missing:
             outcome.latched = max(arrived[topic][0] for topic in victim.latched) - begin
             outcome.back = max(times[0] for times in arrived.values()) - begin
+        if (new := self.pid(victim)) is not None:  # a spare process has used time before
+            outcome.cpu = cpu_seconds(new) - others.get(new, 0.0)
+        outcome.ended = [pid for pid in others if pid not in self.children()]
         if victim.independent:
             end = time.monotonic()
             outcome.others = max(
@@ -239,7 +252,7 @@ class Suite:
             )
 
     def _spin_until(self, done: Callable[[], bool]) -> bool:
-        end = time.monotonic() + LIMIT
+        end = time.monotonic() + self._limit
         while not done():
             if time.monotonic() > end or self.run.poll() is not None:
                 return False
@@ -247,25 +260,26 @@ class Suite:
         return True
 
 
+def cpu_seconds(pid: int) -> float:
+    """CPU time that a process has used."""
+    values = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(values[11]) + int(values[12])) / os.sysconf("SC_CLK_TCK")
+
+
 def longest_gap(times: Sequence[float]) -> float:
     """Longest time between two neighbours, seconds."""
     return max(later - earlier for earlier, later in pairwise(times))
 
 
-def kill_at_random(scene: Path, kills: int, seed: int, processes: int | None) -> tuple[list[Kill], list[str]]:
-    """Run a scene and kill its processes at random.
+def kill_at_random(suite: Suite, kills: int, seed: int) -> tuple[list[Kill], list[int]]:
+    """Kill the processes of a run at random, and stop it.
 
-    Args:
-        scene: Scene file.
-        kills: Number of kills; the first ones go round all processes.
-        seed: Seed of order and pauses.
-        processes: Number of camera processes; one per core if None.
+    ``kills``: number of kills, which go round all processes. ``seed``: of order and pauses.
 
     Returns:
-        Outcomes, and command lines of processes that were left at the end.
+        Outcomes, and process ids of nodes that were left at the end.
     """
     choice = random.Random(seed)
-    suite = Suite(scene, processes)
     order: list[Victim] = []
     while len(order) < kills:
         order += choice.sample(suite.victims, len(suite.victims))
@@ -281,15 +295,16 @@ def kill_at_random(scene: Path, kills: int, seed: int, processes: int | None) ->
     return outcomes, left
 
 
-HEADING = f"{'nodes':34} process  latched    back   others   load"
+HEADING = f"{'nodes':34} process  latched    back     cpu   others   load"
 
 
 def row(kill: Kill) -> str:
     """Line of a table."""
     others = "       " if kill.others is None else f"{kill.others:6.2f}s"
-    times = f"{kill.process:6.2f}s {kill.latched:7.2f}s {kill.back:6.2f}s"
-    missing = f"  nothing on {', '.join(kill.missing)}" if kill.missing else ""
-    return f"{kill.name:34} {times}  {others} {os.getloadavg()[0]:6.1f}{missing}"
+    times = f"{kill.process:6.2f}s {kill.latched:7.2f}s {kill.back:6.2f}s {kill.cpu:6.2f}s"
+    faults = f"  nothing on {', '.join(kill.missing)}" if kill.missing else ""
+    faults += f"  ended: {kill.ended}" if kill.ended else ""
+    return f"{kill.name:34} {times}  {others} {os.getloadavg()[0]:6.1f}{faults}"
 
 
 def main() -> int:
@@ -300,13 +315,15 @@ def main() -> int:
     parser.add_argument("scene", nargs="?", type=Path, default=resource_path("config/scenes/demo.yaml"))
     parser.add_argument("--kills", type=int, default=20)
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--processes", type=int)
+    parser.add_argument("--processes", type=int, help="camera processes; default: one per core")
+    parser.add_argument("--limit", type=float, default=60.0, help="seconds until a process counts as lost")
     options = parser.parse_args()
     print(HEADING)
-    outcomes, left = kill_at_random(options.scene, options.kills, options.seed, options.processes)
-    back = [outcome.back for outcome in outcomes if not outcome.missing]
+    suite = Suite(options.scene, options.processes, options.limit)
+    outcomes, left = kill_at_random(suite, options.kills, options.seed)
+    back = [outcome.back for outcome in outcomes if not outcome.missing and not outcome.ended]
     print(f"{len(back)} of {len(outcomes)} back; median {median(back):.2f} s, longest {max(back):.2f} s")
-    print(f"left at the end: {', '.join(left) or 'nothing'}")
+    print(f"left at the end: {left or 'nothing'}")
     return 1 if left or len(back) < options.kills else 0
 
 

@@ -23,7 +23,7 @@ from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.scene import Scene
 
 #: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: a camera that
-#: prepares its first frame delays the others for up to three seconds.
+#: prepares its first frame delays the others for up to two seconds.
 _MAX_LOST, _LATE_AFTER = 0.05, 5
 #: Seconds between two looks for simulated time that has not started.
 _CLOCK_CHECK_EVERY = 5.0
@@ -36,8 +36,8 @@ class SceneNode(GuardedNode):
         super().__init__(name, **options)
         #: Nobody can set this clock, so that timers go on when the system clock is set back.
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
+        path = self.text_parameter("scene", "", "Scene file (YAML); empty: the demo scene")
         if scene is None:
-            path = self.text_parameter("scene", "", "Scene file (YAML); empty: the demo scene")
             with warnings.catch_warnings():
                 if WARNINGS_SHOWN in os.environ:
                     warnings.simplefilter("ignore", HumansimWarning)

@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from humansim_ros.errors import HumansimError, RosError, show_warnings
@@ -129,6 +130,8 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     stop = StopRequest(again=end_process)
     try:
         node = make()
+        with suppress(OSError):  # for top and ps; only Linux has it
+            Path("/proc/self/comm").write_text(node.get_name())
         # objects created until now stay: a garbage collection of them stops a node for a tenth of a second
         gc.collect()
         gc.freeze()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -19,6 +20,8 @@ from humansim_ros.ros.shared_memory import SharedMemoryFiles, remove_dead_files
 
 #: Seconds that a node has to stop after SIGTERM: more than it gives its own shutdown.
 _STOP_LIMIT = 6.0
+#: Seconds after the last start of a node from which a spare process may take computing time.
+_SPARE_AFTER = 4.0
 
 
 @dataclass(frozen=True)
@@ -60,6 +63,7 @@ class Supervisor:
         self._running: dict[str, subprocess.Popen[bytes]] = {}
         self._started: dict[str, float] = {}
         self._helpers: list[subprocess.Popen[bytes]] = []
+        self._spare: subprocess.Popen[bytes] | None = None
         self._shared_memory = SharedMemoryFiles()
 
     def __enter__(self) -> Supervisor:
@@ -83,7 +87,7 @@ class Supervisor:
 
     @property
     def _all(self) -> list[subprocess.Popen[bytes]]:
-        return [*self._helpers, *self._running.values()]
+        return [*self._helpers, *self._running.values(), *([self._spare] if self._spare else [])]
 
     def start_helper(self, module: str, *arguments: str) -> None:
         """Start a Python module as a process that may end at any time; it is stopped with the nodes."""
@@ -121,6 +125,8 @@ class Supervisor:
                 starts[name] = now + delay
                 when = f"in {delay:g} s" if delay else "now"
                 print(f"{dead}; started again {when}", file=sys.stderr)
+            if respawn and not starts and time.monotonic() > max(self._started.values()) + _SPARE_AFTER:
+                self._start_spare()
             for name in [name for name, start in starts.items() if start <= time.monotonic()]:
                 del starts[name]
                 self._start_node(name)
@@ -151,14 +157,33 @@ class Supervisor:
     def _start_node(self, name: str) -> None:
         process = self._processes[name]
         self._started[name] = time.monotonic()
-        self._running[name] = self._start(
+        self._running[name] = self._take_spare(process) or self._start(
             "humansim_ros.ros.nodes", process.executable, *process.ros_arguments
         )
 
-    def _start(self, module: str, *arguments: str) -> subprocess.Popen[bytes]:
+    def _start_spare(self) -> None:
+        """Start a process that becomes the next node that is started again, in less time."""
+        if self._spare is None and all(helper.poll() is not None for helper in self._helpers):
+            scene = next(iter(self._processes.values())).parameters["scene"]
+            self._spare = self._start("humansim_ros.ros.nodes.spare", str(scene), stdin=subprocess.PIPE)
+
+    def _take_spare(self, process: NodeProcess) -> subprocess.Popen[bytes] | None:
+        """Let the spare process become a node; None if there is none, or it has ended."""
+        spare, self._spare = self._spare, None
+        if spare is None or spare.stdin is None:
+            return None
+        try:
+            with spare.stdin:
+                spare.stdin.write(json.dumps([process.executable, *process.ros_arguments]).encode() + b"\n")
+        except BrokenPipeError:
+            return None
+        return spare
+
+    def _start(self, module: str, *arguments: str, stdin: int | None = None) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
             [sys.executable, "-m", module, *arguments],
             env=self._environment,
+            stdin=stdin,
             # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
             start_new_session=True,
         )

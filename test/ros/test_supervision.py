@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -12,6 +13,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from conftest import ROOT
 from ros_support import write_scene
 from waiting import PATIENCE, wait_until
 
@@ -48,7 +50,11 @@ class Processes:
 
     def node(self, name: str) -> int | None:
         """Process id of the node of this name; None if it does not run."""
-        return next((pid for pid, line in self.lines().items() if f"__node:={name} " in line), None)
+        for pid, line in self.lines().items():
+            # a spare process that has become a node has its name, of which Linux keeps 15 letters
+            if f"__node:={name} " in line or name_of(pid) == name[:15]:
+                return pid
+        return None
 
     def are_gone(self) -> bool:
         return wait_until(lambda: not self.lines())
@@ -58,6 +64,14 @@ class Processes:
             return subprocess.Popen(
                 command, stdout=file, stderr=subprocess.STDOUT, env=self.environment, start_new_session=True
             )
+
+
+def name_of(pid: int) -> str:
+    """Name of a process, as top shows it; empty if it has ended."""
+    try:
+        return Path(f"/proc/{pid}/comm").read_text().strip()
+    except OSError:
+        return ""
 
 
 @pytest.fixture
@@ -135,6 +149,65 @@ def test_a_node_with_wrong_input_is_not_started_again(ros: None, tmp_path: Path)
         ended = nodes.wait(time.monotonic() + PATIENCE, respawn=True)
     assert ended is not None and ended.code == 2
     assert str(ended) == "node wrong ended unexpectedly (exit code 2)"
+
+
+@pytest.mark.slow
+def test_killed_nodes_are_back_with_their_latched_topics(
+    ros: None, processes: Processes, tmp_path: Path
+) -> None:
+    """A kill of each process: player, skinner and camera."""
+    tool = [sys.executable, str(ROOT / "tools" / "kill_nodes.py"), str(write_scene(tmp_path, SCENE))]
+    done = subprocess.run(
+        [*tool, "--kills", "3", "--limit", str(PATIENCE)],
+        env={**processes.environment, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=4 * PATIENCE,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "3 of 3 back" in done.stdout
+    assert "left at the end: nothing" in done.stdout
+
+
+def test_a_spare_process_becomes_the_node_that_has_died(
+    ros: None, processes: Processes, tmp_path: Path, output: Path
+) -> None:
+    run = processes.start([*HUMANSIM, "run", str(write_scene(tmp_path, SCENE))], output)
+
+    def spare() -> int | None:
+        return next((pid for pid, line in processes.lines().items() if "nodes.spare" in line), None)
+
+    assert wait_until(spare)
+    pid = spare()
+    os.kill(processes.node("skinner_anna"), signal.SIGKILL)
+    assert wait_until(lambda: name_of(pid) == "skinner_anna")
+    assert wait_until(lambda: output.read_text().count("[skinner_anna]: skinning anna") == 2)
+    run.send_signal(signal.SIGINT)
+    assert run.wait(PATIENCE) == 0
+    assert processes.are_gone()
+
+
+SPARE = [sys.executable, "-m", "humansim_ros.ros.nodes.spare"]
+
+
+def test_a_spare_process_ends_with_its_input(ros: None, tmp_path: Path) -> None:
+    spare = [*SPARE, str(write_scene(tmp_path, SCENE))]
+    assert subprocess.run(spare, stdin=subprocess.DEVNULL, timeout=PATIENCE, check=False).returncode == 0
+
+
+def test_a_spare_process_leaves_errors_of_the_scene_to_the_node(ros: None, tmp_path: Path) -> None:
+    scene = str(tmp_path / "gone.yaml")
+    done = subprocess.run(
+        [*SPARE, scene],
+        input=json.dumps(["skinner", "--ros-args", "-p", f"scene:={scene}"]) + "\n",
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: ") and "gone.yaml" in done.stderr
 
 
 # Orphans
@@ -279,8 +352,6 @@ def test_entry_points_import_nothing_before_they_can_be_stopped(module: str) -> 
 
 
 def test_installed_commands_lead_to_the_light_entry_points() -> None:
-    from conftest import ROOT
-
     commands = [line.strip(' ",') for line in (ROOT / "setup.py").read_text().splitlines() if ":" in line]
     entries = [line.partition(" = ")[2] for line in commands if " = humansim_ros." in line]
     assert len(entries) == 5

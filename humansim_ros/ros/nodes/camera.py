@@ -162,6 +162,6 @@ class CameraNode(SceneNode):
         self.report_lateness(stamp)
 
 
-def main() -> int:
-    """Run the node; returns its exit code."""
-    return run_node(CameraNode)
+def main(scene: Scene | None = None) -> int:
+    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    return run_node(lambda: CameraNode(scene=scene))

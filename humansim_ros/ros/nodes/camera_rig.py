@@ -18,14 +18,15 @@ from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.processes import RIG_NODE
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.scene import Scene
 from humansim_ros.scene.state import SceneState
 
 
 class CameraRigNode(SceneNode):
     """Receives complete frames and passes each of them to its cameras in turn."""
 
-    def __init__(self, **options: Any) -> None:
-        super().__init__(RIG_NODE, **options)
+    def __init__(self, scene: Scene | None = None, **options: Any) -> None:
+        super().__init__(RIG_NODE, scene, **options)
         names = self._select_cameras()
         self._renderer = self.make_renderer()
         # a node name from the command line is for this node only
@@ -88,6 +89,6 @@ class CameraRigNode(SceneNode):
         self._renderer.close()
 
 
-def main() -> int:
-    """Run the node; returns its exit code."""
-    return run_node(CameraRigNode)
+def main(scene: Scene | None = None) -> int:
+    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    return run_node(lambda: CameraRigNode(scene=scene))

@@ -35,6 +35,7 @@ from humansim_ros.ros.nodes.motion_player import MAX_LEAD
 from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.ros.source_log import SourceLog
+from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.live import LiveRetargeter
@@ -167,6 +168,6 @@ def _at_standstill(state: HumanState) -> HumanState:
     return replace(state, linear=nothing, angular=nothing)
 
 
-def main() -> int:
-    """Run the node; returns its exit code."""
-    return run_node(SkinnerNode)
+def main(scene: Scene | None = None) -> int:
+    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    return run_node(lambda: SkinnerNode(scene=scene))

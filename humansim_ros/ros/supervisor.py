@@ -124,7 +124,8 @@ class Supervisor:
                 self._shared_memory.remove([self._running.pop(name).pid])
                 starts[name] = now + delay
                 when = f"in {delay:g} s" if delay else "now"
-                print(f"{dead}; started again {when}", file=sys.stderr)
+                with suppress(OSError):  # of a terminal that is gone, or a full disk
+                    print(f"{dead}; started again {when}", file=sys.stderr)
             if respawn and not starts and time.monotonic() > max(self._started.values()) + _SPARE_AFTER:
                 self._start_spare()
             for name in [name for name, start in starts.items() if start <= time.monotonic()]:

@@ -188,6 +188,45 @@ def test_a_spare_process_becomes_the_node_that_has_died(
     assert processes.are_gone()
 
 
+def test_a_node_is_started_again_although_nothing_can_be_said(
+    ros: None, processes: Processes, tmp_path: Path
+) -> None:
+    """The output of `humansim run` is a full disk, or a terminal that is gone."""
+    command = [*HUMANSIM, "run", str(write_scene(tmp_path, SCENE))]
+    with Path("/dev/full").open("wb") as full, (tmp_path / "output").open("wb") as output:
+        run = subprocess.Popen(command, stdout=output, stderr=full, env=processes.environment)
+    assert wait_until(lambda: processes.node("skinner_anna"))
+    killed = processes.node("skinner_anna")
+    os.kill(killed, signal.SIGKILL)
+    assert wait_until(lambda: processes.node("skinner_anna") not in (None, killed))
+    run.send_signal(signal.SIGINT)
+    assert run.wait(PATIENCE) == 0
+    assert processes.are_gone()
+
+
+def test_a_run_goes_on_without_a_reader_of_its_output(
+    ros: None, processes: Processes, tmp_path: Path, output: Path
+) -> None:
+    """As with `humansim run | head`: what reports the first images ends quietly."""
+    command = [*HUMANSIM, "run", str(write_scene(tmp_path, SCENE))]
+    with output.open("wb") as errors:
+        run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, env=processes.environment)
+    while not run.stdout.readline().startswith(b"starting "):
+        assert run.poll() is None
+    run.stdout.close()
+
+    def reporters() -> list[str]:
+        return [line for line in processes.lines().values() if "first_images" in line]
+
+    assert wait_until(reporters)
+    assert wait_until(lambda: not reporters())
+    assert "Traceback" not in output.read_text()
+    assert run.poll() is None
+    run.send_signal(signal.SIGINT)
+    run.wait(PATIENCE)
+    assert processes.are_gone()
+
+
 SPARE = [sys.executable, "-m", "humansim_ros.ros.nodes.spare"]
 
 

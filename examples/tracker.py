@@ -13,7 +13,9 @@ from __future__ import annotations
 import json
 import sys
 from collections import defaultdict
+from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 import rclpy
@@ -41,22 +43,33 @@ class Tracker(Node):
         self.pixels: dict[int, dict[str, np.ndarray]] = defaultdict(dict)
         self.truth: dict[int, np.ndarray] = {}
         self.errors: list[float] = []
-        self.create_subscription(MultiDOFJointState, f"humans/{human}/joints", self.on_truth, 10)
+        self.subscribe(MultiDOFJointState, f"humans/{human}/joints", self.on_truth, 10)
 
         self.create_timer(0.5, self.find_cameras)
+
+    def subscribe(self, kind: type, topic: str, callback: Callable[[Any], None], qos: Any) -> None:
+        """Subscribe to a topic. Messages that cannot be used are ignored: anybody may publish on it."""
+
+        def on_message(message: Any) -> None:
+            try:
+                callback(message)
+            except Exception as error:
+                self.get_logger().warning(f"{topic}: {error!r:.200}", throttle_duration_sec=1.0)
+
+        self.create_subscription(kind, topic, on_message, qos)
 
     def find_cameras(self) -> None:
         """Subscribe to cameras that have come."""
         topics = [name for name, _ in self.get_topic_names_and_types()]
         found = {name.split("/")[1] for name in topics if name.endswith("/projection")}
         for camera in sorted(found - self.cameras):
-            self.create_subscription(
+            self.subscribe(
                 Float64MultiArray, f"{camera}/projection", partial(self.on_projection, camera), LATCHED
             )
-            self.create_subscription(
+            self.subscribe(
                 PointCloud2, f"{camera}/joints", partial(self.on_pixels, camera), qos_profile_sensor_data
             )
-            self.create_subscription(String, f"{camera}/joints/legend", self.on_legend, LATCHED)
+            self.subscribe(String, f"{camera}/joints/legend", self.on_legend, LATCHED)
         self.cameras |= found
 
     def on_projection(self, camera: str, message: Float64MultiArray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import time
 from collections import defaultdict
@@ -192,11 +193,12 @@ class _Subscriber:
         from rclpy.signals import SignalHandlerOptions
         from sensor_msgs.msg import Image
 
+        from humansim_ros.ros.guarded_node import GuardedNode
         from humansim_ros.ros.messages import serialised_stamp
 
         prepare_transport()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node("humansim_bench")
+        self._node = GuardedNode("humansim_bench")
         self._executor = make_executor()
         self._executor.add_node(self._node)
         self._silent = set(self._topics)
@@ -205,8 +207,8 @@ class _Subscriber:
 
         def listener(topic: str) -> Callable[[bytes], None]:
             def on_image(data: bytes) -> None:
-                self._silent.discard(topic)
                 stamp = serialised_stamp(data)
+                self._silent.discard(topic)
                 self._arrived[stamp] += 1
                 self.complete += self._arrived[stamp] == len(self._topics)
 
@@ -257,5 +259,6 @@ class _Subscriber:
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
             values = {item.key: item.value for item in status.values}
-            if "render_median_ms" in values:
-                self._diagnostics[status.name].append(float(values["render_median_ms"]))
+            milliseconds = float(values.get("render_median_ms", "nan"))
+            if 0 <= milliseconds < math.inf:
+                self._diagnostics[status.name].append(milliseconds)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -10,12 +11,13 @@ from typing import Any
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from humansim_ros.drawing import canvas, views
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.runtime import prepare_transport
 from humansim_ros.ros.supervisor import EndedProcess, Supervisor
@@ -27,7 +29,7 @@ from humansim_ros.types import Image
 _START_LIMIT = 60.0
 #: Size of the image of one camera in the video.
 _VIDEO_SIZE = (480, 360)
-#: Newest stamps that are held until one of them has arrived from all cameras, and their memory in bytes.
+#: Stamps that are held until one of them has arrived from all cameras, and their memory in bytes.
 _MAX_INCOMPLETE, _MAX_BYTES = 20, 1 << 29
 #: Most cameras that the pictures show.
 _MAX_CAMERAS = 8
@@ -41,6 +43,10 @@ _PIXELS: dict[str, tuple[type, tuple[int, ...]]] = {
     "bgr8": (np.uint8, (3,)),
     "bayer_rggb8": (np.uint8, ()),
 }
+#: Encoding of the other images.
+_ENCODINGS = {"depth/image": "32FC1", "part/image": "mono8"}
+#: Pixels from which on a joint is not drawn.
+_FAR_OUTSIDE = 1e5
 #: Conversion of ``image_raw`` to RGB, by image encoding.
 _TO_RGB = {
     "bgr8": cv2.COLOR_BGR2RGB,
@@ -141,18 +147,20 @@ class _Recorder:
         from rclpy.signals import SignalHandlerOptions
         from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2
 
+        from humansim_ros.ros.guarded_node import GuardedNode
+
         self.scene = scene
         prepare_transport()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
-        self._node = rclpy.create_node("humansim_demo")
+        self._node = GuardedNode("humansim_demo")
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self.types: dict[str, str] = {}
         self.bytes: Counter[str] = Counter()
         self.messages: Counter[str] = Counter()
-        self._incomplete: dict[int, dict[str, bytes]] = {}
-        #: Serialised messages of the latest stamp that is complete, by topic.
-        self.sheet: dict[str, bytes] = {}
+        self._incomplete: dict[int, dict[str, NDArray[Any]]] = {}
+        #: Images and joints of the latest stamp that is complete, by topic.
+        self.sheet: dict[str, NDArray[Any]] = {}
         #: Scaled images as JPEG by stamp and camera.
         self.thumbnails: dict[int, dict[str, Any]] = {}
         #: Cameras of the pictures.
@@ -165,7 +173,7 @@ class _Recorder:
             topics.append((f"/humans/{human}/vertices", PointCloud2))
         self._sheet_topics = []
         for camera in self.cameras:
-            images = [f"/{camera}/{kind}" for kind in ("image_raw", "depth/image", "part/image")]
+            images = [f"/{camera}/{kind}" for kind in ("image_raw", *_ENCODINGS)]
             topics += [(topic, Image) for topic in images]
             topics += [(f"/{camera}/camera_info", CameraInfo), (f"/{camera}/joints", PointCloud2)]
             self._sheet_topics += [*images, f"/{camera}/joints"]
@@ -218,56 +226,68 @@ class _Recorder:
 
         def on_message(data: bytes) -> None:
             stamp = serialised_stamp(data)
+            if topic in self._sheet_topics:
+                content = self._joints(topic, data) if topic.endswith("/joints") else self._image(topic, data)
+                self._store_for_sheet(stamp, topic, content)
+                if topic.endswith("/image_raw"):
+                    quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+                    picture = cv2.imencode(".jpg", _fitted(content, _VIDEO_SIZE), quality)[1]
+                    self.thumbnails.setdefault(stamp, {})[camera] = picture
             self.messages[topic] += 1
             self.bytes[topic] += len(data)
-            if topic.endswith("/image_raw"):
-                picture = _fitted(self.image(topic, data), _VIDEO_SIZE)
-                quality = [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
-                self.thumbnails.setdefault(stamp, {})[camera] = cv2.imencode(".jpg", picture, quality)[1]
-            if topic in self._sheet_topics:
-                self._store_for_sheet(stamp, topic, data)
 
         return on_message
 
-    def message(self, topic: str, data: bytes) -> Any:
-        """Deserialise a message of a topic."""
-        from rclpy.serialization import deserialize_message
+    def _image(self, topic: str, data: bytes) -> NDArray[Any]:
+        """Pixels of a serialised image. Raises RosError unless it is as the camera of the topic sends it."""
+        from humansim_ros.ros.limits import deserialised
 
-        return deserialize_message(data, self._message_types[topic])
+        message = deserialised(data, self._message_types[topic])
+        camera, kind = topic[1:].split("/", 1)
+        encoding = _ENCODINGS.get(kind, self.scene.scene_cameras[camera].encoding)
+        width, height = self.scene.cameras[camera].size
+        dtype, pixel = _PIXELS[encoding]
+        shape = (height, width, *pixel)
+        whole = len(message.data) == np.dtype(dtype).itemsize * math.prod(shape)
+        if (message.encoding, message.width, message.height) != (encoding, width, height) or not whole:
+            raise RosError(f"this is no image of {width}x{height} pixels in {encoding}")
+        pixels: NDArray[Any] = np.frombuffer(message.data, dtype).reshape(shape)
+        convert = _TO_RGB.get(encoding) if kind == "image_raw" else None
+        return pixels if convert is None else np.asarray(cv2.cvtColor(pixels, convert))
 
-    def image(self, topic: str, data: bytes) -> Any:
-        """Read the pixels of a serialised image message."""
-        message = self.message(topic, data)
-        dtype, pixel = _PIXELS[message.encoding]
-        pixels: Any = np.frombuffer(message.data, dtype).reshape(message.height, message.width, *pixel)
-        convert = _TO_RGB.get(message.encoding) if topic.endswith("/image_raw") else None
-        return pixels if convert is None else cv2.cvtColor(pixels, convert)
+    def _joints(self, topic: str, data: bytes) -> NDArray[Any]:
+        """Joints of a serialised message. Raises RosError unless they are those of the scene's humans."""
+        from humansim_ros.ros.limits import deserialised
+        from humansim_ros.ros.messages import read_joint_view
 
-    def _store_for_sheet(self, stamp: int, topic: str, data: bytes) -> None:
-        """Hold messages of the newest stamps until one stamp is complete."""
-        self._incomplete.setdefault(stamp, {})[topic] = data
+        points = read_joint_view(deserialised(data, self._message_types[topic]))
+        actors = self.scene.actors.values()
+        counts = [(actor.instance, len(actor.human.skeleton.joint_names)) for actor in actors]
+        if any((points["human"] == instance).sum() != count for instance, count in counts):
+            raise RosError("these are not the joints of the humans of the scene")
+        return points
+
+    def _store_for_sheet(self, stamp: int, topic: str, content: NDArray[Any]) -> None:
+        """Hold contents of the stamps that came last until one stamp is complete."""
+        self._incomplete.setdefault(stamp, {})[topic] = content
         if len(self._incomplete[stamp]) == len(self._sheet_topics):
             self.sheet = self._incomplete[stamp]
-        held = sum(len(part) for parts in self._incomplete.values() for part in parts.values())
-        for old in sorted(self._incomplete)[:-1]:
+        held = sum(part.nbytes for parts in self._incomplete.values() for part in parts.values())
+        # the first to come, not the smallest stamp: stamps of another clock must not replace all others
+        for old in [each for each in self._incomplete if each != stamp]:
             if len(self._incomplete) <= _MAX_INCOMPLETE and held <= _MAX_BYTES:
                 break
-            held -= sum(len(part) for part in self._incomplete.pop(old).values())
+            held -= sum(part.nbytes for part in self._incomplete.pop(old).values())
 
 
 def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
-    from humansim_ros.ros.messages import read_joint_view
-
     if not recorder.sheet:
         raise HumansimError("no frame was received from all cameras: the machine is too slow for this scene")
     rows = []
     for camera in recorder.cameras:
-        image, depth, part = (
-            recorder.image(topic, recorder.sheet[topic])
-            for topic in (f"/{camera}/{kind}" for kind in ("image_raw", "depth/image", "part/image"))
+        image, depth, part, points = (
+            recorder.sheet[f"/{camera}/{kind}"] for kind in ("image_raw", *_ENCODINGS, "joints")
         )
-        joints = f"/{camera}/joints"
-        points = read_joint_view(recorder.message(joints, recorder.sheet[joints]))
         overlay = image
         for actor in scene.actors.values():
             own = points[points["human"] == actor.instance]
@@ -276,6 +296,7 @@ def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
             parents = [None if p < 0 else skeleton.names[p] for p in skeleton.parents]
             parents += [skeleton.names[bone] for bone in skeleton.leaves]
             pixels = np.stack([own["u"], own["v"]], axis=-1)
+            pixels[np.abs(pixels) > _FAR_OUTSIDE] = np.nan
             overlay = views.draw_joints(overlay, pixels, own["visible"], names, parents)
         rows.append(
             [

@@ -96,11 +96,12 @@ class FirstImages:
         from rclpy.signals import SignalHandlerOptions
         from sensor_msgs.msg import Image
 
+        from humansim_ros.ros.guarded_node import GuardedNode
         from humansim_ros.ros.runtime import make_executor, prepare_transport
 
         prepare_transport()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-        node = rclpy.create_node("humansim_run")
+        node = GuardedNode("humansim_run")
         executor = make_executor()
         executor.add_node(node)
         delivered: set[str] = set()

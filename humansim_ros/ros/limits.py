@@ -6,7 +6,7 @@ import struct
 from typing import Any
 
 from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from sensor_msgs.msg import Image, MultiDOFJointState, PointCloud2
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
@@ -19,7 +19,13 @@ MAX_FIELDS = 64
 
 #: Bytes of the longest serialised message that is read, by type, and of all other types. rclpy needs up to
 #: 0.6 s for a megabyte of small structures, but only a millisecond for a megabyte of points or text.
-_MAX_BYTES = {MultiDOFJointState: 192 << 10, Marker: 128 << 10, String: 256 << 10, PointCloud2: 64 << 20}
+_MAX_BYTES = {
+    MultiDOFJointState: 192 << 10,
+    Marker: 128 << 10,
+    String: 256 << 10,
+    PointCloud2: 64 << 20,
+    Image: 512 << 20,
+}
 _MAX_OTHER = 64 << 10
 
 

@@ -1,9 +1,11 @@
 """Start all nodes of a scene: motion player, one skinner per human, camera processes."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
-from launch.actions import DeclareLaunchArgument, OpaqueFunction, Shutdown
+from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
 from launch.events.process import ProcessExited
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
@@ -15,24 +17,29 @@ from humansim_ros.ros.processes import (
     scene_processes,
     whole_number,
 )
+from humansim_ros.ros.shared_memory import remove_dead_files
+from humansim_ros.ros.transport import choose_transport
 
 # launch/ and config/ are in one folder, in the checkout and in share/humansim_ros
 DEMO_SCENE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "demo.yaml"
 
 
-def scene_nodes(context: LaunchContext) -> list[Node]:
+def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
     scene = LaunchConfiguration("scene").perform(context)
     number = whole_number("processes", LaunchConfiguration("processes").perform(context))
     frame_prefix = LaunchConfiguration("frame_prefix").perform(context)
     processes = scene_processes(scene, number, frame_prefix=frame_prefix)
-    return [
+    remove_dead_files()
+    transport = choose_transport(len(processes))
+    warnings = [LogInfo(msg=f"warning: {transport.warning}")] if transport.warning else []
+    nodes = [
         Node(
             package="humansim_ros",
             executable=process.executable,
             namespace=relative_namespace(LaunchConfiguration("namespace").perform(context)),
             # name and parameters; with `parameters`, a camera named off would become a boolean
             arguments=process.ros_arguments,
-            additional_env=render_threads(processes),
+            additional_env={**render_threads(processes), **transport.environment},
             output="screen",
             respawn=LaunchConfiguration("respawn"),
             respawn_delay=0.5,
@@ -41,6 +48,7 @@ def scene_nodes(context: LaunchContext) -> list[Node]:
         )
         for process in processes
     ]
+    return [*warnings, *nodes]
 
 
 def stop_after_wrong_input(event: ProcessExited, context: LaunchContext) -> list[Shutdown]:

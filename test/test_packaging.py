@@ -289,7 +289,12 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
 
     fakes = {
         "launch": {"LaunchContext": dict, "LaunchDescription": list},
-        "launch.actions": {"DeclareLaunchArgument": record, "OpaqueFunction": record, "Shutdown": record},
+        "launch.actions": {
+            "DeclareLaunchArgument": record,
+            "LogInfo": record,
+            "OpaqueFunction": record,
+            "Shutdown": record,
+        },
         "launch.events": {},
         "launch.events.process": {"ProcessExited": types.SimpleNamespace},
         "launch.substitutions": {"LaunchConfiguration": FakeConfiguration},
@@ -317,6 +322,7 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
         ]
         assert {node.package for node in nodes} == {"humansim_ros"}
         for node in nodes:
+            assert "ROS_AUTOMATIC_DISCOVERY_RANGE" not in node.additional_env  # as users of ROS expect
             assert node.respawn.name == "respawn"
             assert node.respawn_max_retries > 0  # a negative number would be without end
             assert node.on_exit(types.SimpleNamespace(returncode=2), configuration)  # wrong input: all stop

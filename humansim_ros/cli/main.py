@@ -58,6 +58,9 @@ def run(
     frame_prefix: Annotated[
         str, typer.Option(help="Text before the optical frames of the cameras, such as lab/.")
     ] = "",
+    network: Annotated[
+        bool, typer.Option("--network", help="Let other hosts find the nodes, hear them and steer them.")
+    ] = False,
     respawn: Annotated[
         bool, typer.Option("--respawn/--no-respawn", help="Start a node again that has died.")
     ] = True,
@@ -65,6 +68,7 @@ def run(
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.ros.first_images import FirstImages
     from humansim_ros.ros.processes import WRONG_INPUT, relative_namespace, scene_processes
+    from humansim_ros.ros.runtime import prepare_transport
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
 
@@ -82,10 +86,12 @@ def run(
         _describe(loaded, namespace)
         warn_about_mistakes(loaded, options)
         node_processes = scene_processes(path, processes, namespace, frame_prefix)
+        transport = prepare_transport(len(node_processes) + 1, network)
         with Supervisor(node_processes) as nodes:
             try:
                 names = ", ".join(name for process in node_processes for name in process.visible_nodes)
-                print(f"starting {names}; Ctrl-C stops", flush=True)
+                print(f"starting {names}; Ctrl-C stops")
+                print(transport.reach, flush=True)
                 first = FirstImages(list(loaded.cameras), list(loaded.actors), start, namespace)
                 nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
                 dead = nodes.wait(None if duration is None else time.monotonic() + duration, respawn)

@@ -152,6 +152,7 @@ def measure(
         )
         for process in scene_processes(path, processes)
     ]
+    prepare_transport(len(started) + 1, network=False)
     with Supervisor(started) as nodes, _Subscriber(topics) as subscriber:
         report(f"starting {len(started)} nodes, and drawing lens and static scene of each camera")
         subscriber.wait_for_all(nodes)
@@ -196,7 +197,6 @@ class _Subscriber:
         from humansim_ros.ros.guarded_node import GuardedNode
         from humansim_ros.ros.messages import serialised_stamp
 
-        prepare_transport()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = GuardedNode("humansim_bench")
         self._executor = make_executor()

@@ -75,7 +75,9 @@ def record_demo(scene_path: Path, output: Path, duration: float, video: str = "w
         raise HumansimError(
             f"cannot create the folder for the pictures: {reason.strerror}", path=output
         ) from None
-    with Supervisor(scene_processes(scene_path)) as nodes, _Recorder(scene) as recorder:
+    processes = scene_processes(scene_path)
+    prepare_transport(len(processes) + 1, network=False)
+    with Supervisor(processes) as nodes, _Recorder(scene) as recorder:
         seconds = _record(nodes, recorder, duration, console)
     if seconds is None:
         return False
@@ -150,7 +152,6 @@ class _Recorder:
         from humansim_ros.ros.guarded_node import GuardedNode
 
         self.scene = scene
-        prepare_transport()
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
         self._node = GuardedNode("humansim_demo")
         self._executor = SingleThreadedExecutor()

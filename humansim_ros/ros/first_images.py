@@ -62,13 +62,11 @@ class FirstImages:
         """
         count = len(self.cameras)
         cameras = f"all {count} cameras deliver" if count > 1 else f"{self.cameras[0]} delivers"
-        range_ = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
-        where = ", this computer only" if range_ == "LOCALHOST" else ""
         topics = [self._topic(f"{camera}/image_raw") for camera in self.cameras]
         truth = [self._topic(f"humans/{human}/joints") for human in self.humans]
         lines = [
             f"{cameras}, after {seconds:.1f} s",
-            f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}{where}: images on {some_of(topics)}"
+            f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: images on {some_of(topics)}"
             + (f"; truth on {some_of(truth)}" if truth else ""),
             "next, in another terminal:",
             *(f"    {command}" for command in self._commands(checkout)),

@@ -8,27 +8,21 @@ import os
 import signal
 import sys
 import time
+import warnings
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from humansim_ros.errors import HumansimError, RosError, show_warnings
+from humansim_ros.errors import HumansimError, HumansimWarning, RosError, show_warnings
 from humansim_ros.render.memory import keep_image_blocks
-from humansim_ros.resources import resource_path
 from humansim_ros.ros.shared_memory import remove_dead_files
 from humansim_ros.ros.stop_signals import Stopped, StopRequest, end_process, end_process_on_stop
+from humansim_ros.ros.transport import Transport, choose_transport
 
 if TYPE_CHECKING:
     from humansim_ros.ros.guarded_node import GuardedNode
 
-#: Environment variables that mean that the user has configured the transports of Fast DDS.
-_TRANSPORT_SETTINGS = (
-    "FASTRTPS_DEFAULT_PROFILES_FILE",
-    "FASTDDS_DEFAULT_PROFILES_FILE",
-    "FASTDDS_BUILTIN_TRANSPORTS",
-    "ROS_DISCOVERY_SERVER",
-)
 #: Seconds after which an idle node notices a stop signal.
 _SPIN_TIMEOUT = 0.1
 #: Seconds that the executor rests after a first error, and seconds of nothing but errors that end a node.
@@ -49,16 +43,27 @@ def require_ros() -> None:
         ) from None
 
 
-def prepare_transport() -> None:
+def prepare_transport(participants: int | None = None, network: bool = True) -> Transport:
     """Enlarge the shared memory of Fast DDS for images, unless the user has configured Fast DDS.
 
     Call it before ``rclpy.init()``. With Fast DDS's defaults, two of three 640x480 images do not fit and are
-    lost for best-effort subscribers. Removes shared memory that killed processes have left.
+    lost for best-effort subscribers. Warns of too little shared memory, and removes what killed processes
+    have left of it.
+
+    Args:
+        participants: Number of processes that start together; None: this process alone.
+        network: Other hosts may find the nodes, unless the user has set it.
+
+    Returns:
+        The transport, which is set for this process and its children.
     """
     remove_dead_files()
-    if not any(name in os.environ for name in _TRANSPORT_SETTINGS):
-        os.environ["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(resource_path("config/fastdds.xml"))
+    transport = choose_transport(participants, network)
+    os.environ.update(transport.environment)
+    if transport.warning:
+        warnings.warn(transport.warning, HumansimWarning, stacklevel=2)
     keep_image_blocks()
+    return transport
 
 
 def make_executor() -> Any:

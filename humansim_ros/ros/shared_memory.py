@@ -1,4 +1,4 @@
-"""Files of Fast DDS in /dev/shm: which a process owns, and removal of those that dead processes have left.
+"""Shared memory of Fast DDS in /dev/shm: sizes that fit, and removal of files that dead processes have left.
 
 A participant of Fast DDS has a segment for its messages and a port for each address at which it receives. It
 keeps their lock files open and locked until it ends. A process that is killed leaves 70 MB. If it is killed
@@ -8,6 +8,7 @@ while it makes a port, every later process with this port waits for ever for the
 from __future__ import annotations
 
 import fcntl
+import math
 import os
 import re
 import stat
@@ -16,6 +17,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+#: Bytes of a segment on a machine with enough memory: frames of several cameras.
+FULL_SEGMENT = 1 << 26
+#: Bytes of a segment below which it loses more images than UDP.
+_MIN_SEGMENT = 1 << 20
+#: Share of the free memory for processes that start together; the rest is for subscribers and ports.
+_SHARE = 0.8
 _FOLDER = Path("/dev/shm")
 _SEGMENT, _PORT = re.compile(r"fastrtps_[0-9a-f]{16}"), re.compile(r"fastrtps_port\d+")
 _LOCK = re.compile(r"/dev/shm/(fastrtps_\w+)_[es]l")
@@ -25,6 +32,29 @@ _COMPLETE = (2).to_bytes(4, "little")
 _MAKING = 3.0
 #: Seconds between two looks at the files of a process.
 _INTERVAL = 1.0
+
+
+def free_memory() -> float:
+    """Free bytes of /dev/shm: 0 if there is none or it is not writable, infinity without a limit."""
+    try:
+        found = os.statvfs(_FOLDER)
+    except OSError:
+        return 0
+    if not os.access(_FOLDER, os.W_OK):
+        return 0
+    return found.f_bavail * found.f_frsize if found.f_blocks else math.inf
+
+
+def segment_size(free: float, participants: int | None = None) -> int:
+    """Bytes of a segment for which /dev/shm has space; 0 if it has too little.
+
+    Args:
+        free: Free bytes of /dev/shm.
+        participants: Number of processes that start together. If None, a process that starts alone takes a
+            quarter, so that those that follow have something left.
+    """
+    share = free / 4 if participants is None else free * _SHARE / participants
+    return 0 if share < _MIN_SEGMENT else int(min(share, FULL_SEGMENT))
 
 
 class SharedMemoryFiles:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -81,6 +81,21 @@ class Stage:
         self.rig.close()
         self.rig.destroy_node()
         self.client.close()
+        self.client.executor.shutdown()  # it holds entities, and with them their nodes
+
+
+@pytest.fixture
+def make_stage(ros: None, scene_path: Path) -> Iterator[Callable[[str], Stage]]:
+    """Stage in a namespace; closed after a test that fails, too: its nodes must not stay in the graph."""
+    stages: list[Stage] = []
+
+    def make(namespace: str) -> Stage:
+        stages.append(Stage(namespace, scene_path))
+        return stages[-1]
+
+    yield make
+    for stage in stages:
+        stage.close()
 
 
 @pytest.fixture(scope="module")
@@ -138,11 +153,11 @@ def test_images_of_a_rig_equal_those_of_simulation_to_the_byte(played: Any, came
 
 
 def test_a_posed_mesh_is_computed_once_for_all_cameras(
-    ros: None, scene_path: Path, monkeypatch: pytest.MonkeyPatch
+    make_stage: Callable[[str], Stage], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from sensor_msgs.msg import Image
 
-    stage = Stage("once", scene_path)
+    stage = make_stage("once")
     simulation = Simulation(stage.rig.scene, ("depth",), start=START)
     topics = [f"{camera}/{topic}" for camera in CAMERAS for topic in ("image_raw", "depth/image")]
     stage.subscribe(Image, *topics)
@@ -161,7 +176,6 @@ def test_a_posed_mesh_is_computed_once_for_all_cameras(
         stage.send(frame)
         assert stage.client.spin_until(lambda s=frame.stamp: all(s in stage.messages_of(t) for t in topics))
     assert computed == len(HUMANS)
-    stage.close()
     simulation.close()
 
 
@@ -203,19 +217,30 @@ def test_a_frame_with_a_vertex_that_is_not_finite_is_skipped_and_logged_and_the_
     assert "frame skipped" in log and "not finite" in log
 
 
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (RenderError("the left one is broken"), "frame skipped: the left one is broken"),
+        (ZeroDivisionError("unexpected"), "frame: ZeroDivisionError: unexpected; it is skipped"),
+    ],
+)
 def test_a_camera_that_fails_does_not_stop_the_others(
-    ros: None, scene_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+    error: Exception,
+    line: str,
+    make_stage: Callable[[str], Stage],
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
 ) -> None:
     from sensor_msgs.msg import Image
 
-    stage = Stage("half", scene_path)
+    stage = make_stage("half")
     simulation = Simulation(stage.rig.scene, ("depth",), start=START)
     frame = simulation.frame(0)
     render = GLRenderer.render
 
     def fail(self: Any, bodies: Any, camera: Any, *rest: Any, **named: Any) -> Any:
         if camera.size == (160, 120):
-            raise RenderError("the left one is broken")
+            raise error
         return render(self, bodies, camera, *rest, **named)
 
     monkeypatch.setattr(GLRenderer, "render", fail)
@@ -223,8 +248,7 @@ def test_a_camera_that_fails_does_not_stop_the_others(
     stage.send(frame)
     assert stage.client.spin_until(lambda: frame.stamp in stage.messages_of("right/depth/image"))
     assert not stage.messages_of("left/depth/image")
-    assert "[half.left]: frame skipped: the left one is broken" in capfd.readouterr().err
-    stage.close()
+    assert f"[half.left]: {line}" in capfd.readouterr().err
     simulation.close()
 
 

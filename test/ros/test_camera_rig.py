@@ -217,6 +217,27 @@ def test_a_frame_with_a_vertex_that_is_not_finite_is_skipped_and_logged_and_the_
     assert "frame skipped" in log and "not finite" in log
 
 
+def test_a_frame_with_joints_that_cannot_be_read_is_skipped_and_the_next_is_rendered(played: Any) -> None:
+    """Joints are read only when a topic needs them; their stamp is read before."""
+    from rclpy.serialization import serialize_message
+
+    stage, last = played.stage, max(played.frames)
+    frame, drops = played.frames[last], played.stage.rig.cameras[0]._counts
+    broken = ("cut", "of another body", "whole")
+    stamps = [last + 500_000_000 + number * 50_000_000 for number in range(len(broken))]
+    for stamp, kind in zip(stamps, broken, strict=True):
+        for human, state in frame.humans.items():
+            message = messages.joints_message(state, stamp)
+            if kind == "of another body":
+                message.joint_names[0] = "other"
+            data = serialize_message(message)
+            stage.senders[human, "joints"].publish(data[:200] if kind == "cut" else data)
+            stage.senders[human, "vertices"].publish(messages.vertices_message(state.vertices, stamp))
+    assert stage.client.spin_until(lambda: stamps[-1] in stage.messages_of("left/joints"))
+    assert not {*stamps[:-1]} & set(stage.messages_of("left/joints"))
+    assert "drops" in drops
+
+
 @pytest.mark.parametrize(
     ("error", "line"),
     [

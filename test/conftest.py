@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import functools
 import os
+import re
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
 
-import hypothesis
 import pytest
 
 TESTS = Path(__file__).resolve().parent
@@ -27,11 +28,21 @@ MARKED_BY_IMPORT = {"ros": {"rclpy", "ros_support"}}
 #: Real motions, meshes and calibrations: the folder of HUMANSIM_SHARED_DATA, or one beside the repository.
 SHARED_DATA = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shared" / "data")
 
-# examples take longer on a loaded machine: that is no failure
-hypothesis.settings.register_profile(
-    "patient", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
-)
-hypothesis.settings.load_profile("patient")
+#: Modules that only tests import. Tests that need a missing one are skipped: rosdep does not have all of
+#: them, and `colcon test` has to pass without.
+TEST_PACKAGES = {
+    "DracoPy", "OpenEXR", "OpenGL", "bvhio", "catkin_pkg", "collada", "colcon_core", "embreex", "hypothesis",
+    "lxml", "mypy", "networkx", "pycollada", "pyrender", "rosbags", "rtree",
+}  # fmt: skip
+
+with suppress(ImportError):
+    import hypothesis
+
+    # examples take longer on a loaded machine: that is no failure
+    hypothesis.settings.register_profile(
+        "patient", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
+    )
+    hypothesis.settings.load_profile("patient")
 
 needs_shared_data = pytest.mark.skipif(
     not SHARED_DATA.is_dir(), reason=f"no shared files at {SHARED_DATA} (HUMANSIM_SHARED_DATA)"
@@ -60,6 +71,33 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             imported = _imports(item.module) & MARKED_BY_IMPORT.get(marker, set())
             if names & triggers or imported:
                 item.add_marker(marker)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_make_collect_report(collector: pytest.Collector) -> Generator[None, Any, None]:
+    """Skip modules that import a missing package of the tests."""
+    report = (yield).get_result()
+    if isinstance(collector, pytest.Module):
+        _skip_without_package(report, collector.path)
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, Any, None]:
+    """Skip tests that import a missing package of the tests."""
+    _skip_without_package((yield).get_result(), item.path)
+
+
+def _skip_without_package(report: Any, path: Path) -> None:
+    if not report.failed:
+        return
+    error = getattr(getattr(report.longrepr, "reprcrash", None), "message", None) or str(report.longrepr)
+    # the other message is trimesh's
+    found = re.search(r"No module named '(\w+)|ImportError: missing `pip install (\w+)`", error)
+    missing = found and (found[1] or found[2])
+    if missing in TEST_PACKAGES:
+        report.outcome = "skipped"
+        reason = f"Skipped: {missing} is not installed (pip install '.[test]' installs what tests need)"
+        report.longrepr = (str(path), 0, reason)
 
 
 def _imports(module: Any) -> set[str]:

@@ -6,12 +6,14 @@ import ast
 import importlib
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
 import types
 import xml.etree.ElementTree as ElementTree
 import zipfile
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -72,8 +74,78 @@ def test_package_xml_is_a_valid_ament_python_package() -> None:
     assert root.findtext("name") == "humansim_ros"
     assert root.findtext("license") == "Apache-2.0"
     assert root.findtext("export/build_type") == "ament_python"
-    for executable_needs in ("rclpy", "sensor_msgs", "rosgraph_msgs", "launch_ros"):
-        assert executable_needs in {element.text for element in root.iter("exec_depend")}
+
+
+def dependencies(kind: str) -> set[str]:
+    """Packages of one kind of dependency in package.xml."""
+    return {str(element.text) for element in ElementTree.parse(ROOT / "package.xml").iter(kind)}
+
+
+def imported(folder: str) -> set[str]:
+    """Top-level modules that the Python files below a folder import."""
+    modules = set()
+    for path in (ROOT / folder).rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Import):
+                modules |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                modules.add(node.module.partition(".")[0])
+    return modules
+
+
+def is_ros(module: str) -> bool:
+    return module in ("rclpy", "launch", "launch_ros") or module.endswith(("_msgs", "_srvs", "_interfaces"))
+
+
+def test_package_xml_has_the_packages_of_ros_that_the_code_imports() -> None:
+    used = {module for folder in ("humansim_ros", "launch") for module in imported(folder) if is_ros(module)}
+    assert used == {name for name in dependencies("exec_depend") if not name.startswith("python3-")}
+    of_tests = {module for module in imported("test") if is_ros(module)} - used
+    assert of_tests == {name for name in dependencies("test_depend") if not name.startswith("python3-")}
+
+
+def test_a_colcon_workspace_gets_every_requirement_from_rosdep_or_from_pip() -> None:
+    """tomli is for Pythons that are older than that of Jazzy."""
+    names = {re.split("[<>=;]", line)[0] for line in setup_constants()["REQUIRES"]} - {"tomli"}
+    keys = {"opencv-python-headless": "opencv", "pyyaml": "yaml"}
+    of_rosdep = {name for name in names if f"python3-{keys.get(name, name)}" in dependencies("exec_depend")}
+    lines = (ROOT / "requirements-colcon.txt").read_text().splitlines()
+    of_pip = {re.split("[<>=]", line)[0] for line in lines if not line.startswith("#")}
+    assert of_rosdep | of_pip == names and not of_rosdep & of_pip
+    section = re.search('see README.md, "(.*)"', lines[0])
+    assert section and f"## {section[1]}\n" in (ROOT / "README.md").read_text()
+
+
+WITHOUT_PACKAGES = """
+import sys
+class Hide:
+    def find_spec(self, name, path=None, target=None):
+        if name in ("bvhio", "OpenEXR"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+sys.meta_path.insert(0, Hide())
+"""
+
+
+def test_tests_are_skipped_without_their_packages(tmp_path: Path) -> None:
+    """With the conftest.py of the tests, and with a package that is missing for the module or for a test."""
+    shutil.copy2(ROOT / "test" / "conftest.py", tmp_path)
+    (tmp_path / "test_module.py").write_text("import bvhio\ndef test_it(): pass\n")
+    (tmp_path / "test_inside.py").write_text(
+        "def test_it(): import OpenEXR\ndef test_own(): import humansim_ros_gone\ndef test_passes(): pass\n"
+    )
+    (tmp_path / "sitecustomize.py").write_text(WITHOUT_PACKAGES)
+    options = ["-q", "-rs", "-p", "no:cacheprovider", "--rootdir", tmp_path]
+    result = subprocess.run(
+        [sys.executable, "-m", "pytest", *options, tmp_path],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])},
+    )
+    assert "1 failed, 1 passed, 2 skipped" in result.stdout, result.stdout + result.stderr
+    for name in ("bvhio", "OpenEXR"):
+        assert f"{name} is not installed" in result.stdout
 
 
 def test_package_xml_passes_the_checks_of_ros() -> None:
@@ -377,6 +449,8 @@ def clean_environment(**variables: str) -> dict[str, str]:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    if tuple(map(int, metadata.version("setuptools").split(".")[:2])) < (70, 1):
+        pytest.importorskip("wheel", reason="setuptools before 70.1 builds wheels with it")
     sources = copy_sources(tmp_path_factory.mktemp("wheel") / "sources")
     pip = [sys.executable, "-m", "pip"]
     # build isolation would need the network

@@ -14,7 +14,7 @@ from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
 
 from humansim_ros.errors import HumansimError, printable
-from humansim_ros.ros.limits import check_serialised, deserialised
+from humansim_ros.ros.limits import check_request, check_serialised, deserialised
 
 #: Seconds between two log lines about errors of one callback.
 _LINE_EVERY = 1.0
@@ -132,13 +132,14 @@ class GuardedNode(Node):
     ) -> Any:
         """Create a service, as ``Node.create_service``, whose callback cannot end the node.
 
-        A request at which it fails is answered with a refusal.
+        A request that is too long, or at which it fails, is answered with a refusal.
         """
 
         def on_request(request: Any, response: Any) -> Any:
             with self.guard(
                 f"service {self.resolve_service_name(srv_name)}", "the request is refused"
             ) as fault:
+                check_request(request)
                 return callback(request, response)
             return _refusal(request, srv_type.Response(), fault.reason)
 

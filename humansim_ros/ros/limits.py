@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from typing import Any
 
+from rclpy.parameter import Parameter
 from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import Image, MultiDOFJointState, PointCloud2
 from std_msgs.msg import String
@@ -16,6 +17,9 @@ from humansim_ros.errors import RosError
 MAX_JOINTS, MAX_NAME = 1024, 256
 #: Most fields of a point cloud.
 MAX_FIELDS = 64
+
+#: Most elements of a sequence in a request: of parameters to set, each of which is checked alone, and others.
+_MAX_PARAMETERS, _MAX_REQUESTED = 300, 1000
 
 #: Bytes of the longest serialised message that is read, by type, and of all other types. rclpy needs up to
 #: 0.6 s for a megabyte of small structures, but only a millisecond for a megabyte of points or text.
@@ -36,6 +40,18 @@ def check_serialised(data: bytes, message_type: Any) -> None:
         raise RosError(f"a message of {len(data)} bytes; at most {limit} are read")
     if message_type is PointCloud2 and (count := _field_count(data)) > MAX_FIELDS:
         raise RosError(f"a PointCloud2 with {count} fields; at most {MAX_FIELDS} are read")
+
+
+def check_request(request: Any) -> None:
+    """Raise RosError for a service request that rclpy cannot read, or not in a short time."""
+    for name in request.get_fields_and_field_types():
+        value = getattr(request, name)
+        limit = _MAX_PARAMETERS if name == "parameters" else _MAX_REQUESTED
+        if isinstance(value, list) and len(value) > limit:
+            raise RosError(f"{len(value)} {name}; at most {limit} are read in one request")
+    for parameter in getattr(request, "parameters", ()):
+        if parameter.value.type not in {each.value for each in Parameter.Type}:
+            raise RosError(f"{parameter.value.type} is no type of a parameter")
 
 
 def deserialised(data: bytes, message_type: Any) -> Any:

@@ -102,7 +102,14 @@ class MotionParameters:
         node.set_parameters([Parameter(name, value=value) for name, value in self._common({}).items()])
 
     def complete(self, parameters: Sequence[Parameter]) -> list[Parameter]:
-        """Add parameters that change along: each human's with that for all, start and end with the file."""
+        """Add parameters that change along: each human's with that for all, start and end with the file.
+
+        None is added to parameters of a wrong type, which rclpy refuses.
+        """
+        for parameter in parameters:
+            setting = _SETTINGS.get(parameter.name.rpartition(".")[2])
+            if setting is not None and parameter.type_ != setting.type:
+                return list(parameters)
         out = {parameter.name: parameter for parameter in parameters}
         for name in [name for name in out if name in _SHARED]:
             for human in self._playback.settings:

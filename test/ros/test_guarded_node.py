@@ -254,3 +254,27 @@ def test_a_shutdown_of_the_context_ends_spinning(guarded: Any) -> None:
 
     runtime.spin(guarded.node, Shutdown(), lambda: False)
     assert guarded.errors() == 0
+
+
+def test_requests_that_rclpy_cannot_read_soon_are_refused(ros: None) -> None:
+    """It compares all names with all others, and fails at types of parameters that do not exist."""
+    from rcl_interfaces.msg import Parameter, ParameterValue
+    from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+
+    node = GuardedNode("asked")
+    services = {service.service_name: service for service in node.services}
+
+    def ask(name: str, kind: Any, **fields: Any) -> Any:
+        return services[f"/asked/{name}"].callback(kind.Request(**fields), kind.Response())
+
+    assert ask("list_parameters", ListParameters, prefixes=["x"] * 1001).result.names == []
+    assert ask("get_parameters", GetParameters, names=["use_sim_time"] * 20_000).values == []
+    assert node._counts["errors"] == 2
+    assert len(ask("get_parameters", GetParameters, names=["use_sim_time"] * 1000).values) == 1000
+    result = ask("set_parameters", SetParameters, parameters=[Parameter(name="x")] * 301).results[0]
+    assert result.reason == "301 parameters; at most 300 are read in one request"
+    wrong = [Parameter(name="use_sim_time", value=ParameterValue(type=255))]
+    (result,) = ask("set_parameters", SetParameters, parameters=wrong).results
+    assert not result.successful
+    assert result.reason == "255 is no type of a parameter"
+    node.destroy_node()

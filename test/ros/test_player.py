@@ -478,6 +478,7 @@ def test_values_that_cannot_be_played_are_rejected_and_the_old_motion_continues(
         ({"rate": 0.0}, "range"),
         ({"seek": -1.0}, "range"),
         ({"motion": 3}, "type"),
+        ({"end": [0.5, 1.0]}, "type"),
         ({"nobody.motion": "walk"}, "undeclared"),
     ):
         assert reason in player.set(**{name.replace(".", "__"): value for name, value in values.items()}), (

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from conftest import ROOT
 from ros_support import Client, rclpy
 
 from humansim_ros.errors import RosError
@@ -278,3 +280,10 @@ def test_requests_that_rclpy_cannot_read_soon_are_refused(ros: None) -> None:
     assert not result.successful
     assert result.reason == "255 is no type of a parameter"
     node.destroy_node()
+
+
+def test_all_nodes_of_the_package_are_guarded() -> None:
+    for path in (ROOT / "humansim_ros").rglob("*.py"):
+        if path.name != "guarded_node.py":
+            text = path.read_text()
+            assert not re.search(r"create_node\(|\(Node\b|create_task\(", text), path

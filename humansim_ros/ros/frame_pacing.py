@@ -13,6 +13,8 @@ _PERIODS_OF_GRACE = 2.5
 _MAX_CAMERAS = 100
 #: Seconds without a report after which a camera no longer delays the others.
 _GIVE_UP_AFTER = 2.0
+#: Seconds without a report after which a camera is forgotten during a pause.
+_FORGET_AFTER = 10.0
 
 
 class FramePacing:
@@ -78,3 +80,20 @@ class FramePacing:
             else:
                 late.append(camera)
         return late
+
+    def may_send_paused(self, unfinished: int, now: float) -> bool:
+        """Whether a frame may be sent during a pause.
+
+        No frame of a pause may be lost, as it may be a step. So it is sent only while no camera has more than
+        ``unfinished`` frames to finish: they must fit into its queue. A camera that does not report delays
+        each frame by two seconds, until it is forgotten.
+        """
+        if not self._sent or now - self._sent[-1][1] > _GIVE_UP_AFTER:
+            return True
+        for camera, (finished, heard) in list(self._finished.items()):
+            pending = [sent_at for stamp, sent_at in self._sent if stamp > finished]
+            if pending and now - max(heard, pending[0]) > _FORGET_AFTER:
+                del self._finished[camera]
+            elif len(pending) > unfinished:
+                return False
+        return True

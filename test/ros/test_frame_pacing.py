@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 import time
 from collections import deque
@@ -12,6 +13,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from rclpy.parameter import Parameter
 from ros_support import Client, Lockstep, write_scene
@@ -167,6 +169,39 @@ def test_names_of_reports_are_bounded() -> None:
     assert len(pacing._finished) == 100
 
 
+def test_during_a_pause_a_frame_is_sent_only_if_it_fits_into_the_queues_of_all_cameras() -> None:
+    pacing = FramePacing()
+    assert pacing.may_send_paused(0, 0.0)
+    pacing.add_sent(10, 0.0)
+    pacing.add_finished("fast", 10, 0.0)
+    pacing.add_finished("slow", 10, 0.0)
+    pacing.add_sent(11, 0.1)
+    assert not pacing.may_send_paused(0, 0.2)
+    assert pacing.may_send_paused(1, 0.2)
+    pacing.add_finished("fast", 11, 0.2)
+    assert not pacing.may_send_paused(0, 0.3)
+    pacing.add_sent(12, 0.3)
+    assert not pacing.may_send_paused(1, 0.4)
+    pacing.add_finished("slow", 11, 0.4)
+    assert pacing.may_send_paused(1, 0.5)
+    pacing.add_finished("fast", 12, 0.5)
+    pacing.add_finished("slow", 12, 0.5)
+    assert pacing.may_send_paused(0, 0.6)
+
+
+def test_a_dead_camera_delays_frames_of_a_pause_until_it_is_forgotten() -> None:
+    pacing = FramePacing()
+    pacing.add_sent(10, 0.0)
+    pacing.add_finished("dead", 10, 0.0)
+    sent = []
+    for tenth in range(1, 200):
+        if pacing.may_send_paused(0, 0.1 * tenth):
+            pacing.add_sent(10 + tenth, 0.1 * tenth)
+            sent.append(tenth)
+    assert 4 <= sum(tenth < 100 for tenth in sent) <= 6
+    assert set(range(110, 200)) <= set(sent)
+
+
 @pytest.mark.slow
 def test_camera_nodes_of_different_speeds_show_the_same_frames(
     ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -217,6 +252,57 @@ def test_a_camera_that_has_died_delays_the_others_no_longer(ros: None, tmp_path:
     assert client.spin_until(lambda: not late())
     player.destroy_node()
     client.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("waits", [True, False])
+def test_every_step_of_a_paused_player_is_shown_by_all_cameras(
+    ros: None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, waits: bool
+) -> None:
+    """Of a client that waits for the image of each step, and of one that does not wait at all; with a camera
+    that is much slower than the rate at which the paused pose is sent again.
+    """
+    from std_srvs.srv import SetBool, Trigger
+
+    shown: dict[str, list[int]] = {"left": [], "right": []}
+    seconds = {"left": 0.001, "right": 0.15}
+
+    def slowly(each: Any, state: Any) -> None:
+        time.sleep(seconds[each._camera.name])
+        shown[each._camera.name].append(state.stamp)
+
+    monkeypatch.setattr(CameraNode, "publish_frame", slowly)
+    scene = write_scene(tmp_path)
+    player = node(MotionPlayerNode, scene, "motion_player")
+    skinners = [node(SkinnerNode, scene, f"skinner_{human}", human=human) for human in ("first", "second")]
+    cameras = [
+        node(CameraNode, scene, f"camera_{name}", camera=name, start_scene=False)
+        for name in ("left", "right")
+    ]
+    with spinning([player, *skinners], [cameras[0]], [cameras[1]]):
+        assert wait_until(lambda: min(map(len, shown.values())) >= 3)
+        player._on_pause(SetBool.Request(data=True), SetBool.Response())
+        steps = []
+        answers: list[Any] = []
+
+        def step() -> None:
+            answers.append(player._on_step(Trigger.Request(), Trigger.Response()))
+
+        for number in range(50):
+            player.run_soon(step)
+            assert wait_until(lambda n=number: len(answers) > n, step=lambda: time.sleep(0.001))
+            assert answers[-1].success
+            stamp = json.loads(answers[-1].message)["stamp"]
+            steps.append(stamp["sec"] * SECOND + stamp["nanosec"])
+            if waits:
+                assert wait_until(lambda: all(steps[-1] in stamps for stamps in shown.values())), len(steps)
+        assert wait_until(lambda: all(set(steps) <= set(stamps) for stamps in shown.values())), [
+            [steps.index(step) for step in steps if step not in stamps] for stamps in shown.values()
+        ]
+    assert np.all(np.diff(steps) > 0)
+    for each in (player, *skinners, *cameras):
+        each.close()
+        each.destroy_node()
 
 
 def node(kind: type, scene: Path, name: str, **parameters: str | bool) -> Any:

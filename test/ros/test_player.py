@@ -312,8 +312,8 @@ def player(steered: PlayerClient) -> Iterator[PlayerClient]:
 
 def stamp_of(answer: Any) -> int:
     """Stamp in the answer of a service."""
-    seconds, nanoseconds = answer.message.rsplit(" ", 1)[1].split(".")
-    return int(seconds) * SECOND + int(nanoseconds)
+    stamp = json.loads(answer.message)["stamp"]
+    return int(stamp["sec"]) * SECOND + int(stamp["nanosec"])
 
 
 def moves(frames: list[tuple[int, JointPoses]]) -> bool:
@@ -336,6 +336,7 @@ def test_a_paused_player_shows_the_same_pose_with_new_stamps_and_steps_by_frames
     for step in (1, 2, 3):
         answer = player.call("step", Trigger)
         assert answer.success
+        assert json.loads(answer.message)["scene_time"] == pytest.approx(start * 1e-9 + 0.05 * step, abs=1e-9)
         shown = player.of_stamp(stamp_of(answer), "second")
         expected = player.player.scene.actors["second"].joint_poses((start + 50_000_000 * step) * 1e-9)
         np.testing.assert_allclose(shown.positions, expected.positions, atol=1e-9)

@@ -16,7 +16,9 @@ Parameters can be set while it plays; services ``~/pause``, ``~/step`` and ``~/r
 
 from __future__ import annotations
 
+import json
 import time
+from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -53,12 +55,14 @@ from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.live import JointSource
-from humansim_ros.scene.playback import Change, Playback, PlaybackClock, Tick
+from humansim_ros.scene.playback import Change, Playback, PlaybackClock, ScenePoses, Tick
 
 #: Largest accepted lead in seconds.
 MAX_LEAD = 0.1
 #: Seconds until a request is given up whose motions are not ready.
 MAX_READING = 20.0
+#: Most frames of a pause that wait until the cameras have time for them.
+MAX_WAITING = 100
 
 
 class MotionPlayerNode(SceneNode):
@@ -114,6 +118,8 @@ class MotionPlayerNode(SceneNode):
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/restart", self._on_restart)
         self._pacing = FramePacing()
+        #: Frames of a pause (steps, seeks) that wait until the cameras have time for them.
+        self._waiting: deque[tuple[Tick, ScenePoses]] = deque()
         events = SubscriptionEventCallbacks(liveliness=self._on_liveliness)
         self.create_subscription(Header, "frame_done", self._on_frame_done, REPORTS, event_callbacks=events)
         self._frame_timer = self.create_timer(self._playback_clock.period * 1e-9, self._tick)
@@ -149,6 +155,7 @@ class MotionPlayerNode(SceneNode):
                 self._legends[name].publish(motion_legend(self._sources[name]))
 
     def _tick(self) -> None:
+        self._send_waiting()
         now = self._stamp_now()
         tick = self._playback_clock.due(now)
         if tick is None:
@@ -157,6 +164,11 @@ class MotionPlayerNode(SceneNode):
             # frames are counted from here: the timer was late, so it would be early for all later frames,
             # and each would wait for the next call of the timer
             self._frame_timer.reset()
+        if self._playback_clock.paused or self._waiting:
+            # the same pose again; a step is not lost among such frames
+            if not self._waiting and self._pacing.may_send_paused(0, time.monotonic()):
+                self._publish(tick)
+            return
         late = self._pacing.late_cameras(tick.stamp, self._playback_clock.period, time.monotonic())
         if late:
             self.count("drops", 1 + tick.dropped)
@@ -166,6 +178,12 @@ class MotionPlayerNode(SceneNode):
 
     def _on_frame_done(self, report: Header) -> None:
         self._pacing.add_finished(report.frame_id, to_nanoseconds(report.stamp), time.monotonic())
+        self._send_waiting()
+
+    def _send_waiting(self) -> None:
+        """Publish the next waiting frames for which the cameras have time."""
+        while self._waiting and self._pacing.may_send_paused(1, time.monotonic()):
+            self._send(*self._waiting.popleft())
 
     def _on_liveliness(self, change: QoSLivelinessChangedInfo) -> None:
         if change.alive_count_change < 0:  # a camera process has ended or died
@@ -173,8 +191,10 @@ class MotionPlayerNode(SceneNode):
 
     def _publish(self, tick: Tick) -> None:
         """Publish one frame."""
+        self._send(tick, self._playback.show(tick.elapsed, tick.pace))
+
+    def _send(self, tick: Tick, scene_poses: ScenePoses) -> None:
         self._pacing.add_sent(tick.stamp, time.monotonic())
-        scene_poses = self._playback.show(tick.elapsed, tick.pace)
         for name, publisher in self._motions.items():
             publisher.publish(motion_message(scene_poses.poses[name], tick.stamp))
         for publisher in (*self._live.values(), self._frame_stamps):
@@ -192,10 +212,18 @@ class MotionPlayerNode(SceneNode):
         self.report_lateness(tick.stamp - self._lead)
 
     def _publish_at_once(self, tick: Tick) -> None:
-        """Publish a frame between two calls of the timer; timer and clock go on from here."""
+        """Publish a frame between two calls of the timer; timer and clock go on from here.
+
+        During a pause it waits until the cameras have time for it, so that none loses it.
+        """
         self._frame_timer.timer_period_ns = round(self._playback_clock.period)
         self._frame_timer.reset()
-        self._publish(tick)
+        scene_poses = self._playback.show(tick.elapsed, tick.pace)
+        if not (self._playback_clock.paused or self._waiting):
+            self._send(tick, scene_poses)
+        elif len(self._waiting) < MAX_WAITING:  # else shown by the next frames of the pause
+            self._waiting.append((tick, scene_poses))
+            self._send_waiting()
 
     # --- parameters
 
@@ -276,30 +304,31 @@ class MotionPlayerNode(SceneNode):
 
     def _on_pause(self, request: Any, response: Any) -> Any:
         self._playback_clock.pause(bool(request.data))
-        response.success = True
-        response.message = f"{'paused' if request.data else 'playing'} {self._position_text()}"
-        return response
+        return self._accept(response)
 
     def _on_step(self, _: Any, response: Any) -> Any:
-        response.success = self._playback_clock.paused
-        if self._playback_clock.paused:
-            self._publish_at_once(self._playback_clock.step(self._stamp_now()))
-            response.message = self._position_text()
-        else:
+        if not self._playback_clock.paused:
             response.message = "the player must be paused for a step: call ~/pause first"
-        return response
+            return response
+        if len(self._waiting) >= MAX_WAITING:
+            response.message = f"{MAX_WAITING} steps wait for the cameras: wait for their images first"
+            return response
+        self._publish_at_once(self._playback_clock.step(self._stamp_now()))
+        return self._accept(response)
 
     def _on_restart(self, _: Any, response: Any) -> Any:
         self._go_to(0.0)
-        response.success, response.message = True, self._position_text()
-        return response
+        return self._accept(response)
 
-    def _position_text(self) -> str:
-        """Scene time and stamp of the last frame."""
+    def _accept(self, response: Any) -> Any:
+        """Answer with stamp and scene time of the last frame, as JSON."""
         seconds, nanoseconds = divmod(self._playback_clock.last or 0, 1_000_000_000)
-        return (
-            f"at {self._playback_clock.elapsed * 1e-9:.6f} s of the scene, stamp {seconds}.{nanoseconds:09d}"
-        )
+        position = {
+            "stamp": {"sec": seconds, "nanosec": nanoseconds},
+            "scene_time": round(self._playback_clock.elapsed * 1e-9, 9),
+        }
+        response.success, response.message = True, json.dumps(position)
+        return response
 
 
 def main(scene: Scene | None = None) -> int:

@@ -15,6 +15,9 @@ _MAX_CAMERAS = 100
 _GIVE_UP_AFTER = 2.0
 #: Seconds without a report after which a camera is forgotten during a pause.
 _FORGET_AFTER = 10.0
+#: Seconds after which a paused pose is sent again: later images push earlier ones out of the queue to a slow
+#: subscriber.
+_REPEAT_AFTER = 0.5
 
 
 class FramePacing:
@@ -97,3 +100,7 @@ class FramePacing:
             elif len(pending) > unfinished:
                 return False
         return True
+
+    def may_repeat(self, now: float) -> bool:
+        """Whether the pose of a pause may be sent again: all cameras have finished it, half a second ago."""
+        return self.may_send_paused(0, now) and (not self._sent or now - self._sent[-1][1] >= _REPEAT_AFTER)

@@ -18,6 +18,7 @@ from rclpy.parameter import Parameter
 
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError, printable
 from humansim_ros.ros.guarded_node import GuardedNode
+from humansim_ros.ros.neighbours import Neighbours
 from humansim_ros.ros.processes import WARNINGS_SHOWN
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.scene import Scene
@@ -51,6 +52,8 @@ class SceneNode(GuardedNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", DATA)
         self.create_timer(1.0, self._publish_diagnostics)
         self.create_timer(_CLOCK_CHECK_EVERY, self._check_clock, clock=self._steady_clock)
+        self.neighbours = Neighbours(self)
+        self.create_timer(1.0, self.neighbours.check, clock=self._steady_clock)
 
     @property
     def nodes(self) -> Sequence[SceneNode]:

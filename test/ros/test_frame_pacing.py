@@ -187,6 +187,8 @@ def test_during_a_pause_a_frame_is_sent_only_if_it_fits_into_the_queues_of_all_c
     pacing.add_finished("fast", 12, 0.5)
     pacing.add_finished("slow", 12, 0.5)
     assert pacing.may_send_paused(0, 0.6)
+    assert not pacing.may_repeat(0.7)
+    assert pacing.may_repeat(0.8)
 
 
 def test_a_dead_camera_delays_frames_of_a_pause_until_it_is_forgotten() -> None:

@@ -166,7 +166,7 @@ class MotionPlayerNode(SceneNode):
             self._frame_timer.reset()
         if self._playback_clock.paused or self._waiting:
             # the same pose again; a step is not lost among such frames
-            if not self._waiting and self._pacing.may_send_paused(0, time.monotonic()):
+            if not self._waiting and self._pacing.may_repeat(time.monotonic()):
                 self._publish(tick)
             return
         late = self._pacing.late_cameras(tick.stamp, self._playback_clock.period, time.monotonic())

@@ -78,6 +78,7 @@ class SkinnerNode(SceneNode):
         self.create_subscription(String, f"humans/{name}/motion/legend", self._on_legend, LATCHED)
         motion = f"humans/{name}/motion"
         self._motion = self.create_subscription(MultiDOFJointState, motion, self._on_motion, NEWEST)
+        self.neighbours.expect_one_sender(self._motion.topic_name)
         self._log = SourceLog(self.get_logger().info, name, self._motion.topic_name)
         self.create_subscription(Header, f"humans/{name}/frame", self._on_frame, NEWEST)
         self.get_logger().info(f"skinning {name} ({len(self._actor.human.mesh.vertices)} vertices)")
@@ -121,9 +122,7 @@ class SkinnerNode(SceneNode):
             self.report_skipped(str(error))
             return None
         number, text = self._live_retargeter.source_number, self._live_retargeter.detected_source
-        changed = self._log.add_source(number, text, time.monotonic())
-        if changed and (publishers := self.count_publishers(self._motion.topic_name)) > 1:
-            self.get_logger().warn(f"{publishers} nodes publish {self._motion.topic_name}: stop all but one")
+        self._log.add_source(number, text, time.monotonic())
         return state
 
     def _publish(self, state: HumanState, stamp: int) -> None:

@@ -255,11 +255,11 @@ def run(tmp_path: Path) -> Iterator[Mapping[str, subprocess.Popen[str]]]:
 
 
 def nodes(parent: int) -> list[int]:
-    """Node processes of a run."""
+    """Node processes of a run, without the spare one."""
     children = subprocess.run(
         ["ps", "-o", "pid=,args=", "--ppid", str(parent)], capture_output=True, text=True
     )
-    return [int(line.split()[0]) for line in children.stdout.splitlines() if "ros.nodes" in line]
+    return [int(line.split()[0]) for line in children.stdout.splitlines() if "ros.nodes " in line]
 
 
 def test_a_run_is_found_on_this_machine_and_reached_from_no_other(

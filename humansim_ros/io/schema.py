@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, cast
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    Field,
+    GetCoreSchemaHandler,
+    StringConstraints,
+    ValidationError,
+)
+from pydantic_core import PydanticCustomError, core_schema
 
 from humansim_ros.errors import SceneError
 from humansim_ros.io.schema_errors import Expected, schema_error
@@ -13,6 +21,40 @@ if TYPE_CHECKING:
     from pydantic._internal._model_construction import ModelMetaclass
 else:
     ModelMetaclass = type(BaseModel)
+
+
+#: Parts of the schema of a model that hold no schemas.
+_NO_SCHEMAS = ("default", "metadata", "serialization")
+
+
+def _refusing_booleans(part: Any) -> Any:
+    """Part of a schema, with a check before each number."""
+    if isinstance(part, (list, tuple)):
+        return type(part)(_refusing_booleans(item) for item in part)
+    if not isinstance(part, dict):
+        return part
+    if part.get("type") in ("int", "float"):
+        return core_schema.no_info_before_validator_function(_refuse_boolean, cast(Any, part))
+    if part.get("type") == "function-before" and part["function"]["function"] is _refuse_boolean:
+        return part  # of a model within the model
+    return {key: item if key in _NO_SCHEMAS else _refusing_booleans(item) for key, item in part.items()}
+
+
+def _refuse_boolean(value: Any) -> Any:
+    if isinstance(value, bool):
+        raise PydanticCustomError("boolean", "a number is needed")
+    return value
+
+
+class Checked(BaseModel):
+    """Base of all models: true and false are no numbers, although Python counts them as 1 and 0."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(
+        cls, source: Any, handler: GetCoreSchemaHandler
+    ) -> core_schema.CoreSchema:
+        """Schema of the model, whose numbers refuse booleans."""
+        return cast("core_schema.CoreSchema", _refusing_booleans(handler(source)))
 
 
 class _SectionType(ModelMetaclass):
@@ -25,7 +67,7 @@ class _SectionType(ModelMetaclass):
             raise schema_error(reason, cast("type[BaseModel]", cls), SceneError) from None
 
 
-class Section(BaseModel, metaclass=_SectionType):
+class Section(Checked, metaclass=_SectionType):
     """Mapping of a YAML file; unknown keys and numbers that are not finite are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
+
+from humansim_ros.io.schema import Checked
 
 Index = Annotated[int, Field(ge=0)]
 Number = Annotated[float, Field(ge=-1e6, le=1e6)]
@@ -12,7 +14,7 @@ Pair = tuple[Number, Number]
 Vector = tuple[float, float, float]
 
 
-class Part(BaseModel):
+class Part(Checked):
     """Section of the document. Not a Section of io.schema: files may have further keys."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -32,7 +34,7 @@ class BufferView(Part):
     byteOffset: Index = 0
     byteLength: Annotated[int, Field(ge=1)]
     byteStride: Annotated[int, Field(ge=4, le=252)] | None = None
-    extensions: dict[str, Any] = {}
+    extensions: dict[str, Any] = Field(default_factory=dict)
 
 
 class SparseIndices(Part):
@@ -77,7 +79,7 @@ class Primitive(Part):
     indices: Index | None = None
     material: Index | None = None
     mode: Annotated[int, Field(ge=0, le=6)] = 4
-    extensions: dict[str, Any] = {}
+    extensions: dict[str, Any] = Field(default_factory=dict)
 
 
 class GltfMesh(Part):
@@ -123,7 +125,7 @@ class TextureInfo(Part):
     index: Index
     texCoord: Index = 0
     scale: float = 1.0
-    extensions: dict[str, Any] = {}
+    extensions: dict[str, Any] = Field(default_factory=dict)
 
 
 class Pbr(Part):
@@ -148,7 +150,7 @@ class GltfMaterial(Part):
     alphaMode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"
     alphaCutoff: float = 0.5
     doubleSided: bool = False
-    extensions: dict[str, Any] = {}
+    extensions: dict[str, Any] = Field(default_factory=dict)
 
 
 class Wrap(Part):
@@ -224,4 +226,4 @@ class Document(Part):
     samplers: tuple[Wrap, ...] = ()
     images: tuple[ImageSource, ...] = ()
     animations: tuple[Animation, ...] = ()
-    extensions: dict[str, Any] = {}
+    extensions: dict[str, Any] = Field(default_factory=dict)

@@ -215,3 +215,41 @@ def test_a_constructor_in_python_has_the_same_errors() -> None:
     with pytest.raises(HumansimError, match=r"noise.full_well: give a number from 10 to 1e\+07 .*; found 5"):
         SensorConfig(noise={"full_well": 5})
     assert SensorConfig(noise={"full_well": 50}).noise is not None
+
+
+def unguarded_numbers(schema: Any) -> Iterator[str]:
+    """Kinds of the numbers in a schema of the library that accept true and false."""
+    if isinstance(schema, Mapping):
+        inner = schema.get("schema")
+        if schema.get("type") == "function-before" and isinstance(inner, Mapping):
+            if inner.get("type") in ("int", "float"):
+                return
+        elif schema.get("type") in ("int", "float"):
+            yield str(schema["type"])
+        for key, part in schema.items():
+            if key not in ("metadata", "serialization", "default"):
+                yield from unguarded_numbers(part)
+    elif isinstance(schema, (list, tuple)):
+        for part in schema:
+            yield from unguarded_numbers(part)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda model: model.__name__)
+def test_no_number_of_any_schema_is_true_or_false(model: type[BaseModel]) -> None:
+    assert list(unguarded_numbers(model.__pydantic_core_schema__)) == []
+
+
+@pytest.mark.parametrize(
+    ("value", "key", "message"),
+    [
+        ({"rate": True}, "rate", "give a number above 0 and at most 1000 (frames per second); found true"),
+        ({"variety": {"count": False}}, "variety.count", "give a whole number from 0 to 1000"),
+        ({"room": {"size": [7, True, 3]}}, "room.size.1", "give three numbers"),
+        ({"humans": {"a": {"motion": {"root_scale": True}}}}, "humans.a.motion.root_scale", "give height or"),
+    ],
+)
+def test_yes_and_no_are_no_numbers_of_a_scene(value: Any, key: str, message: str) -> None:
+    error = faults(SceneConfig, value)
+    assert error is not None
+    assert error.key == key
+    assert error.message.startswith(message)

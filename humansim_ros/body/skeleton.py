@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
 from humansim_ros.hierarchy import levels
+from humansim_ros.mesh.mesh import LARGEST
 from humansim_ros.rotations import from_y_axis, invert_rigid, quaternion_to_matrix, transform
 from humansim_ros.types import Array
 
@@ -38,10 +39,8 @@ class Skeleton:
             raise MeshError(
                 "every bone's parent must come before it; the hierarchy has a cycle or is out of order"
             )
-        if not (
-            np.isfinite(self.heads).all() and np.isfinite(self.tails).all() and np.isfinite(self.rolls).all()
-        ):
-            raise MeshError("a bone's head, tail or roll is not a finite number")
+        if not all((np.abs(part) <= LARGEST).all() for part in (self.heads, self.tails, self.rolls)):
+            raise MeshError(f"a bone's head, tail or roll is not a finite number, or beyond {LARGEST:g}")
         if (np.linalg.norm(self.tails - self.heads, axis=1) < 1e-9).any():
             raise MeshError("a bone has no length: its head and tail are the same point")
 

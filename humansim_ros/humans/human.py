@@ -165,26 +165,26 @@ def write_human(path: str | os.PathLike[str], human: Human) -> None:
 
 def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
     """Make a human of the arrays of a file. Raises MeshError, KeyError or ValueError if they are wrong."""
-    vertices = arrays["vertices"].astype(float)
-    uv = arrays.get("uv")
+    vertices = _numbers(arrays, "vertices")
+    has_uv = "uv" in arrays
     mesh = Mesh(
         vertices=vertices,
-        faces=arrays["faces"].astype(np.int32),
-        uv=None if uv is None else uv.astype(float),
-        uv_faces=None if uv is None else arrays["uv_faces"].astype(np.int32),
+        faces=_indices(arrays, "faces").astype(np.int32),
+        uv=_numbers(arrays, "uv") if has_uv else None,
+        uv_faces=_indices(arrays, "uv_faces").astype(np.int32) if has_uv else None,
         colors=arrays.get("colors"),
         skin=_skin(arrays),
     )
     skeleton = Skeleton(
         names=tuple(str(n) for n in arrays["bone_names"]),
-        parents=arrays["bone_parents"].astype(np.intp),
-        heads=arrays["bone_heads"].astype(float),
-        tails=arrays["bone_tails"].astype(float),
-        rolls=arrays["bone_rolls"].astype(float),
+        parents=_indices(arrays, "bone_parents").astype(np.intp),
+        heads=_numbers(arrays, "bone_heads"),
+        tails=_numbers(arrays, "bone_tails"),
+        rolls=_numbers(arrays, "bone_rolls"),
     )
     if len(skeleton) > MAX_BONES:
         raise MeshError(f"{len(skeleton)} bones; at most {MAX_BONES}", key="bone_names")
-    bones, values = arrays["weight_bones"].astype(int), arrays["weight_values"].astype(float)
+    bones, values = _indices(arrays, "weight_bones").astype(int), _numbers(arrays, "weight_values")
     if (
         bones.ndim != 2
         or bones.shape != values.shape
@@ -207,6 +207,23 @@ def human_from_arrays(arrays: dict[str, NDArray[Any]], name: str) -> Human:
     method: Skinning = "linear" if skinning == "linear" else "dual_quaternion"
     human = Human(name, mesh, skeleton, normalise_weights(weights), looks, skinning=method, notes=notes)
     return human.wearing(human.outfits[0]) if looks else human
+
+
+def _numbers(arrays: dict[str, NDArray[Any]], key: str) -> Array:
+    """Array of numbers. Raises MeshError for texts."""
+    array = arrays[key]
+    if array.dtype.kind not in "iuf":
+        raise MeshError(f"must be numbers, not {array.dtype}", key=key)
+    with np.errstate(over="ignore"):  # of longer numbers: infinite, and refused where they are used
+        return array.astype(float)
+
+
+def _indices(arrays: dict[str, NDArray[Any]], key: str) -> NDArray[np.integer]:
+    """Array of whole numbers of 32 bits. Raises MeshError for other arrays."""
+    array = arrays[key]
+    if array.dtype.kind not in "iu" or (array.size and not -(2**31) <= array.min() <= array.max() < 2**31):
+        raise MeshError(f"must be whole numbers of at most 32 bits, not {array.dtype}", key=key)
+    return array
 
 
 def _skin(arrays: dict[str, NDArray[Any]]) -> NDArray[np.uint8] | None:

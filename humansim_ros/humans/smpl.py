@@ -18,7 +18,7 @@ from scipy.sparse import csr_matrix
 from humansim_ros.body.weights import limit_bones
 from humansim_ros.errors import MeshError
 from humansim_ros.io.npz import read_npz
-from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.mesh import LARGEST, Mesh
 from humansim_ros.mesh.skinned import SkinnedMesh, normalise_weights
 
 _ARRAYS = ("v_template", "f", "weights", "kintree_table", "J_regressor", "J", "shapedirs", "vt", "ft")
@@ -62,8 +62,9 @@ def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> Skin
             raise MeshError(
                 f"must be numbers ({expected}), not {array.shape} {array.dtype}", path=path, key=name
             )
-        if array.dtype.kind == "f" and not np.isfinite(array).all():
-            raise MeshError("a number is not finite (NaN or infinity)", path=path, key=name)
+        if array.dtype.kind == "f" and not float(np.abs(array).max(initial=0)) <= LARGEST:
+            message = f"a number is not finite (NaN or infinity), or beyond {LARGEST:g}"
+            raise MeshError(message, path=path, key=name)
         return array
 
     vertices = get("v_template", None, 3).astype(float)

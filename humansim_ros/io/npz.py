@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import warnings
 import zipfile
 import zlib
 from collections.abc import Collection, Mapping
@@ -18,6 +19,8 @@ from humansim_ros.io.files import atomic_path, read_bytes
 
 #: Limit for a file, and for all its arrays together.
 MAX_BYTES = 1 << 30
+#: Kinds of arrays that are read: booleans, whole numbers, numbers and texts.
+_KINDS = "biufUS"
 
 
 def read_npz(
@@ -82,9 +85,16 @@ def _array(content: bytes) -> NDArray[Any]:
     readers = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
     if version not in readers:
         raise ValueError(f"array file version {version} is not supported")
-    shape, fortran, dtype = readers[version](stream)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # a header of Python 2
+            shape, fortran, dtype = readers[version](stream)
+    except Exception as reason:  # its parsers raise all kinds
+        raise ValueError(f"a damaged header: {str(reason)[:60]}") from None
     if dtype.hasobject:
         raise ValueError("a pickled object; pickled objects are not read, because they can run code")
+    if dtype.kind not in _KINDS or dtype.subdtype is not None:
+        raise ValueError(f"an array of {str(dtype)[:60]}; numbers and texts are read")
     count = 1
     for length in shape:
         count *= int(length)

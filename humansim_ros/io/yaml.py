@@ -105,7 +105,7 @@ def parse_yaml(
         raise error(
             f"not valid YAML: {getattr(reason, 'problem', None) or reason}", path=path, line=line
         ) from None
-    except (ValueError, ArithmeticError, LookupError, AttributeError) as reason:
+    except (ValueError, ArithmeticError, LookupError, AttributeError, TypeError) as reason:
         # PyYAML raises these for values that do not match their tag, and for impossible dates
         raise error(f"not valid YAML: {reason}", path=path) from None
 

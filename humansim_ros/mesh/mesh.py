@@ -13,6 +13,8 @@ from humansim_ros.mesh.material import Material
 from humansim_ros.types import Array
 
 FaceIndices = NDArray[np.int32]
+#: Larger coordinates are mistakes in any unit, and their squares may be infinite.
+LARGEST = 1e9
 
 
 @dataclass(frozen=True, repr=False)
@@ -48,8 +50,9 @@ class Mesh:
             raise MeshError(f"a mesh needs vertices of shape (V, 3), not {self.vertices.shape}")
         if self.faces.ndim != 2 or self.faces.shape[1] != 4 or len(self.faces) == 0:
             raise MeshError("the mesh has no faces")
-        if not np.isfinite(self.vertices).all():
-            raise MeshError("a vertex is not finite (NaN or infinity)")
+        for values, what in ((self.vertices, "a vertex"), (self.uv, "a texture coordinate")):
+            if values is not None and not (np.abs(values) <= LARGEST).all():
+                raise MeshError(f"{what} is not finite (NaN or infinity), or beyond {LARGEST:g}")
         if self.faces[:, :3].min() < 0 or self.faces.min() < -1 or self.faces.max() >= len(self.vertices):
             raise MeshError(f"a face uses a vertex outside 0..{len(self.vertices) - 1}")
         if (self.uv is None) != (self.uv_faces is None):

@@ -158,6 +158,13 @@ def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
         "vertices with NaN": {"vertices": nan},
         "vertices of the wrong shape": {"vertices": arrays["vertices"][:, :2]},
         "vertices of words": {"vertices": np.array(["a", "b", "c"])},
+        "vertices of numbers as words": {"vertices": arrays["vertices"].astype("U30")},
+        "complex vertices": {"vertices": arrays["vertices"].astype(complex)},
+        "vertices that are very far away": {"vertices": 1e300 * arrays["vertices"].astype(float)},
+        "faces of fractions": {"faces": arrays["faces"] + 0.5},
+        "faces beyond 32 bits": {"faces": arrays["faces"].astype(np.int64) + 2**32},
+        "heads that are very far away": {"bone_heads": np.full(arrays["bone_heads"].shape, 1e300)},
+        "texture coordinates with NaN": {"uv": np.full(arrays["uv"].shape, np.nan)},
         "fewer vertices than weights": {"vertices": np.vstack([arrays["vertices"], [[0, 0, 0]]])},
         "a face out of range": {"faces": far},
         "faces of the wrong shape": {"faces": arrays["faces"].ravel()},
@@ -182,10 +189,18 @@ def broken_arrays(arrays: dict[str, Any]) -> dict[str, dict[str, Any]]:
     }
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
 @pytest.mark.parametrize(
     "what",
     [
         "vertices with NaN",
+        "vertices of numbers as words",
+        "complex vertices",
+        "vertices that are very far away",
+        "faces of fractions",
+        "faces beyond 32 bits",
+        "heads that are very far away",
+        "texture coordinates with NaN",
         "vertices of the wrong shape",
         "vertices of words",
         "fewer vertices than weights",

@@ -60,3 +60,15 @@ def test_a_file_that_is_far_too_large_is_not_read(tmp_path: Path) -> None:
     path.write_text("#" * (1 << 21))
     with pytest.raises(HumansimError, match="the scene file is too large: 2 MB; at most 1 MB are read"):
         load_config(path)
+
+
+@pytest.mark.parametrize("read", READERS, ids=lambda read: read.__name__)
+def test_a_tag_that_does_not_fit_its_value_is_an_error_of_the_file(
+    tmp_path: Path, read: Callable[[Path], object]
+) -> None:
+    """For a date that is a mapping, PyYAML raises a TypeError."""
+    path = tmp_path / "date.yaml"
+    path.write_text("name: !!timestamp {=: 1}\n")
+    with pytest.raises(HumansimError, match="not valid YAML") as caught:
+        read(path)
+    assert caught.value.path == str(path)

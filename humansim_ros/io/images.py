@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Hashable
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import MeshError
+from humansim_ros.types import Array
 
 #: Limit for decoded images: 8192 x 8192; and for image files: that size without compression.
 MAX_PIXELS, MAX_IMAGE_BYTES = 1 << 26, 1 << 28
+#: Limit for all images of one file together: 128 of 2048 x 2048.
+MAX_PIXELS_OF_FILE = 1 << 29
 
 
 def decode_image(encoded: NDArray[np.uint8] | bytes, noun: str = "texture") -> NDArray[np.uint8]:
@@ -20,11 +24,7 @@ def decode_image(encoded: NDArray[np.uint8] | bytes, noun: str = "texture") -> N
     Raises MeshError for other files, and for images larger than MAX_PIXELS.
     """
     data = bytes(encoded)
-    size = declared_size(data)
-    if size is None:
-        raise MeshError(f"the {noun} is not a PNG or JPEG image")
-    if not 0 < size[0] * size[1] <= MAX_PIXELS:
-        raise MeshError(f"a {noun} of {size[0]} x {size[1]} pixels is too large; at most 8192 x 8192")
+    _checked_size(data, noun)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     except cv2.error:
@@ -34,9 +34,60 @@ def decode_image(encoded: NDArray[np.uint8] | bytes, noun: str = "texture") -> N
     return np.ascontiguousarray(image[..., ::-1], dtype=np.uint8)
 
 
-def decode_alpha(encoded: NDArray[np.uint8] | bytes) -> NDArray[np.uint8] | None:
-    """Alpha channel (H, W) of an image that :func:`decode_image` reads; None if it is opaque."""
-    image = cv2.imdecode(np.frombuffer(bytes(encoded), np.uint8), cv2.IMREAD_UNCHANGED)
+def _checked_size(data: bytes, noun: str) -> int:
+    """Number of pixels in the header of an image, before it is decoded. Raises MeshError."""
+    size = declared_size(data)
+    if size is None:
+        raise MeshError(f"the {noun} is not a PNG or JPEG image")
+    if not 0 < size[0] * size[1] <= MAX_PIXELS:
+        raise MeshError(f"a {noun} of {size[0]} x {size[1]} pixels is too large; at most 8192 x 8192")
+    return size[0] * size[1]
+
+
+class DecodedImages:
+    """Images of one file: each is decoded once, and there are at most MAX_PIXELS_OF_FILE pixels of them."""
+
+    def __init__(self) -> None:
+        self._images: dict[Hashable, NDArray[np.uint8]] = {}
+        self._alphas: dict[Hashable, NDArray[np.uint8] | None] = {}
+        self._pixels = 0
+
+    def get(self, key: Hashable, encoded: Callable[[], bytes]) -> NDArray[np.uint8]:
+        """Image (H, W, 3) of a key, decoded from ``encoded`` on the first call. Raises MeshError."""
+        if key not in self._images:
+            data = encoded()
+            self._reserve(_checked_size(data, "texture"))
+            self._images[key] = decode_image(data)
+        return self._images[key]
+
+    def alpha(self, key: Hashable, encoded: Callable[[], bytes]) -> NDArray[np.uint8] | None:
+        """Alpha channel (H, W) of the image of a key; None if it is opaque. Raises MeshError."""
+        if key not in self._alphas:
+            data = encoded()
+            self._reserve(_checked_size(data, "texture"))
+            self._alphas[key] = _decode_alpha(data)
+        return self._alphas[key]
+
+    def tinted(self, key: Hashable, image: NDArray[np.uint8], color: Array) -> NDArray[np.uint8]:
+        """Image (H, W, 3) times a colour (3,), sRGB 0 to 1; of each key and colour once. Raises MeshError."""
+        key = key, *color.tolist()
+        if key not in self._images:
+            self._reserve(image.shape[0] * image.shape[1])
+            table = np.rint(np.arange(256)[:, None] * color).astype(np.uint8)
+            self._images[key] = np.asarray(cv2.LUT(image, table[None]), dtype=np.uint8)
+        return self._images[key]
+
+    def _reserve(self, pixels: int) -> None:
+        self._pixels += pixels
+        if self._pixels > MAX_PIXELS_OF_FILE:
+            raise MeshError(f"its images have more than {MAX_PIXELS_OF_FILE >> 20} million pixels together")
+
+
+def _decode_alpha(data: bytes) -> NDArray[np.uint8] | None:
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None  # of a damaged image, whose colours are an error
     if image is None or image.ndim != 3 or image.shape[2] != 4:
         return None
     alpha = image[..., 3] if image.dtype == np.uint8 else image[..., 3] // 257

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -15,9 +16,13 @@ from humansim_ros.mesh import meshopt
 from humansim_ros.mesh.gltf_schema import Index, Part
 
 DRACO = "KHR_draco_mesh_compression"
+#: Magic bytes, version, kind, method and flags.
+_DRACO_START = "<5s4BH"
 _MESHOPT = ("KHR_meshopt_compression", "EXT_meshopt_compression")
 #: Largest size of all decoded buffer views, and most elements of one with indices.
 MAX_DECODED, _MAX_INDICES = 1 << 29, 30_000_000
+#: Most triangles or points in the Draco data of a file: a few hundred bytes can hold any number of them.
+MAX_DRACO = 5_000_000
 
 
 class MeshoptView(Part):
@@ -42,10 +47,11 @@ class DracoPrimitive(Part):
 class DracoMesh:
     """Decoded Draco mesh: ``triangles`` (N, 3), and ``attributes`` (V, width) by their id.
 
-    Raises MeshError if DracoPy is missing or refuses the data.
+    Raises MeshError if DracoPy is missing or refuses the data, or if they have more than ``most`` triangles
+    or points.
     """
 
-    def __init__(self, data: bytes) -> None:
+    def __init__(self, data: bytes, most: int) -> None:
         try:
             import DracoPy
         except ImportError:
@@ -53,6 +59,9 @@ class DracoMesh:
                 f"the mesh needs {DRACO}: install the decoder (pip install DracoPy), "
                 "or export the file without compression"
             ) from None
+        count = _DracoHeader(data).count()
+        if count > most:
+            raise MeshError(f"{count} triangles or points of Draco data; at most {MAX_DRACO} are read")
         try:
             decoded = DracoPy.decode(data)
             self.triangles: NDArray[np.int64] = np.asarray(decoded.faces).reshape(-1, 3).astype(np.int64)
@@ -61,6 +70,56 @@ class DracoMesh:
             }
         except Exception as reason:  # also those of the C++ library, which have no common class
             raise MeshError(f"the Draco data cannot be decoded: {str(reason)[:100]}") from None
+
+
+class _DracoHeader:
+    """Header of Draco data of version 2.2, which glTF files have [Draco bitstream]."""
+
+    _METADATA = 0x8000
+
+    def __init__(self, data: bytes) -> None:
+        self._data = data
+        self._offset = struct.calcsize(_DRACO_START)
+
+    def count(self) -> int:
+        """Number of triangles or points, whichever is larger. Raises MeshError for other data."""
+        try:
+            magic, major, minor, kind, method, flags = struct.unpack_from(_DRACO_START, self._data)
+            if (magic, major, minor, kind) != (b"DRACO", 2, 2, 1) or method > 1:
+                raise MeshError("the Draco data are not a mesh of version 2.2: export it again")
+            if flags & self._METADATA:
+                for _ in range(self._number()):
+                    self._number()
+                    self._skip_metadata()
+                self._skip_metadata()
+            self._offset += method  # the kind of the traversal
+            return max(self._number(), self._number())
+        except (struct.error, IndexError, RecursionError):
+            raise MeshError("the header of the Draco data is damaged") from None
+
+    def _number(self) -> int:
+        """Number of seven bits in each byte."""
+        value = shift = 0
+        while shift < 35:
+            byte = self._data[self._offset]
+            self._offset += 1
+            value |= (byte & 127) << shift
+            shift += 7
+            if byte < 128:
+                break
+        return value
+
+    def _skip_metadata(self) -> None:
+        for _ in range(self._number()):
+            self._skip_name()
+            length = self._number()
+            self._offset += length
+        for _ in range(self._number()):
+            self._skip_name()
+            self._skip_metadata()
+
+    def _skip_name(self) -> None:
+        self._offset += 1 + self._data[self._offset]
 
 
 def meshopt_view(extensions: Mapping[str, Any]) -> MeshoptView | None:

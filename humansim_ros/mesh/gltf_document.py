@@ -25,11 +25,12 @@ from pydantic import ValidationError
 from humansim_ros.errors import MeshError
 from humansim_ros.hierarchy import levels
 from humansim_ros.io.files import read_bytes, resolve_inside
-from humansim_ros.io.images import MAX_IMAGE_BYTES
+from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.mesh.gltf_compression import (
     DRACO,
     MAX_DECODED,
+    MAX_DRACO,
     DracoMesh,
     DracoPrimitive,
     MeshoptView,
@@ -41,8 +42,12 @@ from humansim_ros.mesh.gltf_schema import Animation, Document, GltfMaterial, Glt
 from humansim_ros.rotations import quaternion_to_matrix
 from humansim_ros.types import Array
 
-#: Maximum count of values in an accessor, and maximum size of a file.
-MAX_VALUES, MAX_BYTES = 100_000_000, 1 << 30
+#: Maximum size of a file.
+MAX_BYTES = 1 << 29
+#: Maximum count of values in an accessor, and in one without data, which stands for zeros.
+MAX_VALUES, _MAX_ZEROS = 100_000_000, 10_000_000
+#: Maximum count of values in the JSON part; each needs some fifty bytes of memory.
+_MAX_ITEMS = 10_000_000
 _TYPES = {5120: "<i1", 5121: "<u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4, "MAT2": 4, "MAT3": 9, "MAT4": 16}
 
@@ -66,8 +71,12 @@ class Gltf:
     def parse(cls, path: str | os.PathLike[str], data: bytes) -> Gltf:
         """Parse the content of a .gltf or .glb file; the first bytes decide which."""
         text, embedded = _glb_chunks(data, path) if data[:4] == b"glTF" else (data, None)
+        if b"\0" in text:
+            raise MeshError("not a glTF file: its JSON part is not text", path=path)
+        if sum(text.count(mark) for mark in (b",", b"[", b"{")) > _MAX_ITEMS:
+            raise MeshError(f"its JSON part has more than {_MAX_ITEMS} values", path=path)
         try:
-            content = json.loads(text)
+            content = json.loads(text.decode("utf-8-sig"))
         except (ValueError, RecursionError) as reason:
             raise MeshError(f"not a glTF file: {reason}", path=path) from None
         try:
@@ -176,7 +185,7 @@ class Gltf:
         if accessor.type not in kinds:
             raise self._error(f"{what} must be {' or '.join(kinds)}, not {accessor.type}", key)
         width = _WIDTHS[accessor.type]
-        if accessor.count * width > MAX_VALUES:
+        if accessor.count * width > (MAX_VALUES if accessor.bufferView is not None else _MAX_ZEROS):
             raise self._error(f"{accessor.count} values are too many", key)
         dtype = np.dtype(_TYPES[accessor.componentType])
         if accessor.bufferView is None:
@@ -255,7 +264,8 @@ class Gltf:
                 return None, DracoPrimitive(bufferView=0, attributes={})
             if packed.bufferView not in self._draco_meshes:
                 view = self._view(packed.bufferView, f"bufferViews.{packed.bufferView}")
-                self._draco_meshes[packed.bufferView] = DracoMesh(bytes(view))
+                used = sum(len(mesh.triangles) for mesh in self._draco_meshes.values())
+                self._draco_meshes[packed.bufferView] = DracoMesh(bytes(view), MAX_DRACO - used)
             return self._draco_meshes[packed.bufferView], packed
         except MeshError as error:
             raise self._error(error.message, error.key or DRACO) from None
@@ -272,6 +282,11 @@ class Gltf:
         if image.uri is None:
             raise self._error("the image has no data", f"images.{number}")
         return self._fetch(image.uri, f"images.{number}.uri", MAX_IMAGE_BYTES)
+
+    @cached_property
+    def decoded_images(self) -> DecodedImages:
+        """Decoded images of the file, by their numbers."""
+        return DecodedImages()
 
     def texture_image(self, number: int) -> int | None:
         """Image index of a texture."""

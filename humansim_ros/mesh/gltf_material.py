@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 import numpy as np
 from pydantic import ValidationError
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.io.images import decode_alpha, decode_image
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_schema import GltfMaterial, TextureInfo, TextureTransform
@@ -45,8 +47,7 @@ def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
                 images[what] = image
     alpha_map = None
     if material.alphaMode != "OPAQUE" and base is not None and has_uv:
-        source = gltf.texture_image(base.index)
-        alpha_map = None if source is None else decode_alpha(gltf.image(source))
+        alpha_map = _read_alpha(gltf, base)
     for part in ignored:
         warn_about(gltf.path, f"material {material.name or number!r}: ignored: {part}")
     wraps = (_REPEATED, _REPEATED) if leading is None else gltf.wraps(leading.index)
@@ -78,10 +79,26 @@ def read_image(gltf: Gltf, info: TextureInfo) -> Image | None:
     source = gltf.texture_image(info.index)
     if source is None:
         return None
+    with _errors_of(gltf, source):
+        return gltf.decoded_images.get(source, lambda: gltf.image(source))
+
+
+def _read_alpha(gltf: Gltf, info: TextureInfo) -> Image | None:
+    """Alpha channel (H, W) of a texture; None if it has none. Raises MeshError as :func:`read_image`."""
+    source = gltf.texture_image(info.index)
+    if source is None:
+        return None
+    with _errors_of(gltf, source):
+        return gltf.decoded_images.alpha(source, lambda: gltf.image(source))
+
+
+@contextmanager
+def _errors_of(gltf: Gltf, image: int) -> Iterator[None]:
+    """Add the path, and the key of an image, to errors."""
     try:
-        return decode_image(gltf.image(source))
+        yield
     except MeshError as error:
-        raise MeshError(error.message, path=gltf.path, key=error.key or f"images.{source}") from None
+        raise MeshError(error.message, path=gltf.path, key=error.key or f"images.{image}") from None
 
 
 def texture_transform(gltf: Gltf, info: TextureInfo) -> TextureTransform | None:

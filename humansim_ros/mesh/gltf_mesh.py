@@ -324,5 +324,6 @@ def _texture(gltf: Gltf, number: int | None) -> NDArray[np.uint8]:
     if image is None:
         return plain_tile(srgb)
     if (factor < 1).any():
-        image = np.rint(image * srgb).astype(np.uint8)
+        source = None if pbr.baseColorTexture is None else gltf.texture_image(pbr.baseColorTexture.index)
+        image = gltf.decoded_images.tinted(source, image, srgb)
     return image

@@ -27,7 +27,7 @@ MESH_SUFFIXES: dict[str, MeshFormat] = {
     ".3mf": "3mf",
 }
 #: Largest mesh file.
-MAX_BYTES = 1 << 30
+MAX_BYTES = 1 << 29
 
 
 def read_format(path: str | os.PathLike[str]) -> tuple[MeshFormat, bytes]:

@@ -9,7 +9,7 @@ import numpy as np
 
 from humansim_ros.errors import MeshError, warn_about
 from humansim_ros.io.files import exists, read_bytes, read_text, resolve_inside
-from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_alpha, decode_image
+from humansim_ros.io.images import MAX_IMAGE_BYTES, DecodedImages
 from humansim_ros.mesh.atlas import plain_tile
 from humansim_ros.mesh.material import Material, height_to_normal_map
 from humansim_ros.types import Array, Image
@@ -36,17 +36,24 @@ def read_mtl(path: Path) -> dict[str, Statements]:
     return dict(materials)
 
 
-def color_texture(path: Path, name: str, statements: Statements) -> Image:
+def color_texture(path: Path, statements: Statements, images: DecodedImages) -> Image:
     """The texture (H, W, 3) of a material: ``map_Kd``, else the plain colour ``Kd``."""
     if "map_Kd" in statements:
-        image = _image(path, statements["map_Kd"][1], "the colour Kd is used")
+        image = _image(path, statements["map_Kd"][1], "the colour Kd is used", images)
         if image is not None:
             return image
     return plain_tile(_three(path, statements, "Kd", 0.8))
 
 
-def reflectance(path: Path, name: str, statements: Statements) -> Material | None:
-    """Material besides its colour; None for a matt one. Warns about unsupported statements."""
+def reflectance(path: Path, name: str, statements: Statements, images: DecodedImages) -> Material | None:
+    """Material besides its colour; None for a matt one. Warns about unsupported statements.
+
+    Args:
+        path: The material file.
+        name: Name of the material.
+        statements: Its statements.
+        images: Images of the file that are decoded already.
+    """
     ignored = [keyword for keyword in _UNSUPPORTED if keyword in statements]
     maps = [key for key in ("map_Kd", "map_d", "map_Ke", *_NORMAL_MAPS) if key in statements]
     ignored += [
@@ -62,9 +69,9 @@ def reflectance(path: Path, name: str, statements: Statements) -> Material | Non
     metallic, emission = _one(path, statements, "Pm", 0.0), _three(path, statements, "Ke", 0.0)
     opacity = _one(path, statements, "d", 1 - _one(path, statements, "Tr", 0.0))
     normals, emissive, alpha = (
-        _normals(path, statements),
-        _map(path, statements, "map_Ke"),
-        _alpha(path, statements),
+        _normals(path, statements, images),
+        _map(path, statements, "map_Ke", images),
+        _alpha(path, statements, images),
     )
     if emissive is not None and not emission.any():
         emission = np.ones(3)
@@ -136,10 +143,10 @@ def _one(path: Path, statements: Statements, keyword: str, default: float) -> fl
     return float(numbers([words[-1:]], [line], 1, keyword, str(path))[0, 0])
 
 
-def _normals(path: Path, statements: Statements) -> Image | None:
+def _normals(path: Path, statements: Statements, images: DecodedImages) -> Image | None:
     """Normal map of a material; a grey image is a height map and converted."""
     keyword = next((key for key in _NORMAL_MAPS if key in statements), None)
-    image = None if keyword is None else _map(path, statements, keyword)
+    image = None if keyword is None else _map(path, statements, keyword, images)
     if image is None or keyword is None:
         return None
     if np.ptp(image.reshape(-1, 3), axis=1).max() > 8:
@@ -151,38 +158,41 @@ def _normals(path: Path, statements: Statements) -> Image | None:
     )
 
 
-def _alpha(path: Path, statements: Statements) -> Image | None:
+def _alpha(path: Path, statements: Statements, images: DecodedImages) -> Image | None:
     """Opacity (H, W) of ``map_d``: its alpha channel, or grey values without one."""
     if "map_d" not in statements:
         return None
     words = statements["map_d"][1]
-    image = _image(path, words, "the material is opaque")
-    if image is None:
+    image, file = _image(path, words, "the material is opaque", images), _file(path, words[-1])
+    if image is None or file is None:
         return None
-    encoded = _encoded(path, words[-1])
-    alpha = None if encoded is None else decode_alpha(encoded)
+    alpha = images.alpha(file, lambda: _read(file))
     return image[..., 0] if alpha is None else alpha
 
 
-def _map(path: Path, statements: Statements, keyword: str) -> Image | None:
-    return None if keyword not in statements else _image(path, statements[keyword][1], "it is ignored")
+def _map(path: Path, statements: Statements, keyword: str, images: DecodedImages) -> Image | None:
+    return (
+        None if keyword not in statements else _image(path, statements[keyword][1], "it is ignored", images)
+    )
 
 
-def _image(path: Path, words: list[str], fallback: str) -> Image | None:
+def _image(path: Path, words: list[str], fallback: str, images: DecodedImages) -> Image | None:
     """Image that a statement names after its options; None with a warning if the file is missing."""
-    encoded = _encoded(path, words[-1])
-    if encoded is None:
+    file = _file(path, words[-1])
+    if file is None:
         warn_about(path, f"texture {words[-1][:60]!r} not found beside the file: {fallback}")
         return None
     try:
-        return decode_image(encoded)
+        return images.get(file, lambda: _read(file))
     except MeshError as error:
-        raise MeshError(error.message, path=path.parent / words[-1]) from None
+        raise MeshError(error.message, path=file) from None
 
 
-def _encoded(path: Path, name: str) -> bytes | None:
-    """Content of an image file in the folder of the material file or below; None if it is missing."""
-    file = resolve_inside(path.parent, name.replace("\\", "/"))
-    if file is None or not exists(file):
-        return None
+def _read(file: Path) -> bytes:
     return read_bytes(file, MeshError, "texture", MAX_IMAGE_BYTES)
+
+
+def _file(path: Path, name: str) -> Path | None:
+    """Image in the folder of the material file or below; None if it is missing."""
+    file = resolve_inside(path.parent, name.replace("\\", "/"))
+    return file if file is not None and exists(file) else None

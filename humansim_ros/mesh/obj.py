@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.io.files import decode_text, exists, read_text, resolve_inside
+from humansim_ros.io.files import decode_text, exists, read_text, resolve_inside, size_text
+from humansim_ros.io.images import DecodedImages
 from humansim_ros.mesh.atlas import PLAIN, atlas_mesh, plain_tile
 from humansim_ros.mesh.material import without_maps
 from humansim_ros.mesh.mesh import FaceIndices, Mesh
@@ -21,6 +22,8 @@ from humansim_ros.types import Array
 
 #: Colour of materials that are missing in the library.
 _GREY = (0.6, 0.6, 0.6)
+#: Largest OBJ file: its text needs about ten times its size of memory while it is parsed.
+_MAX_BYTES = 1 << 28
 
 
 def read_obj(path: str | os.PathLike[str], data: bytes) -> Mesh:
@@ -87,8 +90,9 @@ class _Obj:
 def _by_material(obj: _Obj) -> list[Mesh]:
     """One mesh for each material, split by whether faces have texture coordinates."""
     materials = _read_libraries(obj)
-    textures = {name: color_texture(*material) for name, material in materials.items()}
-    finishes = {name: reflectance(*material) for name, material in materials.items()}
+    images = DecodedImages()
+    textures = {name: color_texture(path, lines, images) for name, (path, lines) in materials.items()}
+    finishes = {name: reflectance(path, name, lines, images) for name, (path, lines) in materials.items()}
     has_uv = [bool(has) for has in obj.uv_faces[:, :3].min(axis=1) >= 0]
     numbers: dict[tuple[str, bool], int] = {}
     number = np.array(
@@ -121,6 +125,10 @@ def _one_mesh(obj: _Obj) -> Mesh:
 
 
 def _parse(file: str | os.PathLike[str], data: bytes) -> _Obj:
+    if len(data) > _MAX_BYTES:
+        size, limit = size_text(len(data)), size_text(_MAX_BYTES)
+        message = f"an OBJ file of {size} is too large; at most {limit} are read: convert it to glTF"
+        raise MeshError(message, path=file)
     path, text = os.fspath(file), decode_text(data, file, MeshError, "mesh")
     vertices: list[list[str]] = []
     uv: list[list[str]] = []
@@ -180,9 +188,9 @@ def _parse(file: str | os.PathLike[str], data: bytes) -> _Obj:
     return _Obj(points, corner_array, texture, texture_array, face_materials, libraries, path)
 
 
-def _read_libraries(obj: _Obj) -> dict[str, tuple[Path, str, Statements]]:
-    """File, name and statements of each material by its name. Warns about a missing library."""
-    known: dict[str, tuple[Path, str, Statements]] = {}
+def _read_libraries(obj: _Obj) -> dict[str, tuple[Path, Statements]]:
+    """File and statements of each material by its name. Warns about a missing library."""
+    known: dict[str, tuple[Path, Statements]] = {}
     for library in obj.libraries:
         file = resolve_inside(Path(obj.path).resolve().parent, library)
         if file is None or not exists(file):
@@ -190,7 +198,7 @@ def _read_libraries(obj: _Obj) -> dict[str, tuple[Path, str, Statements]]:
                 obj.path, f"material library {library[:60]!r} not found beside the file: no colours from it"
             )
         else:
-            known |= {name: (file, name, statements) for name, statements in read_mtl(file).items()}
+            known |= {name: (file, statements) for name, statements in read_mtl(file).items()}
     return known
 
 
@@ -199,7 +207,8 @@ def _colored(obj: _Obj) -> Mesh | None:
     materials = _read_libraries(obj)
     if not materials:
         return None
-    known = {name: color_texture(*material) for name, material in materials.items()}
+    images = DecodedImages()
+    known = {name: color_texture(path, lines, images) for name, (path, lines) in materials.items()}
     uv, uv_faces, faces = obj.uv, obj.uv_faces, obj.faces
     names = list(dict.fromkeys(obj.face_materials))
     tiles = [known.get(name, plain_tile(_GREY)) for name in names]

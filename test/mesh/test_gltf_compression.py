@@ -124,7 +124,8 @@ def test_a_draco_figure_without_the_decoder_names_the_package(
 @pytest.mark.parametrize(
     ("figure", "message"),
     [
-        ({"harm": b"DRACO\2\2\1\1\0\0" + b"\xff" * 80}, "cannot be decoded"),
+        ({"harm": b"DRACO\2\2\1\1\0\0" + b"\x0f" * 80}, "cannot be decoded"),
+        ({"harm": b"DRACO\1\2\1\1\0\0" + b"\x0f" * 80}, "not a mesh of version 2.2"),
         ({"WEIGHTS_0": 99}, "do not have these weights"),
         ({"POSITION": 5}, "do not have these positions"),
     ],
@@ -132,6 +133,39 @@ def test_a_draco_figure_without_the_decoder_names_the_package(
 def test_wrong_draco_data_are_refused(tmp_path: Path, figure: dict[str, Any], message: str) -> None:
     with pytest.raises(MeshError, match=message):
         load_human(written(tmp_path / "draco.glb", *draco_figure(**figure)))
+
+
+def varint(number: int) -> bytes:
+    """Number in bytes of seven bits, as in Draco data."""
+    out = b""
+    while number > 127:
+        out += bytes([number & 127 | 128])
+        number >>= 7
+    return out + bytes([number])
+
+
+#: Metadata of one attribute and of the file, with an inner one.
+METADATA = b"\1\0\1\4name\3abc\0" + b"\0\1\5inner\1\3key\2ab\0"
+
+
+@pytest.mark.parametrize("metadata", [False, True])
+@pytest.mark.parametrize("counts", [(6_000_000, 10), (10, 6_000_000)])
+@pytest.mark.parametrize("method", [0, 1])
+def test_draco_data_of_very_many_triangles_are_not_decoded(
+    tmp_path: Path, method: int, counts: tuple[int, int], metadata: bool
+) -> None:
+    """A few hundred bytes can hold 300,000 triangles, which need 56 MB."""
+    data = b"DRACO" + struct.pack("<4BH", 2, 2, 1, method, 0x8000 * metadata) + METADATA * metadata
+    data += method * b"\0" + varint(counts[0]) + varint(counts[1]) + bytes(100)
+    with pytest.raises(MeshError, match="6000000 triangles or points of Draco data; at most 5000000"):
+        load_human(written(tmp_path / "draco.glb", *draco_figure(data)))
+
+
+@pytest.mark.parametrize("end", range(5, 24))
+def test_a_truncated_header_of_draco_data_is_refused(tmp_path: Path, end: int) -> None:
+    data = b"DRACO" + struct.pack("<4BH", 2, 2, 1, 1, 0x8000) + METADATA
+    with pytest.raises(MeshError, match="the header of the Draco data is damaged"):
+        load_human(written(tmp_path / "draco.glb", *draco_figure(data[:end])))
 
 
 @pytest.mark.parametrize(

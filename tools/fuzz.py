@@ -38,6 +38,7 @@ from typing import get_args
 
 import cv2
 import numpy as np
+import trimesh
 
 ROOT = Path(__file__).parent.parent
 sys.path[:0] = [str(ROOT), str(ROOT / "test")]
@@ -45,7 +46,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "test")]
 import figures  # noqa: E402
 
 from humansim_ros.camera import Camera, read_calibration, write_calibration  # noqa: E402
+from humansim_ros.camera.floor_points import read_floor_points  # noqa: E402
 from humansim_ros.camera.formats import FORMATS  # noqa: E402
+from humansim_ros.camera.image_size import image_size  # noqa: E402
 from humansim_ros.camera.trajectory import End, Trajectory  # noqa: E402
 from humansim_ros.cli.camera import describe_camera  # noqa: E402
 from humansim_ros.cli.output import to_json  # noqa: E402
@@ -55,20 +58,40 @@ from humansim_ros.humans.human import read_human  # noqa: E402
 from humansim_ros.humans.loading import make_human  # noqa: E402
 from humansim_ros.mesh.load import read_materials_z_up, read_mesh  # noqa: E402
 from humansim_ros.motion import read_bvh, read_motion  # noqa: E402
+from humansim_ros.motion.joint_matching import match_motion  # noqa: E402
+from humansim_ros.motion.joint_tables import load_table  # noqa: E402
 from humansim_ros.motion.keyframes import read_keyframes  # noqa: E402
+from humansim_ros.motion.limits import load_limits  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
+from humansim_ros.scene.backdrops import load_panorama  # noqa: E402
 
 _MEMORY = 4 << 30
 #: Longest time for a file in seconds, and additional seconds per byte.
 _SECONDS, _SECONDS_PER_BYTE = 1.0, 1e-5
-#: The same for a scene, which reads other files and may have a hundred humans.
+#: The same for a scene, which reads other files and may have a hundred humans, and for a panorama, whose
+#: header alone makes it large.
 _SECONDS_OF_SCENES = 5.0
 #: Seconds of processor time after which a reader hangs.
 _HANG = 30
 _LONGEST = 60_000
 
 EXTREMES = [
-    *(b"0", b"-0", b"-1", b"1e309", b"-1e309", b"1e-400", b"nan", b"inf", b"999999999999999999999", b"1e9"),
+    *(
+        b"0",
+        b"-0",
+        b"-1",
+        b"1e300",
+        b"-1e300",
+        b"true",
+        b"yes",
+        b"1e309",
+        b"-1e309",
+        b"1e-400",
+        b"nan",
+        b"inf",
+        b"999999999999999999999",
+        b"1e9",
+    ),
     *(
         b"1000000000",
         b"-2147483649",
@@ -164,6 +187,22 @@ def reading_world(path: Path) -> None:
         assert np.isfinite(mesh.vertices).all()
 
 
+def reading_panorama(path: Path) -> None:
+    """Read a panorama."""
+    assert np.isfinite(load_panorama(path)).all()
+
+
+def reading_floor_points(path: Path) -> None:
+    """Read floor points in metres."""
+    read_floor_points(path, np.eye(3))
+
+
+def reading_joint_table(path: Path) -> None:
+    """Read a joint table, and match the joints of a motion with it."""
+    load_table(path)
+    match_motion(read_motion("walk"), path)
+
+
 def reading_materials(path: Path) -> None:
     """Read the materials of an OBJ file."""
     (path.parent / "picture.png").write_bytes(PICTURE)
@@ -188,6 +227,14 @@ READERS: dict[str, tuple[Callable[[Path], object], str]] = {
     "world obj": (reading_world, "*.obj"),
     "world glb": (reading_world, "*.glb"),
     "mtl": (reading_materials, "*.mtl"),
+    "panorama": (reading_panorama, "*.hdr"),
+    "floor points": (reading_floor_points, "*.points"),
+    "joint table": (reading_joint_table, "*.table"),
+    "joint limits": (load_limits, "*.limits"),
+    "image size": (image_size, "*.png"),
+    "ply": (read_mesh, "*.ply"),
+    "stl": (read_mesh, "*.stl"),
+    "off": (read_mesh, "*.off"),
 }
 
 BVH = b"""HIERARCHY
@@ -285,6 +332,14 @@ def small_human() -> bytes:
     )
 
 
+def exported(kind: str, **options: str) -> bytes:
+    """Bytes of a small mesh in a format of trimesh."""
+    mesh = trimesh.creation.box()
+    mesh.visual.vertex_colors = np.arange(32, dtype=np.uint8).reshape(8, 4)
+    data = mesh.export(file_type=kind, **options)
+    return data.encode() if isinstance(data, str) else data
+
+
 def calibrations() -> dict[str, bytes]:
     """Calibration files of all formats by name, with two cameras where the format allows it."""
     first = Camera.look_at((3, 1, 2), (0, 0, 1))
@@ -379,6 +434,15 @@ SHINY = {
         }
     ]
 }
+FLOOR_POINTS = b"""points:
+  - {xyz: [0.5, 1e-3, -2], map: [0, 1]}
+  - {pixels: {left: [312, 400.5], right: [280.5, 410]}}
+  - {xyz: [1, 2, 3]}
+"""
+PANORAMAS = [
+    cv2.imencode(suffix, np.full((16, 32, 3), 100).astype(dtype))[1].tobytes()
+    for suffix, dtype in ((".hdr", np.float32), (".png", np.uint8), (".jpg", np.uint8))
+]
 PICTURE = cv2.imencode(".png", np.zeros((6, 8, 3), np.uint8))[1].tobytes()
 #: Files of the scenes.
 BESIDE_SCENES = {
@@ -409,6 +473,14 @@ SEEDS = {
     ],
     "colmap": [CALIBRATIONS["images.txt"]],
     "trajectory": [TRAJECTORY],
+    "panorama": PANORAMAS,
+    "floor points": [FLOOR_POINTS],
+    "joint table": [path.read_bytes() for path in sorted((ROOT / "config" / "joint_names").glob("*.yaml"))],
+    "joint limits": [path.read_bytes() for path in sorted((ROOT / "config" / "joint_limits").glob("*.yaml"))],
+    "image size": [PICTURE, PANORAMAS[2]],
+    "ply": [exported("ply"), exported("ply", encoding="ascii")],
+    "stl": [exported("stl"), exported("stl_ascii")],
+    "off": [exported("off")],
 }
 
 
@@ -501,7 +573,7 @@ def inside_npz(data: bytes, random_: random.Random) -> bytes:
     for _ in range(random_.choice((1, 1, 2, 4))):
         name = random_.choice(list(arrays))
         array = arrays[name]
-        what = random_.randrange(9)
+        what = random_.randrange(11)
         if what == 0:
             del arrays[name]
         elif what == 1:
@@ -510,16 +582,20 @@ def inside_npz(data: bytes, random_: random.Random) -> bytes:
             arrays[name] = array.T
         elif what == 3:
             kinds = ("f4", "i1", "u8", "U3", "?") if array.dtype.kind in "fiu" else ("U1", "S3")
-            with np.errstate(all="ignore"):
-                arrays[name] = array.astype(random_.choice(kinds)) if array.dtype != object else array
+            if array.dtype.kind in "fiuUS":
+                with np.errstate(all="ignore"):
+                    arrays[name] = array.astype(random_.choice(kinds))
         elif what == 4:
             arrays[name] = np.array([{"a": 1}], dtype=object)
         elif what == 5:
             arrays[name] = array[None]
+        elif what == 6:
+            kinds = ("c16", "M8[s]", "S20", "U20", [("a", "f8"), ("b", "i4")], "f2", "f16", "i8")
+            arrays[name] = np.zeros(array.shape, np.dtype(random_.choice(kinds)))
         elif array.size and array.dtype.kind in "fiu":
             changed = array.copy().reshape(-1)
             rows = [random_.randrange(changed.size) for _ in range(random_.choice((1, 5, 200)))]
-            value = random_.choice((0, 1, -1, 10**9, 2**31 - 1, 1e38, float("nan"), float("inf")))
+            value = random_.choice((0, 1, -1, 10**9, 2**31 - 1, 1e38, 1e300, float("nan"), float("inf")))
             with np.errstate(all="ignore"):
                 changed[rows] = np.array(value).astype(array.dtype)
             arrays[name] = changed.reshape(array.shape)
@@ -529,6 +605,10 @@ def inside_npz(data: bytes, random_: random.Random) -> bytes:
     if random_.random() < 0.15:  # the declared sizes of arrays
         at = out.find(b"'shape': (") + 10
         out = out[:at] + random_.choice((b"9", b"-", b"0")) + out[at + 1 :]
+        out = _with_check_sums(out)
+    if random_.random() < 0.15:  # their headers
+        at = out.find(b"{'descr'") + random_.randrange(60)
+        out = out[:at] + random_.choice((b"'", b"(", b"[", b"L", b"\\", b"\xff", b"#", b"\n")) + out[at + 1 :]
         out = _with_check_sums(out)
     return out
 
@@ -691,7 +771,7 @@ def fuzz(name: str, corpus: Sequence[bytes], inputs: int, seed: int) -> Outcome:
             signal.setitimer(signal.ITIMER_PROF, 0)
             took = time.process_time() - start
             outcome.slowest = max(outcome.slowest, took)
-            allowed = _SECONDS_OF_SCENES if name == "scene" else _SECONDS
+            allowed = _SECONDS_OF_SCENES if name in ("scene", "panorama") else _SECONDS
             if took > allowed + _SECONDS_PER_BYTE * len(data):
                 kind = "finding: slow"
                 outcome.findings.append((f"took {took:.1f} s for {len(data)} bytes", data))

@@ -20,6 +20,8 @@ _RADIANCE = re.compile(rb"^#\?(RADIANCE|RGBE)\b.*?\n\s*?\n-Y (\d{1,6}) \+X (\d{1
 _EXR = b"\x76\x2f\x31\x01"
 #: Largest panorama file: 8192 x 4096 pixels of four channels without compression.
 _MAX_BYTES = 1 << 30
+#: Most pixels in a byte of Radiance files: a run of 127 equal values of one channel has two bytes.
+_MOST_PER_BYTE = 16
 #: Most values in all channels of an OpenEXR file, which are decoded together.
 _MAX_VALUES = 4 * MAX_PIXELS
 #: Columns of the largest panorama in memory: a camera of 60 degrees sees 700 of them.
@@ -68,7 +70,10 @@ def _read_radiance(data: bytes) -> NDArray[np.float32]:
     header = _RADIANCE.match(data[:65536])
     if header is None:
         raise SceneError("this is no panorama: neither Radiance (.hdr) nor OpenEXR, PNG or JPEG")
-    _check_size(int(header[3]), int(header[2]))
+    height, width = int(header[2]), int(header[3])
+    _check_size(width, height)
+    if width * height > _MOST_PER_BYTE * len(data):
+        raise SceneError("the panorama is damaged: its file is too short for its size")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     except cv2.error:

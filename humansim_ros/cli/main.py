@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -66,6 +65,7 @@ def run(
     ] = True,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
+    from humansim_ros.io.temporary import temporary_folder
     from humansim_ros.ros.first_images import FirstImages
     from humansim_ros.ros.processes import WRONG_INPUT, relative_namespace, scene_processes
     from humansim_ros.ros.runtime import prepare_transport
@@ -74,11 +74,11 @@ def run(
 
     start = time.monotonic()
     _check_machine()
-    with tempfile.TemporaryDirectory(prefix="humansim-") as folder:
+    with temporary_folder() as folder:
         path = scene or resource_path("config/scenes/demo.yaml")
         options = SceneOptions(motion, mesh, joint_names, live or ())
         if options:
-            changed = options.write(path, Path(folder))
+            changed = options.write(path, folder)
             loaded, path = options.load(path, changed), changed
         else:
             loaded = Scene.load(path)

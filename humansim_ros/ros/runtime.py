@@ -6,7 +6,9 @@ import gc
 import importlib
 import os
 import signal
+import stat
 import sys
+import tempfile
 import time
 import warnings
 from collections.abc import Callable, Sequence
@@ -16,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError, show_warnings
 from humansim_ros.render.memory import keep_image_blocks
+from humansim_ros.ros.processes import WARNINGS_SHOWN
 from humansim_ros.ros.shared_memory import remove_dead_files
 from humansim_ros.ros.stop_signals import Stopped, StopRequest, end_process, end_process_on_stop
 from humansim_ros.ros.transport import Transport, choose_transport
@@ -48,7 +51,7 @@ def prepare_transport(participants: int | None = None, network: bool = True) -> 
 
     Call it before ``rclpy.init()``. With Fast DDS's defaults, two of three 640x480 images do not fit and are
     lost for best-effort subscribers. Warns of too little shared memory, and removes what killed processes
-    have left of it.
+    have left of it. Prepares the folder of logs, too.
 
     Args:
         participants: Number of processes that start together; None: this process alone.
@@ -57,6 +60,7 @@ def prepare_transport(participants: int | None = None, network: bool = True) -> 
     Returns:
         The transport, which is set for this process and its children.
     """
+    prepare_logs()
     remove_dead_files()
     transport = choose_transport(participants, network)
     os.environ.update(transport.environment)
@@ -64,6 +68,34 @@ def prepare_transport(participants: int | None = None, network: bool = True) -> 
         warnings.warn(transport.warning, HumansimWarning, stacklevel=2)
     keep_image_blocks()
     return transport
+
+
+def prepare_logs() -> None:
+    """Let ROS log to a folder for temporary files if its own cannot be written: it would not start.
+
+    Raises:
+        RosError: There is no such folder either.
+    """
+    home = os.environ.get("ROS_HOME") or Path("~/.ros").expanduser()
+    usual = Path(os.environ.get("ROS_LOG_DIR") or Path(home, "log"))
+    with suppress(OSError):
+        usual.mkdir(parents=True, exist_ok=True)
+        if os.access(usual, os.W_OK):
+            return
+    folder = Path(tempfile.gettempdir(), f"ros_log_{os.geteuid()}")
+    with suppress(OSError):
+        folder.mkdir(mode=0o700, exist_ok=True)
+        found = folder.lstat()
+        # not a folder or link that another user has made
+        if stat.S_ISDIR(found.st_mode) and found.st_uid == os.geteuid():
+            os.environ["ROS_LOG_DIR"] = str(folder)
+            if WARNINGS_SHOWN not in os.environ:
+                text = f"{usual} cannot be written: ROS logs to {folder} (set ROS_LOG_DIR for another folder)"
+                warnings.warn(text, HumansimWarning, stacklevel=2)
+            return
+    raise RosError(
+        f"ROS cannot log to {usual} nor to {folder}: set ROS_LOG_DIR to a folder that it can write"
+    )
 
 
 def make_executor() -> Any:
@@ -121,10 +153,10 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     show_warnings()
     try:
         require_ros()
+        prepare_transport()
     except HumansimError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2
-    prepare_transport()
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import os
+import warnings
 from collections.abc import Callable, Iterable
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from humansim_ros.errors import MeshError
+from humansim_ros.errors import HumansimError, HumansimWarning, MeshError
 from humansim_ros.humans.human import Human, read_human, write_human
+from humansim_ros.io.files import expand_user
 from humansim_ros.resources import resource_path
 
 #: Raise it when the same input gives another human; test/humans/test_cache.py notices that.
@@ -25,8 +28,8 @@ def cache_folder() -> Path | None:
     """
     own = os.environ.get("HUMANSIM_CACHE")
     if own:
-        return None if own == "off" else Path(own).expanduser()
-    base = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
+        return None if own == "off" else expand_user(own)
+    base = os.environ.get("XDG_CACHE_HOME") or expand_user("~/.cache")
     return Path(base) / "humansim_ros" / "humans"
 
 
@@ -41,7 +44,8 @@ def content_key(parts: Iterable[bytes]) -> str:
 def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
     """Read a human from the cache, or make it and write it there.
 
-    A file that cannot be read (a full disk, a crash) is replaced. Without write access nothing is cached.
+    A file that cannot be read (a full disk, a crash) is replaced. Without write access nothing is cached, with
+    a warning.
     """
     folder = cache_folder()
     if folder is None:
@@ -52,7 +56,8 @@ def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
             human = read_human(path)
             os.utime(path)
         except (MeshError, OSError):
-            path.unlink(missing_ok=True)
+            with suppress(OSError):
+                path.unlink(missing_ok=True)
         else:
             return replace(human, name=name)
     human = make()
@@ -62,7 +67,14 @@ def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
         _delete_oldest(folder)
         # read back, so that the first call gives the same rounded numbers as later calls
         return replace(read_human(path), name=name)
-    except (OSError, MeshError):
+    except (OSError, HumansimError) as reason:
+        text = reason.strerror if isinstance(reason, OSError) else reason.message
+        warnings.warn(
+            f"{folder}: humans cannot be cached here ({text}), and each start makes them anew; set "
+            "HUMANSIM_CACHE to another folder, or to off",
+            HumansimWarning,
+            stacklevel=2,
+        )
         return human
 
 

@@ -15,6 +15,7 @@ import typer
 from humansim_ros.cli.bench import bench
 from humansim_ros.cli.check import check, warn_about_mistakes
 from humansim_ros.cli.options import join_numbers
+from humansim_ros.cli.output import flush_output, give_up_output, print_error, print_text
 from humansim_ros.cli.scene_options import SceneOptions
 from humansim_ros.cli.snapshot import snapshot
 from humansim_ros.errors import HumansimError, show_warnings
@@ -28,7 +29,7 @@ def _root(
     if version:
         from humansim_ros import __version__
 
-        print(__version__)
+        print_text(__version__)
         raise typer.Exit
 
 
@@ -90,18 +91,18 @@ def run(
         with Supervisor(node_processes) as nodes:
             try:
                 names = ", ".join(name for process in node_processes for name in process.visible_nodes)
-                print(f"starting {names}; Ctrl-C stops")
-                print(transport.reach, flush=True)
+                print_text(f"starting {names}; Ctrl-C stops")
+                print_text(transport.reach)
                 first = FirstImages(list(loaded.cameras), list(loaded.actors), start, namespace)
                 nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
                 dead = nodes.wait(None if duration is None else time.monotonic() + duration, respawn)
             except Stopped:
                 dead = None
-                print("stopping", flush=True)
+                print_text("stopping")
     if dead:
         wrong_input = dead.code == WRONG_INPUT  # which the node has reported
         again = " again and again" if respawn and not wrong_input else ""
-        print(f"error: {dead}{again}; the other nodes were stopped", file=sys.stderr)
+        print_error(f"error: {dead}{again}; the other nodes were stopped")
         raise typer.Exit(2 if wrong_input else 1)
 
 
@@ -123,9 +124,10 @@ def demo(
 def _check_machine() -> None:
     """Raise an error without ROS or OpenGL, once and before a process starts."""
     from humansim_ros.render.context import OpenGLContext
-    from humansim_ros.ros.runtime import require_ros
+    from humansim_ros.ros.runtime import prepare_logs, require_ros
 
     require_ros()
+    prepare_logs()
     OpenGLContext().close()
 
 
@@ -135,17 +137,17 @@ def _describe(scene: Any, namespace: str) -> None:
     for actor in scene.actors.values():
         if actor.motion.motion.path == LIVE:
             topic = f"{namespace and f'/{namespace}'}/humans/{actor.name}/motion"
-            print(f"{actor.name}: {actor.human.name}, live: moved by joints on {topic}")
+            print_text(f"{actor.name}: {actor.human.name}, live: moved by joints on {topic}")
             continue
         frame, motion, match = actor.motion.frame, actor.motion.motion, actor.motion.match
-        print(
+        print_text(
             f"{actor.name}: {actor.human.name}, {Path(motion.path).name} "
             f"({match.table} joints, matched by {match.by}, confidence {match.confidence:.0%}, "
             f"{frame.up} up, unit {frame.unit_name}, "
             f"{motion.n_frames} frames, recorded person {frame.stature:.2f} m)"
         )
     for name, camera in scene.cameras.items():
-        print(f"{name}: {camera.size[0]}x{camera.size[1]}")
+        print_text(f"{name}: {camera.size[0]}x{camera.size[1]}")
 
 
 #: Commands of this module by name.
@@ -225,22 +227,32 @@ def _parser_message(error: Any) -> str:
 def main() -> int:
     """Entry point: errors of the package are one line on standard error and exit code 2.
 
-    A stop signal ends a command in order with exit code 128 + its number, and a run of all nodes with 0.
+    So are errors of the system, with exit code 1. HUMANSIM_TRACEBACK=1 shows where an error came from. A stop
+    signal ends a command in order with exit code 128 + its number, and a run of all nodes with 0.
     """
     show_warnings()
     arguments = join_numbers(sys.argv[1:])
     try:
         result = make_app(arguments)(arguments, prog_name="humansim", standalone_mode=False)
+        flush_output()
     except HumansimError as error:
-        print(f"error: {error}", file=sys.stderr)
+        print_error(f"error: {error}")
         return 2
     except typer.Abort:
+        return 1
+    except OSError as error:
+        give_up_output()  # the help of commands is written to it without print_text
+        where = f"{error.filename}: " if error.filename else ""
+        print_error(f"error: {where}{error.strerror or error}")
+        return 1
+    except MemoryError as error:
+        print_error(f"error: out of memory{f' ({error})' if str(error) else ''}")
         return 1
     except Exception as error:
         if hasattr(error, "format_message") and hasattr(
             error, "exit_code"
         ):  # an error of the command-line parser
-            print(_parser_message(error), file=sys.stderr)
+            print_error(_parser_message(error))
             return 2
         raise
     return result if isinstance(result, int) else 0  # typer.Exit returns its code here

@@ -6,8 +6,9 @@ import io
 import json
 import os
 import sys
+import traceback
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -46,16 +47,46 @@ def to_json(data: Any) -> str:
 
 
 def print_text(text: str) -> None:
-    """Print to standard output in any encoding. A closed pipe (``| head``) is not an error."""
+    """Print to standard output in any encoding. A closed pipe (``| head``) is not an error.
+
+    Raises:
+        HumansimError: Standard output cannot be written to, such as a file on a full disk.
+    """
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")
-    try:
+    with _writing_output():
         print(text, flush=True)
+
+
+def flush_output() -> None:
+    """Write the rest of standard output; errors as of :func:`print_text`."""
+    with _writing_output():
+        if sys.stdout is not None:  # the caller has closed it
+            sys.stdout.flush()
+
+
+@contextmanager
+def _writing_output() -> Iterator[None]:
+    try:
+        yield
     except OSError as reason:
-        # Python must not try to write the rest of the buffer again when it ends
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        give_up_output()
         if not isinstance(reason, BrokenPipeError):
             raise HumansimError(f"cannot write to standard output: {reason.strerror}") from None
+
+
+def give_up_output() -> None:
+    """Drop what is left for standard output: Python must not try to write it again when it ends."""
+    if sys.stdout is not None:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def print_error(text: str) -> None:
+    """Print to standard error, if it can be written to; with the traceback if HUMANSIM_TRACEBACK is set."""
+    with suppress(OSError):
+        if os.environ.get("HUMANSIM_TRACEBACK"):
+            traceback.print_exc()
+        print(text, file=sys.stderr)
 
 
 @contextmanager

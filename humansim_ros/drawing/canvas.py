@@ -162,11 +162,27 @@ def _write_video(
             str(temporary), (width, height), fps=rate, ffmpeg_log_level="error", **options
         )
         writer.send(None)
+        count = 0
         try:
             for frame in (first, *iterator):
-                writer.send(np.ascontiguousarray(frame[:height, :width]))
+                pixels, count = np.ascontiguousarray(frame[:height, :width]), count + 1
+                try:
+                    writer.send(pixels)
+                except OSError:  # ffmpeg has ended
+                    raise _video_error(path) from None
         finally:
             writer.close()
+        try:
+            # the exit code of ffmpeg is lost: on a full disk it leaves a file that is cut off
+            written, _ = imageio_ffmpeg.count_frames_and_secs(str(temporary))
+        except RuntimeError:
+            written = 0
+        if written != count:
+            raise _video_error(path)
+
+
+def _video_error(path: str | os.PathLike[str]) -> HumansimError:
+    return HumansimError("ffmpeg cannot write the video; is the disk full?", path=path)
 
 
 def _fixed_point(pixels: ArrayLike) -> NDArray[np.int32]:

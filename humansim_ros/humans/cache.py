@@ -44,8 +44,8 @@ def content_key(parts: Iterable[bytes]) -> str:
 def cached(key: str, name: str, make: Callable[[], Human]) -> Human:
     """Read a human from the cache, or make it and write it there.
 
-    A file that cannot be read (a full disk, a crash) is replaced. Without write access nothing is cached, with
-    a warning.
+    A file that cannot be read (a full disk, a crash) is replaced. Without write access nothing is cached, and
+    a warning says so.
     """
     folder = cache_folder()
     if folder is None:

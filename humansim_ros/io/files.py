@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -217,8 +218,31 @@ def resolve_inside(folder: Path, name: str) -> Path | None:
 
 @contextmanager
 def atomic_path(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Temporary path in the same folder: renamed to ``path`` after the block, deleted on exceptions."""
+    """Temporary path in the same folder: renamed to ``path`` after the block, deleted on exceptions.
+
+    A link stays, and its file is replaced. A device or pipe, such as ``/dev/stdout``, gets the content.
+
+    Raises:
+        HumansimError: The file cannot be written, in the block or after it.
+    """
     target = Path(path)
+    try:
+        if target.exists() and not target.is_file() and not target.is_dir():
+            with tempfile.TemporaryDirectory() as folder:
+                temporary = Path(folder) / target.name
+                yield temporary
+                with temporary.open("rb") as content, target.open("wb") as device:
+                    shutil.copyfileobj(content, device)
+        else:
+            with _beside(target.resolve()) as temporary:
+                yield temporary
+    except OSError as reason:
+        raise HumansimError(f"cannot be written: {reason.strerror or reason}", path=path) from None
+
+
+@contextmanager
+def _beside(target: Path) -> Iterator[Path]:
+    """Temporary path in the folder of ``target``, renamed to it after the block."""
     handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
     os.close(handle)
     temporary = Path(name)

@@ -83,5 +83,5 @@ def test_nothing_else_is_removed(tmp: Path) -> None:
 
 def test_without_a_folder_for_temporary_files_it_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "tempdir", "/dev/null")
-    with pytest.raises(HumansimError, match="cannot make a temporary folder: .*TMPDIR"), temporary_folder():
+    with pytest.raises(HumansimError, match=r"cannot make a temporary folder: .*TMPDIR"), temporary_folder():
         pass

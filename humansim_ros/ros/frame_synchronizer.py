@@ -18,7 +18,7 @@ from humansim_ros.ros import messages
 from humansim_ros.ros.frame_buffer import FrameBuffer, GivenUpFrame
 from humansim_ros.ros.limits import deserialised
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import NEWEST, REPORTS
+from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA, NEWEST
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.state import JointMotion, SceneState
@@ -79,7 +79,8 @@ class FrameSynchronizer:
             self._subscribe(TwistStamped, f"{name}/twist", messages.read_twist)
         self._buffer = FrameBuffer(self._topics, self._scene.period * 1e9)
         self._has_frames = False
-        self._done = node.create_publisher(Header, "frame_done", REPORTS)
+        self._done = node.create_publisher(Header, "frame_done", DATA)
+        self._alive = node.create_publisher(Header, CAMERA_ALIVE, ALIVE)
         if not self._topics:  # nothing moves: the player gives the stamps alone
             node.create_subscription(Header, "frame", self._on_static_frame, NEWEST)
         description = "Show the scene at its start while no vertices arrive"

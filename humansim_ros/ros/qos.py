@@ -30,10 +30,11 @@ NEWEST = _profile(3, QoSDurabilityPolicy.VOLATILE)
 #: Publishers of messages that are sent once; late joiners get the last one.
 LATCHED = _profile(1, QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
-#: Reports of cameras to the motion player, which is told half a second after a camera has died. One for each
-#: camera process and frame; a lost one is replaced by the next.
-REPORTS = QoSProfile(
-    depth=50,
+#: Topic without messages: its quality of service tells the motion player half a second after a camera process
+#: has died. Reports of cameras (``frame_done``) have none, because other nodes may report, too.
+CAMERA_ALIVE = "_camera_alive"
+ALIVE = QoSProfile(
+    depth=1,
     history=QoSHistoryPolicy.KEEP_LAST,
     reliability=QoSReliabilityPolicy.RELIABLE,
     liveliness=QoSLivelinessPolicy.AUTOMATIC,

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import threading
 import time
 from collections import deque
@@ -25,7 +27,7 @@ from humansim_ros.ros.messages import header
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.qos import REPORTS
+from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import make_executor
 
 SECOND = 1_000_000_000
@@ -233,25 +235,61 @@ def test_camera_nodes_of_different_speeds_show_the_same_frames(
         each.destroy_node()
 
 
+#: A camera process that reports the first frame, and no other.
+CAMERA_PROCESS = """
+import rclpy
+from std_msgs.msg import Header
+from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA
+
+def report(frame):
+    node.destroy_subscription(frames)
+    for publisher in alive, done:
+        publisher.publish(Header(stamp=frame.stamp, frame_id="/front"))
+
+rclpy.init()
+node = rclpy.create_node("front", namespace="/paced")
+alive = node.create_publisher(Header, CAMERA_ALIVE, ALIVE)
+done = node.create_publisher(Header, "frame_done", DATA)
+while not (alive.get_subscription_count() and done.get_subscription_count()):
+    rclpy.spin_once(node, timeout_sec=0.05)
+frames = node.create_subscription(Header, "frame", report, DATA)
+rclpy.spin(node)
+"""
+
+
 def test_a_camera_that_has_died_delays_the_others_no_longer(ros: None, tmp_path: Path) -> None:
     """The middleware tells the player, long before it gives a silent camera up."""
     player = node(MotionPlayerNode, write_scene(tmp_path), "motion_player")
-    lockstep, client = Lockstep(player), Client("camera_process")
+    lockstep, client = Lockstep(player), Client("other")
     client.executor.add_node(player)
-    reports = client.node.create_publisher(Header, "/paced/frame_done", REPORTS)
-    client.spin_until_matched(player)
-    first = lockstep.play()
-    reports.publish(header(first, "/front"))
     now = time.monotonic()
 
     def late() -> list[str]:
-        return player._pacing.late_cameras(first + 3 * SECOND, PERIOD, now)
+        return player._pacing.late_cameras(lockstep.play(), PERIOD, now)
 
+    with subprocess.Popen([sys.executable, "-c", CAMERA_PROCESS]) as camera:
+        try:
+            assert client.spin_until(late)
+        finally:
+            camera.kill()
+    assert client.spin_until(lambda: not late())
+    player.destroy_node()
+    client.close()
+
+
+def test_the_player_hears_a_reporter_with_ordinary_quality_of_service(ros: None, tmp_path: Path) -> None:
+    player = node(MotionPlayerNode, write_scene(tmp_path), "motion_player")
+    lockstep, client = Lockstep(player), Client("tracker")
+    client.executor.add_node(player)
+    reports = client.node.create_publisher(Header, "/paced/frame_done", DATA)
+    client.spin_until_matched(player)
+    first = lockstep.play()
+    reports.publish(header(first, "tracker"))
     for _ in range(3):
         lockstep.play()
-    assert client.spin_until(late)
-    client.node.destroy_publisher(reports)
-    assert client.spin_until(lambda: not late())
+    assert client.spin_until(
+        lambda: player._pacing.late_cameras(first + 3 * SECOND, PERIOD, time.monotonic()) == ["tracker"]
+    )
     player.destroy_node()
     client.close()
 

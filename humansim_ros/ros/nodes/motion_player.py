@@ -27,6 +27,7 @@ from geometry_msgs.msg import PoseStamped, TwistStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
 from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
@@ -49,7 +50,7 @@ from humansim_ros.ros.messages import (
 )
 from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import DATA, LATCHED, REPORTS
+from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA, LATCHED
 from humansim_ros.ros.requested_motions import MOTION_FOLDERS, RequestedMotions
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
@@ -63,6 +64,8 @@ MAX_LEAD = 0.1
 MAX_READING = 20.0
 #: Most frames of a pause that wait until the cameras have time for them.
 MAX_WAITING = 100
+#: Queue for reports: one for each camera process and frame; a lost one is replaced by the next.
+_REPORTS = QoSProfile(depth=50)
 
 
 class MotionPlayerNode(SceneNode):
@@ -120,8 +123,9 @@ class MotionPlayerNode(SceneNode):
         self._pacing = FramePacing()
         #: Frames of a pause (steps, seeks) that wait until the cameras have time for them.
         self._waiting: deque[tuple[Tick, ScenePoses]] = deque()
+        self.create_subscription(Header, "frame_done", self._on_frame_done, _REPORTS)
         events = SubscriptionEventCallbacks(liveliness=self._on_liveliness)
-        self.create_subscription(Header, "frame_done", self._on_frame_done, REPORTS, event_callbacks=events)
+        self.create_subscription(Header, CAMERA_ALIVE, lambda _: None, ALIVE, event_callbacks=events)
         self._frame_timer = self.create_timer(self._playback_clock.period * 1e-9, self._tick)
         self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {self.scene.path}")
 

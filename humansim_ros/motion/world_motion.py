@@ -22,6 +22,10 @@ from humansim_ros.types import Array, Indices
 MotionLoop = Literal["none", "repeat", "continue"]
 Anchor = Literal["start", "center", "file"]
 
+#: Shortest part in seconds that can be played, of a file that is not shorter: cycles of nearly no time
+#: cannot be counted.
+_SHORTEST_PART = 1e-3
+
 
 @dataclass(frozen=True)
 class Placement:
@@ -92,6 +96,8 @@ class WorldMotion:
             problem = f"start is {self.start:g} s, outside the motion's 0 to {duration:g} s"
         elif not self.start < end + (duration == 0):
             problem = f"end ({end:g} s) must come after start ({self.start:g} s)"
+        elif end - self.start < min(_SHORTEST_PART, duration):
+            problem = f"end must come at least {_SHORTEST_PART:g} s after start ({self.start:g} s)"
         elif not 0 <= self.speed < np.inf:
             problem = f"speed must be 0 or more, not {self.speed:g}"
         elif not 0 <= self.blend <= (end - self.start) / 2:

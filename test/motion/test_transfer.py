@@ -220,6 +220,8 @@ def test_a_blended_walk_keeps_walking_around_its_circle() -> None:
         ({"start": 9.0}, "outside the motion's 0 to 2 s"),
         ({"start": 1.0, "end": 0.5}, "must come after start"),
         ({"end": 0.0}, "must come after start"),
+        ({"end": 5e-324}, "at least 0.001 s after start"),
+        ({"start": 0.5, "end": 0.5001}, "at least 0.001 s after start"),
         ({"speed": -1.0}, "speed must be"),
         ({"speed": float("nan")}, "speed must be"),
         ({"blend": 1.5}, "blend"),

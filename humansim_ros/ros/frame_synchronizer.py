@@ -29,6 +29,9 @@ _START_SCENE_AFTER = 1.5
 #: Seconds after the start in which the other nodes may still be starting.
 _STARTING = 15.0
 
+#: Bytes of a point, of the largest cloud of vertices that is read, and of everything else in the message.
+_MAX_POINT, _MAX_HEADER = 64, 64 << 10
+
 
 class FrameSynchronizer:
     """Subscribes to all humans, moving objects and some cameras, and passes complete frames on.
@@ -64,7 +67,13 @@ class FrameSynchronizer:
         moving = [*(f"objects/{name}" for name in objects), *moving_cameras]
         self._topics: list[str] = []
         for human in humans:
-            self._subscribe(PointCloud2, f"humans/{human}/vertices", partial(self._read_vertices, human))
+            count = len(self._scene.actors[human].human.mesh.vertices)
+            self._subscribe(
+                PointCloud2,
+                f"humans/{human}/vertices",
+                partial(self._read_vertices, human),
+                max_bytes=_MAX_HEADER + _MAX_POINT * count,
+            )
             # serialised: joints are read only if a topic needs them
             joints = f"humans/{human}/joints"
             self._topics.append(joints)
@@ -89,7 +98,18 @@ class FrameSynchronizer:
         self._start_scene_logged = False
         self._start_scene_timer = node.create_timer(self._scene.period, self._show_start_scene)
 
-    def _subscribe(self, message_type: Any, topic: str, read: Callable[[Any], Any]) -> None:
+    def _subscribe(
+        self, message_type: Any, topic: str, read: Callable[[Any], Any], max_bytes: int | None = None
+    ) -> None:
+        """Store each message of a topic with the others of its stamp.
+
+        Args:
+            message_type: Type of the messages.
+            topic: Topic name.
+            read: Function that gives the content of a message.
+            max_bytes: Bytes of the longest message; that of its type if None.
+        """
+
         def on_message(message: Any) -> None:
             try:
                 content = read(message)
@@ -99,7 +119,7 @@ class FrameSynchronizer:
                 self._store(topic, messages.to_nanoseconds(message.header.stamp), content)
 
         self._topics.append(topic)
-        self._node.create_subscription(message_type, topic, on_message, NEWEST)
+        self._node.create_subscription(message_type, topic, on_message, NEWEST, max_bytes=max_bytes)
 
     def _on_joints(self, topic: str, data: bytes) -> None:
         self._store(topic, messages.serialised_stamp(data), data)

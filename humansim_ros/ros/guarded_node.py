@@ -95,6 +95,7 @@ class GuardedNode(Node):
         qos_profile: Any,
         *,
         raw: bool = False,
+        max_bytes: int | None = None,
         **options: Any,
     ) -> Any:
         """Create a subscription, as ``Node.create_subscription``, whose callback cannot end the node.
@@ -105,14 +106,15 @@ class GuardedNode(Node):
             callback: Gets each message.
             qos_profile: Quality of service, or depth of the queue.
             raw: Pass serialised messages.
+            max_bytes: Bytes of the longest serialised message that is read; that of its type if None.
             options: Other options of ``Node.create_subscription``.
         """
 
         def on_data(data: bytes) -> None:
             with self.guard(f"topic {self.resolve_topic_name(topic)}", "the message is ignored"):
                 if raw:
-                    check_serialised(data, msg_type)
-                callback(data if raw else deserialised(data, msg_type))
+                    check_serialised(data, msg_type, max_bytes)
+                callback(data if raw else deserialised(data, msg_type, max_bytes))
 
         return super().create_subscription(msg_type, topic, on_data, qos_profile, raw=True, **options)
 

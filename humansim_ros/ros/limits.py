@@ -33,9 +33,12 @@ _MAX_BYTES = {
 _MAX_OTHER = 64 << 10
 
 
-def check_serialised(data: bytes, message_type: Any) -> None:
-    """Raise RosError for a serialised message that is too long, or has too many parts, to be read."""
-    limit = _MAX_BYTES.get(message_type, _MAX_OTHER)
+def check_serialised(data: bytes, message_type: Any, max_bytes: int | None = None) -> None:
+    """Raise RosError for a serialised message that is too long, or has too many parts, to be read.
+
+    ``max_bytes``: of the longest message of its topic; that of the type if None.
+    """
+    limit = _MAX_BYTES.get(message_type, _MAX_OTHER) if max_bytes is None else max_bytes
     if len(data) > limit:
         raise RosError(f"a message of {len(data)} bytes; at most {limit} are read")
     if message_type is PointCloud2 and (count := _field_count(data)) > MAX_FIELDS:
@@ -54,9 +57,11 @@ def check_request(request: Any) -> None:
             raise RosError(f"{parameter.value.type} is no type of a parameter")
 
 
-def deserialised(data: bytes, message_type: Any) -> Any:
-    """Message of some type from its serialised form. Raises RosError if it is too long, or is not one."""
-    check_serialised(data, message_type)
+def deserialised(data: bytes, message_type: Any, max_bytes: int | None = None) -> Any:
+    """Message of some type from its serialised form. Raises RosError if it is too long
+    (:func:`check_serialised`), or is not one.
+    """
+    check_serialised(data, message_type, max_bytes)
     try:
         return deserialize_message(data, message_type)
     except RuntimeError:  # RMWError

@@ -91,8 +91,11 @@ def test_vertices_that_are_not_those_of_the_body_are_not_held(
 ) -> None:
     """Eight large clouds of a stranger would fill the memory of a camera."""
     start = stage.node.now()
-    stage.send_vertices("first", start, np.zeros((100_000, 3), np.float32))
+    body = stage.bodies["first"].vertices
+    stage.send_vertices("first", start, np.zeros((len(body) + 1, 3), np.float32))
     assert "vertices, but the body has" in capfd.readouterr().err
+    stage.send_vertices("first", start, np.zeros((100 * len(body), 3), np.float32))
+    assert "are read" in capfd.readouterr().err, "it is not even deserialised"
     stage.send_vertices("first", start, np.full_like(stage.bodies["first"].vertices, np.nan))
     stage.send_vertices("first", start, 1e7 + stage.bodies["first"].vertices)
     deliver(stage.node, "humans/first/joints", messages.joints_message(stage.bodies["first"], start))

@@ -6,9 +6,11 @@ import time
 from collections import Counter
 from typing import Any
 
-#: Topics that many nodes publish; ``frame_done`` is that of all camera processes.
+from humansim_ros.ros.qos import CAMERA_ALIVE
+
+#: Topics that many nodes publish, and names of topics that all camera processes publish.
 _SHARED = ("/rosout", "/parameter_events", "/diagnostics", "/tf", "/tf_static")
-_SHARED_NAMES = ("frame_done",)
+_SHARED_NAMES = ("frame_done", CAMERA_ALIVE)
 #: Seconds for which another node is seen before it is named.
 _SEEN_FOR = 1.5
 #: The same, if it may be a node that was killed and started again: the middleware forgets it after 20 s.

@@ -10,6 +10,7 @@ import pytest
 from ros_support import Client, write_scene
 
 from humansim_ros.ros import neighbours
+from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
 from humansim_ros.ros.runtime import make_executor
@@ -23,11 +24,14 @@ class Suite:
         self.client = Client("neighbour", make_executor())
         self.nodes: list[Any] = []
 
-    def start(self, kind: type, namespace: str = "home") -> Any:
+    def start(self, kind: type, namespace: str = "home", name: str = "", **parameters: str) -> Any:
         from rclpy.parameter import Parameter
 
-        given = [Parameter("scene", value=str(self.scene))]
-        self.nodes.append(kind(parameter_overrides=given, namespace=namespace))
+        given = [
+            Parameter(key, value=value) for key, value in {"scene": str(self.scene), **parameters}.items()
+        ]
+        arguments = ["--ros-args", "-r", f"__node:={name}"] if name else []
+        self.nodes.append(kind(parameter_overrides=given, namespace=namespace, cli_args=arguments))
         self.client.executor.add_node(self.nodes[-1])
         return self.nodes[-1]
 
@@ -91,6 +95,15 @@ def test_a_suite_in_another_namespace_is_not_named(suite: Suite) -> None:
     for node in nodes:
         suite.checks(node, 5)
     assert suite.warnings() == []
+
+
+def test_the_camera_processes_of_a_suite_do_not_name_each_other(suite: Suite) -> None:
+    cameras = [suite.start(CameraNode, name=name, camera=name) for name in ("left", "right")]
+    for camera in cameras:
+        suite.checks(camera, 10)
+    assert suite.warnings() == []
+    for camera in cameras:
+        camera.close()
 
 
 def test_a_bag_beside_a_suite_is_named(suite: Suite) -> None:

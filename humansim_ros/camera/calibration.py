@@ -24,7 +24,14 @@ from humansim_ros.camera.formats.colmap import CAMERAS, IMAGES
 from humansim_ros.camera.formats.colmap import MAX_BYTES as MAX_BYTES_COLMAP
 from humansim_ros.camera.formats.syntax import detect_syntax, parse
 from humansim_ros.camera.image_size import guess_image_size, image_size
-from humansim_ros.errors import CameraError, HumansimWarning, ResourceError, did_you_mean, warn_about
+from humansim_ros.errors import (
+    CameraError,
+    HumansimError,
+    HumansimWarning,
+    ResourceError,
+    did_you_mean,
+    warn_about,
+)
 from humansim_ros.io.files import atomic_path, exists, read_text
 from humansim_ros.resources import resource_root
 from humansim_ros.types import Array, ImageSize
@@ -434,9 +441,12 @@ def write_calibration(
         with ExitStack() as stack:
             for file, text in texts.items():
                 stack.enter_context(atomic_path(file)).write_text(text, encoding="utf-8")
-    except (OSError, UnicodeEncodeError) as reason:
-        why = reason.strerror if isinstance(reason, OSError) else "a name has an incomplete character"
-        raise CameraError(f"cannot be written: {why or reason}", path=target) from None
+    except HumansimError as error:
+        raise CameraError(error.message, path=error.path) from None
+    except OSError as reason:  # of the folder
+        raise CameraError(f"cannot be written: {reason.strerror or reason}", path=target) from None
+    except UnicodeEncodeError:
+        raise CameraError("cannot be written: a name has an incomplete character", path=target) from None
     return list(texts)
 
 

@@ -117,6 +117,7 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
 
     Raises:
         MotionError: A BVH file cannot hold a name or a number of the motion.
+        HumansimError: The file cannot be written.
 
     Example:
         >>> from tempfile import TemporaryDirectory

@@ -372,7 +372,6 @@ def strange(kind: str) -> Mesh:
         "a flat one": lambda: replace(man, vertices=man.vertices * [1, 1, 0]),
         "a point": lambda: replace(man, vertices=0 * man.vertices),
         "faces without area": lambda: replace(man, faces=man.faces[:, [0, 0, 0, 0]]),
-        "astronomical": lambda: replace(man, vertices=1e200 * man.vertices),
         "with a far corner": lambda: replace(man, vertices=np.vstack([man.vertices[:-1], [[1e9, 0, 0]]])),
     }
     return made[kind]()
@@ -394,7 +393,6 @@ def strange(kind: str) -> Mesh:
         ("a flat one", "flat"),
         ("a point", "has no size|no area"),
         ("faces without area", "no area"),
-        ("astronomical", "a size out of range"),
         ("with a far corner", "flat"),
     ],
 )

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from stand_ins import motion_path
 
-from humansim_ros.errors import HumansimWarning, MotionError
+from humansim_ros.errors import HumansimError, HumansimWarning, MotionError
 from humansim_ros.motion import Motion, read_bvh, write_bvh
 from humansim_ros.motion.kinematics import CHANNEL_NAMES
 from humansim_ros.types import Array
@@ -763,6 +763,6 @@ def test_bvhio_reads_written_files(tmp_path: Path) -> None:
 def test_a_write_that_fails_leaves_nothing_behind(tmp_path: Path) -> None:
     motion = read(tmp_path, GOOD)
     (tmp_path / "folder").mkdir()
-    with pytest.raises(OSError):
+    with pytest.raises(HumansimError, match="cannot be written"):
         write_bvh(tmp_path / "folder", motion)  # a folder of that name is in the way
     assert sorted(p.name for p in tmp_path.iterdir()) == ["folder", "motion.bvh"]

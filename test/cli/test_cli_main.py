@@ -147,5 +147,5 @@ def test_negative_numbers_and_sizes_need_no_quotes(
 
 
 def test_run_says_how_sure_the_joints_are(capsys: pytest.CaptureFixture[str]) -> None:
-    _describe(Scene.load())
+    _describe(Scene.load(), "")
     assert "walk.bvh (biovision joints, matched by names, confidence 100%, y up, " in capsys.readouterr().out

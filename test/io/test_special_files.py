@@ -336,7 +336,14 @@ def test_a_file_up_to_the_limit_is_read(tmp_path: Path) -> None:
 
 def test_every_reader_opens_files_in_one_place() -> None:
     """No other module opens a file that a user names; these open files of the package or of the system."""
-    own = ("io/files.py", "resources.py", "ros/cpu_time.py", "render/programs.py", "body/landmarks.py")
+    own = (
+        "io/files.py",
+        "resources.py",
+        "ros/cpu_time.py",
+        "ros/shared_memory.py",
+        "render/programs.py",
+        "body/landmarks.py",
+    )
     calls = (".read_bytes()", ".read_text(", '.open("rb"', "np.load(path", "cv2.imread(", "np.fromfile(")
     found = [
         f"{path.relative_to(ROOT / 'humansim_ros')}: {call}"

@@ -94,13 +94,13 @@ def test_without_shared_memory_nothing_is_removed(folder: Path, monkeypatch: pyt
     remove_dead_files()
 
 
-def test_a_process_owns_what_it_has_locked_not_what_it_reads(ros: None) -> None:
+def test_a_process_owns_the_segment_and_the_port_of_its_participant(ros: None) -> None:
     client = Client("owner")
     assert client.spin_until(lambda: [name for name in owned_names(os.getpid()) if "port" in name])
     own = owned_names(os.getpid())
     mapped = Path("/proc/self/maps").read_text()
     assert all(f"/dev/shm/{name}\n" in mapped for name in own)
-    assert len([name for name in own if "port" not in name]) in (1, 2)  # rmw adds its own for LOCALHOST
+    assert any("port" not in name for name in own), "a segment for its messages"
     client.close()
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import numpy as np
 from pydantic import ValidationError
@@ -76,29 +75,25 @@ def read_material(gltf: Gltf, number: int | None, has_uv: bool) -> Material:
 
 def read_image(gltf: Gltf, info: TextureInfo) -> Image | None:
     """Image (H, W, 3) of a texture; None if it has none. Raises MeshError with the key if it is damaged."""
-    source = gltf.texture_image(info.index)
-    if source is None:
-        return None
-    with _errors_of(gltf, source):
-        return gltf.decoded_images.get(source, lambda: gltf.image(source))
+    return _decoded(gltf, info, gltf.decoded_images.get)
 
 
 def _read_alpha(gltf: Gltf, info: TextureInfo) -> Image | None:
     """Alpha channel (H, W) of a texture; None if it has none. Raises MeshError as :func:`read_image`."""
+    return _decoded(gltf, info, gltf.decoded_images.alpha)
+
+
+def _decoded(
+    gltf: Gltf, info: TextureInfo, decode: Callable[[int, Callable[[], bytes]], Image | None]
+) -> Image | None:
+    """Result of ``decode`` for the image of a texture, with path and key in errors."""
     source = gltf.texture_image(info.index)
     if source is None:
         return None
-    with _errors_of(gltf, source):
-        return gltf.decoded_images.alpha(source, lambda: gltf.image(source))
-
-
-@contextmanager
-def _errors_of(gltf: Gltf, image: int) -> Iterator[None]:
-    """Add the path, and the key of an image, to errors."""
     try:
-        yield
+        return decode(source, lambda: gltf.image(source))
     except MeshError as error:
-        raise MeshError(error.message, path=gltf.path, key=error.key or f"images.{image}") from None
+        raise MeshError(error.message, path=gltf.path, key=error.key or f"images.{source}") from None
 
 
 def texture_transform(gltf: Gltf, info: TextureInfo) -> TextureTransform | None:

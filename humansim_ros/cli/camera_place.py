@@ -23,7 +23,7 @@ from humansim_ros.cli.options import (
     UnitOption,
     UpOption,
 )
-from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
+from humansim_ros.cli.output import check_output, print_text, print_warning, to_json
 from humansim_ros.errors import CameraError, HumansimError
 
 if TYPE_CHECKING:
@@ -206,8 +206,7 @@ def place(
         from humansim_ros.drawing.canvas import write_png
         from humansim_ros.drawing.rigs import rig_image
 
-        with report_write_errors(plot):
-            write_png(plot, rig_image(placed, found.points))
+        write_png(plot, rig_image(placed, found.points))
     written = [str(path) for path in (output, plot) if path is not None]
     _warn(placed, facts)
     if as_json:
@@ -392,7 +391,7 @@ def _rig_section(
 def _write(path: Path, text: str) -> None:
     from humansim_ros.io.files import atomic_path
 
-    with report_write_errors(path), atomic_path(path) as temporary:
+    with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 

@@ -182,8 +182,7 @@ def plot(
     cameras = select_cameras(read_cameras(files, size, image, unit, up), camera, files[0])
     _warn_of_one_position(cameras)
     drawing = coverage_image(cameras, at, stature, area) if coverage else rig_image(cameras)
-    with report_write_errors(output):
-        write_png(output, drawing)
+    write_png(output, drawing)
     print_text(f"wrote {output}")
 
 
@@ -257,7 +256,7 @@ def _convert_image(ideal: Ideal, path: Path, target: Path, nearest: bool) -> Non
     encoded, content = cv2.imencode(path.suffix, converted, quality)
     if not encoded:
         raise CameraError("the converted image cannot be encoded", path=path)
-    with report_write_errors(target), atomic_path(target) as temporary:
+    with atomic_path(target) as temporary:
         temporary.write_bytes(content.tobytes())
 
 
@@ -298,7 +297,7 @@ def _write_rig(
         print_warning(f"the lowest camera is {-low:.2f} m below the floor")
     scene = output / "scene.yaml"
     text = _scene_text(cameras, look_at, radius) + SCENE.write(cameras)[""]
-    with report_write_errors(scene), atomic_path(scene) as temporary:
+    with atomic_path(scene) as temporary:
         temporary.write_text(text, encoding="utf-8")
     print_text(f"wrote {scene}; try: humansim run {scene}")
     with warnings.catch_warnings():

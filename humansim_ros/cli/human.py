@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from humansim_ros.cli.options import JsonOption
-from humansim_ros.cli.output import check_output, print_text, report_write_errors, to_json
+from humansim_ros.cli.output import check_output, print_text, to_json
 from humansim_ros.errors import HumansimError, MeshError
 from humansim_ros.resources import resource_path
 
@@ -205,8 +205,7 @@ def _load(name: str, outfit: str | None = None) -> Human:
 def _write(human: Human, output: Path, preview: Path | None) -> None:
     from humansim_ros.humans.human import write_human
 
-    with report_write_errors(output):
-        write_human(output, human)
+    write_human(output, human)
     print_text(f"wrote {output}")
     if preview is not None:
         _draw(human, preview)
@@ -216,8 +215,7 @@ def _draw(human: Human, output: Path) -> None:
     from humansim_ros.drawing.canvas import write_png
     from humansim_ros.drawing.humans import human_sheet
 
-    with report_write_errors(output):
-        write_png(output, human_sheet(human))
+    write_png(output, human_sheet(human))
     print_text(f"wrote {output}")
 
 

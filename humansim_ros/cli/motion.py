@@ -17,7 +17,6 @@ from humansim_ros.cli.output import (
     print_text,
     print_warning,
     progress_bar,
-    report_write_errors,
     to_json,
 )
 from humansim_ros.errors import HumansimError, MotionError
@@ -197,8 +196,7 @@ def retarget(
         posed = retargeter.pose(poses)
     bones = PosedBones(skeleton, posed, motion.frame_time)
     if output is not None:
-        with report_write_errors(output):
-            write_bones(output, bones)
+        write_bones(output, bones)
         print_text(f"wrote {output}: {len(posed)} frames of {len(skeleton)} bones")
     elif as_json:
         print_text(to_json(bones.to_dicts()[0]))
@@ -227,8 +225,7 @@ def table(
     if output is None:
         print_text(table_text(match, motion).rstrip())
         return
-    with report_write_errors(output):
-        write_table(match, motion, output)
+    write_table(match, motion, output)
     print_text(f"wrote {output}; use it with --joint-names {output}")
 
 
@@ -306,8 +303,7 @@ def render(
         if output.suffix.lower() != ".png" and motion.duration > seconds:
             print_warning(f"only the first {seconds:g} s of {motion.duration:g} s are drawn (--seconds)")
         title = f"{Path(motion.path).stem}: {motion.n_frames} frames, {motion.duration:.2f} s"
-        with report_write_errors(output):
-            write_motion_image(output, artists, title, phases, rate, seconds, progress_bar)
+        write_motion_image(output, artists, title, phases, rate, seconds, progress_bar)
     finally:
         for artist in artists:
             artist.close()

@@ -26,7 +26,7 @@ def check_output(output: Path) -> None:
 
 @contextmanager
 def report_write_errors(output: Path) -> Iterator[None]:
-    """Convert errors of writing a file to HumansimError with the file."""
+    """Convert errors of the system about an output to HumansimError with its path."""
     try:
         yield
     except OSError as reason:

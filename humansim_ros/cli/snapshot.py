@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from humansim_ros.cli.output import check_output, print_text, report_write_errors
+from humansim_ros.cli.output import check_output, print_text
 from humansim_ros.errors import HumansimError
 
 
@@ -36,8 +36,7 @@ def snapshot(
     words = [word.strip() for word in channels.replace(" ", ",").split(",") if word.strip()]
     chosen = ALL_CHANNELS if words == ["all"] else tuple(words)
     image = draw(Scene.load(scene), time, chosen, width, not no_joints)
-    with report_write_errors(output):
-        write_png(output, image)
+    write_png(output, image)
     print_text(f"wrote {output}: {image.shape[1]}x{image.shape[0]} pixels")
 
 

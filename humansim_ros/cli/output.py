@@ -76,7 +76,7 @@ def _writing_output() -> Iterator[None]:
 
 
 def give_up_output() -> None:
-    """Drop what is left for standard output: Python must not try to write it again when it ends."""
+    """Drop the rest of standard output: Python must not try to write it again when it ends."""
     if sys.stdout is not None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 

@@ -53,8 +53,8 @@ class GuardedNode(Node):
         Each source has at most one line per second. The traceback is logged at debug level.
 
         Args:
-            source: What failed, such as ``topic /humans/first/motion``.
-            consequence: What is ignored because of it.
+            source: The failed part, such as ``topic /humans/first/motion``.
+            consequence: The effect, such as ``the message is ignored``.
         """
         fault = Fault()
         try:

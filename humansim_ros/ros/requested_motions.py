@@ -1,4 +1,4 @@
-"""Motions that requests over the network name: which files they may name, and what answers say about them.
+"""Motions that requests over the network name: permitted files, and the content of answers.
 
 A peer learns nothing about other files of the machine: neither their content nor whether they exist.
 """
@@ -60,7 +60,7 @@ class RequestedMotions(SceneSource):
         """Read a motion that a request names.
 
         Raises:
-            MotionError: The name is not allowed, or the file cannot be read. What is wrong in it is shown on
+            MotionError: The name is not allowed, or the file cannot be read. The reason is shown on
                 this machine only, as a HumansimWarning.
         """
         if name == LIVE or name in built_in_names("motions") or name in self.objects:

@@ -73,7 +73,7 @@ class SharedMemoryFiles:
         self._next = time.monotonic() + _INTERVAL
 
     def remove(self, pids: Iterable[int]) -> None:
-        """Remove what dead processes have left."""
+        """Remove the files that dead processes have left."""
         for pid in pids:
             for name in self._names.pop(pid, ()):
                 _remove(name)

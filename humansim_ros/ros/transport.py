@@ -35,7 +35,7 @@ class Transport:
     Attributes:
         environment: Environment variables that set it.
         reach: Who can find the nodes, for people.
-        warning: What too little shared memory costs, and what to do; empty if there is enough.
+        warning: Effect of too little shared memory, and the remedy; empty if there is enough.
     """
 
     environment: dict[str, str]

@@ -30,20 +30,13 @@ _MAX_LOST, _LATE_AFTER = 0.05, 5
 _CLOCK_CHECK_EVERY = 5.0
 
 
-class SceneNode(GuardedNode):
-    """Node with a scene: the one it is given, or that of parameter ``scene``."""
+class SuiteNode(GuardedNode):
+    """Node of the package: described parameters, latched topics, diagnostics, and timers that go on."""
 
-    def __init__(self, name: str, scene: Scene | None = None, **options: Any) -> None:
+    def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         #: Nobody can set this clock, so that timers go on when the system clock is set back.
         self._steady_clock = Clock(clock_type=ClockType.STEADY_TIME)
-        path = self.text_parameter("scene", "", "Scene file (YAML); empty: the demo scene")
-        if scene is None:
-            with warnings.catch_warnings():
-                if WARNINGS_SHOWN in os.environ:
-                    warnings.simplefilter("ignore", HumansimWarning)
-                scene = Scene.load(path or None)
-        self.scene = scene
         self._lateness: dict[str, list[float]] = {}
         self._late_seconds = 0
         #: Why frames are dropped, for the log.
@@ -56,7 +49,7 @@ class SceneNode(GuardedNode):
         self.create_timer(1.0, self.neighbours.check, clock=self._steady_clock)
 
     @property
-    def nodes(self) -> Sequence[SceneNode]:
+    def nodes(self) -> Sequence[SuiteNode]:
         """Nodes to spin: this one, and nodes that it has created."""
         return [self]
 
@@ -131,12 +124,6 @@ class SceneNode(GuardedNode):
                 for parameter in parameter_list
             ]
         )
-
-    def make_renderer(self) -> Any:
-        """Create the renderer of the scene on the GPU of parameter ``device``."""
-        description = "EGL device index of the GPU to render on; -1: the first that works"
-        device = int(self.described_parameter("device", -1, description, read_only=True))
-        return self.scene.make_renderer(None if device < 0 else device)
 
     def publish_latched(self, message: Any, topic: str) -> None:
         """Publish a message that late joiners get, too."""
@@ -249,6 +236,31 @@ class SceneNode(GuardedNode):
             )
         self._counts = dict.fromkeys(self._counts, 0)
         self._lateness = {}
+
+
+def loaded_scene(path: str) -> Scene:
+    """Load a scene for a node; the demo scene if ``path`` is empty. Warnings that the parent of the node has
+    shown are not repeated.
+    """
+    with warnings.catch_warnings():
+        if WARNINGS_SHOWN in os.environ:
+            warnings.simplefilter("ignore", HumansimWarning)
+        return Scene.load(path or None)
+
+
+class SceneNode(SuiteNode):
+    """Node with a scene: the one it is given, or that of parameter ``scene``."""
+
+    def __init__(self, name: str, scene: Scene | None = None, **options: Any) -> None:
+        super().__init__(name, **options)
+        path = self.text_parameter("scene", "", "Scene file (YAML); empty: the demo scene")
+        self.scene = loaded_scene(path) if scene is None else scene
+
+    def make_renderer(self) -> Any:
+        """Create the renderer of the scene on the GPU of parameter ``device``."""
+        description = "EGL device index of the GPU to render on; -1: the first that works"
+        device = int(self.described_parameter("device", -1, description, read_only=True))
+        return self.scene.make_renderer(None if device < 0 else device)
 
 
 def _as_float(parameter: Parameter) -> Parameter:

@@ -28,7 +28,8 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
     scene = LaunchConfiguration("scene").perform(context)
     number = whole_number("processes", LaunchConfiguration("processes").perform(context))
     frame_prefix = LaunchConfiguration("frame_prefix").perform(context)
-    processes = scene_processes(scene, number, frame_prefix=frame_prefix)
+    only = LaunchConfiguration("only").perform(context)
+    processes = scene_processes(scene, number, frame_prefix=frame_prefix, only=only)
     remove_dead_files()
     transport = choose_transport(len(processes))
     warnings = [LogInfo(msg=f"warning: {transport.warning}")] if transport.warning else []
@@ -64,6 +65,11 @@ def generate_launch_description() -> LaunchDescription:
                 "processes",
                 default_value="",
                 description="Number of processes that share the cameras; empty: one per core",
+            ),
+            DeclareLaunchArgument(
+                "only",
+                default_value="",
+                description="Nodes to start here, such as player,skinners or cameras; empty: all",
             ),
             DeclareLaunchArgument("namespace", default_value="", description="Namespace of all nodes"),
             DeclareLaunchArgument(

@@ -290,6 +290,35 @@ def test_cameras_are_spread_evenly_over_as_many_processes_as_there_are_cores(
     assert processes.render_threads(scene_processes(path, 5)) == {"OPENCV_FOR_THREADS_NUM": "1"}
 
 
+def test_only_some_nodes_of_a_scene_are_started(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text("humans: {anna: {}, bob: {}}\ncameras: {a: {}, b: {}, c: {}, cameras: {}}")
+
+    def started(only: str) -> list[tuple[str, ...]]:
+        return [process.visible_nodes for process in scene_processes(path, 2, only=only)]
+
+    player, skinners = [("motion_player",)], [("skinner_anna",), ("skinner_bob",)]
+    assert started("") == started(" ") == [*player, *skinners, ("a", "c"), ("b", "cameras")]
+    assert started("player,skinners") == started("skinners, motion_player") == [*player, *skinners]
+    assert started("skinner_bob,c") == [("skinner_bob",), ("c",)]
+    assert started("a,b,c,c") == [("a", "c"), ("b",)]
+    assert started("cameras") == [("cameras",)]  # a camera of this name
+    with pytest.raises(RosError, match=r"scene.yaml: no node 'skiners'.*did you mean 'skinners'"):
+        started("player,skiners")
+    with pytest.raises(RosError, match="no node '' to start"):
+        started("player,")
+    path.write_text("cameras: {a: {}}")
+    with pytest.raises(RosError, match="the scene has no skinners"):
+        started("skinners")
+
+
+def test_camera_processes_of_several_hosts_have_different_names(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text("cameras: {a: {}, b: {}, c: {}, d: {}}")
+    hosts = [scene_processes(path, 1, only=only)[0].node_name for only in ("a,b", "c,d")]
+    assert hosts == ["_camera_rig_1", "_camera_rig_3"]
+
+
 def test_parameters_reach_a_node_as_strings(tmp_path: Path) -> None:
     """The command line keeps names that YAML would convert, and paths with spaces."""
     rclpy = pytest.importorskip("rclpy")
@@ -382,7 +411,7 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     spec.loader.exec_module(launch_file)
 
     *arguments, opaque = launch_file.generate_launch_description()
-    names = ["scene", "processes", "namespace", "frame_prefix", "respawn"]
+    names = ["scene", "processes", "only", "namespace", "frame_prefix", "respawn"]
     assert [argument.args for argument in arguments] == [(name,) for name in names]
     defaults = {name: argument.default_value for name, argument in zip(names, arguments, strict=True)}
     for number in (None, 3):
@@ -400,6 +429,8 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
             assert node.on_exit(types.SimpleNamespace(returncode=2), configuration)  # wrong input: all stop
             assert not node.on_exit(types.SimpleNamespace(returncode=-9), configuration)
             assert node.namespace == ""
+    nodes = opaque.function({**defaults, "only": "camera_1, skinners"})
+    assert [node.executable for node in nodes] == ["skinner", "camera"]
     # launch prints the message of an exception
     for number in ("x", "0", "-1", "2.5"):
         with pytest.raises(RosError, match=f"launch argument processes must be .*, not '{number}'"):

@@ -54,6 +54,13 @@ def run(
         int | None,
         typer.Option(help="Number of processes that share the cameras; one per core if absent.", min=1),
     ] = None,
+    only: Annotated[
+        str,
+        typer.Option(
+            help="Nodes to start here, such as player,skinners; other hosts start the others, such as "
+            "cameras or camera_1,camera_2. All if absent."
+        ),
+    ] = "",
     namespace: Annotated[str, typer.Option(help="ROS namespace of all nodes and topics.")] = "",
     frame_prefix: Annotated[
         str, typer.Option(help="Text before the optical frames of the cameras, such as lab/.")
@@ -86,15 +93,16 @@ def run(
         namespace = relative_namespace(namespace)
         _describe(loaded, namespace)
         warn_about_mistakes(loaded, options)
-        node_processes = scene_processes(path, processes, namespace, frame_prefix)
+        node_processes = scene_processes(path, processes, namespace, frame_prefix, only)
         transport = prepare_transport(len(node_processes) + 1, network)
         with Supervisor(node_processes) as nodes:
             try:
-                names = ", ".join(name for process in node_processes for name in process.visible_nodes)
-                print_text(f"starting {names}; Ctrl-C stops")
+                names = [name for process in node_processes for name in process.visible_nodes]
+                print_text(f"starting {', '.join(names)}; Ctrl-C stops")
                 print_text(transport.reach)
-                first = FirstImages(list(loaded.cameras), list(loaded.actors), start, namespace)
-                nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
+                if cameras := [name for name in loaded.cameras if name in names]:
+                    first = FirstImages(cameras, list(loaded.actors), start, namespace)
+                    nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
                 dead = nodes.wait(None if duration is None else time.monotonic() + duration, respawn)
             except Stopped:
                 dead = None

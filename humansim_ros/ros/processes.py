@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from humansim_ros.errors import RosError
-from humansim_ros.scene.names import PLAYER_NODE, read_names, skinner_node
+from humansim_ros.errors import RosError, did_you_mean
+from humansim_ros.scene.names import PLAYER_NODE, SceneNames, read_names, skinner_node
 
 #: Environment variable of nodes whose parent has shown the warnings of the scene.
 WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
@@ -19,6 +19,8 @@ WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
 RIG_NODE = "_camera_rig"
 #: Exit code of a node that has reported wrong input: another start would report it again.
 WRONG_INPUT = 2
+#: Names for several nodes of a scene, or for one without its name.
+_PLAYER, _SKINNERS, _CAMERAS = "player", "skinners", "cameras"
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,11 @@ class NodeProcess:
     parameters: Mapping[str, str | bool | float | list[str]]
     log_level: str = "info"
     namespace: str = ""
+
+    @property
+    def renders(self) -> bool:
+        """Whether its nodes are cameras."""
+        return self.executable in ("camera", "camera_rig")
 
     @property
     def visible_nodes(self) -> tuple[str, ...]:
@@ -86,6 +93,7 @@ def scene_processes(
     processes: int | None = None,
     namespace: str = "",
     frame_prefix: str = "",
+    only: str = "",
 ) -> list[NodeProcess]:
     """List the processes of a scene: motion player, one skinner per human, and camera processes.
 
@@ -94,34 +102,65 @@ def scene_processes(
         processes: Number of processes that share the cameras; one per core if None.
         namespace: ROS namespace of all nodes.
         frame_prefix: Text before the optical frames of all cameras.
+        only: Nodes to list, separated by commas: ``player``, ``skinners``, ``cameras`` and names of nodes;
+            empty: all nodes.
 
     Raises:
-        HumansimError: A name of the scene, or the namespace, is not valid in ROS.
+        HumansimError: A name of the scene, or the namespace, is not valid in ROS; or the scene has no node of
+            a name in ``only``.
     """
     path = Path(scene_path).resolve()
     names = read_names(path)
+    chosen = _chosen_nodes(names, only, path)
+    # with their numbers in the scene: on several hosts, no two processes have a number in common
+    cameras = [(i, name) for i, name in enumerate(names.cameras, 1) if name in chosen]
     namespace = relative_namespace(namespace)
     scene: dict[str, str | bool] = {"scene": str(path)}
     of_cameras = {**scene, **({"frame_prefix": frame_prefix} if frame_prefix else {})}
     listed = [
         NodeProcess("motion_player", PLAYER_NODE, scene),
         *(NodeProcess("skinner", skinner_node(name), {**scene, "human": name}) for name in names.humans),
-        *_camera_processes(names.cameras, cores() if processes is None else processes, of_cameras),
+        *_camera_processes(cameras, cores() if processes is None else processes, of_cameras),
     ]
-    return [replace(process, namespace=namespace) for process in listed]
+    here = [process for process in listed if process.node_name in chosen or process.renders]
+    return [replace(process, namespace=namespace) for process in here]
+
+
+def _chosen_nodes(names: SceneNames, only: str, path: Path) -> set[str]:
+    """Names of the nodes of a scene that ``only`` names, all if it is empty. Raises RosError."""
+    groups = {
+        _PLAYER: [PLAYER_NODE],
+        _SKINNERS: [skinner_node(name) for name in names.humans],
+        _CAMERAS: list(names.cameras),
+    }
+    nodes = {name: [name] for group in groups.values() for name in group}
+    known = {**groups, **nodes}  # a camera may be called cameras: the node of a name has priority
+    if not only.strip():
+        return set(nodes)
+    chosen: set[str] = set()
+    for name in (each.strip() for each in only.split(",")):
+        if name not in known:
+            names_here = f"the names are {', '.join(known)}{did_you_mean(name, known)}"
+            raise RosError(f"no node {name!r} to start only: {names_here}", path=path)
+        chosen.update(known[name])
+    if not chosen:
+        raise RosError(f"no node to start: the scene has no {only.strip()}", path=path)
+    return chosen
 
 
 def _camera_processes(
-    cameras: Sequence[str], processes: int, scene: Mapping[str, str | bool]
+    cameras: Sequence[tuple[int, str]], processes: int, scene: Mapping[str, str | bool]
 ) -> Iterator[NodeProcess]:
+    """``cameras``: number and name of each."""
     count = min(processes, len(cameras))
     scene = {**scene, "start_scene": False}  # the skinners will come
     for i in range(count):
-        names = list(cameras[i::count])
+        number = cameras[i][0]
+        names = [name for _, name in cameras[i::count]]
         if len(names) == 1:
             yield NodeProcess("camera", names[0], {**scene, "camera": names[0]})
         else:
-            yield NodeProcess("camera_rig", f"{RIG_NODE}_{i + 1}", {**scene, "cameras": names})
+            yield NodeProcess("camera_rig", f"{RIG_NODE}_{number}", {**scene, "cameras": names})
 
 
 def render_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
@@ -130,7 +169,7 @@ def render_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
     By default Mesa without a GPU, and OpenCV, start one thread per core in each process. Variables that the
     user has set are left out.
     """
-    rendering = sum(process.executable in ("camera", "camera_rig") for process in processes)
+    rendering = sum(process.renders for process in processes)
     share = max(1, cores() // max(1, rendering))
     threads = {
         # 0: render in the calling thread. Waiting for a single other thread costs a tenth more

@@ -40,7 +40,14 @@ REQUIRES = [
 
 EXTRAS = {
     # Exactly these: without the pins pip mixes in Kilted wheels, and rclpy stops working.
-    "ros": ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"],
+    "ros": [
+        "ros-jazzy-rclpy[fastrtps]==7.1.6",
+        "ros-jazzy-common-interfaces==5.3.6",
+        "mcap>=1.1",
+        "rosbags>=0.10.6",
+    ],
+    # writing and reading of bags; mcap brings zstandard and lz4
+    "record": ["mcap>=1.1", "rosbags>=0.10.6"],
     "test": [
         "bvhio",
         "colcon-common-extensions",
@@ -48,6 +55,7 @@ EXTRAS = {
         "embreex",
         "hypothesis",
         "lxml>=4.9",
+        "mcap>=1.1",
         "mypy",
         "networkx>=2.8",
         "OpenEXR>=3.3",

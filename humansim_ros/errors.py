@@ -118,6 +118,10 @@ class RosError(HumansimError):
     """ROS 2 is not installed or cannot be reached."""
 
 
+class BagError(HumansimError):
+    """A bag cannot be written or read."""
+
+
 def warn_about(path: str | os.PathLike[str], message: str) -> None:
     """Issue a HumansimWarning about a file that is usable but doubtful."""
     warnings.warn(f"{os.fspath(path)}: {message}", HumansimWarning, stacklevel=3)

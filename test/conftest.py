@@ -32,7 +32,7 @@ SHARED_DATA = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shar
 #: them, and `colcon test` has to pass without.
 TEST_PACKAGES = {
     "DracoPy", "OpenEXR", "OpenGL", "bvhio", "catkin_pkg", "collada", "colcon_core", "embreex", "hypothesis",
-    "lxml", "mypy", "networkx", "pycollada", "pyrender", "rosbags", "rtree",
+    "lxml", "mcap", "mypy", "networkx", "pycollada", "pyrender", "rosbags", "rtree",
 }  # fmt: skip
 
 with suppress(ImportError):

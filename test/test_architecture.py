@@ -30,6 +30,7 @@ LAYERS = (
     ("body",),
     ("camera",),
     ("mesh",),
+    ("bags",),
     ("io",),
 )
 #: Modules of the top level, which every folder may import.

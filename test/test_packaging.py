@@ -106,7 +106,9 @@ def test_package_xml_has_the_packages_of_ros_that_the_code_imports() -> None:
 
 def test_a_colcon_workspace_gets_every_requirement_from_rosdep_or_from_pip() -> None:
     """tomli is for Pythons that are older than that of Jazzy."""
-    names = {re.split("[<>=;]", line)[0] for line in setup_constants()["REQUIRES"]} - {"tomli"}
+    constants = setup_constants()
+    required = [*constants["REQUIRES"], *constants["EXTRAS"]["record"]]
+    names = {re.split("[<>=;]", line)[0] for line in required} - {"tomli"}
     keys = {"opencv-python-headless": "opencv", "pyyaml": "yaml"}
     of_rosdep = {name for name in names if f"python3-{keys.get(name, name)}" in dependencies("exec_depend")}
     lines = (ROOT / "requirements-colcon.txt").read_text().splitlines()
@@ -185,13 +187,15 @@ def test_workflow_runs_the_versions_of_the_noxfile() -> None:
 def test_colcon_requirements_agree_with_setup() -> None:
     lines = (ROOT / "requirements-colcon.txt").read_text().splitlines()
     requirements = {line for line in lines if line and not line.startswith("#")}
-    assert requirements <= set(setup_constants()["REQUIRES"])
+    constants = setup_constants()
+    assert requirements <= {*constants["REQUIRES"], *constants["EXTRAS"]["record"]}
 
 
 def test_ros_is_pinned_to_jazzy_and_never_required() -> None:
     constants = setup_constants()
     pins = ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"]
-    assert constants["EXTRAS"]["ros"] == pins
+    assert constants["EXTRAS"]["ros"] == [*pins, *constants["EXTRAS"]["record"]]
+    assert set(constants["EXTRAS"]["record"]) <= set(constants["EXTRAS"]["test"])
     assert not [name for name in constants["REQUIRES"] if name.startswith(("ros-", "rclpy"))]
 
 

@@ -1,0 +1,169 @@
+"""Topics of a bag: name, type, QoS, and the definition and hash of the type."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from humansim_ros.bags.libraries import needs_libraries
+from humansim_ros.errors import BagError, warn_about
+
+if TYPE_CHECKING:
+    from rosbags.typesys.store import Typestore
+
+_NAME = re.compile(r"(/[A-Za-z_][A-Za-z0-9_]*)+")
+_TYPE = re.compile(r"[a-z][a-z0-9_]*(/[a-z]+)?/[A-Z][A-Za-z0-9]*")
+#: Duration that means no limit, as Fast DDS and rosbag2 write it.
+_INFINITE = {"sec": 9223372036, "nsec": 854775807}
+
+
+@dataclass(frozen=True)
+class Qos:
+    """Quality of service that a publisher of a topic offered; all other policies have their defaults."""
+
+    reliable: bool = True
+    transient_local: bool = False
+    depth: int = 10
+    keep_all: bool = False
+
+    def as_yaml(self) -> dict[str, Any]:
+        """Policies as in ``metadata.yaml`` of version 9."""
+        return {
+            "history": "keep_all" if self.keep_all else "keep_last",
+            "depth": self.depth,
+            "reliability": "reliable" if self.reliable else "best_effort",
+            "durability": "transient_local" if self.transient_local else "volatile",
+            "deadline": dict(_INFINITE),
+            "lifespan": dict(_INFINITE),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": dict(_INFINITE),
+            "avoid_ros_namespace_conventions": False,
+        }
+
+    @classmethod
+    def from_yaml(cls, policies: dict[str, Any]) -> Qos:
+        """Read policies of ``metadata.yaml``; numbers stand for names up to version 8."""
+        return cls(
+            reliable=policies.get("reliability") not in ("best_effort", 2),
+            transient_local=policies.get("durability") in ("transient_local", 1),
+            depth=int(policies.get("depth", 10)),
+            keep_all=policies.get("history") in ("keep_all", 2),
+        )
+
+
+@dataclass(frozen=True)
+class BagTopic:
+    """A topic of a bag.
+
+    ``type`` is a full name such as ``sensor_msgs/msg/Image``. ``definition`` is the text of the message type
+    with all types that it contains (ros2msg), ``type_hash`` its hash (RIHS01); both are empty if unknown.
+    """
+
+    name: str
+    type: str
+    qos: tuple[Qos, ...] = ()
+    definition: str = ""
+    type_hash: str = ""
+
+
+def check_topics(topics: Sequence[BagTopic]) -> None:
+    """Check names and types.
+
+    Raises:
+        BagError: A name is no absolute topic name, a type no message type, or a name occurs twice.
+    """
+    names = set[str]()
+    for topic in topics:
+        if not _NAME.fullmatch(topic.name):
+            raise BagError("not an absolute topic name, such as /camera/image_raw", key=repr(topic.name))
+        if not _TYPE.fullmatch(topic.type):
+            raise BagError(
+                f"{topic.type!r} is not a message type, such as sensor_msgs/msg/Image", key=topic.name
+            )
+        if topic.name in names:
+            raise BagError("the topic is listed twice", key=topic.name)
+        names.add(topic.name)
+
+
+def described(topic: BagTopic) -> BagTopic:
+    """The topic with definition and hash of its type.
+
+    They come from rosbags' copy of the Jazzy messages, and are so the same on every machine; for other types
+    from the ``.msg`` files of installed packages. For an unknown type a HumansimWarning says so.
+
+    Raises:
+        HumansimError: The libraries of recording are not installed.
+    """
+    if topic.definition and topic.type_hash:
+        return topic
+    definition, type_hash = _description(topic.type)
+    if not definition:
+        warn_about(
+            topic.name,
+            f"no definition of {topic.type} found; the bag holds the messages without it. "
+            "Source the workspace that has the type",
+        )
+    return replace(topic, definition=definition, type_hash=type_hash)
+
+
+@cache
+def message_types() -> Typestore:
+    """The types that rosbags knows, with those that :func:`described` has found since."""
+    with needs_libraries():
+        from rosbags.typesys import Stores, get_typestore
+    return get_typestore(Stores.ROS2_JAZZY)
+
+
+@cache
+def _description(name: str) -> tuple[str, str]:
+    """Definition and hash of a message type; empty if the type is unknown."""
+    store = message_types()
+    package, _, base = name.rpartition("/")
+    name = name if package.endswith(("/msg", "/srv", "/action")) else f"{package}/msg/{base}"
+    if not _known(name, store):
+        return "", ""
+    return store.generate_msgdef(name, ros_version=2)[0], store.hash_rihs01(name)
+
+
+def _known(name: str, store: Typestore) -> bool:
+    """Whether the store has a type with all types that it contains; loads them from ``.msg`` files."""
+    from rosbags.typesys import TypesysError, get_types_from_msg
+
+    if name in store.fielddefs:
+        return True
+    path = _definition_file(name)
+    if path is None:
+        return False
+    try:
+        found = get_types_from_msg(path.read_text(encoding="utf-8"), name)
+    except (OSError, UnicodeDecodeError, TypesysError):
+        return False
+    contained = {part for _, fields in found.values() for _, field in fields for part in _names_in(field)}
+    if not all(_known(part, store) for part in contained - found.keys()):
+        return False
+    store.register(found)
+    return True
+
+
+def _names_in(field: Any) -> list[str]:
+    """Message types in the description of a field: (kind, content), where content may be a description."""
+    from rosbags.interfaces import Nodetype
+
+    kind, content = field
+    if kind == Nodetype.NAME:
+        return [content]
+    return _names_in(content[0]) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else []
+
+
+def _definition_file(name: str) -> Path | None:
+    """The ``.msg`` file of a type in the installed packages."""
+    package, kind, base = name.split("/")
+    prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
+    paths = (Path(prefix, "share", package, kind, f"{base}.msg") for prefix in prefixes)
+    return next((path for path in paths if path.is_file()), None)

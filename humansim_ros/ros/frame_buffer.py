@@ -49,7 +49,7 @@ class GivenUpFrame:
 
 
 class FrameBuffer:
-    """Holds frames until each topic has a message with their stamp.
+    """Holds frames until each required topic has a message with their stamp.
 
     At most eight incomplete frames are held. The first that are given up are far from the present: they have
     stamps of another clock, such as that of a host whose clock is ahead, and would never be complete. The
@@ -64,8 +64,8 @@ class FrameBuffer:
     """
 
     def __init__(self, topics: Collection[str], period: float) -> None:
-        """``period``: expected nanoseconds between frames."""
-        self._topics = list(topics)
+        """``topics``: required ones. ``period``: expected nanoseconds between frames."""
+        self._required = dict.fromkeys(topics)
         # that with the newest message last
         self._frames: dict[int, dict[str, Any]] = {}
         # stamp of the newest message of each topic, and its arrival in monotonic seconds
@@ -75,6 +75,13 @@ class FrameBuffer:
         self._intervals: deque[float] = deque([period] * _INTERVALS, maxlen=_INTERVALS)
         # last frame that was taken: its stamp, and the node's clock and the monotonic seconds at that time
         self._last: tuple[int, int, float] | None = None
+
+    def require(self, topic: str, required: bool) -> None:
+        """Set whether frames are complete only with a message of a topic."""
+        if required:
+            self._required[topic] = None
+        else:
+            self._required.pop(topic, None)
 
     @property
     def has_complete(self) -> bool:
@@ -93,7 +100,7 @@ class FrameBuffer:
         """Add the content of a message.
 
         Args:
-            topic: One of the topics.
+            topic: Topic of the message, required or not.
             stamp: Stamp of the message.
             content: What the message says.
             steady: Monotonic seconds.
@@ -142,7 +149,7 @@ class FrameBuffer:
         present, far = self._present(now, steady), self._far
         stamp = next((each for each in incomplete if abs(each - present) > far), incomplete[0])
         frame = self._frames.pop(stamp)
-        missing = [topic for topic in self._topics if topic not in frame]
+        missing = [topic for topic in self._required if topic not in frame]
         if abs(stamp - present) > far:
             offsets = dict.fromkeys(frame, (stamp - present) * 1e-9)
         else:
@@ -154,7 +161,7 @@ class FrameBuffer:
         return GivenUpFrame(missing, offsets)
 
     def _is_complete(self, stamp: int) -> bool:
-        return len(self._frames[stamp]) == len(self._topics)
+        return self._required.keys() <= self._frames[stamp].keys()
 
     def _present(self, now: int, steady: float) -> int:
         """Stamp of a frame that is sent now."""

@@ -9,7 +9,8 @@ from functools import cache, partial
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
-from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from rclpy.event_handler import QoSSubscriptionMatchedInfo, SubscriptionEventCallbacks
+from sensor_msgs.msg import MultiDOFJointState, PointCloud2, TimeReference
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
@@ -18,7 +19,7 @@ from humansim_ros.ros import messages
 from humansim_ros.ros.frame_buffer import FrameBuffer, GivenUpFrame
 from humansim_ros.ros.limits import deserialised
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA, NEWEST
+from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA, NEWEST, SCENE_TIME
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.state import JointMotion, SceneState
@@ -26,6 +27,8 @@ from humansim_ros.types import Float32Array
 
 #: Seconds without any vertices after which the scene at its start is shown.
 _START_SCENE_AFTER = 1.5
+#: Seconds that frames wait for the first scene time, if noise depends on it.
+_SCENE_TIME_WITHIN = 1.0
 #: Seconds after the start in which the other nodes may still be starting.
 _STARTING = 15.0
 
@@ -37,9 +40,12 @@ class FrameSynchronizer:
     """Subscribes to all humans, moving objects and some cameras, and passes complete frames on.
 
     Subscriptions: vertices and joints of every human, marker and twist of every moving object, pose and twist
-    of some cameras. Each finished frame is reported on ``frame_done``: the motion player sends a frame only
-    if all cameras have time for it, and every frame is passed on. If nobody listens to the reports, and
-    frames arrive faster than ``on_frame`` returns, the newest one is passed on.
+    of some cameras; and ``scene_time``, while it has a publisher. Without one, as when a recording of
+    vertices is played, the stamp is used as scene time.
+
+    Each finished frame is reported on ``frame_done``: the motion player sends a frame only if all cameras
+    have time for it, and every frame is passed on. If nobody listens to the reports, and frames arrive faster
+    than ``on_frame`` returns, the newest one is passed on.
 
     Until the first skinner publishes, the scene at its start is passed on, so that a camera alone shows
     something; not if parameter ``start_scene`` is false.
@@ -65,7 +71,11 @@ class FrameSynchronizer:
         humans, objects = list(self._scene.actors), list(self._scene.moving_objects)
         self._moving_cameras = list(moving_cameras)
         moving = [*(f"objects/{name}" for name in objects), *moving_cameras]
+        #: Topics of humans, objects and cameras.
         self._topics: list[str] = []
+        # first, so that it is read before the other messages of its frame
+        events = SubscriptionEventCallbacks(matched=self._on_scene_time_matched)
+        self._subscribe(TimeReference, SCENE_TIME, self._read_scene_time, event_callbacks=events)
         for human in humans:
             count = len(self._scene.actors[human].human.mesh.vertices)
             self._subscribe(
@@ -87,27 +97,29 @@ class FrameSynchronizer:
         for name in moving:
             self._subscribe(TwistStamped, f"{name}/twist", messages.read_twist)
         self._buffer = FrameBuffer(self._topics, self._scene.period * 1e9)
+        noisy = any(camera.sensor.config.noise for camera in self._scene.scene_cameras.values())
+        #: Whether a publisher of the scene time is known.
+        self._has_scene_time = False
+        self._require_scene_time(noisy)
+        #: Monotonic seconds of the first message.
+        self._first_message: float | None = None
         self._has_frames = False
         self._done = node.create_publisher(Header, "frame_done", DATA)
         self._alive = node.create_publisher(Header, CAMERA_ALIVE, ALIVE)
-        if not self._topics:  # nothing moves: the player gives the stamps alone
-            node.create_subscription(Header, "frame", self._on_static_frame, NEWEST)
         description = "Show the scene at its start while no vertices arrive"
         self._shows_start = bool(node.described_parameter("start_scene", True, description, read_only=True))
         self._started = time.monotonic()
         self._start_scene_logged = False
-        self._start_scene_timer = node.create_timer(self._scene.period, self._show_start_scene)
+        self._start_timer = node.create_timer(self._scene.period, self._await_first_frame)
 
-    def _subscribe(
-        self, message_type: Any, topic: str, read: Callable[[Any], Any], max_bytes: int | None = None
-    ) -> None:
+    def _subscribe(self, message_type: Any, topic: str, read: Callable[[Any], Any], **options: Any) -> None:
         """Store each message of a topic with the others of its stamp.
 
         Args:
             message_type: Type of the messages.
             topic: Topic name.
             read: Function that gives the content of a message.
-            max_bytes: Bytes of the longest message; that of its type if None.
+            options: Other options of ``create_subscription``.
         """
 
         def on_message(message: Any) -> None:
@@ -118,8 +130,25 @@ class FrameSynchronizer:
             else:
                 self._store(topic, messages.to_nanoseconds(message.header.stamp), content)
 
-        self._topics.append(topic)
-        self._node.create_subscription(message_type, topic, on_message, NEWEST, max_bytes=max_bytes)
+        if topic != SCENE_TIME:
+            self._topics.append(topic)
+        self._node.create_subscription(message_type, topic, on_message, NEWEST, **options)
+
+    def _on_scene_time_matched(self, publishers: QoSSubscriptionMatchedInfo) -> None:
+        self._has_scene_time = publishers.current_count > 0
+        self._require_scene_time(self._has_scene_time)
+
+    def _read_scene_time(self, message: TimeReference) -> int:
+        scene_time = messages.read_scene_time(message)
+        self._has_scene_time = True
+        self._require_scene_time(True)
+        return scene_time
+
+    def _require_scene_time(self, required: bool) -> None:
+        """Set whether frames wait for their scene time. If nothing moves, it is all that they wait for."""
+        self._buffer.require(SCENE_TIME, required or not self._topics)
+        if not required and self._buffer.has_complete:
+            self._schedule_next_frame()
 
     def _on_joints(self, topic: str, data: bytes) -> None:
         self._store(topic, messages.serialised_stamp(data), data)
@@ -142,6 +171,8 @@ class FrameSynchronizer:
     def _store(self, topic: str, stamp: int, content: Any) -> None:
         """Store the content of a message with the others of its stamp."""
         steady = time.monotonic()
+        if self._first_message is None:
+            self._first_message = steady
         if self._buffer.add(topic, stamp, content, steady):
             self._schedule_next_frame()
         elif frame := self._buffer.give_up(self._node.now(), steady):
@@ -156,7 +187,9 @@ class FrameSynchronizer:
         if not self._has_frames and time.monotonic() - self._started < _STARTING:
             return  # the skinners may be starting
         self._node.count("drops")
-        sources = dict.fromkeys(topic.rpartition("/")[0].removeprefix("humans/") for topic in frame.missing)
+        sources = dict.fromkeys(
+            topic.rpartition("/")[0].removeprefix("humans/") or topic for topic in frame.missing
+        )
         is_human = any(topic.startswith("humans/") for topic in frame.missing)
         node = "its skinner" if is_human else "the motion player"
         self._node.get_logger().warn(
@@ -190,46 +223,45 @@ class FrameSynchronizer:
         vertices = {human: content[f"humans/{human}/vertices"] for human in self._scene.actors}
         joints_of = cache(lambda human: self._read_joints(human, content[f"humans/{human}/joints"]))
         self._node.report_lateness(frame.stamp, "arrival")
-        self._pass_on(frame.stamp, vertices, joints_of, objects, cameras)
-        self._report_done(frame.stamp)
+        scene_time = content.get(SCENE_TIME, frame.stamp)
+        self._pass_on(frame.stamp, scene_time, vertices, joints_of, objects, cameras)
+        self._done.publish(messages.header(frame.stamp, self._reporter))
         if self._buffer.has_complete:
             self._schedule_next_frame()
 
-    def _report_done(self, stamp: int) -> None:
-        self._done.publish(messages.header(stamp, self._reporter))
-
-    def _on_static_frame(self, frame: Header) -> None:
-        """Show a scene in which nothing moves, at the stamps of the motion player."""
-        self._start_scene_timer.cancel()
-        stamp = messages.to_nanoseconds(frame.stamp)
-        self._pass_on(stamp, {}, _no_joints, {}, {})
-        self._report_done(stamp)
+    def _await_first_frame(self) -> None:
+        """Show the scene at its start until there are frames, and do not wait for ever for a scene time."""
+        if self._has_frames:
+            self._start_timer.cancel()
+            return
+        steady = time.monotonic()
+        if self._first_message is not None and steady - self._first_message > _SCENE_TIME_WITHIN:
+            self._require_scene_time(self._has_scene_time)
+        if self._shows_start and (steady - self._started > _START_SCENE_AFTER or not self._topics):
+            self._show_start_scene()
 
     def _show_start_scene(self) -> None:
-        has_sources = bool(self._topics)
-        waited = time.monotonic() - self._started > _START_SCENE_AFTER
-        if self._has_frames:
-            self._start_scene_timer.cancel()
-        elif self._shows_start and (waited or not has_sources):
-            if not self._start_scene_logged and has_sources:
-                self._start_scene_logged = True
-                self._node.get_logger().info("no vertices are published: showing the scene at its start")
-            states = {name: actor.at(0.0) for name, actor in self._scene.actors.items()}
-            objects = {
-                name: replace(moving.at(0.0), velocity=None)
-                for name, moving in self._scene.moving_objects.items()
-            }
-            self._pass_on(
-                self._node.now(),
-                {name: state.vertices for name, state in states.items()},
-                lambda human: JointMotion(states[human].joints, None, None),
-                objects,
-                {name: CameraPose.of(self._scene.cameras[name]) for name in self._moving_cameras},
-            )
+        if not self._start_scene_logged and self._topics:
+            self._start_scene_logged = True
+            self._node.get_logger().info("no vertices are published: showing the scene at its start")
+        states = {name: actor.at(0.0) for name, actor in self._scene.actors.items()}
+        objects = {
+            name: replace(moving.at(0.0), velocity=None)
+            for name, moving in self._scene.moving_objects.items()
+        }
+        self._pass_on(
+            self._node.now(),
+            0,
+            {name: state.vertices for name, state in states.items()},
+            lambda human: JointMotion(states[human].joints, None, None),
+            objects,
+            {name: CameraPose.of(self._scene.cameras[name]) for name in self._moving_cameras},
+        )
 
     def _pass_on(
         self,
         stamp: int,
+        scene_time: int,
         vertices: dict[str, Float32Array],
         joints_of: Callable[[str], JointMotion],
         objects: dict[str, ObjectPose],
@@ -240,6 +272,7 @@ class FrameSynchronizer:
             self._on_frame(
                 SceneState(
                     stamp=stamp,
+                    scene_time=scene_time,
                     scene=self._scene,
                     actors=actors,
                     vertices=vertices,
@@ -248,7 +281,3 @@ class FrameSynchronizer:
                     cameras=cameras,
                 )
             )
-
-
-def _no_joints(human: str) -> JointMotion:
-    raise KeyError(human)

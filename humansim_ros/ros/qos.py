@@ -30,6 +30,9 @@ NEWEST = _profile(3, QoSDurabilityPolicy.VOLATILE)
 #: Publishers of messages that are sent once; late joiners get the last one.
 LATCHED = _profile(1, QoSDurabilityPolicy.TRANSIENT_LOCAL)
 
+#: Topic with the scene time of each frame (sensor_msgs/TimeReference).
+SCENE_TIME = "scene_time"
+
 #: Topic without messages: its quality of service tells the motion player half a second after a camera process
 #: has died. Reports of cameras (``frame_done``) have none, because other nodes may report, too.
 CAMERA_ALIVE = "_camera_alive"

@@ -36,7 +36,7 @@ class Exposure:
 
 
 def capture(
-    renderer: Renderer, camera: SceneCamera, exposure: Exposure, channels: Collection[str], stamp: int
+    renderer: Renderer, camera: SceneCamera, exposure: Exposure, channels: Collection[str], scene_time: int
 ) -> View:
     """Render what a camera sees during its exposure, and apply its sensor to rgb.
 
@@ -45,7 +45,7 @@ def capture(
         camera: The camera with its sensor.
         exposure: Bodies and camera pose around the stamp, which is the middle of the exposure time.
         channels: Names of the channels. All but rgb show the scene at the stamp.
-        stamp: Nanoseconds; the sensor's noise depends on it.
+        scene_time: Nanoseconds; the sensor's noise depends on it.
     """
     times = camera.sensor.times() if "rgb" in channels else np.zeros(1)
     single = len(times) == 1
@@ -64,7 +64,7 @@ def capture(
     if "rgb" not in channels or not camera.sensor.active:
         return view
     if single:
-        return view.with_channels(rgb=camera.sensor.expose([view.rgb], stamp))
+        return view.with_channels(rgb=camera.sensor.expose([view.rgb], scene_time))
 
     def images() -> Iterator[Image]:
         for time in times.tolist():
@@ -77,7 +77,7 @@ def capture(
             )
             yield sample.rgb
 
-    return view.with_channels(rgb=camera.sensor.expose(images(), stamp))
+    return view.with_channels(rgb=camera.sensor.expose(images(), scene_time))
 
 
 def capture_rectified_depth(renderer: Renderer, camera: SceneCamera, exposure: Exposure) -> Float32Array:

@@ -190,7 +190,7 @@ class Simulation:
             for name in ADJACENT_NAMES
         )
         exposure = replace(state.exposure(camera), next_frame=next_frame, previous_frame=previous_frame)
-        return capture(self.renderer, camera, exposure, self.channels, state.stamp)
+        return capture(self.renderer, camera, exposure, self.channels, state.scene_time)
 
     def _at(self, elapsed: int) -> _Snapshot:
         """Everything at a scene time in nanoseconds.
@@ -210,6 +210,7 @@ class Simulation:
 
         state = SceneState(
             stamp=self.start + elapsed,
+            scene_time=elapsed,
             scene=self.scene,
             actors=self.playback.actors,
             vertices={name: human.vertices for name, human in humans.items()},

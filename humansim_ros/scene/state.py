@@ -44,6 +44,7 @@ class SceneState:
 
     Attributes:
         stamp: Nanoseconds.
+        scene_time: Nanoseconds from the start of the scene; the noise of sensors depends on it.
         scene: The scene.
         actors: Humans by name.
         vertices: (V, 3) float32 in ``map`` by human.
@@ -53,6 +54,7 @@ class SceneState:
     """
 
     stamp: int
+    scene_time: int
     scene: Scene
     actors: Mapping[str, Actor]
     vertices: Mapping[str, NDArray[np.float32]]

@@ -39,7 +39,7 @@ class Sensor:
         config: Settings of the sensor.
         camera: Camera that the images are rendered for.
         name: Name of the camera. Cameras with different names have different noise: the random numbers of an
-            image depend on the seed, the name and the stamp only.
+            image depend on the seed, the name and the time of the frame only.
 
     Attributes:
         active: Whether the sensor changes images.
@@ -93,7 +93,8 @@ class Sensor:
 
         Args:
             images: Images (H, W, 3) sRGB rendered at :meth:`times`.
-            stamp: Stamp of the frame, nanoseconds.
+            stamp: Time of the frame, nanoseconds; the noise depends on it. Scenes give the scene time, so
+                that the same frame has the same noise whenever it is played.
 
         Returns:
             Image in the encoding of the sensor: (H, W, 3), or (H, W) for mono8 and bayer_rggb8.

@@ -196,6 +196,7 @@ def studio(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]
 def send_frame(one: NodeSet, scene: Scene, frame: Frame) -> None:
     """Publish a frame as player and skinner do."""
     state, stamp = frame.humans["anna"], frame.stamp
+    one.send("scene_time", messages.scene_time_message(scene.frame_time(frame.index), stamp))
     one.send("humans/anna/joints", messages.joints_message(state, stamp))
     box = frame.objects["box"]
     one.send("objects/box/marker", messages.object_message(scene.moving_objects["box"], box, stamp))
@@ -649,7 +650,13 @@ def test_a_pose_of_another_clock_moves_a_camera_and_does_not_fix_it(
 
     def x_at(stamp: int) -> float:
         state = SceneState(
-            stamp=stamp, scene=scene, actors={}, vertices={}, joints_of=lambda _: None, objects={}
+            stamp=stamp,
+            scene_time=0,
+            scene=scene,
+            actors={},
+            vertices={},
+            joints_of=lambda _: None,
+            objects={},
         )
         pose = publisher.exposure(state).pose_at(0.0)
         return float((-pose.R.T @ pose.t)[0])

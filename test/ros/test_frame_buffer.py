@@ -218,3 +218,20 @@ def test_messages_of_random_topics_and_stamps_take_bounded_memory(receiver: Rece
     assert sum(map(len, receiver.buffer._frames.values())) <= 8 * len(receiver.topics)
     played = receiver.play(50, receiver.now)
     assert receiver.taken[-50:] == played
+
+
+def test_a_topic_holds_frames_only_while_it_is_required(receiver: Receiver) -> None:
+    receiver.play(1, START)
+    receiver.buffer.require("scene_time", True)
+    (held,) = receiver.play(1, START + PERIOD)
+    assert held not in receiver.taken
+    assert receiver.buffer.add("scene_time", held, 7, receiver.seconds)
+    frame = receiver.buffer.take(False, receiver.now, receiver.seconds)
+    assert frame is not None
+    assert frame.contents["scene_time"] == 7
+    (later,) = receiver.play(1, START + 2 * PERIOD)
+    assert not receiver.buffer.has_complete
+    receiver.buffer.require("scene_time", False)
+    frame = receiver.buffer.take(False, receiver.now, receiver.seconds)
+    assert frame is not None
+    assert (frame.stamp, "scene_time" in frame.contents) == (later, False)

@@ -238,13 +238,14 @@ def test_camera_nodes_of_different_speeds_show_the_same_frames(
 #: A camera process that reports the first frame, and no other.
 CAMERA_PROCESS = """
 import rclpy
+from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
-from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA
+from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA, SCENE_TIME
 
 def report(frame):
     node.destroy_subscription(frames)
     for publisher in alive, done:
-        publisher.publish(Header(stamp=frame.stamp, frame_id="/front"))
+        publisher.publish(Header(stamp=frame.header.stamp, frame_id="/front"))
 
 rclpy.init()
 node = rclpy.create_node("front", namespace="/paced")
@@ -252,7 +253,7 @@ alive = node.create_publisher(Header, CAMERA_ALIVE, ALIVE)
 done = node.create_publisher(Header, "frame_done", DATA)
 while not (alive.get_subscription_count() and done.get_subscription_count()):
     rclpy.spin_once(node, timeout_sec=0.05)
-frames = node.create_subscription(Header, "frame", report, DATA)
+frames = node.create_subscription(TimeReference, SCENE_TIME, report, DATA)
 rclpy.spin(node)
 """
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import Client, deliver, write_scene
+from ros_support import SMALL_SCENE, Client, deliver, write_scene
 
 from humansim_ros.ros import messages
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
@@ -43,16 +43,34 @@ class Stage:
         deliver(self.node, f"humans/{human}/joints", messages.joints_message(self.bodies[human], stamp))
         self.send_vertices(human, stamp)
 
+    def send_frame(self, stamp: int) -> None:
+        for human in HUMANS:
+            self.send(human, stamp)
+
+    def scene_time_of(self, stamp: int) -> int:
+        (state,) = (state for state in self.states if state.stamp == stamp)
+        return state.scene_time
+
     def passed_on(self, stamp: int) -> bool:
         return self.client.spin_until(lambda: any(state.stamp == stamp for state in self.states))
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self.client.close()
 
 
 @pytest.fixture
 def stage(ros: None, tmp_path: Path) -> Iterator[Stage]:
     made = Stage(write_scene(tmp_path))
     yield made
-    made.node.destroy_node()
-    made.client.close()
+    made.close()
+
+
+@pytest.fixture
+def noisy_stage(ros: None, tmp_path: Path) -> Iterator[Stage]:
+    made = Stage(write_scene(tmp_path, SMALL_SCENE.replace("{size:", "{sensor: {noise: {}}, size:")))
+    yield made
+    made.close()
 
 
 def test_frames_go_on_beside_stamps_that_are_ahead_for_ever(
@@ -104,3 +122,48 @@ def test_vertices_that_are_not_those_of_the_body_are_not_held(
     stage.send("second", start + PERIOD)
     assert stage.passed_on(start + PERIOD)
     assert [state.stamp for state in stage.states] == [start + PERIOD]
+
+
+def test_frames_get_their_scene_time_while_a_player_is_there(stage: Stage) -> None:
+    """It comes, and goes, between frames: neither stops the frames of a recording without scene time."""
+    from sensor_msgs.msg import TimeReference
+
+    start = stage.node.now()
+    stage.send_frame(start)
+    assert stage.passed_on(start)
+    assert stage.scene_time_of(start) == start, "without a scene time it is the stamp"
+    player = stage.client.node.create_publisher(TimeReference, "/sync/scene_time", 5)
+    assert stage.client.spin_until(lambda: stage.synchronizer._has_scene_time)
+    stage.send_frame(start + PERIOD)
+    stage.client.executor.spin_once(0)
+    assert start + PERIOD not in [state.stamp for state in stage.states], "it waits for its scene time"
+    for scene_time, stamp in ((7, start + PERIOD), (0, start + 2 * PERIOD)):
+        player.publish(messages.scene_time_message(scene_time, stamp))
+    assert stage.passed_on(start + PERIOD)
+    stage.send_frame(start + 2 * PERIOD)
+    assert stage.passed_on(start + 2 * PERIOD)
+    assert [stage.scene_time_of(start + number * PERIOD) for number in (1, 2)] == [7, 0]
+    stage.send_frame(start + 3 * PERIOD)  # the player dies before its scene time arrives
+    stage.client.node.destroy_publisher(player)
+    assert stage.passed_on(start + 3 * PERIOD)
+    stage.send_frame(start + 4 * PERIOD)
+    assert stage.passed_on(start + 4 * PERIOD)
+
+
+def test_first_frame_with_noise_waits_for_a_player_that_is_still_being_discovered(noisy_stage: Stage) -> None:
+    """Else its noise would depend on the stamp, and be another one on each run."""
+    stage = noisy_stage
+    start = stage.node.now()
+    stage.send_frame(start)
+    stage.client.executor.spin_once(0)
+    assert stage.states == []
+    deliver(stage.node, "scene_time", messages.scene_time_message(5, start))
+    assert stage.passed_on(start)
+    assert stage.scene_time_of(start) == 5
+
+
+def test_recorded_vertices_without_scene_time_are_shown_with_noise(noisy_stage: Stage) -> None:
+    start = noisy_stage.node.now()
+    noisy_stage.send_frame(start)
+    assert noisy_stage.passed_on(start)
+    assert noisy_stage.scene_time_of(start) == start

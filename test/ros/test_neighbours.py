@@ -67,7 +67,7 @@ def test_a_second_suite_is_named_once_with_its_topics(suite: Suite) -> None:
     assert suite.client.spin_until(suite.warnings)
     suite.checks(first, 10)
     (line,) = suite.warnings()
-    assert "another node is called /home/motion_player and publishes /home/frame, " in line
+    assert "another node is called /home/motion_player and publishes /home/humans/" in line
     assert "ROS_DOMAIN_ID or namespace" in line
 
 
@@ -108,14 +108,14 @@ def test_the_camera_processes_of_a_suite_do_not_name_each_other(suite: Suite) ->
 
 def test_a_bag_beside_a_suite_is_named(suite: Suite) -> None:
     """That is: a node of any name with a topic of the suite."""
-    from std_msgs.msg import Header
+    from sensor_msgs.msg import TimeReference
 
     player = suite.start(MotionPlayerNode)
-    suite.client.node.create_publisher(Header, "/home/frame", 1)
+    suite.client.node.create_publisher(TimeReference, "/home/scene_time", 1)
     assert suite.client.spin_until(suite.warnings)
     suite.checks(player, 5)
     (line,) = suite.warnings()
-    assert "another node, /neighbour, publishes /home/frame: " in line
+    assert "another node, /neighbour, publishes /home/scene_time: " in line
 
 
 def test_two_senders_of_a_motion_are_both_named_whatever_they_send(suite: Suite) -> None:

@@ -220,7 +220,7 @@ class PlayerClient:
     def __init__(self, folder: Path, namespace: str, skinner: bool = False) -> None:
         from rclpy.parameter import Parameter
         from rclpy.parameter_client import AsyncParameterClient
-        from sensor_msgs.msg import MultiDOFJointState
+        from sensor_msgs.msg import MultiDOFJointState, TimeReference
         from std_msgs.msg import String
 
         scene = [Parameter("scene", value=str(write_scene(folder)))]
@@ -239,6 +239,7 @@ class PlayerClient:
         self.parameters = AsyncParameterClient(self.client.node, f"/{namespace}/motion_player")
         topics = [f"/{namespace}/humans/{human}/{kind}" for human in HUMANS for kind in ("motion", "joints")]
         self.client.subscribe(MultiDOFJointState, topics)
+        self.client.subscribe(TimeReference, [f"/{namespace}/scene_time"])
         self.client.subscribe(String, [f"/{namespace}/humans/first/motion/legend"], LATCHED)
         self.frames(2)
 
@@ -258,6 +259,11 @@ class PlayerClient:
     def of_stamp(self, stamp: int, human: str = "first", kind: str = "motion") -> JointPoses:
         assert self.client.spin_until(lambda: stamp in self.messages_of(human, kind))
         return messages.read_joints(self.messages_of(human, kind)[stamp])
+
+    def scene_time_of(self, stamp: int) -> int:
+        times = self.client.received[f"/{self.namespace}/scene_time"]
+        assert self.client.spin_until(lambda: stamp in times)
+        return messages.read_scene_time(times[stamp])
 
     def wait(self, future: Any) -> Any:
         assert self.client.spin_until(future.done)
@@ -340,6 +346,7 @@ def test_a_paused_player_shows_the_same_pose_with_new_stamps_and_steps_by_frames
         shown = player.of_stamp(stamp_of(answer), "second")
         expected = player.player.scene.actors["second"].joint_poses((start + 50_000_000 * step) * 1e-9)
         np.testing.assert_allclose(shown.positions, expected.positions, atol=1e-9)
+        assert player.scene_time_of(stamp_of(answer)) == start + 50_000_000 * step
     player.call("pause", SetBool, data=False)
     assert moves(player.frames(4))
     answer = player.call("step", Trigger)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from builtin_interfaces.msg import Time
+from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
 
 from humansim_ros.errors import RosError
@@ -46,3 +47,13 @@ def _nanoseconds(seconds: int, nanoseconds: int) -> int:
 def header(stamp: int, frame: str) -> Header:
     """Header with a stamp in nanoseconds."""
     return Header(stamp=to_time(stamp), frame_id=frame)
+
+
+def scene_time_message(scene_time: int, stamp: int) -> TimeReference:
+    """Build ``scene_time``: the scene time that the frame of a stamp shows, both in nanoseconds."""
+    return TimeReference(header=header(stamp, WORLD_FRAME), time_ref=to_time(scene_time), source="scene")
+
+
+def read_scene_time(message: TimeReference) -> int:
+    """Read the nanoseconds of a ``scene_time`` message. Raises RosError if they are not valid."""
+    return to_nanoseconds(message.time_ref)

@@ -49,8 +49,8 @@ class CameraNode(SceneNode):
         self._in_rig = renderer is not None
         self._renderer = renderer if self._in_rig else self.make_renderer()
         self._images = ImagePublishers(self, self._camera, frame, self.scene.labels, self._renderer.channels)
-        #: Stamp and exposure of the previous frame, if flow is subscribed to.
-        self._previous: tuple[int, Exposure] | None = None
+        #: State and exposure of the previous frame, if flow is subscribed to.
+        self._previous: tuple[SceneState, Exposure] | None = None
         self._infos = InfoPublishers(self, name)
         self._truth = TruthPublishers(self, name, frame)
         self._calibration = PublishedCalibration(self, self._camera, frame)
@@ -122,11 +122,10 @@ class CameraNode(SceneNode):
         self.report_time(1e3 * (time.monotonic() - start), "render")
 
     def _publish_frame(self, state: SceneState) -> None:
-        stamp = state.stamp
         exposure = self._pose.exposure(state)
         channels = self._images.subscribed()
         previous = self._previous
-        self._previous = (stamp, exposure) if channels & (_FORWARD | _BACKWARD) else None
+        self._previous = (state, exposure) if channels & (_FORWARD | _BACKWARD) else None
         if previous is None:
             self._publish_view(state, exposure, channels - _FORWARD - _BACKWARD)
             return
@@ -136,10 +135,10 @@ class CameraNode(SceneNode):
         )
         self._publish_view(state, replace(exposure, previous_frame=previous_frame), channels - _FORWARD)
         if channels & _FORWARD:
-            previous_stamp, previous_exposure = previous
+            before, previous_exposure = previous
             complete = replace(previous_exposure, next_frame=frame)
-            view = capture(self._renderer, self._camera, complete, channels & _FORWARD, previous_stamp)
-            self._images.publish(view, channels & _FORWARD, previous_stamp)
+            view = capture(self._renderer, self._camera, complete, channels & _FORWARD, before.scene_time)
+            self._images.publish(view, channels & _FORWARD, before.stamp)
 
     def _publish_view(self, state: SceneState, exposure: Exposure, channels: set[str]) -> None:
         stamp = state.stamp
@@ -149,7 +148,7 @@ class CameraNode(SceneNode):
         self._infos.publish(lambda: self._calibration.message(stamp))
         if not rendered and not rectified:
             return
-        view = capture(self._renderer, self._camera, exposure, rendered, stamp)
+        view = capture(self._renderer, self._camera, exposure, rendered, state.scene_time)
         self._images.publish(view, channels, stamp)
         if "rgb" in rectified:
             self._images.publish_rectified("rgb", self._camera.rectify(view.rgb), stamp)

@@ -2,8 +2,8 @@
 
 Publishes ``humans/<id>/motion``, latched ``humans/<id>/motion/legend``, ``marker`` and ``twist`` of every
 moving object (``objects/<name>``), and ``pose`` and ``twist`` of every camera with a trajectory. Of a live
-human, which another node moves, it publishes only the stamps of its frames, ``humans/<id>/frame``; and the
-stamps of all frames, ``frame``, for cameras to which nothing moves.
+human, which another node moves, it publishes only the stamps of its frames, ``humans/<id>/frame``. Before
+everything else of a frame it publishes the scene time of its stamp, ``scene_time``.
 
 Frame k has the stamp start + round(k * period). It is sent ``lead`` before its stamp on the wall clock, so
 that bodies are ready at the stamp. A late player skips to the newest frame and counts the drops. Cameras
@@ -28,7 +28,7 @@ from rcl_interfaces.msg import SetParametersResult
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
-from sensor_msgs.msg import MultiDOFJointState
+from sensor_msgs.msg import MultiDOFJointState, TimeReference
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 from visualization_msgs.msg import Marker
@@ -45,12 +45,13 @@ from humansim_ros.ros.messages import (
     motion_message,
     object_message,
     pose_message,
+    scene_time_message,
     to_nanoseconds,
     twist_message,
 )
 from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA, LATCHED
+from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA, LATCHED, SCENE_TIME
 from humansim_ros.ros.requested_motions import MOTION_FOLDERS, RequestedMotions
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
@@ -92,6 +93,7 @@ class MotionPlayerNode(SceneNode):
         for name in self.scene.actors:
             description = "publish the motion; false: another node does, such as live motion capture"
             declare(f"{name}.play", True, description)
+        self._scene_time = self.create_publisher(TimeReference, SCENE_TIME, DATA)
         #: Publishers of motions by human, and of the stamps of its frames for a live human.
         self._motions: dict[str, Any] = {}
         self._live: dict[str, Any] = {}
@@ -100,7 +102,6 @@ class MotionPlayerNode(SceneNode):
             for name in self.scene.moving_objects
         }
         moving = [*(f"objects/{name}" for name in self._markers), *self.scene.moving_cameras]
-        self._frame_stamps = self.create_publisher(Header, "frame", DATA)
         self._twists = {
             topic: self.create_publisher(TwistStamped, f"{topic}/twist", DATA) for topic in moving
         }
@@ -199,11 +200,11 @@ class MotionPlayerNode(SceneNode):
 
     def _send(self, tick: Tick, scene_poses: ScenePoses) -> None:
         self._pacing.add_sent(tick.stamp, time.monotonic())
+        self._scene_time.publish(scene_time_message(tick.elapsed, tick.stamp))
         for name, publisher in self._motions.items():
             publisher.publish(motion_message(scene_poses.poses[name], tick.stamp))
-        for publisher in (*self._live.values(), self._frame_stamps):
-            if publisher.get_subscription_count():
-                publisher.publish(header(tick.stamp, WORLD_FRAME))
+        for publisher in self._live.values():
+            publisher.publish(header(tick.stamp, WORLD_FRAME))
         for name, object_pose in scene_poses.objects.items():
             moving = self.scene.moving_objects[name]
             self._twists[f"objects/{name}"].publish(twist_message(object_pose.velocity, tick.stamp))

@@ -7,24 +7,26 @@ whole and whether it ends a group. With it a file that was cut anywhere can be f
 from __future__ import annotations
 
 import os
-import struct
 import tempfile
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import ClassVar
 
 import yaml
 
 from humansim_ros import __version__
-from humansim_ros.bags.chunks import RECORD, Buffer, Chunk
+from humansim_ros.bags.chunks import Buffer, Chunk
 from humansim_ros.bags.libraries import needs_libraries
+from humansim_ros.bags.mcap_scan import DAMAGES, MAGIC, McapScan, mark, topic_of
 from humansim_ros.bags.metadata import Content
 from humansim_ros.bags.topics import BagTopic
+from humansim_ros.errors import BagError
 
 with needs_libraries():
     from mcap.data_stream import RecordBuilder
     from mcap.opcode import Opcode
+    from mcap.reader import SeekingReader
     from mcap.records import (
         Channel,
         ChunkIndex,
@@ -37,28 +39,9 @@ with needs_libraries():
         SummaryOffset,
     )
 
-MAGIC = b"\x89MCAP0\r\n"
-#: Opcode of the record after each chunk; from 0x80 on, opcodes are free for applications.
-_MARK = 0x80
-#: Name, number of the group, whether the chunk is the last of the group.
-_MARK_CONTENT = struct.Struct("<8sQB")
-_MARK_NAME = b"humansim"
 #: Bytes of the index that are kept in memory; the rest goes to a file without name in the folder of the bag.
 _INDEX_IN_MEMORY = 1 << 22
 _MAX_BUFFERS = 1024
-
-
-class Place(NamedTuple):
-    """A record in a file: ``position`` of its opcode, and ``length`` of its content."""
-
-    opcode: int
-    position: int
-    length: int
-
-    @property
-    def end(self) -> int:
-        """Position after the record."""
-        return self.position + RECORD.size + self.length
 
 
 def _encoded(*records: McapRecord) -> bytes:
@@ -89,9 +72,7 @@ class McapFile:
         OSError: By all methods, if the file cannot be written.
     """
 
-    suffix = ".mcap"
-    #: Smallest size at which rosbag2 splits files.
-    smallest = 1024
+    smallest: ClassVar[int] = 1024
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -124,9 +105,55 @@ class McapFile:
             raise
         return file
 
+    @classmethod
+    def reopen(cls, path: Path, *, whole_groups: bool, spare: int = 0) -> tuple[McapFile, int | None]:
+        """Open a file to continue it; see :class:`BagFile`."""
+        file = cls(path)
+        try:
+            file._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            with os.fdopen(os.dup(file._descriptor), "rb") as content:
+                scan = McapScan(content, path)
+            kept = scan.units
+            most = kept[-1].end - spare if kept else 0
+            while kept and (kept[-1].end > most or (whole_groups and not kept[-1].ends_group)):
+                kept.pop()
+            file._cut(kept[-1].end if kept else scan.head_end)
+            file._schemas, file._channels = scan.topic_records(file.size)
+            by_id = {schema.id: schema for schema in file._schemas.values()}
+            file.topics = [topic_of(channel, by_id) for channel in file._channels]
+            for unit in kept:
+                file._count(unit.chunk, unit.start)
+        except BaseException:
+            file.close()
+            raise
+        return file, kept[-1].group + kept[-1].ends_group if kept else None
+
+    def _cut(self, size: int) -> None:
+        os.ftruncate(self._descriptor, size)
+        os.lseek(self._descriptor, size, os.SEEK_SET)
+        self.size = size
+
     def _write(self, *buffers: Buffer) -> None:
-        write_all(self._descriptor, buffers)
+        try:
+            write_all(self._descriptor, buffers)
+        except BaseException:
+            self._cut(self.size)
+            raise
         self.size += sum(memoryview(buffer).nbytes for buffer in buffers)
+
+    @classmethod
+    def content_of(cls, path: Path) -> Content:
+        """Content of a finished file, from its summary; see :class:`BagFile`."""
+        try:
+            with path.open("rb") as file:
+                summary = SeekingReader(file).get_summary()
+        except (OSError, *DAMAGES):
+            summary = None
+        if summary is None or summary.statistics is None:
+            raise BagError("the summary of this file is damaged; it cannot be continued", path=path)
+        found = summary.statistics
+        counts = {channel - 1: count for channel, count in found.channel_message_counts.items()}
+        return Content(counts, found.message_start_time, found.message_end_time)
 
     def add_topic(self, topic: BagTopic) -> None:
         """Add a topic after those that exist."""
@@ -154,9 +181,8 @@ class McapFile:
 
     def append(self, chunk: Chunk, group: int, ends_group: bool) -> None:
         """Append a chunk. ``group``: number of the group in the bag."""
-        mark = RECORD.pack(_MARK, _MARK_CONTENT.size) + _MARK_CONTENT.pack(_MARK_NAME, group, ends_group)
         position = self.size
-        self._write(*chunk.buffers, mark)
+        self._write(*chunk.buffers, mark(group, ends_group))
         self._count(chunk, position)
 
     def _count(self, chunk: Chunk, position: int) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import yaml
 
 from humansim_ros.bags.topics import BagTopic
+from humansim_ros.errors import BagError
 
 NAME = "metadata.yaml"
 _VERSION = 9
@@ -17,6 +18,8 @@ _VERSION = 9
 _NEVER = (1 << 63) - 1
 # libyaml writes the same text ten times faster
 _Dumper: Any = getattr(yaml, "CSafeDumper", yaml.SafeDumper)
+_Loader: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+_MAX_BYTES = 1 << 26
 
 
 @dataclass
@@ -99,6 +102,29 @@ def metadata_text(
         {"rosbag2_bagfile_information": information}, Dumper=_Dumper, sort_keys=False, width=1 << 20
     )
     return text
+
+
+def read_metadata(folder: Path) -> dict[str, Any]:
+    """Content of ``metadata.yaml`` of a bag; empty if the file is missing.
+
+    Raises:
+        BagError: The file cannot be read, or is no metadata of rosbag2.
+    """
+    path = folder / NAME
+    try:
+        if path.stat().st_size > _MAX_BYTES:
+            raise BagError("this file is too large for the metadata of a bag", path=path)
+        data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
+    except FileNotFoundError:
+        return {}
+    except OSError as reason:
+        raise BagError(f"cannot be read: {reason.strerror or reason}", path=path) from None
+    except (yaml.YAMLError, ValueError, RecursionError):
+        raise BagError("this file is damaged: it is not valid YAML", path=path) from None
+    information = data.get("rosbag2_bagfile_information") if isinstance(data, dict) else None
+    if not isinstance(information, dict):
+        raise BagError("this file is no metadata of a bag of rosbag2", path=path)
+    return information
 
 
 def write_metadata(folder: Path, text: str) -> None:

@@ -4,27 +4,30 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Literal, TypeAlias
+from typing import NoReturn
 
 from humansim_ros.bags.chunks import Chunk, Compression
-from humansim_ros.bags.libraries import needs_libraries
-from humansim_ros.bags.metadata import Content, metadata_text, write_metadata
+from humansim_ros.bags.guardian import Guardian
+from humansim_ros.bags.recovery import OpenBag, finish_bag, lock_bag, reopen_bag
+from humansim_ros.bags.storages import SUFFIXES, Storage, file_class
 from humansim_ros.bags.topics import BagTopic, check_topics, described
 from humansim_ros.errors import BagError
 
-Storage: TypeAlias = Literal["mcap", "sqlite3"]
 #: Seconds between renewals of metadata.yaml.
 _RENEWAL = 1.0
 
 
 class BagWriter:
-    """Writer of a new bag.
+    """Writer of a bag.
 
-    Use it in a ``with`` block, or call :meth:`close`. Whatever happens to the process, the bag keeps all
-    chunks that have been appended. All methods are for one thread.
+    Use it in a ``with`` block, or call :meth:`close`. A bag keeps the chunks that have been appended,
+    whatever happens to the process: if it is killed, a second process (the guardian) finishes the bag. All
+    methods are for one thread. Start other processes by ``spawn`` or ``forkserver``: those of ``fork`` keep
+    the bag open.
 
     Args:
         folder: Folder of the bag, which is created.
@@ -33,7 +36,7 @@ class BagWriter:
         compression: Compression of the chunks that will come; sqlite3 files have none.
         max_size: Size in bytes at which the next group begins a new file; 0: never.
         max_duration: Duration in seconds after which the next group begins a new file; 0: never.
-        custom: Texts for ``custom_data`` of metadata.yaml; they can be changed until the bag is closed.
+        custom: Texts for ``custom_data`` of metadata.yaml; ``writer.custom`` can change until the end.
 
     Raises:
         BagError: The folder exists, cannot be created, or an option or a topic is wrong.
@@ -50,51 +53,112 @@ class BagWriter:
         max_duration: float = 0.0,
         custom: Mapping[str, str] | None = None,
     ) -> None:
-        self.folder = Path(folder).resolve()
-        self.storage = storage
-        self.custom = dict(custom or {})
-        #: Number of groups that are whole.
-        self.groups = 0
-        self._max_size, self._max_duration = max_size, round(max_duration * 1e9)
-        self._done: list[tuple[str, Content]] = []
-        self._in_group = False
-        self._closed = False
+        path = Path(folder).resolve()
+        kind = file_class(storage)
+        if storage == "sqlite3" and compression != "none":
+            raise BagError("files of sqlite3 are not compressed; choose the storage mcap", path=folder)
         check_topics(topics)
         topics = [described(topic) for topic in topics]
-        with needs_libraries():
-            from humansim_ros.bags.mcap_file import McapFile
-        self._kind = McapFile
+        self._set_limits(storage, max_size, max_duration)
         try:
-            self.folder.mkdir(parents=True)
+            path.mkdir(parents=True)
+            lock = lock_bag(path)
+            file = kind.create(path / f"{path.name}_0{SUFFIXES[storage]}", topics)
+            self._begin(OpenBag(path, storage, path.name, file, custom=dict(custom or {})), lock)
         except FileExistsError:
             raise BagError("this path exists; choose another name for the bag", path=folder) from None
         except OSError as reason:
-            raise self._unwritable(reason) from None
+            raise _unwritable(path, reason) from None
+
+    @classmethod
+    def resume(
+        cls, folder: str | os.PathLike[str], *, max_size: int = 0, max_duration: float = 0.0
+    ) -> BagWriter:
+        """Continue an interrupted bag, or a finished one, after its last whole group.
+
+        ``groups``, ``topics``, ``end`` and ``custom`` of the writer say what the bag holds. With the same
+        limits and the same chunks as before, the bag becomes the same as one that was not interrupted.
+
+        Args:
+            folder: Folder of the bag.
+            max_size: As for a new bag.
+            max_duration: As for a new bag.
+
+        Raises:
+            BagError: There is no bag of humansim, another process writes it, or it is damaged.
+        """
+        path = Path(folder).resolve()
+        if not path.is_dir():
+            raise BagError("there is no bag to continue here", path=folder)
+        writer = cls.__new__(cls)
         try:
-            self._file = McapFile.create(self._path(0), topics)
+            lock = lock_bag(path)
+            try:
+                bag = reopen_bag(path, whole_groups=True)
+                writer._set_limits(bag.storage, max_size, max_duration)
+                writer._begin(bag, lock)
+            except BaseException:
+                os.close(lock)
+                raise
         except OSError as reason:
-            raise self._unwritable(reason) from None
-        self.sync()
+            raise _unwritable(path, reason) from None
+        return writer
 
-    def _path(self, number: int) -> Path:
-        return self.folder / f"{self.folder.name}_{number}{self._kind.suffix}"
+    def _set_limits(self, storage: Storage, max_size: int, max_duration: float) -> None:
+        smallest = file_class(storage).smallest
+        if max_size != 0 and max_size < smallest:
+            raise BagError(f"must be 0 (never split) or at least {smallest} bytes", key="max_size")
+        if not max_duration >= 0:
+            raise BagError("must be 0 (never split) or a number of seconds", key="max_duration")
+        self._max_size, self._max_duration = max_size, round(max_duration * 1e9)
 
-    def _unwritable(self, reason: OSError) -> BagError:
-        return BagError(f"cannot be written: {reason.strerror or reason}", path=self.folder)
+    def _begin(self, bag: OpenBag, lock: int) -> None:
+        self._bag, self._lock = bag, lock
+        self._in_group = self._closed = self._torn = False
+        self._renewed = time.monotonic()
+        bag.write_metadata()
+        self._guardian = Guardian(bag.folder)
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the bag."""
+        return self._bag.folder
+
+    @property
+    def custom(self) -> dict[str, str]:
+        """Texts for ``custom_data`` of metadata.yaml."""
+        return self._bag.custom
 
     @property
     def topics(self) -> Sequence[BagTopic]:
         """Topics of the bag."""
-        return tuple(self._file.topics)
+        return tuple(self._bag.file.topics)
+
+    @property
+    def groups(self) -> int:
+        """Number of groups in the bag that are whole."""
+        return self._bag.groups
+
+    @property
+    def end(self) -> int | None:
+        """Newest log time in nanoseconds; None in an empty bag."""
+        contents = [*(content for _, content in self._bag.done), self._bag.file.content]
+        return max((content.end for content in contents if content.end is not None), default=None)
+
+    @property
+    def size(self) -> int:
+        """Size in bytes of the file that is being written."""
+        return self._bag.file.size
 
     def add_topic(self, topic: BagTopic) -> int:
         """Add a topic; return its index for messages.
 
         Raises:
-            BagError: The name or type is wrong, or the bag has the topic.
+            BagError: The name or type is wrong, the bag has the topic, or the disk is full.
         """
         check_topics([*self.topics, topic])
-        self._file.add_topic(described(topic))
+        topic = described(topic)
+        self._write(lambda: self._bag.file.add_topic(topic))
         self.sync()
         return len(self.topics) - 1
 
@@ -107,49 +171,85 @@ class BagWriter:
                 Files are split, and interrupted bags are continued, only between groups.
 
         Raises:
-            BagError: The disk is full. The bag has been finished with the groups before.
+            BagError: The disk is full. The bag is finished with the groups before.
         """
-        if not self._in_group and self._is_full(chunk.end):
-            self._split()
-        try:
-            self._file.append(chunk, self.groups, ends_group)
-        except OSError as reason:
-            raise self._unwritable(reason) from None
-        self._in_group = not ends_group
-        self.groups += ends_group
-        if time.monotonic() - self._synced > _RENEWAL:
+        self._write(lambda: self._append(chunk, ends_group))
+        if time.monotonic() - self._renewed > _RENEWAL:
             self.sync()
 
+    def _append(self, chunk: Chunk, ends_group: bool) -> None:
+        if not self._in_group and self._is_full(chunk.end):
+            self._bag.split()
+        self._bag.file.append(chunk, self._bag.groups, ends_group)
+        self._in_group = not ends_group
+        self._bag.groups += ends_group
+
     def _is_full(self, end: int) -> bool:
-        content = self._file.content
+        content = self._bag.file.content
         if content.start is None:
             return False
         too_long = 0 < self._max_duration < end - content.start
-        return too_long or 0 < self._max_size <= self._file.size
+        return too_long or 0 < self._max_size <= self._bag.file.size
 
-    def _split(self) -> None:
-        topics = self.topics
-        self._file.finish()
-        self._done.append((self._file.path.name, self._file.content))
-        self._file = self._kind.create(self._path(len(self._done)), topics)
-        self.sync()
+    def _write(self, write: Callable[[], None]) -> None:
+        """Write to the files; if that fails, finish the bag with what is whole."""
+        if self._closed:
+            raise BagError("the bag is closed", path=self.folder)
+        try:
+            write()
+        except OSError as reason:
+            self._give_up(reason)
+        except BaseException:  # such as KeyboardInterrupt
+            self._torn = True
+            raise
+
+    def _give_up(self, reason: OSError) -> NoReturn:
+        self._torn = True
+        with suppress(BagError):
+            self.close()
+        what = _unwritable(self.folder, reason).message
+        raise BagError(
+            f"{what}; the bag ends after {self.groups} whole groups of messages", path=self.folder
+        ) from None
 
     def sync(self) -> None:
-        """Bring metadata.yaml up to date; this happens every second while chunks come."""
-        self._synced = time.monotonic()
-        files = [*self._done, (self._file.path.name, self._file.content)]
-        text = metadata_text(self.storage, self.topics, files, self.custom)
-        try:
-            write_metadata(self.folder, text)
-        except OSError as reason:
-            raise self._unwritable(reason) from None
+        """Bring metadata.yaml up to date; this happens every second while chunks come.
+
+        Raises:
+            BagError: The disk is full. The bag is finished with the groups before.
+        """
+        self._renewed = time.monotonic()
+        self._write(self._bag.write_metadata)
 
     def close(self) -> None:
-        """Finish the bag. More calls do nothing."""
-        if not self._closed:
-            self._closed = True
-            self._file.finish()
-            self.sync()
+        """Finish the bag. More calls do nothing.
+
+        Raises:
+            BagError: The disk is full. The bag ends with the groups for which there is space.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        try:
+            if self._torn:
+                self._finish_again()
+                return
+            try:
+                self._bag.file.finish()
+                self._bag.write_metadata()
+            except OSError as reason:
+                self._finish_again()
+                raise _unwritable(self.folder, reason) from None
+        except OSError as reason:
+            raise _unwritable(self.folder, reason) from None
+        finally:
+            self._guardian.stop()
+            os.close(self._lock)
+
+    def _finish_again(self) -> None:
+        """Finish the bag from what its files hold."""
+        self._bag.file.close()
+        self._bag = finish_bag(self.folder, whole_groups=True, custom=self.custom)
 
     def __enter__(self) -> BagWriter:
         return self
@@ -158,3 +258,7 @@ class BagWriter:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _unwritable(folder: Path, reason: OSError) -> BagError:
+    return BagError(f"cannot be written: {reason.strerror or reason}", path=folder)

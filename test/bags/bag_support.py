@@ -6,12 +6,14 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from mcap.reader import NonSeekingReader, SeekingReader
 from rosbags.rosbag2 import Reader
 from rosbags.typesys import Stores, get_typestore
 
 from humansim_ros.bags.chunks import BagMessage, Chunk, Compression, encode_chunk
 from humansim_ros.bags.topics import BagTopic, Qos
+from humansim_ros.bags.writer import BagWriter
 
 STORE = get_typestore(Stores.ROS2_JAZZY)
 TOPICS = (
@@ -28,11 +30,9 @@ def header(stamp: int) -> Any:
 
 def messages_of(frame: int, size: int = 500) -> list[list[BagMessage]]:
     """Chunks of a frame: an image of ``size`` bytes that depend on the frame, and a pose."""
-    import numpy as np
-
     stamp = 1 + frame * PERIOD
     image = STORE.types["sensor_msgs/msg/CompressedImage"](
-        header(stamp), "jpeg", np.random.default_rng(frame).integers(0, 8, size, dtype=np.uint8)
+        header(stamp), "jpeg", np.resize(np.random.default_rng(frame).integers(0, 8, 997, np.uint8), size)
     )
     point = STORE.types["geometry_msgs/msg/Point"](float(frame), 2.0, 3.0)
     turn = STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
@@ -46,6 +46,14 @@ def messages_of(frame: int, size: int = 500) -> list[list[BagMessage]]:
 
 def chunks_of(frame: int, compression: Compression = "none", size: int = 500) -> list[Chunk]:
     return [encode_chunk(messages, compression) for messages in messages_of(frame, size)]
+
+
+def append_frame(writer: BagWriter, frame: int, compression: Compression = "none", size: int = 500) -> None:
+    """Append the chunks of a frame as one group."""
+    *others, last = chunks_of(frame, compression, size)
+    for chunk in others:
+        writer.append(chunk, ends_group=False)
+    writer.append(last)
 
 
 def content_of(frames: Sequence[int], size: int = 500) -> list[tuple[str, int, bytes]]:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from bag_support import TOPICS, by_mcap, by_rosbags, chunks_of, content_of
+from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, chunks_of, content_of
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
@@ -19,10 +19,7 @@ from humansim_ros.errors import BagError
 def write(folder: Path, frames: range, compression: Compression = "none", **options: int) -> None:
     with BagWriter(folder, TOPICS, **options) as writer:
         for frame in frames:
-            *others, last = chunks_of(frame, compression)
-            for chunk in others:
-                writer.append(chunk, ends_group=False)
-            writer.append(last)
+            append_frame(writer, frame, compression)
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])

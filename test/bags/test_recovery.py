@@ -1,0 +1,198 @@
+"""Bags whose writing is interrupted: by kill -9, with and without guardian, by signals, by errors."""
+
+from __future__ import annotations
+
+import os
+import random
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, content_of
+from waiting import PATIENCE, wait_until
+
+from humansim_ros.bags.recovery import finish_bag
+from humansim_ros.bags.storages import Storage
+from humansim_ros.bags.writer import BagWriter
+from humansim_ros.errors import BagError
+
+PROGRAM = Path(__file__).with_name("write_endlessly.py")
+#: Bytes of an image that take long enough to write that a random kill hits it.
+LARGE = 2_000_000
+
+
+class WritingProcess:
+    """A process that appends frames to a bag; ``guardian`` is a descriptor of its guardian."""
+
+    def __init__(self, folder: Path, storage: Storage = "mcap", size: int = LARGE, max_size: int = 0) -> None:
+        self.process = subprocess.Popen(
+            [sys.executable, PROGRAM, folder, storage, str(size), str(max_size)],
+            stdout=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        )
+        self.number = int(self._line())
+        self.guardian = os.pidfd_open(self.number)
+
+    def _line(self) -> str:
+        assert self.process.stdout is not None
+        return self.process.stdout.readline()
+
+    def wait_for_frame(self, frame: int) -> None:
+        while int(self._line()) < frame:
+            pass
+
+    def kill(self, *, with_guardian: bool = False) -> int:
+        """Kill the process, wait for its guardian, and return the last frame that it reported."""
+        if with_guardian:
+            signal.pidfd_send_signal(self.guardian, signal.SIGKILL)
+        self.process.kill()
+        lines = self.process.communicate(timeout=PATIENCE)[0].split()
+        self._await_guardian()
+        return int(lines[-1]) if lines else -1
+
+    def _await_guardian(self) -> None:
+        assert select.select([self.guardian], [], [], PATIENCE)[0], "the guardian still runs"
+        os.close(self.guardian)
+
+
+def frames_in(found: list[tuple[str, int, bytes]], size: int) -> int:
+    """Number of frames whose messages are all in a bag; the messages must be the first that were written."""
+    number = sum(topic == TOPICS[0].name for topic, _, _ in found)
+    rest = sorted(set(found) - set(content_of(range(number), size)))
+    assert len(rest) in (0, 1) and len(found) == 2 * number + len(rest)
+    assert set(rest) <= set(content_of([number], size))
+    return number
+
+
+def test_the_guardian_finishes_a_bag_when_its_writer_is_killed(tmp_path: Path) -> None:
+    dice = random.Random(1)
+    for attempt in range(12):
+        folder = tmp_path / f"bag{attempt}"
+        writing = WritingProcess(folder, max_size=dice.choice((0, 3 * LARGE)))
+        writing.wait_for_frame(dice.randrange(1, 5))
+        time.sleep(dice.uniform(0, 0.02))  # the kill comes anywhere within the writing of a frame
+        last = writing.kill()
+        found = by_rosbags(folder)
+        assert found == by_mcap(folder)
+        assert frames_in(found, LARGE) > last
+        assert not list(folder.glob(".*"))
+        shutil.rmtree(folder)
+
+
+def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(tmp_path: Path) -> None:
+    dice = random.Random(2)
+    size, frames = 200_000, 60
+    whole = tmp_path / "whole" / "bag"
+    with BagWriter(whole, TOPICS, max_size=10 * size, custom={"plan": "p"}) as writer:
+        for frame in range(frames):
+            append_frame(writer, frame, size=size)
+    folder = tmp_path / "bag"
+    for attempt in range(8):
+        writing = WritingProcess(folder, size=size, max_size=10 * size)
+        writing.wait_for_frame(dice.randrange(1, 40))
+        last = writing.kill(with_guardian=attempt % 2 == 0)
+        with BagWriter.resume(folder, max_size=10 * size) as writer:
+            assert last < writer.groups <= frames and writer.custom == {"plan": "p"}
+            for frame in range(writer.groups, frames):
+                append_frame(writer, frame, size=size)
+        names = sorted(path.name for path in whole.iterdir())
+        assert sorted(path.name for path in folder.iterdir()) == names
+        for name in names:
+            assert (folder / name).read_bytes() == (whole / name).read_bytes(), name
+        shutil.rmtree(folder)
+
+
+def ignores(process: int, number: int) -> bool:
+    """Whether a process ignores a signal: the guardian has started."""
+    status = Path(f"/proc/{process}/status").read_text()
+    mask = next(line.split()[1] for line in status.splitlines() if line.startswith("SigIgn"))
+    return bool(int(mask, 16) >> (number - 1) & 1)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_signals_leave_a_bag_that_is_whole(number: int, tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    writing = WritingProcess(folder)
+    writing.wait_for_frame(2)
+    wait_until(lambda: ignores(writing.number, signal.SIGHUP))
+    signal.pidfd_send_signal(writing.guardian, number)  # such as Ctrl-C for all processes
+    writing.process.send_signal(number)
+    lines = writing.process.communicate(timeout=PATIENCE)[0].split()
+    writing._await_guardian()
+    found = by_rosbags(folder)
+    assert found == by_mcap(folder)
+    assert frames_in(found, LARGE) > (int(lines[-1]) if lines else 2)
+
+
+def test_an_error_while_writing_leaves_a_bag_that_is_whole(tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    with suppress(KeyboardInterrupt), BagWriter(folder, TOPICS) as writer:
+        append_frame(writer, 0)
+        raise KeyboardInterrupt
+    assert by_rosbags(folder) == content_of([0])
+
+
+def test_an_interrupted_write_does_not_reach_the_bag(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ctrl-C between the two halves of a chunk."""
+    folder, real = tmp_path / "bag", os.writev
+    interrupted = []
+
+    def half(descriptor: int, buffers: list[memoryview]) -> int:
+        if interrupted:
+            raise KeyboardInterrupt
+        interrupted.append(True)
+        return real(descriptor, [buffers[0][:7]])
+
+    with BagWriter(folder, TOPICS) as writer:
+        append_frame(writer, 0)
+        monkeypatch.setattr(os, "writev", half)
+        with pytest.raises(KeyboardInterrupt):
+            append_frame(writer, 1)
+        monkeypatch.undo()
+    assert by_rosbags(folder) == by_mcap(folder) == content_of([0])
+
+
+def test_a_bag_that_is_being_written_is_not_continued(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("humansim_ros.bags.recovery._LEAVING", 0.0)
+    with BagWriter(tmp_path / "bag", TOPICS), pytest.raises(BagError, match="another process"):
+        BagWriter.resume(tmp_path / "bag")
+
+
+def test_folders_without_a_bag_are_not_continued(tmp_path: Path) -> None:
+    with pytest.raises(BagError, match="no bag to continue"):
+        BagWriter.resume(tmp_path / "gone")
+    with pytest.raises(BagError, match="no bag to continue"):
+        BagWriter.resume(tmp_path)
+
+
+def test_a_bag_of_another_program_is_not_continued(tmp_path: Path) -> None:
+    from rosbags.rosbag2 import StoragePlugin, Writer
+
+    with Writer(tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        topic = TOPICS[1]
+        connection = writer.add_connection(topic.name, topic.type, msgdef="x", rihs01="y")
+        writer.write(connection, 1, b"\0\1\0\0")
+    (tmp_path / "bag" / "bag.mcap").rename(tmp_path / "bag" / "bag_0.mcap")
+    before = (tmp_path / "bag" / "bag_0.mcap").read_bytes()
+    with pytest.raises(BagError, match="not written by humansim"):
+        BagWriter.resume(tmp_path / "bag")
+    assert (tmp_path / "bag" / "bag_0.mcap").read_bytes() == before
+
+
+def test_finishing_twice_changes_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    with BagWriter(folder, TOPICS, max_size=3000) as writer:
+        for frame in range(10):
+            append_frame(writer, frame)
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    finish_bag(folder)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

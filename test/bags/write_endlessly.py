@@ -1,0 +1,27 @@
+"""Program: append frames to a bag until it is killed.
+
+Prints the number of its guardian, then a line for each frame.
+Arguments: folder, storage, size of images in bytes, max_size of files.
+"""
+
+import sys
+from itertools import count
+
+from bag_support import TOPICS, append_frame
+
+from humansim_ros.bags.storages import Storage
+from humansim_ros.bags.writer import BagWriter
+
+
+def main() -> None:
+    folder, size, max_size = sys.argv[1], int(sys.argv[3]), int(sys.argv[4])
+    storage: Storage = "sqlite3" if sys.argv[2] == "sqlite3" else "mcap"
+    with BagWriter(folder, TOPICS, storage=storage, max_size=max_size, custom={"plan": "p"}) as writer:
+        print(writer._guardian._process.pid, flush=True)  # type: ignore[union-attr]
+        for frame in count():
+            append_frame(writer, frame, size=size)
+            print(frame, flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -32,7 +32,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.camera import Camera
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, GLRenderer
 from humansim_ros.render.contact_shadow import contact_shadow
-from humansim_ros.render.context import create_context
+from humansim_ros.render.context import OpenGLContext
 from humansim_ros.render.edge_antialiasing import edge_crossings
 from humansim_ros.render.posed_mesh import PosedMesh, Topology
 from humansim_ros.render.projected_points import ProjectedPoints, contour
@@ -104,7 +104,8 @@ class BareDraw:
         pairs = np.stack([mesh.triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
         unique, corners = np.unique(pairs, axis=0, return_inverse=True)
         self.source = unique[:, 0]
-        ctx = self.ctx = create_context()
+        self.context = OpenGLContext()
+        ctx = self.ctx = self.context.gl
         self.program = ctx.program(self.VERTEX, self.FRAGMENT)
         self.positions = ctx.buffer(reserve=len(unique) * 12, dynamic=True)
         uv = ctx.buffer(mesh.uv[unique[:, 1]].astype("f4").tobytes())

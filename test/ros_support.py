@@ -135,16 +135,16 @@ class Lockstep:
 
     def __init__(self, player: Any) -> None:
         self._player = player
-        player._frame_timer.cancel()
+        player.playing.timer.cancel()
         self._time = player.now()
 
     def play(self) -> int:
         """Publish the next frame; returns its stamp."""
-        clock = self._player._playback_clock
+        clock = self._player.playback_clock
         tick = clock.due(self._time)
         self._time += round(clock.period)
         assert tick is not None and tick.dropped == 0
-        self._player._publish(tick)
+        self._player.playing.send_tick(tick)
         return int(tick.stamp)
 
 

@@ -319,7 +319,7 @@ class Stage:
 
     def _make_seeds(self) -> None:
         """Messages of a running scene: the player's first, then those that they cause."""
-        self.player._tick()
+        self.player.playing.work()
         actor, camera = self.player.scene.actors["bob"], self.player.scene.scene_cameras["moving"]
         pose = (
             camera.pose_at(0.0)

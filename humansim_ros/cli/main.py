@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Annotated, Any
@@ -71,11 +71,41 @@ def run(
     respawn: Annotated[
         bool, typer.Option("--respawn/--no-respawn", help="Start a node again that has died.")
     ] = True,
+    lockstep: Annotated[
+        bool | None,
+        typer.Option(
+            "--lockstep/--realtime",
+            help="Send the next frame when all nodes have finished this one; as the scene says if absent.",
+            show_default=False,
+        ),
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(help="Number of frames in lockstep; without end if absent.", min=1, max=2**31 - 1),
+    ] = None,
+    wait_for: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Node that frames in lockstep wait for besides the cameras, or topic:/NAME; may be repeated."
+        ),
+    ] = None,
+    timeout: Annotated[
+        float | None, typer.Option(help="Seconds after which a frame waits no longer.", min=0.1, max=1e6)
+    ] = None,
+    on_timeout: Annotated[
+        str | None, typer.Option(help="Then stop, or continue without the nodes that are late.")
+    ] = None,
+    pace: Annotated[
+        float | None,
+        typer.Option(
+            help="Most frames per second in lockstep; as fast as possible if absent.", min=0.01, max=1e3
+        ),
+    ] = None,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.io.temporary import temporary_folder
     from humansim_ros.ros.first_images import FirstImages
-    from humansim_ros.ros.processes import WRONG_INPUT, relative_namespace, scene_processes
+    from humansim_ros.ros.processes import WRONG_INPUT, TimeOptions, relative_namespace, scene_processes
     from humansim_ros.ros.runtime import prepare_transport
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
@@ -93,7 +123,10 @@ def run(
         namespace = relative_namespace(namespace)
         _describe(loaded, namespace)
         warn_about_mistakes(loaded, options)
-        node_processes = scene_processes(path, processes, namespace, frame_prefix, only)
+        options_of_time = _time_options(
+            loaded, TimeOptions(lockstep, wait_for, timeout, on_timeout, pace, frames), folder
+        )
+        node_processes = scene_processes(path, processes, namespace, frame_prefix, only, options_of_time)
         transport = prepare_transport(len(node_processes) + 1, network)
         with Supervisor(node_processes) as nodes:
             try:
@@ -103,10 +136,18 @@ def run(
                 if cameras := [name for name in loaded.cameras if name in names]:
                     first = FirstImages(cameras, list(loaded.actors), start, namespace)
                     nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
-                dead = nodes.wait(None if duration is None else time.monotonic() + duration, respawn)
+                until = None if duration is None else time.monotonic() + duration
+                dead = nodes.wait(until, respawn, lambda _: _is_complete(options_of_time))
             except Stopped:
                 dead = None
                 print_text("stopping")
+        summary = _summary(options_of_time)
+    if summary is not None:
+        print_text(summary.text)
+        if dead and (summary.error or summary.is_complete):
+            if summary.error:
+                print_error(f"error: {summary.error}")
+            raise typer.Exit(dead.code and (2 if dead.code == WRONG_INPUT else 1))
     if dead:
         wrong_input = dead.code == WRONG_INPUT  # which the node has reported
         again = " again and again" if respawn and not wrong_input else ""
@@ -137,6 +178,33 @@ def _check_machine() -> None:
     require_ros()
     prepare_logs()
     OpenGLContext().close()
+
+
+def _time_options(scene: Any, options: Any, folder: Path) -> Any:
+    """Options with a file for the summary of lockstep. Raises RosError for options of lockstep without it."""
+    from humansim_ros.errors import RosError
+    from humansim_ros.scene.names import LOCKSTEP
+
+    if options.lockstep is None and scene.config.time.mode == LOCKSTEP:
+        options = replace(options, lockstep=True)
+    given = [
+        name for name in ("wait_for", "timeout", "on_timeout", "pace", "frames") if getattr(options, name)
+    ]
+    if given and not options.lockstep:
+        raise RosError(f"--{given[0].replace('_', '-')} goes with --lockstep only")
+    return replace(options, summary=str(folder / "lockstep.json")) if options.lockstep else options
+
+
+def _summary(options: Any) -> Any:
+    """Summary of a run in lockstep; None before its end, and in real time."""
+    from humansim_ros.ros.lockstep_summary import LockstepSummary
+
+    return LockstepSummary.read(Path(options.summary)) if options.summary else None
+
+
+def _is_complete(options: Any) -> bool:
+    summary = _summary(options)
+    return summary is not None and summary.is_complete
 
 
 def _describe(scene: Any, namespace: str) -> None:

@@ -15,7 +15,7 @@ from typing import Any
 from humansim_ros.errors import HumansimError, RosError
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.cpu_time import CpuTime
-from humansim_ros.ros.processes import cores, scene_processes
+from humansim_ros.ros.processes import TimeOptions, cores, scene_processes
 from humansim_ros.ros.runtime import make_executor, prepare_transport
 from humansim_ros.ros.supervisor import Supervisor
 from humansim_ros.scene import Scene
@@ -150,7 +150,7 @@ def measure(
             },
             log_level="error",
         )
-        for process in scene_processes(path, processes)
+        for process in scene_processes(path, processes, time=TimeOptions(lockstep=False))
     ]
     prepare_transport(len(started) + 1, network=False)
     with Supervisor(started) as nodes, _Subscriber(topics) as subscriber:

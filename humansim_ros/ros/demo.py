@@ -18,7 +18,7 @@ from rich.table import Table
 
 from humansim_ros.drawing import canvas, views
 from humansim_ros.errors import HumansimError, RosError
-from humansim_ros.ros.processes import scene_processes
+from humansim_ros.ros.processes import TimeOptions, scene_processes
 from humansim_ros.ros.runtime import prepare_transport
 from humansim_ros.ros.supervisor import EndedProcess, Supervisor
 from humansim_ros.scene import Scene
@@ -75,7 +75,7 @@ def record_demo(scene_path: Path, output: Path, duration: float, video: str = "w
         raise HumansimError(
             f"cannot create the folder for the pictures: {reason.strerror}", path=output
         ) from None
-    processes = scene_processes(scene_path)
+    processes = scene_processes(scene_path, time=TimeOptions(lockstep=False))
     prepare_transport(len(processes) + 1, network=False)
     with Supervisor(processes) as nodes, _Recorder(scene) as recorder:
         seconds = _record(nodes, recorder, duration, console)

@@ -58,7 +58,8 @@ class FrameBuffer:
     recording is played.
 
     A complete frame far before the last one means that the clock was set back (a recording is played again).
-    No single message means that: one old stamp does not remove the present frames.
+    No single message means that: one old stamp does not remove the present frames. The last frame may be
+    complete again: in lockstep it is sent again for nodes that have joined.
 
     Stamps and ``now``, the time of the node's clock, are nanoseconds; ``steady`` is in monotonic seconds.
     """
@@ -109,7 +110,7 @@ class FrameBuffer:
             Whether its frame is complete now.
         """
         self._newest[topic] = (stamp, steady)
-        if self._last is not None and self._last[0] - self._far <= stamp <= self._last[0]:
+        if self._last is not None and self._last[0] - self._far <= stamp < self._last[0]:
             return False
         frame = self._frames[stamp] = self._frames.pop(stamp, {})
         frame[topic] = content
@@ -135,8 +136,10 @@ class FrameBuffer:
         past = [each for each in self._frames if stamp - far <= each < stamp]
         for each in past:
             del self._frames[each]
+        # the last frame again, of which not every message came: it is not lost
+        repeated = self._last is not None and self._last[0] in past
         self._last = (stamp, now, steady)
-        return CompleteFrame(stamp, contents, len(past))
+        return CompleteFrame(stamp, contents, len(past) - repeated)
 
     def give_up(self, now: int, steady: float) -> GivenUpFrame | None:
         """Remove and return an incomplete frame if there are too many.

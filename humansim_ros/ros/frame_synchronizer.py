@@ -19,7 +19,7 @@ from humansim_ros.ros import messages
 from humansim_ros.ros.frame_buffer import FrameBuffer, GivenUpFrame
 from humansim_ros.ros.limits import deserialised
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA, NEWEST, SCENE_TIME
+from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DONE, FRAME_DONE, NEWEST, SCENE_TIME
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.state import JointMotion, SceneState
@@ -104,7 +104,7 @@ class FrameSynchronizer:
         #: Monotonic seconds of the first message.
         self._first_message: float | None = None
         self._has_frames = False
-        self._done = node.create_publisher(Header, "frame_done", DATA)
+        self._done = node.create_publisher(Header, FRAME_DONE, DONE)
         self._alive = node.create_publisher(Header, CAMERA_ALIVE, ALIVE)
         description = "Show the scene at its start while no vertices arrive"
         self._shows_start = bool(node.described_parameter("start_scene", True, description, read_only=True))

@@ -40,6 +40,8 @@ class GuardedNode(Node):
         #: Monotonic time of the next log line, and errors since the last one, by source.
         self._next_line: dict[str, float] = {}
         self._unlogged: dict[str, int] = {}
+        #: Exit code with which the process of the node ends; None while it goes on.
+        self.exit_code: int | None = None
         super().__init__(name, **options)
 
     def count(self, counter: str, number: int = 1) -> None:

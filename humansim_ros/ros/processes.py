@@ -6,21 +6,61 @@ import json
 import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 from humansim_ros.errors import RosError, did_you_mean
-from humansim_ros.scene.names import PLAYER_NODE, SceneNames, read_names, skinner_node
+from humansim_ros.scene.names import LOCKSTEP, PLAYER_NODE, SceneNames, read_names, skinner_node
 
 #: Environment variable of nodes whose parent has shown the warnings of the scene.
 WARNINGS_SHOWN = "HUMANSIM_SCENE_WARNINGS_SHOWN"
 #: Node that receives the frames for the cameras of its process. The tools of ROS hide names that begin with
 #: _, so that users see the same nodes for any number of processes.
 RIG_NODE = "_camera_rig"
+#: Values of parameters.
+ParameterValue = str | bool | float | list[str]
+#: Prefix of a topic among the members of lockstep; other members are names of nodes.
+TOPIC_PREFIX = "topic:"
 #: Exit code of a node that has reported wrong input: another start would report it again.
 WRONG_INPUT = 2
 #: Names for several nodes of a scene, or for one without its name.
 _PLAYER, _SKINNERS, _CAMERAS = "player", "skinners", "cameras"
+#: Exit code of a motion player that has stopped because nodes did not finish a frame in time.
+TIMED_OUT = 3
+
+
+@dataclass(frozen=True)
+class TimeOptions:
+    """How time goes on, in place of the section ``time`` of a scene (docs/lockstep.md).
+
+    Values of None are as the scene says.
+
+    Attributes:
+        lockstep: Lockstep, or real time.
+        wait_for: Names of nodes that frames wait for, and topics after ``topic:``.
+        timeout: Seconds after which a frame waits no longer.
+        on_timeout: ``stop`` or ``continue``.
+        pace: Most frames per second of the wall clock.
+        frames: Number of frames.
+        summary: File for a summary at the end.
+    """
+
+    lockstep: bool | None = None
+    wait_for: Sequence[str] | None = None
+    timeout: float | None = None
+    on_timeout: str | None = None
+    pace: float | None = None
+    frames: int | None = None
+    summary: str | None = None
+
+    @property
+    def parameters(self) -> dict[str, ParameterValue]:
+        """Parameters of the motion player."""
+        mode = None if self.lockstep is None else LOCKSTEP if self.lockstep else "realtime"
+        wait_for = None if self.wait_for is None else list(self.wait_for)
+        values = {**asdict(self), "mode": mode, "wait_for": wait_for}
+        del values["lockstep"]
+        return {name: value for name, value in values.items() if value is not None}
 
 
 @dataclass(frozen=True)
@@ -37,7 +77,7 @@ class NodeProcess:
 
     executable: str
     node_name: str
-    parameters: Mapping[str, str | bool | float | list[str]]
+    parameters: Mapping[str, ParameterValue]
     log_level: str = "info"
     namespace: str = ""
 
@@ -94,6 +134,7 @@ def scene_processes(
     namespace: str = "",
     frame_prefix: str = "",
     only: str = "",
+    time: TimeOptions | None = None,
 ) -> list[NodeProcess]:
     """List the processes of a scene: motion player, one skinner per human, and camera processes.
 
@@ -104,6 +145,7 @@ def scene_processes(
         frame_prefix: Text before the optical frames of all cameras.
         only: Nodes to list, separated by commas: ``player``, ``skinners``, ``cameras`` and names of nodes;
             empty: all nodes.
+        time: How time goes on; as the scene says if None.
 
     Raises:
         HumansimError: A name of the scene, or the namespace, is not valid in ROS; or the scene has no node of
@@ -115,10 +157,13 @@ def scene_processes(
     # with their numbers in the scene: on several hosts, no two processes have a number in common
     cameras = [(i, name) for i, name in enumerate(names.cameras, 1) if name in chosen]
     namespace = relative_namespace(namespace)
-    scene: dict[str, str | bool] = {"scene": str(path)}
+    time = time or TimeOptions()
+    in_lockstep = names.lockstep if time.lockstep is None else time.lockstep
+    player: dict[str, ParameterValue] = {"scene": str(path)}
+    scene = {**player, **({"use_sim_time": True} if in_lockstep else {})}
     of_cameras = {**scene, **({"frame_prefix": frame_prefix} if frame_prefix else {})}
     listed = [
-        NodeProcess("motion_player", PLAYER_NODE, scene),
+        NodeProcess("motion_player", PLAYER_NODE, {**player, **time.parameters}),
         *(NodeProcess("skinner", skinner_node(name), {**scene, "human": name}) for name in names.humans),
         *_camera_processes(cameras, cores() if processes is None else processes, of_cameras),
     ]
@@ -149,7 +194,7 @@ def _chosen_nodes(names: SceneNames, only: str, path: Path) -> set[str]:
 
 
 def _camera_processes(
-    cameras: Sequence[tuple[int, str]], processes: int, scene: Mapping[str, str | bool]
+    cameras: Sequence[tuple[int, str]], processes: int, scene: Mapping[str, ParameterValue]
 ) -> Iterator[NodeProcess]:
     """``cameras``: number and name of each."""
     count = min(processes, len(cameras))

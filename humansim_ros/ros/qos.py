@@ -43,3 +43,11 @@ ALIVE = QoSProfile(
     liveliness=QoSLivelinessPolicy.AUTOMATIC,
     liveliness_lease_duration=Duration(seconds=0.5),
 )
+
+#: Topic on which everybody reports the frames that it has finished.
+FRAME_DONE = "frame_done"
+#: Publishers of these reports in nodes of this package: a motion player that is started again finds the
+#: newest ones.
+DONE = _profile(5, QoSDurabilityPolicy.TRANSIENT_LOCAL)
+#: Subscriptions to reports: one for each camera process and frame; a lost one is replaced by the next.
+REPORTS = _profile(50, QoSDurabilityPolicy.VOLATILE)

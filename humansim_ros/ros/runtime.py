@@ -147,7 +147,8 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     """Run one node, and nodes that it has created, until a stop signal; a second one ends it at once.
 
     Returns:
-        Exit code: 0 after a stop signal, 1 if the node cannot go on, 2 after invalid input.
+        Exit code: that of the node if it has ended by itself (``exit_code``), 0 after a stop signal, 1 if the
+        node cannot go on, 2 after invalid input.
     """
     end_process_on_stop(0)
     show_warnings()
@@ -176,7 +177,7 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
         for each in node.nodes:
             executor.add_node(each)
         stop.raises = False
-        spin(node, executor, lambda: stop.number is not None)
+        spin(node, executor, lambda: stop.number is not None or node.exit_code is not None)
     except HumansimError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2 if node is None else 1
@@ -193,4 +194,4 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
                 node.destroy_node()
         rclpy.try_shutdown()
         signal.alarm(0)
-    return 0
+    return (node and node.exit_code) or 0

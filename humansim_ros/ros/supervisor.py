@@ -8,13 +8,13 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
 
 from humansim_ros.ros.parent import PARENT_PID
-from humansim_ros.ros.processes import WARNINGS_SHOWN, WRONG_INPUT, NodeProcess, render_threads
+from humansim_ros.ros.processes import TIMED_OUT, WARNINGS_SHOWN, WRONG_INPUT, NodeProcess, render_threads
 from humansim_ros.ros.restart_policy import RestartPolicy
 from humansim_ros.ros.shared_memory import SharedMemoryFiles, remove_dead_files
 
@@ -102,11 +102,19 @@ class Supervisor:
                 return EndedProcess(self._processes[name], code)
         return None
 
-    def wait(self, until: float | None = None, respawn: bool = False) -> EndedProcess | None:
+    def wait(
+        self,
+        until: float | None = None,
+        respawn: bool = False,
+        is_end: Callable[[EndedProcess], bool] = lambda _: False,
+    ) -> EndedProcess | None:
         """Wait until a process ends unexpectedly, or until the monotonic time ``until``.
 
-        ``respawn``: start processes again that have ended, and go on; not after wrong input, and not without
-        end (:class:`RestartPolicy`).
+        Args:
+            until: Monotonic seconds; without end if None.
+            respawn: Start processes again that have ended, and go on; not after wrong input or a time-out,
+                and not without end (:class:`RestartPolicy`).
+            is_end: Whether a process has ended as it should, and all others are to end with it.
 
         Returns:
             The process, or None at ``until``.
@@ -116,7 +124,7 @@ class Supervisor:
         while until is None or time.monotonic() < until:
             while dead := self.dead():
                 name, now = dead.process.node_name, time.monotonic()
-                if not respawn or dead.code == WRONG_INPUT:
+                if not respawn or dead.code in (WRONG_INPUT, TIMED_OUT) or is_end(dead):
                     return dead
                 delay = policies[name].delay(now - self._started[name])
                 if delay is None:

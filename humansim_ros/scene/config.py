@@ -53,6 +53,20 @@ _Name = Annotated[
 ]
 
 
+#: Name of a ROS topic, absolute or relative.
+_Topic = Annotated[
+    str,
+    StringConstraints(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=255),
+    Expected("the name of a topic, such as /tracker/poses"),
+]
+#: Name of a ROS node, with or without its namespace.
+_MemberName = Annotated[
+    str,
+    StringConstraints(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=255),
+    Expected("the name of a node, such as tracker, or {topic: /tracker/poses}"),
+]
+
+
 class _FileSection(Section):
     """Section that a text alone can stand for: the name of its file."""
 
@@ -539,6 +553,50 @@ class RandomiseConfig(Section):
     camera_jitter: JitterConfig = JitterConfig()
 
 
+class TopicMemberConfig(Section):
+    """A topic that frames wait for."""
+
+    topic: _Topic = Field(description="topic of any message type that begins with a header")
+
+
+class TimeConfig(Section):
+    """How time goes on: in real time, or in lockstep with all nodes (docs/lockstep.md)."""
+
+    other_words: ClassVar[dict[str, str]] = {
+        "mode": "clock type",
+        "wait_for": "members wait trackers",
+        "timeout": "time_out limit",
+        "rate": "pace speed",
+        "frames": "count number",
+    }
+
+    mode: Literal["realtime", "lockstep"] = Field(
+        default="realtime",
+        description="lockstep: the next frame waits until all nodes have finished this one",
+    )
+    wait_for: tuple[_MemberName | TopicMemberConfig, ...] = Field(
+        default=(),
+        max_length=100,
+        description="nodes that a frame waits for besides the cameras: names that report on frame_done, or "
+        "topics as {topic: /tracker/poses}",
+    )
+    timeout: float = Field(
+        default=30.0, ge=0.1, le=1e6, description="time after which a frame waits no longer, seconds"
+    )
+    on_timeout: Literal["stop", "continue"] = Field(
+        default="stop", description="stop, or continue without the nodes that are late"
+    )
+    rate: float | None = Field(
+        default=None,
+        gt=0,
+        le=1000,
+        description="most frames per second of the wall clock; as fast as possible if absent",
+    )
+    frames: int | None = Field(
+        default=None, ge=1, le=2**31 - 1, description="number of frames; without end if absent"
+    )
+
+
 class SceneConfig(Section):
     """Content of a scene file."""
 
@@ -559,6 +617,7 @@ class SceneConfig(Section):
     world: WorldConfig = Field(default=WorldConfig(), description="mesh files and background")
     light: LightConfig = Field(default=LightConfig(), description="light and shadows")
     randomise: RandomiseConfig | None = Field(default=None, description="random looks")
+    time: TimeConfig = Field(default=TimeConfig(), description="real time, or lockstep")
 
     @model_validator(mode="after")
     def _has_cameras_and_labels(self) -> SceneConfig:

@@ -18,6 +18,8 @@ from humansim_ros.io.yaml import read_yaml
 
 #: Node that plays the motions of a scene.
 PLAYER_NODE = "motion_player"
+#: Value of ``time.mode``.
+LOCKSTEP = "lockstep"
 
 
 def skinner_node(human: str) -> str:
@@ -27,10 +29,11 @@ def skinner_node(human: str) -> str:
 
 @dataclass(frozen=True)
 class SceneNames:
-    """Names of the humans, and of the cameras with those of the rig."""
+    """Names of the humans, and of the cameras with those of the rig; whether the scene plays in lockstep."""
 
     humans: tuple[str, ...]
     cameras: tuple[str, ...]
+    lockstep: bool = False
 
 
 def read_names(path: str | os.PathLike[str]) -> SceneNames:
@@ -47,7 +50,8 @@ def read_names(path: str | os.PathLike[str]) -> SceneNames:
         check_node_names(humans, cameras)
     except SceneError as error:
         raise SceneError(error.message, path=path, key=error.key) from None
-    return SceneNames(humans, cameras)
+    time = content.get("time")
+    return SceneNames(humans, cameras, isinstance(time, dict) and time.get("mode") == LOCKSTEP)
 
 
 def check_node_names(humans: Iterable[str], cameras: Iterable[str]) -> None:

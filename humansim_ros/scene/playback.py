@@ -5,6 +5,7 @@ The motion player and ``Simulation`` both use :class:`Playback`, so that they sh
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
@@ -81,6 +82,23 @@ class PlaybackClock:
         dropped, self._next = frame - self._next, frame + 1
         return self._tick(self._start + round(frame * self.period), dropped)
 
+    def next(self) -> Tick:
+        """The next frame, whatever time it is; the first one has the stamp 1, as in ``Simulation``."""
+        if self.last is None:
+            return self.cut(1)
+        self._next += 1
+        return self._tick(self._start + round((self._next - 1) * self.period))
+
+    def begin_at(self, stamp: int) -> int:
+        """Let :meth:`next` begin with a later frame than the first one.
+
+        Returns:
+            Number of the first frame from stamp 1 on that is not before ``stamp``.
+        """
+        self._start, self._next = 1, max(0, math.ceil((stamp - 1) / self.period - 1e-6))
+        self.last, self._base = 1, (1, self.elapsed)
+        return self._next
+
     def cut(self, now: int) -> Tick:
         """A frame now; the next frames are counted from it."""
         stamp = now if self.last is None else max(now, self.last + 1)
@@ -95,11 +113,12 @@ class PlaybackClock:
         if self.last is not None:
             self.last += step
 
-    def set_rate(self, rate: float, now: int) -> Tick:
-        """Set the frames per second from now on."""
+    def set_rate(self, rate: float) -> None:
+        """Set the frames per second after the last frame."""
         self._rebase()
         self.period = 1e9 / rate
-        return self.cut(now)
+        if self.last is not None:
+            self._start, self._next = self.last, 1
 
     def set_speed(self, speed: float) -> None:
         """Set the seconds of the scene per second after the last frame."""
@@ -117,11 +136,10 @@ class PlaybackClock:
         self.elapsed = self._base[1] + round(self._steps * self.period * (self.speed or 1.0))
         return self.cut(now)
 
-    def seek(self, seconds: float, now: int) -> Tick:
-        """A frame of a scene time now; continue from it."""
+    def seek(self, seconds: float) -> None:
+        """Jump to a scene time with the next frame."""
         self.elapsed = round(seconds * 1e9)
         self._base, self._steps = (None, self.elapsed), 0
-        return self.cut(now)
 
     def _rebase(self) -> None:
         self._base, self._steps = (self.last, self.elapsed), 0

@@ -512,7 +512,7 @@ def test_trajectories_move_all_cameras_at_the_same_stamp_until_the_player_pauses
     stamps = move.next(*together, count=6)
 
     scene = Scene.load(move.scene)
-    begun = player._playback_clock._base[0]
+    begun = player.playback_clock._base[0]
     transforms = {
         (t.child_frame_id, messages.to_nanoseconds(t.header.stamp)): t for ts in tf["/tf"] for t in ts
     }

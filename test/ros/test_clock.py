@@ -199,8 +199,8 @@ def test_all_outputs_go_on_when_the_system_clock_is_set(
     client.spin_until_matched(player, camera)
     drops: list[int] = []
     ticks: list[Any] = []
-    publish = player._publish
-    monkeypatch.setattr(player, "_publish", lambda tick: (ticks.append(tick), publish(tick)))
+    send = player.send_frame
+    monkeypatch.setattr(player, "send_frame", lambda tick, poses: (ticks.append(tick), send(tick, poses)))
     assert client.spin_until(lambda: len(client.received[images]) >= 5 and marker_stamps)
 
     step = round(seconds * SECOND)  # nobody spins at present
@@ -248,7 +248,7 @@ def test_a_legend_is_valid_after_the_clock_is_set_back(
     step = -3600 * SECOND
     assert client.spin_until(lambda: frames[-1] < time.time_ns() + step // 2)
     retargeter = skinner._live_retargeter._source.retargeter
-    assert retargeter.lift == player._playback.actors["first"].retargeter.lift
+    assert retargeter.lift == player.playback.actors["first"].retargeter.lift
     assert next(skinner._live_retargeter._candidates(frames[-1])).since <= frames[-1]
 
 
@@ -355,14 +355,14 @@ def test_timers_follow_simulated_time_through_pauses_rates_and_jumps_back(
         assert client.spin_until(lambda tick=tick: len(received) > tick), f"tick {tick}: {len(received)}"
     np.testing.assert_array_equal(np.diff(sorted(received)), SECOND // 20)
 
-    sent = player._playback_clock.last
+    sent = player.playback_clock.last
     pauses: list[None] = []
     timer = client.node.create_timer(0.05, lambda: (pauses.append(None), clock.show(105.0)))
     assert client.spin_until(lambda: len(pauses) >= 10)  # time stands
     client.node.destroy_timer(timer)
-    assert player._playback_clock.last <= sent + SECOND // 20
+    assert player.playback_clock.last <= sent + SECOND // 20
 
-    elapsed = player._playback_clock.elapsed
+    elapsed = player.playback_clock.elapsed
     received.clear()
     now = 50 * SECOND
 
@@ -376,4 +376,4 @@ def test_timers_follow_simulated_time_through_pauses_rates_and_jumps_back(
 
     assert client.spin_until(goes_on)
     assert all(50 * SECOND < stamp < 60 * SECOND for stamp in received)
-    assert 0 < player._playback_clock.elapsed - elapsed <= now - 50 * SECOND
+    assert 0 < player.playback_clock.elapsed - elapsed <= now - 50 * SECOND

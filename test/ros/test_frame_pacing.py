@@ -266,7 +266,7 @@ def test_a_camera_that_has_died_delays_the_others_no_longer(ros: None, tmp_path:
     now = time.monotonic()
 
     def late() -> list[str]:
-        return player._pacing.late_cameras(lockstep.play(), PERIOD, now)
+        return player.playing._pacing.late_cameras(lockstep.play(), PERIOD, now)
 
     with subprocess.Popen([sys.executable, "-c", CAMERA_PROCESS]) as camera:
         try:
@@ -289,7 +289,9 @@ def test_the_player_hears_a_reporter_with_ordinary_quality_of_service(ros: None,
     for _ in range(3):
         lockstep.play()
     assert client.spin_until(
-        lambda: player._pacing.late_cameras(first + 3 * SECOND, PERIOD, time.monotonic()) == ["tracker"]
+        lambda: (
+            player.playing._pacing.late_cameras(first + 3 * SECOND, PERIOD, time.monotonic()) == ["tracker"]
+        )
     )
     player.destroy_node()
     client.close()

@@ -86,7 +86,8 @@ def test_steps_show_frames_at_once_and_their_stamps_do_not_run_ahead() -> None:
 def test_seeking_shows_that_time_at_once_and_continues_from_there() -> None:
     clock = PlaybackClock(rate=20, seconds=3.0)
     assert due(clock, 9.0).elapsed == 3 * SECOND
-    tick = clock.seek(7.25, round(9.01 * SECOND))
+    clock.seek(7.25)
+    tick = clock.cut(round(9.01 * SECOND))
     assert (tick.stamp, tick.elapsed) == (9.01 * SECOND, 7.25 * SECOND)
     assert due(clock, 9.06).elapsed == 7.3 * SECOND
 
@@ -96,7 +97,8 @@ def test_stamps_rise_and_time_runs_on_when_the_rate_changes(before: float, after
     clock = PlaybackClock(before)
     first = due(clock, 1.0)
     early = first.stamp - 5  # a frame may be sent a little early
-    tick = clock.set_rate(after, early)
+    clock.set_rate(after)
+    tick = clock.cut(early)
     assert tick.stamp == first.stamp + 1
     assert tick.elapsed == first.elapsed + 1
     assert due(clock, 1.0 + 1 / after).stamp == tick.stamp + round(SECOND / after)
@@ -248,7 +250,7 @@ class PlayerClient:
 
     def frames(self, count: int, human: str = "first", kind: str = "motion") -> list[tuple[int, JointPoses]]:
         """The first ``count`` frames that the player sends from now on."""
-        sent = self.player._playback_clock.last or 0
+        sent = self.player.playback_clock.last or 0
 
         def later() -> list[tuple[int, Any]]:
             return sorted(item for item in self.messages_of(human, kind).items() if item[0] > sent)
@@ -338,7 +340,7 @@ def test_a_paused_player_shows_the_same_pose_with_new_stamps_and_steps_by_frames
     assert np.all(np.diff([stamp for stamp, _ in still]) > 0)
     assert still[-1][1].linear is not None
     assert np.abs(still[-1][1].linear).max() == 0
-    start = player.player._playback_clock.elapsed
+    start = player.player.playback_clock.elapsed
     for step in (1, 2, 3):
         answer = player.call("step", Trigger)
         assert answer.success
@@ -411,7 +413,7 @@ def test_values_for_all_are_set_for_each_and_parameters_return_present_values(pl
 
 def test_one_human_can_be_left_to_another_source(player: PlayerClient) -> None:
     assert player.set(second__play=False) == ""
-    last = player.player._playback_clock.last
+    last = player.player.playback_clock.last
     player.frames(4)
     assert max(player.messages_of("second")) <= last
     assert player.set(second__play=True) == ""
@@ -468,7 +470,7 @@ def test_values_that_cannot_be_played_are_rejected_and_the_old_motion_continues(
     assert player.set(first__motion=str(tmp_path / "gone.bvh")) == ""
     (tmp_path / "gone.bvh").unlink()
     assert player.set(first__mirror=True, first__end=1.5) == ""
-    settings, actors = dict(player.player._playback.settings), dict(player.player._playback.actors)
+    settings, actors = dict(player.player.playback.settings), dict(player.player.playback.actors)
     names = ("first.motion", "first.mirror", "first.start", "second.loop", "rate", "seek")
     values_before = player.get(*names)
     for values, reason in (
@@ -492,8 +494,8 @@ def test_values_that_cannot_be_played_are_rejected_and_the_old_motion_continues(
         assert reason in player.set(**{name.replace(".", "__"): value for name, value in values.items()}), (
             values
         )
-        assert player.player._playback.settings == settings, values
-        assert all(player.player._playback.actors[name] is actors[name] for name in actors), values
+        assert player.player.playback.settings == settings, values
+        assert all(player.player.playback.actors[name] is actors[name] for name in actors), values
     assert player.get(*names) == values_before
     assert moves(player.frames(4))
 
@@ -501,17 +503,17 @@ def test_values_that_cannot_be_played_are_rejected_and_the_old_motion_continues(
 def test_frames_are_sent_while_a_motion_is_read(
     player: PlayerClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    prepare, publish, during = Playback.prepare, player.player._publish, list[int]()
+    prepare, publish, during = Playback.prepare, player.player.send_frame, list[int]()
     five_are_sent = threading.Event()
 
     def slow(self: Playback, *change: Any) -> Any:
-        monkeypatch.setattr(player.player, "_publish", count)
+        monkeypatch.setattr(player.player, "send_frame", count)
         assert five_are_sent.wait(PATIENCE), "no frames are sent while the motion is read"
-        monkeypatch.setattr(player.player, "_publish", publish)
+        monkeypatch.setattr(player.player, "send_frame", publish)
         return prepare(self, *change)
 
-    def count(tick: Tick) -> None:
-        publish(tick)
+    def count(tick: Tick, scene_poses: Any) -> None:
+        publish(tick, scene_poses)
         during.append(tick.stamp)
         if len(during) >= 5:
             five_are_sent.set()
@@ -571,12 +573,12 @@ def test_parameters_at_the_start_have_priority_over_the_scene(ros: None, tmp_pat
         )
 
     node = made(motion="walk_straight", second__motion="walk", second__start=0.5, seek=3.0)
-    files = {name: motion.file for name, motion in node._playback.settings.items()}
+    files = {name: motion.file for name, motion in node.playback.settings.items()}
     assert files == {"first": "walk_straight", "second": "walk"}
-    expected = node._playback.actors["second"].motion.sample(
+    expected = node.playback.actors["second"].motion.sample(
         3.5
     )  # with an offset of half a second, from its start
-    shown = node._playback.show(node._playback_clock.cut(5).elapsed).poses["second"]
+    shown = node.playback.show(node.playback_clock.cut(5).elapsed).poses["second"]
     np.testing.assert_array_equal(shown.positions, expected.positions)
     node.destroy_node()
     for invalid in ({"rate": 0.0}, {"speed": "fast"}, {"motion": "nothing"}, {"first__loop": "often"}):
@@ -626,7 +628,7 @@ def test_frames_are_sent_at_their_stamps_even_if_the_first_was_late(
     player = MotionPlayerNode(parameter_overrides=overrides, namespace="sluggish")
     lead = round(player.get_parameter("lead").value * SECOND)
     late: list[int] = []
-    monkeypatch.setattr(player, "_publish", lambda tick: late.append(player.now() + lead - tick.stamp))
+    monkeypatch.setattr(player, "send_frame", lambda tick, _: late.append(player.now() + lead - tick.stamp))
     executor = SingleThreadedExecutor()
     executor.add_node(player)
     time.sleep(0.25)  # the timer was due after 0.2 s

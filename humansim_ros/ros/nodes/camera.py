@@ -49,7 +49,8 @@ class CameraNode(SceneNode):
         self._in_rig = renderer is not None
         self._renderer = renderer if self._in_rig else self.make_renderer()
         self._images = ImagePublishers(self, self._camera, frame, self.scene.labels, self._renderer.channels)
-        #: State and exposure of the previous frame, if flow is subscribed to.
+        #: States and exposures of the last frame and of the one before it, if flow is subscribed to.
+        self._last: tuple[SceneState, Exposure] | None = None
         self._previous: tuple[SceneState, Exposure] | None = None
         self._infos = InfoPublishers(self, name)
         self._truth = TruthPublishers(self, name, frame)
@@ -124,8 +125,12 @@ class CameraNode(SceneNode):
     def _publish_frame(self, state: SceneState) -> None:
         exposure = self._pose.exposure(state)
         channels = self._images.subscribed()
+        if self._last is not None and self._last[0].stamp != state.stamp:  # else the same frame again
+            self._previous = self._last
         previous = self._previous
-        self._previous = (state, exposure) if channels & (_FORWARD | _BACKWARD) else None
+        self._last = (state, exposure) if channels & (_FORWARD | _BACKWARD) else None
+        if self._last is None:
+            self._previous = None
         if previous is None:
             self._publish_view(state, exposure, channels - _FORWARD - _BACKWARD)
             return

@@ -17,17 +17,13 @@ Parameters can be set while it plays; services ``~/pause``, ``~/step`` and ``~/r
 from __future__ import annotations
 
 import json
-import time
-from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from geometry_msgs.msg import PoseStamped, TwistStamped
 from rcl_interfaces.msg import SetParametersResult
-from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
-from rclpy.qos import QoSProfile
 from sensor_msgs.msg import MultiDOFJointState, TimeReference
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
@@ -35,8 +31,8 @@ from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.ros.background import BackgroundWork
-from humansim_ros.ros.clock_steps import ClockSteps
-from humansim_ros.ros.frame_pacing import FramePacing
+from humansim_ros.ros.lockstep_playing import LockstepPlaying
+from humansim_ros.ros.lockstep_settings import LockstepSettings
 from humansim_ros.ros.messages import (
     WORLD_FRAME,
     header,
@@ -46,12 +42,12 @@ from humansim_ros.ros.messages import (
     object_message,
     pose_message,
     scene_time_message,
-    to_nanoseconds,
     twist_message,
 )
 from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
-from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DATA, LATCHED, SCENE_TIME
+from humansim_ros.ros.playing import MAX_WAITING, FramePlayer, Playing
+from humansim_ros.ros.qos import DATA, LATCHED, SCENE_TIME
+from humansim_ros.ros.realtime import RealtimePlaying
 from humansim_ros.ros.requested_motions import MOTION_FOLDERS, RequestedMotions
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
@@ -63,13 +59,9 @@ from humansim_ros.scene.playback import Change, Playback, PlaybackClock, ScenePo
 MAX_LEAD = 0.1
 #: Seconds until a request is given up whose motions are not ready.
 MAX_READING = 20.0
-#: Most frames of a pause that wait until the cameras have time for them.
-MAX_WAITING = 100
-#: Queue for reports: one for each camera process and frame; a lost one is replaced by the next.
-_REPORTS = QoSProfile(depth=50)
 
 
-class MotionPlayerNode(SceneNode):
+class MotionPlayerNode(FramePlayer):
     """Publishes the joints of all motions, moving objects and moving cameras, frame by frame."""
 
     def __init__(self, **options: Any) -> None:
@@ -81,13 +73,13 @@ class MotionPlayerNode(SceneNode):
         speed = declare("speed", 1.0, "Scene time per second", (0.0, 10.0))
         seek = declare("seek", 0.0, "Setting it jumps to this scene time in seconds", (0.0, MAX_SECONDS))
         description = "Seconds by which motions are sent before their stamps, so that bodies are ready then"
-        self._requested_lead = 1e9 * self.number_parameter("lead", 0.01, 0.0, MAX_LEAD, description)
-        self._playback = Playback(self.scene)
-        self._playback_clock = PlaybackClock(rate, speed, seek)
-        self._clock_steps = ClockSteps(lambda: self.now(), self.has_simulated_time)
-        self._playback.elapsed = self._playback_clock.elapsed
+        lead = 1e9 * self.number_parameter("lead", 0.01, 0.0, MAX_LEAD, description)
+        settings = LockstepSettings.of_parameters(self)
+        self.playback = Playback(self.scene)
+        self.playback_clock = PlaybackClock(rate, speed, seek)
+        self.playback.elapsed = self.playback_clock.elapsed
         self._changes: list[tuple[Change, JointSource]] = []
-        self._motion_parameters = MotionParameters(self, self._playback)
+        self._motion_parameters = MotionParameters(self, self.playback)
         self._requested_motions = self._allowed_motions()
         self._background = BackgroundWork(MAX_READING)
         for name in self.scene.actors:
@@ -113,7 +105,7 @@ class MotionPlayerNode(SceneNode):
             name: self.create_publisher(String, f"humans/{name}/motion/legend", LATCHED)
             for name in self.scene.actors
         }
-        self._sources = {name: JointSource.of_actor(actor) for name, actor in self._playback.actors.items()}
+        self._sources = {name: JointSource.of_actor(actor) for name, actor in self.playback.actors.items()}
         self._update_sources()
         self.add_pre_set_parameters_callback(self._motion_parameters.complete)
         self.add_on_set_parameters_callback(self._prepare)
@@ -121,85 +113,13 @@ class MotionPlayerNode(SceneNode):
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/restart", self._on_restart)
-        self._pacing = FramePacing()
-        #: Frames of a pause (steps, seeks) that wait until the cameras have time for them.
-        self._waiting: deque[tuple[Tick, ScenePoses]] = deque()
-        self.create_subscription(Header, "frame_done", self._on_frame_done, _REPORTS)
-        events = SubscriptionEventCallbacks(liveliness=self._on_liveliness)
-        self.create_subscription(Header, CAMERA_ALIVE, lambda _: None, ALIVE, event_callbacks=events)
-        self._frame_timer = self.create_timer(self._playback_clock.period * 1e-9, self._tick)
+        self.playing: Playing = LockstepPlaying(self, settings) if settings else RealtimePlaying(self, lead)
         self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {self.scene.path}")
 
     # --- frames
 
-    @property
-    def _lead(self) -> int:
-        """Nanoseconds; at most a period, so that motions do not queue up at the skinners."""
-        return round(min(self._requested_lead, self._playback_clock.period))
-
-    def _stamp_now(self) -> int:
-        """Stamp of a frame that is sent now."""
-        now, step = self._clock_steps.read()
-        if step:
-            self._follow_clock(step)
-        return now + self._lead
-
-    def _follow_clock(self, step: int) -> None:
-        """Go on after the clock was set by ``step`` nanoseconds."""
-        started = self._playback_clock.last is not None
-        self._playback_clock.shift(step)
-        if not started:
-            return
-        clock = "simulated time" if self.has_simulated_time() else "the system clock"
-        step_text = f"{abs(step) * 1e-9:.2f} s {'ahead' if step > 0 else 'back'}"
-        text = f"{clock} was set {step_text}: stamps jump with it, scene time goes on"
-        self.get_logger().warn(text, throttle_duration_sec=5.0)
-        if step < 0:  # no legend may be of a later stamp than its motion
-            self._sources = {name: replace(source, since=0) for name, source in self._sources.items()}
-            for name in self._motions:
-                self._legends[name].publish(motion_legend(self._sources[name]))
-
-    def _tick(self) -> None:
-        self._send_waiting()
-        now = self._stamp_now()
-        tick = self._playback_clock.due(now)
-        if tick is None:
-            return
-        if tick.stamp == now:
-            # frames are counted from here: the timer was late, so it would be early for all later frames,
-            # and each would wait for the next call of the timer
-            self._frame_timer.reset()
-        if self._playback_clock.paused or self._waiting:
-            # the same pose again; a step is not lost among such frames
-            if not self._waiting and self._pacing.may_repeat(time.monotonic()):
-                self._publish(tick)
-            return
-        late = self._pacing.late_cameras(tick.stamp, self._playback_clock.period, time.monotonic())
-        if late:
-            self.count("drops", 1 + tick.dropped)
-            self.drop_reason = f"waiting for {', '.join(late)}"
-            return
-        self._publish(tick)
-
-    def _on_frame_done(self, report: Header) -> None:
-        self._pacing.add_finished(report.frame_id, to_nanoseconds(report.stamp), time.monotonic())
-        self._send_waiting()
-
-    def _send_waiting(self) -> None:
-        """Publish the next waiting frames for which the cameras have time."""
-        while self._waiting and self._pacing.may_send_paused(1, time.monotonic()):
-            self._send(*self._waiting.popleft())
-
-    def _on_liveliness(self, change: QoSLivelinessChangedInfo) -> None:
-        if change.alive_count_change < 0:  # a camera process has ended or died
-            self._pacing.forget_cameras()
-
-    def _publish(self, tick: Tick) -> None:
+    def send_frame(self, tick: Tick, scene_poses: ScenePoses) -> None:
         """Publish one frame."""
-        self._send(tick, self._playback.show(tick.elapsed, tick.pace))
-
-    def _send(self, tick: Tick, scene_poses: ScenePoses) -> None:
-        self._pacing.add_sent(tick.stamp, time.monotonic())
         self._scene_time.publish(scene_time_message(tick.elapsed, tick.stamp))
         for name, publisher in self._motions.items():
             publisher.publish(motion_message(scene_poses.poses[name], tick.stamp))
@@ -212,23 +132,18 @@ class MotionPlayerNode(SceneNode):
         for name, pose in scene_poses.cameras.items():
             self._twists[name].publish(twist_message(pose.velocity, tick.stamp))
             self._poses[name].publish(pose_message(pose, tick.stamp))
-        self.count("drops", tick.dropped)
         self.count("frames")
-        self.report_lateness(tick.stamp - self._lead)
 
-    def _publish_at_once(self, tick: Tick) -> None:
-        """Publish a frame between two calls of the timer; timer and clock go on from here.
+    def restart_legends(self) -> None:
+        """Publish legends that are valid for all stamps, because stamps have jumped back."""
+        # no legend may be of a later stamp than its motion
+        self._sources = {name: replace(source, since=0) for name, source in self._sources.items()}
+        for name in self._motions:
+            self._legends[name].publish(motion_legend(self._sources[name]))
 
-        During a pause it waits until the cameras have time for it, so that none loses it.
-        """
-        self._frame_timer.timer_period_ns = round(self._playback_clock.period)
-        self._frame_timer.reset()
-        scene_poses = self._playback.show(tick.elapsed, tick.pace)
-        if not (self._playback_clock.paused or self._waiting):
-            self._send(tick, scene_poses)
-        elif len(self._waiting) < MAX_WAITING:  # else shown by the next frames of the pause
-            self._waiting.append((tick, scene_poses))
-            self._send_waiting()
+    def close(self) -> None:
+        """End playing."""
+        self.playing.close()
 
     # --- parameters
 
@@ -239,8 +154,8 @@ class MotionPlayerNode(SceneNode):
         try:
             self._changes = self._background.run(
                 lambda: [self._prepare_change(*change) for change in changes.items()],
-                self._tick,
-                min(0.01, self._playback_clock.period * 0.5e-9),
+                self.playing.work,
+                min(0.01, self.playback_clock.period * 0.5e-9),
             )
         except HumansimError as error:
             reason = printable(str(error), 1000)
@@ -250,7 +165,7 @@ class MotionPlayerNode(SceneNode):
 
     def _prepare_change(self, human: str, settings: Mapping[str, Any]) -> tuple[Change, JointSource]:
         """Prepare a change, and the content of its legend."""
-        change = self._playback.prepare(human, settings, self._requested_motions)
+        change = self.playback.prepare(human, settings, self._requested_motions)
         return change, JointSource.of_actor(change.actor)
 
     def _allowed_motions(self) -> RequestedMotions:
@@ -262,26 +177,26 @@ class MotionPlayerNode(SceneNode):
             read_only=True,
         )
         named = {human.motion.file for human in self.scene.config.humans.values()}
-        named |= {settings.file for settings in self._playback.settings.values()}
+        named |= {settings.file for settings in self.playback.settings.values()}
         return RequestedMotions.of(self.scene.source, folders or (), named)
 
     def _apply(self, parameters: Sequence[Parameter]) -> None:
         """Make accepted parameters effective."""
-        since = 0 if self._playback_clock.last is None else self._playback_clock.last + 1
+        since = 0 if self.playback_clock.last is None else self.playback_clock.last + 1
         for change, source in self._changes:
             self._sources[change.name] = replace(source, since=since)
-            self._playback.apply(change)
+            self.playback.apply(change)
         self._update_sources({change.name for change, _ in self._changes})
         self._changes = []
         values = {parameter.name: parameter.value for parameter in parameters}
         if "speed" in values:
-            self._playback_clock.set_speed(values["speed"])
+            self.playback_clock.set_speed(values["speed"])
         if "rate" in values:
-            tick = self._playback_clock.set_rate(values["rate"], self._stamp_now())
-            if "seek" not in values:
-                self._publish_at_once(tick)
+            self.playback_clock.set_rate(values["rate"])
         if "seek" in values:
             self._go_to(values["seek"])
+        elif "rate" in values:
+            self.playing.follow_rate()
 
     def _update_sources(self, changed: Collection[str] = ()) -> None:
         """Publish the motion of every human that is not live, and the legend of each change.
@@ -289,7 +204,7 @@ class MotionPlayerNode(SceneNode):
         ``changed``: humans with another motion.
         """
         for name in self._legends:
-            live = self._playback.settings[name].file == LIVE or not self.get_parameter(f"{name}.play").value
+            live = self.playback.settings[name].file == LIVE or not self.get_parameter(f"{name}.play").value
             old, new = (self._motions, self._live) if live else (self._live, self._motions)
             if name in new and name not in changed:
                 continue
@@ -300,40 +215,41 @@ class MotionPlayerNode(SceneNode):
                 kind, topic = (Header, "frame") if live else (MultiDOFJointState, "motion")
                 new[name] = self.create_publisher(kind, f"humans/{name}/{topic}", DATA)
 
-    def _go_to(self, seconds: float) -> None:
+    def _go_to(self, seconds: float) -> Tick:
         """Jump to a scene time, as if all humans had played their present motions from the start."""
-        self._playback.rewind()
-        self._publish_at_once(self._playback_clock.seek(seconds, self._stamp_now()))
+        self.playback.rewind()
+        return self.playing.seek(seconds)
 
     # --- services
 
     def _on_pause(self, request: Any, response: Any) -> Any:
-        self._playback_clock.pause(bool(request.data))
-        return self._accept(response)
+        self.playing.pause(bool(request.data))
+        return _accept(response, self.playback_clock.last or 0, self.playback_clock.elapsed)
 
     def _on_step(self, _: Any, response: Any) -> Any:
-        if not self._playback_clock.paused:
+        if not self.playing.is_paused:
             response.message = "the player must be paused for a step: call ~/pause first"
             return response
-        if len(self._waiting) >= MAX_WAITING:
+        if self.playing.waiting >= MAX_WAITING:
             response.message = f"{MAX_WAITING} steps wait for the cameras: wait for their images first"
             return response
-        self._publish_at_once(self._playback_clock.step(self._stamp_now()))
-        return self._accept(response)
+        tick = self.playing.step()
+        return _accept(response, tick.stamp, tick.elapsed)
 
     def _on_restart(self, _: Any, response: Any) -> Any:
-        self._go_to(0.0)
-        return self._accept(response)
+        tick = self._go_to(0.0)
+        return _accept(response, tick.stamp, tick.elapsed)
 
-    def _accept(self, response: Any) -> Any:
-        """Answer with stamp and scene time of the last frame, as JSON."""
-        seconds, nanoseconds = divmod(self._playback_clock.last or 0, 1_000_000_000)
-        position = {
-            "stamp": {"sec": seconds, "nanosec": nanoseconds},
-            "scene_time": round(self._playback_clock.elapsed * 1e-9, 9),
-        }
-        response.success, response.message = True, json.dumps(position)
-        return response
+
+def _accept(response: Any, stamp: int, elapsed: int) -> Any:
+    """Answer with stamp and scene time (nanoseconds) of a frame, as JSON."""
+    seconds, nanoseconds = divmod(stamp, 1_000_000_000)
+    position = {
+        "stamp": {"sec": seconds, "nanosec": nanoseconds},
+        "scene_time": round(elapsed * 1e-9, 9),
+    }
+    response.success, response.message = True, json.dumps(position)
+    return response
 
 
 def main(scene: Scene | None = None) -> int:

@@ -146,6 +146,8 @@ class SkinnerNode(SceneNode):
 
         A stamp farther ahead than any lead is from another clock.
         """
+        if self.has_simulated_time():  # it may run at any rate, and /clock may arrive after the motion
+            return
         wait = (stamp - self.now()) * 1e-9
         if 0 < wait <= MAX_LEAD:
             time.sleep(wait)

@@ -15,6 +15,8 @@ from humansim_ros.types import Array, FloatArray
 #: Body space (metres, y up, faces +z, +x is the person's left) to the world (REP-103: x forward, y left, z
 #: up).
 WORLD_FROM_BODY: Array = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+#: Error of the length of a unit quaternion that rounding explains.
+_ROUNDING = 1e-12
 
 
 def quaternion_to_matrix(quaternion: NDArray[Any]) -> Array:
@@ -84,6 +86,16 @@ def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
     q: Array = np.take_along_axis(table, best[..., None, None], axis=-2)[..., 0, :]
     q = q / np.linalg.norm(q, axis=-1, keepdims=True)
     return np.where(q[..., 3:] < 0, -q, q)
+
+
+def unit_quaternions(quaternions: NDArray[Any]) -> Array:
+    """Quaternions (..., 4) divided by their length, which is not zero.
+
+    Those whose length is 1 up to rounding stay the same to the last bit.
+    """
+    q = np.asarray(quaternions, dtype=float)
+    length = np.linalg.norm(q, axis=-1, keepdims=True)
+    return np.where(np.abs(length - 1) <= _ROUNDING, q, q / length)
 
 
 def slerp(start: Array, end: Array, fraction: Array) -> Array:

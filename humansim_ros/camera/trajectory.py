@@ -161,20 +161,26 @@ class Trajectory:
     def pose(self, seconds: float) -> tuple[Array, Array]:
         """Extrinsics R (3, 3) and t (3,), world to optical frame, at a time in seconds after the first pose.
 
+        See :meth:`in_map`.
+        """
+        position, quaternion = self.in_map(seconds)
+        rotation = quaternion_to_matrix(quaternion).T
+        return rotation, -rotation @ position
+
+    def in_map(self, seconds: float) -> tuple[Array, Array]:
+        """Position (3,) and quaternion (4,) xyzw of the optical frame at a time after the first pose.
+
         Positions are interpolated linearly, rotations by slerp. Before the first pose, ``clamp`` stays there;
         ``loop`` and ``ping_pong`` continue backwards.
         """
         time = self.times[0] + self._time_in_trajectory(seconds)
         after = int(np.clip(np.searchsorted(self.times, time, side="right"), 1, max(len(self.times) - 1, 1)))
         if len(self.times) == 1:
-            position, quaternion = self.positions[0], self.rotations[0]
-        else:
-            start, end = self.times[after - 1], self.times[after]
-            part = np.clip((time - start) / (end - start), 0.0, 1.0)
-            position = (1 - part) * self.positions[after - 1] + part * self.positions[after]
-            quaternion = slerp(self.rotations[after - 1], self.rotations[after], np.asarray(part))
-        rotation = quaternion_to_matrix(quaternion).T
-        return rotation, -rotation @ position
+            return self.positions[0], self.rotations[0]
+        start, end = self.times[after - 1], self.times[after]
+        part = np.clip((time - start) / (end - start), 0.0, 1.0)
+        position = (1 - part) * self.positions[after - 1] + part * self.positions[after]
+        return position, slerp(self.rotations[after - 1], self.rotations[after], np.asarray(part))
 
     def difference_times(self, seconds: float, step: float) -> tuple[float, float]:
         """Times one step before and after a time, for finite differences; not beyond the ends of a loop."""

@@ -34,6 +34,15 @@ class JointPoses:
     linear: Array | None = None
     angular: Array | None = None
 
+    def contiguous(self) -> JointPoses:
+        """The same poses with contiguous arrays: sums of NumPy depend on the order in memory."""
+        linear, angular = (
+            None if velocity is None else np.ascontiguousarray(velocity)
+            for velocity in (self.linear, self.angular)
+        )
+        positions, rotations = np.ascontiguousarray(self.positions), np.ascontiguousarray(self.rotations)
+        return JointPoses(self.names, positions, rotations, linear, angular)
+
     def extrapolate(self, seconds: ArrayLike) -> JointPoses:
         """Poses (M, J) at times (M,) relative to a single pose (N = 1), at its constant velocity.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from humansim_ros.motion.motion_checks import playing_warnings
 from humansim_ros.motion.retarget import Retargeter
 from humansim_ros.motion.world_motion import Placement, WorldMotion
 from humansim_ros.render import Body
-from humansim_ros.rotations import matrix_to_quaternion, moved, quaternion_to_matrix
+from humansim_ros.rotations import matrix_to_quaternion, moved, quaternion_to_matrix, transform
 from humansim_ros.scene.config import HumanConfig, MotionConfig
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.types import Array
@@ -36,6 +36,8 @@ class HumanState:
         angular: (J, 3) angular velocities in rad/s; None if the motion has none.
         vertices: (V, 3) float32 in the order of the mesh.
         size: Scale of the body by keyframes.
+        rotations: (J, 4) quaternions xyzw that the rotations of ``joints`` are computed from, as messages
+            carry them.
     """
 
     joint_names: tuple[str, ...]
@@ -44,6 +46,7 @@ class HumanState:
     angular: Array | None
     vertices: NDArray[np.float32]
     size: float = 1.0
+    rotations: Array = field(kw_only=True)
 
     def __repr__(self) -> str:
         return f"HumanState({len(self.joint_names)} joints, {len(self.vertices)} vertices)"
@@ -170,8 +173,11 @@ class Actor:
         return poses if self.keyframes is None else self.keyframes.apply(poses, seconds)
 
     def state(self, poses: JointPoses) -> HumanState:
-        """State of the body from joint poses with N = 1, as the skinner publishes it."""
-        skeleton = self.human.skeleton
+        """State of the body from joint poses with N = 1, as the skinner publishes it.
+
+        It has the same bits for poses that were sent as a message and for those that were not.
+        """
+        skeleton, poses = self.human.skeleton, poses.contiguous()
         if poses.linear is None:
             (joints,), (size,) = self._joints(poses)
             linear = angular = None
@@ -189,7 +195,16 @@ class Actor:
         bones = joints[: len(skeleton)]
         if size != 1:
             bones = bones @ np.diag([size, size, size, 1.0])
-        return HumanState(skeleton.joint_names, joints, linear, angular, self.human.pose(bones), float(size))
+        rotations = matrix_to_quaternion(joints[:, :3, :3])
+        return HumanState(
+            skeleton.joint_names,
+            transform(quaternion_to_matrix(rotations), joints[:, :3, 3]),
+            linear,
+            angular,
+            self.human.pose(bones),
+            float(size),
+            rotations=rotations,
+        )
 
     def at(self, seconds: float) -> HumanState:
         """State of the body at a scene time in seconds."""

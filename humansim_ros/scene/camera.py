@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
@@ -37,6 +37,27 @@ class CameraPose:
     R: Array
     t: Array
     velocity: Velocity | None = None
+    # position and quaternion that R and t follow from, if they do
+    _in_map: tuple[Array, Array] | None = field(default=None, repr=False)
+
+    @classmethod
+    def at(cls, position: Array, rotation: Array, velocity: Velocity | None = None) -> CameraPose:
+        """Pose with the optical frame at a position (3,) in ``map``, rotated by a unit quaternion (4,) xyzw.
+
+        Messages carry these numbers, so that a pose is the same to the last bit after it was sent.
+        """
+        r = quaternion_to_matrix(rotation).T
+        return cls(r, -r @ position, velocity, (position, rotation))
+
+    @property
+    def position(self) -> Array:
+        """Position (3,) of the optical frame in ``map``, metres."""
+        return -self.R.T @ self.t if self._in_map is None else self._in_map[0]
+
+    @property
+    def rotation(self) -> Array:
+        """Rotation (4,) xyzw of the optical frame in ``map``."""
+        return matrix_to_quaternion(self.R.T) if self._in_map is None else self._in_map[1]
 
     @classmethod
     def of(cls, camera: Camera) -> CameraPose:
@@ -140,11 +161,9 @@ class SceneCamera:
             return CameraPose.of(self.camera)
         time = self.speed * (seconds + self.offset)
         early, late = self.path.difference_times(time, VELOCITY_STEP * max(self.speed, 1e-6))
-        beside = [self.path.pose(early), self.path.pose(late)]
-        positions = np.array([-r.T @ t for r, t in beside])
-        rotations = matrix_to_quaternion(np.array([r.T for r, _ in beside]))
-        velocity = Velocity.between(positions, rotations, late - early).scaled(self.speed)
-        return CameraPose(*self.path.pose(time), velocity)
+        positions, rotations = zip(self.path.in_map(early), self.path.in_map(late), strict=True)
+        velocity = Velocity.between(np.array(positions), np.array(rotations), late - early)
+        return CameraPose.at(*self.path.in_map(time), velocity.scaled(self.speed))
 
     def camera_at(self, pose: CameraPose) -> Camera:
         """Camera of ``image_raw`` at a pose."""

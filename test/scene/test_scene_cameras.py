@@ -416,14 +416,15 @@ def test_truth_is_the_same_with_and_without_a_sensor(folder: Path) -> None:
         np.testing.assert_array_equal(bayer[1::2, 1::2], plain.rgb[1::2, 1::2, 2])
 
 
-def test_noise_is_that_of_the_stamp(folder: Path) -> None:
+def test_noise_is_that_of_the_scene_time(folder: Path) -> None:
     text = f"rate: 20\nroom: null\n{WALL}cameras: {{a: {{size: [64, 48], {PLACE}, sensor: {{noise: {{}}}}}}}}"
     first, again = film(folder, text, 2), film(folder, text, 2)
-    later, other = film(folder, text, 3), film(folder, text, 2, start=2)
-    pictures = [frame.views["a"].rgb for (frame,) in (first, again, later, other)]
+    later, restamped = film(folder, text, 3), film(folder, text, 2, start=2)
+    pictures = [frame.views["a"].rgb for (frame,) in (first, again, later, restamped)]
     assert np.array_equal(pictures[0], pictures[1])
     assert not np.array_equal(pictures[0], pictures[2])
-    assert not np.array_equal(pictures[0], pictures[3])
+    assert restamped[0].stamp == first[0].stamp + 1
+    assert np.array_equal(pictures[0], pictures[3])
     assert np.array_equal(first[0].views["a"].depth, later[0].views["a"].depth)
 
 

@@ -12,7 +12,7 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import CameraError, RosError
 from humansim_ros.ros.messages.headers import WORLD_FRAME, header
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.rotations import matrix_to_quaternion, unit_quaternions
 from humansim_ros.scene.camera import CameraPose
 
 _WHOLE_SENSOR = Region()
@@ -67,9 +67,9 @@ def read_camera_info(message: CameraInfo) -> Camera:
 def pose_message(pose: CameraPose, stamp: int) -> PoseStamped:
     """Build ``<camera>/pose``: pose of the optical frame of a moving camera in ``map``."""
     message = PoseStamped(header=header(stamp, WORLD_FRAME))
-    x, y, z = (-pose.R.T @ pose.t).tolist()
+    x, y, z = pose.position.tolist()
     message.pose.position = Point(x=x, y=y, z=z)
-    x, y, z, w = matrix_to_quaternion(pose.R.T).tolist()
+    x, y, z, w = pose.rotation.tolist()
     message.pose.orientation = Quaternion(x=x, y=y, z=z, w=w)
     return message
 
@@ -86,8 +86,7 @@ def read_pose(message: PoseStamped) -> CameraPose:
         raise RosError(
             "a camera's pose is not finite, is more than 1000 km away, or its quaternion has not length 1"
         )
-    r = quaternion_to_matrix(rotation / np.linalg.norm(rotation)).T
-    return CameraPose(r, -r @ position)
+    return CameraPose.at(position, unit_quaternions(rotation))
 
 
 def extrinsics_message(camera: Camera, stamp: int, frame: str) -> TransformStamped:

@@ -20,7 +20,7 @@ from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.ros.limits import MAX_JOINTS, MAX_NAME
 from humansim_ros.ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.ros.messages.points import point_cloud
-from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix
+from humansim_ros.rotations import quaternion_to_matrix, transform, unit_quaternions
 from humansim_ros.scene import HumanState
 from humansim_ros.scene.state import JointMotion
 from humansim_ros.types import Array, Float32Array, Indices
@@ -37,8 +37,9 @@ def motion_message(poses: JointPoses, stamp: int) -> MultiDOFJointState:
 
 def joints_message(state: HumanState, stamp: int) -> MultiDOFJointState:
     """Build ``humans/<id>/joints``: pose and velocity of every joint of the body."""
-    rotations = matrix_to_quaternion(state.joints[:, :3, :3])
-    return _joint_state(state.joint_names, state.positions, rotations, state.linear, state.angular, stamp)
+    return _joint_state(
+        state.joint_names, state.positions, state.rotations, state.linear, state.angular, stamp
+    )
 
 
 def _joint_state(
@@ -89,8 +90,7 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
     length = np.linalg.norm(rotations, axis=1)
     if not length.any():  # a source without rotations may leave them unset
         rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(names), 1))
-        length = np.ones(len(names))
-    if not (length > 0.5).all():
+    elif not (length > 0.5).all():
         raise RosError("a joint's quaternion has no length")
     linear = angular = None
     if len(message.twist) == len(names):
@@ -98,14 +98,12 @@ def read_joints(message: MultiDOFJointState) -> JointPoses:
         angular = np.array([[(t.angular.x, t.angular.y, t.angular.z) for t in message.twist]])
         if not (within_bounds(linear) and within_bounds(angular)):
             linear = angular = None
-    return JointPoses(names, positions[None], (rotations / length[:, None])[None], linear, angular)
+    return JointPoses(names, positions[None], unit_quaternions(rotations)[None], linear, angular)
 
 
 def joint_motion(poses: JointPoses) -> JointMotion:
     """Joints of a human from the poses (N = 1) of a ``joints`` message."""
-    joints = np.broadcast_to(np.eye(4), (len(poses.names), 4, 4)).copy()
-    joints[:, :3, :3] = quaternion_to_matrix(poses.rotations[0])
-    joints[:, :3, 3] = poses.positions[0]
+    joints = transform(quaternion_to_matrix(poses.rotations[0]), poses.positions[0])
     if poses.linear is None or poses.angular is None:
         return JointMotion(joints, None, None)
     return JointMotion(joints, poses.linear[0], poses.angular[0])

@@ -16,7 +16,7 @@ from sensor_msgs.srv import SetCameraInfo
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration, resolve_url, write_calibration
 from humansim_ros.errors import CameraError, HumansimError, printable
-from humansim_ros.ros.messages import camera_info_message, read_camera_info
+from humansim_ros.ros.messages import read_camera_info
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.scene.camera import SceneCamera
 
@@ -40,20 +40,15 @@ class PublishedCalibration:
     The service replaces the content and writes it where camera drivers do, to
     ``$ROS_HOME/camera_info/<camera>.yaml``.
 
-    ``frame``: optical frame of the camera.
+    Attributes:
+        published: Calibration of the whole sensor in ``camera_info``.
     """
 
-    def __init__(self, node: SceneNode, camera: SceneCamera, frame: str) -> None:
+    def __init__(self, node: SceneNode, camera: SceneCamera) -> None:
         self._node = node
         self._name = name = camera.name
-        self._frame = frame
-        self._region = camera.region
-        self._rendered = self._published = camera.whole
+        self._rendered = self.published = camera.whole
         node.create_service(SetCameraInfo, f"{name}/set_camera_info", self._on_set)
-
-    def message(self, stamp: int) -> CameraInfo:
-        """Build ``camera_info`` of a frame."""
-        return camera_info_message(self._published, stamp, self._frame, self._region)
 
     def replace(self, camera: Camera, source: str | None = None) -> None:
         """Publish another calibration. Raises CameraError naming ``source`` for another image size."""
@@ -61,7 +56,7 @@ class PublishedCalibration:
             (w, h), (width, height) = camera.size, self._rendered.size
             message = f"this calibration is for {w}x{h} pixels, the camera has {width}x{height}"
             raise CameraError(message, path=source)
-        self._published = camera
+        self.published = camera
 
     def _on_set(self, request: Any, response: Any) -> Any:
         info: CameraInfo = request.camera_info

@@ -6,12 +6,12 @@ from collections import deque
 from dataclasses import replace
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
-from std_msgs.msg import Float64MultiArray
 
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.ros import messages
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
+from humansim_ros.ros.topics import CameraTopics
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import Exposure
 from humansim_ros.scene.state import SceneState
@@ -35,26 +35,26 @@ class CameraPosePublisher:
     A static camera has them once, a moving one with the stamp of every frame. ``<camera>/pose`` (optical
     frame in ``map``) moves any camera: poses are interpolated, and the camera stays at the last one. A pose
     far ahead of a frame has a stamp of another clock: it holds from that frame on.
-
-    ``frame``: optical frame of the camera.
     """
 
-    def __init__(self, node: SceneNode, camera: SceneCamera, frame: str) -> None:
+    def __init__(self, node: SceneNode, camera: SceneCamera, topics: CameraTopics) -> None:
         self._node = node
-        self._frame = frame
+        self._topics = topics
         self._camera = camera
         self._poses: deque[tuple[int, CameraPose]] = deque(maxlen=_MAX_POSES)
         #: Pose before the first of _poses, and pose of the last frame.
         self._start = self._last = CameraPose.of(camera.camera)
         self._last_stamp = self._last_motion = 0
-        self._extrinsics = node.create_publisher(TransformStamped, f"{camera.name}/extrinsics", LATCHED)
-        self._projection = node.create_publisher(Float64MultiArray, f"{camera.name}/projection", LATCHED)
+        self._extrinsics, self._projection = (
+            node.create_publisher(topic.type, topic.name, topic.qos)
+            for topic in (topics.extrinsics, topics.projection)
+        )
         self._tf = self._tf_static = None
         if TFMessage is not None:
             self._tf = node.create_publisher(TFMessage, "/tf", DATA)
         transform = self._publish(self._last, node.now())
         if not camera.moves:
-            node.create_subscription(PoseStamped, f"{camera.name}/pose", self._on_pose, NEWEST)
+            node.create_subscription(topics.pose.type, topics.pose.name, self._on_pose, NEWEST)
             if TFMessage is not None:
                 self._tf_static = node.create_publisher(TFMessage, "/tf_static", LATCHED)
                 self._tf_static.publish(TFMessage(transforms=[transform]))
@@ -127,7 +127,7 @@ class CameraPosePublisher:
 
     def _publish(self, pose: CameraPose, stamp: int) -> TransformStamped:
         camera = self._camera.camera_at(pose)
-        transform = messages.extrinsics_message(camera, stamp, self._frame)
+        transform: TransformStamped = self._topics.extrinsics.build(camera, stamp)
         self._extrinsics.publish(transform)
-        self._projection.publish(messages.projection_message(camera))
+        self._projection.publish(self._topics.projection.build(camera, stamp))
         return transform

@@ -22,7 +22,6 @@ from humansim_ros.ros.processes import TimeOptions, scene_processes
 from humansim_ros.ros.runtime import prepare_transport
 from humansim_ros.ros.supervisor import EndedProcess, Supervisor
 from humansim_ros.scene import Scene
-from humansim_ros.scene.config import LIVE
 from humansim_ros.types import Image
 
 #: Seconds in which another topic must have sent its first message.
@@ -147,9 +146,9 @@ class _Recorder:
         from rclpy.executors import SingleThreadedExecutor
         from rclpy.qos import qos_profile_sensor_data
         from rclpy.signals import SignalHandlerOptions
-        from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState, PointCloud2
 
         from humansim_ros.ros.guarded_node import GuardedNode
+        from humansim_ros.ros.topics import scene_topics
 
         self.scene = scene
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -166,20 +165,13 @@ class _Recorder:
         self.thumbnails: dict[int, dict[str, Any]] = {}
         #: Cameras of the pictures.
         self.cameras = list(scene.cameras)[:_MAX_CAMERAS]
-        topics: list[tuple[str, Any]] = []
-        for human in scene.actors:
-            live = scene.config.humans[human].motion.file == LIVE
-            kinds = ("joints",) if live else ("motion", "joints")
-            topics += [(f"/humans/{human}/{kind}", MultiDOFJointState) for kind in kinds]
-            topics.append((f"/humans/{human}/vertices", PointCloud2))
-        self._sheet_topics = []
-        for camera in self.cameras:
-            images = [f"/{camera}/{kind}" for kind in ("image_raw", *_ENCODINGS)]
-            topics += [(topic, Image) for topic in images]
-            topics += [(f"/{camera}/camera_info", CameraInfo), (f"/{camera}/joints", PointCloud2)]
-            self._sheet_topics += [*images, f"/{camera}/joints"]
-        self._message_types = dict(topics)
-        for topic, kind in topics:
+        topics = [topic for topic in scene_topics(scene) if topic.shown]
+        topics = [topic for topic in topics if topic.camera in ("", *self.cameras)]
+        self._sheet_topics = [
+            f"/{camera}/{kind}" for camera in self.cameras for kind in ("image_raw", *_ENCODINGS, "joints")
+        ]
+        self._message_types = {f"/{topic.name}": topic.type for topic in topics}
+        for topic, kind in self._message_types.items():
             self.types[topic] = f"{kind.__module__.split('.')[0]}/{kind.__name__}"
             self._node.create_subscription(
                 kind, topic, self._callback(topic), qos_profile_sensor_data, raw=True

@@ -12,16 +12,18 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError
+from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with
 from humansim_ros.scene.actor import Actor, HumanState
-from humansim_ros.scene.camera import SceneCamera
-from humansim_ros.scene.capture import capture
+from humansim_ros.scene.camera import CameraPose, SceneCamera
+from humansim_ros.scene.capture import capture, capture_rectified_depth
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses
 from humansim_ros.scene.scene import Scene, short_list
 from humansim_ros.scene.state import JointMotion, SceneState
 from humansim_ros.truth import BodyBox, CameraTruth, JointView
+from humansim_ros.types import Float32Array
 
 #: Poses, humans and state at one scene time.
 _Snapshot = tuple[ScenePoses, dict[str, HumanState], SceneState]
@@ -41,6 +43,11 @@ class Frame:
         cameras: Cameras of ``views`` at their poses by name.
         bodies: All bodies, humans first.
         labels: Instance labels of humans and labelled objects by name.
+        scene_time: Nanoseconds from the start of the scene.
+        motions: Joints of the motions (N = 1) by human, with the names that they have in the motion.
+        camera_poses: Poses and velocities of moving cameras by name.
+        rectified_depth: (H, W) float32 depth in metres along the axis of ``image_rect`` by camera, if it was
+            requested.
     """
 
     index: int
@@ -52,6 +59,10 @@ class Frame:
     cameras: dict[str, Camera] = field(default_factory=dict)
     bodies: Sequence[Body] = ()
     labels: Mapping[str, int] = field(default_factory=dict)
+    scene_time: int = 0
+    motions: Mapping[str, JointPoses] = field(default_factory=dict)
+    camera_poses: Mapping[str, CameraPose] = field(default_factory=dict)
+    rectified_depth: Mapping[str, Float32Array] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         humans, views = short_list(self.humans, "humans"), short_list(self.views, "views")
@@ -137,10 +148,15 @@ class Simulation:
         """The first ``count`` frames, one after the other."""
         return (self.frame(index) for index in range(count))
 
-    def frame(self, index: int, cameras: Collection[str] | None = None) -> Frame:
+    def frame(
+        self, index: int, cameras: Collection[str] | None = None, rectified_depth: Collection[str] = ()
+    ) -> Frame:
         """Frame ``index``; its stamp is ``start + round(index * period)``.
 
-        ``cameras``: names of the cameras to render; all if None.
+        Args:
+            index: Number of the frame, from 0.
+            cameras: Names of the cameras to render; all if None.
+            rectified_depth: Names of those whose depth without lens distortion is rendered, too.
 
         Raises:
             SceneError: There is no camera of a name.
@@ -170,6 +186,13 @@ class Simulation:
             cameras=at_their_poses,
             bodies=state.bodies,
             labels=self.scene.labels,
+            scene_time=state.scene_time,
+            motions=poses.poses,
+            camera_poses=poses.cameras,
+            rectified_depth={
+                name: capture_rectified_depth(self.renderer, chosen[name], state.exposure(chosen[name]))
+                for name in rectified_depth
+            },
         )
 
     def _cameras(self, names: Collection[str] | None) -> dict[str, SceneCamera]:

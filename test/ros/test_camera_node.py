@@ -30,6 +30,7 @@ from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.qos import LATCHED
+from humansim_ros.ros.topics import CameraTopics
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.scene.state import SceneState
 
@@ -637,7 +638,8 @@ def test_a_pose_of_another_clock_moves_a_camera_and_does_not_fix_it(
     """One pose years ahead, a sender whose clock is ahead, and a sender whose clock is right."""
     scene = Scene.load(write_files(tmp_path, f"room: null\n{WALL}cameras: {{left: {{{PLACE}}}}}"))
     node = SceneNode("posed", scene)
-    publisher = camera_pose.CameraPosePublisher(node, scene.scene_cameras["left"], "left_optical_frame")
+    camera = scene.scene_cameras["left"]
+    publisher = camera_pose.CameraPosePublisher(node, camera, CameraTopics(scene, camera))
     now = node.now()
 
     def send(x: float, stamp: int) -> None:

@@ -14,8 +14,8 @@ import pytest
 from ros_support import Client, rclpy
 
 from humansim_ros.errors import RosError
-from humansim_ros.ros import compressed
-from humansim_ros.ros.compressed import encode_depth, encode_image
+from humansim_ros.ros import messages
+from humansim_ros.ros.messages import DepthCompression, compressed_depth_message
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 
 PLACE = "size: [96, 64], position: [3, 0.4, 1.4], look_at: [0, 0, 1]"
@@ -139,8 +139,7 @@ def test_compressed_depth_is_depth_to_its_quantisation(studio: Any) -> None:
 
 def test_depth_too_near_for_sixteen_bits_is_the_nearest_value() -> None:
     depth = np.array([[0.05, 0.1516, 9.9999, 10.0, np.inf, np.nan]], dtype=np.float32)
-    form, data = encode_depth(depth, 10.0, 100.0, 3)
-    seen, _ = restored(SimpleNamespace(format=form, data=data))
+    seen, _ = restored(compressed_depth_message(depth, DepthCompression(), 1, "camera"))
     np.testing.assert_allclose(seen[0], [0.1518, 0.1518, 10.0, np.nan, np.nan, np.nan], rtol=2e-3)
 
 
@@ -159,10 +158,11 @@ def test_nothing_is_encoded_without_subscribers(studio: Any, monkeypatch: pytest
     from sensor_msgs.msg import CompressedImage, Image
 
     encoded: list[str] = []
+    build = messages.compressed_image_message
     monkeypatch.setattr(
-        compressed,
-        "encode_image",
-        lambda image, encoding, *rest: encoded.append(encoding) or encode_image(image, encoding, *rest),
+        messages,
+        "compressed_image_message",
+        lambda image, encoding, *rest: encoded.append(encoding) or build(image, encoding, *rest),
     )
     client = Client("passer_by")
     for node in studio.rig.nodes:

@@ -24,6 +24,12 @@ from humansim_ros.ros.messages.cameras import (
     read_camera_info,
     read_pose,
 )
+from humansim_ros.ros.messages.compressed import (
+    DepthCompression,
+    ImageCompression,
+    compressed_depth_message,
+    compressed_image_message,
+)
 from humansim_ros.ros.messages.headers import (
     WORLD_FRAME,
     header,
@@ -44,7 +50,7 @@ from humansim_ros.ros.messages.humans import (
     read_vertices,
     vertices_message,
 )
-from humansim_ros.ros.messages.images import image_message
+from humansim_ros.ros.messages.images import image_message, mask_pixels
 from humansim_ros.ros.messages.legends import (
     instance_legend,
     joints_legend,
@@ -62,9 +68,13 @@ __all__ = [
     "JOINT_POINT",
     "VISIBLE_VERTEX",
     "WORLD_FRAME",
+    "DepthCompression",
+    "ImageCompression",
     "MarkerBuilder",
     "boxes_message",
     "camera_info_message",
+    "compressed_depth_message",
+    "compressed_image_message",
     "extrinsics_message",
     "header",
     "image_message",
@@ -74,6 +84,7 @@ __all__ = [
     "joints_legend",
     "joints_message",
     "live_legend",
+    "mask_pixels",
     "mesh_message",
     "motion_legend",
     "motion_message",

@@ -29,6 +29,11 @@ def image_message(image: NDArray[Any], encoding: str, stamp: int, frame: str) ->
     return message
 
 
+def mask_pixels(mask: NDArray[Any]) -> NDArray[np.uint8]:
+    """Pixels (H, W) of a mask of one body: 255 where a mask of truth values is true; coverage as it is."""
+    return mask if mask.dtype == np.uint8 else mask.astype(np.uint8) * np.uint8(255)
+
+
 def set_data(message: Any, data: NDArray[Any]) -> None:
     """Set ``message.data`` to the bytes of an array. Assigning to ``data`` would check each byte."""
     message._data = np.ascontiguousarray(data).reshape(-1).view(np.uint8)

@@ -23,6 +23,7 @@ from humansim_ros.ros.camera_publishers import ImagePublishers, InfoPublishers, 
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.ros.topics import CameraTopics
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.capture import Exposure, capture, capture_rectified_depth
@@ -48,21 +49,23 @@ class CameraNode(SceneNode):
         frame = self._optical_frame(name)
         self._in_rig = renderer is not None
         self._renderer = renderer if self._in_rig else self.make_renderer()
-        self._images = ImagePublishers(self, self._camera, frame, self.scene.labels, self._renderer.channels)
+        self._topics = CameraTopics(self.scene, self._camera, frame, self._renderer.channels)
+        self._images = ImagePublishers(self, self._topics)
         #: States and exposures of the last frame and of the one before it, if flow is subscribed to.
         self._last: tuple[SceneState, Exposure] | None = None
         self._previous: tuple[SceneState, Exposure] | None = None
-        self._infos = InfoPublishers(self, name)
-        self._truth = TruthPublishers(self, name, frame)
-        self._calibration = PublishedCalibration(self, self._camera, frame)
+        self._infos = InfoPublishers(self, self._topics)
+        self._truth = TruthPublishers(self, self._topics)
+        self._calibration = PublishedCalibration(self, self._camera)
         if url := self.text_parameter(
             "published_info_url",
             "",
             "Calibration file to publish as camera_info in place of the rendered lens; empty: the truth",
         ):
             self._calibration.replace(read_single_camera(url, name), url)
-        self._pose = CameraPosePublisher(self, self._camera, frame)
-        self._publish_legends()
+        self._pose = CameraPosePublisher(self, self._camera, self._topics)
+        for legend in self._topics.legends:
+            self.publish_latched(legend.build(None, 0), legend.name)
         if not self._in_rig:
             moving = [name] if self._camera.moves else []
             self._synchronizer = FrameSynchronizer(self, self.publish_frame, [self], moving)
@@ -106,16 +109,6 @@ class CameraNode(SceneNode):
         if not self._in_rig:
             self._renderer.close()
 
-    def _publish_legends(self) -> None:
-        name, actors = self._camera.name, self.scene.actors.values()
-        self.publish_latched(messages.instance_legend(self.scene.labels), f"{name}/instance/legend")
-        for actor in actors:
-            self.publish_latched(messages.part_legend(actor.human.skeleton), f"{name}/part/legend")
-            break
-        joints = {actor.name: (actor.instance, actor.human.skeleton.joint_names) for actor in actors}
-        legend = messages.joints_legend(joints, self.scene.object_labels)
-        self.publish_latched(legend, f"{name}/joints/legend")
-
     def publish_frame(self, state: SceneState) -> None:
         """Render and publish the subscribed channels, and the forward flow of the previous frame."""
         start = time.monotonic()
@@ -150,7 +143,7 @@ class CameraNode(SceneNode):
         truth_topics = self._truth.subscribed()
         rectified = self._images.rectified_subscribed()
         rendered = channels | needed(truth_topics) | (rectified & {"rgb"})
-        self._infos.publish(lambda: self._calibration.message(stamp))
+        self._infos.publish(self._calibration.published, stamp)
         if not rendered and not rectified:
             return
         view = capture(self._renderer, self._camera, exposure, rendered, state.scene_time)

@@ -21,35 +21,20 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from geometry_msgs.msg import PoseStamped, TwistStamped
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.parameter import Parameter
-from sensor_msgs.msg import MultiDOFJointState, TimeReference
-from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
-from visualization_msgs.msg import Marker
 
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.ros.background import BackgroundWork
 from humansim_ros.ros.lockstep_playing import LockstepPlaying
 from humansim_ros.ros.lockstep_settings import LockstepSettings
-from humansim_ros.ros.messages import (
-    WORLD_FRAME,
-    header,
-    live_legend,
-    motion_legend,
-    motion_message,
-    object_message,
-    pose_message,
-    scene_time_message,
-    twist_message,
-)
 from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
 from humansim_ros.ros.playing import MAX_WAITING, FramePlayer, Playing
-from humansim_ros.ros.qos import DATA, LATCHED, SCENE_TIME
 from humansim_ros.ros.realtime import RealtimePlaying
 from humansim_ros.ros.requested_motions import MOTION_FOLDERS, RequestedMotions
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.ros.topics import SCENE_TIME_TOPIC, HumanTopics, ObjectTopics, Topic, moving_camera_topics
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.live import JointSource
@@ -85,26 +70,21 @@ class MotionPlayerNode(FramePlayer):
         for name in self.scene.actors:
             description = "publish the motion; false: another node does, such as live motion capture"
             declare(f"{name}.play", True, description)
-        self._scene_time = self.create_publisher(TimeReference, SCENE_TIME, DATA)
+        self._scene_time = self._publisher(SCENE_TIME_TOPIC)
         #: Publishers of motions by human, and of the stamps of its frames for a live human.
         self._motions: dict[str, Any] = {}
         self._live: dict[str, Any] = {}
-        self._markers = {
-            name: self.create_publisher(Marker, f"objects/{name}/marker", DATA)
-            for name in self.scene.moving_objects
+        #: Topics of moving objects and moving cameras with their publishers, by name.
+        self._objects = {
+            name: [(topic, self._publisher(topic)) for topic in ObjectTopics(item)]
+            for name, item in self.scene.moving_objects.items()
         }
-        moving = [*(f"objects/{name}" for name in self._markers), *self.scene.moving_cameras]
-        self._twists = {
-            topic: self.create_publisher(TwistStamped, f"{topic}/twist", DATA) for topic in moving
-        }
-        self._poses = {
-            name: self.create_publisher(PoseStamped, f"{name}/pose", DATA)
+        self._cameras = {
+            name: [(topic, self._publisher(topic)) for topic in moving_camera_topics(name)]
             for name in self.scene.moving_cameras
         }
-        self._legends = {
-            name: self.create_publisher(String, f"humans/{name}/motion/legend", LATCHED)
-            for name in self.scene.actors
-        }
+        self._human_topics = {name: HumanTopics(actor) for name, actor in self.scene.actors.items()}
+        self._legends = {name: self._publisher(topics.legend) for name, topics in self._human_topics.items()}
         self._sources = {name: JointSource.of_actor(actor) for name, actor in self.playback.actors.items()}
         self._update_sources()
         self.add_pre_set_parameters_callback(self._motion_parameters.complete)
@@ -116,22 +96,25 @@ class MotionPlayerNode(FramePlayer):
         self.playing: Playing = LockstepPlaying(self, settings) if settings else RealtimePlaying(self, lead)
         self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {self.scene.path}")
 
+    def _publisher(self, topic: Topic[Any]) -> Any:
+        return self.create_publisher(topic.type, topic.name, topic.qos)
+
     # --- frames
 
     def send_frame(self, tick: Tick, scene_poses: ScenePoses) -> None:
         """Publish one frame."""
-        self._scene_time.publish(scene_time_message(tick.elapsed, tick.stamp))
+        self._scene_time.publish(SCENE_TIME_TOPIC.build(tick.elapsed, tick.stamp))
         for name, publisher in self._motions.items():
-            publisher.publish(motion_message(scene_poses.poses[name], tick.stamp))
-        for publisher in self._live.values():
-            publisher.publish(header(tick.stamp, WORLD_FRAME))
+            motion = self._human_topics[name].motion
+            publisher.publish(motion.build(scene_poses.poses[name], tick.stamp))
+        for name, publisher in self._live.items():
+            publisher.publish(self._human_topics[name].frame.build(None, tick.stamp))
         for name, object_pose in scene_poses.objects.items():
-            moving = self.scene.moving_objects[name]
-            self._twists[f"objects/{name}"].publish(twist_message(object_pose.velocity, tick.stamp))
-            self._markers[name].publish(object_message(moving, object_pose, tick.stamp))
+            for object_topic, publisher in self._objects[name]:
+                publisher.publish(object_topic.build(object_pose, tick.stamp))
         for name, pose in scene_poses.cameras.items():
-            self._twists[name].publish(twist_message(pose.velocity, tick.stamp))
-            self._poses[name].publish(pose_message(pose, tick.stamp))
+            for camera_topic, publisher in self._cameras[name]:
+                publisher.publish(camera_topic.build(pose, tick.stamp))
         self.count("frames")
 
     def restart_legends(self) -> None:
@@ -139,7 +122,7 @@ class MotionPlayerNode(FramePlayer):
         # no legend may be of a later stamp than its motion
         self._sources = {name: replace(source, since=0) for name, source in self._sources.items()}
         for name in self._motions:
-            self._legends[name].publish(motion_legend(self._sources[name]))
+            self._publish_legend(name, self._sources[name])
 
     def close(self) -> None:
         """End playing."""
@@ -208,12 +191,16 @@ class MotionPlayerNode(FramePlayer):
             old, new = (self._motions, self._live) if live else (self._live, self._motions)
             if name in new and name not in changed:
                 continue
-            self._legends[name].publish(live_legend() if live else motion_legend(self._sources[name]))
+            self._publish_legend(name, None if live else self._sources[name])
             if name in old:
                 self.destroy_publisher(old.pop(name))
             if name not in new:
-                kind, topic = (Header, "frame") if live else (MultiDOFJointState, "motion")
-                new[name] = self.create_publisher(kind, f"humans/{name}/{topic}", DATA)
+                topics = self._human_topics[name]
+                new[name] = self._publisher(topics.frame if live else topics.motion)
+
+    def _publish_legend(self, human: str, source: JointSource | None) -> None:
+        """Publish the legend of a human's motion. ``source``: None if another node moves the human."""
+        self._legends[human].publish(self._human_topics[human].legend.build(source, 0))
 
     def _go_to(self, seconds: float) -> Tick:
         """Jump to a scene time, as if all humans had played their present motions from the start."""

@@ -14,27 +14,19 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+from sensor_msgs.msg import MultiDOFJointState
 from std_msgs.msg import Header, String
-from visualization_msgs.msg import MarkerArray
 
 from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import HumansimError, RosError, SceneError, printable
 from humansim_ros.motion.joint_tables import built_in_tables, load_table
-from humansim_ros.ros.messages import (
-    MarkerBuilder,
-    joints_message,
-    mesh_message,
-    read_joints,
-    read_motion_legend,
-    to_nanoseconds,
-    vertices_message,
-)
+from humansim_ros.ros.messages import read_joints, read_motion_legend, to_nanoseconds
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.motion_player import MAX_LEAD
-from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
+from humansim_ros.ros.qos import LATCHED, NEWEST
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.ros.source_log import SourceLog
+from humansim_ros.ros.topics import HumanTopics
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.config import LIVE
@@ -67,20 +59,22 @@ class SkinnerNode(SceneNode):
         self._message: MultiDOFJointState | None = None
         self._body: HumanState | None = None
         self._asked: float | None = None
-        self._joints = self.create_publisher(MultiDOFJointState, f"humans/{name}/joints", DATA)
-        self._vertices = self.create_publisher(PointCloud2, f"humans/{name}/vertices", DATA)
-        self._markers = self.create_publisher(MarkerArray, f"humans/{name}/markers", DATA)
+        self._topics = topics = HumanTopics(self._actor)
+        self._joints, self._vertices, self._markers = (
+            self.create_publisher(topic.type, topic.name, topic.qos)
+            for topic in (topics.joints, topics.vertices, topics.markers)
+        )
+        _ = topics.marker_builder  # made now: later it would delay a frame
         self._marker_period = int(1e9 / marker_rate)
         self._last_marker = 0
-        self._marker_builder = MarkerBuilder(self._actor.human)
-        self.publish_latched(mesh_message(self._actor.human.mesh), f"humans/{name}/mesh")
+        self.publish_latched(topics.mesh.build(None, 0), topics.mesh.name)
         # first, so that a legend arrives before its motion
-        self.create_subscription(String, f"humans/{name}/motion/legend", self._on_legend, LATCHED)
-        motion = f"humans/{name}/motion"
-        self._motion = self.create_subscription(MultiDOFJointState, motion, self._on_motion, NEWEST)
+        self.create_subscription(topics.legend.type, topics.legend.name, self._on_legend, LATCHED)
+        motion = topics.motion
+        self._motion = self.create_subscription(motion.type, motion.name, self._on_motion, NEWEST)
         self.neighbours.expect_one_sender(self._motion.topic_name)
         self._log = SourceLog(self.get_logger().info, name, self._motion.topic_name)
-        self.create_subscription(Header, f"humans/{name}/frame", self._on_frame, NEWEST)
+        self.create_subscription(topics.frame.type, topics.frame.name, self._on_frame, NEWEST)
         self.get_logger().info(f"skinning {name} ({len(self._actor.human.mesh.vertices)} vertices)")
 
     def _find_table(self, name: str) -> str | None:
@@ -127,7 +121,9 @@ class SkinnerNode(SceneNode):
 
     def _publish(self, state: HumanState, stamp: int) -> None:
         self._body = state
-        joints, vertices = joints_message(state, stamp), vertices_message(state.vertices, stamp)
+        joints, vertices = (
+            topic.build(state, stamp) for topic in (self._topics.joints, self._topics.vertices)
+        )
         self._wait_for(stamp)
         self._joints.publish(joints)
         if self._vertices.get_subscription_count():
@@ -135,9 +131,7 @@ class SkinnerNode(SceneNode):
         since_marker = stamp - self._last_marker  # negative after a stamp of another clock
         if self._markers.get_subscription_count() and not 0 <= since_marker < self._marker_period:
             self._last_marker = stamp
-            self._markers.publish(
-                self._marker_builder.build(self._actor.name, self._actor.instance, state, stamp)
-            )
+            self._markers.publish(self._topics.markers.build(state, stamp))
         self.count("frames")
         self.report_lateness(stamp)
 

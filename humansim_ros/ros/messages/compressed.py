@@ -1,0 +1,117 @@
+"""Messages of compressed images in the formats of image_transport's plugins ``compressed`` and
+``compressedDepth``.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import CompressedImage
+
+from humansim_ros.errors import RosError
+from humansim_ros.ros.messages.headers import header
+from humansim_ros.ros.messages.images import set_data
+
+#: Colour encodings, which OpenCV encodes as bgr8; others are encoded as they are.
+_COLOR_ENCODINGS = ("rgb8", "bgr8")
+#: ``INV_DEPTH`` of the plugin, and its header: format, then the two coefficients of the inverse depth.
+_INVERSE_DEPTH = 0
+_CONFIG_HEADER = struct.Struct("<iff")
+_MAX_LEVEL = 65535
+
+
+@dataclass(frozen=True)
+class ImageCompression:
+    """Settings of compressed images, with the names and defaults of the plugin.
+
+    Attributes:
+        format: ``jpeg`` or ``png``.
+        jpeg_quality: 1 to 100.
+        png_level: Compression level, 0 to 9; lossless.
+    """
+
+    format: str = "jpeg"
+    jpeg_quality: int = 95
+    png_level: int = 3
+
+
+@dataclass(frozen=True)
+class DepthCompression:
+    """Settings of compressed depth, with the names and defaults of the plugin.
+
+    Attributes:
+        depth_max: Metres from which on depth is not encoded.
+        depth_quantization: Metres at which the resolution is one metre.
+        png_level: Compression level, 0 to 9; lossless.
+    """
+
+    depth_max: float = 10.0
+    depth_quantization: float = 100.0
+    png_level: int = 3
+
+
+def compressed_image_message(
+    image: NDArray[np.uint8], encoding: str, settings: ImageCompression, stamp: int, frame: str
+) -> CompressedImage:
+    """Build ``<camera>/image_raw/compressed``.
+
+    Args:
+        image: Pixels (H, W) or (H, W, 3), 8 bits per sample.
+        encoding: ROS encoding of the pixels.
+        settings: Format and its settings.
+        stamp: Nanoseconds.
+        frame: Optical frame of the camera.
+    """
+    options = {
+        "jpeg": (".jpg", [cv2.IMWRITE_JPEG_QUALITY, settings.jpeg_quality]),
+        "png": (".png", [cv2.IMWRITE_PNG_COMPRESSION, settings.png_level]),
+    }
+    if encoding == "rgb8":
+        image = np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2BGR), dtype=np.uint8)
+    color = "bgr8" if encoding in _COLOR_ENCODINGS else ""
+    form = f"{encoding}; {settings.format} compressed {color}"
+    return _message(form, _encode(image, *options[settings.format]), stamp, frame)
+
+
+def compressed_depth_message(
+    depth: NDArray[np.float32], settings: DepthCompression, stamp: int, frame: str
+) -> CompressedImage:
+    """Build ``<camera>/depth/image/compressedDepth``: a header of 12 bytes and a 16 bit PNG of inverse depth.
+
+    A pixel is ``a / depth + b``, rounded, with a and b from the header; 0 from ``depth_max`` on. The decoded
+    depth d has an error of at most d * d / (2 a), where a = q (q + 1) and q is ``depth_quantization``.
+
+    Args:
+        depth: Depth (H, W) in metres.
+        settings: Range, resolution and compression level.
+        stamp: Nanoseconds.
+        frame: Optical frame of the camera.
+    """
+    a = np.float32(settings.depth_quantization * (settings.depth_quantization + 1))
+    b = np.float32(1 - a / np.float32(settings.depth_max))
+    inverse = np.divide(a, depth) + b
+    np.rint(inverse, out=inverse)
+    levels = np.where(depth < settings.depth_max, np.clip(inverse, 1, _MAX_LEVEL), 0).astype(np.uint16)
+    png = _encode(levels, ".png", [cv2.IMWRITE_PNG_COMPRESSION, settings.png_level])
+    head = np.frombuffer(_CONFIG_HEADER.pack(_INVERSE_DEPTH, a, b), dtype=np.uint8)
+    return _message("32FC1; compressedDepth png", np.concatenate([head, png]), stamp, frame)
+
+
+def _message(form: str, data: NDArray[np.uint8], stamp: int, frame: str) -> CompressedImage:
+    message = CompressedImage(header=header(stamp, frame), format=form)
+    set_data(message, data)
+    return message
+
+
+def _encode(image: NDArray[Any], suffix: str, settings: Sequence[int]) -> NDArray[np.uint8]:
+    success, data = cv2.imencode(suffix, image, list(settings))
+    if not success:
+        height, width = image.shape[:2]
+        raise RosError(f"OpenCV cannot encode {width}x{height} pixels as {suffix[1:]}")
+    return np.asarray(data, dtype=np.uint8).reshape(-1)

@@ -1,0 +1,453 @@
+"""The table of all topics of a scene: name, type, quality of service, and the function that builds messages.
+
+The nodes publish the topics of this table, ``humansim demo`` subscribes to them, and ``humansim record``
+writes them to bags. Nothing here is a node: :meth:`Topic.message` builds the message from a frame of a
+simulation.
+
+Names are relative: a node puts them into its namespace, a recording into ``/``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, Generic, TypeVar
+
+from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
+from numpy.typing import NDArray
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import (
+    CameraInfo,
+    CompressedImage,
+    Image,
+    MultiDOFJointState,
+    PointCloud2,
+    TimeReference,
+)
+from shape_msgs.msg import Mesh as MeshMessage
+from std_msgs.msg import Float64MultiArray, Header, String
+from visualization_msgs.msg import Marker, MarkerArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.render import View
+from humansim_ros.render.channels import ALL_CHANNELS, CHANNEL_TABLE, Channel
+from humansim_ros.ros import messages
+from humansim_ros.ros.messages import DepthCompression, ImageCompression, MarkerBuilder
+from humansim_ros.ros.qos import DATA, LATCHED, SCENE_TIME
+from humansim_ros.scene import HumanState, Scene
+from humansim_ros.scene.actor import Actor
+from humansim_ros.scene.camera import CameraPose, SceneCamera
+from humansim_ros.scene.config import LIVE
+from humansim_ros.scene.live import JointSource
+from humansim_ros.scene.objects import ObjectPose, SceneObject
+from humansim_ros.scene.simulation import Frame
+from humansim_ros.truth import CameraTruth
+from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
+
+Content = TypeVar("Content")
+
+#: Channels whose topics ``humansim demo`` shows.
+_SHOWN_CHANNELS = ("rgb", "depth", "part")
+
+
+@dataclass(frozen=True)
+class Topic(Generic[Content]):
+    """One topic.
+
+    Attributes:
+        name: Relative name.
+        type: Message class.
+        build: Builds the message from its content and a stamp in nanoseconds.
+        content: Returns the content from a frame of a simulation.
+        latched: Late subscribers get the last message.
+        per_frame: Each frame has a message; otherwise there is one for the scene.
+        shown: ``humansim demo`` shows it.
+        camera: Name of the camera to which it belongs; empty for humans and objects.
+        channels: Channels of the view that the message is built from.
+        rectified_depth: The message needs the depth of ``image_rect``.
+    """
+
+    name: str
+    type: type[Any]
+    build: Callable[[Content, int], Any]
+    content: Callable[[Frame], Content]
+    latched: bool = False
+    per_frame: bool = True
+    shown: bool = False
+    camera: str = ""
+    channels: frozenset[str] = field(default=frozenset())
+    rectified_depth: bool = False
+
+    @property
+    def type_name(self) -> str:
+        """Name of the message type, such as ``sensor_msgs/msg/Image``."""
+        return f"{self.type.__module__.split('.')[0]}/msg/{self.type.__name__}"
+
+    @property
+    def qos(self) -> QoSProfile:
+        """Quality of service of the publisher."""
+        return LATCHED if self.latched else DATA
+
+    def message(self, frame: Frame) -> Any:
+        """Build the message of a frame of a simulation."""
+        return self.build(self.content(frame), frame.stamp)
+
+
+#: Scene time of each frame.
+SCENE_TIME_TOPIC: Topic[int] = Topic(
+    SCENE_TIME, TimeReference, messages.scene_time_message, lambda frame: frame.scene_time
+)
+
+
+class HumanTopics:
+    """Topics of one human, ``humans/<id>/…``.
+
+    Attributes:
+        motion: Joints of the motion.
+        legend: Meaning of the joints of the motion; without content for a human that another node moves.
+        frame: Stamps of frames for a human that another node moves.
+        joints: Joints of the body.
+        vertices: Vertices of the body.
+        markers: Bones, joints and a coarse skin for viewers.
+        mesh: Surface at rest.
+    """
+
+    def __init__(self, actor: Actor, live: bool = False) -> None:
+        """``live``: another node moves the human."""
+        name, root = actor.name, f"humans/{actor.name}"
+        self._actor = actor
+
+        def state(frame: Frame) -> HumanState:
+            return frame.humans[name]
+
+        self.live = live
+        self.motion: Topic[JointPoses] = Topic(
+            f"{root}/motion",
+            MultiDOFJointState,
+            messages.motion_message,
+            lambda frame: frame.motions[name],
+            shown=True,
+        )
+        self.legend: Topic[JointSource | None] = Topic(
+            f"{root}/motion/legend",
+            String,
+            lambda source, _: messages.live_legend() if source is None else messages.motion_legend(source),
+            lambda _: None if live else JointSource.of_actor(actor),
+            latched=True,
+            per_frame=False,
+        )
+        self.frame: Topic[None] = Topic(
+            f"{root}/frame",
+            Header,
+            lambda _, stamp: messages.header(stamp, messages.WORLD_FRAME),
+            lambda _: None,
+        )
+        self.joints: Topic[HumanState] = Topic(
+            f"{root}/joints", MultiDOFJointState, messages.joints_message, state, shown=True
+        )
+        self.vertices: Topic[HumanState] = Topic(
+            f"{root}/vertices",
+            PointCloud2,
+            lambda body, stamp: messages.vertices_message(body.vertices, stamp),
+            state,
+            shown=True,
+        )
+        self.markers: Topic[HumanState] = Topic(
+            f"{root}/markers",
+            MarkerArray,
+            lambda body, stamp: self.marker_builder.build(name, actor.instance, body, stamp),
+            state,
+        )
+        self.mesh: Topic[None] = Topic(
+            f"{root}/mesh",
+            MeshMessage,
+            lambda *_: messages.mesh_message(actor.human.mesh),
+            lambda _: None,
+            latched=True,
+            per_frame=False,
+        )
+
+    @cached_property
+    def marker_builder(self) -> MarkerBuilder:
+        """Builds the markers; it simplifies the skin once."""
+        return MarkerBuilder(self._actor.human)
+
+    def __iter__(self) -> Iterator[Topic[Any]]:
+        driven = (self.frame,) if self.live else (self.motion,)
+        return iter((*driven, self.legend, self.joints, self.vertices, self.markers, self.mesh))
+
+
+class ObjectTopics:
+    """Topics of one moving object, ``objects/<name>/…``: ``twist`` and ``marker``."""
+
+    def __init__(self, item: SceneObject) -> None:
+        root = f"objects/{item.name}"
+
+        def pose(frame: Frame) -> ObjectPose:
+            return frame.objects[item.name]
+
+        self.marker: Topic[ObjectPose] = Topic(
+            f"{root}/marker",
+            Marker,
+            lambda pose, stamp: messages.object_message(item, pose, stamp),
+            pose,
+        )
+        self.twist: Topic[ObjectPose] = Topic(
+            f"{root}/twist",
+            TwistStamped,
+            lambda pose, stamp: messages.twist_message(pose.velocity, stamp),
+            pose,
+        )
+
+    def __iter__(self) -> Iterator[Topic[Any]]:
+        return iter((self.twist, self.marker))
+
+
+class CameraTopics:
+    """Topics of one camera, ``<camera>/…``.
+
+    Args:
+        scene: The scene.
+        camera: The camera.
+        frame: Optical frame; that of the name of the camera if None.
+        channels: Channels that the renderer supports; other channels have no topic.
+
+    Attributes:
+        images: Images of the channels; those of single bodies, one for each.
+        rectified: Images without lens distortion by channel; none if the camera has no distortion.
+        infos: Calibration, beside each image: image_transport takes it from the namespace of the image.
+        truth: Joints, boxes and visible vertices, by property of :class:`CameraTruth`.
+        legends: Meaning of the numbers of the images and of the joints.
+        extrinsics: Pose; for each frame if the camera moves.
+        projection: Projection matrix; for each frame if the camera moves.
+        pose: Pose of a camera with a trajectory.
+        twist: Velocity of a camera with a trajectory.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        camera: SceneCamera,
+        frame: str | None = None,
+        channels: Collection[str] = ALL_CHANNELS,
+    ) -> None:
+        self._scene, self._camera = scene, camera
+        self._name = name = camera.name
+        self._frame = frame = messages.optical_frame(name) if frame is None else frame
+        supported = [channel for channel in CHANNEL_TABLE.values() if channel.name in channels]
+        self.images: Sequence[Topic[View]] = [
+            topic for channel in supported for topic in self._channel_topics(channel)
+        ]
+        self.rectified = {} if camera.rectified is None else self._rectified_topics()
+        namespaces = dict.fromkeys(
+            f"{name}/{channel.topic}".rpartition("/")[0]
+            for channel in CHANNEL_TABLE.values()
+            if not channel.per_body
+        )
+        self.infos: Sequence[Topic[Camera]] = [
+            Topic(
+                f"{namespace}/camera_info",
+                CameraInfo,
+                lambda whole, stamp: messages.camera_info_message(whole, stamp, frame, camera.region),
+                lambda _: camera.whole,
+                shown=namespace == name,
+                camera=name,
+            )
+            for namespace in namespaces
+        ]
+        self.truth: dict[str, Topic[CameraTruth]] = {
+            kind: Topic(
+                f"{name}/{kind}",
+                PointCloud2,
+                self._truth_builder(kind),
+                lambda simulated: simulated.truth[name],
+                shown=kind == "joints",
+                camera=name,
+                channels=frozenset(needed),
+            )
+            for kind, needed in REQUIRED_CHANNELS.items()
+        }
+        self.legends: Sequence[Topic[None]] = self._legend_topics()
+
+        def posed(simulated: Frame) -> Camera:
+            return simulated.cameras[name]
+
+        self.extrinsics: Topic[Camera] = Topic(
+            f"{name}/extrinsics",
+            TransformStamped,
+            lambda camera, stamp: messages.extrinsics_message(camera, stamp, frame),
+            posed,
+            latched=True,
+            per_frame=camera.moves,
+            camera=name,
+        )
+        self.projection: Topic[Camera] = Topic(
+            f"{name}/projection",
+            Float64MultiArray,
+            lambda camera, _: messages.projection_message(camera),
+            posed,
+            latched=True,
+            per_frame=camera.moves,
+            camera=name,
+        )
+        self.twist, self.pose = moving_camera_topics(name)
+
+    def compressed(self, settings: ImageCompression) -> Topic[View]:
+        """Images as JPEG or PNG, in the format of image_transport's plugin ``compressed``."""
+        name, frame, encoding = self._name, self._frame, self._camera.encoding
+        return Topic(
+            f"{name}/{CHANNEL_TABLE['rgb'].topic}/compressed",
+            CompressedImage,
+            lambda view, stamp: messages.compressed_image_message(view.rgb, encoding, settings, stamp, frame),
+            lambda simulated: simulated.views[name],
+            camera=name,
+            channels=frozenset({"rgb"}),
+        )
+
+    def compressed_depth(self, settings: DepthCompression) -> Topic[View]:
+        """Depth as PNG of 16 bits, in the format of image_transport's plugin ``compressedDepth``."""
+        name, frame = self._name, self._frame
+        return Topic(
+            f"{name}/{CHANNEL_TABLE['depth'].topic}/compressedDepth",
+            CompressedImage,
+            lambda view, stamp: messages.compressed_depth_message(view.depth, settings, stamp, frame),
+            lambda simulated: simulated.views[name],
+            camera=name,
+            channels=frozenset({"depth"}),
+        )
+
+    def __iter__(self) -> Iterator[Topic[Any]]:
+        moving = (self.twist, self.pose) if self._camera.moves else ()
+        compressed = self.compressed(ImageCompression()), self.compressed_depth(DepthCompression())
+        truth, rectified = self.truth.values(), self.rectified.values()
+        poses = (self.extrinsics, self.projection, *moving)
+        return iter((*self.legends, *poses, *self.images, *compressed, *rectified, *self.infos, *truth))
+
+    def _encoding(self, channel: Channel) -> str:
+        return channel.encoding or self._camera.encoding
+
+    def _channel_topics(self, channel: Channel) -> Sequence[Topic[View]]:
+        """Topic of a channel, or one for each labelled body."""
+        name, frame, encoding = self._name, self._frame, self._encoding(channel)
+
+        def topic(path: str, image: Callable[[View], NDArray[Any]]) -> Topic[View]:
+            return Topic(
+                f"{name}/{path}",
+                Image,
+                lambda view, stamp: messages.image_message(image(view), encoding, stamp, frame),
+                lambda simulated: simulated.views[name],
+                shown=channel.name in _SHOWN_CHANNELS,
+                camera=name,
+                channels=frozenset({channel.name}),
+            )
+
+        def of_body(label: int) -> Callable[[View], NDArray[Any]]:
+            return lambda view: messages.mask_pixels(getattr(view, channel.name)[label])
+
+        if not channel.per_body:
+            return [topic(channel.topic, lambda view: getattr(view, channel.name))]
+        labels = self._scene.labels.items()
+        return [topic(channel.topic.format(body=body), of_body(label)) for body, label in labels]
+
+    def _rectified_topics(self) -> dict[str, Topic[NDArray[Any]]]:
+        """Topics of images without lens distortion by channel."""
+        name, frame, camera = self._name, self._frame, self._camera
+
+        def topic(channel: Channel, content: Callable[[Frame], NDArray[Any]], **needs: Any) -> Topic[Any]:
+            encoding = self._encoding(channel).replace("bayer_rggb8", "rgb8")
+            return Topic(
+                f"{name}/{channel.rectified_topic}",
+                Image,
+                lambda image, stamp: messages.image_message(image, encoding, stamp, frame),
+                content,
+                camera=name,
+                **needs,
+            )
+
+        return {
+            "rgb": topic(
+                CHANNEL_TABLE["rgb"],
+                lambda simulated: camera.rectify(simulated.views[name].rgb),
+                channels=frozenset({"rgb"}),
+            ),
+            "depth": topic(
+                CHANNEL_TABLE["depth"],
+                lambda simulated: simulated.rectified_depth[name],
+                rectified_depth=True,
+            ),
+        }
+
+    def _truth_builder(self, kind: str) -> Callable[[CameraTruth, int], PointCloud2]:
+        """Function that builds the messages of one property of :class:`CameraTruth`."""
+        builders: dict[str, Callable[..., PointCloud2]] = {
+            "joints": messages.joint_view_message,
+            "boxes": messages.boxes_message,
+            "visible_vertices": messages.visible_vertices_message,
+        }
+        build = builders[kind]
+        labels, frame = self._scene.labels, self._frame
+
+        def message(truth: CameraTruth, stamp: int) -> PointCloud2:
+            return build(
+                [(labels[name], value) for name, value in getattr(truth, kind).items()], stamp, frame
+            )
+
+        return message
+
+    def _legend_topics(self) -> Sequence[Topic[None]]:
+        scene, actors = self._scene, list(self._scene.actors.values())
+        joints = {actor.name: (actor.instance, actor.human.skeleton.joint_names) for actor in actors}
+        legends: dict[str, Callable[[], String]] = {
+            "instance": lambda: messages.instance_legend(scene.labels)
+        }
+        if actors:
+            legends["part"] = lambda: messages.part_legend(actors[0].human.skeleton)
+        legends["joints"] = lambda: messages.joints_legend(joints, scene.object_labels)
+
+        def topic(kind: str, build: Callable[[], String]) -> Topic[None]:
+            return Topic(
+                f"{self._name}/{kind}/legend",
+                String,
+                lambda *_: build(),
+                lambda _: None,
+                latched=True,
+                per_frame=False,
+                camera=self._name,
+            )
+
+        return [topic(*legend) for legend in legends.items()]
+
+
+def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose]]:
+    """Topics ``twist`` and ``pose`` of a camera with a trajectory."""
+
+    def content(frame: Frame) -> CameraPose:
+        return frame.camera_poses[name]
+
+    twist: Topic[CameraPose] = Topic(
+        f"{name}/twist",
+        TwistStamped,
+        lambda pose, stamp: messages.twist_message(pose.velocity, stamp),
+        content,
+        camera=name,
+    )
+    pose: Topic[CameraPose] = Topic(f"{name}/pose", PoseStamped, messages.pose_message, content, camera=name)
+    return twist, pose
+
+
+def scene_topics(scene: Scene) -> list[Topic[Any]]:
+    """All topics of a scene: the scene time, humans, moving objects, cameras.
+
+    Compressed images have the default settings of their plugins. Topics about the nodes themselves
+    (``/diagnostics``, ``frame_done``) are not among them.
+    """
+    topics: list[Topic[Any]] = [SCENE_TIME_TOPIC]
+    for name, actor in scene.actors.items():
+        topics += HumanTopics(actor, scene.config.humans[name].motion.file == LIVE)
+    for item in scene.moving_objects.values():
+        topics += ObjectTopics(item)
+    for camera in scene.scene_cameras.values():
+        topics += CameraTopics(scene, camera)
+    return topics

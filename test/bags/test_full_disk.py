@@ -96,7 +96,7 @@ def may_mount() -> bool:
 
 @pytest.mark.skipif(not may_mount(), reason="a file system of its own needs the right to mount (root)")
 @pytest.mark.parametrize("image", [3000, 600_000])
-@pytest.mark.parametrize("storage", ["mcap"])
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_real_full_disk(image: int, storage: Storage, tmp_path: Path) -> None:
     small = tmp_path / "small"
     small.mkdir()
@@ -113,7 +113,7 @@ cp -r {small}/bag {tmp_path}/bag
         timeout=PATIENCE,
     )
     assert done.returncode == 0, done.stderr
-    assert "bag: cannot be written: No space left on device; the bag ends after" in done.stdout
+    assert "bag: cannot be written: " in done.stdout and "; the bag ends after" in done.stdout
     found = by_rosbags(tmp_path / "bag")
     frames = len(found) // 2
     assert f"after {frames} whole groups" in done.stdout and frames > 3

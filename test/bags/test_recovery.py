@@ -10,17 +10,18 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from pathlib import Path
 
 import pytest
 from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, content_of
 from waiting import PATIENCE, wait_until
 
+from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.recovery import finish_bag
 from humansim_ros.bags.storages import Storage
 from humansim_ros.bags.writer import BagWriter
-from humansim_ros.errors import BagError
+from humansim_ros.errors import BagError, HumansimWarning
 
 PROGRAM = Path(__file__).with_name("write_endlessly.py")
 #: Bytes of an image that take long enough to write that a random kill hits it.
@@ -86,6 +87,21 @@ def test_the_guardian_finishes_a_bag_when_its_writer_is_killed(tmp_path: Path) -
         shutil.rmtree(folder)
 
 
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_without_guardian_is_read_and_continued(storage: Storage, tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    writing = WritingProcess(folder, storage, size=200_000)
+    writing.wait_for_frame(3)
+    last = writing.kill(with_guardian=True)
+    warned = pytest.warns(HumansimWarning, match="was not finished") if storage == "mcap" else nullcontext()
+    with warned, BagReader(folder) as reader:
+        found = sorted((reader.topics[m.topic].name, m.stamp, bytes(m.data)) for m in reader.messages())
+    assert frames_in(found, 200_000) > last
+    with BagWriter.resume(folder):
+        pass
+    assert 0 <= len(found) - len(by_rosbags(folder)) <= 1
+
+
 def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(tmp_path: Path) -> None:
     dice = random.Random(2)
     size, frames = 200_000, 60
@@ -114,6 +130,26 @@ def ignores(process: int, number: int) -> bool:
     status = Path(f"/proc/{process}/status").read_text()
     mask = next(line.split()[1] for line in status.splitlines() if line.startswith("SigIgn"))
     return bool(int(mask, 16) >> (number - 1) & 1)
+
+
+def test_sqlite3_bags_are_finished_and_continued_after_any_kill(tmp_path: Path) -> None:
+    dice, size, frames = random.Random(6), 200_000, 40
+    for attempt in range(8):
+        folder = tmp_path / f"bag{attempt}"
+        writing = WritingProcess(folder, "sqlite3", size=size, max_size=10 * size)
+        writing.wait_for_frame(dice.randrange(1, 25))
+        time.sleep(dice.uniform(0, 0.01))
+        alone = attempt % 2 == 0
+        last = writing.kill(with_guardian=alone)
+        if not alone:
+            assert frames_in(by_rosbags(folder), size) > last
+        with BagWriter.resume(folder, max_size=10 * size) as writer:
+            assert last < writer.groups <= frames and writer.custom == {"plan": "p"}
+            for frame in range(writer.groups, frames):
+                append_frame(writer, frame, size=size)
+        assert by_rosbags(folder) == content_of(range(frames), size)
+        assert not list(folder.glob("*-journal"))
+        shutil.rmtree(folder)
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])

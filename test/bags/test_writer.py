@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -16,7 +17,7 @@ from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError
 
 
-def write(folder: Path, frames: range, compression: Compression = "none", **options: int) -> None:
+def write(folder: Path, frames: range, compression: Compression = "none", **options: Any) -> None:
     with BagWriter(folder, TOPICS, **options) as writer:
         for frame in frames:
             append_frame(writer, frame, compression)
@@ -29,9 +30,17 @@ def test_all_readers_find_the_messages(compression: Compression, tmp_path: Path)
     assert by_rosbags(folder) == by_mcap(folder) == content_of(range(20))
 
 
-def test_metadata_is_that_of_jazzy(tmp_path: Path) -> None:
+def test_sqlite3_bags_are_read_by_rosbags(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
-    write(folder, range(3))
+    write(folder, range(160), storage="sqlite3", max_size=90_000)
+    assert len(list(folder.glob("bag_*.db3"))) > 1
+    assert by_rosbags(folder) == content_of(range(160))
+
+
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_metadata_is_that_of_jazzy(storage: str, tmp_path: Path) -> None:
+    folder = tmp_path / "bag"
+    write(folder, range(3), storage=storage)
     information = yaml.safe_load((folder / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
     assert (information["version"], information["ros_distro"]) == (9, "jazzy")
     with Reader(folder) as reader:

@@ -48,11 +48,14 @@ EXTRAS = {
     ],
     # writing and reading of bags; mcap brings zstandard and lz4
     "record": ["mcap>=1.1", "rosbags>=0.10.6"],
+    # recording on a cluster, and to URLs; client is for addresses such as ray://host:10001
+    "ray": ["fsspec>=2023.1", "mcap>=1.1", "ray[client]>=2.9", "rosbags>=0.10.6"],
     "test": [
         "bvhio",
         "colcon-common-extensions",
         "DracoPy>=1.5",
         "embreex",
+        "fsspec>=2023.1",
         "hypothesis",
         "lxml>=4.9",
         "mcap>=1.1",
@@ -63,6 +66,7 @@ EXTRAS = {
         "pyrender==0.1.45",
         "pytest",
         "pytest-xdist",
+        "ray>=2.9",
         "rosbags>=0.10.6",
         "ruff",
         # 70.1 builds wheels on its own; colcon needs an older one than 80

@@ -1,0 +1,1 @@
+"""Recording of scenes to bags without ROS nodes: plan, messages, workers, cluster."""

@@ -11,14 +11,16 @@ import tempfile
 import zlib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import ClassVar
+from typing import BinaryIO, ClassVar
+
+import yaml
 
 from humansim_ros import __version__
 from humansim_ros.bags.chunks import Buffer, Chunk
 from humansim_ros.bags.libraries import needs_libraries
 from humansim_ros.bags.mcap_scan import DAMAGES, MAGIC, McapScan, mark, topic_of
 from humansim_ros.bags.metadata import Content
-from humansim_ros.bags.topics import BagTopic, qos_text
+from humansim_ros.bags.topics import BagTopic
 from humansim_ros.errors import BagError
 
 with needs_libraries():
@@ -144,14 +146,9 @@ class McapFile:
         """Content of a finished file, from its summary; see :class:`BagFile`."""
         try:
             with path.open("rb") as file:
-                summary = SeekingReader(file).get_summary()
-        except (OSError, *DAMAGES):
-            summary = None
-        if summary is None or summary.statistics is None:
-            raise BagError("the summary of this file is damaged; it cannot be continued", path=path)
-        found = summary.statistics
-        counts = {channel - 1: count for channel, count in found.channel_message_counts.items()}
-        return Content(counts, found.message_start_time, found.message_end_time)
+                return content_in(file, path)
+        except OSError:
+            raise _damaged(path) from None
 
     def add_topic(self, topic: BagTopic) -> None:
         """Add a topic after those that exist."""
@@ -256,3 +253,31 @@ class McapFile:
             os.close(self._descriptor)
             self._descriptor = -1
             self._index.close()
+
+
+def qos_text(topic: BagTopic) -> str:
+    """QoS profiles as YAML, as rosbag2 stores them in MCAP and sqlite3 files."""
+    if not topic.qos:
+        return "[]"
+    return yaml.safe_dump([qos.as_yaml() for qos in topic.qos], sort_keys=False).strip()
+
+
+def content_in(file: BinaryIO, path: str | os.PathLike[str]) -> Content:
+    """Content of a finished file of ours, which need not be on a disk of this machine.
+
+    Raises:
+        BagError: The summary of the file, which the error calls ``path``, is damaged.
+    """
+    try:
+        summary = SeekingReader(file).get_summary()
+    except (OSError, *DAMAGES):
+        summary = None
+    if summary is None or summary.statistics is None:
+        raise _damaged(path)
+    found = summary.statistics
+    counts = {channel - 1: count for channel, count in found.channel_message_counts.items()}
+    return Content(counts, found.message_start_time, found.message_end_time)
+
+
+def _damaged(path: str | os.PathLike[str]) -> BagError:
+    return BagError("the summary of this file is damaged; it cannot be continued", path=path)

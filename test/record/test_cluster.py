@@ -1,0 +1,245 @@
+"""Recording on a local Ray: workers that die or have no space, the index, merging, resuming, wrong input."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from conftest import ROOT
+from recipes import CAMERAS, TOPICS, Numbers, group
+
+from humansim_ros.bags.writer import BagWriter
+from humansim_ros.errors import BagError
+from humansim_ros.record import cluster
+from humansim_ros.record.cluster import ClusterRecording, record_on_cluster
+from humansim_ros.record.output import OutputFolder
+from humansim_ros.record.shards import ShardKind, shards_of
+
+FRAMES, SHARD_FRAMES = 12, 4
+
+
+@pytest.fixture(scope="module")
+def workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A Ray with three workers; yields the folder for temporary files of the workers."""
+    ray = pytest.importorskip("ray")
+    folder = tmp_path_factory.mktemp("workers")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{Path(__file__).parent}")
+        patch.setenv("RAY_TMPDIR", "/tmp")  # its sockets must have short names
+        patch.setenv("TMPDIR", str(folder))
+        patch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+        options = {"object_store_memory": 80 * 2**20, "include_dashboard": False}
+        ray.init(num_cpus=3, log_to_driver=False, logging_level="error", **options)
+    yield folder
+    ray.shutdown()
+
+
+def recording(
+    folder: Path, kind: ShardKind = "frames", merge: bool = False, seed: int = 1
+) -> ClusterRecording:
+    return ClusterRecording(
+        recipe=Numbers(folder, seed),
+        shards=shards_of(kind, FRAMES, CAMERAS, SHARD_FRAMES),
+        output=OutputFolder(str(folder / "bag")),
+        interleaved=kind == "cameras",
+        merge=merge,
+        compression="zstd",
+    )
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    """Files of a bag, without hidden ones."""
+    return {path.name: path.read_bytes() for path in folder.iterdir() if not path.name.startswith(".")}
+
+
+def messages(folder: Path) -> list[tuple[str, int, bytes]]:
+    """Messages of a bag as rosbags reads it."""
+    from rosbags.rosbag2 import Reader
+
+    with Reader(folder) as reader:
+        return [(connection.topic, stamp, bytes(data)) for connection, stamp, data in reader.messages()]
+
+
+def bag_of_one_process(folder: Path, **limits: Any) -> Path:
+    with BagWriter(folder, TOPICS, compression="zstd", custom=Numbers(folder).custom, **limits) as writer:
+        for index in range(FRAMES):
+            chunks = group(index)
+            for chunk in chunks:
+                writer.append(chunk, ends_group=chunk is chunks[-1])
+    return folder
+
+
+def attempts(folder: Path) -> list[int]:
+    """Number of attempts of each shard."""
+    return [len(path.read_text().split()) for path in sorted(folder.glob("pids_*"))]
+
+
+@pytest.mark.slow
+def test_shards_of_frames_are_the_files_of_one_bag(workers: Path, tmp_path: Path) -> None:
+    reported = []
+    record_on_cluster([recording(tmp_path)], "local", report=reported.append)
+    assert set(files(tmp_path / "bag")) == {"bag_0.mcap", "bag_1.mcap", "bag_2.mcap", "metadata.yaml"}
+    one = bag_of_one_process(tmp_path / "one")
+    assert messages(tmp_path / "bag") == messages(one)
+    assert len(messages(one)) == FRAMES * (1 + len(CAMERAS))
+    assert sum(each.frames for each in reported) == FRAMES
+    sizes = sorted((tmp_path / "bag" / f"bag_{i}.mcap").stat().st_size for i in range(3))
+    assert sorted(each.size for each in reported) == sizes
+    assert len({path.read_text() for path in tmp_path.glob("pids_*")}) > 1, "one worker did all"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["frames", "cameras"])
+@pytest.mark.parametrize("limits", [{}, {"max_size": 4000}])
+def test_merged_shards_are_the_bag_of_one_process(
+    workers: Path, tmp_path: Path, kind: ShardKind, limits: dict[str, int]
+) -> None:
+    whole = recording(tmp_path, kind, merge=True)
+    record_on_cluster([replace(whole, limits=limits)], "local")
+    (tmp_path / "one").mkdir()
+    assert files(tmp_path / "bag") == files(bag_of_one_process(tmp_path / "one" / "bag", **limits))
+    assert not (tmp_path / "bag.shards").exists()
+
+
+@pytest.mark.slow
+def test_shards_of_cameras_are_a_bag_each(workers: Path, tmp_path: Path) -> None:
+    record_on_cluster([recording(tmp_path, "cameras")], "local")
+    assert {path.name for path in (tmp_path / "bag").iterdir()} == set(CAMERAS)
+    found = [each for name in CAMERAS for each in messages(tmp_path / "bag" / name)]
+    assert sorted(found) == sorted(messages(bag_of_one_process(tmp_path / "one")))
+    topics = {topic for topic, _, _ in messages(tmp_path / "bag" / "left")}
+    assert topics == {"/joints", "/left/image"}
+
+
+@pytest.mark.slow
+def test_a_worker_that_is_killed_and_one_without_space_change_nothing(workers: Path, tmp_path: Path) -> None:
+    for name in ("calm", "rough"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "rough" / "kill_1").touch()
+    (tmp_path / "rough" / "full_2").touch()
+    record_on_cluster([recording(tmp_path / "calm")], "local")
+    record_on_cluster([recording(tmp_path / "rough")], "local")
+    assert attempts(tmp_path / "calm") == [1, 1, 1]
+    assert attempts(tmp_path / "rough") == [1, 2, 2]
+    assert files(tmp_path / "calm" / "bag") == files(tmp_path / "rough" / "bag")
+
+
+@pytest.mark.slow
+def test_a_shard_that_always_fails_is_named_and_resumed(workers: Path, tmp_path: Path) -> None:
+    (tmp_path / "broken_1").touch()
+    with pytest.raises(BagError) as caught:
+        record_on_cluster([recording(tmp_path)], "local")
+    assert "shards are missing (bag_1.mcap" in str(caught.value)
+    assert "(frames 4 to 7 of left, right, top): ZeroDivisionError: no such number" in str(caught.value)
+    assert "--resume" in str(caught.value)
+    left = files(tmp_path / "bag")
+    assert "metadata.yaml" not in left and "bag_1.mcap" not in left
+    before = {path.name: path.read_text() for path in tmp_path.glob("pids_*")}
+    (tmp_path / "broken_1").unlink()
+    with pytest.raises(BagError, match="a recording has begun here; --resume completes it"):
+        record_on_cluster([recording(tmp_path)], "local")
+    with pytest.raises(BagError, match="another recording has begun here"):
+        record_on_cluster([recording(tmp_path, seed=2)], "local", resume=True)
+    record_on_cluster([recording(tmp_path)], "local", resume=True)
+    for number in range(3):  # only what was missing
+        if f"bag_{number}.mcap" in left:
+            assert (tmp_path / f"pids_{number}").read_text() == before[f"pids_{number}"]
+    (tmp_path / "calm").mkdir()
+    record_on_cluster([recording(tmp_path / "calm")], "local")
+    assert files(tmp_path / "bag") == files(tmp_path / "calm" / "bag")
+    record_on_cluster([recording(tmp_path)], "local", resume=True)  # nothing is missing
+    assert attempts(tmp_path) == [1, 2, *attempts(tmp_path)[2:]]
+
+
+@pytest.fixture
+def small_disk(workers: Path) -> Iterator[Path]:
+    """The folder for temporary files of the workers has little space."""
+    mount = ["mount", "-t", "tmpfs", "-o", "size=4k", "tmpfs", str(workers)]
+    if not shutil.which("mount") or subprocess.run(mount, capture_output=True).returncode:
+        pytest.skip("a small disk needs the right to mount (root)")
+    yield workers
+    subprocess.run(["umount", str(workers)], check=True)
+
+
+@pytest.mark.slow
+def test_workers_without_space_leave_nothing_that_looks_whole(small_disk: Path, tmp_path: Path) -> None:
+    with pytest.raises(BagError) as caught:
+        record_on_cluster([recording(tmp_path)], "local")
+    assert f"No space left on device on host {socket.gethostname()}; TMPDIR" in str(caught.value)
+    assert "3 shards are missing (bag_0.mcap, bag_1.mcap, bag_2.mcap), after 4 attempts" in str(caught.value)
+    assert set(files(tmp_path / "bag")) == {"recording.json"}
+    assert list(small_disk.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_a_worker_of_another_version_is_refused(workers: Path, tmp_path: Path) -> None:
+    ray = pytest.importorskip("ray")
+    shard = recording(tmp_path).shards[0]
+    job = cluster._Job(Numbers(tmp_path), shard, OutputFolder(str(tmp_path)), "bag_0.mcap", "0.0.1")
+    with pytest.raises(Exception, match=r"and the driver 0\.0\.1: install the same everywhere"):
+        ray.get(ray.remote(cluster.write_shard).remote(job))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_that_exists_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(BagError, match="bag: this path exists"):
+        record_on_cluster([recording(tmp_path)], "local")
+    with pytest.raises(BagError, match="there is no recording to resume here"):
+        record_on_cluster([recording(tmp_path)], "local", resume=True)
+
+
+def test_without_ray_its_installation_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(BagError, match=r"--ray needs Ray .*pip install 'humansim_ros\[ray\]'"):
+        record_on_cluster([recording(tmp_path)], "local")
+    assert list(tmp_path.iterdir()) == []
+
+
+def unused_port() -> int:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return int(free.getsockname()[1])
+
+
+ADDRESSES = {
+    "refused": ("127.0.0.1:{}", "Connection refused"),
+    "client_refused": ("ray://127.0.0.1:{}", "Connection refused"),
+    "silent": ("10.255.255.1:6379", "timed out"),
+    "no_port": ("127.0.0.1", "HOST:PORT"),
+    "wrong_port": ("127.0.0.1:x", "HOST:PORT"),
+    "web": ("http://127.0.0.1:{}", "HOST:PORT"),
+    "none_here": ("auto", "find any running Ray"),
+}
+
+
+@pytest.mark.parametrize("name", ADDRESSES)
+def test_an_address_that_does_not_answer_is_named(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ray = pytest.importorskip("ray")
+    monkeypatch.setattr(ray, "is_initialized", lambda: False)
+    monkeypatch.delenv("RAY_ADDRESS", raising=False)
+
+    def raising(error: OSError) -> Callable[..., None]:
+        def function(*_: object, **__: object) -> None:
+            raise error
+
+        return function
+
+    if name == "silent":  # some networks answer for every address
+        monkeypatch.setattr(socket, "create_connection", raising(TimeoutError("timed out")))
+    if name == "none_here":
+        monkeypatch.setattr(ray, "init", raising(ConnectionError("Could not find any running Ray")))
+    address, words = ADDRESSES[name][0].format(unused_port()), ADDRESSES[name][1]
+    with pytest.raises(BagError, match=f"--ray {address}: .*({words})"):
+        record_on_cluster([recording(tmp_path)], address)
+    assert list(tmp_path.iterdir()) == []

@@ -28,6 +28,8 @@ _CHUNK_HEAD = struct.Struct("<QQQII")
 _SIZE = struct.Struct("<Q")
 #: Opcode, length, channel, sequence, log time, publish time.
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
+#: The same without opcode and length.
+_MESSAGE_CONTENT = struct.Struct("<HIQQ")
 #: Opcode, length, channel, size of the entries.
 _INDEX_HEAD = struct.Struct("<BQHI")
 #: Log time, offset in the records of the chunk.
@@ -83,6 +85,10 @@ class Chunk:
         """Index of the topic and number of bytes of each MessageIndex record, in their order."""
         for topic, count in self.counts.items():
             yield topic, _INDEX_HEAD.size + count * _INDEX_ENTRY.size
+
+    def data(self) -> Buffer:
+        """The bytes in one buffer."""
+        return self.buffers[0] if len(self.buffers) == 1 else b"".join(self.buffers)
 
     def copy_into(self, target: memoryview) -> Chunk:
         """Copy the bytes to the start of ``target``, such as shared memory; the same chunk without bytes.
@@ -170,31 +176,46 @@ def _compress(parts: Sequence[Buffer], compression: Compression) -> bytes:
         return compressed
 
 
-def chunk_messages(record: Buffer, *, verify: bool = True) -> Iterator[BagMessage]:
-    """Messages of a Chunk record in the order of the file; the data are views, not copies, if uncompressed.
+def chunk_records(record: Buffer) -> Iterator[tuple[int, memoryview]]:
+    """Opcode and content of the records in a Chunk record, after a check of sizes and checksum.
 
-    Args:
-        record: The record with opcode and length.
-        verify: Compare the checksum, if the record has one.
+    ``record``: all bytes of the Chunk record. The contents are views of it, if it is not compressed.
 
     Raises:
-        BagError: The chunk is damaged.
+        BagError: The chunk is damaged, or its compression is not known.
     """
-    data = _records_of(memoryview(record).cast("B"), verify)
+    data = _records_of(memoryview(record).cast("B"))
     position = 0
     while position < data.nbytes:
         if position + RECORD.size > data.nbytes:
             raise BagError("a damaged chunk: it ends within a record")
         opcode, length = RECORD.unpack_from(data, position)
-        following = position + RECORD.size + length
-        if following > data.nbytes:
+        position += RECORD.size
+        if position + length > data.nbytes:
             raise BagError("a damaged chunk: a record is longer than the chunk")
-        if opcode == _MESSAGE:
-            if length < _MESSAGE_HEAD.size - RECORD.size:
-                raise BagError("a damaged chunk: a message without header")
-            _, _, channel, _, stamp, published = _MESSAGE_HEAD.unpack_from(data, position)
-            yield BagMessage(channel - 1, stamp, data[position + _MESSAGE_HEAD.size : following], published)
-        position = following
+        yield opcode, data[position : position + length]
+        position += length
+
+
+def message_of(content: memoryview) -> BagMessage:
+    """The message of a Message record; ``topic`` is the number of the channel less one.
+
+    Raises:
+        BagError: The record is damaged.
+    """
+    if content.nbytes < _MESSAGE_CONTENT.size:
+        raise BagError("a damaged message: its header is not whole")
+    channel, _, stamp, published = _MESSAGE_CONTENT.unpack_from(content)
+    return BagMessage(channel - 1, stamp, content[_MESSAGE_CONTENT.size :], published)
+
+
+def chunk_messages(record: Buffer) -> list[BagMessage]:
+    """Messages of a Chunk record in their order there.
+
+    Raises:
+        BagError: The chunk is damaged, or its compression is not known.
+    """
+    return [message_of(content) for opcode, content in chunk_records(record) if opcode == _MESSAGE]
 
 
 class ChunkHead(NamedTuple):
@@ -243,7 +264,7 @@ def index_count(record: Buffer) -> tuple[int, int]:
 INDEX_HEAD_SIZE = _INDEX_HEAD.size
 
 
-def _records_of(record: memoryview, verify: bool) -> memoryview:
+def _records_of(record: memoryview) -> memoryview:
     """The records in a Chunk record, decompressed."""
     head = ChunkHead.read(record)
     data = record[head.position :]
@@ -252,7 +273,7 @@ def _records_of(record: memoryview, verify: bool) -> memoryview:
     data = _decompressed(data, head.compression, head.uncompressed_size)
     if data.nbytes != head.uncompressed_size:
         raise BagError("a damaged chunk: its size is wrong")
-    if verify and head.crc and zlib.crc32(data) != head.crc:
+    if head.crc and zlib.crc32(data) != head.crc:
         raise BagError("a damaged chunk: its checksum is wrong")
     return data
 

@@ -13,14 +13,12 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import BinaryIO, ClassVar
 
-import yaml
-
 from humansim_ros import __version__
 from humansim_ros.bags.chunks import Buffer, Chunk
 from humansim_ros.bags.libraries import needs_libraries
 from humansim_ros.bags.mcap_scan import DAMAGES, MAGIC, McapScan, mark, topic_of
 from humansim_ros.bags.metadata import Content
-from humansim_ros.bags.topics import BagTopic
+from humansim_ros.bags.topics import BagTopic, qos_text
 from humansim_ros.errors import BagError
 
 with needs_libraries():
@@ -253,13 +251,6 @@ class McapFile:
             os.close(self._descriptor)
             self._descriptor = -1
             self._index.close()
-
-
-def qos_text(topic: BagTopic) -> str:
-    """QoS profiles as YAML, as rosbag2 stores them in MCAP and sqlite3 files."""
-    if not topic.qos:
-        return "[]"
-    return yaml.safe_dump([qos.as_yaml() for qos in topic.qos], sort_keys=False).strip()
 
 
 def content_in(file: BinaryIO, path: str | os.PathLike[str]) -> Content:

@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import struct
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple
-
-import yaml
 
 from humansim_ros.bags.chunks import (
     HEAD_SIZE,
@@ -19,7 +18,7 @@ from humansim_ros.bags.chunks import (
     index_count,
 )
 from humansim_ros.bags.libraries import needs_libraries
-from humansim_ros.bags.topics import BagTopic, Qos
+from humansim_ros.bags.topics import BagTopic, qos_of_text
 from humansim_ros.errors import BagError
 
 with needs_libraries():
@@ -120,9 +119,10 @@ class McapScan:
         for place in places(file, path):
             file.seek(place.position)
             if place.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._topics.append((place, read_topic_record(file, place)))
+                content = file.read(RECORD.size + place.length)[RECORD.size :]
+                self._topics.append((place, topic_record(place.opcode, content)))
             elif place.opcode == Opcode.CHUNK:
-                chunk, counts = (place, ChunkHead.read(file.read(min(HEAD_SIZE, place.end)))), {}
+                chunk, counts = (place, ChunkHead.read(file.read(HEAD_SIZE))), {}
             elif place.opcode == Opcode.MESSAGE_INDEX:
                 topic, count = index_count(file.read(INDEX_HEAD_SIZE))
                 counts[topic] = count
@@ -160,27 +160,21 @@ def _chunk(place: Place, head: ChunkHead, counts: dict[int, int]) -> Chunk:
     )
 
 
-def read_topic_record(file: BinaryIO, place: Place) -> Schema | Channel:
-    """Read a Schema or Channel record. Raises one of ``DAMAGES`` if it is damaged."""
-    file.seek(place.position + RECORD.size)
-    stream = ReadDataStream(file)
+def topic_record(opcode: int, content: bytes) -> Schema | Channel:
+    """Read the content of a Schema or Channel record. Raises one of ``DAMAGES`` if it is damaged."""
+    stream = ReadDataStream(BytesIO(content))
     record: Schema | Channel
-    record = Schema.read(stream) if place.opcode == Opcode.SCHEMA else Channel.read(stream)
+    record = Schema.read(stream) if opcode == Opcode.SCHEMA else Channel.read(stream)
     return record
 
 
 def topic_of(channel: Channel, schemas: dict[int, Schema]) -> BagTopic:
-    """The topic of a channel; QoS that cannot be read is left out."""
+    """The topic of a channel."""
     schema = schemas.get(channel.schema_id)
-    try:
-        profiles = yaml.safe_load(channel.metadata.get("offered_qos_profiles", "")) or []
-        qos = tuple(Qos.from_yaml(profile) for profile in profiles)
-    except (yaml.YAMLError, AttributeError, TypeError, ValueError):
-        qos = ()
     return BagTopic(
         name=channel.topic,
         type="" if schema is None else schema.name,
-        qos=qos,
+        qos=qos_of_text(channel.metadata.get("offered_qos_profiles", "")),
         definition="" if schema is None else schema.data.decode("utf-8", "replace"),
         type_hash=channel.metadata.get("topic_type_hash", ""),
     )

@@ -82,4 +82,5 @@ def file_class(storage: Storage) -> type[BagFile]:
         import rosbags.rosbag2  # noqa: F401
 
         from humansim_ros.bags.mcap_file import McapFile
-    return McapFile
+        from humansim_ros.bags.sqlite_file import SqliteFile
+    return McapFile if storage == "mcap" else SqliteFile

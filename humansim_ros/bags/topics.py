@@ -11,6 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import yaml
+
 from humansim_ros.bags.libraries import needs_libraries
 from humansim_ros.errors import BagError, warn_about
 
@@ -70,6 +72,21 @@ class BagTopic:
     qos: tuple[Qos, ...] = ()
     definition: str = ""
     type_hash: str = ""
+
+
+def qos_text(topic: BagTopic) -> str:
+    """QoS profiles as YAML, as rosbag2 stores them in MCAP and sqlite3 files."""
+    if not topic.qos:
+        return "[]"
+    return yaml.safe_dump([qos.as_yaml() for qos in topic.qos], sort_keys=False).strip()
+
+
+def qos_of_text(text: str) -> tuple[Qos, ...]:
+    """QoS profiles from such a text; none if it cannot be read."""
+    try:
+        return tuple(Qos.from_yaml(profile) for profile in yaml.safe_load(text) or [])
+    except (yaml.YAMLError, AttributeError, TypeError, ValueError):
+        return ()
 
 
 def check_topics(topics: Sequence[BagTopic]) -> None:

@@ -11,7 +11,7 @@ import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias, get_args
 
 from humansim_ros.bags.libraries import needs_libraries
 from humansim_ros.errors import BagError
@@ -19,6 +19,7 @@ from humansim_ros.errors import BagError
 #: Bytes in memory; a NumPy array or shared memory as ``memoryview``.
 Buffer: TypeAlias = bytes | bytearray | memoryview
 Compression: TypeAlias = Literal["none", "zstd", "lz4"]
+COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 
 _CHUNK, _MESSAGE, _MESSAGE_INDEX = 0x06, 0x05, 0x07
 #: Opcode and length, which begin every record.

@@ -156,7 +156,7 @@ class McapFile:
             schema = Schema(
                 id=len(self._schemas) + 1,
                 name=topic.type,
-                encoding="ros2msg" if topic.definition else "",
+                encoding=topic.encoding,
                 data=topic.definition.encode(),
             )
             new.append(schema)

@@ -121,11 +121,10 @@ class SqliteFile:
         """Add a topic after those that exist."""
         with as_os_errors():
             if topic.type not in self._types:
-                encoding = "ros2msg" if topic.definition else ""
                 self._database.execute(
                     "INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition, "
                     "type_description_hash) VALUES(?,?,?,?)",
-                    (topic.type, encoding, topic.definition, topic.type_hash),
+                    (topic.type, topic.encoding, topic.definition, topic.type_hash),
                 )
             self._database.execute(
                 "INSERT INTO topics VALUES(?,?,?,?,?,?)",

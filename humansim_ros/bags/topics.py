@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
@@ -64,7 +65,7 @@ class BagTopic:
     """A topic of a bag.
 
     ``type`` is a full name such as ``sensor_msgs/msg/Image``. ``definition`` is the text of the message type
-    with all types that it contains (ros2msg), ``type_hash`` its hash (RIHS01); both are empty if unknown.
+    with all types that it contains, ``type_hash`` its hash (RIHS01); both are empty if unknown.
     """
 
     name: str
@@ -72,6 +73,11 @@ class BagTopic:
     qos: tuple[Qos, ...] = ()
     definition: str = ""
     type_hash: str = ""
+
+    @property
+    def encoding(self) -> str:
+        """How the definition is written, as bags say it; empty without a known type."""
+        return "ros2msg" if self.definition or self.type_hash else ""
 
 
 def qos_text(topic: BagTopic) -> str:
@@ -111,8 +117,8 @@ def check_topics(topics: Sequence[BagTopic]) -> None:
 def described(topic: BagTopic) -> BagTopic:
     """The topic with definition and hash of its type.
 
-    They come from rosbags' copy of the Jazzy messages, and are so the same on every machine; for other types
-    from the ``.msg`` files of installed packages. For an unknown type a HumansimWarning says so.
+    The definition comes from rosbags' copy of the Jazzy messages, and is so the same on every machine; for
+    other types from the ``.msg`` files of installed packages. For an unknown type a HumansimWarning says so.
 
     Raises:
         HumansimError: The libraries of recording are not installed.
@@ -120,13 +126,13 @@ def described(topic: BagTopic) -> BagTopic:
     if topic.definition and topic.type_hash:
         return topic
     definition, type_hash = _description(topic.type)
-    if not definition:
+    if not type_hash:
         warn_about(
             topic.name,
             f"no definition of {topic.type} found; the bag holds the messages without it. "
             "Source the workspace that has the type",
         )
-    return replace(topic, definition=definition, type_hash=type_hash)
+    return replace(topic, definition=topic.definition or definition, type_hash=topic.type_hash or type_hash)
 
 
 @cache
@@ -145,7 +151,19 @@ def _description(name: str) -> tuple[str, str]:
     name = name if package.endswith(("/msg", "/srv", "/action")) else f"{package}/msg/{base}"
     if not _known(name, store):
         return "", ""
-    return store.generate_msgdef(name, ros_version=2)[0], store.hash_rihs01(name)
+    return store.generate_msgdef(name, ros_version=2)[0], _installed_hash(name) or store.hash_rihs01(name)
+
+
+def _installed_hash(name: str) -> str:
+    """Hash of a type as ROS has computed it; that of rosbags differs for types with a field of kind char."""
+    path = _installed_file(name, ".json")
+    if path is None:
+        return ""
+    try:
+        hashes = json.loads(path.read_text(encoding="utf-8"))["type_hashes"]
+        return str({each["type_name"]: each["hash_string"] for each in hashes}[name])
+    except (OSError, ValueError, LookupError, TypeError):
+        return ""
 
 
 def _known(name: str, store: Typestore) -> bool:
@@ -154,7 +172,7 @@ def _known(name: str, store: Typestore) -> bool:
 
     if name in store.fielddefs:
         return True
-    path = _definition_file(name)
+    path = _installed_file(name, ".msg")
     if path is None:
         return False
     try:
@@ -178,9 +196,9 @@ def _names_in(field: Any) -> list[str]:
     return _names_in(content[0]) if kind in (Nodetype.ARRAY, Nodetype.SEQUENCE) else []
 
 
-def _definition_file(name: str) -> Path | None:
-    """The ``.msg`` file of a type in the installed packages."""
+def _installed_file(name: str, suffix: str) -> Path | None:
+    """The file of a type in the installed packages."""
     package, kind, base = name.split("/")
     prefixes = [*filter(None, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)), sys.prefix]
-    paths = (Path(prefix, "share", package, kind, f"{base}.msg") for prefix in prefixes)
+    paths = (Path(prefix, "share", package, kind, f"{base}{suffix}") for prefix in prefixes)
     return next((path for path in paths if path.is_file()), None)

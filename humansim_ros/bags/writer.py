@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import NoReturn
 
-from humansim_ros.bags.chunks import Chunk, Compression
+from humansim_ros.bags.chunks import COMPRESSIONS, Chunk, Compression
 from humansim_ros.bags.guardian import Guardian
 from humansim_ros.bags.recovery import OpenBag, finish_bag, lock_bag, reopen_bag
 from humansim_ros.bags.storages import SUFFIXES, Storage, file_class
@@ -55,6 +55,10 @@ class BagWriter:
     ) -> None:
         path = Path(folder).resolve()
         kind = file_class(storage)
+        if compression not in COMPRESSIONS:
+            raise BagError(
+                f"{compression!r} is no compression of chunks; choose one of {', '.join(COMPRESSIONS)}"
+            )
         if storage == "sqlite3" and compression != "none":
             raise BagError("files of sqlite3 are not compressed; choose the storage mcap", path=folder)
         check_topics(topics)

@@ -120,6 +120,19 @@ cp -r {small}/bag {tmp_path}/bag
     assert found == content_of(range(frames), image)
 
 
+@pytest.mark.skipif(not may_mount(), reason="a file system of its own needs the right to mount (root)")
+def test_a_read_only_target(tmp_path: Path) -> None:
+    script = f"mount -t tmpfs -o ro tmpfs {tmp_path} && {sys.executable} {PROGRAM} {tmp_path}/bag 100 mcap"
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-ec", script],
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert done.stdout == f"{tmp_path}/bag: cannot be written: Read-only file system\n", done.stderr
+
+
 def test_a_target_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="cannot be written: "):
         BagWriter("/proc/bag", TOPICS)

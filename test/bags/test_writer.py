@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import pickle
+from multiprocessing.shared_memory import SharedMemory
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
-from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, chunks_of, content_of
+from bag_support import PERIOD, TOPICS, append_frame, by_mcap, by_rosbags, chunks_of, content_of
+from mcap.reader import SeekingReader
 from rosbags.interfaces import QosDurability, QosReliability
 from rosbags.rosbag2 import Reader
 
@@ -77,3 +80,94 @@ def test_topics_can_be_added_while_writing(tmp_path: Path) -> None:
         index = writer.add_topic(TOPICS[1])
         writer.append(encode_chunk([BagMessage(index, 5, b"\0\1\0\0")]))
     assert by_rosbags(folder) == by_mcap(folder)
+
+
+@pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
+def test_the_same_messages_give_the_same_bytes(compression: Compression, tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        write(tmp_path / name / "bag", range(20), compression, max_size=4000)
+    files = sorted(path.name for path in (tmp_path / "one" / "bag").iterdir())
+    for name in files:
+        contents = {(tmp_path / run / "bag" / name).read_bytes() for run in ("one", "two")}
+        assert len(contents) == 1, name
+
+
+def encode(frame: int, slot: memoryview) -> bytes:
+    """As a worker does: the chunk goes to shared memory, and its description through a pipe."""
+    return pickle.dumps(chunks_of(frame, size=3000)[1].copy_into(slot))
+
+
+def test_chunks_come_through_shared_memory(tmp_path: Path) -> None:
+    memory = SharedMemory(create=True, size=8192)
+    try:
+        with BagWriter(tmp_path / "bag", TOPICS) as writer:
+            for frame in range(5):
+                described = encode(frame, memory.buf)
+                assert len(described) < 500
+                chunk = pickle.loads(described).with_data(memory.buf)
+                writer.append(chunk)
+                assert writer.size > 0
+                del chunk
+                memory.buf[:] = bytes(len(memory.buf))
+    finally:
+        memory.close()
+        memory.unlink()
+    expected = [each for each in content_of(range(5), 3000) if each[0] == TOPICS[0].name]
+    assert by_rosbags(tmp_path / "bag") == by_mcap(tmp_path / "bag") == expected
+
+
+def test_publish_times_are_kept(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", TOPICS) as writer:
+        writer.append(encode_chunk([BagMessage(0, 7, b"\0\1\0\0", 5), BagMessage(0, 8, b"\0\1\0\0")]))
+    with (tmp_path / "bag" / "bag_0.mcap").open("rb") as file:
+        times = [(each.log_time, each.publish_time) for _, _, each in SeekingReader(file).iter_messages()]
+    assert times == [(7, 5), (8, 8)]
+
+
+def test_files_are_split_by_their_duration(tmp_path: Path) -> None:
+    """As rosbag2 does: a new file begins with the first message that is later than its start by more."""
+    write(tmp_path / "bag", range(11), max_duration=4 * PERIOD / 1e9)
+    information = yaml.safe_load((tmp_path / "bag" / "metadata.yaml").read_text())
+    files = information["rosbag2_bagfile_information"]["files"]
+    assert [each["duration"]["nanoseconds"] for each in files] == [4 * PERIOD, 4 * PERIOD, 0]
+    assert by_rosbags(tmp_path / "bag") == content_of(range(11))
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"max_size": 1023}, "max_size: .* at least 1024 bytes"),
+        ({"max_size": -1}, "max_size"),
+        ({"max_size": 2000, "storage": "sqlite3"}, "max_size: .* at least 86016 bytes"),
+        ({"max_duration": -1.0}, "max_duration"),
+        ({"max_duration": float("nan")}, "max_duration"),
+        ({"storage": "sqlite"}, "'sqlite' is no storage of bags; choose one of mcap, sqlite3"),
+        ({"storage": "sqlite3", "compression": "zstd"}, "choose the storage mcap"),
+        ({"compression": "zip"}, "'zip' is no compression of chunks; choose one of none, zstd, lz4"),
+    ],
+)
+def test_wrong_options_are_refused(options: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(BagError, match=message):
+        BagWriter(tmp_path / "bag", TOPICS, **options)
+    assert not (tmp_path / "bag").exists()
+
+
+def test_metadata_is_renewed_while_chunks_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("humansim_ros.bags.writer._RENEWAL", 0.0)
+    with BagWriter(tmp_path / "bag", TOPICS) as writer:
+        for frame in range(3):
+            append_frame(writer, frame)
+            text = (tmp_path / "bag" / "metadata.yaml").read_text()
+            assert yaml.safe_load(text)["rosbag2_bagfile_information"]["message_count"] == 2 * frame + 2
+
+
+def test_an_empty_bag_is_read(tmp_path: Path) -> None:
+    BagWriter(tmp_path / "bag", TOPICS).close()
+    assert by_rosbags(tmp_path / "bag") == by_mcap(tmp_path / "bag") == []
+
+
+def test_no_guardian_outlives_its_bag(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", TOPICS) as writer:
+        process = writer._guardian._process
+        assert process is not None and process.poll() is None
+    assert process.poll() is not None

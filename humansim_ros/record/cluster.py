@@ -36,8 +36,8 @@ _RETRIED = [OSError, BagError, RenderError, MemoryError]
 _TASKS_PER_CORE = 2
 #: Seconds until a host that does not answer is given up.
 _CONNECT_LIMIT = 5.0
-#: Bytes of the object store of a Ray that is started here: tasks return some hundred bytes.
-_OBJECT_STORE = 80 * 2**20
+#: Bytes of the object store of a Ray that is started here, which holds the scenes.
+_OBJECT_STORE = 2**29
 #: Environment variables of a task, which has one core.
 _ONE_CORE = {"LP_NUM_THREADS": "0", "OPENCV_FOR_THREADS_NUM": "1"}
 #: File in a folder of shards that is not complete: what is being recorded.
@@ -106,7 +106,6 @@ class ClusterRecording:
 class _Job:
     """A shard to write: ``name`` of its file in ``folder``, and the version of the package."""
 
-    recipe: Recipe
     shard: Shard
     folder: OutputFolder
     name: str
@@ -126,8 +125,8 @@ class ShardResult:
     size: int
 
 
-def write_shard(job: _Job) -> ShardResult:
-    """Write a shard and move it to the output; this runs in a worker.
+def write_shard(recipe: Recipe, job: _Job) -> ShardResult:
+    """Write a shard of a recipe and move it to the output; this runs in a worker.
 
     Raises:
         HumansimError: The worker has another version of the package, a disk is full, or the scene cannot be
@@ -144,9 +143,9 @@ def write_shard(job: _Job) -> ShardResult:
     with temporary_folder() as folder:
         path = folder / job.name
         try:
-            file = McapFile.create(path, job.recipe.topics)
+            file = McapFile.create(path, recipe.topics)
             try:
-                for number, group in enumerate(job.recipe.groups(job.shard), job.shard.first):
+                for number, group in enumerate(recipe.groups(job.shard), job.shard.first):
                     for position, chunk in enumerate(group, 1):
                         file.append(chunk, number, position == len(group))
                 file.finish()
@@ -183,15 +182,16 @@ def record_on_cluster(
     """
     written = {recording.output: _written(recording, resume) for recording in recordings}
     with _connected(address, workers) as ray:
-        jobs = []
+        tasks = []
         for recording in recordings:
+            recipe = ray.put(recording.recipe)  # once for all its tasks
             places = map(recording.place, recording.shards)
             for shard, place in zip(recording.shards, places, strict=True):
                 if place not in written[recording.output]:
-                    jobs.append(_Job(recording.recipe, shard, *place))
+                    tasks.append((recipe, _Job(shard, *place)))
             _begin(recording)
-        results, failures = _run(ray, jobs, report)
-    missing = [job for job in jobs if (job.folder, job.name) not in results]
+        results, failures = _run(ray, tasks, report)
+    missing = [job for _, job in tasks if (job.folder, job.name) not in results]
     unwritten = {(job.folder, job.name) for job in missing}
     for recording in recordings:
         if unwritten.isdisjoint(map(recording.place, recording.shards)):
@@ -239,20 +239,24 @@ def _begin(recording: ClusterRecording) -> None:
 
 
 def _run(
-    ray: Any, jobs: Sequence[_Job], report: Callable[[ShardResult], None]
+    ray: Any, tasks: Sequence[tuple[Any, _Job]], report: Callable[[ShardResult], None]
 ) -> tuple[dict[_Place, ShardResult], list[str]]:
-    """Run jobs as tasks; results by place, and the reasons of failures. After a failure no job is begun."""
+    """Run tasks, each a reference to a recipe and a job. After a failure no task is begun.
+
+    Returns:
+        Results by place, and the reasons of failures.
+    """
     options = {"max_retries": _RETRIES, "retry_exceptions": _RETRIED, "scheduling_strategy": "SPREAD"}
     task = ray.remote(num_cpus=1, **options)(write_shard)
-    waiting, running = deque(jobs), dict[Any, _Job]()
+    waiting, running = deque(tasks), dict[Any, _Job]()
     results: dict[_Place, ShardResult] = {}
     failures: list[str] = []
     try:
         while running or (waiting and not failures):
             limit = _TASKS_PER_CORE * max(1, int(ray.cluster_resources().get("CPU", 1)))
             while waiting and not failures and len(running) < limit:
-                running[task.remote(waiting[0])] = waiting[0]
-                waiting.popleft()
+                recipe, job = waiting.popleft()
+                running[task.remote(recipe, job)] = job
             ray.wait(list(running), num_returns=1)
             for done in ray.wait(list(running), num_returns=len(running), timeout=0)[0]:
                 job = running.pop(done)

@@ -7,11 +7,12 @@ time; shards of cameras have the same times.
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, TypeAlias
 
 from humansim_ros.bags.chunks import Chunk
 
@@ -60,15 +61,6 @@ def shards_of(
     return [Shard(0, 0, frames, tuple(cameras))]
 
 
-class _Part(NamedTuple):
-    """A chunk of a shard; parts are in the order of their groups, then of the shards."""
-
-    group: int
-    shard: int
-    chunk: Chunk
-    ends_group: bool
-
-
 def merged_chunks(paths: Sequence[Path], interleaved: bool) -> Iterator[tuple[Chunk, bool]]:
     """Chunks of the bag of a whole recording, and whether each ends its group.
 
@@ -79,20 +71,20 @@ def merged_chunks(paths: Sequence[Path], interleaved: bool) -> Iterator[tuple[Ch
     Raises:
         BagError: A file is damaged.
     """
-    if not interleaved:
-        for path in paths:
-            yield from ((part.chunk, part.ends_group) for part in _parts(path, 0))
-        return
-    streams = [_parts(path, number) for number, path in enumerate(paths)]
-    for part in heapq.merge(*streams, key=lambda part: part[:2]):
-        yield part.chunk, part.ends_group and part.shard == len(paths) - 1
+    shards = map(_groups, paths)
+    groups: Iterable[Iterable[Chunk]]
+    if interleaved:
+        groups = map(chain.from_iterable, zip(*shards, strict=True))
+    else:
+        groups = chain.from_iterable(shards)
+    for chunks in groups:
+        group = list(chunks)
+        for position, chunk in enumerate(group, 1):
+            yield chunk, position == len(group)
 
 
-def _parts(path: Path, shard: int) -> Iterator[_Part]:
-    from humansim_ros.bags.mcap_scan import McapScan
+def _groups(path: Path) -> Iterator[list[Chunk]]:
+    from humansim_ros.bags.mcap_reading import McapInput
 
-    with path.open("rb") as file:
-        for unit in McapScan(file, path).units:
-            file.seek(unit.start)
-            chunk = unit.chunk.with_data(file.read(unit.chunk.size))
-            yield _Part(unit.group, shard, chunk, unit.ends_group)
+    with closing(McapInput(path)) as shard:
+        yield from shard.groups()

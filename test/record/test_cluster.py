@@ -183,9 +183,9 @@ def test_workers_without_space_leave_nothing_that_looks_whole(small_disk: Path, 
 def test_a_worker_of_another_version_is_refused(workers: Path, tmp_path: Path) -> None:
     ray = pytest.importorskip("ray")
     shard = recording(tmp_path).shards[0]
-    job = cluster._Job(Numbers(tmp_path), shard, OutputFolder(str(tmp_path)), "bag_0.mcap", "0.0.1")
+    job = cluster._Job(shard, OutputFolder(str(tmp_path)), "bag_0.mcap", "0.0.1")
     with pytest.raises(Exception, match=r"and the driver 0\.0\.1: install the same everywhere"):
-        ray.get(ray.remote(cluster.write_shard).remote(job))
+        ray.get(ray.remote(cluster.write_shard).remote(Numbers(tmp_path), job))
     assert list(tmp_path.iterdir()) == []
 
 

@@ -11,9 +11,10 @@ import os
 import shutil
 import socket
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Protocol
 from urllib.parse import urlsplit
@@ -46,6 +47,13 @@ _PLAN = "recording.json"
 _MAX_LISTED = 5
 
 
+class Encoder(Protocol):
+    """Encodes the frames of a recording, in any order."""
+
+    def encode(self, index: int) -> Sequence[Chunk]:
+        """Chunks of a frame, in the order of the bag."""
+
+
 class Recipe(Protocol):
     """Everything that determines a bag. It is sent to workers by pickle."""
 
@@ -57,8 +65,8 @@ class Recipe(Protocol):
     def custom(self) -> Mapping[str, str]:
         """``custom_data`` of the bag; it differs if the content of the bag would differ."""
 
-    def groups(self, shard: Shard) -> Iterator[Sequence[Chunk]]:
-        """Chunks of each group of a shard, in the order of the bag."""
+    def encoder(self, cameras: Collection[str], bodies: bool) -> Encoder:
+        """Encoder of some cameras, and of the topics that belong to no camera if ``bodies``."""
 
 
 @dataclass(frozen=True)
@@ -125,6 +133,22 @@ class ShardResult:
     size: int
 
 
+@dataclass(frozen=True)
+class _Content:
+    """Content of frames: equal if encoders of it are."""
+
+    custom: tuple[tuple[str, str], ...]
+    cameras: tuple[str, ...]
+    bodies: bool
+    recipe: Recipe = field(compare=False)
+
+
+@lru_cache(maxsize=1)
+def _encoder(content: _Content) -> Encoder:
+    """Encoder that stays for the next shard: a renderer takes seconds to draw what does not move."""
+    return content.recipe.encoder(content.cameras, content.bodies)
+
+
 def write_shard(recipe: Recipe, job: _Job) -> ShardResult:
     """Write a shard of a recipe and move it to the output; this runs in a worker.
 
@@ -132,7 +156,7 @@ def write_shard(recipe: Recipe, job: _Job) -> ShardResult:
         HumansimError: The worker has another version of the package, a disk is full, or the scene cannot be
             loaded or rendered there.
     """
-    host = socket.gethostname()
+    host, shard = socket.gethostname(), job.shard
     if job.version != __version__:
         message = f"has humansim_ros {__version__}, and the driver {job.version}: install the same everywhere"
         raise HumansimError(f"{host} {message}")
@@ -145,17 +169,24 @@ def write_shard(recipe: Recipe, job: _Job) -> ShardResult:
         try:
             file = McapFile.create(path, recipe.topics)
             try:
-                for number, group in enumerate(recipe.groups(job.shard), job.shard.first):
+                encoder = _encoder(
+                    _Content(tuple(recipe.custom.items()), shard.cameras, shard.bodies, recipe)
+                )
+                for index in range(shard.first, shard.end):
+                    group = encoder.encode(index)
                     for position, chunk in enumerate(group, 1):
-                        file.append(chunk, number, position == len(group))
+                        file.append(chunk, index, position == len(group))
                 file.finish()
             finally:
                 file.close()
         except OSError as reason:
             text = f"{reason.strerror or reason} on host {host}; TMPDIR of its Ray can name a larger disk"
             raise BagError(text, path=folder.parent) from None
+        except BaseException:
+            _encoder.cache_clear()  # it may be broken: the next attempt starts from the beginning
+            raise
         job.folder.put(path, job.name)
-        return ShardResult(job.shard.end - job.shard.first, file.content, file.size)
+        return ShardResult(shard.end - shard.first, file.content, file.size)
 
 
 def record_on_cluster(

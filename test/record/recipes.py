@@ -5,13 +5,12 @@ from __future__ import annotations
 import errno
 import os
 import signal
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from humansim_ros.bags.chunks import BagMessage, Chunk, encode_chunk
 from humansim_ros.bags.topics import BagTopic
-from humansim_ros.record.shards import Shard
 
 CAMERAS = ("left", "right", "top")
 TOPICS = [BagTopic("/joints", "std_msgs/msg/Header")]
@@ -32,13 +31,15 @@ def group(index: int, cameras: Sequence[str] = CAMERAS, bodies: bool = True) -> 
 class Numbers:
     """Numbers as messages.
 
-    Each shard leaves a file with the number of its process in ``folder``. Half-way it looks for files there:
-    ``kill_<shard>`` kills its worker once, ``full_<shard>`` is a full disk once, ``broken_<shard>`` an error
-    for ever.
+    Each frame leaves a file with the number of its process in ``folder``. Before a frame is encoded, files
+    there make it fail: ``kill_<frame>`` kills the worker once, ``full_<frame>`` is a full disk once, and
+    ``broken_<frame>`` an error for ever.
     """
 
     folder: Path
     seed: int = 1
+    cameras: Collection[str] = CAMERAS
+    bodies: bool = True
 
     @property
     def topics(self) -> Sequence[BagTopic]:
@@ -46,22 +47,22 @@ class Numbers:
 
     @property
     def custom(self) -> Mapping[str, str]:
-        return {"numbers": str(self.seed)}
+        return {"numbers": f"{self.seed} in {self.folder}"}
 
-    def groups(self, shard: Shard) -> Iterator[Sequence[Chunk]]:
-        with (self.folder / f"pids_{shard.number}").open("a") as file:
+    def encoder(self, cameras: Collection[str], bodies: bool) -> Numbers:
+        with (self.folder / "encoders").open("a") as file:
             print(os.getpid(), file=file)
-        for index in range(shard.first, shard.end):
-            if index == (shard.first + shard.end) // 2:
-                self._suffer(shard.number)
-            yield group(index, shard.cameras, shard.bodies)
+        return replace(self, cameras=tuple(cameras), bodies=bodies)
 
-    def _suffer(self, number: int) -> None:
-        if (mark := self.folder / f"kill_{number}").exists():
+    def encode(self, index: int) -> Sequence[Chunk]:
+        with (self.folder / f"pids_{index:02}").open("a") as file:
+            print(os.getpid(), file=file)
+        if (mark := self.folder / f"kill_{index}").exists():
             mark.unlink()
             os.kill(os.getpid(), signal.SIGKILL)
-        if (mark := self.folder / f"full_{number}").exists():
+        if (mark := self.folder / f"full_{index}").exists():
             mark.unlink()
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        if (self.folder / f"broken_{number}").exists():
+        if (self.folder / f"broken_{index}").exists():
             raise ZeroDivisionError("no such number")
+        return group(index, tuple(self.cameras), self.bodies)

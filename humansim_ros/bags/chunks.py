@@ -126,9 +126,8 @@ def encode_chunk(messages: Sequence[BagMessage], compression: Compression = "non
     for topic, stamp, data, published in messages:
         view = memoryview(data).cast("B")
         length = _MESSAGE_HEAD.size + view.nbytes
-        head = _MESSAGE_HEAD.pack(
-            _MESSAGE, length - RECORD.size, topic + 1, 0, stamp, stamp if published is None else published
-        )
+        sent = stamp if published is None else max(0, published)  # headers can have times before 1970
+        head = _MESSAGE_HEAD.pack(_MESSAGE, length - RECORD.size, topic + 1, 0, stamp, sent)
         crc = zlib.crc32(view, zlib.crc32(head, crc))
         parts += (head, view)
         entries.setdefault(topic, []).append((stamp, offset))

@@ -109,6 +109,8 @@ class McapFile:
         file = cls(path)
         try:
             file._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
+            if os.fstat(file._descriptor).st_size < len(MAGIC):  # after a loss of power
+                return file, None
             with os.fdopen(os.dup(file._descriptor), "rb") as content:
                 scan = McapScan(content, path)
             kept = scan.units

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from humansim_ros.bags.topics import BagTopic
+from humansim_ros.bags.topics import BagTopic, Qos
 from humansim_ros.errors import BagError
 
 NAME = "metadata.yaml"
@@ -125,6 +126,26 @@ def read_metadata(folder: Path) -> dict[str, Any]:
     if not isinstance(information, dict):
         raise BagError("this file is no metadata of a bag of rosbag2", path=path)
     return information
+
+
+def topics_in(information: Mapping[str, Any]) -> list[BagTopic]:
+    """Topics of such metadata; those that cannot be read are left out."""
+    topics = []
+    for each in information.get("topics_with_message_count") or []:
+        with suppress(LookupError, AttributeError, TypeError, ValueError):
+            topic = each["topic_metadata"]
+            profiles = topic.get("offered_qos_profiles") or []
+            qos = tuple(Qos.from_yaml(profile) for profile in profiles)
+            topics.append(
+                BagTopic(
+                    str(topic["name"]),
+                    str(topic["type"]),
+                    qos,
+                    "",
+                    str(topic.get("type_description_hash", "")),
+                )
+            )
+    return topics
 
 
 def write_metadata(folder: Path, text: str) -> None:

@@ -12,8 +12,15 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from humansim_ros.bags.metadata import Content, metadata_text, read_metadata, write_metadata
+from humansim_ros.bags.metadata import (
+    Content,
+    metadata_text,
+    read_metadata,
+    topics_in,
+    write_metadata,
+)
 from humansim_ros.bags.storages import SUFFIXES, BagFile, Storage, file_class
+from humansim_ros.bags.topics import described
 from humansim_ros.errors import BagError
 
 #: Errors of a disk without space.
@@ -101,13 +108,19 @@ def reopen_bag(folder: Path, *, whole_groups: bool, spare: int = 0) -> OpenBag:
     prefix, paths = numbers
     for path in folder.glob(".*.new"):
         path.unlink()
-    groups = None
     while True:
         file, groups = kind.reopen(paths[-1], whole_groups=whole_groups, spare=spare)
-        if groups is not None or len(paths) == 1:
+        if groups is not None:
             break
+        # without messages: perhaps not even its topics are whole
         file.close()
-        paths.pop().unlink()
+        paths[-1].unlink()
+        if len(paths) == 1:
+            listed = topics_in(information)
+            topics = file.topics if len(file.topics) >= len(listed) else listed
+            file = kind.create(paths[0], [described(topic) for topic in topics])
+            break
+        paths.pop()
         spare = 0
     try:
         done = [(path.name, kind.content_of(path)) for path in paths[:-1]]

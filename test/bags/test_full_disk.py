@@ -94,6 +94,7 @@ def may_mount() -> bool:
     return bool(shutil.which("unshare")) and not subprocess.run(command, capture_output=True).returncode
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not may_mount(), reason="a file system of its own needs the right to mount (root)")
 @pytest.mark.parametrize("image", [3000, 600_000])
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])

@@ -135,6 +135,7 @@ def test_what_is_no_bag_is_refused(tmp_path: Path) -> None:
         BagReader(tmp_path / "empty")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
 @pytest.mark.parametrize("of_others", [False, True])
 def test_a_bag_that_was_cut_gives_what_is_whole(

@@ -17,6 +17,7 @@ import pytest
 from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, content_of
 from waiting import PATIENCE, wait_until
 
+from humansim_ros.bags.chunks import Compression
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.recovery import finish_bag
 from humansim_ros.bags.storages import Storage
@@ -72,6 +73,7 @@ def frames_in(found: list[tuple[str, int, bytes]], size: int) -> int:
     return number
 
 
+@pytest.mark.slow
 def test_the_guardian_finishes_a_bag_when_its_writer_is_killed(tmp_path: Path) -> None:
     dice = random.Random(1)
     for attempt in range(12):
@@ -87,6 +89,7 @@ def test_the_guardian_finishes_a_bag_when_its_writer_is_killed(tmp_path: Path) -
         shutil.rmtree(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_bag_without_guardian_is_read_and_continued(storage: Storage, tmp_path: Path) -> None:
     folder = tmp_path / "bag"
@@ -102,6 +105,7 @@ def test_a_bag_without_guardian_is_read_and_continued(storage: Storage, tmp_path
     assert 0 <= len(found) - len(by_rosbags(folder)) <= 1
 
 
+@pytest.mark.slow
 def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(tmp_path: Path) -> None:
     dice = random.Random(2)
     size, frames = 200_000, 60
@@ -125,6 +129,24 @@ def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(tmp_path: Path) -> 
         shutil.rmtree(folder)
 
 
+@pytest.mark.parametrize("compression", ["none", "zstd"])
+def test_a_bag_that_was_cut_is_continued_to_the_same_bytes(compression: Compression, tmp_path: Path) -> None:
+    folder, frames = tmp_path / "bag", 30
+    with BagWriter(folder, TOPICS, custom={"plan": "p"}) as writer:
+        for frame in range(frames):
+            append_frame(writer, frame, compression)
+    path, dice = folder / "bag_0.mcap", random.Random(7)
+    whole, metadata = path.read_bytes(), (folder / "metadata.yaml").read_text()
+    for size in (0, 5, 20, 50, 300, 3000, *(dice.randrange(len(whole)) for _ in range(30))):
+        path.write_bytes(whole[:size])
+        with BagWriter.resume(folder) as writer:
+            assert writer.groups <= frames and len(writer.topics) == 2
+            for frame in range(writer.groups, frames):
+                append_frame(writer, frame, compression)
+        assert path.read_bytes() == whole
+        assert (folder / "metadata.yaml").read_text() == metadata
+
+
 def ignores(process: int, number: int) -> bool:
     """Whether a process ignores a signal: the guardian has started."""
     status = Path(f"/proc/{process}/status").read_text()
@@ -132,6 +154,7 @@ def ignores(process: int, number: int) -> bool:
     return bool(int(mask, 16) >> (number - 1) & 1)
 
 
+@pytest.mark.slow
 def test_sqlite3_bags_are_finished_and_continued_after_any_kill(tmp_path: Path) -> None:
     dice, size, frames = random.Random(6), 200_000, 40
     for attempt in range(8):
@@ -152,6 +175,7 @@ def test_sqlite3_bags_are_finished_and_continued_after_any_kill(tmp_path: Path) 
         shutil.rmtree(folder)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_signals_leave_a_bag_that_is_whole(number: int, tmp_path: Path) -> None:
     folder = tmp_path / "bag"

@@ -118,10 +118,11 @@ def test_chunks_come_through_shared_memory(tmp_path: Path) -> None:
 
 def test_publish_times_are_kept(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", TOPICS) as writer:
-        writer.append(encode_chunk([BagMessage(0, 7, b"\0\1\0\0", 5), BagMessage(0, 8, b"\0\1\0\0")]))
+        published = (5, None, -1)
+        writer.append(encode_chunk([BagMessage(0, 7, b"\0\1\0\0", time) for time in published]))
     with (tmp_path / "bag" / "bag_0.mcap").open("rb") as file:
         times = [(each.log_time, each.publish_time) for _, _, each in SeekingReader(file).iter_messages()]
-    assert times == [(7, 5), (8, 8)]
+    assert times == [(7, 5), (7, 7), (7, 0)]
 
 
 def test_files_are_split_by_their_duration(tmp_path: Path) -> None:

@@ -12,31 +12,33 @@ from functools import cache
 from typing import Any, cast
 
 import numpy as np
-from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores, get_typestore
 
-_STORE = get_typestore(Stores.ROS2_JAZZY)
+from humansim_ros.bags.topics import message_types
 
 
 def serialised(message: Any, type_name: str) -> memoryview:
     """Serialise a message of rclpy as little-endian CDR, ready for a bag.
 
-    Number arrays of the message become NumPy arrays. ``type_name``: such as ``sensor_msgs/msg/Image``; raises
-    KeyError for a type that is not in ROS 2 Jazzy.
+    Number arrays of the message become NumPy arrays. ``type_name``: such as ``sensor_msgs/msg/Image``.
+
+    Raises:
+        BagError: rosbags is not installed.
     """
     for *parents, attribute in _number_sequences(type_name):
         for owner in _parts(message, parents):
             numbers = getattr(owner, attribute)
             if isinstance(numbers, array.array):
                 setattr(owner, f"_{attribute}", np.asarray(numbers))  # without the check of each number
-    return _STORE.serialize_cdr(message, type_name, little_endian=True)
+    return message_types().serialize_cdr(message, type_name, little_endian=True)
 
 
 @cache
 def _number_sequences(name: str) -> list[tuple[str, ...]]:
     """Paths of all fields of a type that are sequences of numbers: attributes from the message on."""
+    from rosbags.interfaces import Nodetype
+
     found: list[tuple[str, ...]] = []
-    for attribute, description in _STORE.get_msgdef(name).fields:
+    for attribute, description in message_types().get_msgdef(name).fields:
         node: Any = description[0]
         single = node in (Nodetype.BASE, Nodetype.NAME)
         kind, part = description if single else cast(Any, description[1])[0]

@@ -211,10 +211,16 @@ def _camera_processes(
 def render_threads(processes: Sequence[NodeProcess]) -> dict[str, str]:
     """Environment variables that divide the cores among the processes that render.
 
-    By default Mesa without a GPU, and OpenCV, start one thread per core in each process. Variables that the
-    user has set are left out.
+    Variables that the user has set are left out.
     """
-    rendering = sum(process.renders for process in processes)
+    return thread_limits(sum(process.renders for process in processes))
+
+
+def thread_limits(rendering: int) -> dict[str, str]:
+    """As :func:`render_threads`, for a number of processes.
+
+    By default Mesa without a GPU, and OpenCV, start one thread per core in each process.
+    """
     share = max(1, cores() // max(1, rendering))
     threads = {
         # 0: render in the calling thread. Waiting for a single other thread costs a tenth more

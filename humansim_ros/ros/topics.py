@@ -50,6 +50,7 @@ Content = TypeVar("Content")
 
 #: Channels whose topics ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
+_DEFAULT_COMPRESSION = ImageCompression()
 
 
 @dataclass(frozen=True)
@@ -319,11 +320,15 @@ class CameraTopics:
         )
 
     def __iter__(self) -> Iterator[Topic[Any]]:
+        return iter(self.all(_DEFAULT_COMPRESSION))
+
+    def all(self, compression: ImageCompression) -> Sequence[Topic[Any]]:
+        """All topics. ``compression``: settings of the compressed images."""
         moving = (self.twist, self.pose) if self._camera.moves else ()
-        compressed = self.compressed(ImageCompression()), self.compressed_depth(DepthCompression())
+        compressed = self.compressed(compression), self.compressed_depth(DepthCompression())
         truth, rectified = self.truth.values(), self.rectified.values()
         poses = (self.extrinsics, self.projection, *moving)
-        return iter((*self.legends, *poses, *self.images, *compressed, *rectified, *self.infos, *truth))
+        return [*self.legends, *poses, *self.images, *compressed, *rectified, *self.infos, *truth]
 
     def _encoding(self, channel: Channel) -> str:
         return channel.encoding or self._camera.encoding
@@ -437,10 +442,10 @@ def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose
     return twist, pose
 
 
-def scene_topics(scene: Scene) -> list[Topic[Any]]:
+def scene_topics(scene: Scene, compression: ImageCompression = _DEFAULT_COMPRESSION) -> list[Topic[Any]]:
     """All topics of a scene: the scene time, humans, moving objects, cameras.
 
-    Compressed images have the default settings of their plugins. Topics about the nodes themselves
+    ``compression``: settings of the compressed images. Topics about the nodes themselves
     (``/diagnostics``, ``frame_done``) are not among them.
     """
     topics: list[Topic[Any]] = [SCENE_TIME_TOPIC]
@@ -449,5 +454,5 @@ def scene_topics(scene: Scene) -> list[Topic[Any]]:
     for item in scene.moving_objects.values():
         topics += ObjectTopics(item)
     for camera in scene.scene_cameras.values():
-        topics += CameraTopics(scene, camera)
+        topics += CameraTopics(scene, camera).all(compression)
     return topics

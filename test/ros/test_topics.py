@@ -17,6 +17,8 @@ from humansim_ros.ros.topics import CameraTopics, Topic, scene_topics
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.simulation import Frame
 
+pytest.importorskip("rosbags")  # of the serialiser
+
 #: Every kind of topic: two humans, of whom one is live; moving objects of different shapes; a camera with a
 #: lens and a mosaic, and one on a trajectory.
 SCENE = """

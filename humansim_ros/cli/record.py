@@ -1,0 +1,201 @@
+"""``humansim record``: record a scene into a bag of rosbag2, without nodes."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from humansim_ros.cli.output import print_error, print_text
+from humansim_ros.errors import BagError
+from humansim_ros.ros.stop_signals import Stopped
+
+if TYPE_CHECKING:
+    from humansim_ros.record.recording import RecordingProgress
+
+#: Seconds between lines of progress where there is no terminal.
+_LINE_EVERY = 5.0
+
+
+class _Storage(str, Enum):
+    mcap = "mcap"
+    sqlite3 = "sqlite3"
+
+
+class _Compression(str, Enum):
+    none = "none"
+    zstd = "zstd"
+    lz4 = "lz4"
+
+
+class _Images(str, Enum):
+    raw = "raw"
+    jpeg = "jpeg"
+    png = "png"
+
+
+class _Depth(str, Enum):
+    raw = "raw"
+    png = "png"
+
+
+def record(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the bag; it must not exist.")],
+    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    frames: Annotated[int | None, typer.Option(help="Number of frames.", min=1, max=2**31 - 1)] = None,
+    seconds: Annotated[
+        float | None, typer.Option(help="Length in seconds, instead of --frames.", min=1e-3, max=1e7)
+    ] = None,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Topics, such as /camera_1/image_raw or '/camera_*/joints', with commas between them; may "
+            "be repeated. If absent: what humansim demo shows, and the legends."
+        ),
+    ] = None,
+    jobs: Annotated[
+        int | None,
+        typer.Option(help="Number of processes that render; all cores if absent.", min=1, max=1024),
+    ] = None,
+    storage: Annotated[_Storage, typer.Option(help="Storage plugin of rosbag2.")] = _Storage.mcap,
+    compression: Annotated[
+        _Compression, typer.Option(help="Compression of the chunks of an MCAP file; lossless.")
+    ] = _Compression.none,
+    images: Annotated[
+        _Images, typer.Option(help="Colour images: raw, or compressed as JPEG or PNG (image_raw/compressed).")
+    ] = _Images.raw,
+    depth: Annotated[
+        _Depth, typer.Option(help="Depth: raw, or PNG of 16 bits (depth/image/compressedDepth).")
+    ] = _Depth.raw,
+    max_bag_size: Annotated[
+        int, typer.Option(help="Bytes after which a new file begins; 0: one file.", min=0)
+    ] = 0,
+    max_bag_duration: Annotated[
+        float, typer.Option(help="Seconds after which a new file begins; 0: one file.", min=0)
+    ] = 0.0,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue an interrupted recording; give the same options.")
+    ] = False,
+) -> None:
+    """Record a scene into a bag of rosbag2, frame by frame, without nodes: no frame is lost."""
+    from humansim_ros.record.frame_chunks import SceneRecording
+    from humansim_ros.record.plan import RecordingPlan
+    from humansim_ros.record.recording import record
+    from humansim_ros.record.workers import WorkerDiedError
+    from humansim_ros.ros.processes import cores
+    from humansim_ros.ros.runtime import require_ros
+    from humansim_ros.scene import Scene
+
+    if (frames is None) == (seconds is None):
+        raise BagError("give either --frames or --seconds", key="record")
+    require_ros()
+    loaded = Scene.load(scene)
+    if frames is None:
+        frames = max(1, round((seconds or 0.0) * loaded.config.rate))
+    plan = RecordingPlan.of(
+        loaded,
+        frames,
+        [word.strip() for text in topics or () for word in text.split(",") if word.strip()],
+        images=images.value,
+        depth=depth.value,
+        storage=storage.value,
+        compression=compression.value,
+        max_size=max_bag_size,
+        max_duration=max_bag_duration,
+    )
+    recording = SceneRecording(loaded, plan)
+    cameras = len({topic.camera for topic in recording.table if topic.camera and topic.per_frame})
+    state: RecordingProgress | None = None
+
+    def show(progress: RecordingProgress) -> None:
+        nonlocal state
+        state = progress
+        display(progress)
+
+    with _display(cameras) as display:
+        try:
+            state = record(recording, output, jobs or cores(), resume, show)
+        except (Stopped, WorkerDiedError) as error:
+            done = f"{output}: {state.done if state else 0} of {recording.frames} frames are in the bag"
+            how = "the same command with --resume continues" if output.exists() else "nothing was recorded"
+            if isinstance(error, WorkerDiedError):
+                print_error(f"error: {error}; {done}; {how}")
+                raise typer.Exit(1) from None
+            print_text(f"stopped; {done}; {how}")
+            raise
+    print_text(_summary(state, cameras, output))
+
+
+@contextmanager
+def _display(cameras: int) -> Iterator[Callable[[RecordingProgress], None]]:
+    """Show progress: a bar on a terminal, else a line every five seconds. ``cameras``: number of cameras."""
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield _lines(cameras)
+        return
+    columns = (
+        TextColumn("recording"),
+        BarColumn(),
+        TextColumn("{task.completed}/{task.total} frames"),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=console) as bar:
+        task = bar.add_task("", total=None, rate="starting")
+
+        def show(progress: RecordingProgress) -> None:
+            bar.update(task, total=progress.frames, completed=progress.done, rate=_rate(progress, cameras))
+
+        yield show
+
+
+def _lines(cameras: int) -> Callable[[RecordingProgress], None]:
+    """Function that prints a line every five seconds."""
+    last = time.monotonic()
+
+    def show(progress: RecordingProgress) -> None:
+        nonlocal last
+        if time.monotonic() - last >= _LINE_EVERY:
+            last = time.monotonic()
+            left = (progress.frames - progress.done) / progress.rate
+            text = (
+                f"{progress.done} of {progress.frames} frames, {_rate(progress, cameras)}, {left:.0f} s left"
+            )
+            print(text, file=sys.stderr, flush=True)
+
+    return show
+
+
+def _rate(progress: RecordingProgress, cameras: int) -> str:
+    """Rate in words."""
+    megabytes = progress.size / 1e6 / progress.seconds if progress.seconds else 0.0
+    if not cameras:
+        return f"{progress.rate:.0f} frames/s, {megabytes:.0f} MB/s"
+    return f"{cameras * progress.rate:.0f} camera-frames/s, {megabytes:.0f} MB/s"
+
+
+def _summary(progress: RecordingProgress, cameras: int, output: Path) -> str:
+    """Text after a recording: rate, size, and the processor time of each step."""
+    if not progress.new:
+        return f"{output}: all {progress.frames} frames are in the bag already"
+    units = progress.new * max(cameras, 1)
+    unit = "camera-frame" if cameras else "frame"
+    costs = ", ".join(f"{step} {1e3 * seconds / units:.2f}" for step, seconds in progress.costs.items())
+    return (
+        f"wrote {output}: {progress.done} frames, {_rate(progress, cameras)}, "
+        f"{progress.size / units:.0f} bytes per {unit}\n"
+        f"processor time in ms per {unit}: {costs}"
+    )
+
+
+#: Commands of this module by name.
+COMMANDS: dict[str, Callable[..., None]] = {"record": record}

@@ -1,0 +1,208 @@
+"""Plan of a recording: everything that determines the content of its bag."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, fields
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+from humansim_ros import __version__
+from humansim_ros.bags.chunks import Compression
+from humansim_ros.bags.metadata import read_metadata
+from humansim_ros.bags.storages import Storage
+from humansim_ros.errors import BagError, near_names
+from humansim_ros.render.context import OpenGLContext
+from humansim_ros.ros.messages import ImageCompression
+from humansim_ros.ros.qos import SCENE_TIME
+from humansim_ros.ros.topics import Topic, scene_topics
+from humansim_ros.scene import Scene
+from humansim_ros.scene.config import map_files
+
+ImageFormat: TypeAlias = Literal["raw", "jpeg", "png"]
+DepthFormat: TypeAlias = Literal["raw", "png"]
+
+#: Name of the plan in ``custom_data`` of ``metadata.yaml``.
+PLAN = "humansim_recording"
+#: Ends of the topics that replace raw images.
+_COMPRESSED = {"/image_raw": "/image_raw/compressed", "/depth/image": "/depth/image/compressedDepth"}
+#: Most topics that an error lists.
+_MAX_LISTED = 6
+#: Bytes of a file that are read at once.
+_BLOCK = 1 << 20
+
+
+@dataclass(frozen=True)
+class RecordingPlan:
+    """Everything that determines the content of a recording.
+
+    Attributes:
+        scene: Hash of the scene and of the files that it names.
+        frames: Number of frames.
+        topics: Absolute names of the topics.
+        images: Format of ``image_raw`` and ``image_raw/compressed``.
+        storage: ``mcap`` or ``sqlite3``.
+        compression: Compression of the chunks.
+        max_size: Size in bytes at which the bag is split; 0: never.
+        max_duration: Seconds after which the bag is split; 0: never.
+        device: Device that renders: others round differently.
+        version: Version of this package.
+    """
+
+    scene: str
+    frames: int
+    topics: tuple[str, ...]
+    images: ImageFormat
+    storage: Storage
+    compression: Compression
+    max_size: int
+    max_duration: float
+    device: str
+    version: str = __version__
+
+    @classmethod
+    def of(
+        cls,
+        scene: Scene,
+        frames: int,
+        patterns: Sequence[str] = (),
+        *,
+        images: ImageFormat = "raw",
+        depth: DepthFormat = "raw",
+        storage: Storage = "mcap",
+        compression: Compression = "none",
+        max_size: int = 0,
+        max_duration: float = 0.0,
+    ) -> RecordingPlan:
+        """Plan the recording of a scene on this machine.
+
+        Args:
+            scene: The scene.
+            frames: Number of frames, at least 1.
+            patterns: Names of topics, or patterns with ``*`` and ``?``; the default topics if empty.
+            images: Format of colour images.
+            depth: Format of depth.
+            storage: Storage of the bag.
+            compression: Compression of its chunks.
+            max_size: Size in bytes at which the bag is split; 0: never.
+            max_duration: Seconds after which the bag is split; 0: never.
+
+        Raises:
+            BagError: No topic has a name, or fits a pattern.
+            RenderError: OpenGL is missing.
+        """
+        context = OpenGLContext()
+        device = context.device
+        context.close()
+        table = scene_topics(scene)
+        return cls(
+            scene=scene_hash(scene),
+            frames=frames,
+            topics=tuple(_chosen(table, patterns, images, depth)),
+            images=images,
+            storage=storage,
+            compression=compression,
+            max_size=max_size,
+            max_duration=float(max_duration),
+            device=device,
+        )
+
+    def to_json(self) -> str:
+        """The plan as text, the same for the same plan."""
+        return json.dumps(asdict(self), sort_keys=True)
+
+    @classmethod
+    def of_bag(cls, folder: Path) -> RecordingPlan:
+        """Read the plan of a bag. Raises BagError if it has none, as a bag of other programs."""
+        custom = read_metadata(folder).get("custom_data") or {}
+        try:
+            values = json.loads(custom[PLAN])
+            return cls(**{**values, "topics": tuple(values["topics"])})
+        except (KeyError, TypeError, ValueError):
+            raise BagError(
+                "this bag was not written by `humansim record`: it cannot be continued", path=folder
+            ) from None
+
+    def differences(self, bag: RecordingPlan) -> list[str]:
+        """What differs from the plan of a bag, in words."""
+        texts = []
+        for field in fields(self):
+            here, there = getattr(self, field.name), getattr(bag, field.name)
+            if here == there:
+                continue
+            if field.name == "scene":
+                texts.append("the scene or a file of it has changed")
+            elif field.name == "topics":
+                texts.append(f"topics: {_listed_difference(there, here)}")
+            else:
+                texts.append(f"{field.name.replace('_', ' ')}: {there} in the bag, {here} now")
+        return texts
+
+    def recorded_topics(self, scene: Scene) -> list[Topic[Any]]:
+        """Topics of the table of the scene that are recorded, in its order."""
+        compression = ImageCompression() if self.images == "raw" else ImageCompression(self.images)
+        chosen = set(self.topics)
+        return [topic for topic in scene_topics(scene, compression) if f"/{topic.name}" in chosen]
+
+
+def _chosen(
+    table: Sequence[Topic[Any]], patterns: Sequence[str], images: ImageFormat, depth: DepthFormat
+) -> list[str]:
+    """Absolute names of the topics that are recorded, in the order of the table."""
+    names = [f"/{topic.name}" for topic in table]
+    if patterns:
+        chosen = {name for pattern in patterns for name in _matching(pattern, names)}
+    else:
+        # what the demo shows, and what gives it meaning
+        chosen = {
+            f"/{topic.name}" for topic in table if topic.shown or topic.latched or topic.name == SCENE_TIME
+        }
+    for end, form in (("/image_raw", images), ("/depth/image", depth)):
+        if form != "raw":
+            chosen = {
+                name.removesuffix(end) + _COMPRESSED[end] if name.endswith(end) else name for name in chosen
+            }
+    return [name for name in names if name in chosen]
+
+
+def _matching(pattern: str, names: Collection[str]) -> list[str]:
+    """Topics that fit a name or pattern; its first slash may be absent. Raises BagError without any."""
+    absolute = pattern if pattern.startswith("/") else f"/{pattern}"
+    found = [name for name in names if fnmatchcase(name, absolute)]
+    if found:
+        return found
+    near = near_names(absolute, names, 0.5) or list(names)
+    listed = ", ".join(near[:_MAX_LISTED])
+    what = "no topic fits" if set("*?[") & set(pattern) else "there is no topic"
+    raise BagError(f"{what} {pattern!r}; near it are {listed}", key="--topics")
+
+
+def _listed_difference(bag: Collection[str], now: Collection[str]) -> str:
+    only_bag = [name for name in bag if name not in now]
+    only_now = [name for name in now if name not in bag]
+    parts = [
+        f"{', '.join(names[:_MAX_LISTED])}{', …' * (len(names) > _MAX_LISTED)} {where}"
+        for names, where in ((only_bag, "only in the bag"), (only_now, "only now"))
+        if names
+    ]
+    return "; ".join(parts) or "in another order"
+
+
+def scene_hash(scene: Scene) -> str:
+    """Hash of a scene: its settings, and the content of the files that they name."""
+    digest = hashlib.sha256(scene.config.model_dump_json().encode())
+
+    def add(name: str) -> str:
+        path = scene.source.folder / name.split("#")[0]
+        if path.is_file():
+            digest.update(f"{name}\n".encode())
+            with path.open("rb") as file:
+                while block := file.read(_BLOCK):
+                    digest.update(block)
+        return name
+
+    map_files(scene.config.model_dump(exclude_none=True), add)
+    return digest.hexdigest()

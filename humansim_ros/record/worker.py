@@ -1,0 +1,101 @@
+"""Process that encodes frames for a recording.
+
+Its arguments are inherited file descriptors: a socket to the process that writes the bag, and memory for the
+chunks of a frame, one for each frame that the process may be ahead. The memory has no name, so that nothing
+of it is left, however the processes end.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import signal
+import sys
+import time
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import NamedTuple
+
+from humansim_ros.bags.chunks import Chunk
+from humansim_ros.errors import HumansimError
+from humansim_ros.ros.parent import end_with_parent
+
+#: Step of copying chunks into memory that the writing process has, too.
+COPYING = "copying"
+
+
+class EncodedFrame(NamedTuple):
+    """A frame in a slot: chunks without their bytes, the size of the slot, processor time by step."""
+
+    number: int
+    slot: int
+    chunks: list[Chunk]
+    size: int
+    costs: dict[str, float]
+
+
+class Slot:
+    """Memory for the chunks of one frame; it grows if a frame needs more."""
+
+    def __init__(self, descriptor: int) -> None:
+        self._descriptor = descriptor
+        self._memory: mmap.mmap | None = None
+
+    def store(self, chunks: list[Chunk]) -> tuple[list[Chunk], int]:
+        """Copy chunks one after the other; return them without their bytes, and the size of the slot.
+
+        Raises:
+            OSError: There is no memory left.
+        """
+        needed = sum(chunk.size for chunk in chunks)
+        if self._memory is None or len(self._memory) < needed:
+            # now: a page that cannot be had later kills the process
+            os.posix_fallocate(self._descriptor, 0, needed)
+            self._memory = mmap.mmap(self._descriptor, needed)
+        stored, position = [], 0
+        with memoryview(self._memory) as memory:
+            for chunk in chunks:
+                stored.append(chunk.copy_into(memory[position : position + chunk.size]))
+                position += chunk.size
+        return stored, len(self._memory)
+
+
+def main() -> None:
+    """Encode the frames that are asked for until the writing process closes the socket, or ends."""
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGQUIT):
+        signal.signal(number, signal.SIG_IGN)  # the writing process stops its workers
+    end_with_parent()
+    socket, *slots = map(int, sys.argv[1:])
+    connection = Connection(socket)
+    with suppress(EOFError, BrokenPipeError, ConnectionResetError):
+        try:
+            _work(connection, [Slot(slot) for slot in slots])
+        except (HumansimError, OSError, MemoryError) as error:
+            if isinstance(error, BrokenPipeError | ConnectionResetError):
+                raise
+            connection.send(error if isinstance(error, HumansimError) else HumansimError(_text(error)))
+
+
+def _text(error: OSError | MemoryError) -> str:
+    if isinstance(error, MemoryError):
+        return "out of memory"
+    return f"a worker process has no memory or files left: {error.strerror or error}"
+
+
+def _work(connection: Connection, slots: list[Slot]) -> None:
+    import cv2
+
+    from humansim_ros.record.frame_chunks import FrameEncoder
+
+    if threads := os.environ.get("OPENCV_FOR_THREADS_NUM"):
+        cv2.setNumThreads(int(threads))
+    with FrameEncoder(connection.recv()) as encoder:
+        connection.send(None)
+        while True:
+            index, slot = connection.recv()
+            encoder.costs = {}
+            chunks = encoder.encode(index)
+            start = time.process_time()
+            stored, size = slots[slot].store(chunks)
+            encoder.costs[COPYING] = time.process_time() - start
+            connection.send(EncodedFrame(index, slot, stored, size, encoder.costs))

@@ -1,0 +1,79 @@
+"""Support of the tests of recordings: a small scene, the command, and what a bag holds."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+from conftest import ROOT
+from waiting import PATIENCE
+
+#: A child, a moving box and two small cameras; one has noise, one a distorted lens.
+SCENE = """
+rate: 20
+room: null
+humans:
+  anna: {body: child, motion: walk}
+cameras:
+  noisy: {size: [96, 72], position: [3, 0.4, 1.4], look_at: [0, 0, 1], sensor: {noise: {read_noise: 4}}}
+  bent:
+    size: [80, 64]
+    distortion: [-0.2, 0.05, 0, 0, 0]
+    position: [0, 3, 1.2]
+    look_at: [0, 0, 0.8]
+"""
+
+
+def write_scene(folder: Path, text: str = SCENE) -> Path:
+    path = folder / "scene.yaml"
+    path.write_text(text)
+    return path
+
+
+def command(scene: Path, output: Path, *options: Any) -> list[str]:
+    words = [scene, "-o", output, *options]
+    return [sys.executable, "-m", "humansim_ros.cli", "record", *map(str, words)]
+
+
+def start(scene: Path, output: Path, *options: Any, **popen: Any) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        command(scene, output, *options),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        **popen,
+    )
+
+
+def run(scene: Path, output: Path, *options: Any, **popen: Any) -> tuple[int, str, str]:
+    """Exit code, standard output and standard error of ``humansim record``."""
+    process = start(scene, output, *options, **popen)
+    out, err = process.communicate(timeout=2 * PATIENCE)
+    assert "Traceback" not in err, err
+    return process.returncode, out, err
+
+
+def hashes(bag: Path) -> dict[str, str]:
+    """Hash of each file of a bag by its end, such as ``_0.mcap``, without the name of the bag."""
+    return {
+        path.name.removeprefix(bag.name): hashlib.sha256(
+            path.read_bytes().replace(f"{bag.name}_".encode(), b"bag_")
+        ).hexdigest()
+        for path in sorted(bag.iterdir())
+    }
+
+
+def workers_of(process: subprocess.Popen[str]) -> list[int]:
+    """Processes that a recording has started to encode frames."""
+    listed = subprocess.run(
+        ["pgrep", "-P", str(process.pid), "-f", "humansim_ros.record.worker"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return [int(line) for line in listed.stdout.split()]

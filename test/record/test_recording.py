@@ -1,0 +1,305 @@
+"""``humansim record``: a bag holds the frames of a simulation, for any reader, with any number of processes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import ros_support  # noqa: F401  # skips without ROS
+from record_support import SCENE, hashes, write_scene
+
+from humansim_ros.record.frame_chunks import SceneRecording
+from humansim_ros.record.plan import RecordingPlan
+from humansim_ros.record.recording import record
+from humansim_ros.record.shards import Shard
+from humansim_ros.scene import Scene, Simulation
+from humansim_ros.scene.simulation import Frame
+
+rosbags_typesys = pytest.importorskip("rosbags.typesys")
+FRAMES = 4
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
+    return Scene.load(write_scene(tmp_path_factory.mktemp("scene")))
+
+
+@pytest.fixture(scope="module")
+def frames(scene: Scene) -> list[Frame]:
+    with Simulation(scene, ("rgb", "depth", "instance", "part", "amodal")) as simulation:
+        return list(simulation.frames(FRAMES))
+
+
+def recorded(scene: Scene, folder: Path, *patterns: str, jobs: int = 1, **options: Any) -> Path:
+    record(SceneRecording(scene, RecordingPlan.of(scene, FRAMES, patterns, **options)), folder, jobs)
+    return folder
+
+
+def by_rosbags(bag: Path) -> dict[str, list[tuple[int, Any]]]:
+    """Log time and message of each message, by topic."""
+    from rosbags.highlevel import AnyReader
+
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with AnyReader([bag]) as reader:
+        for connection, stamp, data in reader.messages():
+            found.setdefault(connection.topic, []).append(
+                (stamp, reader.deserialize(data, connection.msgtype))
+            )
+    return found
+
+
+def by_mcap(bag: Path) -> dict[str, list[tuple[int, Any]]]:
+    """As :func:`by_rosbags`, with mcap's reader and the definitions that are in the file."""
+    from mcap.reader import make_reader
+
+    found: dict[str, list[tuple[int, Any]]] = {}
+    for path in sorted(bag.glob("*.mcap")):
+        with path.open("rb") as file:
+            for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+                assert schema is not None and schema.encoding == "ros2msg"
+                assert channel.message_encoding == "cdr"
+                store = rosbags_typesys.get_typestore(rosbags_typesys.Stores.EMPTY)
+                store.register(rosbags_typesys.get_types_from_msg(schema.data.decode(), schema.name))
+                content = store.deserialize_cdr(message.data, schema.name)
+                found.setdefault(channel.topic, []).append((message.log_time, content))
+    return found
+
+
+def by_own_reader(bag: Path) -> dict[str, list[tuple[int, Any]]]:
+    from humansim_ros.bags.reader import BagReader
+
+    store = rosbags_typesys.get_typestore(rosbags_typesys.Stores.ROS2_JAZZY)
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with BagReader(bag) as reader:
+        for topic, stamp, data, _ in reader.messages():
+            described = reader.topics[topic]
+            content = store.deserialize_cdr(bytes(data), described.type)
+            found.setdefault(described.name, []).append((stamp, content))
+    return found
+
+
+def stamp_of(message: Any) -> int:
+    return int(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec)
+
+
+def pixels(message: Any, dtype: Any, channels: int = 1) -> Any:
+    shape = (message.height, message.width, channels)[: 2 + (channels > 1)]
+    return np.asarray(message.data).view(dtype).reshape(shape)
+
+
+def cloud(message: Any) -> dict[str, Any]:
+    """Fields of a point cloud by name."""
+    types = {2: "<u1", 4: "<u2", 6: "<u4", 7: "<f4"}
+    dtype = np.dtype(
+        {
+            "names": [field.name for field in message.fields],
+            "formats": [types[field.datatype] for field in message.fields],
+            "offsets": [field.offset for field in message.fields],
+            "itemsize": message.point_step,
+        }
+    )
+    points = np.asarray(message.data).view(dtype)
+    return {name: points[name] for name in dtype.names or ()}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("read", [by_rosbags, by_mcap, by_own_reader])
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_each_field_of_the_bag_is_that_of_the_simulation(
+    scene: Scene, frames: list[Frame], tmp_path: Path, read: Any, storage: str
+) -> None:
+    if storage == "sqlite3" and read is by_mcap:
+        return  # not its format
+    found = read(recorded(scene, tmp_path / "bag", storage=storage))
+    period = 50_000_000
+    for topic, listed in found.items():
+        stamps = [stamp for stamp, _ in listed]
+        assert stamps in ([1], [1 + k * period for k in range(FRAMES)]), topic
+        for stamp, message in listed:
+            if hasattr(message, "header"):
+                assert stamp_of(message) == stamp, topic
+    for name in ("noisy", "bent"):
+        view = [frame.views[name] for frame in frames]
+        for k in range(FRAMES):
+            rgb, depth, part = (
+                found[f"/{name}/{kind}"][k][1] for kind in ("image_raw", "depth/image", "part/image")
+            )
+            assert (rgb.encoding, depth.encoding, part.encoding) == ("rgb8", "32FC1", "mono8")
+            assert rgb.header.frame_id == f"{name}_optical_frame"
+            assert np.array_equal(pixels(rgb, np.uint8, 3), view[k].rgb)
+            assert np.array_equal(pixels(depth, np.float32), view[k].depth)
+            assert np.array_equal(pixels(part, np.uint8), view[k].part)
+            joints, truth = cloud(found[f"/{name}/joints"][k][1]), frames[k].truth[name].joints["anna"]
+            assert np.array_equal(joints["u"], truth.pixels[:, 0].astype(np.float32))
+            assert np.array_equal(joints["z"], truth.optical[:, 2].astype(np.float32))
+            assert np.array_equal(joints["visible"], truth.visible)
+            info = found[f"/{name}/camera_info"][k][1]
+            assert np.array_equal(info.k, scene.cameras[name].K.ravel())
+            assert np.array_equal(info.d, scene.cameras[name].distortion)
+        extrinsics = found[f"/{name}/extrinsics"][0][1].transform.translation
+        centre = scene.cameras[name].center
+        assert (extrinsics.x, extrinsics.y, extrinsics.z) == tuple(centre)
+        assert np.array_equal(found[f"/{name}/projection"][0][1].data, scene.cameras[name].P.ravel())
+    for k in range(FRAMES):
+        human = frames[k].humans["anna"]
+        vertices = cloud(found["/humans/anna/vertices"][k][1])
+        assert np.array_equal(np.stack([vertices[axis] for axis in "xyz"], axis=1), human.vertices)
+        joint = found["/humans/anna/joints"][k][1]
+        assert tuple(joint.joint_names) == tuple(human.joint_names)
+        translations = [(t.translation.x, t.translation.y, t.translation.z) for t in joint.transforms]
+        assert np.array_equal(translations, human.positions)
+        time = found["/scene_time"][k][1].time_ref
+        assert time.sec * 10**9 + time.nanosec == k * period
+    assert np.array_equal(
+        [t.vertex_indices for t in found["/humans/anna/mesh"][0][1].triangles],
+        scene.actors["anna"].human.mesh.triangles,
+    )
+
+
+def test_qos_and_type_hashes_are_those_of_the_nodes(scene: Scene, tmp_path: Path) -> None:
+    import yaml
+
+    bag = recorded(scene, tmp_path / "bag", "/noisy/*")
+    store = rosbags_typesys.get_typestore(rosbags_typesys.Stores.ROS2_JAZZY)
+    listed = yaml.safe_load((bag / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    topics = {
+        each["topic_metadata"]["name"]: each["topic_metadata"] for each in listed["topics_with_message_count"]
+    }
+    for name, topic in topics.items():
+        (qos,) = topic["offered_qos_profiles"]
+        latched = name.endswith(("legend", "extrinsics", "projection"))
+        assert qos["durability"] == ("transient_local" if latched else "volatile"), name
+        assert qos["reliability"] == "reliable"
+        assert topic["type_description_hash"] == store.hash_rihs01(topic["type"])
+    assert "/noisy/image_raw/compressed" in topics and "/noisy/boxes" in topics
+
+
+def test_the_default_topics_are_those_of_the_demo_with_their_meaning(scene: Scene) -> None:
+    topics = RecordingPlan.of(scene, 1).topics
+    assert topics == (
+        "/scene_time",
+        *(f"/humans/anna/{kind}" for kind in ("motion", "motion/legend", "joints", "vertices", "mesh")),
+        *(
+            f"/{name}/{kind}"
+            for name in ("noisy", "bent")
+            for kind in (
+                *("instance/legend", "part/legend", "joints/legend", "extrinsics", "projection"),
+                *("image_raw", "depth/image", "part/image", "camera_info", "joints"),
+            )
+        ),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"compression": "zstd", "images": "jpeg", "depth": "png"},
+        {"storage": "sqlite3"},
+        {"max_duration": 0.1},
+    ],
+    ids=lambda options: "-".join(map(str, options.values())) or "raw",
+)
+def test_bytes_do_not_depend_on_the_number_of_processes(
+    scene: Scene, tmp_path: Path, options: dict[str, Any]
+) -> None:
+    names = ("*",) if not options else ()
+    found = []
+    for jobs in (1, 2, 4):
+        (tmp_path / str(jobs)).mkdir()
+        found.append(hashes(recorded(scene, tmp_path / str(jobs) / "bag", *names, jobs=jobs, **options)))
+    assert found[0] == found[1] == found[2]
+    assert len(found[0]) == (3 if "max_duration" in options else 2)
+
+
+def test_jpeg_and_png_images_show_the_raw_ones(scene: Scene, frames: list[Frame], tmp_path: Path) -> None:
+    for form, most in (("jpeg", 12.0), ("png", 0.0)):
+        found = by_rosbags(
+            recorded(scene, tmp_path / form, "*/image_raw", "*/depth/image", images=form, depth="png")
+        )
+        assert sorted(found) == [
+            f"/{name}/{kind}"
+            for name in ("bent", "noisy")
+            for kind in ("depth/image/compressedDepth", "image_raw/compressed")
+        ]
+        for k, (_, message) in enumerate(found["/bent/image_raw/compressed"]):
+            assert message.format == f"rgb8; {form} compressed bgr8"
+            image = cv2.cvtColor(cv2.imdecode(message.data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB)
+            error = np.abs(image.astype(float) - frames[k].views["bent"].rgb)
+            assert np.percentile(error, 99) <= most
+        for k, (_, message) in enumerate(found["/bent/depth/image/compressedDepth"]):
+            a, b = np.frombuffer(message.data[4:12].tobytes(), np.float32)
+            levels = cv2.imdecode(message.data[12:], cv2.IMREAD_UNCHANGED)
+            assert levels.dtype == np.uint16
+            depth = frames[k].views["bent"].depth
+            near = depth < 10.0
+            assert near.any() and np.array_equal(levels > 0, near)
+            restored = a / (levels[near] - b)
+            assert (np.abs(restored - depth[near]) <= 0.51 * depth[near] ** 2 / a + 1e-6).all()
+
+
+def test_a_part_of_a_recording_has_the_same_chunks(scene: Scene) -> None:
+    """Shards of cameras and of frames are put together chunk by chunk."""
+    recording = SceneRecording(scene, RecordingPlan.of(scene, 3))
+
+    def chunks(first: int, end: int, cameras: Any, bodies: bool) -> list[list[bytes]]:
+        shard = Shard(0, first, end, cameras, bodies)
+        return [
+            [b"".join(bytes(buffer) for buffer in chunk.buffers) for chunk in group]
+            for group in recording.groups(shard)
+        ]
+
+    whole = chunks(0, 3, ("noisy", "bent"), True)
+    assert [len(group) for group in whole] == [3, 3, 3]
+    assert chunks(1, 3, ("noisy", "bent"), True) == whole[1:]
+    single = [
+        chunks(0, 3, cameras, bodies)
+        for cameras, bodies in (((), True), (("noisy",), False), (("bent",), False))
+    ]
+    assert [list(map(b"".join, group)) for group in zip(*single, strict=True)] == whole
+
+
+def test_topics_without_frames_are_recorded_once(scene: Scene, tmp_path: Path) -> None:
+    found = by_rosbags(recorded(scene, tmp_path / "bag", "humans/anna/mesh", "*/legend"))
+    assert {topic: len(messages) for topic, messages in found.items()} == dict.fromkeys(
+        ["/humans/anna/mesh", "/humans/anna/motion/legend"]
+        + [f"/{name}/{kind}/legend" for name in ("noisy", "bent") for kind in ("instance", "part", "joints")],
+        1,
+    )
+
+
+def test_a_camera_of_which_nothing_is_recorded_is_not_rendered(
+    scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from humansim_ros.scene import simulation
+
+    rendered: list[tuple[str, tuple[str, ...]]] = []
+    capture = simulation.capture
+    monkeypatch.setattr(
+        simulation,
+        "capture",
+        lambda renderer, camera, exposure, channels, time: (
+            rendered.append((camera.name, tuple(channels)))
+            or capture(renderer, camera, exposure, channels, time)
+        ),
+    )
+    recorded(scene, tmp_path / "bag", "/noisy/depth/image", "/humans/*/joints")
+    assert rendered == [("noisy", ("depth",))] * FRAMES
+
+
+def test_the_hash_of_a_scene_covers_its_files(tmp_path: Path) -> None:
+    from humansim_ros.record.plan import scene_hash
+
+    (tmp_path / "way.txt").write_text("0 3 0 1 0.5 0.5 -0.5 -0.5\n5 3 1 1 0.5 0.5 -0.5 -0.5\n")
+    text = SCENE + "  moving: {size: [64, 48], trajectory: way.txt}\n"
+    before = scene_hash(Scene.load(write_scene(tmp_path, text)))
+    assert scene_hash(Scene.load(write_scene(tmp_path, text + "# a comment\n"))) == before
+    assert scene_hash(Scene.load(write_scene(tmp_path, text.replace("rate: 20", "rate: 25")))) != before
+    write_scene(tmp_path, text)
+    (tmp_path / "way.txt").write_text("0 3 0 1 0.5 0.5 -0.5 -0.5\n5 3 2 1 0.5 0.5 -0.5 -0.5\n")
+    assert scene_hash(Scene.load(tmp_path / "scene.yaml")) != before

@@ -14,7 +14,7 @@ from contextlib import suppress
 from pathlib import Path
 
 import humansim_ros
-from humansim_ros.bags.recovery import finish_bag, lock_bag
+from humansim_ros.bags.recovery import finish_bag, is_finished, lock_bag
 from humansim_ros.errors import BagError
 
 
@@ -37,6 +37,12 @@ class Guardian:
         except OSError:  # no memory or no process left: the bag can still be continued
             self._process = None
 
+    def finish(self) -> None:
+        """Let the guardian finish the bag now, which must be unlocked."""
+        if self._process is not None:
+            self._process.communicate()
+            self._process = None
+
     def stop(self) -> None:
         """End the guardian: the bag is finished."""
         if self._process is not None:
@@ -55,7 +61,8 @@ def main() -> None:
     # a bag that another process continues already, or that is gone, needs no guardian
     with suppress(BagError, OSError):
         lock = lock_bag(folder)
-        finish_bag(folder)
+        if not is_finished(folder):
+            finish_bag(folder)
         os.close(lock)
 
 

@@ -144,6 +144,27 @@ def _files(folder: Path, suffix: str) -> tuple[str, list[Path]] | None:
     return (prefix, ordered) if len(ordered) == len(paths) else None
 
 
+def is_finished(folder: Path) -> bool:
+    """Whether all files of a bag are finished, and metadata.yaml agrees with them.
+
+    Raises:
+        BagError: metadata.yaml is damaged.
+    """
+    information = read_metadata(folder)
+    listed = information.get("relative_file_paths")
+    number = 0
+    try:
+        for name in listed if isinstance(listed, list) else []:
+            path = folder / str(name)
+            storage: Storage = "sqlite3" if path.suffix == SUFFIXES["sqlite3"] else "mcap"
+            number += file_class(storage).content_of(path).total
+    except BagError:
+        return False
+    files = [path for suffix in SUFFIXES.values() for path in folder.glob(f"*{suffix}")]
+    names = {path.name for path in files}
+    return names == set(listed or ()) and number == information.get("message_count")
+
+
 def finish_bag(
     folder: Path, *, whole_groups: bool = False, custom: Mapping[str, str] | None = None
 ) -> OpenBag:

@@ -115,6 +115,8 @@ class SqliteFile:
     def content_of(cls, path: Path) -> Content:
         """Content of a finished file; see :class:`BagFile`."""
         with SqliteInput(path) as found:
+            if not found.whole:
+                raise BagError("this file was not finished", path=path)
             return found.content
 
     def add_topic(self, topic: BagTopic) -> None:

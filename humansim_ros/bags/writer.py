@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -66,13 +67,19 @@ class BagWriter:
         self._set_limits(storage, max_size, max_duration)
         try:
             path.mkdir(parents=True)
-            lock = lock_bag(path)
-            file = kind.create(path / f"{path.name}_0{SUFFIXES[storage]}", topics)
-            self._begin(OpenBag(path, storage, path.name, file, custom=dict(custom or {})), lock)
         except FileExistsError:
             raise BagError("this path exists; choose another name for the bag", path=folder) from None
         except OSError as reason:
             raise _unwritable(path, reason) from None
+        try:
+            lock = lock_bag(path)
+            file = kind.create(path / f"{path.name}_0{SUFFIXES[storage]}", topics)
+            self._begin(OpenBag(path, storage, path.name, file, custom=dict(custom or {})), lock)
+        except BaseException as reason:
+            shutil.rmtree(path, ignore_errors=True)
+            if isinstance(reason, OSError):
+                raise _unwritable(path, reason) from None
+            raise
 
     @classmethod
     def resume(
@@ -235,20 +242,31 @@ class BagWriter:
             return
         self._closed = True
         try:
-            if self._torn:
-                self._finish_again()
-                return
-            try:
-                self._bag.file.finish()
-                self._bag.write_metadata()
-            except OSError as reason:
-                self._finish_again()
-                raise _unwritable(self.folder, reason) from None
+            self._finish()
         except OSError as reason:
             raise _unwritable(self.folder, reason) from None
+        except BagError:
+            raise
+        except BaseException:  # such as a second Ctrl-C
+            os.close(self._lock)
+            self._lock = -1
+            self._guardian.finish()
+            raise
         finally:
             self._guardian.stop()
-            os.close(self._lock)
+            if self._lock >= 0:
+                os.close(self._lock)
+
+    def _finish(self) -> None:
+        if self._torn:
+            self._finish_again()
+            return
+        try:
+            self._bag.file.finish()
+            self._bag.write_metadata()
+        except OSError as reason:
+            self._finish_again()
+            raise _unwritable(self.folder, reason) from None
 
     def _finish_again(self) -> None:
         """Finish the bag from what its files hold."""

@@ -134,6 +134,12 @@ def test_a_read_only_target(tmp_path: Path) -> None:
     assert done.stdout == f"{tmp_path}/bag: cannot be written: Read-only file system\n", done.stderr
 
 
+def test_a_disk_without_space_for_the_start_leaves_nothing(tmp_path: Path) -> None:
+    with largest_file(500), pytest.raises(BagError, match="cannot be written: "):
+        BagWriter(tmp_path / "bag", TOPICS)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_target_that_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(BagError, match="cannot be written: "):
         BagWriter("/proc/bag", TOPICS)

@@ -12,6 +12,7 @@ import sys
 import time
 from contextlib import nullcontext, suppress
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, content_of
@@ -76,7 +77,7 @@ def frames_in(found: list[tuple[str, int, bytes]], size: int) -> int:
 @pytest.mark.slow
 def test_the_guardian_finishes_a_bag_when_its_writer_is_killed(tmp_path: Path) -> None:
     dice = random.Random(1)
-    for attempt in range(12):
+    for attempt in range(6):
         folder = tmp_path / f"bag{attempt}"
         writing = WritingProcess(folder, max_size=dice.choice((0, 3 * LARGE)))
         writing.wait_for_frame(dice.randrange(1, 5))
@@ -114,7 +115,7 @@ def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(tmp_path: Path) -> 
         for frame in range(frames):
             append_frame(writer, frame, size=size)
     folder = tmp_path / "bag"
-    for attempt in range(8):
+    for attempt in range(6):
         writing = WritingProcess(folder, size=size, max_size=10 * size)
         writing.wait_for_frame(dice.randrange(1, 40))
         last = writing.kill(with_guardian=attempt % 2 == 0)
@@ -155,9 +156,32 @@ def ignores(process: int, number: int) -> bool:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
+def test_a_bag_is_continued_while_its_guardian_finishes_it(storage: Storage, tmp_path: Path) -> None:
+    size, frames = 100_000, 25
+    for attempt in range(4):
+        folder = tmp_path / f"bag{attempt}"
+        writing = WritingProcess(folder, storage, size=size, max_size=10 * size)
+        writing.wait_for_frame(attempt + 1)
+        writing.process.kill()
+        with BagWriter.resume(folder, max_size=10 * size) as writer:
+            assert attempt < writer.groups
+            for frame in range(writer.groups, frames):
+                append_frame(writer, frame, size=size)
+        before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
+        found = by_rosbags(folder)
+        writing.kill()
+        number = frames_in(found, size)
+        assert number >= frames and len(found) == 2 * number
+        # the guardian, when it gets the bag at last, leaves it alone
+        assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
+        shutil.rmtree(folder)
+
+
+@pytest.mark.slow
 def test_sqlite3_bags_are_finished_and_continued_after_any_kill(tmp_path: Path) -> None:
     dice, size, frames = random.Random(6), 200_000, 40
-    for attempt in range(8):
+    for attempt in range(6):
         folder = tmp_path / f"bag{attempt}"
         writing = WritingProcess(folder, "sqlite3", size=size, max_size=10 * size)
         writing.wait_for_frame(dice.randrange(1, 25))
@@ -217,6 +241,31 @@ def test_an_interrupted_write_does_not_reach_the_bag(tmp_path: Path, monkeypatch
             append_frame(writer, 1)
         monkeypatch.undo()
     assert by_rosbags(folder) == by_mcap(folder) == content_of([0])
+
+
+def test_a_second_interrupt_leaves_the_end_to_the_guardian(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C while the summary is written."""
+    folder = tmp_path / "bag"
+    writer = BagWriter(folder, TOPICS)
+    append_frame(writer, 0)
+    interrupt = Mock(side_effect=KeyboardInterrupt)
+    monkeypatch.setattr("humansim_ros.bags.mcap_file.Statistics", interrupt)
+    with pytest.raises(KeyboardInterrupt):
+        writer.close()
+    assert by_rosbags(folder) == by_mcap(folder) == content_of([0])
+
+
+def test_a_moved_bag_is_continued(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", TOPICS, max_size=2000) as writer:
+        append_frame(writer, 0)
+    (tmp_path / "bag").rename(tmp_path / "moved")
+    with BagWriter.resume(tmp_path / "moved", max_size=2000) as writer:
+        for frame in range(1, 5):
+            append_frame(writer, frame)
+    assert (tmp_path / "moved" / "bag_1.mcap").exists()
+    assert by_rosbags(tmp_path / "moved") == content_of(range(5))
 
 
 def test_a_bag_that_is_being_written_is_not_continued(

@@ -170,23 +170,11 @@ class Suite:
 
     def children(self) -> list[int]:
         """Process ids of the children of the run."""
-        try:
-            text = Path(f"/proc/{self.run.pid}/task/{self.run.pid}/children").read_text()
-        except OSError:  # it has ended
-            return []
-        return [int(pid) for pid in text.split()]
+        return children_of(self.run.pid)
 
     def pid(self, victim: Victim) -> int | None:
         """Process id of a victim; None if it does not run."""
-        name = victim.process.node_name
-        for pid in self.children():
-            with suppress(OSError):
-                folder = Path(f"/proc/{pid}")
-                line = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
-                # a spare process has become the node if it has its name, of which Linux keeps 15 letters
-                if f"__node:={name} " in line or (folder / "comm").read_text().strip() == name[:15]:
-                    return pid
-        return None
+        return node_pid(self.run.pid, victim.process.node_name)
 
     def wait_for_data(self) -> None:
         """Wait until data has arrived on all topics. Raises RuntimeError if it does not arrive."""
@@ -258,6 +246,26 @@ class Suite:
                 return False
             self._executor.spin_once(0.02)
         return True
+
+
+def children_of(run: int) -> list[int]:
+    """Process ids of the children of a run; none if it has ended."""
+    try:
+        return [int(pid) for pid in Path(f"/proc/{run}/task/{run}/children").read_text().split()]
+    except OSError:
+        return []
+
+
+def node_pid(run: int, name: str) -> int | None:
+    """Process id of a node of a run; None if it does not run."""
+    for pid in children_of(run):
+        with suppress(OSError):
+            folder = Path(f"/proc/{pid}")
+            line = (folder / "cmdline").read_bytes().replace(b"\0", b" ").decode()
+            # a spare process has become the node if it has its name, of which Linux keeps 15 letters
+            if f"__node:={name} " in line or (folder / "comm").read_text().strip() == name[:15]:
+                return pid
+    return None
 
 
 def cpu_seconds(pid: int) -> float:

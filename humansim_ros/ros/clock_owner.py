@@ -17,6 +17,8 @@ from humansim_ros.ros.qos import ALIVE
 _LOCKSTEP_ALIVE = "/_lockstep_alive"
 #: Seconds in which nodes find each other.
 _DISCOVERY = 1.0
+#: Most seconds between two calls that count.
+_MAX_STEP = 0.1
 #: Seconds in which a publisher that sends nothing may be a dead node: the middleware forgets it after 20 s.
 _DEAD_FOR = 25.0
 _CLOCK = "/clock"
@@ -28,13 +30,14 @@ class ClockOwner:
     A node that was killed stays in the graph for seconds: it counts only if it sends, or if it is a player
     whose liveliness the middleware confirms.
 
-    ``node``: node that wants to publish.
+    Args:
+        node: Node that wants to publish.
+        graph: Finds publishers.
     """
 
-    def __init__(self, node: GuardedNode) -> None:
-        self._node = node
-        self._graph = GraphWatch(node)
-        self._started = time.monotonic()
+    def __init__(self, node: GuardedNode, graph: GraphWatch) -> None:
+        self._node, self._graph = node, graph
+        self._waited, self._last = 0.0, time.monotonic()
         self._alive = 0
         self._has_time = False
         events = SubscriptionEventCallbacks(liveliness=self._on_liveliness)
@@ -51,9 +54,15 @@ class ClockOwner:
         self._has_time = True
 
     def check(self) -> str | None:
-        """Text on another publisher; empty if there is none; None if it is not known yet."""
-        waited = time.monotonic() - self._started
-        if waited < _DISCOVERY:
+        """Text on another publisher; empty if there is none; None if it is not known yet.
+
+        Call it often: the executor must read messages between two calls.
+        """
+        # not the time in which the executor has read no message
+        now = time.monotonic()
+        self._waited += min(now - self._last, _MAX_STEP)
+        self._last = now
+        if self._waited < _DISCOVERY:
             return None
         publishers = self._graph.publishers(_CLOCK)
         names = ", ".join(sorted({each.node for each in publishers.values()}))
@@ -62,7 +71,7 @@ class ClockOwner:
                 f"another node publishes /clock: {names or self._node.get_fully_qualified_name()}. "
                 "Stop it, or give one of the two another ROS_DOMAIN_ID"
             )
-        if publishers and waited < _DEAD_FOR:
+        if publishers and self._waited < _DEAD_FOR:
             self._node.get_logger().info(
                 f"{names} publishes /clock, or has been killed: waiting", throttle_duration_sec=5.0
             )

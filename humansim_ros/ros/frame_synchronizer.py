@@ -225,7 +225,9 @@ class FrameSynchronizer:
         self._node.report_lateness(frame.stamp, "arrival")
         scene_time = content.get(SCENE_TIME, frame.stamp)
         self._pass_on(frame.stamp, scene_time, vertices, joints_of, objects, cameras)
-        self._done.publish(messages.header(frame.stamp, self._reporter))
+        report = messages.header(frame.stamp, self._reporter)
+        self._done.publish(report)
+        self._alive.publish(report)
         if self._buffer.has_complete:
             self._schedule_next_frame()
 

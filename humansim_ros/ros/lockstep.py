@@ -116,6 +116,11 @@ class Lockstep:
         if any(not each.heard and not each.absent for each in self.members.values()):
             self.add_node(now)
 
+    def take_back(self) -> None:
+        """Forget the frame in flight, which nobody has finished: a later one follows in its place."""
+        self.stamp = None
+        self._sent -= 1
+
     def add_repeat(self, now: float) -> None:
         """Note that the frame is sent again."""
         self._row = [time for time in self._row if time > now]

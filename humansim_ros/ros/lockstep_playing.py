@@ -23,7 +23,7 @@ from humansim_ros.ros.lockstep_summary import LockstepSummary
 from humansim_ros.ros.messages import to_nanoseconds, to_time
 from humansim_ros.ros.playing import FramePlayer, Playing
 from humansim_ros.ros.processes import TIMED_OUT, WRONG_INPUT
-from humansim_ros.ros.qos import DONE, FRAME_DONE, REPORTS
+from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
 from humansim_ros.ros.topic_members import TopicMembers
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.playback import ScenePoses, Tick
@@ -34,6 +34,8 @@ _LOOK_EVERY = 0.05
 _GRAPH_EVERY, _GRAPH_AFTER = 0.25, 0.3
 #: Most seconds that count between two looks: while the player itself was stopped, nobody is late.
 _MAX_STEP = 0.5
+#: Newest stamp of lockstep, eleven days; those of the wall clock are of an earlier run in real time.
+_MAX_STAMP = 10**15
 #: Queue of ``/clock``.
 _CLOCK_QUEUE = QoSProfile(depth=10)
 #: Most characters of a list of names in a log line.
@@ -79,11 +81,10 @@ class LockstepPlaying(Playing):
         self._is_due = True
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
         self._newest = 0
-        latched = player.create_subscription(Header, FRAME_DONE, self._on_latched, DONE)
-        self._owner = ClockOwner(player)
+        self._latched: Any = player.create_subscription(Header, CAMERA_ALIVE, self._on_latched, ALIVE)
+        self._owner = ClockOwner(player, self._graph)
         self._clock_publisher: Any = None
         player.create_subscription(Header, FRAME_DONE, self._on_done, REPORTS)
-        self._latched: Any = latched
         player.create_timer(_LOOK_EVERY, self.work, clock=steady)
         if settings.pace:
             player.create_timer(1 / settings.pace, self._on_pace, clock=steady)
@@ -150,23 +151,34 @@ class LockstepPlaying(Playing):
             self._stop(WRONG_INPUT, owner)
             return
         self._owner.close()
-        self.player.destroy_subscription(self._latched)
         self._clock_publisher = self.player.create_publisher(Clock, "/clock", _CLOCK_QUEUE)
+        self.player.get_logger().info("lockstep: waiting for " + _names(self.state.members))
         if self._newest:
-            self._before = self.clock.begin_at(self._newest)
-            self.player.get_logger().info(
-                f"going on with frame {self._before}, the newest one that a camera has finished"
-            )
-        else:
-            self.player.get_logger().info("lockstep: waiting for " + _names(self.state.members))
+            self._go_on()
         self._seconds = (time.monotonic(), time.monotonic())
         self._advance()
 
     def _on_latched(self, report: Header) -> None:
-        """Newest report of a node that was there before this player."""
+        """Newest report of a camera that was there before this player."""
+        if any(self.state.finished.values()):
+            self.player.destroy_subscription(self._latched)
+            return
         names = {self._name(each) for each in report.frame_id.split(", ")}
-        if names & self.player.scene.cameras.keys():
-            self._newest = max(self._newest, to_nanoseconds(report.stamp))
+        stamp = to_nanoseconds(report.stamp)
+        if not self._newest < stamp <= _MAX_STAMP or names.isdisjoint(self.player.scene.cameras):
+            return
+        self._newest = stamp
+        if self.state.stamp is not None and self.state.stamp < stamp:  # found late
+            self.state.take_back()
+            self._go_on()
+            self._advance()
+
+    def _go_on(self) -> None:
+        """Let the next frame be the newest one that a camera has finished."""
+        self._before = self.clock.begin_at(self._newest)
+        self.player.get_logger().info(
+            f"going on with frame {self._before}, the newest one that a camera has finished"
+        )
 
     def _name(self, text: str) -> str:
         """Name of a node relative to the namespace of the player."""

@@ -33,21 +33,22 @@ LATCHED = _profile(1, QoSDurabilityPolicy.TRANSIENT_LOCAL)
 #: Topic with the scene time of each frame (sensor_msgs/TimeReference).
 SCENE_TIME = "scene_time"
 
-#: Topic without messages: its quality of service tells the motion player half a second after a camera process
-#: has died. Reports of cameras (``frame_done``) have none, because other nodes may report, too.
+#: Topic whose quality of service tells the motion player half a second after a camera process has died, and
+#: gives its newest report to a player that is started again. Reports on ``frame_done`` have neither, because
+#: other nodes may report, too.
 CAMERA_ALIVE = "_camera_alive"
 ALIVE = QoSProfile(
     depth=1,
     history=QoSHistoryPolicy.KEEP_LAST,
     reliability=QoSReliabilityPolicy.RELIABLE,
+    durability=QoSDurabilityPolicy.TRANSIENT_LOCAL,
     liveliness=QoSLivelinessPolicy.AUTOMATIC,
     liveliness_lease_duration=Duration(seconds=0.5),
 )
 
 #: Topic on which everybody reports the frames that it has finished.
 FRAME_DONE = "frame_done"
-#: Publishers of these reports in nodes of this package: a motion player that is started again finds the
-#: newest ones.
-DONE = _profile(5, QoSDurabilityPolicy.TRANSIENT_LOCAL)
+#: Publishers of these reports.
+DONE = DATA
 #: Subscriptions to reports: one for each camera process and frame; a lost one is replaced by the next.
 REPORTS = _profile(50, QoSDurabilityPolicy.VOLATILE)

@@ -2,8 +2,9 @@
 
     python benchmarks/lockstep.py [SCENE] [--frames 1000] [--sleep 0.05]
 
-The tracker sleeps up to ``--sleep`` seconds for each frame (``tools/slow_tracker.py``). A frame is received if
-this process got the images of all cameras, and tracked if the tracker got them. Exit code 1: a frame is lost.
+The tracker sleeps up to ``--sleep`` seconds for each frame (``tools/slow_tracker.py``). A frame is received
+if this process got the images of all cameras, and tracked if the tracker got them. Exit code 1: a frame is
+lost.
 """
 
 from __future__ import annotations
@@ -18,8 +19,7 @@ from pathlib import Path
 
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 100))
 os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tools"))
 
 import rclpy
 from sensor_msgs.msg import Image
@@ -29,6 +29,8 @@ from humansim_ros.resources import resource_path
 from humansim_ros.ros.messages import serialised_stamp
 from humansim_ros.ros.runtime import make_executor, prepare_transport
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
+
+ROOT = Path(__file__).resolve().parents[1]
 
 
 def main() -> int:

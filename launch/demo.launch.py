@@ -11,10 +11,13 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from humansim_ros.ros.processes import (
+    TIME_ARGUMENTS,
+    TIMED_OUT,
     WRONG_INPUT,
     relative_namespace,
     render_threads,
     scene_processes,
+    time_options,
     whole_number,
 )
 from humansim_ros.ros.shared_memory import remove_dead_files
@@ -29,7 +32,8 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
     number = whole_number("processes", LaunchConfiguration("processes").perform(context))
     frame_prefix = LaunchConfiguration("frame_prefix").perform(context)
     only = LaunchConfiguration("only").perform(context)
-    processes = scene_processes(scene, number, frame_prefix=frame_prefix, only=only)
+    time = time_options({name: LaunchConfiguration(name).perform(context) for name in TIME_ARGUMENTS})
+    processes = scene_processes(scene, number, frame_prefix=frame_prefix, only=only, time=time)
     remove_dead_files()
     transport = choose_transport(len(processes))
     warnings = [LogInfo(msg=f"warning: {transport.warning}")] if transport.warning else []
@@ -45,7 +49,7 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
             respawn=LaunchConfiguration("respawn"),
             respawn_delay=0.5,
             respawn_max_retries=20,  # in all
-            on_exit=stop_after_wrong_input,
+            on_exit=stop_after_last_frame if process.has_end else stop_after_wrong_input,
         )
         for process in processes
     ]
@@ -53,8 +57,16 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
 
 
 def stop_after_wrong_input(event: ProcessExited, context: LaunchContext) -> list[Shutdown]:
-    """Stop all nodes if one has reported wrong input: another start would report it again."""
-    return [Shutdown(reason="wrong input")] if event.returncode == WRONG_INPUT else []
+    """Stop all nodes if one has reported wrong input: another start would report it again; or a time-out."""
+    reasons = {WRONG_INPUT: "wrong input", TIMED_OUT: "a frame was not finished in time"}
+    return [Shutdown(reason=reasons[event.returncode])] if event.returncode in reasons else []
+
+
+def stop_after_last_frame(event: ProcessExited, context: LaunchContext) -> list[Shutdown]:
+    """Stop all nodes also if the motion player has ended after its last frame."""
+    if event.returncode == 0:
+        return [Shutdown(reason="all frames are finished")]
+    return stop_after_wrong_input(event, context)
 
 
 def generate_launch_description() -> LaunchDescription:
@@ -79,6 +91,10 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "respawn", default_value="true", description="Start a node again that has died: true or false"
+            ),
+            *(
+                DeclareLaunchArgument(name, default_value="", description=description)
+                for name, description in TIME_ARGUMENTS.items()
             ),
             OpaqueFunction(function=scene_nodes),
         ]

@@ -416,6 +416,7 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
 
     *arguments, opaque = launch_file.generate_launch_description()
     names = ["scene", "processes", "only", "namespace", "frame_prefix", "respawn"]
+    names += ["lockstep", "frames", "wait_for", "timeout", "on_timeout", "pace"]
     assert [argument.args for argument in arguments] == [(name,) for name in names]
     defaults = {name: argument.default_value for name, argument in zip(names, arguments, strict=True)}
     for number in (None, 3):
@@ -445,6 +446,30 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     assert not [word for node in nodes for word in node.arguments if "__ns" in word]
     prefixed = ['frame_prefix:="lab/"' in node.arguments for node in nodes]
     assert prefixed == [node.executable == "camera_rig" for node in nodes] and sum(prefixed) == 2
+
+
+    lockstep = {"lockstep": "true", "frames": "9", "wait_for": "tracker, topic:/poses", "timeout": "2"}
+    player, *others = opaque.function({**defaults, **lockstep})
+    for argument in ('mode:="lockstep"', "frames:=9", 'wait_for:=["tracker", "topic:/poses"]', "timeout:=2.0"):
+        assert argument in player.arguments
+    assert not [each for each in player.arguments if "use_sim_time" in each]
+    assert all("use_sim_time:=true" in node.arguments for node in others)
+    ended, timed_out = types.SimpleNamespace(returncode=0), types.SimpleNamespace(returncode=3)
+    assert player.on_exit(ended, defaults) and player.on_exit(timed_out, defaults)
+    assert not any(node.on_exit(ended, defaults) for node in others)
+    for name, wrong in (("lockstep", "maybe"), ("timeout", "x"), ("frames", "0")):
+        with pytest.raises(RosError, match=f"launch argument {name} must be .*, not '{wrong}'"):
+            opaque.function({**defaults, name: wrong})
+
+
+def test_a_scene_in_lockstep_gives_its_nodes_simulated_time_but_not_the_player(tmp_path: Path) -> None:
+    path = tmp_path / "scene.yaml"
+    path.write_text(SCENE.replace("off", "'off'") + "\ntime: {mode: lockstep}\n")
+    player, *others = scene_processes(path)
+    assert all(node.parameters["use_sim_time"] is True for node in others)
+    assert "use_sim_time" not in player.parameters
+    realtime = scene_processes(path, time=TimeOptions(lockstep=False))
+    assert not any("use_sim_time" in node.parameters for node in realtime)
 
 
 def test_processes_in_a_namespace(tmp_path: Path) -> None:

@@ -87,6 +87,11 @@ class NodeProcess:
         return self.executable in ("camera", "camera_rig")
 
     @property
+    def has_end(self) -> bool:
+        """Whether it ends by itself after a number of frames."""
+        return "frames" in self.parameters
+
+    @property
     def visible_nodes(self) -> tuple[str, ...]:
         """Names of its nodes without hidden ones."""
         cameras = self.parameters.get("cameras")
@@ -116,6 +121,43 @@ def whole_number(name: str, text: str) -> int | None:
     if not text.strip().isdecimal() or int(text) < 1:
         raise RosError(f"launch argument {name} must be a whole number from 1, or empty, not {text!r}")
     return int(text)
+
+
+#: Launch arguments of :class:`TimeOptions`; empty: as the scene says.
+TIME_ARGUMENTS = {
+    "lockstep": "true: send the next frame when all nodes have finished this one; false: real time",
+    "frames": "Number of frames in lockstep",
+    "wait_for": "Nodes that frames wait for, and topics as topic:/NAME, separated by commas",
+    "timeout": "Seconds after which a frame in lockstep waits no longer",
+    "on_timeout": "stop or continue",
+    "pace": "Most frames per second in lockstep",
+}
+
+
+def time_options(arguments: Mapping[str, str]) -> TimeOptions:
+    """Options of launch arguments. Raises RosError naming a wrong one."""
+    given = {name: text.strip() for name, text in arguments.items() if text.strip()}
+    lockstep = given.get("lockstep", "").lower()
+    if lockstep not in ("", "true", "false"):
+        raise RosError(f"launch argument lockstep must be true or false, not {given['lockstep']!r}")
+    return TimeOptions(
+        lockstep=None if not lockstep else lockstep == "true",
+        wait_for=[each.strip() for each in given["wait_for"].split(",")] if "wait_for" in given else None,
+        timeout=_number("timeout", given),
+        on_timeout=given.get("on_timeout"),
+        pace=_number("pace", given),
+        frames=whole_number("frames", given.get("frames", "")),
+    )
+
+
+def _number(name: str, arguments: Mapping[str, str]) -> float | None:
+    """A number of the launch arguments; None if it is not given. Raises RosError."""
+    if name not in arguments:
+        return None
+    try:
+        return float(arguments[name])
+    except ValueError:
+        raise RosError(f"launch argument {name} must be a number, not {arguments[name]!r}") from None
 
 
 def relative_namespace(text: str) -> str:

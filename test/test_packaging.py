@@ -24,7 +24,7 @@ import humansim_ros
 from humansim_ros.errors import ResourceError, RosError, SceneError
 from humansim_ros.resources import resource_path, resource_root
 from humansim_ros.ros import processes
-from humansim_ros.ros.processes import NodeProcess, scene_processes
+from humansim_ros.ros.processes import NodeProcess, TimeOptions, scene_processes
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")
@@ -447,10 +447,10 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     prefixed = ['frame_prefix:="lab/"' in node.arguments for node in nodes]
     assert prefixed == [node.executable == "camera_rig" for node in nodes] and sum(prefixed) == 2
 
-
     lockstep = {"lockstep": "true", "frames": "9", "wait_for": "tracker, topic:/poses", "timeout": "2"}
     player, *others = opaque.function({**defaults, **lockstep})
-    for argument in ('mode:="lockstep"', "frames:=9", 'wait_for:=["tracker", "topic:/poses"]', "timeout:=2.0"):
+    wait_for = 'wait_for:=["tracker", "topic:/poses"]'
+    for argument in ('mode:="lockstep"', "frames:=9", wait_for, "timeout:=2.0"):
         assert argument in player.arguments
     assert not [each for each in player.arguments if "use_sim_time" in each]
     assert all("use_sim_time:=true" in node.arguments for node in others)
@@ -466,6 +466,7 @@ def test_a_scene_in_lockstep_gives_its_nodes_simulated_time_but_not_the_player(t
     path = tmp_path / "scene.yaml"
     path.write_text(SCENE.replace("off", "'off'") + "\ntime: {mode: lockstep}\n")
     player, *others = scene_processes(path)
+    assert player.has_end and not any(node.has_end for node in others)
     assert all(node.parameters["use_sim_time"] is True for node in others)
     assert "use_sim_time" not in player.parameters
     realtime = scene_processes(path, time=TimeOptions(lockstep=False))

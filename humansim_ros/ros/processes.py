@@ -88,8 +88,8 @@ class NodeProcess:
 
     @property
     def has_end(self) -> bool:
-        """Whether it ends by itself after a number of frames."""
-        return "frames" in self.parameters
+        """Whether it may end by itself after a number of frames."""
+        return self.parameters.get("mode") == LOCKSTEP
 
     @property
     def visible_nodes(self) -> tuple[str, ...]:
@@ -201,11 +201,13 @@ def scene_processes(
     namespace = relative_namespace(namespace)
     time = time or TimeOptions()
     in_lockstep = names.lockstep if time.lockstep is None else time.lockstep
-    player: dict[str, ParameterValue] = {"scene": str(path)}
-    scene = {**player, **({"use_sim_time": True} if in_lockstep else {})}
+    if in_lockstep:
+        time = replace(time, lockstep=True)
+    scene_file: dict[str, ParameterValue] = {"scene": str(path)}
+    scene = {**scene_file, **({"use_sim_time": True} if in_lockstep else {})}
     of_cameras = {**scene, **({"frame_prefix": frame_prefix} if frame_prefix else {})}
     listed = [
-        NodeProcess("motion_player", PLAYER_NODE, {**player, **time.parameters}),
+        NodeProcess("motion_player", PLAYER_NODE, {**scene_file, **time.parameters}),
         *(NodeProcess("skinner", skinner_node(name), {**scene, "human": name}) for name in names.humans),
         *_camera_processes(cameras, cores() if processes is None else processes, of_cameras),
     ]

@@ -31,6 +31,8 @@ CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timesta
 CREATE INDEX timestamp_idx ON messages (timestamp ASC);
 INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'jazzy');
 """
+#: Bytes of a page: images are written in half of the processor time that the usual 4096 bytes take.
+_PAGE = 1 << 16
 #: In the header of our files, so that they are not taken for those of other programs.
 _APPLICATION = 0x68736D62
 
@@ -48,7 +50,7 @@ def as_os_errors() -> Iterator[None]:
 class SqliteFile:
     """A sqlite3 file that is being written; see :class:`BagFile`. Topics have the ``id`` 1, 2 …."""
 
-    smallest: ClassVar[int] = 86016
+    smallest: ClassVar[int] = 1 << 20
 
     def __init__(self, path: Path, database: sqlite3.Connection) -> None:
         self.path = path
@@ -73,9 +75,8 @@ class SqliteFile:
             with as_os_errors():
                 file = cls(temporary, connect(temporary, "rwc"))
                 try:
-                    file._database.executescript(
-                        f"PRAGMA application_id={_APPLICATION}; BEGIN; {_TABLES} COMMIT"
-                    )
+                    pragmas = f"PRAGMA page_size={_PAGE}; PRAGMA application_id={_APPLICATION};"
+                    file._database.executescript(f"{pragmas} BEGIN; {_TABLES} COMMIT")
                     for topic in topics:
                         file.add_topic(topic)
                 finally:

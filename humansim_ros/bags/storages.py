@@ -19,7 +19,7 @@ SUFFIXES: dict[Storage, str] = {"mcap": ".mcap", "sqlite3": ".db3"}
 class BagFile(Protocol):
     """A file of a bag that is being written. All methods raise OSError if the file cannot be written."""
 
-    #: Smallest size in bytes at which rosbag2 splits files.
+    #: Smallest size in bytes at which files are split; of MCAP that of rosbag2.
     smallest: ClassVar[int]
     path: Path
     topics: list[BagTopic]

@@ -158,7 +158,7 @@ def ignores(process: int, number: int) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_bag_is_continued_while_its_guardian_finishes_it(storage: Storage, tmp_path: Path) -> None:
-    size, frames = 100_000, 25
+    size, frames = 150_000, 25
     for attempt in range(4):
         folder = tmp_path / f"bag{attempt}"
         writing = WritingProcess(folder, storage, size=size, max_size=10 * size)

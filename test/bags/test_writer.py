@@ -20,10 +20,12 @@ from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError
 
 
-def write(folder: Path, frames: range, compression: Compression = "none", **options: Any) -> None:
+def write(
+    folder: Path, frames: range, compression: Compression = "none", size: int = 500, **options: Any
+) -> None:
     with BagWriter(folder, TOPICS, **options) as writer:
         for frame in frames:
-            append_frame(writer, frame, compression)
+            append_frame(writer, frame, compression, size)
 
 
 @pytest.mark.parametrize("compression", ["none", "zstd", "lz4"])
@@ -35,9 +37,9 @@ def test_all_readers_find_the_messages(compression: Compression, tmp_path: Path)
 
 def test_sqlite3_bags_are_read_by_rosbags(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
-    write(folder, range(160), storage="sqlite3", max_size=90_000)
+    write(folder, range(160), storage="sqlite3", max_size=1 << 20, size=20_000)
     assert len(list(folder.glob("bag_*.db3"))) > 1
-    assert by_rosbags(folder) == content_of(range(160))
+    assert by_rosbags(folder) == content_of(range(160), 20_000)
 
 
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
@@ -139,7 +141,7 @@ def test_files_are_split_by_their_duration(tmp_path: Path) -> None:
     [
         ({"max_size": 1023}, "max_size: .* at least 1024 bytes"),
         ({"max_size": -1}, "max_size"),
-        ({"max_size": 2000, "storage": "sqlite3"}, "max_size: .* at least 86016 bytes"),
+        ({"max_size": 2000, "storage": "sqlite3"}, "max_size: .* at least 1048576 bytes"),
         ({"max_duration": -1.0}, "max_duration"),
         ({"max_duration": float("nan")}, "max_duration"),
         ({"storage": "sqlite"}, "'sqlite' is no storage of bags; choose one of mcap, sqlite3"),

@@ -60,6 +60,8 @@ class SqliteFile:
         self._types = set[str]()
         # safe when the process is killed; only a loss of power could damage the file
         self._database.execute("PRAGMA synchronous=OFF")
+        # otherwise a program that reads the bag for long could stop the recording
+        self._database.execute("PRAGMA locking_mode=EXCLUSIVE")
 
     @property
     def size(self) -> int:

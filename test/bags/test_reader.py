@@ -222,3 +222,11 @@ def test_groups_are_the_chunks_that_were_appended(tmp_path: Path) -> None:
     shutil.rmtree(copy)
     with BagReader(make_bag(copy, "sqlite3")) as reader, pytest.raises(BagError, match="only bags in MCAP"):
         next(reader.groups())
+
+
+def test_a_bag_is_read_while_it_is_written(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", TOPICS) as writer:
+        for frame in range(3):
+            append_frame(writer, frame)
+            with pytest.warns(HumansimWarning, match="was not finished"):
+                assert by_reader(tmp_path / "bag") == content_of(range(frame + 1))

@@ -30,7 +30,14 @@ from humansim_ros.scene.config import SceneConfig, check_config
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
 #: Commands that are slow, or run until they are stopped: their options are parsed and their files must exist.
 PARSED = {("run",), ("demo",), ("human", "rig"), ("human", "build"), ("human", "show"), ("human", "info")}
-PARSED |= {("camera", "place"), ("camera", "idealize"), ("camera", "plot"), ("motion", "render"), ("bench",)}
+PARSED |= {
+    ("camera", "place"),
+    ("camera", "idealize"),
+    ("camera", "plot"),
+    ("motion", "render"),
+    ("bench",),
+    ("record",),
+}
 OWN_FILE = re.compile(r"[A-Z][A-Z_0-9]*(\.\w+)?/?")
 #: Options before a file that the command writes.
 WRITES = ("-o", "--output", "--preview")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from humansim_ros.cli.check import warn_about_mistakes
 from humansim_ros.cli.output import print_error, print_text
 from humansim_ros.errors import BagError
 from humansim_ros.ros.stop_signals import Stopped
@@ -96,6 +97,7 @@ def record(
         raise BagError("give either --frames or --seconds", key="record")
     require_ros()
     loaded = Scene.load(scene)
+    warn_about_mistakes(loaded)
     if frames is None:
         frames = max(1, round((seconds or 0.0) * loaded.config.rate))
     plan = RecordingPlan.of(

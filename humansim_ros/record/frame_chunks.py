@@ -21,7 +21,8 @@ from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.simulation import Frame
 
 #: Steps of encoding a frame, for the summary of costs.
-RENDERING, TRUTH, IMAGE_COMPRESSION = "rendering", "truth and messages", "image compression"
+STARTING, RENDERING = "first rendering of each process", "rendering"
+TRUTH, IMAGE_COMPRESSION = "truth and messages", "image compression"
 SERIALISING, CHUNKS = "serialising", "checksums and chunk compression"
 
 
@@ -110,6 +111,7 @@ class FrameEncoder:
         self._rectified = {topic.camera for _, topic in chosen if topic.rectified_depth}
         channels = frozenset[str]().union(*(topic.channels for _, topic in chosen))
         self._simulation = Simulation(recording.scene, sorted(channels))
+        self._started = False
         self.costs: dict[str, float] = {}
 
     def __enter__(self) -> FrameEncoder:
@@ -128,7 +130,8 @@ class FrameEncoder:
         """Chunks of a frame. Raises HumansimError if it cannot be rendered."""
         start = time.process_time()
         frame = self._simulation.frame(index, self._cameras, self._rectified)
-        self._add_cost(RENDERING, start)
+        self._add_cost(RENDERING if self._started else STARTING, start)
+        self._started = True
         chunks = (self._chunk(frame, topics) for topics in self._parts.values())
         return [chunk for chunk in chunks if chunk is not None]
 

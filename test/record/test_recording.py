@@ -1,4 +1,4 @@
-"""``humansim record``: a bag holds the frames of a simulation, for any reader, with any number of processes."""
+"""``humansim record``: the bag holds the frames of a simulation, with any reader and any number of jobs."""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ COMMANDS = [
     "skinner = humansim_ros.ros.nodes.executables:skinner",
     "camera = humansim_ros.ros.nodes.executables:camera",
     "camera_rig = humansim_ros.ros.nodes.executables:camera_rig",
+    "recorder = humansim_ros.ros.nodes.executables:recorder",
 ]
 
 # The upper bounds keep Ubuntu 24.04's own NumPy 1.26 in place: from these releases on, SciPy and OpenCV ask

@@ -28,7 +28,7 @@ from humansim_ros.ros.processes import NodeProcess, TimeOptions, scene_processes
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")
-EXECUTABLES = {"humansim", "motion_player", "skinner", "camera", "camera_rig"}
+EXECUTABLES = {"humansim", "motion_player", "skinner", "camera", "camera_rig", "recorder"}
 SOURCES = ("LICENSES", "humansim_ros", "resource", *SHARED_FOLDERS)
 SOURCE_FILES = (
     "LICENSE",

@@ -102,11 +102,27 @@ def run(
             help="Most frames per second in lockstep; as fast as possible if absent.", min=0.01, max=1e3
         ),
     ] = None,
+    record: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Record the topics of the scene into a new bag.")
+    ] = None,
+    record_topics: Annotated[
+        list[str] | None,
+        typer.Option(help="Topic to record, or pattern such as '/left/*'; may be repeated."),
+    ] = None,
+    record_compression: Annotated[
+        str, typer.Option(help="Compression of the bag: none, zstd or lz4.")
+    ] = "none",
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.io.temporary import temporary_folder
     from humansim_ros.ros.first_images import FirstImages
-    from humansim_ros.ros.processes import WRONG_INPUT, TimeOptions, relative_namespace, scene_processes
+    from humansim_ros.ros.processes import (
+        WRONG_INPUT,
+        RecordOptions,
+        TimeOptions,
+        relative_namespace,
+        scene_processes,
+    )
     from humansim_ros.ros.runtime import prepare_transport
     from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
@@ -127,7 +143,12 @@ def run(
         options_of_time = _time_options(
             loaded, TimeOptions(lockstep, wait_for, timeout, on_timeout, pace, frames), folder
         )
-        node_processes = scene_processes(path, processes, namespace, frame_prefix, only, options_of_time)
+        if record_topics and record is None:
+            raise HumansimError("--record-topics goes with --record only")
+        recorded = RecordOptions(record, record_topics or (), record_compression) if record else None
+        node_processes = scene_processes(
+            path, processes, namespace, frame_prefix, only, options_of_time, recorded
+        )
         transport = prepare_transport(len(node_processes) + 1, network)
         with Supervisor(node_processes) as nodes:
             try:
@@ -151,7 +172,7 @@ def run(
             raise typer.Exit(dead.code and (2 if dead.code == WRONG_INPUT else 1))
     if dead:
         wrong_input = dead.code == WRONG_INPUT  # which the node has reported
-        again = " again and again" if respawn and not wrong_input else ""
+        again = " again and again" if respawn and dead.code not in dead.process.final_codes else ""
         print_error(f"error: {dead}{again}; the other nodes were stopped")
         raise typer.Exit(2 if wrong_input else 1)
 

@@ -16,6 +16,8 @@ from rclpy.node import Node
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.ros.limits import check_request, check_serialised, deserialised
 
+#: ``max_bytes`` of subscriptions that take serialised messages of any size, and do not read them.
+ANY_SIZE = -1
 #: Seconds between two log lines about errors of one callback.
 _LINE_EVERY = 1.0
 
@@ -43,6 +45,13 @@ class GuardedNode(Node):
         #: Exit code with which the process of the node ends; None while it goes on.
         self.exit_code: int | None = None
         super().__init__(name, **options)
+
+    def complete(self) -> None:
+        """Complete the work of the node before its process ends; it may take long.
+
+        Raises:
+            HumansimError: The work is not complete.
+        """
 
     def count(self, counter: str, number: int = 1) -> None:
         """Add to a counter of the diagnostics, such as frames or drops."""
@@ -109,12 +118,13 @@ class GuardedNode(Node):
             qos_profile: Quality of service, or depth of the queue.
             raw: Pass serialised messages.
             max_bytes: Bytes of the longest serialised message that is read; that of its type if None.
+                ANY_SIZE: messages are passed unchecked if ``raw``.
             options: Other options of ``Node.create_subscription``.
         """
 
         def on_data(data: bytes) -> None:
             with self.guard(f"topic {self.resolve_topic_name(topic)}", "the message is ignored"):
-                if raw:
+                if raw and max_bytes != ANY_SIZE:
                     check_serialised(data, msg_type, max_bytes)
                 callback(data if raw else deserialised(data, msg_type, max_bytes))
 

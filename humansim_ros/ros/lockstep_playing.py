@@ -61,7 +61,8 @@ class LockstepPlaying(Playing):
         self._now = 0.0
         cameras = list(player.scene.cameras)
         names = [*cameras, *(self._name(each) for each in settings.names), *settings.topics]
-        self.state = Lockstep(dict.fromkeys(names), cameras, settings.timeout, 0.0)
+        starting = [*cameras, settings.recorder] if settings.recorder else cameras
+        self.state = Lockstep(dict.fromkeys(names), starting, settings.timeout, 0.0)
         self._graph = GraphWatch(player)
         self._next_graph = 0.0
         self._topics = TopicMembers(player, settings.topics, self._graph, self._on_report)

@@ -32,6 +32,7 @@ class LockstepSettings:
         pace: Most frames per second of the wall clock; 0: as fast as possible.
         frames: Number of frames; 0: without end.
         summary: File for a summary as JSON at the end; empty: none.
+        recorder: Name of the recorder, which is among ``names`` and starts with the scene; empty: none.
     """
 
     names: tuple[str, ...]
@@ -41,6 +42,7 @@ class LockstepSettings:
     pace: float
     frames: int
     summary: str
+    recorder: str = ""
 
     @classmethod
     def of_parameters(cls, node: SceneNode) -> LockstepSettings | None:
@@ -71,12 +73,12 @@ class LockstepSettings:
         limits = (0.0, float(_MAX_FRAMES))
         frames = node.described_parameter("frames", time.frames or 0, description, limits, read_only=True)
         summary = node.text_parameter("summary", "", "JSON file for a summary of lockstep; empty: none")
-        names, topics = _members(members)
+        recorder = node.text_parameter("recorder", "", "Recorder that frames wait for; empty: none")
+        names, topics = _members([*members, recorder] if recorder else members)
         if mode != "lockstep":
             return None
-        return cls(
-            names, topics, timeout, "stop" if on_timeout == "stop" else "continue", pace, frames, summary
-        )
+        stops = on_timeout == "stop"
+        return cls(names, topics, timeout, "stop" if stops else "continue", pace, frames, summary, recorder)
 
 
 def member_texts(time: TimeConfig) -> list[str]:

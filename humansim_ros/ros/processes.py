@@ -27,6 +27,26 @@ WRONG_INPUT = 2
 _PLAYER, _SKINNERS, _CAMERAS = "player", "skinners", "cameras"
 #: Exit code of a motion player that has stopped because nodes did not finish a frame in time.
 TIMED_OUT = 3
+#: Node that records the topics of a run.
+RECORDER_NODE = "recorder"
+#: Exit code of a recorder that cannot write any more.
+_CANNOT_WRITE = 1
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """What is recorded of a run (docs/recording.md).
+
+    Attributes:
+        output: Folder of the bag; it must not exist.
+        topics: Names and patterns; none: the latched topics of the scene, and those that ``humansim demo``
+            shows.
+        compression: ``none``, ``zstd`` or ``lz4``.
+    """
+
+    output: str | os.PathLike[str]
+    topics: Sequence[str] = ()
+    compression: str = "none"
 
 
 @dataclass(frozen=True)
@@ -73,6 +93,8 @@ class NodeProcess:
         parameters: Parameters of its nodes.
         log_level: Log level of its nodes.
         namespace: ROS namespace of its nodes, without the first /.
+        stop_limit: Seconds that it has to stop: more than it gives its own shutdown.
+        final_codes: Exit codes after which it is not started again.
     """
 
     executable: str
@@ -80,6 +102,8 @@ class NodeProcess:
     parameters: Mapping[str, ParameterValue]
     log_level: str = "info"
     namespace: str = ""
+    stop_limit: float = 6.0
+    final_codes: frozenset[int] = frozenset({WRONG_INPUT, TIMED_OUT})
 
     @property
     def renders(self) -> bool:
@@ -177,8 +201,9 @@ def scene_processes(
     frame_prefix: str = "",
     only: str = "",
     time: TimeOptions | None = None,
+    record: RecordOptions | None = None,
 ) -> list[NodeProcess]:
-    """List the processes of a scene: motion player, one skinner per human, and camera processes.
+    """List the processes of a scene: motion player, one skinner per human, camera processes, a recorder.
 
     Args:
         scene_path: Scene file.
@@ -188,10 +213,11 @@ def scene_processes(
         only: Nodes to list, separated by commas: ``player``, ``skinners``, ``cameras`` and names of nodes;
             empty: all nodes.
         time: How time goes on; as the scene says if None.
+        record: What is recorded; nothing if None.
 
     Raises:
         HumansimError: A name of the scene, or the namespace, is not valid in ROS; or the scene has no node of
-            a name in ``only``.
+            a name in ``only``; or the path of the bag exists.
     """
     path = Path(scene_path).resolve()
     names = read_names(path)
@@ -205,13 +231,16 @@ def scene_processes(
         time = replace(time, lockstep=True)
     scene_file: dict[str, ParameterValue] = {"scene": str(path)}
     scene = {**scene_file, **({"use_sim_time": True} if in_lockstep else {})}
+    recorder = {"recorder": RECORDER_NODE} if record is not None and in_lockstep else {}
     of_cameras = {**scene, **({"frame_prefix": frame_prefix} if frame_prefix else {})}
     listed = [
-        NodeProcess("motion_player", PLAYER_NODE, {**scene_file, **time.parameters}),
+        NodeProcess("motion_player", PLAYER_NODE, {**scene_file, **time.parameters, **recorder}),
         *(NodeProcess("skinner", skinner_node(name), {**scene, "human": name}) for name in names.humans),
         *_camera_processes(cameras, cores() if processes is None else processes, of_cameras),
     ]
     here = [process for process in listed if process.node_name in chosen or process.renders]
+    if record is not None:
+        here.append(_recorder(record, names, scene, time.wait_for))
     return [replace(process, namespace=namespace) for process in here]
 
 
@@ -235,6 +264,48 @@ def _chosen_nodes(names: SceneNames, only: str, path: Path) -> set[str]:
     if not chosen:
         raise RosError(f"no node to start: the scene has no {only.strip()}", path=path)
     return chosen
+
+
+def _recorder(
+    record: RecordOptions,
+    names: SceneNames,
+    scene: Mapping[str, ParameterValue],
+    wait_for: Sequence[str] | None,
+) -> NodeProcess:
+    """The recorder of a run. It continues its bag if it is started again.
+
+    Args:
+        record: What is recorded.
+        names: Names of the scene.
+        scene: Parameters of all nodes that follow the player.
+        wait_for: Members of lockstep; those of the scene if None.
+
+    Raises:
+        RosError: The path of the bag exists, or a camera has the name of the recorder.
+    """
+    output = Path(record.output).resolve()
+    if output.exists():
+        raise RosError("this path exists; choose another name for the bag", path=record.output)
+    if RECORDER_NODE in names.cameras:
+        text = f"the node of a camera has its name, and {RECORDER_NODE} is the node that records"
+        raise RosError(f"{text}: give the camera another name", key=f"cameras.{RECORDER_NODE}")
+    parameters: dict[str, ParameterValue] = {**scene, "output": str(output), "resume": True}
+    parameters["compression"] = record.compression
+    parameters["lockstep"] = "use_sim_time" in scene
+    if record.topics:
+        parameters["topics"] = list(record.topics)
+    if awaited := [
+        each.removeprefix(TOPIC_PREFIX) for each in wait_for or () if each.startswith(TOPIC_PREFIX)
+    ]:
+        parameters["awaited"] = awaited
+    # it writes what it has received, and cannot do so on another start after it has failed
+    return NodeProcess(
+        "recorder",
+        RECORDER_NODE,
+        parameters,
+        stop_limit=120.0,
+        final_codes=frozenset({_CANNOT_WRITE, WRONG_INPUT}),
+    )
 
 
 def _camera_processes(

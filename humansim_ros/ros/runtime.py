@@ -178,6 +178,7 @@ def run_node(make: Callable[[], Any], arguments: Sequence[str] | None = None) ->
             executor.add_node(each)
         stop.raises = False
         spin(node, executor, lambda: stop.number is not None or node.exit_code is not None)
+        node.complete()
     except HumansimError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2 if node is None else 1

@@ -14,11 +14,11 @@ from dataclasses import dataclass
 from types import TracebackType
 
 from humansim_ros.ros.parent import PARENT_PID
-from humansim_ros.ros.processes import TIMED_OUT, WARNINGS_SHOWN, WRONG_INPUT, NodeProcess, render_threads
+from humansim_ros.ros.processes import WARNINGS_SHOWN, NodeProcess, render_threads
 from humansim_ros.ros.restart_policy import RestartPolicy
 from humansim_ros.ros.shared_memory import SharedMemoryFiles, remove_dead_files
 
-#: Seconds that a node has to stop after SIGTERM: more than it gives its own shutdown.
+#: Seconds that a process that is no node has to stop after SIGTERM.
 _STOP_LIMIT = 6.0
 #: Seconds after the last start of a node from which a spare process may take computing time.
 _SPARE_AFTER = 4.0
@@ -124,7 +124,7 @@ class Supervisor:
         while until is None or time.monotonic() < until:
             while dead := self.dead():
                 name, now = dead.process.node_name, time.monotonic()
-                if not respawn or dead.code in (WRONG_INPUT, TIMED_OUT) or is_end(dead):
+                if not respawn or dead.code in dead.process.final_codes or is_end(dead):
                     return dead
                 delay = policies[name].delay(now - self._started[name])
                 if delay is None:
@@ -158,8 +158,10 @@ class Supervisor:
         alive = [each for each in self._all if each.poll() is None]
         for process in alive:
             process.send_signal(number)
-        deadline = time.monotonic() + _STOP_LIMIT
+        limits = {process.pid: self._processes[name].stop_limit for name, process in self._running.items()}
+        sent = time.monotonic()
         for process in alive:
+            deadline = sent + limits.get(process.pid, _STOP_LIMIT)
             with suppress(subprocess.TimeoutExpired):
                 process.wait(max(0.0, deadline - time.monotonic()))
 

@@ -367,7 +367,7 @@ print(request.number)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.0])
-@pytest.mark.parametrize("node", ["motion_player", "skinner", "camera", "camera_rig"])
+@pytest.mark.parametrize("node", ["motion_player", "skinner", "camera", "camera_rig", "recorder"])
 def test_ctrl_c_while_a_node_starts_is_quiet(
     ros: None, processes: Processes, tmp_path: Path, output: Path, node: str, delay: float
 ) -> None:
@@ -391,7 +391,7 @@ def test_entry_points_import_nothing_before_they_can_be_stopped(module: str) -> 
 def test_installed_commands_lead_to_the_light_entry_points() -> None:
     commands = [line.strip(' ",') for line in (ROOT / "setup.py").read_text().splitlines() if ":" in line]
     entries = [line.partition(" = ")[2] for line in commands if " = humansim_ros." in line]
-    assert len(entries) == 5
+    assert len(entries) == 6
     assert {entry.partition(":")[0] for entry in entries} == {
         "humansim_ros.cli.__main__",
         "humansim_ros.ros.nodes.executables",

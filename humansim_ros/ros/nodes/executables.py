@@ -31,3 +31,8 @@ def camera() -> int:
 def camera_rig() -> int:
     """Run a camera rig."""
     return run("camera_rig")
+
+
+def recorder() -> int:
+    """Run a recorder."""
+    return run("recorder")

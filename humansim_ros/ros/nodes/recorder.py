@@ -1,0 +1,395 @@
+"""Node ``recorder``: records topics of a live graph into a bag, serialised as they arrive.
+
+The quality of service follows the publishers. Topics that appear later are recorded, too. Messages wait in a
+queue that is bounded in bytes, and a thread writes them.
+
+In real time, messages for which the queue has no space are dropped and counted. In lockstep nothing is
+dropped: the node reports on ``frame_done`` that all messages of a frame are in the file, and the player waits
+for it. A frame that the player sends again is kept once.
+
+Parameter ``resume`` continues a bag in a new file of it, such as after the node was killed.
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, get_args
+
+from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
+from rclpy.parameter import Parameter
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import TimeReference
+from std_msgs.msg import Header
+
+from humansim_ros.bags.chunks import BagMessage, Compression
+from humansim_ros.bags.reader import BagReader
+from humansim_ros.bags.storages import Storage
+from humansim_ros.bags.topics import BagTopic, check_topics
+from humansim_ros.bags.writer import BagWriter
+from humansim_ros.errors import HumansimError, HumansimWarning, RosError, did_you_mean, printable
+from humansim_ros.render.channels import CHANNEL_TABLE
+from humansim_ros.ros.bag_qos import recorded_qos, subscription_profile
+from humansim_ros.ros.bag_thread import BagThread
+from humansim_ros.ros.clock_steps import ClockSteps
+from humansim_ros.ros.guarded_node import ANY_SIZE
+from humansim_ros.ros.message_types import begins_with_stamp, message_type
+from humansim_ros.ros.messages import header, serialised_stamp
+from humansim_ros.ros.node import SuiteNode, loaded_scene
+from humansim_ros.ros.qos import DATA, DONE, FRAME_DONE, SCENE_TIME
+from humansim_ros.ros.received_frames import ReceivedFrames
+from humansim_ros.ros.runtime import run_node
+from humansim_ros.ros.topic_choice import TopicChoice, absolute, similar
+from humansim_ros.ros.topics import Topic, scene_topics
+from humansim_ros.scene import Scene
+
+#: Seconds between two looks for new topics and publishers.
+_DISCOVERY_EVERY = 0.25
+#: Most new subscriptions of one look: each takes milliseconds in which no message is received.
+_MAX_NEW = 20
+#: Most topics: the middleware needs 100 kB for each.
+_MAX_TOPICS = 1000
+#: Seconds after which topics without messages are reported.
+_REPORT_AFTER = 5.0
+#: Most topics that a line of the log names.
+_MAX_NAMED = 5
+#: Nanoseconds at the end of a bag that is continued whose messages may come again.
+_REPEATED = 10_000_000_000
+
+
+@dataclass
+class _Recorded:
+    """A recorded topic.
+
+    Attributes:
+        name: Its name.
+        kind: Message class.
+        number: Its number in the bag.
+        stamped: Messages begin with a stamp.
+        publishers: Number of publishers to which the profile was adapted.
+        profile: Profile of the subscription.
+        subscription: The subscription.
+    """
+
+    name: str
+    kind: Any
+    number: int
+    stamped: bool
+    publishers: int
+    profile: QoSProfile | None = None
+    subscription: Any = None
+
+
+class RecorderNode(SuiteNode):
+    """Records topics into a bag. ``scene``: the scene of its parameter, if it is loaded already."""
+
+    def __init__(self, scene: Scene | None = None, **options: Any) -> None:
+        super().__init__("recorder", **options)
+        declare, texts = self.described_parameter, Parameter.Type.STRING_ARRAY
+        path = self.text_parameter("scene", "", "Scene file whose topics are recorded; empty: none")
+        description = "Topics: names or patterns such as /left/*; none: those of the scene, or all"
+        names = declare("topics", texts, description, read_only=True) or ()
+        description = (
+            "Topics of other nodes that have a message for each frame in lockstep; they are recorded"
+        )
+        awaited = declare("awaited", texts, description, read_only=True)
+        lockstep = bool(declare("lockstep", False, "The player waits for the recorder", read_only=True))
+        description = "Bytes of messages that wait for the disk; in real time others are dropped then"
+        max_queue = int(declare("max_queue", 1 << 28, description, (1, 2**40), read_only=True))
+        compression = self._choice_parameter("compression", "Of mcap files", Compression)
+        if path and scene is None:
+            scene = loaded_scene(path)
+        if awaited is None:
+            members = scene.config.time.wait_for if path and scene and lockstep else ()
+            awaited = [each.topic for each in members if not isinstance(each, str)]
+        space = self.get_namespace()
+        topics = scene_topics(scene) if path and scene else []
+        if topics and not names:
+            names = [*(topic.name for topic in topics if topic.shown or topic.latched), SCENE_TIME, "/clock"]
+        self._choice = TopicChoice.of([*names, *awaited], space)
+        #: Types of the topics of the scene.
+        self._types = {absolute(topic.name, space): topic.type_name for topic in topics}
+        self._frames: ReceivedFrames | None = None
+        if lockstep:
+            per_frame = [absolute(topic.name, space) for topic in topics if has_message_per_frame(topic)]
+            chosen = [topic for topic in (*per_frame, "/clock") if self._choice.has(topic)]
+            self._frames = ReceivedFrames(chosen, TopicChoice.of(awaited, space).patterns)
+        self._done = self.create_publisher(Header, FRAME_DONE, DONE) if lockstep else None
+        self._clock_steps = ClockSteps(lambda: self.now(), self.has_simulated_time)
+        #: Log time of the last message, and nanoseconds by which the clock has been set back.
+        self._log_time = self._set_back = 0
+        #: Number of messages that are in the bag or its queue, and of those that were dropped.
+        self.received = self._dropped = 0
+        self._recorded: dict[str, _Recorded] = {}
+        self._refused: dict[str, tuple[str, ...]] = {}
+        self._started = self._waiting_since = time.monotonic()
+        self._unmatched_reported = not self._choice.patterns
+        on_written = self._report if lockstep else None
+        self._bag = BagThread(self._bag_opener(compression), max_queue, compression, on_written)
+        if lockstep:
+            # a second subscription, if the topic is recorded, too
+            self.create_subscription(TimeReference, SCENE_TIME, self._on_scene_time, DATA, raw=True)
+        self.create_timer(_DISCOVERY_EVERY, self._discover, clock=self._steady_clock)
+
+    def _bag_opener(self, compression: Compression) -> Callable[[], BagWriter]:
+        """Read the parameters of the bag; returns the function that opens it."""
+        declare = self.described_parameter
+        text = self.text_parameter("output", "", "Folder of the bag")
+        storage = self._choice_parameter("storage", "Format of the files", Storage)
+        description = "Bytes at which a new file of the bag begins; 0: never"
+        max_size = int(declare("max_bag_size", 0, description, (0, 1 << 62), read_only=True))
+        description = "Seconds after which a new file of the bag begins; 0: never"
+        max_duration = self.number_parameter("max_bag_duration", 0.0, 0.0, 1e9, description)
+        resume = bool(declare("resume", False, "Continue the bag if it exists", read_only=True))
+        if not text:
+            raise RosError("name the folder of the bag: --ros-args -p output:=FOLDER", key="parameter output")
+        output = self._output = Path(text).absolute()
+        if resume and output.is_dir():
+            return lambda: self._resumed(output, max_size, max_duration)
+        return lambda: BagWriter(
+            output,
+            storage=storage,
+            compression=compression,
+            max_size=max_size,
+            max_duration=max_duration,
+        )
+
+    def _resumed(self, folder: Path, max_size: int, max_duration: float) -> BagWriter:
+        """Open a bag that exists, and note its last messages: they will be repeated or followed."""
+        writer = BagWriter.resume(folder, max_size=max_size, max_duration=max_duration)
+        if writer.end is None:
+            return writer
+        self._log_time = writer.end
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", HumansimWarning)  # that it is not finished
+            with BagReader(folder) as reader:
+                for message in reader.messages(start=max(0, writer.end - _REPEATED)):
+                    if self._frames is not None and message.published is not None:
+                        topic = reader.topics[message.topic].name
+                        self._frames.add(topic, message.published, bytes(message.data))
+        return writer
+
+    def _choice_parameter(self, name: str, description: str, kind: Any) -> Any:
+        """Declare a parameter with one of the values of a Literal type, by default the first one."""
+        values = get_args(kind)
+        value = self.text_parameter(name, values[0], f"{description}: {', '.join(values)}")
+        if value not in values:
+            text = f"{value!r} is none of {', '.join(values)}{did_you_mean(value, values)}"
+            raise RosError(text, key=f"parameter {name}")
+        return value
+
+    # --- topics
+
+    def _discover(self) -> None:
+        """Subscribe to chosen topics that have appeared, and follow changes of publishers."""
+        if self._bag.error is not None:
+            self.exit_code = 1
+            return
+        new: list[str] = []
+        problems: list[str] = []
+        for name, types in self.get_topic_names_and_types():
+            if recorded := self._recorded.get(name):
+                self._follow_publishers(recorded)
+            elif len(new) + len(problems) < _MAX_NEW and self._is_new(name, tuple(types)):
+                try:
+                    self._record(name, types)
+                    new.append(name)
+                except HumansimError as error:
+                    self._refused[name] = tuple(types)
+                    problems.append(f"{printable(name, 100)} is not recorded: {error}")
+        if new:
+            self.get_logger().info(f"recording {_listed(new, ', ')}")
+        if problems:
+            self.get_logger().warn(_listed(problems, "; "))
+        self._report_unmatched()
+        self._report_missing()
+
+    def _is_new(self, name: str, types: tuple[str, ...]) -> bool:
+        """Whether a topic is to be recorded, and has publishers; not if it was refused with these types."""
+        if not self._choice.has(name) or self._refused.get(name) == types:
+            return False
+        return self.publisher_count(name) > 0
+
+    def publisher_count(self, topic: str) -> int:
+        """Number of publishers of a topic, also of one with a name that ROS does not permit."""
+        return int(self.handle.get_count_publishers(topic))
+
+    def _record(self, name: str, types: Sequence[str]) -> None:
+        if len(self._recorded) >= _MAX_TOPICS:
+            raise RosError(f"there are {_MAX_TOPICS} others already: choose topics")
+        kind_name = self._types.get(name) or types[0]
+        if kind_name not in types or (len(types) > 1 and name not in self._types):
+            raise RosError(f"its publishers disagree about its type: {', '.join(map(printable, types))}")
+        kind = message_type(kind_name)
+        offers = [each.qos_profile for each in self.get_publishers_info_by_topic(name)]
+        topic = BagTopic(name, kind_name, recorded_qos(offers))
+        check_topics([topic])
+        number = self._bag.add_topic(topic)
+        recorded = _Recorded(name, kind, number, begins_with_stamp(kind), len(offers))
+        self._subscribe(recorded, subscription_profile(offers))
+        self._recorded[name] = recorded
+
+    def _subscribe(self, recorded: _Recorded, profile: QoSProfile) -> None:
+        """Subscribe to a topic, in place of a subscription with another profile."""
+        old = recorded.subscription
+        recorded.subscription = self.create_subscription(
+            recorded.kind,
+            recorded.name,
+            partial(self._on_message, recorded),
+            profile,
+            raw=True,
+            max_bytes=ANY_SIZE,
+            event_callbacks=SubscriptionEventCallbacks(message_lost=partial(self._on_lost, recorded.name)),
+        )
+        recorded.profile = profile
+        if old is not None:
+            self.destroy_subscription(old)
+
+    def _follow_publishers(self, recorded: _Recorded) -> None:
+        """Change the profile of a subscription if new publishers offer less."""
+        number = self.publisher_count(recorded.name)
+        if number in (0, recorded.publishers):
+            return
+        recorded.publishers = number
+        offers = [each.qos_profile for each in self.get_publishers_info_by_topic(recorded.name)]
+        profile = subscription_profile(offers)
+        if profile != recorded.profile:
+            self._subscribe(recorded, profile)
+
+    def _report_unmatched(self) -> None:
+        """Report once the names and patterns that match no topic."""
+        if self._unmatched_reported or time.monotonic() < self._started + _REPORT_AFTER:
+            return
+        self._unmatched_reported = True
+        known = sorted({name for name, _ in self.get_topic_names_and_types()} | set(self._types))
+        for pattern in self._choice.unmatched([*self._recorded, *self._refused, *self._types]):
+            advice = similar(pattern, known)
+            self.get_logger().warn(f"nothing publishes {pattern}: it is recorded when it appears{advice}")
+
+    def _report_missing(self) -> None:
+        """Report the topics for which a frame in lockstep waits, every five seconds."""
+        now = time.monotonic()
+        if self._frames is None or not self._frames.missing:
+            self._waiting_since = now
+        elif now > self._waiting_since + _REPORT_AFTER:
+            self._waiting_since = now
+            self.get_logger().warn(f"the frame has no message yet of {_listed(self._frames.missing, ', ')}")
+
+    # --- messages
+
+    def _on_message(self, recorded: _Recorded, data: bytes) -> None:
+        stamp = _stamp(data) if recorded.stamped else None
+        frames = self._frames
+        if frames is None:
+            self._log_time = max(self._log_time, self._time())
+        elif stamp is None or frames.add(recorded.name, stamp, data):
+            self._log_time = max(self._log_time, frames.newest)
+        else:
+            self.count("repeated")
+            self._end_frame()
+            return
+        message = BagMessage(recorded.number, self._log_time, data, stamp)
+        if self._bag.add(message, wait=frames is not None):
+            self.received += 1
+            self.count("messages")
+            self.count("bytes", len(data))
+        elif self._bag.error is None:
+            self._drop(1, "the disk is too slow")
+        self._end_frame()
+
+    def _time(self) -> int:
+        """Nanoseconds of the clock; it goes on from the same time where the clock has been set back."""
+        now, step = self._clock_steps.read()
+        if step < 0:
+            self._set_back -= step
+            self.get_logger().warn(
+                f"the clock was set {-step * 1e-9:.3f} s back: the times of the bag go on, and stamps are as "
+                "published"
+            )
+        return now + self._set_back
+
+    def _on_lost(self, name: str, lost: QoSMessageLostInfo) -> None:
+        self._drop(lost.total_count_change, f"the recorder was too slow for {name}")
+
+    def _drop(self, number: int, reason: str) -> None:
+        """Count messages that are not recorded."""
+        self.count("drops", number)
+        self._dropped += number
+        text = f"{reason}: {self._dropped} messages were not recorded until now"
+        self.get_logger().warn(text, throttle_duration_sec=5.0)
+
+    # --- lockstep
+
+    def _on_scene_time(self, data: bytes) -> None:
+        """A frame begins, or is sent again: perhaps because a new player has not heard the report."""
+        stamp = serialised_stamp(data)
+        if self._frames is None:
+            return
+        self._frames.begin(stamp)
+        if self._frames.is_finished(stamp):
+            self._report(stamp)
+        self._end_frame()
+
+    def _end_frame(self) -> None:
+        """Let a frame that has become whole be written, and then reported."""
+        stamp = self._frames.take_whole() if self._frames else None
+        if stamp is not None:
+            self._bag.end_frame(stamp)
+
+    def _report(self, stamp: int) -> None:
+        """Tell the player that a frame is in the file."""
+        with self.guard("report of a frame", "the player will repeat it"):
+            if self._done is not None:
+                self._done.publish(header(stamp, self.get_name()))
+                self.count("frames")
+
+    # --- end
+
+    def complete(self) -> None:
+        """Write all that has been received, and finish the bag."""
+        for recorded in self._recorded.values():
+            self.destroy_subscription(recorded.subscription)
+        self._bag.close()
+        if self._bag.error is not None:
+            raise self._bag.error
+        dropped = f"; {self._dropped} more were dropped" if self._dropped else ""
+        self.get_logger().info(
+            f"{self._output}: {self._bag.written} messages of {len(self._recorded)} topics, "
+            f"{self._bag.written_bytes / 1e6:.1f} MB{dropped}"
+        )
+
+    def close(self) -> None:
+        """Finish the bag."""
+        self._bag.close()
+
+
+def has_message_per_frame(topic: Topic[Any]) -> bool:
+    """Whether a topic has exactly one message for each frame when the frame has been shown.
+
+    Not those that compare a frame with the next or the previous one, because a camera that was started again
+    lacks that; nor those without a stamp.
+    """
+    compared = any(CHANNEL_TABLE[channel].adjacent_frame for channel in topic.channels)
+    return topic.per_frame and not compared and begins_with_stamp(topic.type)
+
+
+def _listed(texts: Sequence[str], separator: str) -> str:
+    more = f"{separator}and {len(texts) - _MAX_NAMED} more topics" if len(texts) > _MAX_NAMED else ""
+    return separator.join(texts[:_MAX_NAMED]) + more
+
+
+def _stamp(data: bytes) -> int | None:
+    """Stamp at the beginning of a message; None if it is not valid."""
+    try:
+        return serialised_stamp(data)
+    except RosError:
+        return None
+
+
+def main(scene: Scene | None = None) -> int:
+    """Run the node; returns its exit code. ``scene``: the scene of its parameter, if it is loaded already."""
+    return run_node(lambda: RecorderNode(scene=scene))

@@ -16,6 +16,7 @@ from humansim_ros.cli.bench import bench
 from humansim_ros.cli.check import check, warn_about_mistakes
 from humansim_ros.cli.options import join_numbers
 from humansim_ros.cli.output import flush_output, give_up_output, print_error, print_text
+from humansim_ros.cli.play import play
 from humansim_ros.cli.record import record
 from humansim_ros.cli.scene_options import SceneOptions
 from humansim_ros.cli.snapshot import snapshot
@@ -256,6 +257,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "demo": demo,
     "bench": bench,
     "record": record,
+    "play": play,
 }
 
 

@@ -41,10 +41,14 @@ OutputFolderOption = Annotated[
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 #: Options with several numbers: how their values are joined, and the most that there may be.
 _SEVERAL = {"--size": ("x", 2), "--distortion": (" ", 14)}
+#: Options whose number may be left out, and the number that they have then.
+_DEFAULT_NUMBERS = {"--clock": "100"}
 
 
 def join_numbers(arguments: Sequence[str]) -> list[str]:
     """Join the numbers after options that take them as one text: ``--size 640 480`` is ``--size 640x480``.
+
+    Options whose number may be left out get one: ``--clock`` is ``--clock 100``.
 
     Example:
         >>> join_numbers(["rig", "--size", "640", "480", "--distortion", "-0.3", "1e-2", "-o", "cams"])
@@ -60,6 +64,8 @@ def join_numbers(arguments: Sequence[str]) -> list[str]:
             numbers.append(pending.pop(0))
         if numbers:
             joined.append(separator.join(numbers))
+        elif joined[-1] in _DEFAULT_NUMBERS and not (pending and _NUMBER.fullmatch(pending[0])):
+            joined.append(_DEFAULT_NUMBERS[joined[-1]])
     return joined
 
 

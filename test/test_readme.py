@@ -79,6 +79,6 @@ def test_the_scene_of_the_documents_loads_and_every_key_is_described(tmp_path: P
     assert len(Scene.load(scene).cameras) == 2
     sections = (config.HumanConfig, config.MotionConfig, config.ObjectConfig, config.CameraConfig)
     cameras = (config.RigConfig, config.TrajectoryConfig, config.RegionConfig)
-    for section in (*sections, *cameras, config.RoomConfig):
+    for section in (*sections, *cameras, config.RoomConfig, config.TimeConfig):
         for key in section.model_fields:
             assert f"`{key}`" in text or f".{key}`" in text, key

@@ -79,6 +79,8 @@ class Lockstep:
         #: Time at which the frame is sent again, and the times of a row that follow.
         self._again = float("inf")
         self._row: list[float] = []
+        #: Whether it is sent again for nodes that have joined.
+        self._for_nodes = False
         self._next_reminder = now
 
     @property
@@ -112,11 +114,11 @@ class Lockstep:
         self.stamp, self._sent_at = stamp, now
         self._sent += 1
         self._next_reminder = now + _REMIND_EVERY
-        self._row, self._again = [], now + self._patience()
+        self._row, self._again, self._for_nodes = [], now + self._patience(), False
         if any(not each.heard and not each.absent for each in self.members.values()):
             self.add_node(now)
 
-    def take_back(self) -> None:
+    def withdraw(self) -> None:
         """Forget the frame in flight, which nobody has finished: a later one follows in its place."""
         self.stamp = None
         self._sent -= 1
@@ -124,20 +126,26 @@ class Lockstep:
     def add_repeat(self, now: float) -> None:
         """Note that the frame is sent again."""
         self._row = [time for time in self._row if time > now]
+        self._for_nodes = bool(self._row)
         self._again = self._row.pop(0) if self._row else now + self._patience()
 
     def _patience(self) -> float:
         """Seconds after which a frame that nobody has missed is sent again."""
         return _AGAIN_EVERY + _SLOWER * max((each.seconds for each in self.missing), default=0.0)
 
-    def is_due_again(self, now: float) -> bool:
-        """Whether the frame is to be sent again."""
-        return now >= self._again and not self.is_finished
+    def is_due_again(self, now: float, paused: bool = False) -> bool:
+        """Whether the frame is to be sent again.
+
+        ``paused``: no frame follows, so that nodes that join get this one although it is finished.
+        """
+        wanted = not self.is_finished or (paused and self._for_nodes)
+        return now >= self._again and wanted and self.stamp is not None
 
     def add_node(self, now: float) -> None:
         """Note that endpoints have joined the graph: they may have missed the frame."""
         self._row = [now + seconds for seconds in _AGAIN_AFTER]
-        self._again = min(self._again, self._row[0])
+        self._again = self._row[0] if self.is_finished else min(self._again, self._row[0])
+        self._for_nodes = True
 
     def add_report(self, name: str, stamp: int, now: float, joins: bool = True) -> bool:
         """Note that somebody has finished the frame of a stamp.

@@ -140,6 +140,11 @@ class LockstepPlaying(Playing):
             self._begin()
         elif not self.state.is_finished:
             self._look_at_members()
+        elif self._is_paused and self._now >= self._next_graph:
+            self._next_graph = self._now + _GRAPH_EVERY
+            if self._graph.has_grown():
+                self.state.add_node(self._now)
+            self._repeat_if_due()
 
     # --- start
 
@@ -170,7 +175,7 @@ class LockstepPlaying(Playing):
             return
         self._newest = stamp
         if self.state.stamp is not None and self.state.stamp < stamp:  # found late
-            self.state.take_back()
+            self.state.withdraw()
             self._go_on()
             self._advance()
 
@@ -285,15 +290,18 @@ class LockstepPlaying(Playing):
             self._remove_members()
         if overdue := state.overdue(now):
             self._give_up(overdue)
-        if state.is_due_again(now):
-            state.add_repeat(now)
-            self._send()
+        self._repeat_if_due()
         if state.is_reminder_due(now):
             missing = _names(each.name for each in state.missing)
             self.player.get_logger().warn(
                 f"frame {self._number} waits for {missing} since {state.waited(now):.0f} s"
             )
         self._advance()
+
+    def _repeat_if_due(self) -> None:
+        if self.state.is_due_again(self._now, self._is_paused):
+            self.state.add_repeat(self._now)
+            self._send()
 
     @property
     def _number(self) -> int:

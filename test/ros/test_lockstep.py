@@ -107,6 +107,23 @@ def test_a_frame_is_sent_again_after_a_node_has_joined_and_not_if_it_is_finished
     assert due_times(state, 17.0, 60.0) == []
 
 
+def test_a_finished_frame_is_sent_again_for_nodes_that_join_during_a_pause() -> None:
+    state = begun()
+    report(state, *CAMERAS)
+    state.begin(200, 10.0)
+    report(state, *CAMERAS, now=10.1)
+
+    def due(begin: int, end: int) -> list[float]:
+        found = [tenth / 10 for tenth in range(10 * begin, 10 * end) if state.is_due_again(tenth / 10, True)]
+        for now in found[:1]:
+            state.add_repeat(now)
+        return found[:1]
+
+    assert due(10, 30) == []
+    state.add_node(30.0)
+    assert [due(30, 40) for _ in range(5)] == [[30.5], [31.0], [32.0], [34.0], []]
+
+
 def test_a_frame_that_a_slow_member_works_on_is_sent_again_late() -> None:
     """Each frame that is sent again costs it the time of another one."""
     state = begun()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -127,3 +128,23 @@ def test_a_wrong_option_of_lockstep_is_refused(
     done = run(write_scene(tmp_path, SCENE), *options)
     assert done.returncode == 2, done.stdout + done.stderr
     assert problem in done.stderr and "Traceback" not in done.stderr
+
+
+@pytest.mark.slow
+def test_the_tracker_of_the_documents_takes_part_and_the_scene_may_ask_for_lockstep(
+    ros: None, tmp_path: Path
+) -> None:
+    """With the settings in the scene in place of options."""
+    text = (ROOT / "docs" / "lockstep.md").read_text()
+    (program,) = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    time = "time: {mode: lockstep, wait_for: [tracker], frames: 20, rate: 100}"
+    scene = write_scene(tmp_path, SCENE.replace("left:", "camera_1:") + time)
+    with subprocess.Popen([sys.executable, "-c", program]) as process:
+        try:
+            command = [*HUMANSIM, "run", str(scene)]
+            done = subprocess.run(command, capture_output=True, text=True, timeout=3 * PATIENCE, check=False)
+        finally:
+            process.kill()
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "finished: camera_1 20, right 20, tracker 20" in done.stdout
+    assert "WARN" not in done.stderr

@@ -1,0 +1,315 @@
+"""A motion player in lockstep with members of all kinds, in one process."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from geometry_msgs.msg import PoseStamped
+from rclpy.parameter import Parameter
+from ros_support import Client, write_scene
+from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import MultiDOFJointState, TimeReference
+from std_msgs.msg import Header, String
+from std_srvs.srv import SetBool, Trigger
+
+from humansim_ros.errors import RosError
+from humansim_ros.ros import messages
+from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
+from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE
+
+SECOND = 1_000_000_000
+CAMERAS = "/led/left, /led/right"
+
+
+class Stage:
+    """A player in namespace ``led``, and a client that stands in for cameras and trackers."""
+
+    def __init__(self, scene: Path) -> None:
+        self._scene = scene
+        self.client = Client("stand_in")
+        self.reports = self.client.node.create_publisher(Header, "/led/frame_done", 10)
+        self.stamps: list[int] = []
+        self.order: list[tuple[str, int]] = []
+        self.scene_times: dict[int, int] = {}
+        for kind, topic in (
+            (Clock, "/clock"),
+            (TimeReference, "/led/scene_time"),
+            (MultiDOFJointState, "/led/humans/first/motion"),
+        ):
+            self.client.node.create_subscription(kind, topic, self._listener(topic), 100)
+        self.players: list[MotionPlayerNode] = []
+
+    def _listener(self, topic: str) -> Callable[[Any], None]:
+        def on_message(message: Any) -> None:
+            stamp = messages.to_nanoseconds(message.clock if topic == "/clock" else message.header.stamp)
+            self.order.append((topic, stamp))
+            if isinstance(message, TimeReference):
+                self.stamps.append(stamp)
+                self.scene_times[stamp] = messages.to_nanoseconds(message.time_ref)
+
+        return on_message
+
+    def player(self, name: str = "motion_player", **parameters: Any) -> MotionPlayerNode:
+        """Start a player."""
+        given = {"scene": str(self._scene), "mode": "lockstep", **parameters}
+        player = MotionPlayerNode(
+            parameter_overrides=[Parameter(key, value=value) for key, value in given.items()],
+            namespace="led",
+            cli_args=["--ros-args", "-r", f"__node:={name}"],
+        )
+        self.players.append(player)
+        self.client.executor.add_node(player)
+        return player
+
+    def kill(self, player: MotionPlayerNode) -> None:
+        """End a player without its knowledge."""
+        self.players.remove(player)
+        self.client.executor.remove_node(player)
+        player.destroy_node()
+
+    def sees(self, condition: Callable[[], object]) -> bool:
+        return self.client.spin_until(condition)
+
+    def report(self, stamp: int, name: str = CAMERAS) -> None:
+        self.reports.publish(messages.header(stamp, name))
+
+    def finish(self, stamp: int, name: str = CAMERAS) -> None:
+        """Wait for a frame, and report it."""
+        assert self.sees(lambda: stamp in self.stamps), (stamp, self.stamps)
+        self.report(stamp, name)
+
+    def call(self, player: MotionPlayerNode, kind: Any, name: str, **fields: Any) -> Any:
+        client = self.client.node.create_client(kind, f"/led/{player.get_name()}/{name}")
+        assert self.sees(client.service_is_ready)
+        future = client.call_async(kind.Request(**fields))
+        assert self.sees(future.done)
+        return future.result()
+
+    def close(self) -> None:
+        for player in list(self.players):
+            self.kill(player)
+        self.client.close()
+
+
+@pytest.fixture
+def stage(ros: None, tmp_path: Path) -> Iterator[Stage]:
+    stage = Stage(write_scene(tmp_path))
+    yield stage
+    stage.close()
+
+
+def stamp_of(frame: int) -> int:
+    return 1 + frame * SECOND // 20
+
+
+def test_the_clock_comes_first_and_the_next_frame_when_all_have_finished(stage: Stage) -> None:
+    stage.player(frames=3)
+    for frame in range(3):
+        stage.finish(stamp_of(frame), "/led/left")
+        assert not stage.client.spin_until(lambda frame=frame: stamp_of(frame + 1) in stage.stamps, 0.3)
+        stage.report(stamp_of(frame), "/led/right")
+    (player,) = stage.players
+    assert stage.sees(lambda: player.exit_code is not None)
+    assert player.exit_code == 0
+    assert sorted(set(stage.stamps)) == [stamp_of(frame) for frame in range(3)]
+    firsts = list(dict.fromkeys(stage.order))
+    clock = [stamp for topic, stamp in stage.order if topic == "/clock"]
+    assert clock == sorted(clock)
+    assert {topic for topic, _ in firsts} == {"/clock", "/led/scene_time", "/led/humans/first/motion"}
+
+
+def test_a_topic_of_any_type_with_a_header_is_a_member_and_old_stamps_are_none(stage: Stage) -> None:
+    stage.player(wait_for=["topic:/tracker/poses"])
+    poses = stage.client.node.create_publisher(PoseStamped, "/tracker/poses", 10)
+    stage.finish(stamp_of(0))
+    assert stage.sees(lambda: poses.get_subscription_count())
+
+    def publish(stamp: int) -> None:
+        poses.publish(PoseStamped(header=messages.header(stamp, "map")))
+
+    publish(stamp_of(0))
+    stage.finish(stamp_of(1))
+    publish(stamp_of(0))
+    publish(stamp_of(0))
+    assert not stage.client.spin_until(lambda: stamp_of(2) in stage.stamps, 0.5)
+    publish(10**18)  # newer than the frame: it finishes this frame, and no other
+    stage.finish(stamp_of(2))
+    assert not stage.client.spin_until(lambda: stamp_of(3) in stage.stamps, 0.5)
+
+
+@pytest.mark.parametrize("kind", [String, TimeReference])
+def test_a_topic_without_a_header_is_refused(stage: Stage, kind: Any) -> None:
+    publisher = stage.client.node.create_publisher(kind, "/tracker/poses", 10)
+    player = stage.player(wait_for=["topic:/tracker/poses"])
+    stage.finish(stamp_of(0))
+    if kind is TimeReference:  # its first field is a header
+        assert stage.sees(lambda: publisher.get_subscription_count())
+        publisher.publish(TimeReference(header=messages.header(stamp_of(0), "")))
+        assert stage.sees(lambda: stamp_of(1) in stage.stamps)
+    else:
+        assert stage.sees(lambda: player.exit_code is not None)
+        assert player.exit_code == 2
+
+
+@pytest.mark.parametrize(
+    "name", ["nothing_msgs/msg/Pose", "os/msg/path", "antigravity/msg/X", "a/b", "../x/msg/Y", "x" * 9999]
+)
+def test_a_type_of_the_graph_that_is_not_installed_is_refused(name: str) -> None:
+    from humansim_ros.ros.graph_watch import Endpoint
+    from humansim_ros.ros.topic_members import _usable
+
+    with pytest.raises(RosError, match="wait_for /x: "):
+        _usable("/x", [Endpoint("/tracker", name, True)])
+
+
+def test_who_reports_is_waited_for_until_its_publisher_is_gone(stage: Stage) -> None:
+    stage.player()
+    tracker = Client("tracker")
+    stage.client.executor.add_node(tracker.node)
+    done = tracker.node.create_publisher(Header, "/led/frame_done", 10)
+    assert stage.sees(lambda: stage.stamps and done.get_subscription_count())
+    done.publish(messages.header(stamp_of(0), "tracker"))
+    stage.finish(stamp_of(0))
+    stage.finish(stamp_of(1))
+    assert not stage.client.spin_until(lambda: stamp_of(2) in stage.stamps, 1.0)
+    stage.client.executor.remove_node(tracker.node)
+    tracker.close()
+    assert stage.sees(lambda: stamp_of(2) in stage.stamps)
+
+
+def test_reports_with_many_names_and_hostile_ones_do_no_harm(stage: Stage) -> None:
+    stage.player()
+    assert stage.sees(lambda: stage.stamps)
+    for name in (
+        ", ".join(map(str, range(100_000))),
+        ", ".join(map(str, range(9000))),
+        ",,, ",
+        "\x00é\n" * 9,
+    ):
+        stage.report(stamp_of(0), name)
+        stage.report(0, name)
+    assert stage.sees(lambda: len(stage.players[0].playing.state.members) == 2 + 100)
+
+
+def test_a_player_that_was_killed_goes_on_with_the_newest_finished_frame(stage: Stage) -> None:
+    alive = stage.client.node.create_publisher(Header, f"/led/{CAMERA_ALIVE}", ALIVE)
+    first = stage.player()
+    for frame in range(4):
+        stage.finish(stamp_of(frame))
+        alive.publish(messages.header(stamp_of(frame), CAMERAS))
+    assert stage.sees(lambda: stamp_of(4) in stage.stamps)
+    stage.kill(first)
+    stage.stamps.clear()
+    stage.player()
+    assert stage.sees(lambda: stage.stamps)
+    assert stage.stamps[0] == stamp_of(3)
+    stage.finish(stamp_of(3))
+    stage.finish(stamp_of(4))
+
+
+def test_the_later_of_two_players_names_the_other_and_ends(
+    stage: Stage, capfd: pytest.CaptureFixture[str]
+) -> None:
+    first = stage.player("early_player")
+    assert stage.sees(lambda: stage.stamps)
+    second = stage.player("late_player")
+    assert stage.sees(lambda: second.exit_code is not None)
+    assert (first.exit_code, second.exit_code) == (None, 2)
+    assert "another node publishes /clock: /led/early_player" in capfd.readouterr().err
+
+
+def test_steps_and_restarts_of_a_pause_are_frames_as_any_others(stage: Stage) -> None:
+    player = stage.player()
+    stage.finish(stamp_of(0))
+    assert stage.sees(lambda: stamp_of(1) in stage.stamps)
+    stage.call(player, SetBool, "pause", data=True)
+    stage.finish(stamp_of(1))
+    assert not stage.client.spin_until(lambda: stamp_of(2) in stage.stamps, 0.5)
+    for frame in (2, 3, 4):
+        answer = json.loads(stage.call(player, Trigger, "step").message)
+        assert answer["stamp"] == {"sec": 0, "nanosec": stamp_of(frame)}
+        assert answer["scene_time"] == pytest.approx(frame / 20)
+    for frame in (2, 3, 4):
+        stage.finish(stamp_of(frame))
+    answer = json.loads(stage.call(player, Trigger, "restart").message)
+    assert (answer["stamp"]["nanosec"], answer["scene_time"]) == (stamp_of(5), 0.0)
+    stage.finish(stamp_of(5))
+    assert not stage.client.spin_until(lambda: stamp_of(6) in stage.stamps, 0.5)
+    stage.call(player, SetBool, "pause", data=False)
+    stage.finish(stamp_of(6))
+    assert stage.scene_times[stamp_of(5)] == 0
+    assert stage.scene_times[stamp_of(6)] == SECOND // 20
+
+
+def test_a_done_callback_comes_when_all_members_have_finished_the_last_step(stage: Stage) -> None:
+    player = stage.player()
+    assert stage.sees(lambda: stage.stamps)
+    player.playing.pause(True)
+    done: list[int] = []
+    player.playing.step(2, lambda: done.append(stage.stamps[-1]))
+    for frame in range(3):
+        assert not done
+        stage.finish(stamp_of(frame))
+    assert stage.sees(lambda: done)
+
+
+def test_a_node_that_joins_during_a_pause_gets_the_frame_again(stage: Stage) -> None:
+    player = stage.player()
+    assert stage.sees(lambda: stage.stamps)
+    player.playing.pause(True)
+    stage.report(stamp_of(0))
+    assert stage.sees(lambda: player.playing.state.is_finished)
+    late: list[int] = []
+    node = Client("late").node
+    stage.client.executor.add_node(node)
+    node.create_subscription(
+        TimeReference, "/led/scene_time", lambda m: late.append(messages.to_nanoseconds(m.header.stamp)), 10
+    )
+    assert stage.sees(lambda: late)
+    assert set(late) == {stamp_of(0)}
+    stage.client.executor.remove_node(node)
+    node.destroy_node()
+
+
+@pytest.mark.parametrize(
+    ("parameters", "problem"),
+    [
+        ({"mode": "warp"}, "parameter mode: 'warp' must be realtime or lockstep"),
+        ({"wait_for": ["a b"]}, "'a b' is neither"),
+        ({"wait_for": [f"m{number}" for number in range(101)]}, "101 members"),
+        ({"frames": -1}, "frames"),
+        ({"timeout": 0.0}, "timeout"),
+        ({"on_timeout": "explode"}, "must be stop or continue"),
+    ],
+)
+def test_a_wrong_parameter_of_lockstep_is_refused(
+    ros: None, tmp_path: Path, parameters: dict[str, Any], problem: str
+) -> None:
+    given = {"scene": str(write_scene(tmp_path)), "mode": "lockstep", **parameters}
+    with pytest.raises(RosError, match=problem):
+        MotionPlayerNode(parameter_overrides=[Parameter(key, value=value) for key, value in given.items()])
+
+
+def test_a_player_in_lockstep_is_never_late_and_drops_nothing(stage: Stage) -> None:
+    """Its stamps are far from the wall clock."""
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    player = stage.player()
+    statuses: list[DiagnosticStatus] = []
+    stage.client.node.create_subscription(
+        DiagnosticArray,
+        "/diagnostics",
+        lambda m: statuses.extend(s for s in m.status if s.name == "/led/motion_player"),
+        10,
+    )
+    frame = 0
+    while len(statuses) < 2:
+        stage.finish(stamp_of(frame))
+        frame += 1
+    assert all(status.level == DiagnosticStatus.OK for status in statuses)
+    assert not [value.key for status in statuses for value in status.values if "lateness" in value.key]
+    assert player.exit_code is None

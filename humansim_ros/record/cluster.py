@@ -10,6 +10,7 @@ import json
 import os
 import shutil
 import socket
+import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -28,6 +29,7 @@ from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError, HumansimError, RenderError
 from humansim_ros.io.temporary import temporary_folder
 from humansim_ros.record.output import OutputFolder
+from humansim_ros.record.recording import RecordingProgress
 from humansim_ros.record.shards import Shard, merged_chunks
 
 #: Further attempts after the death of a worker, or after an error that another machine may not have.
@@ -126,9 +128,8 @@ class _Job:
 
 @dataclass(frozen=True)
 class ShardResult:
-    """A shard that a worker has written: number of frames, content and bytes."""
+    """A shard that a worker has written: content and bytes."""
 
-    frames: int
     content: Content
     size: int
 
@@ -186,7 +187,7 @@ def write_shard(recipe: Recipe, job: _Job) -> ShardResult:
             _encoder.cache_clear()  # it may be broken: the next attempt starts from the beginning
             raise
         job.folder.put(path, job.name)
-        return ShardResult(shard.end - shard.first, file.content, file.size)
+        return ShardResult(file.content, file.size)
 
 
 def record_on_cluster(
@@ -195,8 +196,8 @@ def record_on_cluster(
     *,
     workers: int | None = None,
     resume: bool = False,
-    report: Callable[[ShardResult], None] = lambda _: None,
-) -> None:
+    on_progress: Callable[[RecordingProgress], None] = lambda _: None,
+) -> RecordingProgress:
     """Record bags on a Ray cluster. The bags do not depend on the number of workers.
 
     Args:
@@ -205,7 +206,7 @@ def record_on_cluster(
             cluster.
         workers: Number of workers of ``local``; one for each core if None.
         resume: Record only what is missing in the outputs.
-        report: Called with each shard that has been written.
+        on_progress: Called after each shard, with numbers of camera-frames; its argument is also the result.
 
     Raises:
         BagError: Ray is missing or cannot be reached; an output exists, or holds another recording; or
@@ -221,7 +222,10 @@ def record_on_cluster(
                 if place not in written[recording.output]:
                     tasks.append((recipe, _Job(shard, *place)))
             _begin(recording)
-        results, failures = _run(ray, tasks, report)
+        total = sum(shard.size for recording in recordings for shard in recording.shards)
+        first = total - sum(job.shard.size for _, job in tasks)
+        progress = RecordingProgress(first, total, first)
+        results, failures = _run(ray, tasks, progress, on_progress)
     missing = [job for _, job in tasks if (job.folder, job.name) not in results]
     unwritten = {(job.folder, job.name) for job in missing}
     for recording in recordings:
@@ -229,6 +233,7 @@ def record_on_cluster(
             _finish(recording, results)
     if missing:
         raise BagError(_missing_text(missing, failures), path=missing[0].folder.url)
+    return progress
 
 
 #: Folder and name of the file of a shard.
@@ -270,9 +275,18 @@ def _begin(recording: ClusterRecording) -> None:
 
 
 def _run(
-    ray: Any, tasks: Sequence[tuple[Any, _Job]], report: Callable[[ShardResult], None]
+    ray: Any,
+    tasks: Sequence[tuple[Any, _Job]],
+    progress: RecordingProgress,
+    on_progress: Callable[[RecordingProgress], None],
 ) -> tuple[dict[_Place, ShardResult], list[str]]:
-    """Run tasks, each a reference to a recipe and a job. After a failure no task is begun.
+    """Run tasks. After a failure no task is begun.
+
+    Args:
+        ray: The module, connected.
+        tasks: References to recipes, and jobs.
+        progress: Is brought up to date.
+        on_progress: Is called with it after each shard.
 
     Returns:
         Results by place, and the reasons of failures.
@@ -282,6 +296,7 @@ def _run(
     waiting, running = deque(tasks), dict[Any, _Job]()
     results: dict[_Place, ShardResult] = {}
     failures: list[str] = []
+    start = time.monotonic()
     try:
         while running or (waiting and not failures):
             limit = _TASKS_PER_CORE * max(1, int(ray.cluster_resources().get("CPU", 1)))
@@ -296,7 +311,10 @@ def _run(
                 except ray.exceptions.RayError as error:
                     failures.append(f"{job}: {_reason(error)}")
                 else:
-                    report(result)
+                    progress.done += job.shard.size
+                    progress.size += result.size
+                    progress.seconds = time.monotonic() - start
+                    on_progress(progress)
     finally:
         for reference in running:  # after Ctrl-C
             ray.cancel(reference, force=True)

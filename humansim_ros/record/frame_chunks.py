@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import socket
 import time
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from types import TracebackType
@@ -13,8 +14,8 @@ from sensor_msgs.msg import CompressedImage
 
 from humansim_ros.bags.chunks import BagMessage, Chunk, encode_chunk
 from humansim_ros.bags.topics import BagTopic, Qos, described
+from humansim_ros.errors import RenderError
 from humansim_ros.record.plan import PLAN, RecordingPlan
-from humansim_ros.record.shards import Shard
 from humansim_ros.ros.cdr import serialised
 from humansim_ros.ros.topics import Topic
 from humansim_ros.scene import Scene, Simulation
@@ -64,17 +65,20 @@ class SceneRecording:
         """Names of the cameras of which topics are recorded."""
         return list(dict.fromkeys(topic.camera for topic in self.table if topic.camera))
 
-    def groups(self, shard: Shard) -> Iterator[Sequence[Chunk]]:
-        """Chunks of each frame of a shard, in the order of the bag; each time the same bytes.
-
-        A frame has no chunk if all topics of the shard have a single message for the scene.
+    def encoder(self, cameras: Collection[str], bodies: bool) -> FrameEncoder:
+        """Encoder of some cameras, and of the topics that belong to no camera if ``bodies``.
 
         Raises:
-            HumansimError: A frame cannot be rendered.
+            RenderError: This machine renders on another device than the plan says: pixels would differ.
         """
-        with FrameEncoder(self, shard.cameras, shard.bodies) as encoder:
-            for index in range(shard.first, min(shard.end, self.frames)):
-                yield encoder.encode(index)
+        encoder = FrameEncoder(self, cameras, bodies)
+        if self.plan.device in encoder.device:
+            return encoder
+        encoder.close()
+        raise RenderError(
+            f"{socket.gethostname()} renders on {encoder.device}, and the recording is planned for "
+            f"{self.plan.device}: pixels would differ. Use machines that are alike, also for the command"
+        )
 
 
 def _bag_topic(topic: Topic[Any]) -> BagTopic:
@@ -91,6 +95,7 @@ class FrameEncoder:
         bodies: Whether topics that belong to no camera are encoded.
 
     Attributes:
+        device: Name of the device that renders.
         costs: Seconds of processor time by step.
     """
 
@@ -110,7 +115,9 @@ class FrameEncoder:
         self._cameras = [name for name in self._parts if name]
         self._rectified = {topic.camera for _, topic in chosen if topic.rectified_depth}
         channels = frozenset[str]().union(*(topic.channels for _, topic in chosen))
-        self._simulation = Simulation(recording.scene, sorted(channels))
+        renderer = recording.scene.make_renderer()
+        self.device = renderer.device
+        self._simulation = Simulation(recording.scene, sorted(channels), renderer=renderer)
         self._started = False
         self.costs: dict[str, float] = {}
 
@@ -127,7 +134,13 @@ class FrameEncoder:
         self._simulation.close()
 
     def encode(self, index: int) -> list[Chunk]:
-        """Chunks of a frame. Raises HumansimError if it cannot be rendered."""
+        """Chunks of a frame in the order of the bag, each time the same bytes.
+
+        There is none if all topics have a single message for the scene, unless it is frame 0.
+
+        Raises:
+            HumansimError: The frame cannot be rendered.
+        """
         start = time.process_time()
         frame = self._simulation.frame(index, self._cameras, self._rectified)
         self._add_cost(RENDERING if self._started else STARTING, start)

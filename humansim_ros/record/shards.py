@@ -7,10 +7,11 @@ time; shards of cameras have the same times.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from contextlib import closing
+import heapq
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import chain
+from itertools import chain, groupby
+from operator import itemgetter
 from pathlib import Path
 from typing import Literal, TypeAlias
 
@@ -39,6 +40,11 @@ class Shard:
     end: int
     cameras: tuple[str, ...]
     bodies: bool = True
+
+    @property
+    def size(self) -> int:
+        """Number of camera-frames; of frames if there is no camera."""
+        return (self.end - self.first) * max(1, len(self.cameras))
 
 
 def shards_of(
@@ -71,20 +77,20 @@ def merged_chunks(paths: Sequence[Path], interleaved: bool) -> Iterator[tuple[Ch
     Raises:
         BagError: A file is damaged.
     """
-    shards = map(_groups, paths)
-    groups: Iterable[Iterable[Chunk]]
-    if interleaved:
-        groups = map(chain.from_iterable, zip(*shards, strict=True))
-    else:
-        groups = chain.from_iterable(shards)
-    for chunks in groups:
-        group = list(chunks)
-        for position, chunk in enumerate(group, 1):
-            yield chunk, position == len(group)
+    shards = [_chunks(path) for path in paths]
+    # frames are not equally many in all shards: one of a camera may have only legends, in frame 0
+    chunks = heapq.merge(*shards, key=itemgetter(0)) if interleaved else chain.from_iterable(shards)
+    for _, group in groupby(chunks, key=itemgetter(0)):
+        of_frame = [chunk for _, chunk in group]
+        for position, chunk in enumerate(of_frame, 1):
+            yield chunk, position == len(of_frame)
 
 
-def _groups(path: Path) -> Iterator[list[Chunk]]:
-    from humansim_ros.bags.mcap_reading import McapInput
+def _chunks(path: Path) -> Iterator[tuple[int, Chunk]]:
+    """Number of the frame, and chunk."""
+    from humansim_ros.bags.mcap_scan import McapScan
 
-    with closing(McapInput(path)) as shard:
-        yield from shard.groups()
+    with path.open("rb") as file:
+        for unit in McapScan(file, path).units:
+            file.seek(unit.start)
+            yield unit.group, unit.chunk.with_data(file.read(unit.chunk.size))

@@ -90,15 +90,16 @@ def attempts(folder: Path) -> list[int]:
 
 @pytest.mark.slow
 def test_shards_of_frames_are_the_files_of_one_bag(workers: Path, tmp_path: Path) -> None:
-    reported = []
-    record_on_cluster([recording(tmp_path)], "local", report=reported.append)
+    done: list[int] = []
+    progress = record_on_cluster(
+        [recording(tmp_path)], "local", on_progress=lambda state: done.append(state.done)
+    )
     assert set(files(tmp_path / "bag")) == {"bag_0.mcap", "bag_1.mcap", "bag_2.mcap", "metadata.yaml"}
     one = bag_of_one_process(tmp_path / "one")
     assert messages(tmp_path / "bag") == messages(one)
     assert len(messages(one)) == FRAMES * (1 + len(CAMERAS))
-    assert sum(each.frames for each in reported) == FRAMES
-    sizes = sorted((tmp_path / "bag" / f"bag_{i}.mcap").stat().st_size for i in range(3))
-    assert sorted(each.size for each in reported) == sizes
+    assert done == [SHARD_FRAMES * 3, SHARD_FRAMES * 6, FRAMES * 3] and progress.frames == FRAMES * 3
+    assert progress.size == sum(len(content) for content in chunks_of(tmp_path / "bag").values())
     workers_of_frames = {path.read_text() for path in tmp_path.glob("pids_*")}
     made = (tmp_path / "encoders").read_text().split()
     assert len(made) == len(set(made)) == len(workers_of_frames), "a worker made an encoder twice"

@@ -14,7 +14,6 @@ from record_support import SCENE, hashes, write_scene
 from humansim_ros.record.frame_chunks import SceneRecording
 from humansim_ros.record.plan import RecordingPlan
 from humansim_ros.record.recording import record
-from humansim_ros.record.shards import Shard
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.simulation import Frame
 
@@ -248,11 +247,11 @@ def test_a_part_of_a_recording_has_the_same_chunks(scene: Scene) -> None:
     recording = SceneRecording(scene, RecordingPlan.of(scene, 3))
 
     def chunks(first: int, end: int, cameras: Any, bodies: bool) -> list[list[bytes]]:
-        shard = Shard(0, first, end, cameras, bodies)
-        return [
-            [b"".join(bytes(buffer) for buffer in chunk.buffers) for chunk in group]
-            for group in recording.groups(shard)
-        ]
+        with recording.encoder(cameras, bodies) as encoder:
+            return [
+                [b"".join(bytes(buffer) for buffer in chunk.buffers) for chunk in encoder.encode(index)]
+                for index in range(first, end)
+            ]
 
     whole = chunks(0, 3, ("noisy", "bent"), True)
     assert [len(group) for group in whole] == [3, 3, 3]

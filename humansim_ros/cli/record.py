@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import Path
@@ -18,6 +18,8 @@ from humansim_ros.errors import BagError
 from humansim_ros.ros.stop_signals import Stopped
 
 if TYPE_CHECKING:
+    from humansim_ros.record.cluster import ClusterRecording
+    from humansim_ros.record.frame_chunks import SceneRecording
     from humansim_ros.record.recording import RecordingProgress
 
 #: Seconds between lines of progress where there is no terminal.
@@ -46,9 +48,26 @@ class _Depth(str, Enum):
     png = "png"
 
 
+class _Shards(str, Enum):
+    frames = "frames"
+    cameras = "cameras"
+    scenes = "scenes"
+
+
 def record(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the bag; it must not exist.")],
-    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output",
+            "-o",
+            help="Folder of the bag, which must not exist; with --ray also a URL such as s3://bucket/walk. "
+            "Several scenes get a folder each in it.",
+        ),
+    ],
+    scene: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Scene file (YAML), with --ray several; the demo scene if absent."),
+    ] = None,
     frames: Annotated[int | None, typer.Option(help="Number of frames.", min=1, max=2**31 - 1)] = None,
     seconds: Annotated[
         float | None, typer.Option(help="Length in seconds, instead of --frames.", min=1e-3, max=1e7)
@@ -83,35 +102,82 @@ def record(
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an interrupted recording; give the same options.")
     ] = False,
+    ray: Annotated[
+        str | None,
+        typer.Option(
+            help="Record on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT; local starts Ray here with "
+            "--jobs workers."
+        ),
+    ] = None,
+    shards: Annotated[
+        _Shards,
+        typer.Option(
+            help="Parts that workers of Ray record: ranges of frames, cameras (a bag each unless --merge) or "
+            "whole scenes."
+        ),
+    ] = _Shards.frames,
+    shard_frames: Annotated[int, typer.Option(help="Frames of a shard of frames.", min=1)] = 100,
+    merge: Annotated[
+        bool,
+        typer.Option(
+            "--merge/--split",
+            help="With --ray: merge the shards into the bag that one machine records, or let each be a file.",
+        ),
+    ] = False,
 ) -> None:
     """Record a scene into a bag of rosbag2, frame by frame, without nodes: no frame is lost."""
+    from humansim_ros.record.cluster import cluster_recordings
     from humansim_ros.record.frame_chunks import SceneRecording
+    from humansim_ros.record.output import is_url
     from humansim_ros.record.plan import RecordingPlan
-    from humansim_ros.record.recording import record
-    from humansim_ros.record.workers import WorkerDiedError
     from humansim_ros.ros.processes import cores
     from humansim_ros.ros.runtime import require_ros
     from humansim_ros.scene import Scene
 
     if (frames is None) == (seconds is None):
         raise BagError("give either --frames or --seconds", key="record")
+    if ray is None and (is_url(output) or (scene and len(scene) > 1)):
+        raise BagError("URLs and several scenes need --ray, such as --ray local", key="record")
     require_ros()
-    loaded = Scene.load(scene)
-    warn_about_mistakes(loaded)
-    if frames is None:
-        frames = max(1, round((seconds or 0.0) * loaded.config.rate))
-    plan = RecordingPlan.of(
-        loaded,
-        frames,
-        [word.strip() for text in topics or () for word in text.split(",") if word.strip()],
-        images=images.value,
-        depth=depth.value,
-        storage=storage.value,
-        compression=compression.value,
-        max_size=max_bag_size,
-        max_duration=max_bag_duration,
+
+    def planned(path: Path | None) -> SceneRecording:
+        loaded = Scene.load(path)
+        warn_about_mistakes(loaded)
+        plan = RecordingPlan.of(
+            loaded,
+            frames or max(1, round((seconds or 0.0) * loaded.config.rate)),
+            [word.strip() for text in topics or () for word in text.split(",") if word.strip()],
+            images=images.value,
+            depth=depth.value,
+            storage=storage.value,
+            compression=compression.value,
+            max_size=max_bag_size,
+            max_duration=max_bag_duration,
+        )
+        return SceneRecording(loaded, plan)
+
+    if ray is None:
+        _record_here(planned(scene[0] if scene else None), Path(output), jobs or cores(), resume)
+        return
+    paths: list[Path | None] = list(scene) if scene else [None]
+    names = [path.stem if path and len(paths) > 1 else "" for path in paths]
+    if len(set(names)) < len(names):
+        raise BagError("scenes need different file names, which become folders of the output", key="record")
+    recordings = cluster_recordings(
+        dict(zip(names, map(planned, paths), strict=True)),
+        output if is_url(output) else str(Path(output).resolve()),
+        shards.value,
+        shard_frames=shard_frames,
+        merge=merge,
     )
-    recording = SceneRecording(loaded, plan)
+    _record_on_ray(recordings, output, ray, jobs, resume)
+
+
+def _record_here(recording: SceneRecording, output: Path, jobs: int, resume: bool) -> None:
+    """Record with processes of this machine."""
+    from humansim_ros.record.recording import record
+    from humansim_ros.record.workers import WorkerDiedError
+
     cameras = len({topic.camera for topic in recording.table if topic.camera and topic.per_frame})
     state: RecordingProgress | None = None
 
@@ -122,7 +188,7 @@ def record(
 
     with _display(cameras) as display:
         try:
-            state = record(recording, output, jobs or cores(), resume, show)
+            state = record(recording, output, jobs, resume, show)
         except (Stopped, WorkerDiedError) as error:
             done = f"{output}: {state.done if state else 0} of {recording.frames} frames are in the bag"
             how = "the same command with --resume continues" if output.exists() else "nothing was recorded"
@@ -134,20 +200,44 @@ def record(
     print_text(_summary(state, cameras, output))
 
 
+def _record_on_ray(
+    recordings: Sequence[ClusterRecording], output: str, address: str, jobs: int | None, resume: bool
+) -> None:
+    """Record with the workers of a Ray cluster."""
+    from humansim_ros.record.cluster import record_on_cluster
+
+    # its numbers are those of camera-frames
+    with _display(1, "camera-frames") as display:
+        try:
+            state = record_on_cluster(recordings, address, workers=jobs, resume=resume, on_progress=display)
+        except Stopped:
+            print_text(f"stopped; the same command with --resume records what is missing in {output}")
+            raise
+    if not state.new:
+        print_text(f"{output}: nothing is missing")
+        return
+    bags = f"{len(recordings)} bags in " if len(recordings) > 1 else ""
+    each = f"{state.size / state.new:.0f} bytes per camera-frame"
+    print_text(f"wrote {bags}{output}: {state.new} camera-frames, {_rate(state, 1)}, {each}")
+
+
 @contextmanager
-def _display(cameras: int) -> Iterator[Callable[[RecordingProgress], None]]:
-    """Show progress: a bar on a terminal, else a line every five seconds. ``cameras``: number of cameras."""
+def _display(cameras: int, unit: str = "frames") -> Iterator[Callable[[RecordingProgress], None]]:
+    """Show progress: a bar on a terminal, else a line every five seconds.
+
+    ``cameras``: camera-frames for each ``unit``.
+    """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield _lines(cameras)
+        yield _lines(cameras, unit)
         return
     columns = (
         TextColumn("recording"),
         BarColumn(),
-        TextColumn("{task.completed}/{task.total} frames"),
+        TextColumn(f"{{task.completed}}/{{task.total}} {unit}"),
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(),
     )
@@ -160,7 +250,7 @@ def _display(cameras: int) -> Iterator[Callable[[RecordingProgress], None]]:
         yield show
 
 
-def _lines(cameras: int) -> Callable[[RecordingProgress], None]:
+def _lines(cameras: int, unit: str) -> Callable[[RecordingProgress], None]:
     """Function that prints a line every five seconds."""
     last = time.monotonic()
 
@@ -170,7 +260,7 @@ def _lines(cameras: int) -> Callable[[RecordingProgress], None]:
             last = time.monotonic()
             left = (progress.frames - progress.done) / progress.rate
             text = (
-                f"{progress.done} of {progress.frames} frames, {_rate(progress, cameras)}, {left:.0f} s left"
+                f"{progress.done} of {progress.frames} {unit}, {_rate(progress, cameras)}, {left:.0f} s left"
             )
             print(text, file=sys.stderr, flush=True)
 

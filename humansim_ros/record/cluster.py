@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 from urllib.parse import urlsplit
 
 from humansim_ros import __version__
@@ -30,7 +30,10 @@ from humansim_ros.errors import BagError, HumansimError, RenderError
 from humansim_ros.io.temporary import temporary_folder
 from humansim_ros.record.output import OutputFolder
 from humansim_ros.record.recording import RecordingProgress
-from humansim_ros.record.shards import Shard, merged_chunks
+from humansim_ros.record.shards import SHARD_FRAMES, Shard, ShardKind, merged_chunks, shards_of
+
+if TYPE_CHECKING:
+    from humansim_ros.record.frame_chunks import SceneRecording
 
 #: Further attempts after the death of a worker, or after an error that another machine may not have.
 _RETRIES = 3
@@ -110,6 +113,47 @@ class ClusterRecording:
         """Text that says which files the folder of shards will have, with which content."""
         places = [(str(folder.name), name) for folder, name in map(self.place, self.shards)]
         return json.dumps({"version": __version__, "custom": dict(self.recipe.custom), "shards": places})
+
+
+def cluster_recordings(
+    scenes: Mapping[str, SceneRecording],
+    output: str,
+    kind: ShardKind,
+    *,
+    shard_frames: int = SHARD_FRAMES,
+    merge: bool = False,
+) -> list[ClusterRecording]:
+    """Bags of scenes.
+
+    Args:
+        scenes: Recordings by the name of their folder in ``output``; an empty name is ``output`` itself.
+        output: Absolute path or URL.
+        kind: Division of each recording.
+        shard_frames: Frames of a shard of frames.
+        merge: Make bags as of one process.
+
+    Raises:
+        BagError: The options of a plan are not for clusters.
+    """
+    recordings = []
+    for name, scene in scenes.items():
+        plan, folder = scene.plan, OutputFolder(output)
+        if plan.storage != "mcap":
+            raise BagError("shards are MCAP files", key="--storage")
+        if not merge and (plan.max_size or plan.max_duration):
+            message = "each shard is a file: limits of files need --merge, or choose --shard-frames"
+            raise BagError(message, key="--max-bag-size" if plan.max_size else "--max-bag-duration")
+        recording = ClusterRecording(
+            recipe=scene,
+            shards=shards_of(kind, scene.frames, scene.cameras, shard_frames),
+            output=folder.folder(name) if name else folder,
+            interleaved=kind == "cameras" and len(scene.cameras) > 0,
+            merge=merge,
+            limits={"max_size": plan.max_size, "max_duration": plan.max_duration},
+            compression=plan.compression,
+        )
+        recordings.append(recording)
+    return recordings
 
 
 @dataclass(frozen=True)

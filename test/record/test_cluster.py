@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shutil
 import socket
 import subprocess
@@ -13,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from conftest import ROOT
 from recipes import CAMERAS, TOPICS, Numbers, group
 
 from humansim_ros.bags.writer import BagWriter
@@ -24,22 +22,6 @@ from humansim_ros.record.output import OutputFolder
 from humansim_ros.record.shards import ShardKind, shards_of
 
 FRAMES, SHARD_FRAMES = 12, 4
-
-
-@pytest.fixture(scope="module")
-def workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """A Ray with three workers; yields the folder for temporary files of the workers."""
-    ray = pytest.importorskip("ray")
-    folder = tmp_path_factory.mktemp("workers")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{Path(__file__).parent}")
-        patch.setenv("RAY_TMPDIR", "/tmp")  # its sockets must have short names
-        patch.setenv("TMPDIR", str(folder))
-        patch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
-        options = {"object_store_memory": 80 * 2**20, "include_dashboard": False}
-        ray.init(num_cpus=3, log_to_driver=False, logging_level="error", **options)
-    yield folder
-    ray.shutdown()
 
 
 def recording(

@@ -58,3 +58,20 @@ def test_merged_shards_are_the_bag_of_one_process(kind: ShardKind, max_size: int
     files = {path.name: path.read_bytes() for path in alone.iterdir() if path.suffix in (".mcap", ".yaml")}
     assert (len(files) > 2) == bool(max_size)
     assert files == {p.name: p.read_bytes() for p in merged.iterdir() if p.suffix in (".mcap", ".yaml")}
+
+
+def test_a_camera_with_less_frames_is_merged_at_their_places(tmp_path: Path) -> None:
+    from humansim_ros.bags.mcap_file import McapFile
+
+    paths = []
+    for name, frames in {"left": (0, 1, 2), "right": (0,), "top": (0, 2)}.items():
+        file = McapFile.create(tmp_path / f"{name}.mcap", TOPICS)
+        for index in frames:
+            (chunk,) = group(index, (name,), False)
+            file.append(chunk, index, True)
+        file.finish()
+        paths.append(tmp_path / f"{name}.mcap")
+    found = [(chunk.start // 100, tuple(chunk.counts), end) for chunk, end in merged_chunks(paths, True)]
+    left, right, top = (1,), (2,), (3,)
+    first = [(0, left, False), (0, right, False), (0, top, True)]
+    assert found == [*first, (1, left, True), (2, left, False), (2, top, True)]

@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import timedelta
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -228,7 +229,7 @@ def _display(cameras: int, unit: str = "frames") -> Iterator[Callable[[Recording
     ``cameras``: camera-frames for each ``unit``.
     """
     from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, TextColumn
 
     console = Console(stderr=True)
     if not console.is_terminal:
@@ -239,13 +240,13 @@ def _display(cameras: int, unit: str = "frames") -> Iterator[Callable[[Recording
         BarColumn(),
         TextColumn(f"{{task.completed}}/{{task.total}} {unit}"),
         TextColumn("{task.fields[rate]}"),
-        TimeRemainingColumn(),
     )
     with Progress(*columns, console=console) as bar:
         task = bar.add_task("", total=None, rate="starting")
 
         def show(progress: RecordingProgress) -> None:
-            bar.update(task, total=progress.frames, completed=progress.done, rate=_rate(progress, cameras))
+            rate = f"{_rate(progress, cameras)}, {_left(progress)}"
+            bar.update(task, total=progress.frames, completed=progress.done, rate=rate)
 
         yield show
 
@@ -258,13 +259,19 @@ def _lines(cameras: int, unit: str) -> Callable[[RecordingProgress], None]:
         nonlocal last
         if time.monotonic() - last >= _LINE_EVERY:
             last = time.monotonic()
-            left = (progress.frames - progress.done) / progress.rate
-            text = (
-                f"{progress.done} of {progress.frames} {unit}, {_rate(progress, cameras)}, {left:.0f} s left"
-            )
+            done = f"{progress.done} of {progress.frames} {unit}"
+            text = f"{done}, {_rate(progress, cameras)}, {_left(progress)}"
             print(text, file=sys.stderr, flush=True)
 
     return show
+
+
+def _left(progress: RecordingProgress) -> str:
+    """Time left in words, from the rate of this process: a continued recording had another one."""
+    if not progress.rate:  # no task of a cluster has ended
+        return "unknown time left"
+    seconds = (progress.frames - progress.done) / progress.rate
+    return f"{timedelta(seconds=round(seconds))} left"
 
 
 def _rate(progress: RecordingProgress, cameras: int) -> str:

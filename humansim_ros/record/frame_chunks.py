@@ -22,7 +22,7 @@ from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.simulation import Frame
 
 #: Steps of encoding a frame, for the summary of costs.
-STARTING, RENDERING = "first rendering of each process", "rendering"
+STARTING, RENDERING = "first frame of each process", "rendering"
 TRUTH, IMAGE_COMPRESSION = "truth and messages", "image compression"
 SERIALISING, CHUNKS = "serialising", "checksums and chunk compression"
 
@@ -143,9 +143,11 @@ class FrameEncoder:
         """
         start = time.process_time()
         frame = self._simulation.frame(index, self._cameras, self._rectified)
-        self._add_cost(RENDERING if self._started else STARTING, start)
-        self._started = True
-        chunks = (self._chunk(frame, topics) for topics in self._parts.values())
+        self._add_cost(RENDERING, start)
+        chunks = [self._chunk(frame, topics) for topics in self._parts.values()]
+        if not self._started:
+            # with the compilation of shaders and the messages for the scene
+            self.costs, self._started = {STARTING: sum(self.costs.values())}, True
         return [chunk for chunk in chunks if chunk is not None]
 
     def _chunk(self, frame: Frame, topics: Sequence[tuple[int, Topic[Any]]]) -> Chunk | None:

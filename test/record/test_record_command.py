@@ -88,7 +88,15 @@ def test_the_summary_says_rate_size_and_cost_of_each_step(scene: Path, tmp_path:
     assert code == 0, err
     assert f"wrote {tmp_path / 'bag'}: 4 frames, " in out
     assert "camera-frames/s" in out and "MB/s" in out and "bytes per camera-frame" in out
-    for step in ("rendering", "truth and messages", "serialising", "checksums", "copying", "writing"):
+    for step in (
+        "rendering",
+        "truth and messages",
+        "serialising",
+        "checksums",
+        "copying",
+        "writing",
+        "first frame",
+    ):
         assert f"{step} " in out
 
 
@@ -107,8 +115,8 @@ def test_without_a_terminal_a_line_is_printed_every_five_seconds(
             show(progress(30 * number, float(number)))
     lines = capsys.readouterr().err.splitlines()
     assert lines == [
-        "150 of 900 frames, 120 camera-frames/s, 300 MB/s, 25 s left",
-        "300 of 900 frames, 120 camera-frames/s, 300 MB/s, 20 s left",
+        "150 of 900 frames, 120 camera-frames/s, 300 MB/s, 0:00:25 left",
+        "300 of 900 frames, 120 camera-frames/s, 300 MB/s, 0:00:20 left",
     ]
 
 
@@ -126,4 +134,15 @@ def test_a_terminal_shows_a_bar_with_rate_and_time_left(monkeypatch: pytest.Monk
         show(progress(450, 15.0))
     text = screen.getvalue()
     assert "450/900 frames" in text and "120 camera-frames/s" in text and "━" in text
-    assert "0:0" in text or "-:--:--" in text
+    assert "0:00:15 left" in text
+
+
+def test_the_time_left_of_a_continued_recording_is_from_its_own_rate(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    now = 100.0
+    monkeypatch.setattr(command.time, "monotonic", lambda: now)
+    with command._display(0) as show:
+        now += 5.0
+        show(RecordingProgress(first=800, frames=900, done=810, size=50_000_000, seconds=5.0))
+    assert capsys.readouterr().err == "810 of 900 frames, 2 frames/s, 10 MB/s, 0:00:45 left\n"

@@ -5,7 +5,7 @@
 Victims are the motion player, the skinners, the camera processes and the tracker (``tools/slow_tracker.py``),
 in turn and in random order: ``kill -9``, and SIGSTOP for 5 s. ``humansim run`` starts its nodes again, this
 program the tracker. After each, frames must go on. At the end the tracker must have every stamp from frame 0
-to its newest one. Exit code 1: a frame is lost, or frames did not go on.
+to its newest one, in this order. Exit code 1: a frame is lost, stamps went back, or frames did not go on.
 """
 
 from __future__ import annotations
@@ -65,6 +65,12 @@ class Chaos:
     def _start_tracker(self) -> subprocess.Popen[bytes]:
         command = [sys.executable, str(ROOT / "tools" / "slow_tracker.py"), str(self._log), *self._cameras]
         return subprocess.Popen([*command, "--sleep", "0.02"])
+
+    @property
+    def times_back(self) -> int:
+        """How often a stamp of the tracker was before the one before it."""
+        stamps = [int(line.split()[0]) for line in self._log.read_text().splitlines() if line.count(" ") == 2]
+        return sum(later < earlier for earlier, later in pairwise(stamps))
 
     @property
     def tracked(self) -> list[int]:
@@ -162,11 +168,11 @@ def main() -> int:
             failed = str(error)
         finally:
             chaos.close()
-        stamps = chaos.tracked
+        stamps, back = chaos.tracked, chaos.times_back
     lost = lost_frames(stamps, rate)
-    assert all(first < second for first, second in pairwise(stamps))
     print(failed or f"{len(faults)} faults: {len(stamps)} frames tracked, {len(lost)} lost {lost[:20]}")
-    return 1 if failed or lost else 0
+    print(f"stamps went back {back} times")
+    return 1 if failed or lost or back else 0
 
 
 if __name__ == "__main__":

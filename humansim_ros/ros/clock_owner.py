@@ -16,7 +16,7 @@ from humansim_ros.ros.qos import ALIVE
 #: Topic without messages: a player in lockstep that lives, also during a pause, has a live publisher of it.
 _LOCKSTEP_ALIVE = "/_lockstep_alive"
 #: Seconds in which nodes find each other.
-_DISCOVERY = 1.0
+_DISCOVERY = 2.0
 #: Most seconds between two calls that count.
 _MAX_STEP = 0.1
 #: Seconds in which a publisher that sends nothing may be a dead node: the middleware forgets it after 20 s.

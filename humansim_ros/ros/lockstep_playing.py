@@ -6,6 +6,7 @@ import copy
 import time
 from collections import deque
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from rclpy.clock import Clock as RosClock
@@ -23,6 +24,7 @@ from humansim_ros.ros.lockstep_summary import LockstepSummary
 from humansim_ros.ros.messages import to_nanoseconds, to_time
 from humansim_ros.ros.playing import FramePlayer, Playing
 from humansim_ros.ros.processes import TIMED_OUT, WRONG_INPUT
+from humansim_ros.ros.progress_file import ProgressFile
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
 from humansim_ros.ros.topic_members import TopicMembers
 from humansim_ros.scene.actor import Actor
@@ -47,7 +49,8 @@ class LockstepPlaying(Playing):
 
     Members: the cameras of the scene, the names and topics of ``wait_for``, and everybody who reports on
     ``frame_done``. A frame is sent at least once; the same stamp is sent again for nodes that have joined.
-    A player that is started again goes on with the newest frame that a camera has finished.
+    A player that is started again goes on with the frame that was in flight, or, without a file for the
+    summary, with the newest frame that a camera has finished.
 
     Args:
         player: The node.
@@ -81,7 +84,9 @@ class LockstepPlaying(Playing):
         self._is_over = False
         self._is_due = True
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        self._newest = 0
+        #: Stamp with which a player that is started again goes on: that of its file, or of the cameras.
+        self._progress = ProgressFile(Path(f"{settings.summary}.stamp")) if settings.summary else None
+        self._newest = self._progress.stamp if self._progress else 0
         self._latched: Any = player.create_subscription(Header, CAMERA_ALIVE, self._on_latched, ALIVE)
         self._owner = ClockOwner(player, self._graph)
         self._clock_publisher: Any = None
@@ -182,9 +187,7 @@ class LockstepPlaying(Playing):
     def _go_on(self) -> None:
         """Let the next frame be the newest one that a camera has finished."""
         self._before = self.clock.begin_at(self._newest)
-        self.player.get_logger().info(
-            f"going on with frame {self._before}, the newest one that a camera has finished"
-        )
+        self.player.get_logger().info(f"going on with frame {self._before}")
 
     def _name(self, text: str) -> str:
         """Name of a node relative to the namespace of the player."""
@@ -239,6 +242,8 @@ class LockstepPlaying(Playing):
         scene_poses = self._take_prepared(tick)
         self._frame = tick, scene_poses
         self.state.begin(tick.stamp, self._now)
+        if self._progress is not None:
+            self._progress.write(tick.stamp)
         self._send()
         self._prepare()
 
@@ -353,6 +358,8 @@ class LockstepPlaying(Playing):
         if self._is_over:
             return
         self._is_over = True
+        if self._progress is not None:
+            self._progress.remove()
         begin, end = self._seconds
         sent, frames = self.state.sent, self._before + self.state.sent
         summary = LockstepSummary(

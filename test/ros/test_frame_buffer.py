@@ -235,3 +235,21 @@ def test_a_topic_holds_frames_only_while_it_is_required(receiver: Receiver) -> N
     frame = receiver.buffer.take(False, receiver.now, receiver.seconds)
     assert frame is not None
     assert (frame.stamp, "scene_time" in frame.contents) == (later, False)
+
+
+def test_the_last_frame_may_come_again_whole_or_in_part_and_none_counts_as_skipped() -> None:
+    """In lockstep a frame is sent again for nodes that have joined."""
+    buffer = FrameBuffer(("a", "b"), PERIOD)
+
+    def arrives(topic: str, stamp: int) -> bool:
+        return buffer.add(topic, stamp, topic, 0.0)
+
+    for stamp in (1, 1, 1):
+        assert not arrives("a", stamp) and arrives("b", stamp)
+        frame = buffer.take(False, 0, 0.0)
+        assert frame is not None and (frame.stamp, frame.skipped) == (1, 0)
+    assert not arrives("a", 1)  # the other message does not come again
+    assert not arrives("a", 1 + PERIOD) and arrives("b", 1 + PERIOD)
+    frame = buffer.take(False, 0, 0.0)
+    assert frame is not None and (frame.stamp, frame.skipped) == (1 + PERIOD, 0)
+    assert not arrives("a", 1) and not arrives("b", 1)

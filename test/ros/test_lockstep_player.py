@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.parameter import Parameter
 from ros_support import Client, write_scene
 from rosgraph_msgs.msg import Clock
-from sensor_msgs.msg import MultiDOFJointState, TimeReference
+from sensor_msgs.msg import Image, MultiDOFJointState, TimeReference
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 
@@ -313,3 +314,78 @@ def test_a_player_in_lockstep_is_never_late_and_drops_nothing(stage: Stage) -> N
     assert all(status.level == DiagnosticStatus.OK for status in statuses)
     assert not [value.key for status in statuses for value in status.values if "lateness" in value.key]
     assert player.exit_code is None
+
+
+@pytest.mark.slow
+def test_a_frame_that_is_sent_again_has_the_same_images_and_flow(ros: None, tmp_path: Path) -> None:
+    """A player, skinners and cameras in lockstep. Backward flow compares with the frame before."""
+    from humansim_ros.render.channels import CHANNEL_TABLE
+    from humansim_ros.ros.nodes.camera_rig import CameraRigNode
+    from humansim_ros.ros.nodes.skinner import SkinnerNode
+
+    scene = Parameter("scene", value=str(write_scene(tmp_path)))
+    player = MotionPlayerNode(
+        parameter_overrides=[scene, Parameter("mode", value="lockstep")], namespace="again"
+    )
+    player.playing.pause(True)
+    skinners = [
+        SkinnerNode(
+            parameter_overrides=[scene, Parameter("human", value=name)],
+            namespace="again",
+            cli_args=["--ros-args", "-r", f"__node:=skinner_{name}"],
+        )
+        for name in ("first", "second")
+    ]
+    rig = CameraRigNode(parameter_overrides=[scene, Parameter("start_scene", value=False)], namespace="again")
+    client = Client("compares")
+    for node in (player, *skinners, *rig.nodes):
+        client.executor.add_node(node)
+    images: dict[tuple[str, int], list[bytes]] = defaultdict(list)
+    topics = [f"/again/left/{CHANNEL_TABLE[name].topic}" for name in ("rgb", "depth", "flow_back")]
+
+    def listen(topic: str) -> None:
+        def on_image(message: Any) -> None:
+            images[topic, messages.to_nanoseconds(message.header.stamp)].append(bytes(message.data))
+
+        client.node.create_subscription(Image, topic, on_image, 50)
+
+    for topic in topics:
+        listen(topic)
+    client.spin_until_matched(player, *skinners, *rig.nodes)
+    for frame in range(3):
+        done: list[int] = []
+        player.playing.step(1, lambda done=done: done.append(1))
+        assert client.spin_until(lambda done=done: done), frame
+    last = stamp_of(2)
+    assert client.spin_until(lambda: all(images[topic, last] for topic in topics))
+    before = {topic: len(images[topic, last]) for topic in topics}
+    player.playing._send()  # as for a node that has joined
+    assert client.spin_until(lambda: all(len(images[topic, last]) > before[topic] for topic in topics))
+    for topic in topics:
+        assert len(set(images[topic, last])) == 1, topic
+    assert any(images[topics[2], last][0])
+    for node in (player, *skinners, rig):
+        node.close()
+        node.destroy_node()
+    client.close()
+
+
+def test_a_player_goes_on_with_the_frame_in_flight_also_before_it_has_found_a_camera(
+    stage: Stage, tmp_path: Path
+) -> None:
+    summary = str(tmp_path / "summary.json")
+    first = stage.player(summary=summary)
+    for frame in range(3):
+        stage.finish(stamp_of(frame))
+    assert stage.sees(lambda: stamp_of(3) in stage.stamps)
+    stage.kill(first)  # which writes no summary
+    stage.stamps.clear()
+    second = stage.player(summary=summary, frames=5)
+    assert stage.sees(lambda: stage.stamps)
+    assert stage.stamps[0] == stamp_of(3)
+    stage.finish(stamp_of(3))
+    stage.finish(stamp_of(4))
+    assert stage.sees(lambda: second.exit_code is not None)
+    told = json.loads((tmp_path / "summary.json").read_text())
+    assert (told["frames"], told["sent"], told["is_complete"]) == (5, 2, True)
+    assert [path.name for path in tmp_path.glob("summary*")] == ["summary.json"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -389,3 +390,12 @@ def test_a_player_goes_on_with_the_frame_in_flight_also_before_it_has_found_a_ca
     told = json.loads((tmp_path / "summary.json").read_text())
     assert (told["frames"], told["sent"], told["is_complete"]) == (5, 2, True)
     assert [path.name for path in tmp_path.glob("summary*")] == ["summary.json"]
+
+
+def test_frames_are_not_faster_than_the_pace(stage: Stage) -> None:
+    stage.player(pace=4.0)
+    assert stage.sees(lambda: stage.stamps)
+    begin = time.monotonic()
+    for frame in range(5):
+        stage.finish(stamp_of(frame))
+    assert time.monotonic() - begin > 0.6  # four quarters of a second, of which the first may be over

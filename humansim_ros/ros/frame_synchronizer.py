@@ -21,7 +21,6 @@ from humansim_ros.ros.limits import deserialised
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DONE, FRAME_DONE, NEWEST, SCENE_TIME
 from humansim_ros.scene.camera import CameraPose
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.state import JointMotion, SceneState
 from humansim_ros.types import Float32Array
 
@@ -220,11 +219,19 @@ class FrameSynchronizer:
             name: replace(content[f"{name}/pose"], velocity=content[f"{name}/twist"])
             for name in self._moving_cameras
         }
-        vertices = {human: content[f"humans/{human}/vertices"] for human in self._scene.actors}
-        joints_of = cache(lambda human: self._read_joints(human, content[f"humans/{human}/joints"]))
         self._node.report_lateness(frame.stamp, "arrival")
-        scene_time = content.get(SCENE_TIME, frame.stamp)
-        self._pass_on(frame.stamp, scene_time, vertices, joints_of, objects, cameras)
+        self._pass_on(
+            SceneState(
+                stamp=frame.stamp,
+                scene_time=content.get(SCENE_TIME, frame.stamp),
+                scene=self._scene,
+                actors=self._scene.actors,
+                vertices={human: content[f"humans/{human}/vertices"] for human in self._scene.actors},
+                joints_of=cache(lambda human: self._read_joints(human, content[f"humans/{human}/joints"])),
+                objects=objects,
+                cameras=cameras,
+            )
+        )
         report = messages.header(frame.stamp, self._reporter)
         self._done.publish(report)
         self._alive.publish(report)
@@ -252,34 +259,19 @@ class FrameSynchronizer:
             for name, moving in self._scene.moving_objects.items()
         }
         self._pass_on(
-            self._node.now(),
-            0,
-            {name: state.vertices for name, state in states.items()},
-            lambda human: JointMotion(states[human].joints, None, None),
-            objects,
-            {name: CameraPose.of(self._scene.cameras[name]) for name in self._moving_cameras},
+            SceneState(
+                stamp=self._node.now(),
+                scene_time=0,
+                scene=self._scene,
+                actors=self._scene.actors,
+                vertices={name: state.vertices for name, state in states.items()},
+                joints_of=lambda human: JointMotion(states[human].joints, None, None),
+                objects=objects,
+                cameras={name: CameraPose.of(self._scene.cameras[name]) for name in self._moving_cameras},
+                is_preview=True,
+            )
         )
 
-    def _pass_on(
-        self,
-        stamp: int,
-        scene_time: int,
-        vertices: dict[str, Float32Array],
-        joints_of: Callable[[str], JointMotion],
-        objects: dict[str, ObjectPose],
-        cameras: dict[str, CameraPose],
-    ) -> None:
-        actors = self._scene.actors
+    def _pass_on(self, state: SceneState) -> None:
         with self._node.skip_frame_on_error():
-            self._on_frame(
-                SceneState(
-                    stamp=stamp,
-                    scene_time=scene_time,
-                    scene=self._scene,
-                    actors=actors,
-                    vertices=vertices,
-                    joints_of=joints_of,
-                    objects=objects,
-                    cameras=cameras,
-                )
-            )
+            self._on_frame(state)

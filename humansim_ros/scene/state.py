@@ -51,6 +51,7 @@ class SceneState:
         joints_of: Returns the joints of a human by name; called only if they are needed.
         objects: Poses of moving objects by name.
         cameras: Poses of moving cameras by name.
+        is_preview: It is shown while no frame arrives, and is no frame itself: no flow leads to it.
     """
 
     stamp: int
@@ -61,6 +62,7 @@ class SceneState:
     joints_of: Callable[[str], JointMotion]
     objects: Mapping[str, ObjectPose]
     cameras: Mapping[str, CameraPose] = field(default_factory=dict)
+    is_preview: bool = False
     _moved: dict[float, Sequence[Body]] = field(init=False, default_factory=dict)
 
     @cached_property

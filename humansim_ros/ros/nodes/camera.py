@@ -121,7 +121,8 @@ class CameraNode(SceneNode):
         if self._last is not None and self._last[0].stamp != state.stamp:  # else the same frame again
             self._previous = self._last
         previous = self._previous
-        self._last = (state, exposure) if channels & (_FORWARD | _BACKWARD) else None
+        has_flow = channels & (_FORWARD | _BACKWARD) and not state.is_preview
+        self._last = (state, exposure) if has_flow else None
         if self._last is None:
             self._previous = None
         if previous is None:

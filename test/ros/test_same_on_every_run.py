@@ -2,17 +2,28 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import cache, partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import whole_flow, write_scene
+from conftest import ROOT
+from ros_support import Client, Lockstep, whole_flow, write_scene
 
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.ros import messages
 from humansim_ros.rotations import unit_quaternions
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.live import JointSource, LiveRetargeter
+
+sys.path.append(str(ROOT / "tools"))
+
+import field_hashes
 
 NOISY = """
 rate: 20
@@ -107,3 +118,253 @@ def test_only_quaternions_that_are_not_of_length_1_are_changed() -> None:
     np.testing.assert_array_equal(unit_quaternions(units), units)
     np.testing.assert_allclose(unit_quaternions(1.001 * units), units, atol=1e-15)
     assert unit_quaternions(np.array([0.0, 0.0, 0.0, 2.0])).tolist() == [0, 0, 0, 1]
+
+
+# --- runs
+
+EVERYTHING = """
+rate: 4
+randomise: {seed: 5, light: true, colours: true, clutter: 2}
+humans:
+  anna: {body: adult_woman, motion: {file: walk, position: [0.0, -1.0], loop: continue}}
+  bob: {motion: {file: wave, position: [-0.5, 0.8], yaw_deg: -20, offset: 0.5}}
+objects:
+  box: {mesh: box, size: [0.2, 0.4, 0.5], position: [0.5, 0, 0.3], label: true, keyframes: {file: moves.xml}}
+cameras:
+  lens:
+    size: [96, 72]
+    position: [3.0, 0.4, 1.4]
+    look_at: [0, 0, 1]
+    distortion: [-0.3, 0.09, 0.001, -0.002]
+    sensor:
+      noise: {}
+      rolling_shutter: 0.0002
+      exposure_time: 0.004
+      samples: 3
+      vignetting: {cos4: true}
+      encoding: bayer_rggb8
+  moving:
+    size: [80, 60]
+    trajectory: {file: way.txt, end: loop}
+    sensor: {noise: {}, exposure_time: 0.01, samples: 2, jpeg: 80}
+"""
+MOVES = """
+<animation startframe="0" endframe="20" rate="10"><object name="box">
+<frame number="0"><position x="0" y="-1" z="0"/></frame>
+<frame number="20"><position x="0" y="1" z="0"/><rotation x="0" y="0" z="50"/></frame></object></animation>
+"""
+FRAMES = 5
+HUMANSIM = [sys.executable, "-m", "humansim_ros"]
+
+
+def write_everything(folder: Path) -> Path:
+    """A scene with everything that could differ from run to run."""
+    folder.mkdir(exist_ok=True)
+    (folder / "moves.xml").write_text(MOVES)
+    Trajectory.orbit((0.2, 0.1, 1.0), 2.5, 1.7, 3.1).write(folder / "way.txt")
+    return write_scene(folder, EVERYTHING)
+
+
+@pytest.fixture(scope="module")
+def everything(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_everything(tmp_path_factory.mktemp("everything"))
+
+
+@pytest.fixture(scope="module")
+def expected(everything: Path) -> field_hashes.Hashes:
+    """Hashes of the messages that Simulation gives, for all topics."""
+    return simulated(everything)
+
+
+def simulated(scene: Path, frames: Sequence[int] = range(FRAMES)) -> field_hashes.Hashes:
+    """Hashes of the messages of some frames of a new simulation."""
+    from rclpy.serialization import deserialize_message, serialize_message
+
+    from humansim_ros.render.channels import ALL_CHANNELS
+    from humansim_ros.ros.topics import scene_topics
+
+    def sent() -> Iterator[tuple[str, Any]]:
+        with Simulation(Scene.load(scene), ALL_CHANNELS) as simulation:
+            topics = scene_topics(simulation.scene)
+            for index in frames:
+                frame = simulation.frame(index, rectified_depth=["lens"])
+                for topic in topics:
+                    if not topic.per_frame and index != frames[0]:
+                        continue
+                    message = serialize_message(topic.message(frame))
+                    yield topic.name, deserialize_message(message, topic.type)
+
+    return field_hashes.hashes(sent())
+
+
+@cache
+def loaded(scene: Path) -> Scene:
+    """A scene for all nodes of this process."""
+    return Scene.load(scene)
+
+
+class Listener:
+    """A subscriber of all topics of a scene in a namespace."""
+
+    def __init__(self, scene: Path, namespace: str) -> None:
+        from rclpy.qos import QoSDurabilityPolicy, QoSProfile
+
+        from humansim_ros.ros.topics import scene_topics
+
+        self.namespace = namespace
+        self.client = Client(f"listener_{namespace}")
+        self.messages: list[tuple[str, Any]] = []
+        self.received: dict[str, set[int | None]] = {}
+        #: Topics with a message in each frame.
+        self.topics: list[str] = []
+        for topic in scene_topics(loaded(scene)):
+            name = f"/{namespace}/{topic.name}"
+            if topic.per_frame and not topic.latched and in_all_frames(name):
+                self.topics.append(name)
+            latched = QoSDurabilityPolicy.TRANSIENT_LOCAL if topic.latched else QoSDurabilityPolicy.VOLATILE
+            self.client.node.create_subscription(
+                topic.type,
+                name,
+                partial(self._store, name),
+                QoSProfile(depth=100, durability=latched),
+            )
+
+    def _store(self, topic: str, message: Any) -> None:
+        self.messages.append((topic, message))
+        self.received.setdefault(topic, set()).add(field_hashes.stamp_of(message))
+
+    def frames(self) -> int:
+        """Number of frames of which all messages have arrived, but the flow to the next one."""
+        stamps = [self.received.get(topic, set()) for topic in self.topics]
+        flow = [
+            1 + len(each)
+            for topic, each in self.received.items()
+            if topic.endswith(("/flow/image", "/flow_back/image", "/hidden"))
+        ]
+        return min([len(set.intersection(*stamps)), *flow])
+
+    def hashes(self) -> field_hashes.Hashes:
+        return field_hashes.hashes(self.messages, self.namespace)
+
+
+def in_all_frames(topic: str) -> bool:
+    """Flow lacks a frame at an end, and markers are rare."""
+    return "flow" not in topic and not topic.endswith("/markers")
+
+
+def common_times(run: field_hashes.Hashes) -> set[int]:
+    """Scene times of which a run has a message of each topic with frames."""
+    frames = [
+        set(times)
+        for topic, times in run.items()
+        if field_hashes.LATCHED not in times and in_all_frames(topic)
+    ]
+    return set.intersection(*frames)
+
+
+def assert_same(run: field_hashes.Hashes, expected: field_hashes.Hashes, frames: int) -> None:
+    """Both have the same topics, and the same messages of at least so many frames."""
+    assert sorted(run) == sorted(expected)
+    assert field_hashes.differences(run, expected) == []
+    shown = common_times(run) & common_times(expected)
+    assert len(shown) >= frames
+    for topic, times in run.items():
+        if "/flow" in topic:
+            assert len(times.keys() & shown) >= frames - 1, topic
+
+
+def test_simulations_are_the_same(everything: Path, expected: field_hashes.Hashes) -> None:
+    again = [simulated(everything) for _ in range(2)]
+    assert again == [expected, expected]
+    assert len(common_times(expected)) == FRAMES
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("run", range(3))
+def test_nodes_in_one_process_show_what_simulation_shows(
+    ros: None, everything: Path, expected: field_hashes.Hashes, run: int
+) -> None:
+    from rclpy.parameter import Parameter
+
+    from humansim_ros.ros.nodes.camera_rig import CameraRigNode
+    from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
+    from humansim_ros.ros.nodes.skinner import SkinnerNode
+
+    namespace = f"process_{run}"
+    kinds = [(MotionPlayerNode, []), (SkinnerNode, ["anna"]), (SkinnerNode, ["bob"]), (CameraRigNode, [])]
+    nodes: list[Any] = [
+        kind(
+            scene=loaded(everything),
+            parameter_overrides=[Parameter("human", value=name) for name in names],
+            namespace=namespace,
+        )
+        for kind, names in kinds
+    ]
+    player, listener = Lockstep(nodes[0]), Listener(everything, namespace)
+    everyone = [each for node in nodes for each in getattr(node, "nodes", [node])]
+    for node in everyone:
+        listener.client.executor.add_node(node)
+    listener.client.spin_until_matched(*everyone)
+    for number in range(FRAMES):
+        player.play()
+        assert listener.client.spin_until(lambda n=number: listener.frames() > n)
+    assert_same(listener.hashes(), expected, FRAMES)
+    for node in nodes:
+        node.close()
+        node.destroy_node()
+    listener.client.close()
+
+
+@contextmanager
+def processes(scene: Path, namespace: str, *options: str) -> Iterator[Listener]:
+    """``humansim run`` with some options, and a listener."""
+    listener = Listener(scene, namespace)
+    command = [*HUMANSIM, "run", str(scene), "--namespace", namespace, *options]
+    with subprocess.Popen(command) as run:
+        try:
+            yield listener
+        finally:
+            run.terminate()
+    listener.client.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("run", "camera_processes"), [(0, 1), (1, 2), (2, 2)])
+def test_lockstep_shows_what_simulation_shows(
+    ros: None, everything: Path, expected: field_hashes.Hashes, run: int, camera_processes: int
+) -> None:
+    options = ("--lockstep", "--frames", str(FRAMES), "--processes", str(camera_processes))
+    with processes(everything, f"lockstep_{run}", *options) as listener:
+        assert listener.client.spin_until(lambda: listener.frames() >= FRAMES)
+    assert_same(listener.hashes(), expected, FRAMES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("run", range(3))
+def test_frames_of_realtime_are_those_of_simulation(ros: None, everything: Path, run: int) -> None:
+    """Whichever it shows: a machine that is late skips some, and flow then leads to the next one shown."""
+    with processes(everything, f"realtime_{run}", "--realtime", "--processes", "2") as listener:
+        assert listener.client.spin_until(lambda: listener.frames() >= 3)
+    # a matrix has no stamp: the last one is of another frame
+    shown = {
+        topic: times
+        for topic, times in listener.hashes().items()
+        if "/flow" not in topic and topic != "/moving/projection"
+    }
+    numbers = [round(time * 4e-9) for time in sorted(common_times(shown))[:5]]
+    expected = simulated(everything, numbers)
+    assert_same(shown, {topic: times for topic, times in expected.items() if topic in shown}, 3)
+
+
+@pytest.mark.slow
+def test_recordings_are_what_simulation_shows(
+    everything: Path, expected: field_hashes.Hashes, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bags = []
+    for run, jobs in enumerate((1, 4, 4)):
+        bags.append(tmp_path / f"bag_{run}")
+        options = ("--frames", str(FRAMES), "--jobs", str(jobs), "--topics", "/**")
+        subprocess.run([*HUMANSIM, "record", str(everything), "-o", str(bags[-1]), *options], check=True)
+        assert_same(field_hashes.bag_hashes(bags[-1]), expected, FRAMES)
+    assert field_hashes.main([str(bag) for bag in bags[:2]]) == 0
+    assert " 0 differ" in capsys.readouterr().out

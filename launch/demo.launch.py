@@ -1,7 +1,8 @@
-"""Start all nodes of a scene: motion player, one skinner per human, camera processes."""
+"""Start all nodes of a scene: motion player, one skinner per human, camera processes, a recorder."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 from launch import LaunchContext, LaunchDescription
@@ -11,9 +12,14 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
 from humansim_ros.ros.processes import (
+    CANNOT_WRITE,
+    RECORD_ARGUMENTS,
+    RECORDER_NODE,
     TIME_ARGUMENTS,
     TIMED_OUT,
     WRONG_INPUT,
+    NodeProcess,
+    record_options,
     relative_namespace,
     render_threads,
     scene_processes,
@@ -33,7 +39,8 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
     frame_prefix = LaunchConfiguration("frame_prefix").perform(context)
     only = LaunchConfiguration("only").perform(context)
     time = time_options({name: LaunchConfiguration(name).perform(context) for name in TIME_ARGUMENTS})
-    processes = scene_processes(scene, number, frame_prefix=frame_prefix, only=only, time=time)
+    record = record_options({name: LaunchConfiguration(name).perform(context) for name in RECORD_ARGUMENTS})
+    processes = scene_processes(scene, number, frame_prefix=frame_prefix, only=only, time=time, record=record)
     remove_dead_files()
     transport = choose_transport(len(processes))
     warnings = [LogInfo(msg=f"warning: {transport.warning}")] if transport.warning else []
@@ -49,11 +56,26 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
             respawn=LaunchConfiguration("respawn"),
             respawn_delay=0.5,
             respawn_max_retries=20,  # in all
-            on_exit=stop_after_last_frame if process.has_end else stop_after_wrong_input,
+            sigterm_timeout=str(process.stop_limit),
+            on_exit=on_exit(process),
         )
         for process in processes
     ]
     return [*warnings, *nodes]
+
+
+def on_exit(process: NodeProcess) -> Callable[[ProcessExited, LaunchContext], list[Shutdown]]:
+    """Function that decides whether all nodes stop with one."""
+    if process.has_end:
+        return stop_after_last_frame
+    return stop_after_failed_recording if process.node_name == RECORDER_NODE else stop_after_wrong_input
+
+
+def stop_after_failed_recording(event: ProcessExited, context: LaunchContext) -> list[Shutdown]:
+    """Stop all nodes also if the recorder cannot write any more."""
+    if event.returncode == CANNOT_WRITE:
+        return [Shutdown(reason="the bag cannot be written")]
+    return stop_after_wrong_input(event, context)
 
 
 def stop_after_wrong_input(event: ProcessExited, context: LaunchContext) -> list[Shutdown]:
@@ -94,7 +116,7 @@ def generate_launch_description() -> LaunchDescription:
             ),
             *(
                 DeclareLaunchArgument(name, default_value="", description=description)
-                for name, description in TIME_ARGUMENTS.items()
+                for name, description in {**TIME_ARGUMENTS, **RECORD_ARGUMENTS}.items()
             ),
             OpaqueFunction(function=scene_nodes),
         ]

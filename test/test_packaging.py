@@ -417,6 +417,7 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     *arguments, opaque = launch_file.generate_launch_description()
     names = ["scene", "processes", "only", "namespace", "frame_prefix", "respawn"]
     names += ["lockstep", "frames", "wait_for", "timeout", "on_timeout", "pace"]
+    names += ["record", "record_topics", "record_compression"]
     assert [argument.args for argument in arguments] == [(name,) for name in names]
     defaults = {name: argument.default_value for name, argument in zip(names, arguments, strict=True)}
     for number in (None, 3):
@@ -460,6 +461,14 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     for name, wrong in (("lockstep", "maybe"), ("timeout", "x"), ("frames", "0")):
         with pytest.raises(RosError, match=f"launch argument {name} must be .*, not '{wrong}'"):
             opaque.function({**defaults, name: wrong})
+
+    recorded = {"record": "/data/walk", "record_topics": "/left/*, /tracker/poses"}
+    *others, recorder = opaque.function({**defaults, **recorded})
+    for argument in ('output:="/data/walk"', 'topics:=["/left/*", "/tracker/poses"]', "resume:=true"):
+        assert argument in recorder.arguments
+    assert float(recorder.sigterm_timeout) > 60  # it writes what it has received
+    full = types.SimpleNamespace(returncode=1)
+    assert recorder.on_exit(full, defaults) and not any(node.on_exit(full, defaults) for node in others)
 
 
 def test_a_scene_in_lockstep_gives_its_nodes_simulated_time_but_not_the_player(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ TIMED_OUT = 3
 #: Node that records the topics of a run.
 RECORDER_NODE = "recorder"
 #: Exit code of a recorder that cannot write any more.
-_CANNOT_WRITE = 1
+CANNOT_WRITE = 1
 
 
 @dataclass(frozen=True)
@@ -174,6 +174,25 @@ def time_options(arguments: Mapping[str, str]) -> TimeOptions:
     )
 
 
+#: Launch arguments of a recording, and their descriptions; all are empty by default.
+RECORD_ARGUMENTS = {
+    "record": "Folder of a new bag for the topics of the scene; empty: none",
+    "record_topics": "Topics to record, names or patterns, separated by commas",
+    "record_compression": "Compression of the bag: none, zstd or lz4",
+}
+
+
+def record_options(arguments: Mapping[str, str]) -> RecordOptions | None:
+    """Options of launch arguments; None if nothing is recorded. Raises RosError without a folder."""
+    given = {name: text.strip() for name, text in arguments.items() if text.strip()}
+    if "record" not in given:
+        if given:
+            raise RosError(f"launch argument {next(iter(given))} goes with record only")
+        return None
+    topics = [each.strip() for each in given.get("record_topics", "").split(",") if each.strip()]
+    return RecordOptions(given["record"], topics, given.get("record_compression", "none"))
+
+
 def _number(name: str, arguments: Mapping[str, str]) -> float | None:
     """A number of the launch arguments; None if it is not given. Raises RosError."""
     if name not in arguments:
@@ -304,7 +323,7 @@ def _recorder(
         RECORDER_NODE,
         parameters,
         stop_limit=120.0,
-        final_codes=frozenset({_CANNOT_WRITE, WRONG_INPUT}),
+        final_codes=frozenset({CANNOT_WRITE, WRONG_INPUT}),
     )
 
 

@@ -813,3 +813,15 @@ def test_a_recorder_is_one_of_the_processes_and_lockstep_waits_for_it(tmp_path: 
     bag.mkdir()
     with pytest.raises(RosError, match="exists; choose another name"):
         scene_processes(scene, record=options)
+
+
+def test_launch_arguments_are_options_of_the_recorder() -> None:
+    from humansim_ros.errors import RosError
+    from humansim_ros.ros.processes import RECORD_ARGUMENTS, RecordOptions, record_options
+
+    nothing = dict.fromkeys(RECORD_ARGUMENTS, "")
+    assert record_options(nothing) is None
+    given = {**nothing, "record": "/data/walk", "record_topics": "/left/*, /tracker/poses"}
+    assert record_options(given) == RecordOptions("/data/walk", ["/left/*", "/tracker/poses"], "none")
+    with pytest.raises(RosError, match="record_topics goes with record only"):
+        record_options({**nothing, "record_topics": "/left/*"})

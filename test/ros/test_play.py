@@ -361,3 +361,54 @@ def test_the_rate_of_the_clock_may_be_left_out(given: str, joined: str) -> None:
     from humansim_ros.cli.options import join_numbers
 
     assert join_numbers(given.split()) == joined.split()
+
+
+def test_a_camera_renders_a_played_bag_as_it_renders_the_live_topics(ros: None, tmp_path: Path) -> None:
+    from rclpy.parameter import Parameter
+    from rclpy.serialization import serialize_message
+    from ros_support import Client, write_scene
+    from sensor_msgs.msg import Image
+
+    from humansim_ros import Scene, Simulation
+    from humansim_ros.ros.bag_player import BagPlayer, PlayOptions
+    from humansim_ros.ros.messages import joints_message, scene_time_message, vertices_message
+    from humansim_ros.ros.nodes.camera import CameraNode
+
+    scene = Scene.load(write_scene(tmp_path))
+    with Simulation(scene, channels=("rgb",)) as simulation:
+        frame = simulation.frame(3)
+        expected = frame.views["left"].rgb
+    topics = [BagTopic("/scene_time", "sensor_msgs/msg/TimeReference")]
+    topics += [BagTopic(f"/humans/{name}/vertices", "sensor_msgs/msg/PointCloud2") for name in scene.actors]
+    topics += [
+        BagTopic(f"/humans/{name}/joints", "sensor_msgs/msg/MultiDOFJointState") for name in scene.actors
+    ]
+    content = [scene_time_message(frame.scene_time, frame.stamp)]
+    content += [vertices_message(body.vertices, frame.stamp) for body in frame.humans.values()]
+    content += [joints_message(body, frame.stamp) for body in frame.humans.values()]
+    messages = [
+        BagMessage(number, frame.stamp, bytes(serialize_message(message)))
+        for number, message in enumerate(content)
+    ]
+    bag = write_bag(tmp_path / "bag", messages, topics)
+    overrides = [Parameter("camera", value="left"), Parameter("start_scene", value=False)]
+    camera = CameraNode(scene=scene, parameter_overrides=overrides)
+    client = Client("viewer")
+    client.subscribe(Image, ["/left/image_raw"])
+    client.executor.add_node(camera)
+    player = BagPlayer(bag, PlayOptions())
+    try:
+        publishers = list(player._all())
+        assert client.spin_until(lambda: all(each.get_subscription_count() for each in publishers))
+        assert client.spin_until(lambda: camera.count_subscribers("/left/image_raw"))
+        thread = threading.Thread(target=player.play)
+        thread.start()
+        assert client.spin_until(lambda: client.received["/left/image_raw"])
+        thread.join(PATIENCE)
+    finally:
+        player.close()
+        camera.close()
+        camera.destroy_node()
+        client.close()
+    (image,) = client.received["/left/image_raw"].values()
+    assert bytes(image.data) == expected.tobytes()

@@ -37,6 +37,7 @@ PARSED |= {
     ("motion", "render"),
     ("bench",),
     ("record",),
+    ("play",),
 }
 OWN_FILE = re.compile(r"[A-Z][A-Z_0-9]*(\.\w+)?/?")
 #: Options before a file that the command writes.

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import functools
+import importlib.util
 import os
 import re
+import sys
 from collections import defaultdict
 from collections.abc import Generator, Iterator
 from contextlib import suppress
@@ -169,6 +171,31 @@ def ros() -> Iterator[None]:
     rclpy.init()
     yield
     rclpy.try_shutdown()
+
+
+@pytest.fixture(scope="session")
+def built_interfaces() -> Path:
+    """Folder with the Python packages simulation_interfaces and tf2_msgs, which are not on PyPI."""
+    spec = importlib.util.spec_from_file_location("build_interfaces", ROOT / "tools" / "build_interfaces.py")
+    assert spec is not None and spec.loader is not None
+    build_interfaces = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(build_interfaces)
+    try:
+        return Path(build_interfaces.built_interfaces())
+    except build_interfaces.BuildError as reason:
+        pytest.skip(f"interfaces cannot be built here: {reason}")
+
+
+@pytest.fixture(scope="module")
+def interfaces(built_interfaces: Path) -> Iterator[Path]:
+    """The built packages can be imported, in the tests of one file."""
+    sys.path.insert(0, str(built_interfaces))
+    yield built_interfaces
+    sys.path.remove(str(built_interfaces))
+    for name in [
+        name for name in sys.modules if name.partition(".")[0] in ("simulation_interfaces", "tf2_msgs")
+    ]:
+        del sys.modules[name]
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
+from rclpy.task import Future
 
 from humansim_ros.errors import HumansimError, printable
 from humansim_ros.ros.limits import check_request, check_serialised, deserialised
@@ -146,18 +147,33 @@ class GuardedNode(Node):
     ) -> Any:
         """Create a service, as ``Node.create_service``, whose callback cannot end the node.
 
-        A request that is too long, or at which it fails, is answered with a refusal.
+        A request that is too long, or at which it fails, is answered with a refusal. The callback may return
+        a future of the response: the request is answered when it is done.
         """
+        source = f"service {self.resolve_service_name(srv_name)}"
 
         def on_request(request: Any, response: Any) -> Any:
-            with self.guard(
-                f"service {self.resolve_service_name(srv_name)}", "the request is refused"
-            ) as fault:
+            with self.guard(source, "the request is refused") as fault:
                 check_request(request)
                 return callback(request, response)
             return _refusal(request, srv_type.Response(), fault.reason)
 
-        return super().create_service(srv_type, srv_name, on_request, **options)
+        service = super().create_service(srv_type, srv_name, on_request, **options)
+        send = service.send_response
+
+        # not a coroutine, which the EventsExecutor does not await
+        def send_when_done(response: Any, header: Any) -> None:
+            def send_result(done: Future) -> None:
+                with self.guard(source, "the request is not answered"):
+                    send(done.result(), header)
+
+            if isinstance(response, Future):
+                response.add_done_callback(send_result)
+            else:
+                send(response, header)
+
+        service.send_response = send_when_done
+        return service
 
     def add_pre_set_parameters_callback(self, callback: Callable[[Any], Any]) -> None:
         """Add a callback that completes parameters; all are refused if it fails."""
@@ -198,7 +214,9 @@ def _names(parameters: Sequence[Any]) -> str:
 
 
 def _refusal(request: Any, response: Any, reason: str) -> Any:
-    """Fill the response of a failed request: fields of std_srvs, SetCameraInfo and parameter services."""
+    """Fill the response of a failed request: fields of std_srvs, SetCameraInfo, parameter services and
+    simulation_interfaces.
+    """
     refused = SetParametersResult(successful=False, reason=reason)
     if hasattr(response, "success"):
         response.success = False
@@ -209,4 +227,7 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
         response.results = [refused] * len(request.parameters)
     elif isinstance(getattr(response, "result", None), SetParametersResult):
         response.result = refused
+    elif hasattr(getattr(response, "result", None), "error_message"):
+        response.result.result = response.result.RESULT_OPERATION_FAILED
+        response.result.error_message = reason
     return response

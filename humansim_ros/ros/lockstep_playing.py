@@ -27,7 +27,6 @@ from humansim_ros.ros.processes import TIMED_OUT, WRONG_INPUT
 from humansim_ros.ros.progress_file import ProgressFile
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
 from humansim_ros.ros.topic_members import TopicMembers
-from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.playback import ScenePoses, Tick
 
 #: Seconds between two looks at the members.
@@ -75,9 +74,9 @@ class LockstepPlaying(Playing):
         #: Callbacks of the frames to play during a pause, None for those without one.
         self._steps: deque[Callable[[], object] | None] = deque()
         self._done: Callable[[], object] | None = None
-        #: The frame in flight, and the one after it with the humans that it was computed for.
+        #: The frame in flight, and the one after it with the version of the playback that it shows.
         self._frame: tuple[Tick, ScenePoses] | None = None
-        self._prepared: tuple[Tick, tuple[Actor, ...], ScenePoses] | None = None
+        self._prepared: tuple[Tick, int, ScenePoses] | None = None
         #: Number of frames of the run before this player was started.
         self._before = 0
         self._seconds = (0.0, 0.0)
@@ -251,10 +250,8 @@ class LockstepPlaying(Playing):
         """Poses of a frame, which have been computed already unless something has changed since."""
         playback = self.player.playback
         if self._prepared is not None:
-            prepared, actors, scene_poses = self._prepared
-            if prepared == tick and all(
-                a is b for a, b in zip(actors, playback.actors.values(), strict=True)
-            ):
+            prepared, version, scene_poses = self._prepared
+            if prepared == tick and version == playback.version:
                 playback.elapsed = tick.elapsed
                 return scene_poses
         return playback.show(tick.elapsed, tick.pace)
@@ -263,7 +260,7 @@ class LockstepPlaying(Playing):
         """Compute the next frame while the members work on this one."""
         playback = self.player.playback
         tick, shown = self._planned(1), playback.elapsed
-        self._prepared = tick, tuple(playback.actors.values()), playback.show(tick.elapsed, tick.pace)
+        self._prepared = tick, playback.version, playback.show(tick.elapsed, tick.pace)
         playback.elapsed = shown
 
     def _planned(self, frames: int) -> Tick:

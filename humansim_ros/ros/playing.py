@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.scene.playback import Playback, PlaybackClock, ScenePoses, Tick
@@ -18,13 +19,27 @@ class FramePlayer(SceneNode):
     Attributes:
         playback: Motions.
         playback_clock: Stamp and scene time of each frame.
+        playing: How it goes on from frame to frame.
     """
 
     playback: Playback
     playback_clock: PlaybackClock
+    playing: Playing
 
     def send_frame(self, tick: Tick, scene_poses: ScenePoses) -> None:
         """Publish one frame."""
+        raise NotImplementedError
+
+    def restart(self) -> Tick:
+        """Jump to scene time 0; returns the frame that shows it."""
+        raise NotImplementedError
+
+    def change_motions(self, changes: Mapping[str, Mapping[str, Any]]) -> None:
+        """Change the motions of humans at once.
+
+        ``changes``: keys of a section ``motion`` by human. Raises HumansimError, and changes nothing, if one
+        cannot be played.
+        """
         raise NotImplementedError
 
     def restart_legends(self) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
+from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError, in_section
 from humansim_ros.io.schema_errors import schema_error
@@ -20,9 +21,11 @@ from humansim_ros.motion.world_motion import WorldMotion
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
+from humansim_ros.scene.entities import EntityPose
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.source import SceneSource
+from humansim_ros.types import Array
 
 #: Keys that describe the motion file; another file starts with their defaults.
 _FILE_KEYS = ("joint_names", "min_confidence", "unit", "up", "facing", "positions", "start", "end")
@@ -190,6 +193,7 @@ class Playback:
         settings: Section ``motion`` of each human as it is now.
         actors: Humans as they are now, by name.
         elapsed: Scene time that was shown last, nanoseconds. Changes apply from there.
+        version: Number of changes: poses that were computed before one are out of date.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -198,7 +202,9 @@ class Playback:
         self.settings: dict[str, MotionConfig] = {
             name: scene.config.humans[name].motion for name in scene.actors
         }
-        self.elapsed = 0
+        self.elapsed = self.version = 0
+        #: Rotation and translation of each object that was put somewhere else than its keyframes do.
+        self._shifts: dict[str, tuple[Rotation, Array]] = {}
 
     def show(self, elapsed: int, pace: float = 1.0) -> ScenePoses:
         """Poses at ``elapsed`` nanoseconds of the scene, with velocities per second of the wall clock.
@@ -208,7 +214,7 @@ class Playback:
         self.elapsed = elapsed
         seconds = elapsed * 1e-9
         poses = {name: _paced(actor.joint_poses(seconds), pace) for name, actor in self.actors.items()}
-        objects = {name: item.at(seconds) for name, item in self.scene.moving_objects.items()}
+        objects = {name: self._object_at(name, seconds) for name in self.scene.moving_objects}
         objects = {name: replace(place, velocity=_velocity(place, pace)) for name, place in objects.items()}
         cameras = {name: camera.pose(seconds) for name, camera in self.scene.moving_cameras.items()}
         cameras = {name: replace(pose, velocity=_velocity(pose, pace)) for name, pose in cameras.items()}
@@ -255,6 +261,7 @@ class Playback:
 
     def apply(self, change: Change) -> None:
         """Start the motion of a prepared change."""
+        self.version += 1
         old, actor = self.actors[change.name], change.actor
         seconds = self.elapsed * 1e-9
         at = 0.0
@@ -265,8 +272,65 @@ class Playback:
         self.actors[change.name] = replace(actor, ahead=ahead)
         self.settings[change.name] = change.settings
 
+    def _object_at(self, name: str, seconds: float) -> ObjectPose:
+        pose = self.scene.moving_objects[name].at(seconds)
+        if name not in self._shifts:
+            return pose
+        turn, offset = self._shifts[name]
+        position, rotation = (
+            turn.apply(pose.position) + offset,
+            (turn * Rotation.from_quat(pose.rotation)).as_quat(),
+        )
+        velocity = pose.velocity
+        if velocity is not None:
+            velocity = Velocity(turn.apply(velocity.linear), turn.apply(velocity.angular))
+        return replace(pose, position=position, rotation=rotation, velocity=velocity)
+
+    def place_object(self, name: str, position: Array, rotation: Array) -> None:
+        """Put a moving object somewhere else now; its keyframes move it on from there.
+
+        Args:
+            name: Name of the object.
+            position: (3,) in ``map``, metres.
+            rotation: (4,) quaternion xyzw.
+        """
+        pose = self.scene.moving_objects[name].at(self.elapsed * 1e-9)
+        turn = Rotation.from_quat(rotation) * Rotation.from_quat(pose.rotation).inv()
+        self._shifts[name] = turn, position - turn.apply(pose.position)
+        self.version += 1
+
+    def reset_objects(self) -> None:
+        """Put all moving objects where their keyframes do."""
+        self._shifts = {}
+        self.version += 1
+
+    def object_pose(self, name: str) -> ObjectPose:
+        """Pose of an object, static or moving, at the scene time that was shown last."""
+        item = self.scene.objects[name]
+        return self._object_at(name, self.elapsed * 1e-9) if item.moves else item.initial_pose
+
+    def human_pose(self, name: str) -> EntityPose:
+        """Pose of a human on the floor, at the scene time that was shown last."""
+        actor = self.actors[name]
+        return EntityPose.of_human(actor.joint_poses(self.elapsed * 1e-9), actor.motion.match.roles["Hips"])
+
+    def placement(self, name: str, position: Array, yaw: float) -> dict[str, Any]:
+        """Settings of a motion for :meth:`prepare` that put a human somewhere else now.
+
+        Args:
+            name: Name of the human, without keyframes.
+            position: (2,) where the hips are to be, metres in ``map``.
+            yaw: Direction that they are to face, radians.
+        """
+        now, settings = self.human_pose(name), self.settings[name]
+        turn = yaw - Rotation.from_quat(now.rotation).as_euler("xyz")[2]
+        cos, sin = np.cos(turn), np.sin(turn)
+        anchor = position + np.array([[cos, -sin], [sin, cos]]) @ (settings.position - now.position[:2])
+        return {"position": tuple(anchor.tolist()), "yaw_deg": settings.yaw_deg + float(np.degrees(turn))}
+
     def rewind(self) -> None:
         """Play all motions as if they had their present settings from the start of the scene."""
+        self.version += 1
         for name, actor in self.actors.items():
             self.actors[name] = replace(actor, ahead=0.0)
 

@@ -11,7 +11,8 @@ report each finished frame on ``frame_done``; the player skips frames that a cam
 all cameras show the same frames.
 
 Parameters can be set while it plays; services ``~/pause``, ``~/step`` and ``~/restart`` control it
-(docs/playing.md). Values that cannot be played are rejected with the reason, and the old motion goes on.
+(docs/playing.md), and those of the package simulation_interfaces, where that is installed. Values that cannot
+be played are rejected with the reason, and the old motion goes on.
 """
 
 from __future__ import annotations
@@ -30,10 +31,11 @@ from humansim_ros.ros.background import BackgroundWork
 from humansim_ros.ros.lockstep_playing import LockstepPlaying
 from humansim_ros.ros.lockstep_settings import LockstepSettings
 from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
-from humansim_ros.ros.playing import MAX_WAITING, FramePlayer, Playing
+from humansim_ros.ros.playing import MAX_WAITING, FramePlayer
 from humansim_ros.ros.realtime import RealtimePlaying
 from humansim_ros.ros.requested_motions import MOTION_FOLDERS, RequestedMotions
 from humansim_ros.ros.runtime import run_node
+from humansim_ros.ros.simulation_services import serve_simulation
 from humansim_ros.ros.topics import SCENE_TIME_TOPIC, HumanTopics, ObjectTopics, Topic, moving_camera_topics
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import LIVE
@@ -93,7 +95,8 @@ class MotionPlayerNode(FramePlayer):
         self.create_service(SetBool, "~/pause", self._on_pause)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(Trigger, "~/restart", self._on_restart)
-        self.playing: Playing = LockstepPlaying(self, settings) if settings else RealtimePlaying(self, lead)
+        self.playing = LockstepPlaying(self, settings) if settings else RealtimePlaying(self, lead)
+        self._simulation = serve_simulation(self)
         self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {self.scene.path}")
 
     def _publisher(self, topic: Topic[Any]) -> Any:
@@ -126,6 +129,8 @@ class MotionPlayerNode(FramePlayer):
 
     def close(self) -> None:
         """End playing."""
+        if self._simulation is not None:
+            self._simulation.close()
         self.playing.close()
 
     # --- parameters
@@ -135,16 +140,29 @@ class MotionPlayerNode(FramePlayer):
         self._changes = []
         changes = self._motion_parameters.changes(parameters)
         try:
-            self._changes = self._background.run(
-                lambda: [self._prepare_change(*change) for change in changes.items()],
-                self.playing.work,
-                min(0.01, self.playback_clock.period * 0.5e-9),
-            )
+            self._changes = self._prepared(changes)
         except HumansimError as error:
             reason = printable(str(error), 1000)
             self.get_logger().error(f"parameters rejected, the old motion goes on: {reason}")
             return SetParametersResult(successful=False, reason=reason)
         return SetParametersResult(successful=True)
+
+    def _prepared(self, changes: Mapping[str, Mapping[str, Any]]) -> list[tuple[Change, JointSource]]:
+        """Prepare changes by human while frames go on. Raises HumansimError if one cannot be played."""
+        return self._background.run(
+            lambda: [self._prepare_change(*change) for change in changes.items()],
+            self.playing.work,
+            min(0.01, self.playback_clock.period * 0.5e-9),
+        )
+
+    def change_motions(self, changes: Mapping[str, Mapping[str, Any]]) -> None:
+        """Change the motions of humans at once.
+
+        ``changes``: keys of a section ``motion`` by human. Raises HumansimError, and changes nothing, if one
+        cannot be played.
+        """
+        self._changes = self._prepared(changes)
+        self._apply_changes()
 
     def _prepare_change(self, human: str, settings: Mapping[str, Any]) -> tuple[Change, JointSource]:
         """Prepare a change, and the content of its legend."""
@@ -165,12 +183,7 @@ class MotionPlayerNode(FramePlayer):
 
     def _apply(self, parameters: Sequence[Parameter]) -> None:
         """Make accepted parameters effective."""
-        since = 0 if self.playback_clock.last is None else self.playback_clock.last + 1
-        for change, source in self._changes:
-            self._sources[change.name] = replace(source, since=since)
-            self.playback.apply(change)
-        self._update_sources({change.name for change, _ in self._changes})
-        self._changes = []
+        self._apply_changes()
         values = {parameter.name: parameter.value for parameter in parameters}
         if "speed" in values:
             self.playback_clock.set_speed(values["speed"])
@@ -180,6 +193,15 @@ class MotionPlayerNode(FramePlayer):
             self._go_to(values["seek"])
         elif "rate" in values:
             self.playing.follow_rate()
+
+    def _apply_changes(self) -> None:
+        """Start the prepared motions with the next frame."""
+        since = 0 if self.playback_clock.last is None else self.playback_clock.last + 1
+        for change, source in self._changes:
+            self._sources[change.name] = replace(source, since=since)
+            self.playback.apply(change)
+        self._update_sources({change.name for change, _ in self._changes})
+        self._changes = []
 
     def _update_sources(self, changed: Collection[str] = ()) -> None:
         """Publish the motion of every human that is not live, and the legend of each change.
@@ -201,6 +223,10 @@ class MotionPlayerNode(FramePlayer):
     def _publish_legend(self, human: str, source: JointSource | None) -> None:
         """Publish the legend of a human's motion. ``source``: None if another node moves the human."""
         self._legends[human].publish(self._human_topics[human].legend.build(source, 0))
+
+    def restart(self) -> Tick:
+        """Jump to scene time 0; returns the frame that shows it."""
+        return self._go_to(0.0)
 
     def _go_to(self, seconds: float) -> Tick:
         """Jump to a scene time, as if all humans had played their present motions from the start."""
@@ -224,7 +250,7 @@ class MotionPlayerNode(FramePlayer):
         return _accept(response, tick.stamp, tick.elapsed)
 
     def _on_restart(self, _: Any, response: Any) -> Any:
-        tick = self._go_to(0.0)
+        tick = self.restart()
         return _accept(response, tick.stamp, tick.elapsed)
 
 

@@ -618,10 +618,10 @@ def test_a_running_suite_is_driven_by_the_standard_alone(
 
     scene = write_scene(tmp_path)
     environment = {**os.environ, "PYTHONPATH": f"{ROOT}{os.pathsep}{interfaces}"}
+    tool = Tool()
     run = subprocess.Popen(
         [sys.executable, "-m", "humansim_ros.cli", "run", str(scene), f"--{mode}"], env=environment
     )
-    tool = Tool()
     try:
         tool.client.subscribe(TransformStamped, ["/left/extrinsics"], LATCHED)
         shown = tool.client.received["/left/extrinsics"]

@@ -86,7 +86,7 @@ class LockstepPlaying(Playing):
         #: Stamp with which a player that is started again goes on: that of its file, or of the cameras.
         self._progress = ProgressFile(Path(f"{settings.summary}.stamp")) if settings.summary else None
         self._newest = self._progress.stamp if self._progress else 0
-        self._latched: Any = player.create_subscription(Header, CAMERA_ALIVE, self._on_latched, ALIVE)
+        player.create_subscription(Header, CAMERA_ALIVE, self._on_latched, ALIVE)
         self._owner = ClockOwner(player, self._graph)
         self._clock_publisher: Any = None
         player.create_subscription(Header, FRAME_DONE, self._on_done, REPORTS)
@@ -170,8 +170,8 @@ class LockstepPlaying(Playing):
 
     def _on_latched(self, report: Header) -> None:
         """Newest report of a camera that was there before this player."""
+        # not destroyed when it has served: more reports may wait, and the executor would fail at them
         if any(self.state.finished.values()):
-            self.player.destroy_subscription(self._latched)
             return
         names = {self._name(each) for each in report.frame_id.split(", ")}
         stamp = to_nanoseconds(report.stamp)

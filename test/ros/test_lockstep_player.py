@@ -17,11 +17,13 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import Image, MultiDOFJointState, TimeReference
 from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
+from waiting import wait_until
 
 from humansim_ros.errors import RosError
 from humansim_ros.ros import messages
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE
+from humansim_ros.ros.runtime import make_executor
 
 SECOND = 1_000_000_000
 CAMERAS = "/led/left, /led/right"
@@ -30,9 +32,9 @@ CAMERAS = "/led/left, /led/right"
 class Stage:
     """A player in namespace ``led``, and a client that stands in for cameras and trackers."""
 
-    def __init__(self, scene: Path) -> None:
+    def __init__(self, scene: Path, executor: Any = None) -> None:
         self._scene = scene
-        self.client = Client("stand_in")
+        self.client = Client("stand_in", executor)
         self.reports = self.client.node.create_publisher(Header, "/led/frame_done", 10)
         self.stamps: list[int] = []
         self.order: list[tuple[str, int]] = []
@@ -211,6 +213,24 @@ def test_a_player_that_was_killed_goes_on_with_the_newest_finished_frame(stage: 
     assert stage.stamps[0] == stamp_of(3)
     stage.finish(stamp_of(3))
     stage.finish(stamp_of(4))
+
+
+def test_a_reporter_of_other_qos_does_not_end_the_executor(ros: None, tmp_path: Path) -> None:
+    """The EventsExecutor fails at an event of a subscription that has been destroyed meanwhile."""
+    stage = Stage(write_scene(tmp_path), make_executor())
+    camera = stage.client.node.create_publisher(Header, f"/led/{CAMERA_ALIVE}", ALIVE)
+    player = stage.player()
+    stage.client.spin_until_matched(player)
+    stage.finish(stamp_of(0))
+    assert stage.sees(lambda: stamp_of(1) in stage.stamps)
+    camera.publish(messages.header(stamp_of(0), CAMERAS))
+    other = Client("of_other_qos")  # its executor is not spun: the event waits behind the report
+    volatile = other.node.create_publisher(Header, f"/led/{CAMERA_ALIVE}", 10)
+    assert wait_until(lambda: player.count_publishers(volatile.topic_name) == 2)
+    stage.finish(stamp_of(1))
+    stage.finish(stamp_of(2))
+    other.close()
+    stage.close()
 
 
 def test_the_later_of_two_players_names_the_other_and_ends(

@@ -13,6 +13,7 @@ from launch_ros.actions import Node
 
 from humansim_ros.ros.processes import (
     CANNOT_WRITE,
+    QUIT,
     RECORD_ARGUMENTS,
     RECORDER_NODE,
     TIME_ARGUMENTS,
@@ -79,8 +80,12 @@ def stop_after_failed_recording(event: ProcessExited, context: LaunchContext) ->
 
 
 def stop_after_wrong_input(event: ProcessExited, context: LaunchContext) -> list[Shutdown]:
-    """Stop all nodes if one has reported wrong input: another start would report it again; or a time-out."""
-    reasons = {WRONG_INPUT: "wrong input", TIMED_OUT: "a frame was not finished in time"}
+    """Stop all nodes after wrong input, which would be reported again, a time-out, or a request to quit."""
+    reasons = {
+        WRONG_INPUT: "wrong input",
+        TIMED_OUT: "a frame was not finished in time",
+        QUIT: "a request to quit",
+    }
     return [Shutdown(reason=reasons[event.returncode])] if event.returncode in reasons else []
 
 

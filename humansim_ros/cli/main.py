@@ -118,6 +118,7 @@ def run(
     from humansim_ros.io.temporary import temporary_folder
     from humansim_ros.ros.first_images import FirstImages
     from humansim_ros.ros.processes import (
+        QUIT,
         WRONG_INPUT,
         RecordOptions,
         TimeOptions,
@@ -165,6 +166,8 @@ def run(
                 dead = None
                 print_text("stopping")
         summary = _summary(options_of_time)
+    if dead and dead.code == QUIT:
+        dead = None  # ended on request, as by Ctrl-C
     if summary is not None:
         print_text(summary.text)
         if dead and (summary.error or summary.is_complete):

@@ -27,6 +27,8 @@ WRONG_INPUT = 2
 _PLAYER, _SKINNERS, _CAMERAS = "player", "skinners", "cameras"
 #: Exit code of a motion player that has stopped because nodes did not finish a frame in time.
 TIMED_OUT = 3
+#: Exit code of a motion player that was asked to quit: all other nodes end with it.
+QUIT = 4
 #: Node that records the topics of a run.
 RECORDER_NODE = "recorder"
 #: Exit code of a recorder that cannot write any more.
@@ -103,7 +105,7 @@ class NodeProcess:
     log_level: str = "info"
     namespace: str = ""
     stop_limit: float = 6.0
-    final_codes: frozenset[int] = frozenset({WRONG_INPUT, TIMED_OUT})
+    final_codes: frozenset[int] = frozenset({WRONG_INPUT, TIMED_OUT, QUIT})
 
     @property
     def renders(self) -> bool:

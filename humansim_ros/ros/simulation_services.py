@@ -25,6 +25,7 @@ from humansim_ros.motion.joint_poses import Velocity
 from humansim_ros.ros.messages import WORLD_FRAME, header, pose_message, read_pose, twist_message
 from humansim_ros.ros.name_patterns import NamePattern
 from humansim_ros.ros.playing import MAX_WAITING, FramePlayer
+from humansim_ros.ros.processes import QUIT
 from humansim_ros.ros.qos import DATA, NEWEST
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import LIVE
@@ -214,7 +215,7 @@ class SimulationServices:
             self._player.create_timer(_QUIT_AFTER, self._quit)
 
     def _quit(self) -> None:
-        self._player.exit_code = 0
+        self._player.exit_code = QUIT
 
     def _reset_simulation(self, request: Any, _: Any) -> None:
         scopes = type(request)

@@ -1,12 +1,13 @@
-"""Build ROS interface packages that are not on PyPI, from their definitions, for the Python that runs this.
+"""Build the ROS package simulation_interfaces, which is not on PyPI, for the Python that runs this.
 
     .venv/bin/python tools/build_interfaces.py
     export PYTHONPATH=$(.venv/bin/python tools/build_interfaces.py)
 
-Builds ``simulation_interfaces`` and ``tf2_msgs``, prints the folder to put on PYTHONPATH, and keeps it in
-``~/.cache/humansim_ros/interfaces`` (XDG_CACHE_HOME) until the definitions, their generators or the Python
-changes. Nothing is installed in the environment of that Python: the generators come from PyPI into one of
-their own, which is deleted afterwards. With ROS from apt: ``apt install ros-jazzy-simulation-interfaces``.
+Builds the interfaces that the player uses, from their definitions, prints the folder to put on PYTHONPATH,
+and keeps it in ``~/.cache/humansim_ros/interfaces`` (XDG_CACHE_HOME) until the definitions, their generators
+or the Python change. Nothing is installed in the environment of that Python: the generators come from PyPI
+into one of their own, which is deleted afterwards. With ROS from apt:
+``apt install ros-jazzy-simulation-interfaces``.
 """
 
 from __future__ import annotations
@@ -125,7 +126,8 @@ def _build(definitions: Path, folder: Path, prefix: Path) -> None:
     """Build all packages in a folder for temporary files, and move the result to ``prefix``."""
     environment = folder / "env"
     _run([sys.executable, "-m", "venv", environment])
-    _run([environment / "bin" / "pip", "install", "--quiet", "--disable-pip-version-check", *WHEELS])
+    options = ("--quiet", "--disable-pip-version-check", "--retries=1")
+    _run([environment / "bin" / "pip", "install", *options, *WHEELS])
     _correct_paths(environment)
     for package in sorted(path for path in definitions.iterdir() if path.is_dir()):
         source, build = folder / "src" / package.name, folder / "build" / package.name

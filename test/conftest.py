@@ -6,6 +6,7 @@ import functools
 import importlib.util
 import os
 import re
+import signal
 import sys
 from collections import defaultdict
 from collections.abc import Generator, Iterator
@@ -59,6 +60,11 @@ def if_shared(*values: Any) -> list[Any]:
     marked = [pytest.param(*each if isinstance(each, tuple) else (each,), marks=needs_shared_data)
               for each in values]  # fmt: skip
     return marked if SHARED_DATA.is_dir() else []
+
+
+def pytest_configure() -> None:
+    """Let SIGTERM, as of ``timeout``, interrupt tests as Ctrl-C does: they stop what they have started."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -175,7 +181,7 @@ def ros() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def built_interfaces() -> Path:
-    """Folder with the Python packages simulation_interfaces and tf2_msgs, which are not on PyPI."""
+    """Folder with the Python package simulation_interfaces, which is not on PyPI."""
     spec = importlib.util.spec_from_file_location("build_interfaces", ROOT / "tools" / "build_interfaces.py")
     assert spec is not None and spec.loader is not None
     build_interfaces = importlib.util.module_from_spec(spec)
@@ -188,13 +194,11 @@ def built_interfaces() -> Path:
 
 @pytest.fixture(scope="module")
 def interfaces(built_interfaces: Path) -> Iterator[Path]:
-    """The built packages can be imported, in the tests of one file."""
+    """The built package can be imported, in the tests of one file."""
     sys.path.insert(0, str(built_interfaces))
     yield built_interfaces
     sys.path.remove(str(built_interfaces))
-    for name in [
-        name for name in sys.modules if name.partition(".")[0] in ("simulation_interfaces", "tf2_msgs")
-    ]:
+    for name in [name for name in sys.modules if name.partition(".")[0] == "simulation_interfaces"]:
         del sys.modules[name]
 
 

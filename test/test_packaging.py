@@ -455,8 +455,8 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
         assert argument in player.arguments
     assert not [each for each in player.arguments if "use_sim_time" in each]
     assert all("use_sim_time:=true" in node.arguments for node in others)
-    ended, timed_out = types.SimpleNamespace(returncode=0), types.SimpleNamespace(returncode=3)
-    assert player.on_exit(ended, defaults) and player.on_exit(timed_out, defaults)
+    ended, timed_out, quit_ = (types.SimpleNamespace(returncode=code) for code in (0, 3, 4))
+    assert all(player.on_exit(event, defaults) for event in (ended, timed_out, quit_))
     assert not any(node.on_exit(ended, defaults) for node in others)
     for name, wrong in (("lockstep", "maybe"), ("timeout", "x"), ("frames", "0")):
         with pytest.raises(RosError, match=f"launch argument {name} must be .*, not '{wrong}'"):
@@ -469,6 +469,25 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     assert float(recorder.sigterm_timeout) > 60  # it writes what it has received
     full = types.SimpleNamespace(returncode=1)
     assert recorder.on_exit(full, defaults) and not any(node.on_exit(full, defaults) for node in others)
+
+
+def test_interfaces_that_cannot_be_built_say_why_and_leave_nothing(tmp_path: Path) -> None:
+    """Without the wheels of their generators, tests that need them are skipped with this text."""
+    no_network = {
+        "PIP_INDEX_URL": "http://127.0.0.1:9/",
+        "PIP_CONFIG_FILE": os.devnull,
+        "PIP_NO_CACHE_DIR": "1",
+    }
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "tools" / "build_interfaces.py")],
+        env={**os.environ, **no_network, "XDG_CACHE_HOME": str(tmp_path)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert "No matching distribution found for ros-" in done.stderr or "apt install" in done.stderr
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] in ([], ["lock"])
 
 
 def test_a_scene_in_lockstep_gives_its_nodes_simulated_time_but_not_the_player(tmp_path: Path) -> None:

@@ -258,6 +258,29 @@ def test_a_shutdown_of_the_context_ends_spinning(guarded: Any) -> None:
     assert guarded.errors() == 0
 
 
+def test_a_service_answers_when_its_future_is_done_and_a_failing_one_is_counted(guarded: Any) -> None:
+    from rclpy.task import Future
+    from std_srvs.srv import Trigger
+
+    begun: list[Future] = []
+
+    def on_request(_: Any, __: Any) -> Future:
+        begun.append(Future())
+        return begun[-1]
+
+    guarded.node.create_service(Trigger, "later", on_request)
+    client = guarded.client.node.create_client(Trigger, "later")
+    assert guarded.client.spin_until(client.service_is_ready)
+    answers = [client.call_async(Trigger.Request()) for _ in range(2)]
+    assert guarded.client.spin_until(lambda: len(begun) == 2)
+    assert not any(answer.done() for answer in answers)
+    begun[0].set_exception(RosError("no answer"))
+    begun[1].set_result(Trigger.Response(message="now"))
+    assert guarded.client.spin_until(answers[1].done)
+    assert answers[1].result().message == "now"
+    assert not answers[0].done() and guarded.errors() == 1
+
+
 def test_requests_that_rclpy_cannot_read_soon_are_refused(ros: None) -> None:
     """It compares all names with all others, and fails at types of parameters that do not exist."""
     from rcl_interfaces.msg import Parameter, ParameterValue

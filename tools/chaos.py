@@ -1,11 +1,12 @@
 """Kill processes of a run in lockstep at random, and count the frames that a tracker has not got.
 
-    python tools/chaos.py [SCENE] [--kills 20] [--stops 2] [--seed 1] [--processes 2]
+    python tools/chaos.py [SCENE] [--kills 20] [--stops 2] [--seed 1] [--processes 2] [--record BAG]
 
-Victims are the motion player, the skinners, the camera processes and the tracker (``tools/slow_tracker.py``),
-in turn and in random order: ``kill -9``, and SIGSTOP for 5 s. ``humansim run`` starts its nodes again, this
-program the tracker. After each, frames must go on. At the end the tracker must have every stamp from frame 0
-to its newest one, in this order. Exit code 1: a frame is lost, stamps went back, or frames did not go on.
+Victims are the motion player, the skinners, the camera processes, the recorder and the tracker
+(``tools/slow_tracker.py``), in turn and in random order: ``kill -9``, and SIGSTOP for 5 s. ``humansim run``
+starts its nodes again, this program the tracker. After each, frames must go on. At the end the tracker must
+have every stamp from frame 0 to its newest one, in this order; and with ``--record`` each recorded topic of
+all frames must have them, too. Exit code 1: a frame is lost, stamps went back, or frames did not go on.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
 from kill_nodes import node_pid
 from slow_tracker import tracked_stamps
 
+from humansim_ros.bags.reader import BagReader
 from humansim_ros.resources import resource_path
-from humansim_ros.ros.processes import TimeOptions, scene_processes
+from humansim_ros.ros.processes import RecordOptions, TimeOptions, scene_processes
 from humansim_ros.scene import Scene
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -49,14 +51,19 @@ class Chaos:
         processes: Number of camera processes; one per core if None.
         log: File for the stamps of the tracker.
         limit: Seconds until frames must go on.
+        bag: Folder of a bag to record; none if None.
     """
 
-    def __init__(self, scene: Path, processes: int | None, log: Path, limit: float) -> None:
+    def __init__(
+        self, scene: Path, processes: int | None, log: Path, limit: float, bag: Path | None = None
+    ) -> None:
         self._log, self._limit = log, limit
         self._cameras = list(Scene.load(scene).cameras)
-        found = scene_processes(scene, processes, time=TimeOptions(lockstep=True))
+        recorded = RecordOptions(bag) if bag else None
+        found = scene_processes(scene, processes, time=TimeOptions(lockstep=True), record=recorded)
         self.victims = [*(each.node_name for each in found), TRACKER]
         options = [] if processes is None else ["--processes", str(processes)]
+        options += ["--record", str(bag)] if bag else []
         members = ["--wait-for", "topic:/tracker/poses", "--timeout", str(limit)]
         command = [sys.executable, "-m", "humansim_ros.cli", "run", str(scene), "--lockstep", *members]
         self.run = subprocess.Popen([*command, *options], env={**os.environ, "PYTHONPATH": str(ROOT)})
@@ -136,6 +143,26 @@ def lost_frames(stamps: list[int], rate: float) -> list[int]:
     return [number for number in range(newest + 1) if 1 + round(number * 1e9 / rate) not in had]
 
 
+def incomplete_topics(bag: Path, stamps: list[int]) -> dict[str, tuple[int, int]]:
+    """Topics of a bag that have other stamps than all of ``stamps``, each once: lacking, more than once.
+
+    Only topics are compared that have a message for most of the stamps: others are not in every frame.
+    """
+    times: dict[str, list[int]] = {}
+    with BagReader(bag) as reader:
+        for message in reader.messages():
+            stamp = message.stamp if message.published is None else message.published
+            times.setdefault(reader.topics[message.topic].name, []).append(stamp)
+    found = {}
+    for topic, published in times.items():
+        lacking = len(set(stamps) - set(published))
+        repeated = len(published) - len(set(published))
+        if lacking < len(stamps) / 2 and (lacking or repeated):
+            found[topic] = lacking, repeated
+    print(f"{sum(map(len, times.values()))} messages of {len(times)} topics in {bag}")
+    return found
+
+
 def main() -> int:
     """Kill, and print a table."""
     parser = argparse.ArgumentParser(
@@ -146,13 +173,15 @@ def main() -> int:
     parser.add_argument("--stops", type=int, default=2)
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--processes", type=int, help="camera processes; default: one per core")
+    parser.add_argument("--record", type=Path, metavar="BAG", help="record into this folder")
     parser.add_argument("--limit", type=float, default=120.0, help="seconds until frames must go on")
     options = parser.parse_args()
     choice = random.Random(options.seed)
     rate = Scene.load(options.scene).config.rate
     failed = ""
     with tempfile.TemporaryDirectory() as folder:
-        chaos = Chaos(options.scene, options.processes, Path(folder, "tracked"), options.limit)
+        log = Path(folder, "tracked")
+        chaos = Chaos(options.scene, options.processes, log, options.limit, options.record)
         faults = [signal.SIGKILL] * options.kills + [signal.SIGSTOP] * options.stops
         order: list[str] = []
         while len(order) < len(faults):
@@ -172,7 +201,10 @@ def main() -> int:
     lost = lost_frames(stamps, rate)
     print(failed or f"{len(faults)} faults: {len(stamps)} frames tracked, {len(lost)} lost {lost[:20]}")
     print(f"stamps went back {back} times")
-    return 1 if failed or lost or back else 0
+    incomplete = incomplete_topics(options.record, stamps) if options.record else {}
+    for topic, (lacking, repeated) in incomplete.items():
+        print(f"{topic}: {lacking} frames lost, {repeated} repeated")
+    return 1 if failed or lost or back or incomplete else 0
 
 
 if __name__ == "__main__":

@@ -229,3 +229,19 @@ def tf(monkeypatch: pytest.MonkeyPatch) -> dict[str, list[Any]]:
     monkeypatch.setattr(camera_pose, "TFMessage", Transforms)
     monkeypatch.setattr(CameraNode, "create_publisher", create)
     return sent
+
+
+@pytest.fixture(scope="session")
+def workers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A local Ray with three workers; yields the folder for temporary files of the workers."""
+    ray = pytest.importorskip("ray")
+    folder = tmp_path_factory.mktemp("workers")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{TESTS / 'record'}")
+        patch.setenv("RAY_TMPDIR", "/tmp")  # its sockets must have short names
+        patch.setenv("TMPDIR", str(folder))
+        patch.setenv("RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO", "0")
+        options = {"object_store_memory": 80 * 2**20, "include_dashboard": False}
+        ray.init(num_cpus=3, log_to_driver=False, logging_level="error", **options)
+    yield folder
+    ray.shutdown()

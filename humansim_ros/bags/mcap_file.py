@@ -20,6 +20,7 @@ from humansim_ros.bags.mcap_scan import DAMAGES, MAGIC, McapScan, mark, topic_of
 from humansim_ros.bags.metadata import Content
 from humansim_ros.bags.topics import BagTopic, qos_text
 from humansim_ros.errors import BagError
+from humansim_ros.io.files import ANY_SIZE, open_file
 
 with needs_libraries():
     from mcap.data_stream import RecordBuilder
@@ -145,7 +146,7 @@ class McapFile:
     def content_of(cls, path: Path) -> Content:
         """Content of a finished file, from its summary; see :class:`BagFile`."""
         try:
-            with path.open("rb") as file:
+            with open_file(path, BagError, "bag", ANY_SIZE) as file:
                 return content_in(file, path)
         except OSError:
             raise _damaged(path) from None

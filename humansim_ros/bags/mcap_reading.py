@@ -26,6 +26,7 @@ from humansim_ros.bags.libraries import needs_libraries
 from humansim_ros.bags.mcap_scan import DAMAGES, MAGIC, McapScan, Place, places, topic_of, topic_record
 from humansim_ros.bags.metadata import Content
 from humansim_ros.errors import BagError, warn_about
+from humansim_ros.io.files import ANY_SIZE, open_file
 
 with needs_libraries():
     from mcap.opcode import Opcode
@@ -60,10 +61,7 @@ class McapInput:
         self._sources: list[_Source] = []
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
-        try:
-            self._file: BinaryIO = path.open("rb")
-        except OSError as reason:
-            raise BagError(f"cannot be read: {reason.strerror or reason}", path=path) from None
+        self._file: BinaryIO = open_file(path, BagError, "bag", ANY_SIZE)
         try:
             if not self._read_summary():
                 self._scan()

@@ -12,6 +12,7 @@ import yaml
 
 from humansim_ros.bags.topics import BagTopic, Qos
 from humansim_ros.errors import BagError
+from humansim_ros.io.files import read_bytes
 
 NAME = "metadata.yaml"
 _VERSION = 9
@@ -112,14 +113,10 @@ def read_metadata(folder: Path) -> dict[str, Any]:
         BagError: The file cannot be read, or is no metadata of rosbag2.
     """
     path = folder / NAME
-    try:
-        if path.stat().st_size > _MAX_BYTES:
-            raise BagError("this file is too large for the metadata of a bag", path=path)
-        data = yaml.load(path.read_text(encoding="utf-8"), _Loader)
-    except FileNotFoundError:
+    if not path.exists():
         return {}
-    except OSError as reason:
-        raise BagError(f"cannot be read: {reason.strerror or reason}", path=path) from None
+    try:
+        data = yaml.load(read_bytes(path, BagError, "metadata", _MAX_BYTES), _Loader)
     except (yaml.YAMLError, ValueError, RecursionError):
         raise BagError("this file is damaged: it is not valid YAML", path=path) from None
     information = data.get("rosbag2_bagfile_information") if isinstance(data, dict) else None

@@ -15,6 +15,7 @@ from humansim_ros.bags.chunks import BagMessage
 from humansim_ros.bags.metadata import Content
 from humansim_ros.bags.topics import BagTopic, qos_of_text
 from humansim_ros.errors import BagError, warn_about
+from humansim_ros.io.files import ANY_SIZE, open_file
 
 #: Rows that a damaged file does not have.
 _VALID = "typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
@@ -39,7 +40,7 @@ def content_of_table(database: sqlite3.Connection) -> tuple[dict[int, int], int 
 
 def _was_cut(path: Path) -> bool:
     """Whether a file is shorter than its header says; sqlite3 takes the missing bytes for zeros."""
-    with path.open("rb") as file:
+    with open_file(path, BagError, "bag", ANY_SIZE) as file:
         header = file.read(100)
         size = file.seek(0, os.SEEK_END)
     if len(header) < 100:

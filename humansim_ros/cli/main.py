@@ -12,6 +12,7 @@ from typing import Annotated, Any
 
 import typer
 
+from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.cli.bench import bench
 from humansim_ros.cli.check import check, warn_about_mistakes
 from humansim_ros.cli.options import join_numbers
@@ -83,7 +84,7 @@ def run(
     ] = None,
     frames: Annotated[
         int | None,
-        typer.Option(help="Number of frames in lockstep; without end if absent.", min=1, max=2**31 - 1),
+        typer.Option(help="Number of frames in lockstep; without end if absent.", min=1, max=MAX_FRAMES),
     ] = None,
     wait_for: Annotated[
         list[str] | None,

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.cli.check import warn_about_mistakes
 from humansim_ros.cli.output import print_error, print_text
 from humansim_ros.errors import BagError
@@ -69,7 +70,7 @@ def record(
         list[Path] | None,
         typer.Argument(help="Scene file (YAML), with --ray several; the demo scene if absent."),
     ] = None,
-    frames: Annotated[int | None, typer.Option(help="Number of frames.", min=1, max=2**31 - 1)] = None,
+    frames: Annotated[int | None, typer.Option(help="Number of frames.", min=1, max=MAX_FRAMES)] = None,
     seconds: Annotated[
         float | None, typer.Option(help="Length in seconds, instead of --frames.", min=1e-3, max=1e7)
     ] = None,

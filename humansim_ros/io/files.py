@@ -40,6 +40,10 @@ def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], wha
         raise error(f"cannot read the {what} file: {reason.strerror or reason}", path=path) from None
 
 
+#: Limit of :func:`open_file` for files that are read part by part.
+ANY_SIZE = 1 << 62
+
+
 def open_file(path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int) -> BinaryIO:
     """Open a regular file to read it; all files of users are opened here.
 

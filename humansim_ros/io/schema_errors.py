@@ -269,7 +269,7 @@ class _Words:
     def _of_section(cls, model: type[BaseModel]) -> _Words:
         names = key_names(model)
         listed = ", ".join(names[:6]) + (" …" if len(names) > 6 else "")
-        alone = getattr(model, "file_key", None)
+        alone = getattr(model, "short_key", None)
         one = f"a mapping with the keys {listed}"
         return cls(one + (f", or a text, its {alone}" if alone else ""), f"mappings with the keys {listed}")
 

@@ -14,7 +14,8 @@ from humansim_ros import __version__
 from humansim_ros.bags.chunks import Compression
 from humansim_ros.bags.metadata import read_metadata
 from humansim_ros.bags.storages import Storage
-from humansim_ros.errors import BagError, near_names
+from humansim_ros.errors import BagError, SceneError, near_names
+from humansim_ros.io.files import ANY_SIZE, open_file
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.ros.messages import ImageCompression
 from humansim_ros.ros.qos import SCENE_TIME
@@ -199,7 +200,7 @@ def scene_hash(scene: Scene) -> str:
         path = scene.source.folder / name.split("#")[0]
         if path.is_file():
             digest.update(f"{name}\n".encode())
-            with path.open("rb") as file:
+            with open_file(path, SceneError, "scene", ANY_SIZE) as file:
                 while block := file.read(_BLOCK):
                     digest.update(block)
         return name

@@ -16,6 +16,8 @@ from pathlib import Path
 from typing import Literal, TypeAlias
 
 from humansim_ros.bags.chunks import Chunk
+from humansim_ros.errors import BagError
+from humansim_ros.io.files import ANY_SIZE, open_file
 
 #: Division of a recording; ``scenes`` divides none.
 ShardKind: TypeAlias = Literal["frames", "cameras", "scenes"]
@@ -90,7 +92,7 @@ def _chunks(path: Path) -> Iterator[tuple[int, Chunk]]:
     """Number of the frame, and chunk."""
     from humansim_ros.bags.mcap_scan import McapScan
 
-    with path.open("rb") as file:
+    with open_file(path, BagError, "bag", ANY_SIZE) as file:
         for unit in McapScan(file, path).units:
             file.seek(unit.start)
             yield unit.group, unit.chunk.with_data(file.read(unit.chunk.size))

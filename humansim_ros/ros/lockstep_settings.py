@@ -9,6 +9,7 @@ from typing import get_args
 
 from rclpy.parameter import Parameter
 
+from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.errors import RosError, printable
 from humansim_ros.ros.lockstep import OnTimeout
 from humansim_ros.ros.node import SceneNode
@@ -17,7 +18,6 @@ from humansim_ros.scene.config import TimeConfig
 
 _NAME = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 _MAX_NAME, _MAX_MEMBERS = 255, 100
-_MAX_FRAMES = 2**31 - 1
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class LockstepSettings:
         description = "Most frames in lockstep per second of the wall clock; 0: as fast as possible"
         pace = node.number_parameter("pace", time.rate or 0.0, 0.0, 1000.0, description)
         description = "Number of frames in lockstep; 0: without end"
-        limits = (0.0, float(_MAX_FRAMES))
+        limits = (0.0, float(MAX_FRAMES))
         frames = node.described_parameter("frames", time.frames or 0, description, limits, read_only=True)
         summary = node.text_parameter("summary", "", "JSON file for a summary of lockstep; empty: none")
         recorder = node.text_parameter("recorder", "", "Recorder that frames wait for; empty: none")
@@ -83,7 +83,7 @@ class LockstepSettings:
 
 def member_texts(time: TimeConfig) -> list[str]:
     """Members of a scene as the parameter ``wait_for`` has them."""
-    return [each if isinstance(each, str) else f"{TOPIC_PREFIX}{each.topic}" for each in time.wait_for]
+    return [each.node or f"{TOPIC_PREFIX}{each.topic}" for each in time.wait_for]
 
 
 def _members(texts: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:

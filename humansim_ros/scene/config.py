@@ -15,6 +15,7 @@ from pydantic import (
     model_validator,
 )
 
+from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.errors import SceneError
 from humansim_ros.io.schema import Axis, ByteColor, Section
 from humansim_ros.io.schema_errors import Expected, schema_error
@@ -60,26 +61,26 @@ _Topic = Annotated[
     Expected("the name of a topic, such as /tracker/poses"),
 ]
 #: Name of a ROS node, with or without its namespace.
-_MemberName = Annotated[
+_NodeName = Annotated[
     str,
     StringConstraints(pattern=r"^/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=255),
-    Expected("the name of a node, such as tracker, or {topic: /tracker/poses}"),
+    Expected("the name of a node, such as tracker"),
 ]
 
 
-class _FileSection(Section):
-    """Section that a text alone can stand for: the name of its file."""
+class _ShortSection(Section):
+    """Section that a text alone can stand for: the value of one of its keys, such as the name of its file."""
 
-    #: Key of the file.
-    file_key: ClassVar[str] = "file"
+    #: The key.
+    short_key: ClassVar[str] = "file"
 
     @model_validator(mode="before")
     @classmethod
-    def _file_alone(cls, value: Any) -> Any:
-        return {cls.file_key: value} if isinstance(value, str) else value
+    def _text_alone(cls, value: Any) -> Any:
+        return {cls.short_key: value} if isinstance(value, str) else value
 
 
-class MotionConfig(_FileSection):
+class MotionConfig(_ShortSection):
     """Motion of a human."""
 
     other_words: ClassVar[dict[str, str]] = {
@@ -147,7 +148,7 @@ class MotionConfig(_FileSection):
     pin_feet: bool = Field(default=False, description="keep standing feet from sliding")
 
 
-class KeyframesConfig(_FileSection):
+class KeyframesConfig(_ShortSection):
     """Keyframes that move, rotate and scale a human or an object: a file, and one of its objects."""
 
     other_words: ClassVar[dict[str, str]] = {"file": "path", "object": "name"}
@@ -158,7 +159,7 @@ class KeyframesConfig(_FileSection):
     )
 
 
-class HumanConfig(_FileSection):
+class HumanConfig(_ShortSection):
     """One human."""
 
     other_words: ClassVar[dict[str, str]] = {
@@ -167,7 +168,7 @@ class HumanConfig(_FileSection):
         "outfit": "clothes texture costume",
     }
 
-    file_key: ClassVar[str] = "body"
+    short_key: ClassVar[str] = "body"
 
     body: FileName = Field(
         default="adult_man",
@@ -183,7 +184,7 @@ class HumanConfig(_FileSection):
     )
 
 
-class ObjectConfig(_FileSection):
+class ObjectConfig(_ShortSection):
     """One object, static or moving."""
 
     other_words: ClassVar[dict[str, str]] = {
@@ -194,7 +195,7 @@ class ObjectConfig(_FileSection):
         "color": "rgb",
     }
 
-    file_key: ClassVar[str] = "mesh"
+    short_key: ClassVar[str] = "mesh"
 
     mesh: FileName = Field(
         default="box",
@@ -217,7 +218,7 @@ class ObjectConfig(_FileSection):
     label: bool = Field(default=False, description="give it an instance label, as humans have")
 
 
-class TrajectoryConfig(_FileSection):
+class TrajectoryConfig(_ShortSection):
     """Trajectory of a camera."""
 
     other_words: ClassVar[dict[str, str]] = {"file": "path"}
@@ -351,7 +352,7 @@ class CameraConfig(Section):
         return self
 
 
-class RigConfig(_FileSection):
+class RigConfig(_ShortSection):
     """Cameras of a calibration file."""
 
     model_config = ConfigDict(coerce_numbers_to_str=True)
@@ -492,7 +493,7 @@ class LightConfig(Section):
         return self
 
 
-class WorldMeshConfig(_FileSection):
+class WorldMeshConfig(_ShortSection):
     """A static mesh file."""
 
     file: FileName = Field(
@@ -553,10 +554,21 @@ class RandomiseConfig(Section):
     camera_jitter: JitterConfig = JitterConfig()
 
 
-class TopicMemberConfig(Section):
-    """A topic that frames wait for."""
+class MemberConfig(_ShortSection):
+    """A node or a topic that frames wait for."""
 
-    topic: _Topic = Field(description="topic of any message type that begins with a header")
+    short_key: ClassVar[str] = "node"
+
+    node: _NodeName | None = Field(default=None, description="name of a node that reports on frame_done")
+    topic: _Topic | None = Field(
+        default=None, description="topic of any message type that begins with a header"
+    )
+
+    @model_validator(mode="after")
+    def _is_one(self) -> MemberConfig:
+        if (self.node is None) == (self.topic is None):
+            raise ValueError("give the name of a node, such as tracker, or {topic: /tracker/poses}")
+        return self
 
 
 class TimeConfig(Section):
@@ -574,7 +586,7 @@ class TimeConfig(Section):
         default="realtime",
         description="lockstep: the next frame waits until all nodes have finished this one",
     )
-    wait_for: tuple[_MemberName | TopicMemberConfig, ...] = Field(
+    wait_for: tuple[MemberConfig, ...] = Field(
         default=(),
         max_length=100,
         description="nodes that a frame waits for besides the cameras: names that report on frame_done, or "
@@ -593,7 +605,7 @@ class TimeConfig(Section):
         description="most frames per second of the wall clock; as fast as possible if absent",
     )
     frames: int | None = Field(
-        default=None, ge=1, le=2**31 - 1, description="number of frames; without end if absent"
+        default=None, ge=1, le=MAX_FRAMES, description="number of frames; without end if absent"
     )
 
 

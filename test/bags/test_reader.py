@@ -153,7 +153,7 @@ def test_a_bag_that_was_cut_gives_what_is_whole(
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", HumansimWarning)
             if size < len(MAGIC):
-                with pytest.raises(BagError, match="no MCAP file"):
+                with pytest.raises(BagError, match=r"no MCAP file|is empty"):
                     BagReader(path)
                 continue
             found = by_reader(path if of_others else path.parent)
@@ -204,7 +204,7 @@ def test_a_sqlite3_bag_that_was_cut_is_refused(tmp_path: Path) -> None:
     whole = path.read_bytes()
     for size in range(0, len(whole), 9973):
         path.write_bytes(whole[:size])
-        with pytest.raises(BagError, match=r"bag_0\.db3: cannot be read"):
+        with pytest.raises(BagError, match=r"bag_0\.db3: (cannot be read|the bag file is empty)"):
             BagReader(folder)
 
 

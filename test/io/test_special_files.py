@@ -339,6 +339,8 @@ def test_every_reader_opens_files_in_one_place() -> None:
     own = (
         "io/files.py",
         "resources.py",
+        "bags/topics.py",
+        "ros/lockstep_summary.py",
         "ros/cpu_time.py",
         "ros/shared_memory.py",
         "render/programs.py",

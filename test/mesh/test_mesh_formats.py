@@ -216,7 +216,7 @@ HOSTILE = {
     "far.off": (b"OFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 9\n", "not an OFF|not a OFF|face"),
     "counts.off": (b"OFF\n999999999 1 0\n0 0 0\n", "promises more"),
     "text.stl": (b"solid x\nfacet normal 0 0\nendsolid\n", "STL|no faces"),
-    "noise.stl": (bytes(range(256)) * 4, "STL"),
+    "noise.stl": (bytes(range(256)) * 4, "STL|no faces"),
     "entities.dae": ((ENTITIES + "<COLLADA>&j;</COLLADA>").encode(), "document type"),
     "hidden.dae": (utf_16(ENTITIES + "<COLLADA>&j;</COLLADA>"), "not UTF-8|vertices|binary"),
     "seven.dae": (b'<?xml version="1.0" encoding="UTF-7"?><COLLADA/>', "not UTF-8"),

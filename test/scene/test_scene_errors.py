@@ -52,6 +52,7 @@ SCENE: dict[str, Any] = {
     "world": {"meshes": [{"file": "ball.obj"}], "background": "photo.png", "environment": "sky.png"},
     "light": {"strength": 0.9},
     "randomise": {"camera_jitter": {"position": 0.1}},
+    "time": {"wait_for": [{"topic": "/tracker/poses"}]},
 }
 FILE_KEYS = (
     "humans.anna.body",

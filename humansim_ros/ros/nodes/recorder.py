@@ -105,7 +105,7 @@ class RecorderNode(SuiteNode):
             scene = loaded_scene(path)
         if awaited is None:
             members = scene.config.time.wait_for if path and scene and lockstep else ()
-            awaited = [each.topic for each in members if not isinstance(each, str)]
+            awaited = [each.topic for each in members if each.topic]
         space = self.get_namespace()
         topics = scene_topics(scene) if path and scene else []
         if topics and not names:

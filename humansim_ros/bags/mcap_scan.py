@@ -30,6 +30,8 @@ with needs_libraries():
 MAGIC = b"\x89MCAP0\r\n"
 #: Opcode of the record after each chunk; from 0x80 on, opcodes are free for applications.
 MARK = 0x80
+#: Opcode of the record that fills the space before a chunk that must be aligned.
+PADDING = 0x81
 #: Name, number of the group, whether the chunk is the last of the group.
 _MARK = struct.Struct("<8sQB")
 _MARK_NAME = b"humansim"
@@ -37,9 +39,23 @@ _MARK_NAME = b"humansim"
 DAMAGES = (McapError, struct.error, UnicodeDecodeError, ValueError, OverflowError, MemoryError)
 
 
-def mark(group: int, ends_group: bool) -> bytes:
-    """The record after a chunk: the chunk is whole, and belongs to a group."""
-    return RECORD.pack(MARK, _MARK.size) + _MARK.pack(_MARK_NAME, group, ends_group)
+#: Bytes of the record after a chunk.
+MARK_SIZE = RECORD.size + _MARK.size
+
+
+def mark(group: int, ends_group: bool, space: int = 0) -> bytes:
+    """The record after a chunk: the chunk is whole, and belongs to a group; ``space``: zeros at its end."""
+    return RECORD.pack(MARK, _MARK.size + space) + _MARK.pack(_MARK_NAME, group, ends_group) + bytes(space)
+
+
+def padding(position: int, block: int) -> bytes:
+    """The record that fills the space from a position to a multiple of ``block``; nothing is in place."""
+    space = -position % block
+    if space == 0:
+        return b""
+    if space < RECORD.size:
+        space += block
+    return RECORD.pack(PADDING, space - RECORD.size) + bytes(space - RECORD.size)
 
 
 class Place(NamedTuple):
@@ -133,6 +149,8 @@ class McapScan:
                     described = _chunk(*chunk, counts)
                     self.units.append(Unit(described, group, bool(ends_group), chunk[0].position, place.end))
                 chunk = None
+            elif place.opcode == PADDING:
+                continue  # it belongs to the chunk that follows
             elif place.opcode == Opcode.HEADER:
                 pass
             else:

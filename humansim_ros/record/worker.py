@@ -12,11 +12,13 @@ import os
 import signal
 import sys
 import time
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import NamedTuple
 
 from humansim_ros.bags.chunks import Chunk
+from humansim_ros.bags.direct_file import BLOCK
 from humansim_ros.errors import HumansimError
 from humansim_ros.ros.parent import end_with_parent
 
@@ -34,6 +36,14 @@ class EncodedFrame(NamedTuple):
     costs: dict[str, float]
 
 
+def positions(chunks: Iterable[Chunk]) -> Iterator[int]:
+    """Where chunks are in their slot: aligned, so that they can be written directly."""
+    position = 0
+    for chunk in chunks:
+        yield position
+        position += -(-chunk.size // BLOCK) * BLOCK
+
+
 class Slot:
     """Memory for the chunks of one frame; it grows if a frame needs more."""
 
@@ -47,16 +57,14 @@ class Slot:
         Raises:
             OSError: There is no memory left.
         """
-        needed = sum(chunk.size for chunk in chunks)
+        starts = list(positions(chunks))
+        needed = starts[-1] + chunks[-1].size
         if self._memory is None or len(self._memory) < needed:
             # now: a page that cannot be had later kills the process
             os.posix_fallocate(self._descriptor, 0, needed)
             self._memory = mmap.mmap(self._descriptor, needed)
-        stored, position = [], 0
         with memoryview(self._memory) as memory:
-            for chunk in chunks:
-                stored.append(chunk.copy_into(memory[position : position + chunk.size]))
-                position += chunk.size
+            stored = [chunk.copy_into(memory[start:]) for chunk, start in zip(chunks, starts, strict=True)]
         return stored, len(self._memory)
 
 

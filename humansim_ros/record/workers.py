@@ -20,7 +20,7 @@ import humansim_ros
 from humansim_ros.bags.chunks import Chunk
 from humansim_ros.errors import HumansimError
 from humansim_ros.record.frame_chunks import SceneRecording
-from humansim_ros.record.worker import EncodedFrame
+from humansim_ros.record.worker import EncodedFrame, positions
 from humansim_ros.ros.parent import PARENT_PID
 from humansim_ros.ros.processes import thread_limits
 
@@ -107,11 +107,8 @@ class _Worker:
         if memory is None or len(memory) != frame.size:
             memory = mmap.mmap(self._slots[frame.slot], frame.size, prot=mmap.PROT_READ)
             self._memory[frame.slot] = memory
-        view, position, chunks = memoryview(memory), 0, []
-        for chunk in frame.chunks:
-            chunks.append(chunk.with_data(view[position:]))
-            position += chunk.size
-        return chunks
+        view, starts = memoryview(memory), positions(frame.chunks)
+        return [chunk.with_data(view[start:]) for chunk, start in zip(frame.chunks, starts, strict=True)]
 
     def close_socket(self) -> None:
         """Let the process end."""

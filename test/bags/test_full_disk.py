@@ -17,6 +17,8 @@ from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, content_of
 from mcap.reader import SeekingReader
 from waiting import PATIENCE
 
+from humansim_ros.bags.direct_file import BLOCK, DirectFile
+from humansim_ros.bags.mcap_file import LARGE_CHUNK
 from humansim_ros.bags.storages import Storage
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError
@@ -44,6 +46,23 @@ def fill(folder: Path, image: int, limit: int) -> tuple[str, int]:
             except BagError as error:
                 return str(error), writer.groups
     raise AssertionError
+
+
+@pytest.mark.parametrize("limit", [4_000_000, 1000 * BLOCK, 1000 * BLOCK + 100])
+@pytest.mark.parametrize("refused", [False, True])
+def test_a_full_disk_ends_a_bag_of_large_chunks(
+    limit: int, refused: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if refused:
+        monkeypatch.setattr(DirectFile, "write", lambda *_: 0)
+    folder, image = tmp_path / "bag", LARGE_CHUNK
+    error, frames = fill(folder, image, limit)
+    assert error.startswith(f"{folder}: cannot be written: ") and f"{frames} whole groups" in error
+    assert frames == 3
+    assert by_rosbags(folder) == by_mcap(folder) == content_of(range(frames), image)
+    with BagWriter.resume(folder) as writer:
+        append_frame(writer, frames, size=image)
+    assert by_rosbags(folder) == by_mcap(folder) == content_of(range(frames + 1), image)
 
 
 def summary_size(path: Path) -> int:
@@ -96,13 +115,13 @@ def may_mount() -> bool:
 
 @pytest.mark.slow
 @pytest.mark.skipif(not may_mount(), reason="a file system of its own needs the right to mount (root)")
-@pytest.mark.parametrize("image", [3000, 600_000])
+@pytest.mark.parametrize("image", [3000, 600_000, 1_100_000])
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
 def test_a_real_full_disk(image: int, storage: Storage, tmp_path: Path) -> None:
     small = tmp_path / "small"
     small.mkdir()
     script = f"""
-mount -t tmpfs -o size=4m tmpfs {small}
+mount -t tmpfs -o size=8m tmpfs {small}
 {sys.executable} {PROGRAM} {small}/bag {image} {storage}
 cp -r {small}/bag {tmp_path}/bag
 """

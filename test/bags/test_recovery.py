@@ -20,6 +20,7 @@ from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, content_of
 from waiting import PATIENCE, wait_until
 
 from humansim_ros.bags.chunks import Compression
+from humansim_ros.bags.direct_file import DirectFile
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.recovery import finish_bag
 from humansim_ros.bags.storages import Storage
@@ -34,9 +35,16 @@ LARGE = 2_000_000
 class WritingProcess:
     """A process that appends frames to a bag; ``guardian`` is a descriptor of its guardian."""
 
-    def __init__(self, folder: Path, storage: Storage = "mcap", size: int = LARGE, max_size: int = 0) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        storage: Storage = "mcap",
+        size: int = LARGE,
+        max_size: int = 0,
+        refused: bool = False,
+    ) -> None:
         self.process = subprocess.Popen(
-            [sys.executable, PROGRAM, folder, storage, str(size), str(max_size)],
+            [sys.executable, PROGRAM, folder, storage, str(size), str(max_size), str(refused)],
             stdout=subprocess.PIPE,
             text=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
@@ -76,11 +84,12 @@ def frames_in(found: list[tuple[str, int, bytes]], size: int) -> int:
 
 
 @pytest.mark.slow
-def test_the_guardian_finishes_a_bag_when_its_writer_is_killed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("refused", [False, True])
+def test_the_guardian_finishes_a_bag_when_its_writer_is_killed(refused: bool, tmp_path: Path) -> None:
     dice = random.Random(1)
     for attempt in range(6):
         folder = tmp_path / f"bag{attempt}"
-        writing = WritingProcess(folder, max_size=dice.choice((0, 3 * LARGE)))
+        writing = WritingProcess(folder, max_size=dice.choice((0, 3 * LARGE)), refused=refused)
         writing.wait_for_frame(dice.randrange(1, 5))
         time.sleep(dice.uniform(0, 0.02))  # the kill comes anywhere within the writing of a frame
         last = writing.kill()
@@ -107,16 +116,18 @@ def test_a_bag_without_guardian_is_read_and_continued(storage: Storage, tmp_path
 
 
 @pytest.mark.slow
-def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(tmp_path: Path) -> None:
-    dice = random.Random(2)
-    size, frames = 200_000, 60
+@pytest.mark.parametrize(("size", "refused"), [(200_000, False), (1_500_000, False), (1_500_000, True)])
+def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(
+    size: int, refused: bool, tmp_path: Path
+) -> None:
+    dice, frames = random.Random(2), 60
     whole = tmp_path / "whole" / "bag"
     with BagWriter(whole, TOPICS, max_size=10 * size, custom={"plan": "p"}) as writer:
         for frame in range(frames):
             append_frame(writer, frame, size=size)
     folder = tmp_path / "bag"
     for attempt in range(6):
-        writing = WritingProcess(folder, size=size, max_size=10 * size)
+        writing = WritingProcess(folder, size=size, max_size=10 * size, refused=refused)
         writing.wait_for_frame(dice.randrange(1, 40))
         last = writing.kill(with_guardian=attempt % 2 == 0)
         with BagWriter.resume(folder, max_size=10 * size) as writer:
@@ -241,6 +252,25 @@ def test_an_interrupted_write_does_not_reach_the_bag(tmp_path: Path, monkeypatch
             append_frame(writer, 1)
         monkeypatch.undo()
     assert by_rosbags(folder) == by_mcap(folder) == content_of([0])
+
+
+def test_an_interrupted_direct_write_does_not_reach_the_bag(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ctrl-C in the middle of a large chunk."""
+    folder = tmp_path / "bag"
+
+    def half(file: DirectFile, buffers: list[memoryview], position: int) -> int:
+        os.pwrite(writer._bag.file._descriptor, buffers[0][:100], position)  # type: ignore[attr-defined]
+        raise KeyboardInterrupt
+
+    with BagWriter(folder, TOPICS) as writer:
+        append_frame(writer, 0, size=LARGE)
+        monkeypatch.setattr(DirectFile, "write", half)
+        with pytest.raises(KeyboardInterrupt):
+            append_frame(writer, 1, size=LARGE)
+        monkeypatch.undo()
+    assert by_rosbags(folder) == by_mcap(folder) == content_of([0], LARGE)
 
 
 def test_readers_do_not_stop_the_writing_of_a_sqlite3_bag(tmp_path: Path) -> None:

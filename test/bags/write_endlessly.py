@@ -1,7 +1,7 @@
 """Program: append frames to a bag until it is killed.
 
 Prints the number of its guardian, then a line for each frame.
-Arguments: folder, storage, size of images in bytes, max_size of files.
+Arguments: folder, storage, size of images in bytes, max_size of files, whether direct writing is refused.
 """
 
 import sys
@@ -9,6 +9,7 @@ from itertools import count
 
 from bag_support import TOPICS, append_frame
 
+from humansim_ros.bags.direct_file import DirectFile
 from humansim_ros.bags.storages import Storage
 from humansim_ros.bags.writer import BagWriter
 
@@ -16,6 +17,8 @@ from humansim_ros.bags.writer import BagWriter
 def main() -> None:
     folder, size, max_size = sys.argv[1], int(sys.argv[3]), int(sys.argv[4])
     storage: Storage = "sqlite3" if sys.argv[2] == "sqlite3" else "mcap"
+    if sys.argv[5] == "True":
+        DirectFile.write = lambda *_: 0  # type: ignore[method-assign]
     with BagWriter(folder, TOPICS, storage=storage, max_size=max_size, custom={"plan": "p"}) as writer:
         print(writer._guardian._process.pid, flush=True)  # type: ignore[union-attr]
         for frame in count():

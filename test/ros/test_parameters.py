@@ -76,7 +76,7 @@ def test_a_parameter_file_may_have_integers(ros: None, scene: Path, tmp_path: Pa
     file.write_text(f"/**:\n  ros__parameters: {{scene: {scene}, rate: 15, first: {{speed: 2}}}}\n")
     node = MotionPlayerNode(cli_args=["--ros-args", "--params-file", str(file)], namespace="parameters")
     assert (node.get_parameter("rate").value, node.get_parameter("first.speed").value) == (15.0, 2.0)
-    assert node._playback_clock.period == pytest.approx(1e9 / 15)
+    assert node.playback_clock.period == pytest.approx(1e9 / 15)
     stop(node)
 
 

@@ -118,11 +118,12 @@ class CameraNode(SceneNode):
     def _publish_frame(self, state: SceneState) -> None:
         exposure = self._pose.exposure(state)
         channels = self._images.subscribed()
+        if self._last is not None and self._last[0].is_preview != state.is_preview:
+            self._last = self._previous = None  # flow does not lead from one to the other
         if self._last is not None and self._last[0].stamp != state.stamp:  # else the same frame again
             self._previous = self._last
         previous = self._previous
-        has_flow = channels & (_FORWARD | _BACKWARD) and not state.is_preview
-        self._last = (state, exposure) if has_flow else None
+        self._last = (state, exposure) if channels & (_FORWARD | _BACKWARD) else None
         if self._last is None:
             self._previous = None
         if previous is None:

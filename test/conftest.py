@@ -8,6 +8,7 @@ import os
 import re
 import signal
 import sys
+import weakref
 from collections import defaultdict
 from collections.abc import Generator, Iterator
 from contextlib import suppress
@@ -168,14 +169,34 @@ def assets() -> Path:
 
 @pytest.fixture(scope="module")
 def ros() -> Iterator[None]:
-    """Initialise rclpy with a transport for images, for the tests of one file."""
+    """Initialise rclpy with a transport for images, for the tests of one file.
+
+    Nodes that a test has left behind are destroyed: those of an EventsExecutor would stay in the graph for
+    ever, with their publishers and their memory.
+    """
     import rclpy
+    from rclpy.node import Node
 
     from humansim_ros.ros.runtime import prepare_transport
 
+    nodes: weakref.WeakSet[Node] = weakref.WeakSet()
+    initialise = Node.__init__
+
+    def recorded(node: Node, *arguments: Any, **options: Any) -> None:
+        nodes.add(node)
+        initialise(node, *arguments, **options)
+
     prepare_transport()
     rclpy.init()
-    yield
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Node, "__init__", recorded)
+        yield
+    for node in list(nodes):
+        with suppress(Exception):  # of a node that has failed at its start
+            if node.executor is not None:
+                node.executor.remove_node(node)
+                node.executor.shutdown()
+            node.destroy_node()
     rclpy.try_shutdown()
 
 

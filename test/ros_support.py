@@ -115,6 +115,10 @@ class Client:
         assert self.spin_until(lambda: not unmatched()), f"no subscriber of {unmatched()}"
 
     def close(self) -> None:
+        """Destroy the client. Its executor lets go of all nodes, or an EventsExecutor keeps them in the graph."""
+        for node in self.executor.get_nodes():
+            self.executor.remove_node(node)
+        self.executor.shutdown()
         self.node.destroy_node()
 
 

@@ -96,9 +96,6 @@ class Stage:
     def close(self) -> None:
         for player in list(self.players):
             self.kill(player)
-        # or the EventsExecutor keeps the nodes in the graph, with their /clock
-        self.client.executor.remove_node(self.client.node)
-        self.client.executor.shutdown()
         self.client.close()
 
 

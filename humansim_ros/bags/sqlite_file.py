@@ -104,6 +104,9 @@ class SqliteFile:
             with as_os_errors():
                 (application,) = file._database.execute("PRAGMA application_id").fetchone()
                 (groups,) = file._database.execute("PRAGMA user_version").fetchone()
+            # sqlite3 has used and removed a journal with a group that is not whole; one of a process that was
+            # killed between two groups is empty, and would stay if nothing is written to this file
+            path.with_name(f"{path.name}-journal").unlink(missing_ok=True)
             if application != _APPLICATION:
                 raise BagError("this file was not written by humansim: it cannot be continued", path=path)
             with SqliteInput(path) as found:

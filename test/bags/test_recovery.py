@@ -211,6 +211,21 @@ def test_sqlite3_bags_are_finished_and_continued_after_any_kill(tmp_path: Path) 
         shutil.rmtree(folder)
 
 
+def test_the_journal_of_a_full_sqlite3_file_goes_when_the_bag_is_continued(tmp_path: Path) -> None:
+    """It is empty, because the process was killed between two groups; the next group is in the next file."""
+    size, limit, killed = 200_000, 1 << 20, tmp_path / "killed"
+    with BagWriter(tmp_path / "bag", TOPICS, storage="sqlite3", max_size=limit) as writer:
+        while writer.size < limit:
+            append_frame(writer, writer.groups, size=size)
+        frames = writer.groups
+        assert [path.name for path in writer.folder.glob("*-journal")] == ["bag_0.db3-journal"]
+        shutil.copytree(writer.folder, killed)
+    with BagWriter.resume(killed, max_size=limit) as writer:
+        append_frame(writer, frames, size=size)
+    assert sorted(path.name for path in killed.iterdir()) == ["bag_0.db3", "bag_1.db3", "metadata.yaml"]
+    assert by_rosbags(killed) == content_of(range(frames + 1), size)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_signals_leave_a_bag_that_is_whole(number: int, tmp_path: Path) -> None:

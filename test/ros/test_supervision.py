@@ -372,7 +372,8 @@ def test_ctrl_c_while_a_node_starts_is_quiet(
     ros: None, processes: Processes, tmp_path: Path, output: Path, node: str, delay: float
 ) -> None:
     scene = write_scene(tmp_path, SCENE)
-    process = processes.start([*NODE, node, "--ros-args", "-p", f"scene:={scene}"], output)
+    given = ["-p", f"scene:={scene}", *(["-p", f"output:={tmp_path}/bag"] if node == "recorder" else [])]
+    process = processes.start([*NODE, node, "--ros-args", *given], output)
     assert wait_until(lambda: handles_hangup(process.pid))
     time.sleep(delay)  # the moment of the signal
     process.send_signal(signal.SIGINT)

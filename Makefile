@@ -22,10 +22,11 @@ demo: env
 check: lint
 	$(BIN)/python -m pytest -n auto -m "not ros and not process and not slow"
 
-# Nodes and processes share the machine's network and clock: their tests run one after the other.
+# Tests of nodes and processes share the machine's network and clock: two files at a time, each in a ROS
+# domain of its own, because they wait most of the time.
 test: lint
 	$(BIN)/python -m pytest -n auto -m "not ros and not process"
-	$(BIN)/python -m pytest -m "ros or process"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "ros or process"
 
 lint: env-test
 	$(BIN)/ruff format --check .

@@ -115,7 +115,7 @@ class Client:
         assert self.spin_until(lambda: not unmatched()), f"no subscriber of {unmatched()}"
 
     def close(self) -> None:
-        """Destroy the client. Its executor lets go of all nodes: an EventsExecutor keeps them in the graph."""
+        """Destroy the client. Its executor lets go of all nodes; an EventsExecutor would keep them."""
         for node in self.executor.get_nodes():
             self.executor.remove_node(node)
         self.executor.shutdown()

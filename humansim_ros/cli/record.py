@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from datetime import timedelta
+from collections.abc import Callable, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -15,6 +11,7 @@ import typer
 
 from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.cli.check import warn_about_mistakes
+from humansim_ros.cli.frame_progress import frame_progress, rate_text
 from humansim_ros.cli.output import print_error, print_text
 from humansim_ros.errors import BagError
 from humansim_ros.ros.stop_signals import Stopped
@@ -22,10 +19,7 @@ from humansim_ros.ros.stop_signals import Stopped
 if TYPE_CHECKING:
     from humansim_ros.record.cluster import ClusterRecording
     from humansim_ros.record.frame_chunks import SceneRecording
-    from humansim_ros.record.recording import RecordingProgress
-
-#: Seconds between lines of progress where there is no terminal.
-_LINE_EVERY = 5.0
+    from humansim_ros.record.progress import FrameProgress
 
 
 class _Storage(str, Enum):
@@ -181,14 +175,14 @@ def _record_here(recording: SceneRecording, output: Path, jobs: int, resume: boo
     from humansim_ros.record.workers import WorkerDiedError
 
     cameras = len({topic.camera for topic in recording.table if topic.camera and topic.per_frame})
-    state: RecordingProgress | None = None
+    state: FrameProgress | None = None
 
-    def show(progress: RecordingProgress) -> None:
+    def show(progress: FrameProgress) -> None:
         nonlocal state
         state = progress
         display(progress)
 
-    with _display(cameras) as display:
+    with frame_progress("recording", cameras) as display:
         try:
             state = record(recording, output, jobs, resume, show)
         except (Stopped, WorkerDiedError) as error:
@@ -209,7 +203,7 @@ def _record_on_ray(
     from humansim_ros.record.cluster import record_on_cluster
 
     # its numbers are those of camera-frames
-    with _display(1, "camera-frames") as display:
+    with frame_progress("recording", 1, "camera-frames") as display:
         try:
             state = record_on_cluster(recordings, address, workers=jobs, resume=resume, on_progress=display)
         except Stopped:
@@ -220,70 +214,10 @@ def _record_on_ray(
         return
     bags = f"{len(recordings)} bags in " if len(recordings) > 1 else ""
     each = f"{state.size / state.new:.0f} bytes per camera-frame"
-    print_text(f"wrote {bags}{output}: {state.new} camera-frames, {_rate(state, 1)}, {each}")
+    print_text(f"wrote {bags}{output}: {state.new} camera-frames, {rate_text(state, 1)}, {each}")
 
 
-@contextmanager
-def _display(cameras: int, unit: str = "frames") -> Iterator[Callable[[RecordingProgress], None]]:
-    """Show progress: a bar on a terminal, else a line every five seconds.
-
-    ``cameras``: camera-frames for each ``unit``.
-    """
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn
-
-    console = Console(stderr=True)
-    if not console.is_terminal:
-        yield _lines(cameras, unit)
-        return
-    columns = (
-        TextColumn("recording"),
-        BarColumn(),
-        TextColumn(f"{{task.completed}}/{{task.total}} {unit}"),
-        TextColumn("{task.fields[rate]}"),
-    )
-    with Progress(*columns, console=console) as bar:
-        task = bar.add_task("", total=None, rate="starting")
-
-        def show(progress: RecordingProgress) -> None:
-            rate = f"{_rate(progress, cameras)}, {_left(progress)}"
-            bar.update(task, total=progress.frames, completed=progress.done, rate=rate)
-
-        yield show
-
-
-def _lines(cameras: int, unit: str) -> Callable[[RecordingProgress], None]:
-    """Function that prints a line every five seconds."""
-    last = time.monotonic()
-
-    def show(progress: RecordingProgress) -> None:
-        nonlocal last
-        if time.monotonic() - last >= _LINE_EVERY:
-            last = time.monotonic()
-            done = f"{progress.done} of {progress.frames} {unit}"
-            text = f"{done}, {_rate(progress, cameras)}, {_left(progress)}"
-            print(text, file=sys.stderr, flush=True)
-
-    return show
-
-
-def _left(progress: RecordingProgress) -> str:
-    """Time left in words, from the rate of this process: a continued recording had another one."""
-    if not progress.rate:  # no task of a cluster has ended
-        return "unknown time left"
-    seconds = (progress.frames - progress.done) / progress.rate
-    return f"{timedelta(seconds=round(seconds))} left"
-
-
-def _rate(progress: RecordingProgress, cameras: int) -> str:
-    """Rate in words."""
-    megabytes = progress.size / 1e6 / progress.seconds if progress.seconds else 0.0
-    if not cameras:
-        return f"{progress.rate:.0f} frames/s, {megabytes:.0f} MB/s"
-    return f"{cameras * progress.rate:.0f} camera-frames/s, {megabytes:.0f} MB/s"
-
-
-def _summary(progress: RecordingProgress, cameras: int, output: Path) -> str:
+def _summary(progress: FrameProgress, cameras: int, output: Path) -> str:
     """Text after a recording: rate, size, and the processor time of each step."""
     if not progress.new:
         return f"{output}: all {progress.frames} frames are in the bag already"
@@ -291,7 +225,7 @@ def _summary(progress: RecordingProgress, cameras: int, output: Path) -> str:
     unit = "camera-frame" if cameras else "frame"
     costs = ", ".join(f"{step} {1e3 * seconds / units:.2f}" for step, seconds in progress.costs.items())
     return (
-        f"wrote {output}: {progress.done} frames, {_rate(progress, cameras)}, "
+        f"wrote {output}: {progress.done} frames, {rate_text(progress, cameras)}, "
         f"{progress.size / units:.0f} bytes per {unit}\n"
         f"processor time in ms per {unit}: {costs}"
     )

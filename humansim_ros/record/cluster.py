@@ -29,7 +29,7 @@ from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError, HumansimError, RenderError
 from humansim_ros.io.temporary import temporary_folder
 from humansim_ros.record.output import OutputFolder
-from humansim_ros.record.recording import RecordingProgress
+from humansim_ros.record.progress import FrameProgress
 from humansim_ros.record.shards import SHARD_FRAMES, Shard, ShardKind, merged_chunks, shards_of
 
 if TYPE_CHECKING:
@@ -240,8 +240,8 @@ def record_on_cluster(
     *,
     workers: int | None = None,
     resume: bool = False,
-    on_progress: Callable[[RecordingProgress], None] = lambda _: None,
-) -> RecordingProgress:
+    on_progress: Callable[[FrameProgress], None] = lambda _: None,
+) -> FrameProgress:
     """Record bags on a Ray cluster. The bags do not depend on the number of workers.
 
     Args:
@@ -268,7 +268,7 @@ def record_on_cluster(
             _begin(recording)
         total = sum(shard.size for recording in recordings for shard in recording.shards)
         first = total - sum(job.shard.size for _, job in tasks)
-        progress = RecordingProgress(first, total, first)
+        progress = FrameProgress(first, total, first)
         results, failures = _run(ray, tasks, progress, on_progress)
     missing = [job for _, job in tasks if (job.folder, job.name) not in results]
     unwritten = {(job.folder, job.name) for job in missing}
@@ -321,8 +321,8 @@ def _begin(recording: ClusterRecording) -> None:
 def _run(
     ray: Any,
     tasks: Sequence[tuple[Any, _Job]],
-    progress: RecordingProgress,
-    on_progress: Callable[[RecordingProgress], None],
+    progress: FrameProgress,
+    on_progress: Callable[[FrameProgress], None],
 ) -> tuple[dict[_Place, ShardResult], list[str]]:
     """Run tasks. After a failure no task is begun.
 

@@ -65,6 +65,10 @@ class SceneRecording:
         """Names of the cameras of which topics are recorded."""
         return list(dict.fromkeys(topic.camera for topic in self.table if topic.camera))
 
+    def start(self) -> FrameEncoder:
+        """Encoder of all topics."""
+        return FrameEncoder(self)
+
     def encoder(self, cameras: Collection[str], bodies: bool) -> FrameEncoder:
         """Encoder of some cameras, and of the topics that belong to no camera if ``bodies``.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass, fields
@@ -14,14 +13,13 @@ from humansim_ros import __version__
 from humansim_ros.bags.chunks import Compression
 from humansim_ros.bags.metadata import read_metadata
 from humansim_ros.bags.storages import Storage
-from humansim_ros.errors import BagError, SceneError, near_names
-from humansim_ros.io.files import ANY_SIZE, open_file
+from humansim_ros.errors import BagError, near_names
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.ros.messages import ImageCompression
 from humansim_ros.ros.qos import SCENE_TIME
 from humansim_ros.ros.topics import Topic, scene_topics
 from humansim_ros.scene import Scene
-from humansim_ros.scene.config import map_files
+from humansim_ros.scene.scene_hash import scene_hash
 
 ImageFormat: TypeAlias = Literal["raw", "jpeg", "png"]
 DepthFormat: TypeAlias = Literal["raw", "png"]
@@ -32,8 +30,6 @@ PLAN = "humansim_recording"
 _COMPRESSED = {"/image_raw": "/image_raw/compressed", "/depth/image": "/depth/image/compressedDepth"}
 #: Most topics that an error lists.
 _MAX_LISTED = 6
-#: Bytes of a file that are read at once.
-_BLOCK = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -190,20 +186,3 @@ def _listed_difference(bag: Collection[str], now: Collection[str]) -> str:
         if names
     ]
     return "; ".join(parts) or "in another order"
-
-
-def scene_hash(scene: Scene) -> str:
-    """Hash of a scene: its settings, and the content of the files that they name."""
-    digest = hashlib.sha256(scene.config.model_dump_json().encode())
-
-    def add(name: str) -> str:
-        path = scene.source.folder / name.split("#")[0]
-        if path.is_file():
-            digest.update(f"{name}\n".encode())
-            with open_file(path, SceneError, "scene", ANY_SIZE) as file:
-                while block := file.read(_BLOCK):
-                    digest.update(block)
-        return name
-
-    map_files(scene.config.model_dump(exclude_none=True), add)
-    return digest.hexdigest()

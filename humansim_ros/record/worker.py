@@ -1,4 +1,4 @@
-"""Process that encodes frames for a recording.
+"""Process that encodes frames for a recording, or writes frames of an export.
 
 Its arguments are inherited file descriptors: a socket to the process that writes the bag, and memory for the
 chunks of a frame, one for each frame that the process may be ahead. The memory has no name, so that nothing
@@ -15,7 +15,8 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import NamedTuple
+from types import TracebackType
+from typing import NamedTuple, Protocol
 
 from humansim_ros.bags.chunks import Chunk
 from humansim_ros.bags.direct_file import BLOCK
@@ -24,6 +25,35 @@ from humansim_ros.ros.parent import end_with_parent
 
 #: Step of copying chunks into memory that the writing process has, too.
 COPYING = "copying"
+
+
+class FrameTask(Protocol):
+    """What a process does with frames, in a ``with`` block.
+
+    Attributes:
+        costs: Seconds of processor time by step.
+    """
+
+    costs: dict[str, float]
+
+    def encode(self, index: int) -> list[Chunk]:
+        """Do the work of a frame; return the chunks for the process that writes the bag, if there is one."""
+
+    def close(self) -> None:
+        """Free the renderer."""
+
+    def __enter__(self) -> FrameTask: ...
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None: ...
+
+
+class FrameJob(Protocol):
+    """Work on the frames of a scene. It can be copied to another process."""
+
+    def start(self) -> FrameTask:
+        """Load what the work needs. Raises HumansimError if this machine cannot do it."""
 
 
 class EncodedFrame(NamedTuple):
@@ -54,9 +84,13 @@ class Slot:
     def store(self, chunks: list[Chunk]) -> tuple[list[Chunk], int]:
         """Copy chunks one after the other; return them without their bytes, and the size of the slot.
 
+        Without chunks both are empty.
+
         Raises:
             OSError: There is no memory left.
         """
+        if not chunks:
+            return [], 0
         starts = list(positions(chunks))
         needed = starts[-1] + chunks[-1].size
         if self._memory is None or len(self._memory) < needed:
@@ -93,17 +127,16 @@ def _text(error: OSError | MemoryError) -> str:
 def _work(connection: Connection, slots: list[Slot]) -> None:
     import cv2
 
-    from humansim_ros.record.frame_chunks import FrameEncoder
-
     if threads := os.environ.get("OPENCV_FOR_THREADS_NUM"):
         cv2.setNumThreads(int(threads))
-    with FrameEncoder(connection.recv()) as encoder:
+    job: FrameJob = connection.recv()
+    with job.start() as task:
         connection.send(None)
         while True:
             index, slot = connection.recv()
-            encoder.costs = {}
-            chunks = encoder.encode(index)
+            task.costs = {}
+            chunks = task.encode(index)
             start = time.process_time()
             stored, size = slots[slot].store(chunks)
-            encoder.costs[COPYING] = time.process_time() - start
-            connection.send(EncodedFrame(index, slot, stored, size, encoder.costs))
+            task.costs[COPYING] = time.process_time() - start
+            connection.send(EncodedFrame(index, slot, stored, size, task.costs))

@@ -1,4 +1,4 @@
-"""Worker processes that encode the frames of a recording; the frames come out in order."""
+"""Worker processes that encode the frames of a recording or an export; the frames come out in order."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ import signal
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from multiprocessing import Pipe
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -19,8 +20,7 @@ from typing import Any
 import humansim_ros
 from humansim_ros.bags.chunks import Chunk
 from humansim_ros.errors import HumansimError
-from humansim_ros.record.frame_chunks import SceneRecording
-from humansim_ros.record.worker import EncodedFrame, positions
+from humansim_ros.record.worker import EncodedFrame, FrameJob, positions
 from humansim_ros.ros.parent import PARENT_PID
 from humansim_ros.ros.processes import thread_limits
 
@@ -70,10 +70,10 @@ class _Worker:
         self.frames.append(index)
         self._send((index, slot))
 
-    def start(self, recording: bytes) -> None:
-        """Send the recording, pickled."""
+    def start(self, job: bytes) -> None:
+        """Send the job, pickled."""
         try:
-            self.connection.send_bytes(recording)
+            self.connection.send_bytes(job)
         except OSError:
             raise self._died() from None
 
@@ -103,6 +103,8 @@ class _Worker:
 
     def chunks(self, frame: EncodedFrame) -> list[Chunk]:
         """Chunks of a frame with their bytes, which are in its slot."""
+        if not frame.chunks:
+            return []
         memory = self._memory[frame.slot]
         if memory is None or len(memory) != frame.size:
             memory = mmap.mmap(self._slots[frame.slot], frame.size, prot=mmap.PROT_READ)
@@ -127,15 +129,16 @@ class _Worker:
 
 
 class Workers:
-    """Worker processes of a recording; use it in a ``with`` block. They end with it, however it ends.
+    """Worker processes of a recording or an export; use it in a ``with`` block. They end with it, however it
+    ends.
 
-    ``jobs``: number of processes. Raises HumansimError if one cannot start.
+    ``job``: the work. ``jobs``: number of processes. Raises HumansimError if one cannot start.
 
     Attributes:
         costs: Seconds of processor time of all workers by step.
     """
 
-    def __init__(self, recording: SceneRecording, jobs: int) -> None:
+    def __init__(self, job: FrameJob, jobs: int) -> None:
         self.costs: dict[str, float] = {}
         self._workers: list[_Worker] = []
         sources = [str(Path(humansim_ros.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
@@ -148,7 +151,7 @@ class Workers:
         try:
             for number in range(jobs):
                 self._workers.append(_Worker(number, environment))
-            copied = pickle.dumps(recording)
+            copied = pickle.dumps(job)
             for worker in self._workers:
                 worker.start(copied)
             for worker in self._workers:
@@ -157,8 +160,8 @@ class Workers:
             self.close()
             raise
 
-    def frames(self, first: int, end: int) -> Iterator[list[Chunk]]:
-        """Chunks of the frames from ``first`` up to ``end``, in order.
+    def frames(self, indices: Sequence[int]) -> Iterator[list[Chunk]]:
+        """Chunks of some frames, in their order. ``indices``: their numbers, each once.
 
         The bytes of a frame are valid until the next one is asked for.
 
@@ -166,15 +169,13 @@ class Workers:
             WorkerDiedError: A process has died.
             HumansimError: A frame cannot be encoded.
         """
-        following = first
+        following = iter(indices)
         for _ in range(_SLOTS):
-            for worker in self._workers:
-                if following < end:
-                    worker.ask(following)
-                    following += 1
+            for worker, index in zip(self._workers, following, strict=False):
+                worker.ask(index)
         encoded: dict[int, tuple[_Worker, EncodedFrame]] = {}
         by_connection: dict[Any, _Worker] = {worker.connection: worker for worker in self._workers}
-        for index in range(first, end):
+        for index in indices:
             while index not in encoded:
                 for connection in wait([w.connection for w in self._workers if w.frames]):
                     worker = by_connection[connection]
@@ -186,9 +187,8 @@ class Workers:
             worker, frame = encoded.pop(index)
             yield worker.chunks(frame)
             worker.free.append(frame.slot)
-            if following < end:
-                worker.ask(following)
-                following += 1
+            for another in islice(following, 1):
+                worker.ask(another)
 
     def close(self) -> None:
         """End all processes."""
@@ -204,3 +204,32 @@ class Workers:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+class Encoding:
+    """Encodes frames in this process, or in several others; use it in a ``with`` block.
+
+    ``job``: the work. ``jobs``: number of processes; with 1, this process does it.
+    """
+
+    def __init__(self, job: FrameJob, jobs: int) -> None:
+        self._source = job.start() if jobs == 1 else Workers(job, jobs)
+
+    def __enter__(self) -> Encoding:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._source.close()
+
+    @property
+    def costs(self) -> dict[str, float]:
+        """Seconds of processor time by step."""
+        return self._source.costs
+
+    def frames(self, indices: Sequence[int]) -> Iterator[Sequence[Chunk]]:
+        """Chunks of some frames, in their order; each is valid until the next. Raises as :class:`Workers`."""
+        if isinstance(self._source, Workers):
+            return self._source.frames(indices)
+        return map(self._source.encode, indices)

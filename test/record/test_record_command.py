@@ -10,8 +10,8 @@ import pytest
 import ros_support  # noqa: F401  # skips without ROS
 from record_support import run, write_scene
 
-from humansim_ros.cli import record as command
-from humansim_ros.record.recording import RecordingProgress
+from humansim_ros.cli import frame_progress
+from humansim_ros.record.progress import FrameProgress
 
 pytest.importorskip("rosbags")
 
@@ -100,16 +100,16 @@ def test_the_summary_says_rate_size_and_cost_of_each_step(scene: Path, tmp_path:
         assert f"{step} " in out
 
 
-def progress(done: int, seconds: float) -> RecordingProgress:
-    return RecordingProgress(first=0, frames=900, done=done, size=done * 10_000_000, seconds=seconds)
+def progress(done: int, seconds: float) -> FrameProgress:
+    return FrameProgress(first=0, frames=900, done=done, size=done * 10_000_000, seconds=seconds)
 
 
 def test_without_a_terminal_a_line_is_printed_every_five_seconds(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = 100.0
-    monkeypatch.setattr(command.time, "monotonic", lambda: now)
-    with command._display(4) as show:
+    monkeypatch.setattr(frame_progress.time, "monotonic", lambda: now)
+    with frame_progress.frame_progress("recording", 4) as show:
         for number in range(1, 13):
             now += 1.0
             show(progress(30 * number, float(number)))
@@ -130,7 +130,7 @@ def test_a_terminal_shows_a_bar_with_rate_and_time_left(monkeypatch: pytest.Monk
         "Console",
         lambda **_: console(file=screen, force_terminal=True, width=120, legacy_windows=False),
     )
-    with command._display(4) as show:
+    with frame_progress.frame_progress("recording", 4) as show:
         show(progress(450, 15.0))
     text = screen.getvalue()
     assert "450/900 frames" in text and "120 camera-frames/s" in text and "━" in text
@@ -141,8 +141,8 @@ def test_the_time_left_of_a_continued_recording_is_from_its_own_rate(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = 100.0
-    monkeypatch.setattr(command.time, "monotonic", lambda: now)
-    with command._display(0) as show:
+    monkeypatch.setattr(frame_progress.time, "monotonic", lambda: now)
+    with frame_progress.frame_progress("recording", 0) as show:
         now += 5.0
-        show(RecordingProgress(first=800, frames=900, done=810, size=50_000_000, seconds=5.0))
+        show(FrameProgress(first=800, frames=900, done=810, size=50_000_000, seconds=5.0))
     assert capsys.readouterr().err == "810 of 900 frames, 2 frames/s, 10 MB/s, 0:00:45 left\n"

@@ -79,6 +79,8 @@ EXTRAS = {
     "meshes": ["DracoPy>=1.5", "lxml>=4.9", "networkx>=2.8", "pycollada>=0.8"],
     # panoramas of that kind
     "exr": ["OpenEXR>=3.3"],
+    # formats of data sets (docs/export.md)
+    "export": ["OpenEXR>=3.3", "pycocotools>=2.0.7"],
     # the other renderer
     "pyrender": ["pyrender==0.1.45"],
     "bench": ["pyrender==0.1.45"],

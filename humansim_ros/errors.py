@@ -122,6 +122,10 @@ class BagError(HumansimError):
     """A bag cannot be written or read."""
 
 
+class ExportError(HumansimError):
+    """A data set cannot be exported."""
+
+
 def warn_about(path: str | os.PathLike[str], message: str) -> None:
     """Issue a HumansimWarning about a file that is usable but doubtful."""
     warnings.warn(f"{os.fspath(path)}: {message}", HumansimWarning, stacklevel=3)

@@ -20,6 +20,7 @@ PACKAGE = ROOT / "humansim_ros"
 #: From top to bottom: a folder may import those below it. Folders of one row do not import each other.
 LAYERS = (
     ("cli",),
+    ("export",),
     ("record",),
     ("ros",),
     ("drawing",),

@@ -37,6 +37,7 @@ PARSED |= {
     ("motion", "render"),
     ("bench",),
     ("record",),
+    ("export",),
     ("play",),
 }
 OWN_FILE = re.compile(r"[A-Z][A-Z_0-9]*(\.\w+)?/?")

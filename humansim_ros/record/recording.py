@@ -12,7 +12,7 @@ from humansim_ros.errors import BagError
 from humansim_ros.record.frame_chunks import SceneRecording
 from humansim_ros.record.plan import RecordingPlan
 from humansim_ros.record.progress import FrameProgress
-from humansim_ros.record.workers import Encoding
+from humansim_ros.record.workers import FrameEncoding
 
 #: Step of giving the bytes to the system.
 WRITING = "writing"
@@ -54,7 +54,7 @@ def record(
             progress.first = progress.done = writer.groups
             if progress.done >= progress.frames:
                 return progress
-        encoder = Encoding(recording, min(jobs, progress.frames - progress.first))
+        encoder = FrameEncoding(recording, min(jobs, progress.frames - progress.first))
         stack.enter_context(encoder)
         if not resume:  # after the start of the encoder: without OpenGL no folder is made
             writer = BagWriter(
@@ -72,7 +72,7 @@ def record(
 
 
 def _write(
-    encoder: Encoding,
+    encoder: FrameEncoding,
     writer: BagWriter,
     progress: FrameProgress,
     on_progress: Callable[[FrameProgress], None],

@@ -206,7 +206,7 @@ class Workers:
         self.close()
 
 
-class Encoding:
+class FrameEncoding:
     """Encodes frames in this process, or in several others; use it in a ``with`` block.
 
     ``job``: the work. ``jobs``: number of processes; with 1, this process does it.
@@ -215,7 +215,7 @@ class Encoding:
     def __init__(self, job: FrameJob, jobs: int) -> None:
         self._source = job.start() if jobs == 1 else Workers(job, jobs)
 
-    def __enter__(self) -> Encoding:
+    def __enter__(self) -> FrameEncoding:
         return self
 
     def __exit__(

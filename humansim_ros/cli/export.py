@@ -1,0 +1,110 @@
+"""``humansim export``: write a scene as a data set in the formats of other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from humansim_ros.cli.check import warn_about_mistakes
+from humansim_ros.cli.frame_progress import frame_progress, rate_text
+from humansim_ros.cli.output import print_error, print_text
+from humansim_ros.ros.stop_signals import Stopped
+
+if TYPE_CHECKING:
+    from humansim_ros.export.export import SceneExport
+    from humansim_ros.record.progress import FrameProgress
+
+
+class _ImageFormat(str, Enum):
+    png = "png"
+    jpg = "jpg"
+
+
+def _print_formats(wanted: bool) -> None:
+    if wanted:
+        from humansim_ros.export.formats import EXPORT_FORMATS
+
+        width = max(map(len, EXPORT_FORMATS))
+        print_text("\n".join(f"{row.name:<{width}}  {row.title}" for row in EXPORT_FORMATS.values()))
+        raise typer.Exit
+
+
+def export(
+    frames: Annotated[
+        str, typer.Option(help="Frames A:B, from A up to, but not including, B, such as 0:300.")
+    ],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Folder, which must not exist.")],
+    formats: Annotated[
+        list[str],
+        typer.Option("--format", help="Formats with commas between them, such as coco,mot; may be repeated."),
+    ],
+    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    keypoints: Annotated[
+        str, typer.Option(help="Keypoint set of the formats with keypoints (docs/keypoints.md).")
+    ] = "coco17",
+    images: Annotated[_ImageFormat, typer.Option(help="Format of colour images.")] = _ImageFormat.png,
+    jobs: Annotated[
+        int | None,
+        typer.Option(help="Number of processes that render; all cores if absent.", min=1, max=1024),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue an interrupted export; give the same options.")
+    ] = False,
+    show_list: Annotated[
+        bool,
+        typer.Option("--list", help="List the formats and exit.", is_eager=True, callback=_print_formats),
+    ] = False,
+) -> None:
+    """Write frames of a scene as a data set: images, annotations, calibrations, motions."""
+    from humansim_ros.export.export import SceneExport
+    from humansim_ros.export.plan import ExportPlan, parse_frames
+    from humansim_ros.ros.processes import cores
+    from humansim_ros.scene import Scene
+
+    chosen = parse_frames(frames)
+    names = [word.strip() for text in formats for word in text.split(",") if word.strip()]
+    loaded = Scene.load(scene)
+    warn_about_mistakes(loaded)
+    plan = ExportPlan.of(loaded, chosen, names, f".{images.value}", keypoints)
+    _export(SceneExport(loaded, plan, output), output, jobs or cores(), resume)
+
+
+def _export(job: SceneExport, output: Path, jobs: int, resume: bool) -> None:
+    from humansim_ros.export.export import export
+    from humansim_ros.record.workers import WorkerDiedError
+
+    done, total = 0, len(job.plan.frames)
+
+    def show(progress: FrameProgress) -> None:
+        nonlocal done
+        done = progress.done
+        display(progress)
+
+    with frame_progress("exporting", job.cameras) as display:
+        try:
+            state = export(job, jobs, resume, show)
+        except (Stopped, WorkerDiedError) as error:
+            text = f"{output}: {done} of {total} frames are written; the same command with --resume continues"
+            if isinstance(error, WorkerDiedError):
+                print_error(f"error: {error}; {text}")
+                raise typer.Exit(1) from None
+            print_text(f"stopped; {text}")
+            raise
+    if not state.new:
+        print_text(f"{output}: all {total} frames are written already")
+        return
+    units = state.new * max(job.cameras, 1)
+    costs = ", ".join(f"{step} {1e3 * seconds / units:.1f}" for step, seconds in state.costs.items())
+    unit = "camera-frame" if job.cameras else "frame"
+    print_text(
+        f"wrote {output}: {state.done} frames, {rate_text(state, job.cameras)}\n"
+        f"processor time in ms per {unit}: {costs}"
+    )
+
+
+#: Commands of this module by name.
+COMMANDS: dict[str, Callable[..., None]] = {"export": export}

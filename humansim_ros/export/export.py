@@ -1,0 +1,273 @@
+"""Export a scene with any number of processes, and continue an interrupted export."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import cv2
+import numpy as np
+
+from humansim_ros import __version__
+from humansim_ros.bags.chunks import Chunk
+from humansim_ros.camera import write_calibration
+from humansim_ros.errors import ExportError
+from humansim_ros.export.folder import ExportFolder, FileEntry
+from humansim_ros.export.formats import EXPORT_FORMATS, ExportFormat, needed_channels
+from humansim_ros.export.plan import INDEX, ExportPlan
+from humansim_ros.export.writer import ExportFrame, ExportSettings, Record, frame_name
+from humansim_ros.record.progress import FrameProgress
+from humansim_ros.record.workers import FrameEncoding
+from humansim_ros.scene import Scene, Simulation
+
+#: Folder of an export with what finished frames leave for the files of the whole export; removed at its end.
+_RECORDS = ".frames"
+#: Cameras of the scene, in the root of an export.
+CALIBRATION = "calibration.yaml"
+#: Step of rendering a frame, for the summary of costs.
+_RENDERING = "rendering and motion"
+
+
+@dataclass(frozen=True)
+class SceneExport:
+    """A scene and the plan of its export to a folder. It can be copied to another process."""
+
+    scene: Scene
+    plan: ExportPlan
+    root: Path
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.scene, self.plan, self.root)
+
+    @property
+    def formats(self) -> list[ExportFormat]:
+        """Rows of the formats that are written."""
+        return [EXPORT_FORMATS[name] for name in self.plan.formats]
+
+    @cached_property
+    def settings(self) -> ExportSettings:
+        """What writers get."""
+        return ExportSettings(self.scene, self.plan.frames, self.plan.keypoints, self.plan.image_suffix)
+
+    @property
+    def cameras(self) -> int:
+        """Number of cameras that are rendered."""
+        return len(self.scene.scene_cameras) if needed_channels(self.formats) else 0
+
+    def start(self) -> FrameExporter:
+        """Load the renderer. Raises RenderError without OpenGL."""
+        return FrameExporter(self)
+
+    def finished(self, index: int) -> bool:
+        """Whether a frame and all its files have been written."""
+        try:
+            files: Mapping[str, FileEntry] = self._read(index)["files"]
+            return all((self.root / name).stat().st_size == entry["bytes"] for name, entry in files.items())
+        except (OSError, ValueError):
+            return False
+
+    def files(self, index: int) -> dict[str, FileEntry]:
+        """Files of a finished frame."""
+        files: dict[str, FileEntry] = self._read(index)["files"]
+        return files
+
+    def records(self, name: str) -> FrameRecords:
+        """What the frames leave for the files of a format."""
+        return FrameRecords(self, name)
+
+    def record_path(self, index: int) -> str:
+        """File that says that a frame is finished, relative to the root."""
+        return f"{_RECORDS}/{frame_name(index)}.json"
+
+    def _read(self, index: int) -> dict[str, Any]:
+        content: dict[str, Any] = json.loads((self.root / self.record_path(index)).read_bytes())
+        return content
+
+
+@dataclass(frozen=True)
+class FrameRecords:
+    """Number of each frame, with what it leaves for the files of a format; read from disk each time."""
+
+    export: SceneExport
+    name: str
+
+    def __iter__(self) -> Iterator[tuple[int, Record]]:
+        for index in self.export.plan.frames:
+            yield index, self.export._read(index)["formats"][self.name]
+
+
+class FrameExporter:
+    """Renders frames of an export and writes their files; use it in a ``with`` block.
+
+    Attributes:
+        costs: Seconds of processor time by step.
+    """
+
+    def __init__(self, export: SceneExport) -> None:
+        self._export = export
+        channels = needed_channels(export.formats)
+        self._cameras: tuple[str, ...] | None = None if channels else ()
+        self._simulation = Simulation(export.scene, channels)
+        self._writers = {row.name: row.writer(export.settings) for row in export.formats}
+        self.costs: dict[str, float] = {}
+
+    def __enter__(self) -> FrameExporter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._simulation.close()
+
+    def encode(self, index: int) -> list[Chunk]:
+        """Write the files of a frame, at last the one that says that it is finished; there are no chunks.
+
+        Raises:
+            HumansimError: The frame cannot be rendered, or a file cannot be written.
+        """
+        start = time.process_time()
+        frame = ExportFrame(self._simulation.frame(index, self._cameras), self._export.settings)
+        start = self._add_cost(_RENDERING, start)
+        folder = ExportFolder(self._export.root)
+        records = {}
+        for name, writer in self._writers.items():
+            records[name] = writer.frame(frame, folder.subfolder(name))
+            start = self._add_cost(name, start)
+        text = json.dumps({"files": folder.written, "formats": records}, default=_plain)
+        ExportFolder(self._export.root).write(self._export.record_path(index), text)
+        return []
+
+    def _add_cost(self, step: str, start: float) -> float:
+        """Add the processor time since ``start`` to a step; return the time now."""
+        now = time.process_time()
+        self.costs[step] = self.costs.get(step, 0.0) + now - start
+        return now
+
+
+def _plain(value: Any) -> Any:
+    """NumPy arrays and numbers for JSON."""
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"a record holds no {type(value).__name__}")
+
+
+def export(
+    job: SceneExport,
+    jobs: int = 1,
+    resume: bool = False,
+    on_progress: Callable[[FrameProgress], None] = lambda _: None,
+) -> FrameProgress:
+    """Export a scene. The files do not depend on ``jobs``, nor on interruptions.
+
+    However the export ends, its files are whole, and finished frames are not written again.
+
+    Args:
+        job: Scene, plan and folder. The folder must not exist unless ``resume``.
+        jobs: Number of processes that render; with 1, this process does.
+        resume: Continue an interrupted export; nothing happens if it is complete.
+        on_progress: Called after each frame; its argument is also the result.
+
+    Raises:
+        ExportError: The folder exists, or has another export.
+        WorkerDiedError: A worker process has died.
+        HumansimError: A frame cannot be rendered, or a file cannot be written, such as on a full disk.
+    """
+    root, plan = job.root, job.plan
+    total = len(plan.frames)
+    pending: Sequence[int] = plan.frames
+    if resume:
+        if plan.check_continues(root):
+            return FrameProgress(total, total, total)
+        pending = [index for index in plan.frames if not job.finished(index)]
+    elif root.exists() or root.is_symlink():
+        raise ExportError("this path exists; choose another one, or continue with --resume", path=root)
+    progress = FrameProgress(total - len(pending), total, total - len(pending))
+    if pending:
+        with FrameEncoding(job, min(jobs, len(pending))) as encoding:
+            if not resume:  # after the start of the encoder: without OpenGL no folder is made
+                ExportFolder(root).write(INDEX, plan.index())
+            _write(job, encoding, pending, progress, on_progress)
+    _finish(job)
+    return progress
+
+
+def _write(
+    job: SceneExport,
+    encoding: FrameEncoding,
+    pending: Sequence[int],
+    progress: FrameProgress,
+    on_progress: Callable[[FrameProgress], None],
+) -> None:
+    """Write the frames that the export lacks."""
+    start = time.monotonic()
+    for index, _ in zip(pending, encoding.frames(pending), strict=True):
+        progress.done += 1
+        progress.size += sum(entry["bytes"] for entry in job.files(index).values())
+        progress.seconds = time.monotonic() - start
+        progress.costs = dict(encoding.costs)
+        on_progress(progress)
+
+
+def _finish(job: SceneExport) -> None:
+    """Write the files of the whole export, then the index, and remove the records of the frames."""
+    folder = ExportFolder(job.root)
+    for row in job.formats:
+        row.writer(job.settings).finish(job.records(row.name), folder.subfolder(row.name))
+    with folder.path(CALIBRATION) as path:
+        write_calibration(path, job.scene.cameras, "scene")
+    files = dict(folder.written)
+    for index in job.plan.frames:
+        files |= job.files(index)
+    ExportFolder(job.root).write(
+        INDEX,
+        job.plan.index(
+            finished=True,
+            provenance=_provenance(job.scene),
+            rate=job.scene.config.rate,
+            humans=list(job.scene.actors),
+            objects=list(job.scene.object_labels),
+            cameras={name: list(camera.size) for name, camera in job.scene.cameras.items()},
+            files=dict(sorted(files.items())),
+        ),
+    )
+    with suppress(OSError):  # the index is complete: nothing reads them again
+        shutil.rmtree(job.root / _RECORDS)
+
+
+def _provenance(scene: Scene) -> dict[str, Any]:
+    """Where an export comes from: scene, seeds and versions."""
+    config = scene.config.model_dump(mode="json", exclude_defaults=True)
+    return {
+        "scene_file": scene.path.name if scene.path else None,
+        "scene": config,
+        "seeds": dict(_seeds(scene.config.model_dump(mode="json"), "")),
+        "versions": {
+            "humansim_ros": __version__,
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "opencv": cv2.__version__,
+        },
+    }
+
+
+def _seeds(value: Any, key: str) -> Iterator[tuple[str, int]]:
+    """Seeds of a configuration by key, defaults included."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            if name == "seed":
+                yield f"{key}{name}", part
+            else:
+                yield from _seeds(part, f"{key}{name}.")

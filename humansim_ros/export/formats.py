@@ -1,0 +1,106 @@
+"""The table of all export formats.
+
+To add a format: a :class:`~humansim_ros.export.writer.FormatWriter` in a module of its family, a row of
+:data:`EXPORT_FORMATS`, a row of docs/export.md, and a test that reads the files with the reader of its field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from importlib.util import find_spec
+
+from humansim_ros.errors import ExportError, did_you_mean
+from humansim_ros.export.images import (
+    DepthExrWriter,
+    DepthNpyWriter,
+    DepthPngWriter,
+    FloWriter,
+    ImageWriter,
+    KittiFlowWriter,
+    LabelWriter,
+)
+from humansim_ros.export.writer import FormatWriter
+from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
+
+#: The format that writes the tree of colour images; others that name images need it.
+IMAGES = "images"
+
+
+@dataclass(frozen=True)
+class ExportFormat:
+    """One format.
+
+    Attributes:
+        name: Name on the command line, and of the folder of its files.
+        title: One line for people.
+        writer: Class of its writer.
+        channels: Channels that all cameras render for it; nothing is rendered without any.
+        images: Its files name colour images: the tree of images is written, too.
+        needs: Python modules that it needs beyond those of the package.
+    """
+
+    name: str
+    title: str
+    writer: type[FormatWriter]
+    channels: frozenset[str] = frozenset()
+    images: bool = False
+    needs: tuple[str, ...] = ()
+
+
+_KEYPOINTS = frozenset(REQUIRED_CHANNELS["joints"])
+_BOXES = frozenset(REQUIRED_CHANNELS["boxes"])
+_DEPTH = frozenset({"depth"})
+
+#: All formats by name, in the order in which they are written.
+EXPORT_FORMATS: dict[str, ExportFormat] = {
+    row.name: row
+    for row in (
+        ExportFormat(IMAGES, "colour images, PNG or JPEG", ImageWriter, frozenset({"rgb"})),
+        ExportFormat("depth-png", "depth, 16 bit PNG in millimetres", DepthPngWriter, _DEPTH),
+        ExportFormat("depth-exr", "depth, OpenEXR in metres", DepthExrWriter, _DEPTH, needs=("OpenEXR",)),
+        ExportFormat("depth-npy", "depth, NumPy arrays in metres", DepthNpyWriter, _DEPTH),
+        ExportFormat("labels", "instances and body parts, PNG", LabelWriter, frozenset({"instance", "part"})),
+        ExportFormat("flow-flo", "optical flow, .flo of Middlebury", FloWriter, frozenset({"flow"})),
+        ExportFormat(
+            "flow-kitti",
+            "optical flow, 16 bit PNG of KITTI",
+            KittiFlowWriter,
+            frozenset({"flow", "flow_hidden"}),
+        ),
+    )
+}
+
+
+def chosen_formats(names: Sequence[str]) -> list[ExportFormat]:
+    """Rows of the table for names of formats, each once, with the images that they need, in its order.
+
+    Raises:
+        ExportError: A name is unknown, there is none, or a format needs a library that is not installed.
+    """
+    wanted = set(names)
+    for name in names:
+        if name not in EXPORT_FORMATS:
+            listed = ", ".join(EXPORT_FORMATS)
+            raise ExportError(
+                f"no export format {name!r}{did_you_mean(name, EXPORT_FORMATS)}; the formats are {listed}",
+                key="--format",
+            )
+    if not wanted:
+        raise ExportError("give a format, such as coco; humansim export --list shows all", key="--format")
+    if any(EXPORT_FORMATS[name].images for name in wanted):
+        wanted.add(IMAGES)
+    rows = [row for row in EXPORT_FORMATS.values() if row.name in wanted]
+    for row in rows:
+        if missing := [module for module in row.needs if find_spec(module) is None]:
+            raise ExportError(
+                f"the format {row.name} needs {', '.join(missing)}; "
+                "install it: pip install 'humansim_ros[export]'",
+                key="--format",
+            )
+    return rows
+
+
+def needed_channels(formats: Collection[ExportFormat]) -> list[str]:
+    """Channels that some formats need together, in a fixed order."""
+    return sorted(frozenset[str]().union(*(row.channels for row in formats)))

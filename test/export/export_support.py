@@ -1,0 +1,53 @@
+"""Support of the tests of exports: a small scene, and the export of a few frames of it in this process."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from humansim_ros import Scene
+from humansim_ros.export.export import SceneExport, export
+from humansim_ros.export.plan import ExportPlan, parse_frames
+
+#: Two people, a labelled box, a camera with noise and one with a distorted lens.
+SCENE = """
+rate: 20
+room: null
+humans:
+  anna: {body: child, motion: walk}
+  bert: {body: adult_man, motion: {file: walk, position: [0.8, 0.3]}}
+objects:
+  crate: {mesh: box, size: [0.4, 0.4, 0.4], position: [0.2, -0.8, 0.2], label: true}
+cameras:
+  noisy: {size: [96, 72], position: [3, 0.4, 1.4], look_at: [0, 0, 1], sensor: {noise: {read_noise: 4}}}
+  bent: {size: [80, 64], distortion: [-0.2, 0.05, 0, 0, 0], position: [0, 3, 1.2], look_at: [0, 0, 0.8]}
+"""
+FRAMES = "3:5"
+
+
+def small_scene() -> Scene:
+    return Scene.from_dict(yaml.safe_load(SCENE))
+
+
+def job(
+    root: Path, formats: str, scene: Scene | None = None, frames: str = FRAMES, **options: str
+) -> SceneExport:
+    scene = scene or small_scene()
+    settings = {"image_suffix": ".png", "keypoints": "coco17", **options}
+    return SceneExport(
+        scene, ExportPlan.of(scene, parse_frames(frames), formats.split(","), **settings), root
+    )
+
+
+def exported(root: Path, formats: str, scene: Scene | None = None, **options: str) -> Path:
+    """Export frames in this process; returns the folder."""
+    export(job(root, formats, scene, **options))
+    return root
+
+
+def index_of(root: Path) -> dict[str, Any]:
+    index: dict[str, Any] = json.loads((root / "index.json").read_text())
+    return index

@@ -1,0 +1,198 @@
+"""The frame loop of exports: processes, interruptions, full disks, the index, and wrong input."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+from export_support import SCENE, exported, index_of, job, small_scene
+from waiting import PATIENCE
+
+from humansim_ros import HumansimError, Scene
+from humansim_ros.cli.main import main
+from humansim_ros.errors import ExportError
+from humansim_ros.export.export import export
+from humansim_ros.export.formats import EXPORT_FORMATS
+from humansim_ros.export.plan import parse_frames
+from humansim_ros.record.progress import FrameProgress
+
+FORMATS = "images,depth-png,labels"
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return small_scene()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory, scene: Scene) -> Path:
+    return exported(tmp_path_factory.mktemp("whole") / "out", FORMATS, scene, frames="2:6")
+
+
+def content(root: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+def test_the_index_has_the_hash_of_every_file(whole: Path) -> None:
+    index = index_of(whole)
+    files = content(whole)
+    assert index["finished"] and set(index["files"]) == set(files) - {"index.json"}
+    for name, entry in index["files"].items():
+        assert entry == {"sha256": hashlib.sha256(files[name]).hexdigest(), "bytes": len(files[name])}
+    assert len([name for name in files if name.startswith("images/")]) == 2 * 4
+
+
+def test_the_index_says_where_the_files_come_from(whole: Path) -> None:
+    index = index_of(whole)
+    assert (index["plan"]["first"], index["plan"]["end"], index["rate"]) == (2, 6, 20)
+    assert index["provenance"]["scene"]["humans"]["bert"]["motion"]["position"] == [0.8, 0.3]
+    assert index["provenance"]["seeds"]["cameras.noisy.sensor.seed"] == 0
+    assert set(index["provenance"]["versions"]) == {"humansim_ros", "python", "numpy", "opencv"}
+
+
+class _InterruptionError(Exception):
+    pass
+
+
+def stop_after(frames: int) -> Callable[[FrameProgress], None]:
+    def check(progress: FrameProgress) -> None:
+        if progress.new == frames:
+            raise _InterruptionError
+
+    return check
+
+
+def test_an_interrupted_export_continues_to_the_same_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
+    """A frame of which a file is missing is written again; finished ones are not."""
+    root = tmp_path / "out"
+    made = job(root, FORMATS, scene, frames="2:6")
+    with pytest.raises(_InterruptionError):
+        export(made, on_progress=stop_after(3))
+    assert not index_of(root)["finished"]
+    (root / "labels/part/bent/000002.png").unlink()
+    written = (root / "images/noisy/000003.png").stat().st_mtime_ns
+    state = export(made, resume=True)
+    assert (state.first, state.done, state.new) == (2, 4, 2)
+    assert (root / "images/noisy/000003.png").stat().st_mtime_ns == written
+    assert content(root) == content(whole)
+    assert export(made, resume=True).new == 0
+
+
+@pytest.mark.slow
+def test_several_processes_write_the_same_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
+    root = tmp_path / "out"
+    state = export(job(root, FORMATS, scene, frames="2:6"), jobs=2)
+    assert state.new == 4 and state.size > 0
+    assert content(root) == content(whole)
+
+
+def test_another_export_is_not_continued(scene: Scene, whole: Path) -> None:
+    with pytest.raises(ExportError, match=r"another export: end: 6 there, 7 now; formats: .* there, images "):
+        export(job(whole, "images", scene, frames="2:7"), resume=True)
+    changed = Scene.build(cameras={"c": {"position": [3, 0, 1], "look_at": [0, 0, 1]}}, room=None)
+    with pytest.raises(ExportError, match="the scene or a file of it has changed"):
+        export(job(whole, FORMATS, changed, frames="2:6"), resume=True)
+    with pytest.raises(ExportError, match="this path exists; choose another one, or continue with --resume"):
+        export(job(whole, FORMATS, scene, frames="2:6"))
+
+
+def test_a_folder_without_an_export_is_not_continued(tmp_path: Path, scene: Scene) -> None:
+    with pytest.raises(ExportError, match="there is no export here"):
+        export(job(tmp_path / "none", FORMATS, scene), resume=True)
+    (tmp_path / "index.json").write_text("[]")
+    with pytest.raises(ExportError, match="not the index of an export"):
+        export(job(tmp_path, FORMATS, scene), resume=True)
+
+
+def test_a_file_that_cannot_be_written_leaves_whole_frames(tmp_path: Path, scene: Scene, whole: Path) -> None:
+    root = tmp_path / "out"
+    made = job(root, FORMATS, scene, frames="2:6")
+
+    def block(progress: FrameProgress) -> None:
+        if progress.new == 1:
+            (root / "images/noisy/000003.png").mkdir()  # no file can get this name
+
+    with pytest.raises(HumansimError, match=r"images/noisy/000003.png: cannot be written: Is a directory"):
+        export(made, on_progress=block)
+    (root / "images/noisy/000003.png").rmdir()
+    assert export(made, resume=True).new == 3
+    assert content(root) == content(whole)
+
+
+@pytest.mark.slow
+def test_a_full_disk_ends_the_command_with_one_line(tmp_path: Path) -> None:
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    words = ["export", "scene.yaml", "--frames", "4", "-o", "out", "--format", "depth-npy", "--jobs", "1"]
+    done = subprocess.run(
+        [sys.executable, "-m", "humansim_ros.cli", *words],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (25_000, 25_000)),
+        capture_output=True,
+        text=True,
+        timeout=2 * PATIENCE,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert done.stderr == "error: out/depth-npy/noisy/000000.npy: cannot be written: File too large\n"
+    assert [path.name for path in (tmp_path / "out/depth-npy").rglob("*.*")] == []
+
+
+def command(patch: pytest.MonkeyPatch, *words: str) -> int:
+    patch.setattr(sys, "argv", ["humansim", "export", *words])
+    return main()
+
+
+def test_the_formats_are_listed(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    assert command(monkeypatch, "--list") == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(EXPORT_FORMATS)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--format", "imags"], "--format: no export format 'imags'; did you mean 'images'?; the formats "),
+        (["--format", ","], "--format: give a format, such as coco; humansim export --list shows all"),
+        (["--format", "images", "--frames", "5:5"], "--frames: frames are A:B, from A up to"),
+    ],
+)
+def test_wrong_words_are_one_line_and_exit_code_2(
+    words: list[str],
+    said: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "scene.yaml").write_text(SCENE)
+    output = str(tmp_path / "out")
+    given = [str(tmp_path / "scene.yaml"), "--frames", "0:3", "-o", output, *words]
+    assert command(monkeypatch, *given) == 2
+    error = capsys.readouterr().err
+    assert error.startswith(f"error: {said}") and error.count("\n") == 1
+    assert not Path(output).exists()
+
+
+def test_frames_are_from_a_up_to_but_not_including_b() -> None:
+    assert parse_frames("3:5") == range(3, 5)
+    assert parse_frames(":5") == parse_frames("5") == range(5)
+    for text in ("", ":", "5:", "5:3", "-1:3", "1:2:3", "a:b", "0:1.5", "0:999999999", "٣:٥"):
+        with pytest.raises(ExportError, match="--frames: frames are A:B"):
+            parse_frames(text)
+
+
+def test_a_format_without_its_library_names_the_extra(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scene: Scene
+) -> None:
+    monkeypatch.setattr("humansim_ros.export.formats.find_spec", lambda name: None)
+    with pytest.raises(
+        ExportError, match=r"depth-exr needs OpenEXR; .* pip install 'humansim_ros\[export\]'"
+    ):
+        job(tmp_path / "out", "depth-exr", scene)

@@ -114,6 +114,10 @@ class ChannelError(HumansimError, AttributeError):
     """A channel of a view, or truth that follows from channels, was not requested."""
 
 
+class KeypointError(HumansimError, KeyError):
+    """A keypoint set or a keypoint does not exist."""
+
+
 class RosError(HumansimError):
     """ROS 2 is not installed or cannot be reached."""
 

@@ -27,6 +27,7 @@ LAYERS = (
     ("scene",),
     ("truth",),
     ("sensor", "render"),
+    ("keypoints",),
     ("humans",),
     ("motion",),
     ("body",),
@@ -46,6 +47,7 @@ PUBLIC = {
     "camera": """Calibration Camera Ideal Lens Region Trajectory idealize load_calibration read_calibration
         rectify resolve_url write_calibration""",
     "humans": "Human load_human make_human",
+    "keypoints": "KEYPOINT_SETS KeypointLocator KeypointSet keypoint_set",
     "mesh": "Material Mesh read_mesh",
     "motion": """JointMatch JointPoses JointTable Motion Placement Retargeter Velocity
         WorldMotion match_motion read_bvh read_motion write_bvh""",
@@ -54,8 +56,8 @@ PUBLIC = {
     "scene": """Actor CameraPose Environment Finding Frame HumanState ObjectPose Playback Scene SceneCamera
         SceneConfig SceneObject Simulation check_scene""",
     "sensor": "ChromaticAberration Noise Sensor SensorConfig Vignetting",
-    "truth": """BodyBox CameraTruth JointView NOTHING OCCLUDED OUTSIDE PERSON SELF THING VISIBLE
-        joint_surfaces part_u_v rest_points view_boxes view_joints visible_vertices""",
+    "truth": """BodyBox CameraTruth JointView KeypointView NOTHING OCCLUDED OUTSIDE PERSON SELF THING VISIBLE
+        joint_surfaces part_u_v rest_points view_boxes view_joints view_keypoints visible_vertices""",
 }
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import count
 
 import numpy as np
@@ -12,6 +13,9 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError
+from humansim_ros.humans import Human
+from humansim_ros.keypoints import KeypointLocator, KeypointSet
+from humansim_ros.keypoints.sets import BySet
 from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with
@@ -22,8 +26,8 @@ from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses
 from humansim_ros.scene.scene import Scene, short_list
 from humansim_ros.scene.state import JointMotion, SceneState
-from humansim_ros.truth import BodyBox, CameraTruth, JointView
-from humansim_ros.types import Float32Array
+from humansim_ros.truth import BodyBox, CameraTruth, JointView, KeypointView
+from humansim_ros.types import Array, Float32Array
 
 #: Poses, humans and state at one scene time.
 _Snapshot = tuple[ScenePoses, dict[str, HumanState], SceneState]
@@ -48,6 +52,7 @@ class Frame:
         camera_poses: Poses and velocities of moving cameras by name.
         rectified_depth: (H, W) float32 depth in metres along the axis of ``image_rect`` by camera, if it was
             requested.
+        models: Humans without pose by name.
     """
 
     index: int
@@ -63,6 +68,7 @@ class Frame:
     motions: Mapping[str, JointPoses] = field(default_factory=dict)
     camera_poses: Mapping[str, CameraPose] = field(default_factory=dict)
     rectified_depth: Mapping[str, Float32Array] = field(default_factory=dict)
+    models: Mapping[str, Human] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         humans, views = short_list(self.humans, "humans"), short_list(self.views, "views")
@@ -72,6 +78,35 @@ class Frame:
     def joints(self) -> dict[str, dict[str, JointView]]:
         """Joints by camera and human; raises ChannelError without the channels depth, instance and part."""
         return {name: truth.joints for name, truth in self.truth.items()}
+
+    @cached_property
+    def keypoint_positions(self) -> Mapping[str, dict[str, Array]]:
+        """Keypoints (K, 3) in ``map``, metres, by set and human, as
+        ``frame.keypoint_positions["coco17"]["anna"]``.
+
+        A set is computed on first access; KeypointError if there is no such set.
+        """
+
+        def locate(keypoints: KeypointSet) -> dict[str, Array]:
+            return {
+                name: KeypointLocator.of(model, keypoints).positions(
+                    self.humans[name].positions, self.humans[name].vertices
+                )
+                for name, model in self.models.items()
+            }
+
+        return BySet(locate)
+
+    @cached_property
+    def keypoints(self) -> Mapping[str, dict[str, dict[str, KeypointView]]]:
+        """Keypoints by set, camera and human: ``frame.keypoints["coco17"]["camera_1"]["anna"]``.
+
+        A set is computed on first access; KeypointError if there is no such set, ChannelError without the
+        channels depth, instance and part.
+        """
+        return BySet(
+            lambda keypoints: {name: truth.keypoints(keypoints.name) for name, truth in self.truth.items()}
+        )
 
     @property
     def boxes(self) -> dict[str, dict[str, BodyBox]]:
@@ -189,6 +224,7 @@ class Simulation:
             scene_time=state.scene_time,
             motions=poses.poses,
             camera_poses=poses.cameras,
+            models={name: actor.human for name, actor in state.actors.items()},
             rectified_depth={
                 name: capture_rectified_depth(self.renderer, chosen[name], state.exposure(chosen[name]))
                 for name in rectified_depth

@@ -86,6 +86,7 @@ class SceneState:
             labels=self.scene.labels,
             joint_surfaces=self.scene.joint_surfaces,
             joint_positions=lambda name: joints_of(name).positions,
+            humans={name: actor.human for name, actor in self.actors.items()},
         )
 
     def _bodies_at(self, seconds: float) -> Sequence[Body]:

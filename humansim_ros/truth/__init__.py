@@ -1,5 +1,6 @@
-"""Ground truth that follows from a view and the scene: joints, boxes, visible vertices, surface points."""
+"""Ground truth that follows from a view and the scene: joints, keypoints, boxes, vertices, surface points."""
 
+from humansim_ros.humans.surfaces import joint_surfaces
 from humansim_ros.truth.boxes import BodyBox, view_boxes
 from humansim_ros.truth.camera_truth import CameraTruth
 from humansim_ros.truth.joints import (
@@ -11,9 +12,9 @@ from humansim_ros.truth.joints import (
     THING,
     VISIBLE,
     JointView,
-    joint_surfaces,
     view_joints,
 )
+from humansim_ros.truth.keypoints import KeypointView, view_keypoints
 from humansim_ros.truth.surface import part_u_v, rest_points
 from humansim_ros.truth.vertices import visible_vertices
 
@@ -28,10 +29,12 @@ __all__ = [
     "BodyBox",
     "CameraTruth",
     "JointView",
+    "KeypointView",
     "joint_surfaces",
     "part_u_v",
     "rest_points",
     "view_boxes",
     "view_joints",
+    "view_keypoints",
     "visible_vertices",
 ]

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
+from humansim_ros.humans import Human
+from humansim_ros.keypoints import KeypointLocator, keypoint_set
 from humansim_ros.render import Body, View
 from humansim_ros.render.channels import missing_channels
 from humansim_ros.truth.boxes import BodyBox, view_boxes
 from humansim_ros.truth.joints import JointView, view_joints
+from humansim_ros.truth.keypoints import KeypointView, view_keypoints
 from humansim_ros.truth.vertices import visible_vertices
 from humansim_ros.types import Array
 
@@ -38,6 +41,7 @@ class CameraTruth:
         labels: Instance labels of humans and labelled objects, by name.
         joint_surfaces: Part labels around joints by human, from :func:`~humansim_ros.truth.joint_surfaces`.
         joint_positions: Returns the joints (J, 3) of a human in ``map``, metres.
+        humans: Humans by name, for keypoints.
     """
 
     camera: Camera
@@ -46,6 +50,8 @@ class CameraTruth:
     labels: Mapping[str, int]
     joint_surfaces: Mapping[str, NDArray[np.bool_]]
     joint_positions: Callable[[str], Array]
+    humans: Mapping[str, Human] = field(default_factory=dict)
+    _keypoints: dict[str, dict[str, KeypointView]] = field(init=False, default_factory=dict)
 
     def __repr__(self) -> str:
         kinds = [kind for kind in REQUIRED_CHANNELS if self.has(kind)]
@@ -64,13 +70,33 @@ class CameraTruth:
     def joints(self) -> dict[str, JointView]:
         """Joints by human. The view must have depth, instance and part; raises ChannelError otherwise."""
         self._require("joints")
-        objects = [label for name, label in self.labels.items() if name not in self.joint_surfaces]
         return {
             name: view_joints(
-                self.camera, self.joint_positions(name), self.view, self.labels[name], surfaces, objects
+                *(self.camera, self.joint_positions(name), self.view, self.labels[name], surfaces),
+                self._objects,
             )
             for name, surfaces in self.joint_surfaces.items()
         }
+
+    def keypoints(self, set_name: str) -> dict[str, KeypointView]:
+        """Keypoints of a set by human, by the same rule as :attr:`joints`.
+
+        Raises:
+            ChannelError: The view has not the channels depth, instance and part.
+            KeypointError: There is no such set.
+        """
+        self._require("joints")
+        if set_name not in self._keypoints:
+            chosen = keypoint_set(set_name)
+            vertices = {body.instance: body.vertices for body in self.bodies if body.instance}
+            locators, positions = {}, {}
+            for name, human in self.humans.items():
+                label = self.labels[name]
+                locators[label] = KeypointLocator.of(human, chosen)
+                positions[label] = locators[label].positions(self.joint_positions(name), vertices[label])
+            views = view_keypoints(self.camera, self.bodies, self.view, locators, positions, self._objects)
+            self._keypoints[set_name] = {self._names[label]: view for label, view in views.items()}
+        return self._keypoints[set_name]
 
     @cached_property
     def boxes(self) -> dict[str, BodyBox]:
@@ -87,6 +113,11 @@ class CameraTruth:
         self._require("visible_vertices")
         masks = visible_vertices(self.camera, self.bodies, self.view)
         return {self._names[label]: mask for label, mask in masks.items()}
+
+    @cached_property
+    def _objects(self) -> list[int]:
+        """Instance labels of labelled objects."""
+        return [label for name, label in self.labels.items() if name not in self.joint_surfaces]
 
     @cached_property
     def _names(self) -> dict[int, str]:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
-from humansim_ros.humans.human import Human
 from humansim_ros.render import View
 from humansim_ros.types import Array
 
@@ -42,7 +41,7 @@ class JointView:
 
     def __repr__(self) -> str:
         counts = [int((self.visible == state).sum()) for state in (VISIBLE, OCCLUDED, OUTSIDE)]
-        return "JointView({} visible, {} occluded, {} outside)".format(*counts)
+        return type(self).__name__ + "({} visible, {} occluded, {} outside)".format(*counts)
 
 
 def view_joints(
@@ -63,7 +62,8 @@ def view_joints(
         positions: Joints (J, 3) in ``map``, metres.
         view: View with the channels depth, instance and part.
         instance: Instance label of the human.
-        surfaces: Part labels (J, 256) that are skin around each joint, from :func:`joint_surfaces`.
+        surfaces: Part labels (J, 256) that are skin around each joint, from
+            :func:`~humansim_ros.humans.surfaces.joint_surfaces`.
         objects: Instance labels of objects.
     """
     optical = camera.to_optical(positions)
@@ -99,30 +99,3 @@ def nearest_pixels(
     inside = np.all((pixels > -0.5) & (pixels < np.array(size) - 0.5), axis=-1)  # false for NaN
     column, row = np.where(inside[:, None], np.rint(np.nan_to_num(pixels)), 0).astype(np.intp).T
     return inside, row, column
-
-
-def joint_surfaces(human: Human) -> NDArray[np.bool_]:
-    """Part labels (J, 256) that are skin around each joint: those of the bones that meet there."""
-    skeleton = human.skeleton
-    with_skin = set((human.triangle_parts - 1).tolist())
-    bones_of_joints: list[set[int]] = []
-    for joint, bone in enumerate(skeleton.joint_bones):
-        is_end = joint >= len(skeleton)
-        meeting = {bone} if is_end else {bone, *_siblings(skeleton.parents, skeleton.heads, bone)}
-        if not is_end and skeleton.parents[bone] >= 0:
-            meeting.add(int(skeleton.parents[bone]))
-        if skeleton.parents[bone] < 0:
-            meeting |= set(np.flatnonzero(skeleton.parents == bone).tolist())
-        # a connector bone has no skin: the bones that it connects meet here
-        for bare in meeting - with_skin:
-            meeting |= {int(skeleton.parents[bare]), *np.flatnonzero(skeleton.parents == bare).tolist()}
-        bones_of_joints.append(meeting - {-1})
-    table = np.zeros((len(bones_of_joints), 256), dtype=bool)
-    for joint, bones in enumerate(bones_of_joints):
-        table[joint, [bone + 1 for bone in bones]] = True
-    return table
-
-
-def _siblings(parents: NDArray[np.intp], heads: Array, bone: int) -> list[int]:
-    same = (parents == parents[bone]) & (np.linalg.norm(heads - heads[bone], axis=1) < 1e-6)
-    return [int(b) for b in np.flatnonzero(same)]

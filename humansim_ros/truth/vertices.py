@@ -38,20 +38,55 @@ def visible_vertices(camera: Camera, bodies: Sequence[Body], view: View) -> dict
     if not bodies:
         return {}
     offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
-    points, near = camera.to_optical(np.concatenate([body.vertices for body in bodies])), near_plane(camera)
-    triangles = np.concatenate(
-        [
-            _occluding_triangles(body, points[offset : offset + len(body.vertices)], near) + offset
-            for body, offset in zip(bodies, offsets[:-1], strict=True)
-        ]
-    )
-    candidates = _candidates(camera, points, view.depth, view.instance) & (points[:, 2] >= near)
-    visible = np.zeros(len(points), bool)
-    visible[_unoccluded(points, np.flatnonzero(candidates), triangles, near)] = True
+    points = np.concatenate([body.vertices for body in bodies])
+    visible = _visible(camera, bodies, points, np.arange(len(points)), view)
     return {
         body.instance: visible[start:end]
         for body, start, end in zip(bodies, offsets[:-1], offsets[1:], strict=True)
     }
+
+
+def visible_points(camera: Camera, bodies: Sequence[Body], points: Array, view: View) -> NDArray[np.bool_]:
+    """Compute a mask (N,) of the visible points (N, 3) of ``map``, by the rule of :func:`visible_vertices`.
+
+    A triangle that the point lies on does not hide it.
+
+    Args:
+        camera: Camera of the view.
+        bodies: All bodies at the stamp.
+        points: (N, 3) in ``map``, metres.
+        view: View with the channels depth and instance.
+    """
+    bodies = [body for body in bodies if body.instance]
+    vertices = [body.vertices for body in bodies]
+    first = sum(map(len, vertices))
+    asked = np.arange(first, first + len(points))
+    return _visible(camera, bodies, np.concatenate([*vertices, points]), asked, view)[asked]
+
+
+def _visible(
+    camera: Camera, bodies: Sequence[Body], points: Array, asked: Indices, view: View
+) -> NDArray[np.bool_]:
+    """Mask (P,) of the visible ones of some points.
+
+    Args:
+        camera: Camera of the view.
+        bodies: Labelled bodies.
+        points: (P, 3) in ``map``, the vertices of the bodies first.
+        asked: Indices of the points to test.
+        view: View with the channels depth and instance.
+    """
+    optical, near = camera.to_optical(points), near_plane(camera)
+    offsets = np.cumsum([0, *(len(body.vertices) for body in bodies)])
+    triangles = [
+        _occluding_triangles(body, optical[offset : offset + len(body.vertices)], near) + offset
+        for body, offset in zip(bodies, offsets[:-1], strict=True)
+    ]
+    candidates = _candidates(camera, optical[asked], view.depth, view.instance) & (optical[asked, 2] >= near)
+    visible = np.zeros(len(points), bool)
+    hiding = np.concatenate([np.zeros((0, 3), np.intp), *triangles])
+    visible[_unoccluded(optical, asked[candidates], hiding, near)] = True
+    return visible
 
 
 def _candidates(

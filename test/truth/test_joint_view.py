@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
+from humansim_ros.humans.surfaces import joint_surfaces
 from humansim_ros.render import View
 from humansim_ros.truth.joints import (
     NOTHING,
@@ -20,7 +21,6 @@ from humansim_ros.truth.joints import (
     THING,
     VISIBLE,
     JointView,
-    joint_surfaces,
     view_joints,
 )
 from humansim_ros.types import Array

@@ -19,10 +19,11 @@ from render_scenes import RENDERERS, body, box, quad, renderer_or_skip, walkers
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.trajectory import Trajectory
+from humansim_ros.humans.surfaces import joint_surfaces
 from humansim_ros.render import Body, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.truth.boxes import truncation, view_boxes
-from humansim_ros.truth.joints import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, THING, VISIBLE, joint_surfaces
+from humansim_ros.truth.joints import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, THING, VISIBLE
 from humansim_ros.truth.surface import part_u_v, rest_points
 from humansim_ros.truth.vertices import visible_vertices
 

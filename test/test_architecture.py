@@ -23,6 +23,7 @@ LAYERS = (
     ("export",),
     ("record",),
     ("ros",),
+    ("evaluate",),
     ("drawing",),
     ("scene",),
     ("truth",),

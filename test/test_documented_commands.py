@@ -36,6 +36,7 @@ PARSED |= {
     ("camera", "plot"),
     ("motion", "render"),
     ("bench",),
+    ("evaluate",),
     ("record",),
     ("export",),
     ("play",),

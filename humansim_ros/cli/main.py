@@ -15,6 +15,7 @@ import typer
 from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.cli.bench import bench
 from humansim_ros.cli.check import check, warn_about_mistakes
+from humansim_ros.cli.evaluate import evaluate
 from humansim_ros.cli.export import export
 from humansim_ros.cli.options import join_numbers
 from humansim_ros.cli.output import flush_output, give_up_output, print_error, print_text
@@ -264,6 +265,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "record": record,
     "export": export,
     "play": play,
+    "evaluate": evaluate,
 }
 
 

@@ -1,0 +1,219 @@
+"""Pair the frames of a truth and an estimate by time, and find what makes them impossible to compare."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import EvaluationError
+from humansim_ros.evaluate.matching import match_people, pair_distances
+from humansim_ros.evaluate.tracks import People, PoseSequence
+from humansim_ros.types import Array, Indices
+
+#: Names of axes of files: map x, y, z as axes of the file.
+AXES = {"z-up": "x,y,z", "y-up": "z,x,y", "y-down": "x,z,-y"}
+#: Sizes of bodies that differ by more than this factor are in another unit.
+_UNIT_FACTOR = 2.0
+#: Frames that the checks of unit and axes look at.
+_CHECKED_FRAMES = 50
+#: Longest time offset that is measured, seconds.
+MAX_OFFSET = 1.0
+#: Stamps from this time on, nanoseconds, are those of a wall clock: 2001.
+_WALL_CLOCK = 10**18
+
+
+@dataclass(frozen=True)
+class FramePairs:
+    """Frames that are compared.
+
+    Attributes:
+        truth: (N,) frames of the truth.
+        estimate: (N,) frame of the estimate for each; -1 where the estimate has none.
+        without_truth: Number of frames of the estimate without a frame of the truth.
+    """
+
+    truth: Indices
+    estimate: Indices
+    without_truth: int
+
+
+def axes_matrix(text: str) -> Array:
+    """Matrix (3, 3) from the axes of a file to ``map``.
+
+    ``text``: a name of :data:`AXES`, or the axes of the file that are x, y and z of ``map``, such as
+    ``z,x,y``. Raises EvaluationError.
+
+    Example:
+        >>> axes_matrix("y-up") @ [1.0, 2.0, 3.0]
+        array([3., 1., 2.])
+    """
+    words = re.fullmatch(r"([+-]?[xyz]),([+-]?[xyz]),([+-]?[xyz])", AXES.get(text, text).replace(" ", ""))
+    if words is None or len({word[-1] for word in words.groups()}) != 3:
+        known = ", ".join(AXES)
+        raise EvaluationError(
+            f"{text!r} is neither one of {known} nor three axes of the file, such as z,x,y", key="--axes"
+        )
+    matrix = np.zeros((3, 3))
+    for row, word in enumerate(words.groups()):
+        matrix[row, "xyz".index(word[-1])] = -1.0 if word[0] == "-" else 1.0
+    return matrix
+
+
+def seconds(nanoseconds: int) -> str:
+    """Time for messages."""
+    return f"{nanoseconds * 1e-9:.3f} s"
+
+
+def pair_frames(truth: PoseSequence, estimate: PoseSequence) -> FramePairs:
+    """Pair each frame of the estimate with the nearest one of the truth, within half a period of the truth.
+
+    Frames of the truth between the first and the last pair that have no frame of the estimate are compared
+    as well, because everybody in them is missed. If the estimate has fewer frames per second than the truth,
+    only as many are as it would have had.
+
+    Raises:
+        EvaluationError: They do not overlap in time.
+    """
+    times, own = truth.times, estimate.times
+    _check_overlap(truth, estimate)
+    period = truth.period or estimate.period or 1
+    after = np.clip(np.searchsorted(times, own), 1, max(1, len(times) - 1))
+    if len(times) == 1:
+        nearest = np.zeros(len(own), np.intp)
+    else:
+        nearest = after - (own - times[after - 1] <= times[after] - own)
+    distance = np.abs(times[nearest] - own)
+    order = np.lexsort((distance, nearest))
+    order = order[distance[order] <= period / 2]
+    paired, first = np.unique(nearest[order], return_index=True)
+    if not len(paired):
+        raise EvaluationError(
+            "no frame of the estimate is within half a period "
+            f"({seconds(period // 2)}) of a frame of the truth: check the stamps, or give --offset",
+            path=estimate.source,
+        )
+    chosen = order[first]
+    step = max(1, round(estimate.period / period))
+    truth_frames, estimate_frames = [int(paired[0])], [int(chosen[0])]
+    for frame, match in zip(paired[1:].tolist(), chosen[1:].tolist(), strict=True):
+        gap = list(range(truth_frames[-1] + step, frame - step + 1, step))
+        truth_frames += [*gap, frame]
+        estimate_frames += [*(-1 for _ in gap), match]
+    return FramePairs(
+        np.array(truth_frames, np.intp), np.array(estimate_frames, np.intp), len(own) - len(chosen)
+    )
+
+
+def _check_overlap(truth: PoseSequence, estimate: PoseSequence) -> None:
+    slack = max(truth.period, estimate.period)
+    first, last = int(estimate.times[0]), int(estimate.times[-1])
+    if first <= truth.times[-1] + slack and last >= truth.times[0] - slack:
+        return
+    late = first - int(truth.times[0])
+    clock = (
+        " One of them has the time of a wall clock: record truth and estimate together, or run in lockstep."
+        if (first > _WALL_CLOCK) != (int(truth.times[0]) > _WALL_CLOCK)
+        else ""
+    )
+    raise EvaluationError(
+        f"truth and estimate do not overlap in time: the truth has {seconds(int(truth.times[0]))} to "
+        f"{seconds(int(truth.times[-1]))}, the estimate {seconds(first)} to {seconds(last)}.{clock} "
+        f"If both begin at the same moment, give --offset {late * 1e-9:.9g}",
+        path=estimate.source,
+    )
+
+
+def check_unit(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs) -> None:
+    """Raise EvaluationError if the people of the estimate have not the size of those of the truth."""
+    sizes = [_size(people.values()) for people in _frames(truth, pairs.truth)]
+    own = [_size(people.values()) for people in _frames(estimate, pairs.estimate)]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        factor = float(np.nanmedian([*sizes, np.nan]) / np.nanmedian([*own, np.nan]))
+    if not np.isfinite(factor) or 1 / _UNIT_FACTOR < factor < _UNIT_FACTOR:
+        return
+    power = 10.0 ** round(np.log10(factor))
+    scale = power if 1 / _UNIT_FACTOR < factor / power < _UNIT_FACTOR else factor
+    word = f"{1 / scale:g} times as large" if scale < 1 else f"{scale:g} times as small"
+    raise EvaluationError(
+        f"the people of the estimate are {word} as those of the truth: is the estimate in another unit? "
+        f"Give --scale {scale:.3g}",
+        path=estimate.source,
+    )
+
+
+def _size(people: Iterable[Array]) -> float:
+    """Median spread of the joints of people, metres; NaN without people."""
+    spreads = [
+        float(np.sqrt(np.nanvar(pose, axis=0).sum()))
+        for pose in people
+        if np.isfinite(pose).all(axis=1).sum() > 1
+    ]
+    return float(np.median(spreads)) if spreads else np.nan
+
+
+def check_axes(truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs, gate: float) -> None:
+    """Check that people do not match only after a swap of the axes of the estimate.
+
+    Args:
+        truth: The true poses.
+        estimate: The poses to judge, with the same joints.
+        pairs: Frames of both.
+        gate: Greatest mean joint distance of a match, metres.
+
+    Raises:
+        EvaluationError: They do; it names the axes.
+    """
+    both = _paired(pairs)
+    samples = [
+        (truth.people[t], estimate.people[e]) for t, e in both if truth.people[t] and estimate.people[e]
+    ]
+
+    def matches(matrix: Array) -> int:
+        return sum(
+            len(
+                match_people(pair_distances(list(t.values()), [pose @ matrix.T for pose in e.values()]), gate)
+            )
+            for t, e in samples
+        )
+
+    if not samples or matches(np.eye(3)):
+        return
+    best, found = max(
+        ((text, matches(axes_matrix(text))) for text in _all_axes()),
+        key=lambda each: each[1],
+        default=("", 0),
+    )
+    if 2 * found > len(samples):
+        name = next((name for name, text in AXES.items() if text == best), best)
+        raise EvaluationError(
+            f"no person of the estimate is within {gate:g} m of the truth, but they are after a swap of "
+            f"axes: give --axes {name}",
+            path=estimate.source,
+        )
+
+
+def _all_axes() -> list[str]:
+    """All 48 ways to name the axes of a file, rotations first."""
+    texts = [
+        ",".join(sign + axis for sign, axis in zip(signs, axes, strict=True))
+        for axes in itertools.permutations("xyz")
+        for signs in itertools.product(("", "-"), repeat=3)
+    ]
+    return sorted(texts, key=lambda text: (np.linalg.det(axes_matrix(text)) < 0, text.count("-")))
+
+
+def _paired(pairs: FramePairs) -> NDArray[np.intp]:
+    """Up to :data:`_CHECKED_FRAMES` of the frames (N, 2) that both have, spread over all."""
+    both = np.stack([pairs.truth, pairs.estimate], axis=1)[pairs.estimate >= 0]
+    return both[np.unique(np.linspace(0, len(both) - 1, _CHECKED_FRAMES).astype(np.intp))]
+
+
+def _frames(sequence: PoseSequence, frames: Indices) -> list[People]:
+    chosen = frames[frames >= 0]
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _CHECKED_FRAMES).astype(np.intp))]
+    return [sequence.people[frame] for frame in chosen]

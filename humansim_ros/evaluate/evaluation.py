@@ -1,0 +1,469 @@
+"""Compare an estimate with the truth: all metrics of 3D poses in one result."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from humansim_ros.errors import EvaluationError, warn_about
+from humansim_ros.evaluate.alignment import FramePairs, check_axes, check_unit, pair_frames
+from humansim_ros.evaluate.joint_pairs import pair_joints
+from humansim_ros.evaluate.limbs import limbs_of
+from humansim_ros.evaluate.matching import match_people, pair_distances
+from humansim_ros.evaluate.metrics import (
+    Detections,
+    acceleration_errors,
+    auc,
+    correct_parts,
+    joint_errors,
+    mean_error,
+    pck,
+    procrustes_aligned,
+    runs,
+    velocity_errors,
+)
+from humansim_ros.evaluate.offset import measure_offset
+from humansim_ros.evaluate.tracking import TrackedFrame, TrackingScores, similarity, tracking_scores
+from humansim_ros.evaluate.tracks import PoseSequence
+from humansim_ros.types import Array, Indices
+
+#: Greatest mean joint distance of a person who counts as found, metres: that of the recall of [Tu 2020].
+DEFAULT_GATE = 0.5
+#: Threshold of PCK, metres [Mehta 2017].
+PCK_THRESHOLD = 0.15
+#: Thresholds of AP and recall, metres [Tu 2020].
+AP_THRESHOLDS = (0.025, 0.05, 0.075, 0.1, 0.125, 0.15)
+#: Number of the worst poses that are listed.
+WORST = 10
+
+
+@dataclass(frozen=True)
+class FrameCounts:
+    """Frames: compared, those without an estimate among them, and those of the estimate without truth.
+
+    ``start`` and ``end`` are the first and last stamp that were compared, nanoseconds.
+    """
+
+    compared: int
+    without_estimate: int
+    without_truth: int
+    start: int
+    end: int
+
+
+@dataclass(frozen=True)
+class TimeOffset:
+    """Seconds by which the stamps of the estimate are late: measured (None: unknown), and corrected."""
+
+    measured: float | None
+    applied: float
+
+
+@dataclass(frozen=True)
+class PeopleCounts:
+    """People in all frames: of the truth, found, missed; and those of the estimate who are nobody."""
+
+    present: int
+    found: int
+    missed: int
+    false: int
+    recall: float | None
+    precision: float | None
+
+
+@dataclass(frozen=True)
+class PositionErrors:
+    """Errors of the joints of people who were found, metres; PCK and AUC count missed people, too."""
+
+    mpjpe: float | None
+    pa_mpjpe: float | None
+    median: float | None
+    p90: float | None
+    p99: float | None
+    worst: float | None
+    pck: float | None
+    auc: float | None
+
+
+@dataclass(frozen=True)
+class MotionErrors:
+    """Mean errors of velocity in m/s and acceleration in m/s² of joints."""
+
+    velocity: float | None
+    acceleration: float | None
+
+
+@dataclass(frozen=True)
+class PartScores:
+    """PCP of all limbs, by group of limbs, and by person; shares."""
+
+    all: float | None
+    by_limb: dict[str, float]
+    by_person: dict[str, float]
+    mean_of_people: float | None
+
+
+@dataclass(frozen=True)
+class DetectionScores:
+    """AP and recall by distance in millimetres, and mean of the APs."""
+
+    ap: dict[str, float | None]
+    recall: dict[str, float | None]
+    mean_ap: float | None
+
+
+@dataclass(frozen=True)
+class JointScore:
+    """Errors of one joint in metres. ``bias``: mean difference (x, y, z) in ``map``."""
+
+    mpjpe: float | None
+    pa_mpjpe: float | None
+    pck: float | None
+    bias: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True)
+class PersonScore:
+    """One person of the truth: number of frames, those where it was found, and errors in metres."""
+
+    present: int
+    found: int
+    mpjpe: float | None
+    pa_mpjpe: float | None
+    velocity: float | None
+
+
+@dataclass(frozen=True)
+class WorstPose:
+    """A pose of those with the greatest mean error: stamp in nanoseconds, person, error in metres."""
+
+    stamp: int
+    person: str
+    estimate: str
+    error: float
+
+
+@dataclass(frozen=True)
+class Matches:
+    """All pairs of people, in the order of the frames.
+
+    Attributes:
+        frame: (M,) number among the compared frames.
+        stamp: (M,) stamp of the truth, nanoseconds.
+        person: Names in the truth.
+        estimate_person: Names in the estimate.
+        truth: (M, C, 3) metres.
+        estimate: (M, C, 3) metres.
+    """
+
+    frame: Indices
+    stamp: Indices
+    person: Sequence[str]
+    estimate_person: Sequence[str]
+    truth: Array
+    estimate: Array
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Result of a comparison. Lengths are metres, times seconds, shares 0 to 1; docs/evaluation.md.
+
+    ``tracking`` is None if the estimate has no identities, or nobody is in it. ``matches``,
+    ``found_by_frame`` (compared frames: people found, missed, false; (N, 3)) and ``errors`` (M, C) are for
+    reports, not in JSON.
+    """
+
+    truth: str
+    estimate: str
+    joints: tuple[str, ...]
+    gate: float
+    frames: FrameCounts
+    offset: TimeOffset
+    people: PeopleCounts
+    position: PositionErrors
+    motion: MotionErrors
+    pcp: PartScores
+    detection: DetectionScores
+    tracking: TrackingScores | None
+    by_joint: dict[str, JointScore]
+    by_person: dict[str, PersonScore]
+    worst: list[WorstPose]
+    matches: Matches = field(repr=False)
+    found_by_frame: Indices = field(repr=False)
+    errors: Array = field(repr=False)
+
+
+def evaluate_poses(
+    truth: PoseSequence,
+    estimate: PoseSequence,
+    *,
+    names: Mapping[str, str] | None = None,
+    gate: float = DEFAULT_GATE,
+    offset: float | None = 0.0,
+) -> Evaluation:
+    """Compare an estimate with the truth.
+
+    Args:
+        truth: The true poses.
+        estimate: The poses to judge, in ``map``, metres.
+        names: Name of a joint in the truth by name in the estimate; found by their names if None.
+        gate: Greatest mean joint distance of a person who counts as found, metres.
+        offset: Seconds by which the stamps of the estimate are late, which is corrected; None: as measured.
+
+    Raises:
+        EvaluationError: They have no joint or no time in common, or differ in unit or axes.
+    """
+    common = pair_joints(truth.names, estimate.names, names)
+    joints = tuple(truth.names[t] for t, _ in common)
+    truth = truth.with_joints([t for t, _ in common], joints)
+    estimate = estimate.with_joints([e for _, e in common], joints)
+    if not any(estimate.people):
+        raise EvaluationError("none of the common joints has a finite position", path=estimate.source)
+    estimate = estimate.delayed(-round((offset or 0.0) * 1e9))
+    pairs = pair_frames(truth, estimate)
+    check_unit(truth, estimate, pairs)
+    check_axes(truth, estimate, pairs, gate)
+    measured = measure_offset(truth, estimate)
+    applied = offset or 0.0
+    if offset is None and measured is not None:
+        applied = measured
+        estimate = estimate.delayed(-round(measured * 1e9))
+        pairs = pair_frames(truth, estimate)
+    elif measured is not None:
+        measured += applied
+    return _Comparison(truth, estimate, pairs, gate).evaluation(TimeOffset(measured, applied))
+
+
+class _Comparison:
+    """Everything that the metrics of one evaluation are computed from."""
+
+    def __init__(self, truth: PoseSequence, estimate: PoseSequence, pairs: FramePairs, gate: float) -> None:
+        self.truth, self.estimate, self.pairs, self.gate = truth, estimate, pairs, gate
+        self.missed: dict[str, int] = defaultdict(int)
+        self.missed_joints = np.zeros(len(truth.names), np.intp)
+        self.false = 0
+        self.tracked: list[TrackedFrame] = []
+        self.found_by_frame = np.zeros((len(pairs.truth), 3), np.intp)
+        self._detections: list[tuple[float, float, int]] = []
+        self._people = 0
+        self._numbers: tuple[dict[str, int], dict[str, int]] = ({}, {})
+        rows: list[tuple[int, int, str, str]] = []
+        poses: list[tuple[Array, Array]] = []
+        for frame, (t, e) in enumerate(zip(pairs.truth.tolist(), pairs.estimate.tolist(), strict=True)):
+            for person, own in self._match(frame, t, e):
+                rows.append((frame, int(truth.times[t]), person, own))
+                poses.append((truth.people[t][person], estimate.people[e][own]))
+        shape = (0, len(truth.names), 3)
+        self.matches = Matches(
+            np.array([row[0] for row in rows], np.intp),
+            np.array([row[1] for row in rows], np.int64),
+            [row[2] for row in rows],
+            [row[3] for row in rows],
+            np.stack([pose for pose, _ in poses]) if poses else np.zeros(shape),
+            np.stack([pose for _, pose in poses]) if poses else np.zeros(shape),
+        )
+        self.errors = joint_errors(self.matches.truth, self.matches.estimate)
+        aligned = procrustes_aligned(self.matches.truth, self.matches.estimate)
+        self.aligned_errors = joint_errors(self.matches.truth, aligned)
+
+    def _match(self, frame: int, t: int, e: int) -> list[tuple[str, str]]:
+        """Count the people of a frame; names of those who match."""
+        truth = self.truth.people[t]
+        estimate = self.estimate.people[e] if e >= 0 else {}
+        people, own = list(truth), list(estimate)
+        distances = pair_distances(list(truth.values()), list(estimate.values()))
+        found = match_people(distances, self.gate)
+        for index in set(range(len(people))) - {row for row, _ in found}:
+            self.missed[people[index]] += 1
+            self.missed_joints += np.isfinite(truth[people[index]]).all(axis=1)
+        self.false += len(own) - len(found)
+        self.found_by_frame[frame] = len(found), len(people) - len(found), len(own) - len(found)
+        numbers = [
+            np.array([table.setdefault(name, len(table)) for name in names], np.intp)
+            for table, names in zip(self._numbers, (people, own), strict=True)
+        ]
+        self.tracked.append(TrackedFrame(numbers[0], numbers[1], similarity(distances, self.gate)))
+        scores = self.estimate.scores[e] if self.estimate.scores is not None and e >= 0 else {}
+        for column, name in enumerate(own):
+            nearest = int(np.argmin(distances[:, column])) if people else -1
+            distance = float(distances[nearest, column]) if people else np.inf
+            self._detections.append((scores.get(name, 0.0), distance, self._people + nearest))
+        self._people += len(people)
+        return [(people[row], own[column]) for row, column in found]
+
+    def evaluation(self, offset: TimeOffset) -> Evaluation:
+        """All metrics."""
+        times = self.truth.times[self.pairs.truth]
+        if not len(self.matches.frame):
+            warn_about(
+                self.estimate.source,
+                f"no person of the estimate is within {self.gate:g} m of the truth; are both in map?",
+            )
+        return Evaluation(
+            truth=self.truth.source,
+            estimate=self.estimate.source,
+            joints=self.truth.names,
+            gate=self.gate,
+            frames=FrameCounts(
+                len(times),
+                int((self.pairs.estimate < 0).sum()),
+                self.pairs.without_truth,
+                int(times[0]),
+                int(times[-1]),
+            ),
+            offset=offset,
+            people=self._people_counts(),
+            position=self._position(),
+            motion=self._motion(None),
+            pcp=self._parts(),
+            detection=self._detection(),
+            tracking=self._tracking(),
+            by_joint={name: self._joint(index) for index, name in enumerate(self.truth.names)},
+            by_person={name: self._person(name) for name in self._numbers[0]},
+            worst=self._worst(),
+            matches=self.matches,
+            found_by_frame=self.found_by_frame,
+            errors=self.errors,
+        )
+
+    def _people_counts(self) -> PeopleCounts:
+        found, missed = len(self.matches.frame), sum(self.missed.values())
+        estimated = found + self.false
+        return PeopleCounts(
+            found + missed,
+            found,
+            missed,
+            self.false,
+            _share(found, found + missed),
+            _share(found, estimated),
+        )
+
+    def _counted_errors(self) -> Array:
+        """Errors with inf for joints that the truth has and the estimate has not."""
+        absent = np.isfinite(self.matches.truth).all(axis=2) & np.isnan(self.errors)
+        return np.where(absent, np.inf, self.errors)
+
+    def _position(self) -> PositionErrors:
+        known = self.errors[np.isfinite(self.errors)]
+        median, p90, p99, worst = (
+            float(np.percentile(known, share)) if len(known) else None for share in (50, 90, 99, 100)
+        )
+        errors, missing = self._counted_errors(), int(self.missed_joints.sum())
+        return PositionErrors(
+            mpjpe=mean_error(self.errors),
+            pa_mpjpe=mean_error(self.aligned_errors),
+            median=median,
+            p90=p90,
+            p99=p99,
+            worst=worst,
+            pck=pck(errors, PCK_THRESHOLD, missing),
+            auc=auc(errors, missing),
+        )
+
+    def _of_person(self, name: str) -> Indices:
+        return np.flatnonzero(np.array([person == name for person in self.matches.person], dtype=bool))
+
+    def _motion(self, person: str | None) -> MotionErrors:
+        """Errors of one person, or of all: within runs of one identity without a gap."""
+        velocity, acceleration = [np.zeros(0)], [np.zeros(0)]
+        matches = self.matches
+        groups: dict[tuple[str, str], list[int]] = defaultdict(list)
+        for index, key in enumerate(zip(matches.person, matches.estimate_person, strict=True)):
+            if person in (None, key[0]):
+                groups[key].append(index)
+        most = (
+            1.5 * float(np.median(np.diff(self.truth.times[self.pairs.truth])))
+            if len(self.tracked) > 1
+            else 0
+        )
+        for indices in groups.values():
+            for run in runs(matches.stamp[indices], most):
+                rows = indices[run]
+                times = (matches.stamp[rows] - matches.stamp[rows[0]]) * 1e-9
+                truth, estimate = matches.truth[rows], matches.estimate[rows]
+                velocity.append(velocity_errors(times, truth, estimate).ravel())
+                acceleration.append(acceleration_errors(times, truth, estimate).ravel())
+        return MotionErrors(mean_error(np.concatenate(velocity)), mean_error(np.concatenate(acceleration)))
+
+    def _parts(self) -> PartScores:
+        groups, limbs = limbs_of(self.truth.names)
+        correct = correct_parts(self.matches.truth, self.matches.estimate, limbs)
+        right: dict[str, int] = defaultdict(int)
+        total: dict[str, int] = defaultdict(int)
+        by_person: dict[str, float] = {}
+        for name in self._numbers[0]:
+            rows = self._of_person(name)
+            own_right = own_total = 0
+            for column, group in enumerate(groups):
+                hits = int((correct[rows, column] == 1).sum())
+                count = int((correct[rows, column] >= 0).sum()) + self.missed[name]
+                right[group] += hits
+                total[group] += count
+                own_right, own_total = own_right + hits, own_total + count
+            if own_total:
+                by_person[name] = own_right / own_total
+        return PartScores(
+            all=_share(sum(right.values()), sum(total.values())),
+            by_limb={group: right[group] / total[group] for group in total if total[group]},
+            by_person=by_person,
+            mean_of_people=float(np.mean(list(by_person.values()))) if by_person else None,
+        )
+
+    def _detection(self) -> DetectionScores:
+        table = np.array(self._detections, float).reshape(-1, 3)
+        found = Detections(table[:, 0], table[:, 1], table[:, 2].astype(np.intp), self._people)
+        aps = {_mm(t): found.average_precision(t) for t in AP_THRESHOLDS}
+        values = [ap for ap in aps.values() if ap is not None]
+        return DetectionScores(
+            ap=aps,
+            recall={_mm(t): found.recall(t) for t in (*AP_THRESHOLDS, DEFAULT_GATE)},
+            mean_ap=float(np.mean(values)) if values else None,
+        )
+
+    def _tracking(self) -> TrackingScores | None:
+        if not self.estimate.has_identities or not all(self._numbers):
+            return None
+        return tracking_scores(self.tracked)
+
+    def _joint(self, index: int) -> JointScore:
+        errors = self.errors[:, index]
+        found = np.isfinite(errors)
+        difference = (self.matches.estimate[:, index] - self.matches.truth[:, index])[found]
+        x, y, z = difference.mean(axis=0).tolist() if found.any() else (np.nan,) * 3
+        return JointScore(
+            mpjpe=mean_error(errors),
+            pa_mpjpe=mean_error(self.aligned_errors[:, index]),
+            pck=pck(self._counted_errors()[:, index], PCK_THRESHOLD, int(self.missed_joints[index])),
+            bias=(x, y, z) if found.any() else None,
+        )
+
+    def _person(self, name: str) -> PersonScore:
+        rows = self._of_person(name)
+        return PersonScore(
+            present=len(rows) + self.missed[name],
+            found=len(rows),
+            mpjpe=mean_error(self.errors[rows]),
+            pa_mpjpe=mean_error(self.aligned_errors[rows]),
+            velocity=self._motion(name).velocity,
+        )
+
+    def _worst(self) -> list[WorstPose]:
+        count = np.isfinite(self.errors).sum(axis=1)
+        mean = np.nansum(self.errors, axis=1) / np.maximum(count, 1)
+        order = np.argsort(-mean, kind="stable")[:WORST]
+        matches = self.matches
+        return [
+            WorstPose(int(matches.stamp[i]), matches.person[i], matches.estimate_person[i], float(mean[i]))
+            for i in order
+        ]
+
+
+def _share(part: int, whole: int) -> float | None:
+    return part / whole if whole else None
+
+
+def _mm(metres: float) -> str:
+    return f"{metres * 1000:g}"

@@ -1,0 +1,104 @@
+"""Find the joints that a truth and an estimate have in common, by their names."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from functools import cache
+
+from humansim_ros.body.joint_names import JOINT_NAMES, SETS
+from humansim_ros.errors import EvaluationError, did_you_mean
+
+#: Other spellings of joints, beside those of :mod:`humansim_ros.body.joint_names`.
+_SPELLINGS = {
+    "vt3": ("neck", "lower_neck", "upper_neck"),
+    "vt3_end": ("head_top", "top_head", "head"),
+}
+
+
+def _plain(name: str) -> str:
+    """A name without case and separators; left and right are l and r."""
+    word = re.sub(r"[^a-z0-9]", "", name.lower())
+    return re.sub(r"^(left|right)", lambda match: match[1][0], word)
+
+
+@cache
+def _same_joints() -> dict[str, str]:
+    """Name of the package's skeleton by the plain name of the same joint in another set."""
+    table: dict[str, str] = {}
+    for joint in JOINT_NAMES:
+        for name in (joint.name, *(getattr(joint, s) for s in SETS if s not in joint.near)):
+            if name is not None:
+                table.setdefault(_plain(name), joint.name)
+    return table
+
+
+@cache
+def _near_joints() -> dict[str, str]:
+    table = {_plain(word): joint for joint, words in _SPELLINGS.items() for word in words}
+    return table | _same_joints()
+
+
+def body_joint(name: str) -> str | None:
+    """The joint of the package's skeleton that a name of any set stands for, or the nearest; None if none.
+
+    Example:
+        >>> body_joint("RHip"), body_joint("left_ankle"), body_joint("nose")
+        ('r_hip', 'l_ankle', None)
+    """
+    return _near_joints().get(_plain(name))
+
+
+def pair_joints(
+    truth: Sequence[str], estimate: Sequence[str], table: Mapping[str, str] | None = None
+) -> list[tuple[int, int]]:
+    """Indices (truth, estimate) of the joints that both have, in the order of the truth.
+
+    Names are equal, equal without case and separators, or names of the same anatomical joint in two sets.
+
+    Args:
+        truth: Names of the joints of the truth.
+        estimate: Names of the joints of the estimate.
+        table: Name in the truth by name in the estimate; other names of the estimate are not used.
+
+    Raises:
+        EvaluationError: No joint is common, or a name of the table is unknown.
+    """
+    if table is not None:
+        _check_table(table, truth, estimate)
+        pairs = [(list(truth).index(new), list(estimate).index(old)) for old, new in table.items()]
+    else:
+        pairs = _pairs_by_name(truth, estimate)
+    if not pairs:
+        raise EvaluationError(
+            f"no joint is common: the truth has {_some(truth)}, the estimate has {_some(estimate)}. Choose "
+            "a keypoint set with --keypoints, or give a table with --names"
+        )
+    return sorted(pairs)
+
+
+def _pairs_by_name(truth: Sequence[str], estimate: Sequence[str]) -> list[tuple[int, int]]:
+    same = _same_joints()
+    pairs: list[tuple[int, int]] = []
+    for spell in (str, _plain, lambda name: same.get(_plain(name), "")):
+        used_truth, used_estimate = {t for t, _ in pairs}, {e for _, e in pairs}
+        wanted = {spell(name): index for index, name in enumerate(truth) if index not in used_truth}
+        for index, name in enumerate(estimate):
+            key = spell(name)
+            if index not in used_estimate and key and key in wanted:
+                pairs.append((wanted.pop(key), index))
+    return pairs
+
+
+def _check_table(table: Mapping[str, str], truth: Sequence[str], estimate: Sequence[str]) -> None:
+    for old, new in table.items():
+        for name, known, kind in ((old, estimate, "estimate"), (new, truth, "truth")):
+            if name not in known:
+                raise EvaluationError(
+                    f"the {kind} has no joint {name!r}{did_you_mean(name, known)}", key="--names"
+                )
+
+
+def _some(names: Sequence[str]) -> str:
+    listed = ", ".join(names[:6])
+    return listed if len(names) <= 6 else f"{listed} and {len(names) - 6} more"

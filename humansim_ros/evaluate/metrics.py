@@ -1,0 +1,181 @@
+"""Errors of poses and of the detection of people, as publications report them.
+
+Poses of M matches have C joints, in metres, NaN where a joint is absent. docs/evaluation.md has the
+definition of each metric with its source.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.evaluate.limbs import LimbEnd
+from humansim_ros.types import Array, Indices
+
+#: Thresholds of the AUC [Mehta 2017]: 0 to 150 mm in steps of 5 mm.
+AUC_THRESHOLDS: Array = np.linspace(0.0, 0.15, 31)
+#: Least number of joints that a similarity can be fitted to.
+_LEAST_JOINTS = 3
+
+
+def joint_errors(truth: Array, estimate: Array) -> Array:
+    """Distances (M, C) of the joints of poses (M, C, 3); NaN where one of them is absent."""
+    return np.linalg.norm(estimate - truth, axis=2)
+
+
+def mean_error(errors: Array) -> float | None:
+    """MPJPE: mean of all errors that are not NaN; None without any."""
+    found = np.isfinite(errors)
+    return float(errors[found].mean()) if found.any() else None
+
+
+def procrustes_aligned(truth: Array, estimate: Array) -> Array:
+    """Estimates (M, C, 3) after the similarity that fits each best to its truth.
+
+    Rotation, translation and scale are least squares over the joints that both have [Umeyama 1991], without
+    reflections. NaN where fewer than three joints are common.
+    """
+    both = np.asarray(np.isfinite(truth + estimate).all(axis=2))
+    count = np.maximum(both.sum(axis=1), 1)[:, None, None]
+    weight = both[..., None]
+
+    def centred(poses: Array) -> tuple[Array, Array]:
+        known = np.where(weight, poses, 0.0)
+        centre = known.sum(axis=1, keepdims=True) / count
+        return centre, np.where(weight, known - centre, 0.0)
+
+    (centre, points), (own_centre, own) = centred(truth), centred(estimate)
+    u, spread, vt = np.linalg.svd(np.swapaxes(own, 1, 2) @ points)
+    signs = np.ones_like(spread)
+    signs[:, 2] = np.sign(np.linalg.det(u @ vt))
+    rotation = (u * signs[:, None, :]) @ vt
+    size = np.square(own).sum(axis=(1, 2))
+    scale = np.divide((spread * signs).sum(axis=1), size, out=np.zeros_like(size), where=size > 0)
+    aligned: Array = scale[:, None, None] * (estimate - own_centre) @ rotation + centre
+    aligned[both.sum(axis=1) < _LEAST_JOINTS] = np.nan
+    return aligned
+
+
+def pck(errors: Array, threshold: float, missing: int = 0) -> float | None:
+    """Percentage of correct keypoints, as a share: errors up to a threshold among all joints of the truth.
+
+    Args:
+        errors: Distances, NaN where the truth has no joint; inf where only the estimate has none.
+        threshold: Metres.
+        missing: Joints of people who were not found: they count as wrong.
+    """
+    total = int((~np.isnan(errors)).sum()) + missing
+    return float((errors <= threshold).sum()) / total if total else None
+
+
+def auc(errors: Array, missing: int = 0) -> float | None:
+    """Area under the curve of PCK over :data:`AUC_THRESHOLDS`, as a share."""
+    shares = [share for t in AUC_THRESHOLDS if (share := pck(errors, float(t), missing)) is not None]
+    return float(np.mean(shares)) if shares else None
+
+
+def correct_parts(
+    truth: Array, estimate: Array, limbs: Sequence[tuple[LimbEnd, LimbEnd]], alpha: float = 0.5
+) -> NDArray[np.int8]:
+    """Limbs of poses that are correct for PCP: 1, wrong: 0, or not in the truth: -1; (M, L).
+
+    A limb is correct if the mean distance of its ends is at most ``alpha`` times its length
+    [Belagiannis 2014].
+
+    Args:
+        truth: (M, C, 3) metres.
+        estimate: (M, C, 3) metres.
+        limbs: Joints at the ends of L limbs.
+        alpha: Allowed error as a share of the length.
+    """
+
+    def ends_of(poses: Array) -> Array:
+        ends = [poses[:, list(joints)].mean(axis=1) for limb in limbs for joints in limb]
+        return np.array(ends).reshape(len(limbs), 2, len(poses), 3)
+
+    ends = ends_of(truth)
+    length = np.linalg.norm(ends[:, 0] - ends[:, 1], axis=2)
+    error = np.linalg.norm(ends_of(estimate) - ends, axis=3).mean(axis=1)
+    with np.errstate(invalid="ignore"):
+        correct = error <= alpha * length
+    return np.where(np.isnan(length), -1, correct).astype(np.int8).T
+
+
+@dataclass(frozen=True)
+class Detections:
+    """All estimated people of all frames, as the average precision of Panoptic needs them.
+
+    Attributes:
+        scores: (N,) confidence; the order of the estimate without scores.
+        distances: (N,) mean joint distance to the nearest person of the truth, inf without one.
+        nearest: (N,) number of that person in that frame, different for each frame.
+        total: Number of people in the truth of all frames.
+    """
+
+    scores: Array
+    distances: Array
+    nearest: Indices
+    total: int
+
+    def _hits(self, threshold: float) -> NDArray[np.bool_]:
+        """Which detections, by falling score, are the first within a threshold of their person."""
+        order = np.argsort(-self.scores, kind="stable")
+        near = self.distances[order] < threshold
+        hits = np.zeros(len(order), dtype=bool)
+        # np.unique gives the first place of each person among the detections that are near enough
+        _, first = np.unique(self.nearest[order][near], return_index=True)
+        hits[np.flatnonzero(near)[first]] = True
+        return hits
+
+    def average_precision(self, threshold: float) -> float | None:
+        """AP at a distance in metres, as VoxelPose computes it on Panoptic [Tu 2020]; None without people.
+
+        Detections are sorted by score. One is correct if it is nearer to its person than the threshold, and
+        the first for that person. The area lies below the precision that never rises with the recall.
+        """
+        if not self.total:
+            return None
+        hits = self._hits(threshold)
+        found = np.cumsum(hits)
+        precision = found / np.arange(1, len(hits) + 1)
+        envelope = np.maximum.accumulate(precision[::-1])[::-1]
+        return float(envelope[hits].sum() / self.total)
+
+    def recall(self, threshold: float) -> float | None:
+        """Share of people with an estimate nearer than a distance in metres; None without people."""
+        return float(self._hits(threshold).sum()) / self.total if self.total else None
+
+
+def velocity_errors(times: Array, truth: Array, estimate: Array) -> Array:
+    """Errors (N - 1, C) of the velocities between neighbouring poses of one person, m/s.
+
+    Args:
+        times: (N,) seconds.
+        truth: (N, C, 3) metres.
+        estimate: (N, C, 3) metres.
+    """
+    step = np.diff(times)[:, None, None]
+    return np.linalg.norm(np.diff(estimate - truth, axis=0) / step, axis=2)
+
+
+def acceleration_errors(times: Array, truth: Array, estimate: Array) -> Array:
+    """Errors (N - 2, C) of the accelerations at poses of one person with neighbours on both sides, m/s².
+
+    Args:
+        times: (N,) seconds.
+        truth: (N, C, 3) metres.
+        estimate: (N, C, 3) metres.
+    """
+    step = np.diff(times)[:, None, None]
+    velocity = np.diff(estimate - truth, axis=0) / step
+    return np.linalg.norm(2 * np.diff(velocity, axis=0) / (step[1:] + step[:-1]), axis=2)
+
+
+def runs(times: NDArray[np.int64], most: float) -> Sequence[slice]:
+    """Parts of increasing times without a gap of more than ``most`` nanoseconds."""
+    breaks = [0, *(np.flatnonzero(np.diff(times) > most) + 1).tolist(), len(times)]
+    return [slice(a, b) for a, b in pairwise(breaks) if b > a]

@@ -1,0 +1,1 @@
+"""Readers of estimates: one module for each family of formats."""

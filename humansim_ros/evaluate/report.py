@@ -1,0 +1,119 @@
+"""Results of an evaluation as JSON and as a table for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.evaluate.evaluation import Evaluation, Matches
+
+#: Version of the keys in JSON.
+JSON_VERSION = 1
+
+
+def to_data(evaluation: Evaluation) -> dict[str, Any]:
+    """The result with the keys of :class:`Evaluation`, for JSON: without the poses."""
+    none = np.zeros(0, np.intp)
+    poses = np.zeros((0, 0, 3))
+    small = replace(
+        evaluation,
+        matches=Matches(none, none, [], [], poses, poses),
+        found_by_frame=none,
+        errors=np.zeros((0, 0)),
+    )
+    data = asdict(small)
+    for name in ("matches", "found_by_frame", "errors"):
+        del data[name]
+    return {"version": JSON_VERSION, **data}
+
+
+def millimetres(value: float | None) -> str:
+    """Length in millimetres, or a dash."""
+    return "–" if value is None else f"{value * 1000:.1f} mm"
+
+
+def percent(value: float | None) -> str:
+    """Share in percent, or a dash."""
+    return "–" if value is None else f"{value * 100:.1f} %"
+
+
+def per_second(unit: str) -> Callable[[float | None], str]:
+    """Format of a velocity or acceleration in a unit."""
+    return lambda value: "–" if value is None else f"{value:.3f} {unit}"
+
+
+def summary(evaluation: Evaluation) -> Iterator[tuple[str, str, str]]:
+    """Rows of the main table: group, name, value. ``humansim evaluate`` and the HTML report show them."""
+    e = evaluation
+    yield "frames", "compared", str(e.frames.compared)
+    yield "frames", "without estimate", str(e.frames.without_estimate)
+    yield "frames", "estimate without truth", str(e.frames.without_truth)
+    measured = "unknown" if e.offset.measured is None else f"{e.offset.measured * 1000:.1f} ms"
+    applied = f"{e.offset.applied * 1000:.1f} ms corrected" if e.offset.applied else "not corrected"
+    yield "frames", "stamps are late by", f"{measured} ({applied})"
+    yield "people", "found", f"{e.people.found} of {e.people.present} ({percent(e.people.recall)})"
+    yield "people", "missed", str(e.people.missed)
+    yield "people", "false", str(e.people.false)
+    p = e.position
+    yield "position", "MPJPE", millimetres(p.mpjpe)
+    yield "position", "PA-MPJPE", millimetres(p.pa_mpjpe)
+    yield "position", "median, 90 %, 99 %", ", ".join(map(millimetres, (p.median, p.p90, p.p99)))
+    yield "position", "PCK at 150 mm", percent(p.pck)
+    yield "position", "AUC, 0 to 150 mm", percent(p.auc)
+    yield "motion", "velocity error", per_second("m/s")(e.motion.velocity)
+    yield "motion", "acceleration error", per_second("m/s²")(e.motion.acceleration)
+    yield "parts", "PCP, all limbs", percent(e.pcp.all)
+    yield "parts", "PCP, mean of people", percent(e.pcp.mean_of_people)
+    for limb, share in e.pcp.by_limb.items():
+        yield "parts", f"PCP, {limb}", percent(share)
+    for distance in ("25", "50", "100", "150"):
+        yield "detection", f"AP at {distance} mm", percent(e.detection.ap[distance])
+    yield "detection", "mean AP", percent(e.detection.mean_ap)
+    yield "detection", "recall at 500 mm", percent(e.detection.recall["500"])
+    if e.tracking is not None:
+        t = e.tracking
+        yield "identity", "HOTA (DetA, AssA)", f"{percent(t.hota)} ({percent(t.deta)}, {percent(t.assa)})"
+        yield "identity", "MOTA", percent(t.mota)
+        yield "identity", "IDF1", percent(t.idf1)
+        yield "identity", "switches, fragments", f"{t.switches}, {t.fragments}"
+
+
+def show(evaluation: Evaluation) -> str:
+    """Tables for a terminal: the metrics, joints and people."""
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(width=100, highlight=False)
+    with console.capture() as capture:
+        main = Table("", "metric", "value", box=box.SIMPLE, pad_edge=False)
+        before = ""
+        for group, name, value in summary(evaluation):
+            main.add_row(group if group != before else "", name, value)
+            before = group
+        console.print(main)
+        joints = Table(
+            "joint", "MPJPE", "PA-MPJPE", "PCK", "bias x, y, z (mm)", box=box.SIMPLE, pad_edge=False
+        )
+        for name, joint in evaluation.by_joint.items():
+            bias = "–" if joint.bias is None else ", ".join(f"{1000 * b:.1f}" for b in joint.bias)
+            joints.add_row(
+                name, millimetres(joint.mpjpe), millimetres(joint.pa_mpjpe), percent(joint.pck), bias
+            )
+        console.print(joints)
+        people = Table(
+            "person", "found", "MPJPE", "PA-MPJPE", "velocity error", box=box.SIMPLE, pad_edge=False
+        )
+        for name, person in evaluation.by_person.items():
+            people.add_row(
+                name,
+                f"{person.found} of {person.present}",
+                millimetres(person.mpjpe),
+                millimetres(person.pa_mpjpe),
+                per_second("m/s")(person.velocity),
+            )
+        console.print(people)
+    return "\n".join(line.rstrip() for line in capture.get().splitlines()).strip("\n")

@@ -1,0 +1,153 @@
+"""Sequences of 3D poses of people: what truths and estimates are read into."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.bounds import MAX_COORDINATE
+from humansim_ros.errors import EvaluationError
+from humansim_ros.types import Array
+
+#: People of one frame: joints (K, 3) by the name of the person.
+People = Mapping[str, Array]
+
+
+@dataclass(frozen=True, repr=False)
+class PoseSequence:
+    """Poses of people over time, of a truth or an estimate.
+
+    Attributes:
+        names: Names of the K joints.
+        times: (F,) int64 nanoseconds, increasing.
+        people: By frame: joints (K, 3) by person, metres in ``map``; NaN where a joint is absent.
+        scores: By frame: confidence by person; None if the source has none.
+        source: Where the poses come from, for messages.
+        has_identities: A name is the same person in all frames.
+    """
+
+    names: tuple[str, ...]
+    times: NDArray[np.int64]
+    people: Sequence[People]
+    scores: Sequence[Mapping[str, float]] | None = None
+    source: str = ""
+    has_identities: bool = True
+
+    def __repr__(self) -> str:
+        return f"PoseSequence({len(self.names)} joints, {len(self.times)} frames, {self.source})"
+
+    @property
+    def period(self) -> int:
+        """Median time between frames in nanoseconds; 0 for a single frame."""
+        return int(np.median(np.diff(self.times))) if len(self.times) > 1 else 0
+
+    @cached_property
+    def count(self) -> int:
+        """Number of poses in all frames."""
+        return sum(map(len, self.people))
+
+    def with_joints(self, joints: Sequence[int], names: Sequence[str]) -> PoseSequence:
+        """The sequence with some of its joints, under other names; people without any are left out."""
+        index = list(joints)
+        people = [{name: pose[index] for name, pose in frame.items()} for frame in self.people]
+        people = [{name: pose for name, pose in frame.items() if _present(pose)} for frame in people]
+        return replace(self, names=tuple(names), people=people)
+
+    def mapped(self, matrix: Array) -> PoseSequence:
+        """The sequence with all positions multiplied by a matrix (3, 3)."""
+        people = [{name: pose @ matrix.T for name, pose in frame.items()} for frame in self.people]
+        return replace(self, people=people)
+
+    def delayed(self, nanoseconds: int) -> PoseSequence:
+        """The sequence with all times later by some nanoseconds."""
+        return replace(self, times=self.times + nanoseconds)
+
+
+def _present(pose: Array) -> bool:
+    return bool(np.isfinite(pose).all(axis=1).any())
+
+
+@dataclass
+class SequenceBuilder:
+    """Collects poses in any order of time and joints; readers of all formats use it.
+
+    Attributes:
+        source: Where the poses come from, for messages.
+        has_identities: A name is the same person in all frames.
+    """
+
+    source: str
+    has_identities: bool = True
+    _joints: dict[str, int] = field(default_factory=dict)
+    _frames: dict[int, dict[str, tuple[tuple[str, ...], Array]]] = field(default_factory=dict)
+    _scores: dict[int, dict[str, float]] = field(default_factory=dict)
+
+    def add_frame(self, time: int) -> None:
+        """Add a time at which there may be nobody."""
+        self._frames.setdefault(time, {})
+
+    def add(
+        self,
+        time: int,
+        person: str | None,
+        names: tuple[str, ...],
+        positions: Array,
+        score: float | None = None,
+    ) -> None:
+        """Add the pose of a person at a time.
+
+        Args:
+            time: Nanoseconds.
+            person: Name of the person; None for somebody without a name.
+            names: Names of the joints.
+            positions: (len(names), 3) metres; not finite where a joint is absent.
+            score: Confidence; None without one.
+
+        Raises:
+            EvaluationError: The person has a pose at that time already.
+        """
+        for name in names:
+            self._joints.setdefault(name, len(self._joints))
+        frame = self._frames.setdefault(time, {})
+        if person is None:
+            self.has_identities = False
+            person = str(len(frame))
+        if person in frame:
+            raise EvaluationError(
+                f"person {person!r} has two poses at {time * 1e-9:.6f} s; give each person a name of its own",
+                path=self.source,
+            )
+        frame[person] = names, positions
+        if score is not None:
+            self._scores.setdefault(time, {})[person] = score
+
+    def build(self) -> PoseSequence:
+        """The sequence.
+
+        Raises:
+            EvaluationError: There is no pose, no position is finite, or a position is beyond any room.
+        """
+        if not any(self._frames.values()):
+            raise EvaluationError("there are no poses in it", path=self.source)
+        names = tuple(self._joints)
+        times = sorted(self._frames)
+        people = [{who: self._pose(*pose) for who, pose in self._frames[time].items()} for time in times]
+        people = [{who: pose for who, pose in frame.items() if _present(pose)} for frame in people]
+        if not any(people):
+            raise EvaluationError("no position in it is finite: all are NaN or missing", path=self.source)
+        scores = [self._scores.get(time, {}) for time in times] if self._scores else None
+        return PoseSequence(
+            names, np.array(times, np.int64), people, scores, self.source, self.has_identities
+        )
+
+    def _pose(self, names: tuple[str, ...], positions: Array) -> Array:
+        pose = np.full((len(self._joints), 3), np.nan)
+        pose[[self._joints[name] for name in names]] = positions
+        pose[~np.isfinite(pose).all(axis=1)] = np.nan
+        if (np.abs(pose) > MAX_COORDINATE * 1000).any():  # millimetres are still allowed
+            raise EvaluationError("a position is more than 1000 km away", path=self.source)
+        return pose

@@ -1,0 +1,132 @@
+"""The truth of a scene, computed without rendering, or of a bag."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import EvaluationError
+from humansim_ros.evaluate.readers.bag_topics import read_bag_topic
+from humansim_ros.evaluate.readers.estimates import is_bag
+from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.evaluate.tracks import PoseSequence
+from humansim_ros.scene.config import LIVE
+from humansim_ros.scene.scene import Scene
+from humansim_ros.types import Array
+
+#: Stamp of frame 0 of a scene in lockstep and in ``Simulation``, nanoseconds.
+FIRST_STAMP = 1
+#: Most frames of a scene whose truth is computed: nine hours at 30 Hz.
+MAX_TRUTH_FRAMES = 1_000_000
+#: Frames that are computed at once.
+_BLOCK = 1000
+
+
+class SceneTruth:
+    """Truth of a scene. ``period`` and ``start``: nanoseconds between frames, and stamp of the first one."""
+
+    def __init__(self, scene: Scene) -> None:
+        self.scene = scene
+        self.period, self.start = scene.frame_time(1), FIRST_STAMP
+
+    def poses(self, span: tuple[int, int], around: float) -> PoseSequence:
+        """Poses of a span of stamps in nanoseconds, and of ``around`` seconds on both sides."""
+        return scene_truth(self.scene, span, around)
+
+
+class RecordedTruth:
+    """Truth of a bag, which is read as a whole. ``period`` and ``start`` as of :class:`SceneTruth`."""
+
+    def __init__(self, sequence: PoseSequence) -> None:
+        self.sequence = sequence
+        self.period, self.start = sequence.period, int(sequence.times[0])
+
+    def poses(self, span: tuple[int, int], around: float) -> PoseSequence:
+        """All poses."""
+        return self.sequence
+
+
+def open_truth(path: Path) -> SceneTruth | RecordedTruth:
+    """Open a scene file or a bag as truth.
+
+    Raises:
+        HumansimError: The scene or bag is wrong, or has no people.
+    """
+    if is_bag(path):
+        return RecordedTruth(bag_truth(path))
+    if path.is_dir():
+        raise EvaluationError("neither a scene file nor a bag", path=path, key="--truth")
+    return SceneTruth(Scene.load(path))
+
+
+def scene_truth(scene: Scene, span: tuple[int, int], around: float = 0.0) -> PoseSequence:
+    """Joints of all humans of a scene, at the stamps of ``Simulation`` and of lockstep.
+
+    Args:
+        scene: The scene.
+        span: First and last time that are needed, nanoseconds.
+        around: Seconds before and after the span.
+
+    Raises:
+        EvaluationError: The scene has nobody whose motion it knows, or the span is beyond any scene.
+    """
+    live = [name for name, actor in scene.actors.items() if actor.motion.motion.path == LIVE]
+    if live or not scene.actors:
+        reason = f"{live[0]} is moved live" if live else "there are no people in it"
+        raise EvaluationError(f"{reason}: record a bag, and give it as truth", path=scene.path, key="--truth")
+    first, last = frames_of(scene, span, around)
+    times = np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
+    paths = {name: np.concatenate(list(_paths(scene, name, times))) for name in scene.actors}
+    joints = {name: actor.human.skeleton.joint_names for name, actor in scene.actors.items()}
+    names = tuple(dict.fromkeys(joint for each in joints.values() for joint in each))
+    for person, path in paths.items():
+        wide = np.full((len(times), len(names), 3), np.nan)
+        wide[:, [names.index(joint) for joint in joints[person]]] = path
+        paths[person] = wide
+    people = [{name: path[frame] for name, path in paths.items()} for frame in range(len(times))]
+    return PoseSequence(names, FIRST_STAMP + times, people, source=str(scene.path or "the scene"))
+
+
+def frames_of(scene: Scene, span: tuple[int, int], around: float) -> tuple[int, int]:
+    """First and last frame of a scene that a span of stamps needs; both within the scene."""
+    margin = 0.5 + around * scene.config.rate
+    first, last = ((time - FIRST_STAMP) * 1e-9 * scene.config.rate for time in span)
+    first, last = max(0, int(first - margin)), max(1, int(last + margin))
+    if last - first >= MAX_TRUTH_FRAMES or first >= 100 * MAX_TRUTH_FRAMES:
+        start, end = (f"{time * 1e-9:.3f} s" for time in span)
+        raise EvaluationError(
+            f"the times of the estimate, {start} to {end}, are not those of a scene, which begins at 0 s: "
+            "were they stamped with a wall clock? Record truth and estimate together and give the bag as "
+            "--truth, or run the scene in lockstep",
+            path=scene.path,
+            key="--truth",
+        )
+    return first, last
+
+
+def _paths(scene: Scene, name: str, times: NDArray[np.int64]) -> Iterator[Array]:
+    for begin in range(0, len(times), _BLOCK):
+        yield scene.actors[name].joint_paths(np.asarray(times[begin : begin + _BLOCK] * 1e-9, float))
+
+
+def bag_truth(path: str | os.PathLike[str]) -> PoseSequence:
+    """Joints of all humans of a recording.
+
+    Raises:
+        EvaluationError: The bag has no topic ``/humans/<id>/joints``.
+        BagError: The bag cannot be read.
+    """
+    try:
+        return read_bag_topic(path, "/humans/*/joints", ReadOptions())
+    except EvaluationError as error:
+        if "no topic" not in error.message:
+            raise
+        raise EvaluationError(
+            "the bag has no truth: no topic /humans/<id>/joints. Record it with them, or give the scene",
+            path=path,
+            key="--truth",
+        ) from None

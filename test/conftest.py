@@ -8,7 +8,6 @@ import os
 import re
 import signal
 import sys
-import weakref
 from collections import defaultdict
 from collections.abc import Generator, Iterator
 from contextlib import suppress
@@ -20,11 +19,21 @@ import pytest
 
 TESTS = Path(__file__).resolve().parent
 ROOT = TESTS.parent
+#: The fixtures that users have, and those that run pytest in a test.
+pytest_plugins = ["humansim_ros.testing", "pytester"]
 #: Markers of tests that use one of these names in their own code, a fixture, or a helper of this folder.
 MARKED_BY_NAME = {
-    "ros": {"rclpy", "ros_support"},
-    "gl": {"GLRenderer", "PyrenderRenderer", "Simulation", "make_renderer", "moderngl"},
-    "process": {"multiprocessing", "subprocess"},
+    "ros": {"SceneGraph", "humansim_graph", "rclpy", "ros_support"},
+    "gl": {
+        "SceneGraph",
+        "humansim_graph",
+        "GLRenderer",
+        "PyrenderRenderer",
+        "Simulation",
+        "make_renderer",
+        "moderngl",
+    },
+    "process": {"NodeProcesses", "multiprocessing", "runpytest_subprocess", "subprocess"},
     "real_files": {"needs_shared_data", "shared_data"},
 }
 #: Markers of all tests of a module that imports one of these names: it is skipped without rclpy.
@@ -169,35 +178,11 @@ def assets() -> Path:
 
 @pytest.fixture(scope="module")
 def ros() -> Iterator[None]:
-    """Initialise rclpy with a transport for images, for the tests of one file.
+    """Initialise rclpy with a transport for images, for the tests of one file."""
+    from humansim_ros.testing.domain import running_rclpy
 
-    Nodes that a test has left behind are destroyed: those of an EventsExecutor would stay in the graph for
-    ever, with their publishers and their memory.
-    """
-    import rclpy
-    from rclpy.node import Node
-
-    from humansim_ros.ros.runtime import prepare_transport
-
-    nodes: weakref.WeakSet[Node] = weakref.WeakSet()
-    initialise = Node.__init__
-
-    def recorded(node: Node, *arguments: Any, **options: Any) -> None:
-        nodes.add(node)
-        initialise(node, *arguments, **options)
-
-    prepare_transport()
-    rclpy.init()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Node, "__init__", recorded)
+    with running_rclpy():
         yield
-    for node in list(nodes):
-        with suppress(Exception):  # of a node that has failed at its start
-            if node.executor is not None:
-                node.executor.remove_node(node)
-                node.executor.shutdown()
-            node.destroy_node()
-    rclpy.try_shutdown()
 
 
 @pytest.fixture(scope="session")

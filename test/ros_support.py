@@ -4,9 +4,7 @@ lockstep.
 
 from __future__ import annotations
 
-import fcntl
 import os
-import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -16,28 +14,10 @@ from typing import Any
 import pytest
 from waiting import PATIENCE, wait_until
 
-#: Domains whose UDP ports lie below the ephemeral ports of Linux; 0 is that of everybody else.
-_DOMAINS = range(1, 100)
+from humansim_ros.testing.domain import claim_domain, domain_environment
 
-
-def _claim_domain() -> tuple[int, Any]:
-    """A ROS domain that no other test process of this machine uses, and the file that is locked meanwhile."""
-    first = os.getpid() % len(_DOMAINS)
-    for domain in (*_DOMAINS[first:], *_DOMAINS[:first]):
-        path = Path(tempfile.gettempdir()) / f"humansim_test_domain_{domain}.lock"
-        try:
-            file = path.open("a")
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:  # locked, or of another user
-            continue
-        return domain, file
-    return _DOMAINS[first], None
-
-
-# before anything imports rclpy; the lock is held until this process ends
-_DOMAIN, _LOCK = _claim_domain()
-os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
-os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+# before anything imports rclpy
+os.environ.update(domain_environment(claim_domain()))
 
 rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed (pip install '.[ros]')")
 

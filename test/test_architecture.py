@@ -19,6 +19,7 @@ import humansim_ros
 PACKAGE = ROOT / "humansim_ros"
 #: From top to bottom: a folder may import those below it. Folders of one row do not import each other.
 LAYERS = (
+    ("testing",),
     ("cli",),
     ("export",),
     ("record",),
@@ -136,6 +137,7 @@ def test_no_modules_import_each_other_in_a_circle() -> None:
         ("humansim_ros.render.lighting", {"cv2", "moderngl", "rclpy", "scipy"}),
         ("humansim_ros.scene", {"cv2", "moderngl", "rclpy"}),
         ("humansim_ros.scene.config", {"cv2", "moderngl", "rclpy"}),
+        ("humansim_ros.testing", {"numpy", "scipy", "pydantic", "yaml", "cv2", "moderngl", "rclpy"}),
         ("humansim_ros.ros.processes", {"cv2", "moderngl", "numpy", "pydantic", "rclpy", "scipy"}),
     ],
 )

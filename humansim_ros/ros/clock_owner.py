@@ -16,7 +16,7 @@ from humansim_ros.ros.qos import ALIVE
 #: Topic without messages: a player in lockstep that lives, also during a pause, has a live publisher of it.
 _LOCKSTEP_ALIVE = "/_lockstep_alive"
 #: Seconds in which nodes find each other.
-_DISCOVERY = 2.0
+CLOCK_SEARCH = 2.0
 #: Most seconds between two calls that count.
 _MAX_STEP = 0.1
 #: Seconds in which a publisher that sends nothing may be a dead node: the middleware forgets it after 20 s.
@@ -33,10 +33,11 @@ class ClockOwner:
     Args:
         node: Node that wants to publish.
         graph: Finds publishers.
+        search: Seconds of the search: those in which nodes find each other.
     """
 
-    def __init__(self, node: GuardedNode, graph: GraphWatch) -> None:
-        self._node, self._graph = node, graph
+    def __init__(self, node: GuardedNode, graph: GraphWatch, search: float = CLOCK_SEARCH) -> None:
+        self._node, self._graph, self._search = node, graph, search
         self._waited, self._last = 0.0, time.monotonic()
         self._alive = 0
         self._has_time = False
@@ -62,7 +63,7 @@ class ClockOwner:
         now = time.monotonic()
         self._waited += min(now - self._last, _MAX_STEP)
         self._last = now
-        if self._waited < _DISCOVERY:
+        if self._waited < self._search:
             return None
         publishers = self._graph.publishers(_CLOCK)
         names = ", ".join(sorted({each.node for each in publishers.values()}))

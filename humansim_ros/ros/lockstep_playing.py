@@ -87,7 +87,7 @@ class LockstepPlaying(Playing):
         self._progress = ProgressFile(Path(f"{settings.summary}.stamp")) if settings.summary else None
         self._newest = self._progress.stamp if self._progress else 0
         player.create_subscription(Header, CAMERA_ALIVE, self._on_latched, ALIVE)
-        self._owner = ClockOwner(player, self._graph)
+        self._owner = ClockOwner(player, self._graph, settings.clock_search)
         self._clock_publisher: Any = None
         player.create_subscription(Header, FRAME_DONE, self._on_done, REPORTS)
         player.create_timer(_LOOK_EVERY, self.work, clock=steady)

@@ -11,6 +11,7 @@ from rclpy.parameter import Parameter
 
 from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.errors import RosError, printable
+from humansim_ros.ros.clock_owner import CLOCK_SEARCH
 from humansim_ros.ros.lockstep import OnTimeout
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.processes import TOPIC_PREFIX
@@ -33,6 +34,7 @@ class LockstepSettings:
         frames: Number of frames; 0: without end.
         summary: File for a summary as JSON at the end; empty: none.
         recorder: Name of the recorder, which is among ``names`` and starts with the scene; empty: none.
+        clock_search: Seconds in which another publisher of ``/clock`` is looked for before the first frame.
     """
 
     names: tuple[str, ...]
@@ -43,6 +45,7 @@ class LockstepSettings:
     frames: int
     summary: str
     recorder: str = ""
+    clock_search: float = CLOCK_SEARCH
 
     @classmethod
     def of_parameters(cls, node: SceneNode) -> LockstepSettings | None:
@@ -74,11 +77,23 @@ class LockstepSettings:
         frames = node.described_parameter("frames", time.frames or 0, description, limits, read_only=True)
         summary = node.text_parameter("summary", "", "JSON file for a summary of lockstep; empty: none")
         recorder = node.text_parameter("recorder", "", "Recorder that frames wait for; empty: none")
+        description = "Seconds in which another publisher of /clock is looked for before the first frame"
+        search = node.number_parameter("clock_search", CLOCK_SEARCH, 0.0, 60.0, description)
         names, topics = _members([*members, recorder] if recorder else members)
         if mode != "lockstep":
             return None
         stops = on_timeout == "stop"
-        return cls(names, topics, timeout, "stop" if stops else "continue", pace, frames, summary, recorder)
+        return cls(
+            names,
+            topics,
+            timeout,
+            "stop" if stops else "continue",
+            pace,
+            frames,
+            summary,
+            recorder,
+            search,
+        )
 
 
 def member_texts(time: TimeConfig) -> list[str]:

@@ -97,7 +97,8 @@ class MotionPlayerNode(FramePlayer):
         self.create_service(Trigger, "~/restart", self._on_restart)
         self.playing = LockstepPlaying(self, settings) if settings else RealtimePlaying(self, lead)
         self._simulation = serve_simulation(self)
-        self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {self.scene.path}")
+        place = self.scene.path or "a scene in memory"
+        self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {place}")
 
     def _publisher(self, topic: Topic[Any]) -> Any:
         return self.create_publisher(topic.type, topic.name, topic.qos)

@@ -1,0 +1,111 @@
+"""ROS for the tests of one process: a ROS domain that no other process has, and rclpy's default context."""
+
+from __future__ import annotations
+
+import fcntl
+import functools
+import os
+import tempfile
+import weakref
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any
+
+#: Domains whose UDP ports lie below the ephemeral ports of Linux; 0 is that of everybody else.
+_DOMAINS = range(1, 100)
+
+
+def claim_domain() -> int:
+    """A ROS domain that no other test process of this machine uses, until this process ends."""
+    return _claim(os.getpid())[0]
+
+
+@functools.cache
+def _claim(process: int) -> tuple[int, IO[str] | None]:
+    """The domain of a process, and the file that is locked meanwhile."""
+    first = process % len(_DOMAINS)
+    for domain in (*_DOMAINS[first:], *_DOMAINS[:first]):
+        path = Path(tempfile.gettempdir()) / f"humansim_test_domain_{domain}.lock"
+        try:
+            file = path.open("a")
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:  # locked, or of another user
+            continue
+        return domain, file
+    return _DOMAINS[first], None
+
+
+def domain_environment(domain: int) -> dict[str, str]:
+    """Environment variables of a ROS domain that other hosts do not see."""
+    return {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+
+@contextmanager
+def environment(**values: str) -> Iterator[None]:
+    """Context manager that sets environment variables, and restores all of them at its end."""
+    before = dict(os.environ)
+    os.environ.update(values)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+@contextmanager
+def running_rclpy() -> Iterator[None]:
+    """Context manager that initialises rclpy's default context, with a transport for images.
+
+    At the end, nodes of this context that have been left behind are destroyed: those of an EventsExecutor
+    would stay in the graph for ever, with their publishers and their memory. If the context is initialised
+    already, it belongs to somebody else, and nothing is done.
+    """
+    import rclpy
+
+    from humansim_ros.ros.runtime import prepare_transport
+
+    if rclpy.ok():
+        yield
+        return
+    with environment():
+        prepare_transport()
+        rclpy.init()
+        with _recorded_nodes() as nodes:
+            try:
+                yield
+            finally:
+                for node in list(nodes):
+                    _destroy(node)
+                rclpy.try_shutdown()
+
+
+@contextmanager
+def _recorded_nodes() -> Iterator[weakref.WeakSet[Any]]:
+    """Context manager that yields the nodes of rclpy's default context that are created meanwhile."""
+    import rclpy
+    from rclpy.node import Node
+
+    default = rclpy.get_default_context()
+    nodes: weakref.WeakSet[Node] = weakref.WeakSet()
+    initialise = Node.__init__
+
+    @functools.wraps(initialise)
+    def recorded(node: Node, *arguments: Any, **options: Any) -> None:
+        if options.get("context") in (None, default):
+            nodes.add(node)
+        initialise(node, *arguments, **options)
+
+    Node.__init__ = recorded
+    try:
+        yield nodes
+    finally:
+        Node.__init__ = initialise
+
+
+def _destroy(node: Any) -> None:
+    with suppress(Exception):  # of a node that has failed at its start
+        if node.executor is not None:
+            node.executor.remove_node(node)
+            node.executor.shutdown()
+        node.destroy_node()

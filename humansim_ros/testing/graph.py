@@ -1,0 +1,407 @@
+"""The nodes of a scene for a test, in lockstep: a frame is sent when the test asks for it."""
+
+from __future__ import annotations
+
+import difflib
+import time
+from collections.abc import Callable
+from contextlib import ExitStack
+from typing import Any
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor, TimeoutException
+from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from sensor_msgs.msg import TimeReference
+from std_msgs.msg import Header
+
+from humansim_ros.errors import RosError
+from humansim_ros.ros.bag_qos import subscription_profile
+from humansim_ros.ros.message_types import message_type
+from humansim_ros.ros.messages import header, to_nanoseconds
+from humansim_ros.ros.processes import relative_namespace
+from humansim_ros.ros.qos import DATA, FRAME_DONE, REPORTS, SCENE_TIME
+from humansim_ros.ros.topics import scene_topics
+from humansim_ros.scene import Scene
+from humansim_ros.testing.domain import running_rclpy
+from humansim_ros.testing.received import ReceivedMessages, stamp_of
+from humansim_ros.testing.scene_nodes import InProcessNodes, NodeProcesses
+from humansim_ros.testing.waiting import patience
+
+#: Node that subscribes for the test, and that frames wait for.
+_NODE = "humansim_test"
+#: Seconds of a wait for callbacks, with the nodes of one rclpy context, and with those of several.
+_STEP, _SHORT_STEP = 0.05, 0.002
+#: Most seconds in which the nodes of the test handle all that they have received: timers may go on for ever.
+_MAX_REST = 1.0
+
+
+class SceneGraph:
+    """Motion player, skinners and cameras of a scene in lockstep, and a node that receives for the test.
+
+    The nodes start with the first frame, so that nodes and subscriptions of the test come before it. Frame k
+    has the stamp 1 ns + round(k * period), as in Simulation. It follows when the test asks for it, and when
+    all cameras and all subscriptions of the test have the frame before.
+
+    Use it as a context manager. The fixture ``humansim_graph`` yields one for each test.
+
+    Args:
+        scene: The scene.
+        namespace: ROS namespace of its nodes, and of relative topics of the test.
+        processes: Start the nodes with ``humansim run`` instead of in this process; the scene must be a file.
+        limit: Seconds that a frame may take; HUMANSIM_TEST_PATIENCE multiplies them.
+
+    Attributes:
+        scene: The scene.
+        node: Node that subscribes for the test; for publishers and services of the test, too.
+        limit: Seconds that a frame may take.
+
+    Raises:
+        RosError: The namespace is not valid, or the scene of processes is no file.
+    """
+
+    def __init__(
+        self, scene: Scene, *, namespace: str = "", processes: bool = False, limit: float = 60.0
+    ) -> None:
+        self.scene = scene
+        self._namespace = relative_namespace(namespace)
+        self.limit = patience(limit)
+        self._processes = processes
+        if processes and scene.path is None:
+            raise RosError(
+                "a scene that is made in memory has no processes: write it to a file and load that"
+            )
+        self._running: InProcessNodes | NodeProcesses | None = None
+        self._received: dict[str, ReceivedMessages] = {}
+        self._subscriptions: dict[str, Any] = {}
+        #: Stamp of the frame in flight, and of the newest frame that the test has released.
+        self._frame = self._released = -1
+        #: Number of frames of the test.
+        self._frames = 0
+        #: Newest stamp that each camera has finished.
+        self._finished = dict.fromkeys(scene.cameras, -1)
+        #: By topic: number of messages before the frame in flight.
+        self._before: dict[str, int] = {}
+        self._stack = ExitStack()
+        self._stack.enter_context(running_rclpy())
+        self._context = rclpy.get_default_context()
+        self.node = rclpy.create_node(_NODE, namespace=self._namespace, start_parameter_services=False)
+        self._executors: dict[Any, Any] = {}
+        self.add_node(self.node)
+        self.node.create_subscription(TimeReference, SCENE_TIME, self._on_frame, DATA)
+        self.node.create_subscription(Header, FRAME_DONE, self._on_done, REPORTS)
+        self._reports = self.node.create_publisher(Header, FRAME_DONE, DATA)
+
+    def __enter__(self) -> SceneGraph:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # --- interface of tests
+
+    @property
+    def domain(self) -> int:
+        """ROS domain of the nodes."""
+        return int(self._context.get_domain_id())
+
+    def add_node(self, node: Any) -> None:
+        """Spin a node of the test with those of the scene, in this thread.
+
+        An exception of its callbacks ends the test. A node that waits in a callback, such as for a service,
+        needs an executor of its own in a thread of its own.
+
+        Raises:
+            RosError: The node is in another ROS domain.
+        """
+        domain = node.context.get_domain_id()
+        if domain != self.domain:
+            raise RosError(
+                f"the node {node.get_name()} is in ROS domain {domain}, the scene in {self.domain}: let the "
+                "fixture that initialises its rclpy context use the fixture humansim_domain"
+            )
+        if node.context not in self._executors:
+            self._executors[node.context] = SingleThreadedExecutor(context=node.context)
+        self._executors[node.context].add_node(node)
+
+    def remove_node(self, node: Any) -> None:
+        """Spin a node of the test no longer."""
+        self._executors[node.context].remove_node(node)
+
+    def subscribe(
+        self, topic: str, type: Any = None, qos: QoSProfile | None = None, every_frame: bool = True
+    ) -> ReceivedMessages:
+        """Keep the messages of a topic from now on.
+
+        Args:
+            topic: Name; a relative one is in the namespace of the scene.
+            type: Message class. If None, that of the scene, or of a publisher, which is waited for.
+            qos: Quality of service. If None, all messages of all publishers arrive.
+            every_frame: Frames wait for a message of this topic with their stamp or a newer one; if it has no
+                stamp, for any message.
+
+        Returns:
+            The messages; those of later frames are added.
+
+        Raises:
+            RosError: No node publishes the topic within the limit.
+        """
+        name = self.node.resolve_topic_name(topic)
+        if name in self._received:
+            self._received[name].every_frame = every_frame
+            return self._received[name]
+        received = ReceivedMessages(name, every_frame)
+        kind, offered = self._offer(name, type)
+        self._subscriptions[name] = self.node.create_subscription(kind, name, received.add, qos or offered)
+        self._received[name] = received
+        return received
+
+    def forget(self, topic: str) -> None:
+        """End the subscription to a topic: frames wait for it no longer."""
+        name = self.node.resolve_topic_name(topic)
+        if name in self._received:
+            del self._received[name]
+            self.node.destroy_subscription(self._subscriptions.pop(name))
+
+    def play(self, frames: int = 1) -> list[int]:
+        """Play the next frames; each waits for all cameras and for the topics that have every frame.
+
+        Nodes of ``add_node`` have handled all messages of a frame that were sent in this process.
+
+        Returns:
+            Their stamps in nanoseconds.
+
+        Raises:
+            RosError: A frame is not finished within the limit. The message names cameras and topics.
+        """
+        return [self._play_frame() for _ in range(frames)]
+
+    def collect(
+        self,
+        topic: str,
+        count: int,
+        type: Any = None,
+        qos: QoSProfile | None = None,
+        every_frame: bool = True,
+    ) -> list[Any]:
+        """Play frames until a topic has some messages more.
+
+        Args:
+            topic: Name; a relative one is in the namespace of the scene.
+            count: Number of messages.
+            type: Message class. If None, that of the scene, or of a publisher, which is waited for.
+            qos: Quality of service. If None, all messages of all publishers arrive.
+            every_frame: Each frame waits for its message. False, for nodes that do not answer each frame:
+                frames wait for the cameras only.
+
+        Returns:
+            The messages, in the order of their arrival.
+
+        Raises:
+            RosError: No message arrives within the limit. The message names the topic.
+        """
+        received = self.subscribe(topic, type, qos, every_frame)
+        before, first = len(received), None
+        arrived, end = received.arrived, time.monotonic() + self.limit
+        while True:
+            (stamp,) = self.play()
+            first = stamp if first is None else first
+            new = [each for each in received[before:] if not every_frame or _is_of(each, first)]
+            if len(new) >= count:
+                return new[:count]
+            if received.arrived > arrived:
+                arrived, end = received.arrived, time.monotonic() + self.limit
+            elif time.monotonic() > end:
+                raise RosError(self._explanation(stamp, [received]))
+
+    def wait_for(self, topic: str, type: Any = None, qos: QoSProfile | None = None) -> Any:
+        """Newest message of a topic, such as a latched one; waits for the first, and plays no other frame.
+
+        Args:
+            topic: Name; a relative one is in the namespace of the scene.
+            type: Message class. If None, that of the scene, or of a publisher, which is waited for.
+            qos: Quality of service. If None, all messages of all publishers arrive.
+
+        Raises:
+            RosError: No message arrives within the limit.
+        """
+        name = self.node.resolve_topic_name(topic)
+        received = self._received.get(name) or self.subscribe(topic, type, qos, every_frame=False)
+        self._start()
+        self._spin_until(lambda: received.arrived, lambda: self._explanation(self._frame, [received]))
+        return received[-1]
+
+    def spin_until(self, condition: Callable[[], object], text: str = "the condition is not true") -> None:
+        """Let all nodes work until a condition is true; no frame follows meanwhile.
+
+        ``text``: what is missing, for the error. Raises RosError after the limit.
+        """
+        self._start()
+        self._spin_until(condition, text)
+
+    def close(self) -> None:
+        """Stop the nodes of the scene, and rclpy unless the test has initialised it itself."""
+        try:
+            if self._running is not None:
+                for node in self._running.nodes:
+                    self.remove_node(node)
+                self._running.close()
+            for executor in self._executors.values():
+                for node in executor.get_nodes():
+                    executor.remove_node(node)
+                executor.shutdown()
+            self.node.destroy_node()
+        finally:
+            self._running = None
+            self._stack.close()
+
+    # --- frames
+
+    def _start(self) -> None:
+        if self._running is not None:
+            return
+        if self._processes:
+            assert self.scene.path is not None
+            self._running = NodeProcesses(self.scene.path, self._namespace, _NODE)
+        else:
+            self._running = InProcessNodes(self.scene, self._namespace, _NODE)
+        for node in self._running.nodes:
+            self.add_node(node)
+
+    def _play_frame(self) -> int:
+        """Play the next frame, and return its stamp."""
+        self._start()
+        before = self._frame if self._frames else -1
+        self._before = {name: received.arrived for name, received in self._received.items()}
+        if self._frames:
+            self._release()
+        self._spin_until(lambda: self._frame > before, "the motion player sends no frame")
+        self._frames += 1
+        stamp = self._frame
+        self._spin_until(lambda: not self._missing(stamp), lambda: self._explanation(stamp))
+        self._handle_rest()
+        return stamp
+
+    def _on_frame(self, message: TimeReference) -> None:
+        self._frame = to_nanoseconds(message.header.stamp)
+        if self._frame <= self._released:  # the player has not heard the report
+            self._report(self._frame)
+
+    def _on_done(self, report: Header) -> None:
+        stamp = to_nanoseconds(report.stamp)
+        for name in report.frame_id.split(", "):
+            camera = name.strip("/").removeprefix(f"{self._namespace}/")
+            if camera in self._finished:
+                self._finished[camera] = max(self._finished[camera], stamp)
+
+    def _release(self) -> None:
+        """Report the frame in flight, so that the next one follows."""
+        self._released = self._frame
+        self._report(self._frame)
+
+    def _report(self, stamp: int) -> None:
+        self._reports.publish(header(stamp, _NODE))
+
+    def _missing(self, stamp: int) -> list[str]:
+        """Topics and cameras that have not finished a frame."""
+        topics = [
+            name
+            for name, received in self._received.items()
+            if received.every_frame
+            and (
+                received.arrived == self._before.get(name, 0)
+                if received.newest < 0
+                else received.newest < stamp
+            )
+        ]
+        return [*topics, *(f"camera {name}" for name, done in self._finished.items() if done < stamp)]
+
+    # --- waiting
+
+    def _spin_until(self, condition: Callable[[], object], problem: str | Callable[[], str]) -> None:
+        end = time.monotonic() + self.limit
+        while not condition():
+            if time.monotonic() > end:
+                text = problem if isinstance(problem, str) else problem()
+                output = self._running.output if self._running is not None else ""
+                raise RosError(
+                    f"{text} within {self.limit:g} s (ROS domain {self.domain})"
+                    + (f"\noutput of the nodes: {output}" if output else "")
+                )
+            self._spin_once()
+
+    def _spin_once(self) -> None:
+        step = _STEP if len(self._executors) == 1 else _SHORT_STEP
+        for executor in list(self._executors.values()):
+            executor.spin_once(timeout_sec=step)
+        if self._running is not None:
+            self._running.check()
+
+    def _handle_rest(self) -> None:
+        """Call the callbacks that are ready, and those that follow from them."""
+        end = time.monotonic() + _MAX_REST
+        while any(map(_handles_one, self._executors.values())) and time.monotonic() < end:
+            pass
+
+    def _offer(self, name: str, kind: Any) -> tuple[Any, QoSProfile]:
+        """Type and quality of service of a subscription that gets all messages of a topic."""
+        for topic in scene_topics(self.scene):
+            if self.node.resolve_topic_name(topic.name) == name:
+                return kind or topic.type, subscription_profile([topic.qos])
+        if kind is None:
+            self._spin_until(lambda: self._publishers(name), lambda: self._silence(name))
+        found = self._publishers(name)
+        return kind or message_type(found[0].topic_type), subscription_profile(
+            [each.qos_profile for each in found]
+        )
+
+    def _publishers(self, name: str) -> list[Any]:
+        return list(self.node.get_publishers_info_by_topic(name))
+
+    # --- errors
+
+    def _explanation(self, stamp: int, topics: list[ReceivedMessages] | None = None) -> str:
+        """Text on a frame that is not finished, or on topics without messages."""
+        missing = [each.topic for each in topics] if topics else self._missing(stamp)
+        lines = [self._silence(name) for name in missing if name in self._received]
+        cameras = [name for name in missing if name not in self._received]
+        if cameras:
+            lines.append(f"{', '.join(cameras)}: not finished")
+        return f"frame {max(self._frames - 1, 0)}: " + "; ".join(lines)
+
+    def _silence(self, name: str) -> str:
+        """Text on a topic without a message."""
+        publishers = self._publishers(name)
+        if not publishers:
+            known = [topic for topic, _ in self.node.get_topic_names_and_types()]
+            similar = difflib.get_close_matches(name, [each for each in known if each != name], 3)
+            hint = f"similar topics: {', '.join(similar)}" if similar else "is its node added (add_node)?"
+            return f"no node publishes {name}; {hint}"
+        nodes = ", ".join(f"{each.node_namespace.rstrip('/')}/{each.node_name}" for each in publishers)
+        received = self._received.get(name)
+        text = f"no message on {name} from {nodes}"
+        if received is not None and received.arrived:
+            last = f", the last with stamp {received.newest} ns" if received.newest >= 0 else ""
+            text += f" after {received.arrived} messages{last}"
+        if received is not None and received.every_frame:
+            text += " (every_frame=False is for nodes that do not answer each frame)"
+        best_effort = any(
+            each.qos_profile.reliability == QoSReliabilityPolicy.BEST_EFFORT for each in publishers
+        )
+        return f"{text}; it offers best effort: give the quality of service" if best_effort else text
+
+
+def _handles_one(executor: Any) -> bool:
+    """Call a callback that is ready; False if there is none."""
+    try:
+        handler, *_ = executor.wait_for_ready_callbacks(timeout_sec=0.0)
+    except TimeoutException:
+        return False
+    handler()
+    handler.result()  # raises its exception
+    return True
+
+
+def _is_of(message: Any, first: int) -> bool:
+    """Whether a message may be of a frame or a later one."""
+    stamp = stamp_of(message)
+    return stamp is None or stamp >= first

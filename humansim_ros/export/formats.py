@@ -20,6 +20,9 @@ from humansim_ros.export.images import (
     KittiFlowWriter,
     LabelWriter,
 )
+from humansim_ros.export.mot import MotWriter
+from humansim_ros.export.thesis import ThesisWriter
+from humansim_ros.export.video import VideoWriter
 from humansim_ros.export.writer import FormatWriter
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
@@ -68,6 +71,11 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
             KittiFlowWriter,
             frozenset({"flow", "flow_hidden"}),
         ),
+        ExportFormat("mot", "MOTChallenge: tracks of people in each camera", MotWriter, _BOXES, images=True),
+        ExportFormat(
+            "thesis", "vertices, bones, cameras and images of the thesis", ThesisWriter, images=True
+        ),
+        ExportFormat("mp4", "a video of each camera, H.264", VideoWriter, images=True),
     )
 }
 

@@ -38,13 +38,8 @@ class ImageWriter(FormatWriter):
         """Write an image for each camera. ``folder``: the folder ``images``."""
         for camera, view in frame.frame.views.items():
             encoding = self.settings.scene.scene_cameras[camera].sensor.config.encoding
-            image = view.rgb if encoding == "bgr8" or view.rgb.ndim == 2 else view.rgb[..., ::-1]
-            folder.write(f"{camera}/{frame.name}{self.settings.image_suffix}", self._encoded(image))
-
-    def _encoded(self, image: Image) -> bytes:
-        if self.settings.image_suffix == ".png":
-            return encoded_png(image)
-        return _encoded(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
+            image = encoded_image(view.rgb, encoding, self.settings.image_suffix)
+            folder.write(f"{camera}/{frame.name}{self.settings.image_suffix}", image)
 
 
 class DepthPngWriter(FormatWriter):
@@ -148,6 +143,20 @@ def kitti_flow(flow: Float32Array, valid: NDArray[np.bool_]) -> NDArray[np.uint1
     image[kept, 0] = 1
     image[kept, 1:] = scaled[kept][:, ::-1]
     return image
+
+
+def encoded_image(image: Image, encoding: str, suffix: str) -> bytes:
+    """File of the output of a sensor.
+
+    Args:
+        image: (H, W, 3), or (H, W) for mono8 and bayer_rggb8, which stay as they are.
+        encoding: ROS encoding of the image.
+        suffix: ``.png`` or ``.jpg``.
+    """
+    ordered = image if encoding == "bgr8" or image.ndim == 2 else image[..., ::-1]
+    if suffix == ".png":
+        return encoded_png(ordered)
+    return _encoded(suffix, ordered, [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
 
 
 def encoded_png(image: NDArray[Any]) -> bytes:

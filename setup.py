@@ -66,6 +66,7 @@ EXTRAS = {
         "mypy",
         "networkx>=2.8",
         "OpenEXR>=3.3",
+        "pycocotools>=2.0.7",
         "pycollada>=0.8",
         "pyrender==0.1.45",
         "pytest",

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from humansim_ros.errors import ExportError, did_you_mean
+from humansim_ros.export.coco import CocoWriter
 from humansim_ros.export.images import (
     DepthExrWriter,
     DepthNpyWriter,
@@ -24,6 +25,7 @@ from humansim_ros.export.mot import MotWriter
 from humansim_ros.export.thesis import ThesisWriter
 from humansim_ros.export.video import VideoWriter
 from humansim_ros.export.writer import FormatWriter
+from humansim_ros.export.yolo import YoloWriter
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
 #: The format that writes the tree of colour images; others that name images need it.
@@ -70,6 +72,17 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
             "optical flow, 16 bit PNG of KITTI",
             KittiFlowWriter,
             frozenset({"flow", "flow_hidden"}),
+        ),
+        ExportFormat(
+            "coco",
+            "COCO: people with keypoints, boxes and masks; objects",
+            CocoWriter,
+            _KEYPOINTS | _BOXES,
+            images=True,
+            needs=("pycocotools",),
+        ),
+        ExportFormat(
+            "yolo", "YOLO-pose: boxes and keypoints of people", YoloWriter, _KEYPOINTS | _BOXES, images=True
         ),
         ExportFormat("mot", "MOTChallenge: tracks of people in each camera", MotWriter, _BOXES, images=True),
         ExportFormat(

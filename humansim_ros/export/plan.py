@@ -12,6 +12,7 @@ from humansim_ros import __version__
 from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.errors import ExportError
 from humansim_ros.export.formats import chosen_formats, needed_channels
+from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene import Scene
 from humansim_ros.scene.scene_hash import scene_hash
@@ -62,9 +63,11 @@ class ExportPlan:
 
         Raises:
             ExportError: A format is unknown, or needs a library that is not installed.
+            KeypointError: There is no such keypoint set.
             RenderError: OpenGL is missing.
         """
         rows = chosen_formats(formats)
+        keypoint_set(keypoints)
         device = ""
         if needed_channels(rows):
             context = OpenGLContext()

@@ -160,6 +160,7 @@ def test_the_formats_are_listed(capsys: pytest.CaptureFixture[str], monkeypatch:
     ("words", "said"),
     [
         (["--format", "imags"], "--format: no export format 'imags'; did you mean 'images'?; the formats "),
+        (["--format", "coco", "--keypoints", "coco_17"], "no keypoint set 'coco_17'; the sets are "),
         (["--format", ","], "--format: give a format, such as coco; humansim export --list shows all"),
         (["--format", "images", "--frames", "5:5"], "--frames: frames are A:B, from A up to"),
     ],

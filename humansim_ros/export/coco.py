@@ -1,0 +1,152 @@
+"""COCO: people with keypoints, boxes and masks, and objects as categories [Lin 2014].
+
+``person_keypoints.json`` has the people, ``instances.json`` people and objects. Names of images start from
+the folder ``images`` of the export. Boxes and areas are those of the visible pixels; a body without any has
+no annotation. Boxes are measured from the corner of the image, keypoints from the centre of its first pixel,
+as detectors expect them from COCO.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.camera import Camera
+from humansim_ros.export.folder import ExportFolder
+from humansim_ros.export.writer import ExportFrame, FormatWriter, Record
+from humansim_ros.keypoints.sets import KeypointSet, keypoint_set
+from humansim_ros.truth import OUTSIDE, BodyBox, KeypointView
+
+_PERSON = "person"
+
+
+class CocoWriter(FormatWriter):
+    """Annotations of COCO."""
+
+    def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
+        """Images and annotations of a frame; numbers are given at the end."""
+        scene = self.settings.scene
+        images = []
+        for camera, truth in frame.frame.truth.items():
+            keypoints = frame.frame.keypoints[self.settings.keypoints][camera]
+            annotations = []
+            for name, label in scene.labels.items():
+                box = truth.boxes[name]
+                if not box.pixels:
+                    continue
+                annotation = _region(truth.view.instance == label, box) | {"name": name}
+                if name in keypoints:
+                    annotation |= person_keypoints(keypoints[name])
+                annotations.append(annotation)
+            images.append(
+                {
+                    "file_name": frame.image(camera).removeprefix("images/"),
+                    "camera": camera,
+                    "frame": frame.index,
+                    "stamp": frame.frame.stamp,
+                    **_calibration(frame.frame.cameras[camera]),
+                    "annotations": annotations,
+                }
+            )
+        return images
+
+    def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        """Write both files of annotations."""
+        person = person_category(keypoint_set(self.settings.keypoints))
+        scene = self.settings.scene
+        shapes = {name: Path(scene.objects[name].shape).stem for name in scene.object_labels}
+        kinds = dict.fromkeys(shape for shape in shapes.values() if shape != _PERSON)
+        ids = {_PERSON: 1} | {shape: number for number, shape in enumerate(kinds, 2)}
+        categories = [person] + [
+            {"id": number, "name": name, "supercategory": "object"}
+            for name, number in ids.items()
+            if number > 1
+        ]
+        category_of = {name: ids[shapes.get(name, _PERSON)] for name in scene.labels}
+        people = set(scene.actors)
+        for file, names, listed in (
+            ("person_keypoints.json", people, [person]),
+            ("instances.json", set(scene.labels), categories),
+        ):
+            content = _document(records, {name: category_of[name] for name in names}, listed)
+            folder.write(file, json.dumps(content) + "\n")
+
+
+def _document(
+    records: Iterable[tuple[int, Record]], category_of: dict[str, int], categories: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """Content of a file with the bodies in ``category_of``; images and annotations are numbered from 1."""
+    images: list[dict[str, Any]] = []
+    annotations: list[dict[str, Any]] = []
+    numbers = count(1)
+    for image_id, image in enumerate(_images(records), 1):
+        images.append({"id": image_id, **{key: image[key] for key in image if key != "annotations"}})
+        for annotation in image["annotations"]:
+            if (category := category_of.get(annotation["name"])) is not None:
+                given = {"id": next(numbers), "image_id": image_id, "category_id": category}
+                annotations.append(given | annotation)
+    return {
+        "info": {"description": "synthetic humans, made by humansim_ros"},
+        "licenses": [],
+        "images": images,
+        "annotations": annotations,
+        "categories": categories,
+    }
+
+
+def _images(records: Iterable[tuple[int, Record]]) -> Iterator[dict[str, Any]]:
+    for _, images in records:
+        yield from images
+
+
+def person_category(keypoints: KeypointSet) -> dict[str, Any]:
+    """The category of people; lines between keypoints count from 1."""
+    return {
+        "id": 1,
+        "name": _PERSON,
+        "supercategory": _PERSON,
+        "keypoints": list(keypoints.names),
+        "skeleton": [[first + 1, second + 1] for first, second in keypoints.edges],
+    }
+
+
+def person_keypoints(view: KeypointView) -> dict[str, Any]:
+    """Keypoints of a person in an image: x, y, v; v is 2 (visible), 1 (occluded) or 0 (not in the image)."""
+    inside = view.visible != OUTSIDE
+    points = np.where(inside[:, None], np.column_stack([view.pixels, view.visible]), 0.0)
+    return {"keypoints": points.round(3).ravel().tolist(), "num_keypoints": int(inside.sum())}
+
+
+def _region(mask: NDArray[np.bool_], box: BodyBox) -> dict[str, Any]:
+    """Mask, area and box of the visible pixels of a body."""
+    from pycocotools.mask import encode
+
+    run_lengths = encode(np.asfortranarray(mask, dtype=np.uint8))
+    left, top, right, bottom = (box.visible + 0.5).tolist()
+    return {
+        "segmentation": {"size": list(mask.shape), "counts": run_lengths["counts"].decode("ascii")},
+        "area": box.pixels,
+        "bbox": [left, top, right - left, bottom - top],
+        "iscrowd": 0,
+        "visible_fraction": round(box.visible_fraction, 6),
+        "truncation": round(box.truncation, 6),
+    }
+
+
+def _calibration(camera: Camera) -> dict[str, Any]:
+    """Size and calibration of the camera of an image: x = K distorted(R X + t)."""
+    return {
+        "width": camera.size[0],
+        "height": camera.size[1],
+        "K": camera.K.tolist(),
+        "R": camera.R.tolist(),
+        "t": camera.t.tolist(),
+        "distortion_model": camera.model,
+        "distortion": list(camera.distortion),
+    }

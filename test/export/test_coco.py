@@ -1,0 +1,135 @@
+"""COCO: pycocotools loads the files, and a perfect detection scores 1."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from export_support import exported, small_scene
+
+from humansim_ros import Frame, Simulation
+from humansim_ros.truth import OUTSIDE
+
+CHANNELS = ("depth", "instance", "part", "amodal")
+
+pytest.importorskip("pycocotools")
+from pycocotools.coco import COCO  # noqa: E402
+from pycocotools.cocoeval import COCOeval  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return exported(tmp_path_factory.mktemp("coco") / "out", "coco", frames="2:6")
+
+
+@pytest.fixture(scope="module")
+def frame() -> Frame:
+    with Simulation(small_scene(), CHANNELS) as simulation:
+        return simulation.frame(4)
+
+
+def annotations(root: Path, name: str, camera: str, index: int) -> dict[str, dict[str, Any]]:
+    """Annotations of an image by the name of the body."""
+    coco = COCO(root / f"coco/{name}.json")
+    (image,) = [row for row in coco.dataset["images"] if (row["camera"], row["frame"]) == (camera, index)]
+    return {row["name"]: row for row in coco.loadAnns(coco.getAnnIds(imgIds=[image["id"]]))}
+
+
+def scores(root: Path, name: str, kind: str, shift: float = 0.0) -> np.ndarray:
+    """AP and its variants of the truth as a detection. ``shift``: pixels by which keypoints are wrong."""
+    truth = COCO(root / f"coco/{name}.json")
+    keys = {"keypoints": ("keypoints",), "bbox": ("bbox",), "segm": ("segmentation",)}[kind]
+    found = []
+    for row in truth.dataset["annotations"]:
+        detection = {key: row[key] for key in keys}
+        if shift:
+            detection["keypoints"] = [
+                value + shift * (number % 3 == 0) for number, value in enumerate(row["keypoints"])
+            ]
+        found.append(
+            {"image_id": row["image_id"], "category_id": row["category_id"], "score": 1.0} | detection
+        )
+    evaluation = COCOeval(truth, truth.loadRes(found), kind)
+    evaluation.evaluate()
+    evaluation.accumulate()
+    evaluation.summarize()
+    return np.asarray(evaluation.stats)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"), [("person_keypoints", "keypoints"), ("instances", "bbox"), ("instances", "segm")]
+)
+def test_a_perfect_detection_scores_1(root: Path, name: str, kind: str) -> None:
+    # AP, and AP at an OKS or IoU of 0.5 and 0.75
+    assert scores(root, name, kind)[:3] == pytest.approx([1.0, 1.0, 1.0])
+
+
+def test_a_wrong_detection_scores_less(root: Path) -> None:
+    assert scores(root, "person_keypoints", "keypoints", shift=4.0)[0] < 0.9
+
+
+@pytest.mark.parametrize("camera", ["noisy", "bent"])
+def test_masks_boxes_and_areas_are_those_of_the_visible_pixels(root: Path, frame: Frame, camera: str) -> None:
+    found = annotations(root, "instances", camera, 4)
+    assert set(found) == {"anna", "bert", "crate"}
+    coco = COCO(root / "coco/instances.json")
+    for name, row in found.items():
+        mask = frame.views[camera].instance == frame.labels[name]
+        np.testing.assert_array_equal(coco.annToMask(row), mask)
+        assert row["area"] == mask.sum()
+        assert row["bbox"] == list(cv2.boundingRect(mask.astype(np.uint8)))
+        assert row["iscrowd"] == 0
+
+
+@pytest.mark.parametrize("camera", ["noisy", "bent"])
+def test_keypoints_are_those_of_the_frame(root: Path, frame: Frame, camera: str) -> None:
+    found = annotations(root, "person_keypoints", camera, 4)
+    assert set(found) == {"anna", "bert"}
+    for name, row in found.items():
+        view = frame.keypoints["coco17"][camera][name]
+        values = np.reshape(row["keypoints"], (-1, 3))
+        np.testing.assert_array_equal(values[:, 2], view.visible)
+        inside = view.visible != OUTSIDE
+        np.testing.assert_allclose(values[inside, :2], view.pixels[inside], atol=0.0006)
+        assert row["num_keypoints"] == inside.sum() and (values[~inside] == 0).all()
+
+
+def test_points_outside_of_the_image_are_not_labelled(tmp_path: Path) -> None:
+    import yaml
+    from export_support import SCENE
+
+    from humansim_ros import Scene
+
+    config = yaml.safe_load(SCENE)
+    config["cameras"]["bent"]["look_at"] = [0, 0, 2.2]  # the legs are below the image
+    found = annotations(
+        exported(tmp_path / "out", "coco", Scene.from_dict(config)), "person_keypoints", "bent", 4
+    )
+    ankles = np.reshape(found["bert"]["keypoints"], (-1, 3))[15:]
+    assert ankles.tolist() == [[0, 0, 0], [0, 0, 0]]
+    assert 0 < found["bert"]["num_keypoints"] < 16
+
+
+def test_categories_have_the_keypoints_and_the_kinds_of_objects(root: Path) -> None:
+    keypoints = json.loads((root / "coco/person_keypoints.json").read_text())
+    (person,) = keypoints["categories"]
+    assert (person["id"], person["name"]) == (1, "person")
+    assert person["keypoints"][0] == "nose" and len(person["keypoints"]) == 17
+    assert min(map(min, person["skeleton"])) >= 1 and max(map(max, person["skeleton"])) <= 17
+    instances = json.loads((root / "coco/instances.json").read_text())
+    assert [row["name"] for row in instances["categories"]] == ["person", "box"]
+
+
+def test_images_are_found_from_the_folder_of_images(root: Path, frame: Frame) -> None:
+    coco = json.loads((root / "coco/instances.json").read_text())
+    assert len(coco["images"]) == 8
+    for image in coco["images"]:
+        pixels = cv2.imread(str(root / "images" / image["file_name"]))
+        assert pixels.shape == (image["height"], image["width"], 3)
+    row = next(row for row in coco["images"] if (row["camera"], row["frame"]) == ("bent", 4))
+    assert row["stamp"] == frame.stamp
+    np.testing.assert_array_equal(row["K"], frame.cameras["bent"].K)

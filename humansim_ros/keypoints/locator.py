@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.body.rigging import dominant_bones
+from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.surfaces import joint_surfaces
 from humansim_ros.keypoints.anatomy import MIXES
@@ -86,10 +87,29 @@ def _locate(human: Human, keypoints: KeypointSet) -> KeypointLocator:
         else:
             on_surface[number] = True
     places = place_on_skin(human, [keypoints.points[k] for k in np.flatnonzero(on_surface)])
-    surfaces = (shares != 0).astype(np.uint8) @ around.astype(np.uint8) > 0
+    surfaces = np.array([around[_joints_between(human.skeleton, row)].any(axis=0) for row in shares])
     bones = dominant_bones(human.weights)[places.corners]
     for number, own in zip(np.flatnonzero(on_surface).tolist(), bones, strict=True):
         surfaces[number, own + 1] = True
     certain = np.ones(len(keypoints), bool)
     certain[on_surface] = places.certain
     return KeypointLocator(keypoints, on_surface, certain, surfaces, shares, places.corners, places.weights)
+
+
+def _joints_between(skeleton: Skeleton, shares: Array) -> list[int]:
+    """Joints that have a share (J,), and the heads of the bones on the way from one of them to another."""
+    joints = np.flatnonzero(shares).tolist()
+    ways = [_ancestors(skeleton, skeleton.joint_bones[joint]) for joint in joints]
+    common = set.intersection(*map(set, ways)) if ways else set()
+    # parents come before children: the last common ancestor is the nearest one
+    nearest = max(common, default=-1)
+    return sorted({*joints, *(bone for way in ways for bone in way if bone not in common or bone == nearest)})
+
+
+def _ancestors(skeleton: Skeleton, bone: int) -> list[int]:
+    """A bone, its parent, and so on to the root."""
+    way = []
+    while bone >= 0:
+        way.append(bone)
+        bone = int(skeleton.parents[bone])
+    return way

@@ -28,13 +28,18 @@ class SkinPlaces:
     certain: NDArray[np.bool_]
 
 
+def has_exact_skin(human: Human) -> bool:
+    """Whether the points of the skin of a human are known, not fitted."""
+    return human.notes.get("source") == SOURCE and human.mesh.uv is not None
+
+
 def place_on_skin(human: Human, names: Sequence[str]) -> SkinPlaces:
     """Find points of :func:`~humansim_ros.keypoints.anatomy.skin_points` on a human.
 
     Bodies that are made here have one texture layout, which gives the exact place. On other bodies the points
     are carried over from a built-in human, and are less certain.
     """
-    if human.notes.get("source") == SOURCE and human.mesh.uv is not None:
+    if has_exact_skin(human):
         return _by_texture(human, names)
     return _carried_over(human, names)
 

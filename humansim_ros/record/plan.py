@@ -155,7 +155,9 @@ def _chosen(
     else:
         # what the demo shows, and what gives it meaning
         chosen = {
-            f"/{topic.name}" for topic in table if topic.shown or topic.latched or topic.name == SCENE_TIME
+            f"/{topic.name}"
+            for topic in table
+            if topic.shown or (topic.latched and not topic.optional) or topic.name == SCENE_TIME
         }
     for end, form in (("/image_raw", images), ("/depth/image", depth)):
         if form != "raw":

@@ -14,7 +14,6 @@ from humansim_ros.ros.compressed import CompressedDepthPublisher, CompressedImag
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.topics import CameraTopics, Topic
 from humansim_ros.truth import CameraTruth
-from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
 
 def _publisher(node: SceneNode, topic: Topic[Any]) -> Any:
@@ -79,13 +78,14 @@ class InfoPublishers:
 
 
 class TruthPublishers:
-    """Publishers of a camera's ground truth: joints of humans; boxes and visible vertices of humans and
-    labelled objects.
+    """Publishers of a camera's ground truth: joints and keypoints of humans; boxes and visible vertices of
+    humans and labelled objects.
     """
 
     def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
         _ = node.scene.joint_surfaces  # computed now: later it would delay a frame
-        self._publishers = {kind: (topic, _publisher(node, topic)) for kind, topic in topics.truth.items()}
+        kinds = topics.truth | {f"keypoints/{name}": topic for name, topic in topics.keypoints.items()}
+        self._publishers = {kind: (topic, _publisher(node, topic)) for kind, topic in kinds.items()}
 
     def subscribed(self) -> set[str]:
         """Kinds of ground truth with subscribers."""
@@ -97,7 +97,6 @@ class TruthPublishers:
             topic, publisher = self._publishers[kind]
             publisher.publish(topic.build(truth, stamp))
 
-
-def needed(kinds: Collection[str]) -> set[str]:
-    """Channels that kinds of :class:`TruthPublishers` are computed from."""
-    return {channel for kind in kinds for channel in REQUIRED_CHANNELS[kind]}
+    def needed(self, kinds: Collection[str]) -> set[str]:
+        """Channels that some kinds of the ground truth are computed from."""
+        return {channel for kind in kinds for channel in self._publishers[kind][0].channels}

@@ -30,6 +30,8 @@ from std_msgs.msg import Float64MultiArray, Header, String
 from visualization_msgs.msg import Marker, MarkerArray
 
 from humansim_ros.camera import Camera
+from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet
+from humansim_ros.keypoints.skin import has_exact_skin
 from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.render import View
 from humansim_ros.render.channels import ALL_CHANNELS, CHANNEL_TABLE, Channel
@@ -68,6 +70,7 @@ class Topic(Generic[Content]):
         camera: Name of the camera to which it belongs; empty for humans and objects.
         channels: Channels of the view that the message is built from.
         rectified_depth: The message needs the depth of ``image_rect``.
+        optional: A recording has it only if it is asked for.
     """
 
     name: str
@@ -80,6 +83,7 @@ class Topic(Generic[Content]):
     camera: str = ""
     channels: frozenset[str] = field(default=frozenset())
     rectified_depth: bool = False
+    optional: bool = False
 
     @property
     def type_name(self) -> str:
@@ -113,6 +117,7 @@ class HumanTopics:
         vertices: Vertices of the body.
         markers: Bones, joints and a coarse skin for viewers.
         mesh: Surface at rest.
+        keypoints: Keypoints in ``map`` by set.
     """
 
     def __init__(self, actor: Actor, live: bool = False) -> None:
@@ -170,6 +175,22 @@ class HumanTopics:
             per_frame=False,
         )
 
+        self.keypoints: dict[str, Topic[HumanState]] = {
+            keypoints.name: self._keypoint_topic(keypoints, state) for keypoints in KEYPOINT_SETS.values()
+        }
+
+    def _keypoint_topic(
+        self, keypoints: KeypointSet, state: Callable[[Frame], HumanState]
+    ) -> Topic[HumanState]:
+        human = self._actor.human
+
+        def message(body: HumanState, stamp: int) -> MultiDOFJointState:
+            positions = KeypointLocator.of(human, keypoints).positions(body.positions, body.vertices)
+            return messages.keypoints_message(keypoints.names, positions, stamp)
+
+        name = f"humans/{self._actor.name}/keypoints/{keypoints.name}"
+        return Topic(name, MultiDOFJointState, message, state, optional=True)
+
     @cached_property
     def marker_builder(self) -> MarkerBuilder:
         """Builds the markers; it simplifies the skin once."""
@@ -177,7 +198,8 @@ class HumanTopics:
 
     def __iter__(self) -> Iterator[Topic[Any]]:
         driven = (self.frame,) if self.live else (self.motion,)
-        return iter((*driven, self.legend, self.joints, self.vertices, self.markers, self.mesh))
+        body = (self.joints, self.vertices, self.markers, self.mesh)
+        return iter((*driven, self.legend, *body, *self.keypoints.values()))
 
 
 class ObjectTopics:
@@ -220,7 +242,8 @@ class CameraTopics:
         rectified: Images without lens distortion by channel; none if the camera has no distortion.
         infos: Calibration, beside each image: image_transport takes it from the namespace of the image.
         truth: Joints, boxes and visible vertices, by property of :class:`CameraTruth`.
-        legends: Meaning of the numbers of the images and of the joints.
+        keypoints: Keypoints by set.
+        legends: Meaning of the numbers of the images, of the joints and of the keypoints.
         extrinsics: Pose; for each frame if the camera moves.
         projection: Projection matrix; for each frame if the camera moves.
         pose: Pose of a camera with a trajectory.
@@ -269,6 +292,18 @@ class CameraTopics:
                 channels=frozenset(needed),
             )
             for kind, needed in REQUIRED_CHANNELS.items()
+        }
+        self.keypoints: dict[str, Topic[CameraTruth]] = {
+            keypoints: Topic(
+                f"{name}/keypoints/{keypoints}",
+                PointCloud2,
+                self._keypoint_builder(keypoints),
+                lambda simulated: simulated.truth[name],
+                camera=name,
+                channels=frozenset(REQUIRED_CHANNELS["joints"]),
+                optional=True,
+            )
+            for keypoints in KEYPOINT_SETS
         }
         self.legends: Sequence[Topic[None]] = self._legend_topics()
 
@@ -326,7 +361,7 @@ class CameraTopics:
         """All topics. ``compression``: settings of the compressed images."""
         moving = (self.twist, self.pose) if self._camera.moves else ()
         compressed = self.compressed(compression), self.compressed_depth(DepthCompression())
-        truth, rectified = self.truth.values(), self.rectified.values()
+        truth, rectified = [*self.truth.values(), *self.keypoints.values()], self.rectified.values()
         poses = (self.extrinsics, self.projection, *moving)
         return [*self.legends, *poses, *self.images, *compressed, *rectified, *self.infos, *truth]
 
@@ -401,6 +436,16 @@ class CameraTopics:
 
         return message
 
+    def _keypoint_builder(self, keypoints: str) -> Callable[[CameraTruth, int], PointCloud2]:
+        """Function that builds the messages of one keypoint set."""
+        labels, frame = self._scene.labels, self._frame
+
+        def message(truth: CameraTruth, stamp: int) -> PointCloud2:
+            views = truth.keypoints(keypoints).items()
+            return messages.joint_view_message([(labels[name], view) for name, view in views], stamp, frame)
+
+        return message
+
     def _legend_topics(self) -> Sequence[Topic[None]]:
         scene, actors = self._scene, list(self._scene.actors.values())
         joints = {actor.name: (actor.instance, actor.human.skeleton.joint_names) for actor in actors}
@@ -410,6 +455,8 @@ class CameraTopics:
         if actors:
             legends["part"] = lambda: messages.part_legend(actors[0].human.skeleton)
         legends["joints"] = lambda: messages.joints_legend(joints, scene.object_labels)
+        exact = {actor.name: (actor.instance, has_exact_skin(actor.human)) for actor in actors}
+        legends["keypoints"] = lambda: messages.keypoints_legend(exact, scene.object_labels)
 
         def topic(kind: str, build: Callable[[], String]) -> Topic[None]:
             return Topic(
@@ -420,6 +467,7 @@ class CameraTopics:
                 latched=True,
                 per_frame=False,
                 camera=self._name,
+                optional=kind == "keypoints",
             )
 
         return [topic(*legend) for legend in legends.items()]

@@ -185,3 +185,20 @@ def test_a_locator_is_made_once_for_a_human_and_forgotten_with_it() -> None:
     assert key in KeypointLocator._known
     del human
     assert key not in KeypointLocator._known
+
+
+def test_skin_between_joints_is_that_of_the_body_parts_between_them() -> None:
+    human = person("adult_man")
+    parts = {name: number + 1 for number, name in enumerate(human.skeleton.names)}
+
+    def skin(name: str, keypoint: str) -> set[str]:
+        keypoints = keypoint_set(name)
+        row = KeypointLocator.of(human, keypoints).surfaces[keypoints.index(keypoint)]
+        return {part for part, label in parts.items() if row[label]}
+
+    # the chest is in front of the middle of the shoulders, the belly in front of the middle of the hips
+    assert {"vl5", "l_shoulder", "r_shoulder"} <= skin("body25", "Neck")
+    assert {"HumanoidRoot", "sacroiliac", "l_hip", "r_hip"} <= skin("body25", "MidHip")
+    assert skin("coco17", "left_wrist") == {"l_elbow", "l_wrist"}
+    assert skin("coco17", "nose") == {"vt3"}
+    assert not {"l_knee", "l_elbow", "vt3"} & skin("body25", "MidHip")

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 from ros_support import Client, whole_flow
 
+from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
 from humansim_ros.ros import messages
 from humansim_ros.scene import Scene, Simulation
-from humansim_ros.truth.joints import OCCLUDED
+from humansim_ros.truth.joints import OCCLUDED, VISIBLE
 
 #: A box passes in front of a person in front of a crate; its position gives the scene time.
 SCENE = """\
@@ -44,7 +45,7 @@ CHANNELS = (*IMAGES.values(), "alpha", "amodal")
 
 @pytest.fixture(scope="module")
 def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    from sensor_msgs.msg import Image, PointCloud2
+    from sensor_msgs.msg import Image, MultiDOFJointState, PointCloud2
     from visualization_msgs.msg import Marker
 
     folder = tmp_path_factory.mktemp("labels")
@@ -54,7 +55,10 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     topics = {
         Marker: ["/labels/objects/box/marker"],
         Image: [f"/labels/left/{topic}" for topic in images],
-        PointCloud2: [f"/labels/left/{topic}" for topic in ("joints", "boxes", "visible_vertices")],
+        PointCloud2: [
+            f"/labels/left/{topic}" for topic in ("joints", "boxes", "visible_vertices", "keypoints/halpe26")
+        ],
+        MultiDOFJointState: ["/labels/humans/anna/keypoints/halpe26"],
     }
     with whole_flow(folder / "scene.yaml", "labels", topics, frames=3) as client:
         simulation = Simulation(Scene.load(folder / "scene.yaml"), CHANNELS)
@@ -117,22 +121,46 @@ def test_boxes_vertices_and_joints_equal_those_of_simulation(flow: Any) -> None:
     assert hidden >= {NUMBERS["box"]}
 
 
+def test_keypoints_equal_those_of_simulation(flow: Any) -> None:
+    """The messages came over the network, so they have been written and read as CDR."""
+    seen: set[int] = set()
+    for stamp in flow.stamps:
+        frame = frame_of(flow, stamp)
+        truth = frame.keypoints["halpe26"]["left"]["anna"]
+        points = messages.read_joint_view(message_at(flow, "left/keypoints/halpe26", stamp))
+        assert points["joint"].tolist() == list(range(26))
+        for field in ("visible", "occluder", "by"):
+            assert points[field].tolist() == getattr(truth, field).tolist()
+        np.testing.assert_array_equal(np.stack([points["u"], points["v"]], axis=1), np.float32(truth.pixels))
+        message = message_at(flow, "humans/anna/keypoints/halpe26", stamp)
+        assert message.joint_names == list(keypoint_set("halpe26").names)
+        poses = messages.read_joints(message)
+        np.testing.assert_allclose(
+            poses.positions[0], frame.keypoint_positions["halpe26"]["anna"], atol=1e-12
+        )
+        seen |= set(truth.visible.tolist())
+    assert seen == {OCCLUDED, VISIBLE}
+
+
 def test_legends_name_the_labels_of_humans_and_objects(flow: Any) -> None:
     from std_msgs.msg import String
 
     from humansim_ros.ros.qos import LATCHED
 
     late = Client("late")
-    topics = [f"/labels/left/{kind}/legend" for kind in ("instance", "joints")]
+    topics = [f"/labels/left/{kind}/legend" for kind in ("instance", "joints", "keypoints")]
     late.subscribe(String, topics, LATCHED)
 
     def both() -> bool:
         flow.client.executor.spin_once(timeout_sec=0.0)
-        return len(late.received) == 2
+        return len(late.received) == 3
 
     assert late.spin_until(both)
-    instance, joints = (json.loads(late.received[topic][0].data) for topic in topics)
+    instance, joints, keypoints = (json.loads(late.received[topic][0].data) for topic in topics)
     late.close()
     assert instance == {"0": "background"} | {str(number): name for name, number in NUMBERS.items()}
-    assert joints["human"] == {"1": "anna"}
+    assert joints["human"] == keypoints["human"] == {"1": "anna"}
+    assert keypoints["joint"]["halpe26"] == list(keypoint_set("halpe26").names)
+    assert keypoints["joint"].keys() == KEYPOINT_SETS.keys()
+    assert keypoints["skin"] == {"anna": "exact"}
     assert joints["object"] == {str(number): name for name, number in list(NUMBERS.items())[1:]}

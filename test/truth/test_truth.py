@@ -20,6 +20,7 @@ from render_scenes import RENDERERS, body, box, quad, renderer_or_skip, walkers
 from humansim_ros.camera import Camera
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.humans.surfaces import joint_surfaces
+from humansim_ros.keypoints import KeypointLocator, keypoint_set
 from humansim_ros.render import Body, RendererName
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.truth.boxes import truncation, view_boxes
@@ -359,3 +360,40 @@ def test_vertices_of_back_faces_and_behind_the_camera_are_not_visible() -> None:
     assert seen[3].tolist() == (before.vertices[:, 2] < 2).tolist()
     assert not seen[4].any()
     assert visible_vertices(camera, [], view) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mediapipe33", "plug_in_gait"])
+def test_keypoints_on_the_skin_are_visible_where_rays_reach_them(casters: list[RayCaster], name: str) -> None:
+    compared = agreed = seen_at_all = 0
+    kinds: set[int] = set()
+    for caster in casters:
+        for human, seen in caster.frame.keypoints[name]["camera"].items():
+            actor = caster.scene.actors[human]
+            on_skin = KeypointLocator.of(actor.human, keypoint_set(name)).on_surface
+            np.testing.assert_array_equal(seen.positions, caster.frame.keypoint_positions[name][human])
+            positions = seen.positions[on_skin]
+            pixels, z = caster.camera.project(positions)
+            np.testing.assert_allclose(seen.pixels[on_skin], pixels, atol=1e-9)
+            inside = np.all((pixels > -0.5) & (pixels < np.array(caster.camera.size) - 0.5), axis=1)
+            assert ((seen.visible[on_skin] == OUTSIDE) == ~inside).all()
+            depth, label, _ = caster.cast(positions)
+            reached = depth > z * (1 - 1e-4)
+            beside = caster.around(np.where(inside[:, None], pixels, 100.0))[1]
+            # at the outline of a body or object the pixel may show either of two surfaces
+            uniform = inside & (beside == beside[0]).all(0)
+            visible = np.where(reached, VISIBLE, OCCLUDED)
+            occluder = np.select(
+                [reached, label == actor.instance, label > 0], [NOTHING, SELF, PERSON], THING
+            )
+            by = np.where(reached, 0, label)
+            same = (seen.visible[on_skin] == visible) & (seen.occluder[on_skin] == occluder)
+            same &= seen.by[on_skin] == by
+            compared += uniform.sum()
+            agreed += same[uniform].sum()
+            seen_at_all += reached[uniform].sum()
+            kinds |= set(seen.occluder[on_skin][uniform].tolist())
+    assert compared > 150
+    assert agreed >= 0.99 * compared
+    assert 0.15 * compared < seen_at_all < 0.9 * compared
+    assert kinds >= {NOTHING, SELF, PERSON, THING}

@@ -42,6 +42,13 @@ def joints_message(state: HumanState, stamp: int) -> MultiDOFJointState:
     )
 
 
+def keypoints_message(names: Sequence[str], positions: Array, stamp: int) -> MultiDOFJointState:
+    """Build ``humans/<id>/keypoints/<set>`` from positions (K, 3) in ``map``; keypoints have no orientation
+    and no velocity.
+    """
+    return _joint_state(names, positions, np.tile([0.0, 0.0, 0.0, 1.0], (len(names), 1)), None, None, stamp)
+
+
 def _joint_state(
     names: Sequence[str],
     positions: Array,

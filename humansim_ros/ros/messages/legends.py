@@ -11,6 +11,7 @@ from std_msgs.msg import String
 
 from humansim_ros.body import Skeleton
 from humansim_ros.errors import RosError
+from humansim_ros.keypoints import KEYPOINT_SETS
 from humansim_ros.scene.live import JointSource
 from humansim_ros.truth import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, THING, VISIBLE
 
@@ -59,11 +60,32 @@ def joints_legend(
 
     ``humans``: instance label and joint names by human. ``objects``: instance label by object.
     """
+    named = {"joint": {name: list(joints) for name, (_, joints) in humans.items()}}
+    return _view_legend({name: label for name, (label, _) in humans.items()}, objects, named)
+
+
+def keypoints_legend(
+    humans: Mapping[str, tuple[int, bool]], objects: Mapping[str, int] = MappingProxyType({})
+) -> String:
+    """Build ``<camera>/keypoints/legend``: names of the values of the fields of ``<camera>/keypoints/<set>``.
+
+    ``humans``: instance label by human, and whether its points of the skin are known, not fitted.
+    ``objects``: instance label by object.
+    """
+    named = {
+        "joint": {name: list(keypoints.names) for name, keypoints in KEYPOINT_SETS.items()},
+        "skin": {name: "exact" if exact else "fitted" for name, (_, exact) in humans.items()},
+    }
+    return _view_legend({name: label for name, (label, _) in humans.items()}, objects, named)
+
+
+def _view_legend(humans: Mapping[str, int], objects: Mapping[str, int], named: Mapping[str, Any]) -> String:
+    """Legend of points in the view of a camera; ``named``: what it says in addition."""
     return _legend(
         {
-            "human": _by_label({name: label for name, (label, _) in humans.items()}),
+            "human": _by_label(humans),
             "object": _by_label(objects),
-            "joint": {name: list(joints) for name, (_, joints) in humans.items()},
+            **named,
             "visible": {str(OUTSIDE): "outside", str(OCCLUDED): "occluded", str(VISIBLE): "visible"},
             "occluder": {
                 str(NOTHING): "nothing",

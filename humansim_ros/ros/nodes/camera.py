@@ -19,7 +19,7 @@ from humansim_ros.render.channels import comparing_with
 from humansim_ros.ros import messages
 from humansim_ros.ros.camera_calibration import PublishedCalibration, read_single_camera
 from humansim_ros.ros.camera_pose import CameraPosePublisher
-from humansim_ros.ros.camera_publishers import ImagePublishers, InfoPublishers, TruthPublishers, needed
+from humansim_ros.ros.camera_publishers import ImagePublishers, InfoPublishers, TruthPublishers
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.runtime import run_node
@@ -144,7 +144,7 @@ class CameraNode(SceneNode):
         stamp = state.stamp
         truth_topics = self._truth.subscribed()
         rectified = self._images.rectified_subscribed()
-        rendered = channels | needed(truth_topics) | (rectified & {"rgb"})
+        rendered = channels | self._truth.needed(truth_topics) | (rectified & {"rgb"})
         self._infos.publish(self._calibration.published, stamp)
         if not rendered and not rectified:
             return

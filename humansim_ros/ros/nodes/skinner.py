@@ -3,8 +3,8 @@
 Subscribes to ``humans/<id>/motion`` of any sender: the motion player, or live motion capture, whose joint
 names, scale and rest pose are detected from its messages (docs/playing.md); to the legend of the motion
 player, ``humans/<id>/motion/legend``; and to ``humans/<id>/frame``, with which the motion player gives the
-stamps of the frames of a live human. Publishes ``humans/<id>/joints``, ``vertices`` and ``markers`` with the
-same stamp, and latched ``humans/<id>/mesh``.
+stamps of the frames of a live human. Publishes ``humans/<id>/joints``, ``vertices``, ``markers`` and, for
+subscribers, ``keypoints/<set>`` with the same stamp, and latched ``humans/<id>/mesh``.
 """
 
 from __future__ import annotations
@@ -64,6 +64,10 @@ class SkinnerNode(SceneNode):
             self.create_publisher(topic.type, topic.name, topic.qos)
             for topic in (topics.joints, topics.vertices, topics.markers)
         )
+        self._keypoints = [
+            (topic, self.create_publisher(topic.type, topic.name, topic.qos))
+            for topic in topics.keypoints.values()
+        ]
         _ = topics.marker_builder  # made now: later it would delay a frame
         self._marker_period = int(1e9 / marker_rate)
         self._last_marker = 0
@@ -128,6 +132,9 @@ class SkinnerNode(SceneNode):
         self._joints.publish(joints)
         if self._vertices.get_subscription_count():
             self._vertices.publish(vertices)
+        for topic, publisher in self._keypoints:
+            if publisher.get_subscription_count():
+                publisher.publish(topic.build(state, stamp))
         since_marker = stamp - self._last_marker  # negative after a stamp of another clock
         if self._markers.get_subscription_count() and not 0 <= since_marker < self._marker_period:
             self._last_marker = stamp

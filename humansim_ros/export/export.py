@@ -224,10 +224,10 @@ def _write(
 def _finish(job: SceneExport) -> None:
     """Write the files of the whole export, then the index, and remove the records of the frames."""
     folder = ExportFolder(job.root)
-    for row in job.formats:
-        row.writer(job.settings).finish(job.records(row.name), folder.subfolder(row.name))
     with folder.path(CALIBRATION) as path:
         write_calibration(path, job.scene.cameras, "scene")
+    for row in job.formats:
+        row.writer(job.settings).finish(job.records(row.name), folder.subfolder(row.name))
     files = dict(folder.written)
     for index in job.plan.frames:
         files |= job.files(index)

@@ -47,6 +47,12 @@ class ExportFolder:
         folder.written = self.written
         return folder
 
+    def root_folder(self) -> ExportFolder:
+        """The root of the export, with the same :attr:`written`."""
+        folder = ExportFolder(self.root)
+        folder.written = self.written
+        return folder
+
     def write(self, name: str, content: bytes | str) -> None:
         """Write a file at once; text as UTF-8."""
         with self.path(name) as path:

@@ -12,6 +12,7 @@ from importlib.util import find_spec
 
 from humansim_ros.errors import ExportError, did_you_mean
 from humansim_ros.export.coco import CocoWriter
+from humansim_ros.export.croissant import CroissantWriter
 from humansim_ros.export.images import (
     DepthExrWriter,
     DepthNpyWriter,
@@ -89,6 +90,8 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
             "thesis", "vertices, bones, cameras and images of the thesis", ThesisWriter, images=True
         ),
         ExportFormat("mp4", "a video of each camera, H.264", VideoWriter, images=True),
+        # the last one: it describes the files of the others
+        ExportFormat("croissant", "data card, Croissant JSON-LD", CroissantWriter, images=True),
     )
 }
 

@@ -38,15 +38,15 @@ class YoloWriter(FormatWriter):
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         """Write ``dataset.yaml``, the list of the images, and the link to them."""
         settings = self.settings
-        names = keypoint_set(settings.keypoints).names
+        keypoints = keypoint_set(settings.keypoints)
         images = [settings.image(camera, index) for camera in settings.cameras for index in settings.frames]
         folder.write("train.txt", "".join(f"./{image}\n" for image in images))
         dataset = {
             "train": "train.txt",
             "val": "train.txt",
             "names": {0: "person"},
-            "kpt_shape": [len(names), 3],
-            "flip_idx": mirrored(names),
+            "kpt_shape": [len(keypoints), 3],
+            "flip_idx": mirrored(keypoints.points),
         }
         folder.write("dataset.yaml", yaml.safe_dump(dataset, sort_keys=False))
         folder.link("images", "images")
@@ -64,8 +64,23 @@ def label_line(box: BodyBox, view: KeypointView, size: tuple[int, int]) -> str:
     return f"0 {' '.join(words)}\n"
 
 
-def mirrored(names: Sequence[str]) -> list[int]:
-    """Keypoint of the other side of each keypoint, by its name; a keypoint without sides is its own."""
-    numbers = {name: number for number, name in enumerate(names)}
-    other = ("_".join(_SIDES.get(word, word) for word in name.split("_")) for name in names)
-    return [numbers.get(name, number) for number, name in enumerate(other)]
+def mirrored(points: Sequence[str]) -> list[int]:
+    """Keypoint of the other side of each keypoint; one without sides is its own.
+
+    Some markers are at different heights on both sides, such as on the upper arms: they belong together, too.
+
+    ``points``: anatomical points of a keypoint set, such as ``l_knee`` and ``left_heel``.
+    """
+    numbers = {_stem(point): number for number, point in enumerate(points)}
+    numbers |= {point: number for number, point in enumerate(points)}
+    found = []
+    for number, point in enumerate(points):
+        side, _, rest = point.partition("_")
+        other = f"{_SIDES[side]}_{rest}" if side in _SIDES else point
+        found.append(numbers.get(other, numbers.get(_stem(other), number)))
+    return found
+
+
+def _stem(point: str) -> str:
+    """A point of three words or more without its last word, which may be its height on the limb."""
+    return point.rpartition("_")[0] if point.count("_") > 1 else point

@@ -25,6 +25,13 @@ def evaluate(
             "folder of files; may be repeated, such as for one file a person."
         ),
     ],
+    keypoints: Annotated[
+        str | None,
+        typer.Option(
+            help="Keypoint set of the estimate, such as coco17; if absent, the joints of bodies, or the set "
+            "that has the names of the estimate."
+        ),
+    ] = None,
     names: Annotated[
         Path | None,
         typer.Option(
@@ -55,24 +62,28 @@ def evaluate(
 ) -> None:
     """Compare estimated 3D poses of people with the truth."""
     from humansim_ros.evaluate.evaluation import evaluate_poses
-    from humansim_ros.evaluate.names import read_names
+    from humansim_ros.evaluate.names import read_names, set_of_names
     from humansim_ros.evaluate.offset import MAX_OFFSET
     from humansim_ros.evaluate.readers.estimates import read_estimates
     from humansim_ros.evaluate.readers.options import ReadOptions
     from humansim_ros.evaluate.report import show, to_data
-    from humansim_ros.evaluate.truth import open_truth
+    from humansim_ros.evaluate.truth import RecordedTruth, open_truth
+    from humansim_ros.keypoints import keypoint_set
 
     if json is not None:
         check_output(json)
     late = _seconds(offset)
     given = read_names(names) if names is not None else None
     source = open_truth(truth)
-    listed = tuple(given) if isinstance(given, list) else None
+    points = keypoint_set(keypoints) if keypoints is not None else None
+    listed = tuple(given) if isinstance(given, list) else points.names if points is not None else None
     estimated = read_estimates(estimate, ReadOptions(listed, source.period, source.start, axes, scale))
     shift = round((late or 0.0) * 1e9)
+    if points is None and not isinstance(source, RecordedTruth):
+        points = set_of_names(estimated.names)
     first, last = int(estimated.times[0]) - shift, int(estimated.times[-1]) - shift
     result = evaluate_poses(
-        source.poses((first, last), MAX_OFFSET),
+        source.poses((first, last), MAX_OFFSET, points),
         estimated,
         names=given if isinstance(given, dict) else None,
         gate=gate,

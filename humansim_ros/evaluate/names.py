@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from humansim_ros.errors import EvaluationError
+from humansim_ros.evaluate.joint_pairs import body_joint
 from humansim_ros.io.yaml import read_yaml
+from humansim_ros.keypoints import KEYPOINT_SETS, KeypointSet
+
+
+def set_of_names(names: Sequence[str]) -> KeypointSet | None:
+    """The smallest keypoint set with all these names; None if there is none, or all are joints of bodies."""
+    sets = [each for each in KEYPOINT_SETS.values() if set(names) <= set(each.names)]
+    if not sets or all(body_joint(name) is not None for name in names):
+        return None
+    return min(sets, key=len)
 
 
 def read_names(path: Path) -> dict[str, str] | list[str]:

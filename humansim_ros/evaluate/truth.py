@@ -14,6 +14,7 @@ from humansim_ros.evaluate.readers.bag_topics import read_bag_topic
 from humansim_ros.evaluate.readers.estimates import is_bag
 from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.evaluate.tracks import PoseSequence
+from humansim_ros.keypoints import KeypointLocator, KeypointSet
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.scene import Scene
 from humansim_ros.types import Array
@@ -33,21 +34,21 @@ class SceneTruth:
         self.scene = scene
         self.period, self.start = scene.frame_time(1), FIRST_STAMP
 
-    def poses(self, span: tuple[int, int], around: float) -> PoseSequence:
-        """Poses of a span of stamps in nanoseconds, and of ``around`` seconds on both sides."""
-        return scene_truth(self.scene, span, around)
+    def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
+        """Joints or keypoints of a span of stamps in nanoseconds, and of ``around`` seconds on both sides."""
+        return scene_truth(self.scene, span, around, keypoints)
 
 
 class RecordedTruth:
     """Truth of a bag, which is read as a whole. ``period`` and ``start`` as of :class:`SceneTruth`."""
 
-    def __init__(self, sequence: PoseSequence) -> None:
-        self.sequence = sequence
-        self.period, self.start = sequence.period, int(sequence.times[0])
+    def __init__(self, path: Path) -> None:
+        self.path, self.joints = path, bag_truth(path)
+        self.period, self.start = self.joints.period, int(self.joints.times[0])
 
-    def poses(self, span: tuple[int, int], around: float) -> PoseSequence:
-        """All poses."""
-        return self.sequence
+    def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
+        """All joints or keypoints."""
+        return self.joints if keypoints is None else bag_truth(self.path, keypoints)
 
 
 def open_truth(path: Path) -> SceneTruth | RecordedTruth:
@@ -57,19 +58,22 @@ def open_truth(path: Path) -> SceneTruth | RecordedTruth:
         HumansimError: The scene or bag is wrong, or has no people.
     """
     if is_bag(path):
-        return RecordedTruth(bag_truth(path))
+        return RecordedTruth(path)
     if path.is_dir():
         raise EvaluationError("neither a scene file nor a bag", path=path, key="--truth")
     return SceneTruth(Scene.load(path))
 
 
-def scene_truth(scene: Scene, span: tuple[int, int], around: float = 0.0) -> PoseSequence:
-    """Joints of all humans of a scene, at the stamps of ``Simulation`` and of lockstep.
+def scene_truth(
+    scene: Scene, span: tuple[int, int], around: float = 0.0, keypoints: KeypointSet | None = None
+) -> PoseSequence:
+    """Joints or keypoints of all humans of a scene, at the stamps of ``Simulation`` and of lockstep.
 
     Args:
         scene: The scene.
         span: First and last time that are needed, nanoseconds.
         around: Seconds before and after the span.
+        keypoints: Set of keypoints in place of the joints.
 
     Raises:
         EvaluationError: The scene has nobody whose motion it knows, or the span is beyond any scene.
@@ -80,8 +84,12 @@ def scene_truth(scene: Scene, span: tuple[int, int], around: float = 0.0) -> Pos
         raise EvaluationError(f"{reason}: record a bag, and give it as truth", path=scene.path, key="--truth")
     first, last = frames_of(scene, span, around)
     times = np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
-    paths = {name: np.concatenate(list(_paths(scene, name, times))) for name in scene.actors}
-    joints = {name: actor.human.skeleton.joint_names for name, actor in scene.actors.items()}
+    if keypoints is None:
+        paths = {name: np.concatenate(list(_paths(scene, name, times))) for name in scene.actors}
+        joints = {name: actor.human.skeleton.joint_names for name, actor in scene.actors.items()}
+    else:
+        paths = {name: _keypoint_path(scene, name, times, keypoints) for name in scene.actors}
+        joints = dict.fromkeys(scene.actors, keypoints.names)
     names = tuple(dict.fromkeys(joint for each in joints.values() for joint in each))
     for person, path in paths.items():
         wide = np.full((len(times), len(names), 3), np.nan)
@@ -113,20 +121,32 @@ def _paths(scene: Scene, name: str, times: NDArray[np.int64]) -> Iterator[Array]
         yield scene.actors[name].joint_paths(np.asarray(times[begin : begin + _BLOCK] * 1e-9, float))
 
 
-def bag_truth(path: str | os.PathLike[str]) -> PoseSequence:
-    """Joints of all humans of a recording.
+def _keypoint_path(scene: Scene, name: str, times: NDArray[np.int64], keypoints: KeypointSet) -> Array:
+    """Keypoints (F, K, 3) of a human; bodies are skinned only for points of the skin."""
+    actor = scene.actors[name]
+    locator = KeypointLocator.of(actor.human, keypoints)
+    if locator.on_surface.any():
+        states = (actor.at(time * 1e-9) for time in times.tolist())
+        return np.stack([locator.positions(state.positions, state.vertices) for state in states])
+    joints = np.concatenate(list(_paths(scene, name, times)))
+    return np.stack([locator.positions(each, np.zeros((0, 3))) for each in joints])
+
+
+def bag_truth(path: str | os.PathLike[str], keypoints: KeypointSet | None = None) -> PoseSequence:
+    """Joints or keypoints of all humans of a recording.
 
     Raises:
-        EvaluationError: The bag has no topic ``/humans/<id>/joints``.
+        EvaluationError: The bag has no topic ``/humans/<id>/joints`` or ``/humans/<id>/keypoints/<set>``.
         BagError: The bag cannot be read.
     """
+    kind = "joints" if keypoints is None else f"keypoints/{keypoints.name}"
     try:
-        return read_bag_topic(path, "/humans/*/joints", ReadOptions())
+        return read_bag_topic(path, f"/humans/*/{kind}", ReadOptions())
     except EvaluationError as error:
         if "no topic" not in error.message:
             raise
         raise EvaluationError(
-            "the bag has no truth: no topic /humans/<id>/joints. Record it with them, or give the scene",
+            f"the bag has no truth: no topic /humans/<id>/{kind}. Record it as well, or give the scene",
             path=path,
             key="--truth",
         ) from None

@@ -12,6 +12,7 @@ import pytest
 from humansim_ros import Scene
 from humansim_ros.cli import main as cli
 from humansim_ros.evaluate.truth import scene_truth
+from humansim_ros.keypoints import keypoint_set
 
 SCENE = """\
 room: null
@@ -75,12 +76,29 @@ def test_options_repair_unit_axes_and_time(
     assert "10.0 mm" in capsys.readouterr().out
 
 
+def test_keypoints_are_chosen_by_the_names_of_the_estimate(
+    files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    coco = keypoint_set("coco17")
+    truth = scene_truth(Scene.load(files / "scene.yaml"), (1, 100_000_000), keypoints=coco)
+    table = ["frame,person," + ",".join(f"{name}_{axis}" for name in coco.names for axis in "xyz")]
+    for frame, people in enumerate(truth.people):
+        for person, points in people.items():
+            table.append(f"{frame},{person}," + ",".join(f"{value:.9f}" for value in points.ravel()))
+    (tmp_path / "coco.csv").write_text("\n".join(table))
+    given = ("--truth", files / "scene.yaml", "--estimate", tmp_path / "coco.csv")
+    assert run(monkeypatch, *given, "--json", tmp_path / "r.json") == 0
+    assert "nose" in capsys.readouterr().out
+    assert json.loads((tmp_path / "r.json").read_text())["position"]["mpjpe"] < 1e-6
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         (("--offset", "soon"), "--offset: needs a number of seconds or auto, not 'soon'"),
         (("--offset", "nan"), "--offset: needs a number of seconds or auto, not 'nan'"),
         (("--offset", "1e300"), "--offset: needs a number"),
+        (("--keypoints", "coco18"), "no keypoint set 'coco18'"),
         (("--axes", "up"), "--axes: 'up' is neither one of"),
         (("--names", "gone.yaml"), "gone.yaml: no such name table file"),
         (("--gate", "0"), "--gate"),

@@ -16,10 +16,12 @@ from humansim_ros.bags.topics import BagTopic, message_types
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError, EvaluationError
 from humansim_ros.evaluate.evaluation import evaluate_poses
+from humansim_ros.evaluate.names import set_of_names
 from humansim_ros.evaluate.readers.bag_topics import read_bag_topic
 from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.evaluate.tracks import PoseSequence
 from humansim_ros.evaluate.truth import FIRST_STAMP, bag_truth, open_truth, scene_truth
+from humansim_ros.keypoints import KeypointLocator, keypoint_set
 
 SCENE = {
     "room": None,
@@ -53,6 +55,28 @@ def test_truth_of_many_frames_is_computed_in_blocks(scene: Scene, monkeypatch: p
     parts = scene_truth(scene, span)
     for one, other in zip(whole.people, parts.people, strict=True):
         np.testing.assert_allclose(one["anna"], other["anna"], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["coco17"])
+def test_keypoints_of_a_scene_are_those_of_its_frames(scene: Scene, name: str) -> None:
+    truth = scene_truth(scene, (FIRST_STAMP, FIRST_STAMP + PERIOD), keypoints=keypoint_set(name))
+    assert truth.names == keypoint_set(name).names
+    for person, actor in scene.actors.items():
+        state = actor.at(PERIOD * 1e-9)
+        locator = KeypointLocator.of(actor.human, keypoint_set(name))
+        expected = locator.positions(state.positions, state.vertices)
+        np.testing.assert_allclose(truth.people[1][person], expected, atol=1e-9)
+        np.testing.assert_allclose(
+            truth.people[1][person][truth.names.index("left_knee")],
+            state.positions[state.joint_names.index("l_knee")],
+        )
+
+
+def test_the_set_of_an_estimate_is_found_by_its_names() -> None:
+    found = set_of_names(["nose", "left_hip"])
+    assert found is not None and found.name == "coco17"
+    assert set_of_names(["left_hip", "right_hip"]) is None  # joints of bodies
+    assert set_of_names(["nose", "tail"]) is None
 
 
 def test_times_of_a_wall_clock_are_not_those_of_a_scene(scene: Scene) -> None:
@@ -128,6 +152,8 @@ def test_truth_and_estimate_of_one_bag(tmp_path: Path) -> None:
     assert set(truth.people[0]) == {"anna", "bert"} and truth.names == NAMES
     source = open_truth(bag)
     assert (source.period, source.start) == (PERIOD, 1)
+    with pytest.raises(EvaluationError, match=r"no topic /humans/<id>/keypoints/coco17\. Record it as well"):
+        source.poses((0, 1), 0.0, keypoint_set("coco17"))
     named = read_bag_topic(bag, "/tracker/*/pose", ReadOptions())
     result = evaluate_poses(truth, named)
     assert result.position.mpjpe == pytest.approx(np.linalg.norm(noise, axis=1).mean())

@@ -69,7 +69,8 @@ class SlowTracker(Node):
         time.sleep(random.uniform(0.0, self.sleep))
         os.write(self.log, f"{stamp} {self.get_clock().now().nanoseconds} {self.calls}\n".encode())
         if self.poses is not None:
-            self.poses.publish(PoseArray(header=header))
+            # the same message if the frame is sent again: not the frame_id of the camera that came last
+            self.poses.publish(PoseArray(header=Header(stamp=header.stamp, frame_id="map")))
         if self.done is not None:
             self.done.publish(Header(stamp=header.stamp, frame_id=self.get_name()))
 

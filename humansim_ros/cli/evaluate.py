@@ -59,9 +59,13 @@ def evaluate(
         ),
     ] = 0.5,
     json: Annotated[Path | None, typer.Option(help="Write the result to this JSON file.")] = None,
+    report: Annotated[
+        Path | None, typer.Option(help="Write tables, plots and the worst poses to this HTML file.")
+    ] = None,
 ) -> None:
     """Compare estimated 3D poses of people with the truth."""
     from humansim_ros.evaluate.evaluation import evaluate_poses
+    from humansim_ros.evaluate.html import html_report
     from humansim_ros.evaluate.names import read_names, set_of_names
     from humansim_ros.evaluate.offset import MAX_OFFSET
     from humansim_ros.evaluate.readers.estimates import read_estimates
@@ -70,8 +74,8 @@ def evaluate(
     from humansim_ros.evaluate.truth import RecordedTruth, open_truth
     from humansim_ros.keypoints import keypoint_set
 
-    if json is not None:
-        check_output(json)
+    for output in filter(None, (json, report)):
+        check_output(output)
     late = _seconds(offset)
     given = read_names(names) if names is not None else None
     source = open_truth(truth)
@@ -92,6 +96,9 @@ def evaluate(
     if json is not None:
         with atomic_path(json) as temporary:
             temporary.write_text(to_json(to_data(result)) + "\n", encoding="utf-8")
+    if report is not None:
+        with atomic_path(report) as temporary:
+            temporary.write_text(html_report(result), encoding="utf-8")
     print_text(show(result))
 
 

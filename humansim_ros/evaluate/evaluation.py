@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from humansim_ros.errors import EvaluationError, warn_about
 from humansim_ros.evaluate.alignment import FramePairs, check_axes, check_unit, pair_frames
@@ -171,9 +172,10 @@ class Matches:
 class Evaluation:
     """Result of a comparison. Lengths are metres, times seconds, shares 0 to 1; docs/evaluation.md.
 
-    ``tracking`` is None if the estimate has no identities, or nobody is in it. ``matches``,
-    ``found_by_frame`` (compared frames: people found, missed, false; (N, 3)) and ``errors`` (M, C) are for
-    reports, not in JSON.
+    ``tracking`` is None if the estimate has no identities, or nobody is in it. The fields from ``matches`` on
+    are for plots, and not in JSON: stamps of the compared frames (N,), their numbers of people found, missed
+    and false (N, 3), errors of all matches (M, C), the same with inf for joints that the estimate lacks, and
+    the number of joints of missed people.
     """
 
     truth: str
@@ -192,8 +194,11 @@ class Evaluation:
     by_person: dict[str, PersonScore]
     worst: list[WorstPose]
     matches: Matches = field(repr=False)
+    frame_times: NDArray[np.int64] = field(repr=False)
     found_by_frame: Indices = field(repr=False)
     errors: Array = field(repr=False)
+    counted_errors: Array = field(repr=False)
+    missed_joints: int = field(repr=False)
 
 
 def evaluate_poses(
@@ -325,8 +330,11 @@ class _Comparison:
             by_person={name: self._person(name) for name in self._numbers[0]},
             worst=self._worst(),
             matches=self.matches,
+            frame_times=times,
             found_by_frame=self.found_by_frame,
             errors=self.errors,
+            counted_errors=self._counted_errors(),
+            missed_joints=int(self.missed_joints.sum()),
         )
 
     def _people_counts(self) -> PeopleCounts:

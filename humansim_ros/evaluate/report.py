@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, is_dataclass
 from typing import Any
 
-import numpy as np
-
-from humansim_ros.evaluate.evaluation import Evaluation, Matches
+from humansim_ros.evaluate.evaluation import Evaluation
 
 #: Version of the keys in JSON.
 JSON_VERSION = 1
@@ -16,18 +14,17 @@ JSON_VERSION = 1
 
 def to_data(evaluation: Evaluation) -> dict[str, Any]:
     """The result with the keys of :class:`Evaluation`, for JSON: without the poses."""
-    none = np.zeros(0, np.intp)
-    poses = np.zeros((0, 0, 3))
-    small = replace(
-        evaluation,
-        matches=Matches(none, none, [], [], poses, poses),
-        found_by_frame=none,
-        errors=np.zeros((0, 0)),
-    )
-    data = asdict(small)
-    for name in ("matches", "found_by_frame", "errors"):
-        del data[name]
-    return {"version": JSON_VERSION, **data}
+    data = {field.name: getattr(evaluation, field.name) for field in fields(evaluation) if field.repr}
+    return {"version": JSON_VERSION, **{name: _plain(value) for name, value in data.items()}}
+
+
+def _plain(value: Any) -> Any:
+    """A result as mappings, lists and numbers."""
+    if isinstance(value, dict):
+        return {name: _plain(each) for name, each in value.items()}
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
 
 
 def millimetres(value: float | None) -> str:

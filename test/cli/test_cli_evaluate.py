@@ -53,7 +53,8 @@ def test_table_and_json(
 ) -> None:
     output = tmp_path / "result.json"
     given = ("--truth", files / "scene.yaml", "--estimate", files / "good.csv", "--json", output)
-    assert run(monkeypatch, *given) == 0
+    assert run(monkeypatch, *given, "--report", tmp_path / "report.html") == 0
+    assert (tmp_path / "report.html").read_text().startswith("<!DOCTYPE html>")
     table = capsys.readouterr().out
     for text in ("MPJPE", "10.0 mm", "IDF1", "100.0 %", "PCP, upper arms", "l_knee", "anna"):
         assert text in table
@@ -102,6 +103,7 @@ def test_keypoints_are_chosen_by_the_names_of_the_estimate(
         (("--axes", "up"), "--axes: 'up' is neither one of"),
         (("--names", "gone.yaml"), "gone.yaml: no such name table file"),
         (("--gate", "0"), "--gate"),
+        (("--report", "gone/report.html"), "gone/report.html: its folder does not exist"),
         (("--json", "gone/result.json"), "gone/result.json: its folder does not exist"),
     ],
 )

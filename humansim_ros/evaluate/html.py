@@ -1,0 +1,130 @@
+"""Report of an evaluation as one HTML page that loads nothing else."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+from itertools import pairwise
+
+import numpy as np
+
+from humansim_ros.evaluate.evaluation import Evaluation
+from humansim_ros.evaluate.joint_pairs import body_joint
+from humansim_ros.evaluate.metrics import AUC_THRESHOLDS, pck
+from humansim_ros.evaluate.plots import bar_plot, line_plot, pose_plot
+from humansim_ros.evaluate.report import millimetres, percent, summary
+from humansim_ros.types import Array
+
+_STYLE = """
+body { font: 15px/1.45 sans-serif; color: #3c4048; max-width: 1400px; margin: 24px auto; padding: 0 16px; }
+table { border-collapse: collapse; } td, th { padding: 2px 14px 2px 0; text-align: left; }
+.row { display: flex; flex-wrap: wrap; gap: 12px 40px; } svg { max-width: 100%; height: auto; }
+.truth { color: #0072b2; } .estimate { color: #d55e00; }
+"""
+#: Lines of drawn poses, joints of the package's skeleton.
+_LINES = (
+    "vt3_end vt3 l_shoulder l_elbow l_wrist",
+    "vt3 r_shoulder r_elbow r_wrist",
+    "l_shoulder l_hip l_knee l_ankle",
+    "r_shoulder r_hip r_knee r_ankle",
+    "l_hip r_hip",
+    "l_shoulder r_shoulder",
+)
+
+
+def html_report(evaluation: Evaluation) -> str:
+    """The page: tables, errors over time and by joint, PCK curve, people by frame, and the worst poses."""
+    e = evaluation
+    parts = [
+        "<h1>Evaluation</h1>",
+        f'<p class="truth">Truth: {escape(e.truth)}</p>',
+        f'<p class="estimate">Estimate: {escape(e.estimate)}</p>',
+        '<div class="row">',
+        _section("Metrics", _table((), summary(e))),
+        _section("Error over time", _error_over_time(e)),
+        _section("Error by joint (MPJPE)", bar_plot({n: _mm(j.mpjpe) for n, j in e.by_joint.items()}, "mm")),
+        _section("Share of correct joints (PCK) by threshold", _pck_curve(e)),
+        _section("People by frame", _people_over_time(e)),
+        _section("People", _people_table(e)),
+        "</div>",
+        "<h2>Worst poses</h2>",
+        "<p>From the front, and from above, in the colours of truth and estimate.</p>",
+        '<div class="row">',
+        *_worst(e),
+        "</div>",
+    ]
+    return (
+        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Evaluation</title>'
+        f"<style>{_STYLE}</style></head>\n<body>{''.join(parts)}</body></html>\n"
+    )
+
+
+def _section(title: str, content: str) -> str:
+    return f"<section><h2>{escape(title)}</h2>{content or '<p>No data.</p>'}</section>"
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    head = "".join(f"<th>{escape(word)}</th>" for word in header)
+    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+    return f"<table>{f'<tr>{head}</tr>' if head else ''}{body}</table>"
+
+
+def _mm(metres: float | None) -> float | None:
+    return None if metres is None else metres * 1000
+
+
+def _seconds(e: Evaluation) -> Array:
+    """Times (N,) of the compared frames since the first one."""
+    return np.asarray((e.frame_times - e.frame_times[0]) * 1e-9, float)
+
+
+def _error_over_time(e: Evaluation) -> str:
+    times = _seconds(e)
+    with np.errstate(invalid="ignore"):
+        count = np.isfinite(e.errors).sum(axis=1)
+        mean = 1000 * np.nansum(e.errors, axis=1) / np.where(count, count, np.nan)
+    lines = {}
+    for person in e.by_person:
+        error = np.full(len(times), np.nan)
+        rows = [index for index, name in enumerate(e.matches.person) if name == person]
+        error[e.matches.frame[rows]] = mean[rows]
+        lines[person] = times, error
+    return line_plot(lines, "time (s)", "mean error (mm)")
+
+
+def _pck_curve(e: Evaluation) -> str:
+    shares = [100 * (pck(e.counted_errors, float(t), e.missed_joints) or 0.0) for t in AUC_THRESHOLDS]
+    return line_plot({"PCK": (1000 * AUC_THRESHOLDS, np.array(shares))}, "threshold (mm)", "share (%)", 100)
+
+
+def _people_over_time(e: Evaluation) -> str:
+    counts = e.found_by_frame.astype(float)
+    lines = {name: (_seconds(e), counts[:, i]) for i, name in enumerate(("found", "missed", "false"))}
+    return line_plot(lines, "time (s)", "people")
+
+
+def _people_table(e: Evaluation) -> str:
+    rows = (
+        (
+            name,
+            f"{p.found} of {p.present}",
+            millimetres(p.mpjpe),
+            millimetres(p.pa_mpjpe),
+            percent(e.pcp.by_person.get(name)),
+        )
+        for name, p in e.by_person.items()
+    )
+    return _table(("person", "found", "MPJPE", "PA-MPJPE", "PCP"), rows)
+
+
+def _worst(e: Evaluation) -> list[str]:
+    places = {body_joint(name): index for index, name in reversed(list(enumerate(e.joints)))}
+    chains = [[places[name] for name in line.split() if name in places] for line in _LINES]
+    edges = [pair for chain in chains for pair in pairwise(chain)]
+    keys = list(zip(e.matches.stamp.tolist(), e.matches.person, strict=True))
+    sections = []
+    for pose in e.worst:
+        row = keys.index((pose.stamp, pose.person))
+        title = f"{pose.person} at {pose.stamp * 1e-9:.3f} s: {millimetres(pose.error)}"
+        sections.append(_section(title, pose_plot(e.matches.truth[row], e.matches.estimate[row], edges)))
+    return sections

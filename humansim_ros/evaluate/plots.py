@@ -1,0 +1,121 @@
+"""Plots as SVG, for reports that need no other file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+
+import numpy as np
+
+from humansim_ros.types import Array
+
+WIDTH, HEIGHT = 640, 240
+_LEFT, _RIGHT, _TOP, _BOTTOM = 56, 12, 14, 34
+#: Colours that people with colour blindness tell apart, of Okabe and Ito.
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+_TICKS = 5
+#: Points of a line; more are not seen on a screen.
+_MOST_POINTS = 1000
+
+
+def line_plot(lines: Mapping[str, tuple[Array, Array]], x_label: str, y_label: str, top: float = 0.0) -> str:
+    """Plot of lines.
+
+    Args:
+        lines: x (N,) and y (N,) by name; NaN in y breaks a line.
+        x_label: Quantity and unit of x.
+        y_label: Quantity and unit of y.
+        top: Greatest y of the axis; that of the lines if 0.
+    """
+    known = [(x, y) for x, y in lines.values() if np.isfinite(y).any()]
+    if not known:
+        return ""
+    left, right = min(float(x[0]) for x, _ in known), max(float(x[-1]) for x, _ in known)
+    highest = top or max(float(np.nanmax(y)) for _, y in known) or 1.0
+    shapes = [_axes((left, right), highest, x_label, y_label)]
+    for number, (name, (x, y)) in enumerate(lines.items()):
+        color = COLORS[number % len(COLORS)]
+        chosen = np.unique(np.linspace(0, len(x) - 1, _MOST_POINTS).astype(np.intp))
+        points = _pixels(x[chosen], y[chosen], (left, right), highest)
+        for part in _finite_parts(points):
+            path = " ".join(f"{px:.1f},{py:.1f}" for px, py in part)
+            shapes.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="1.5"/>')
+        place = _LEFT + 8 + 110 * number
+        shapes.append(f'<text x="{place}" y="{_TOP - 3}" fill="{color}">{escape(name)}</text>')
+    return _svg(shapes, HEIGHT)
+
+
+def bar_plot(values: Mapping[str, float | None], unit: str) -> str:
+    """Plot of a horizontal bar with its value for each name; None has no bar."""
+    widest = max((value for value in values.values() if value is not None), default=0.0) or 1.0
+    shapes = []
+    for row, (name, value) in enumerate(values.items()):
+        y = 18 * row + 14
+        width = 0.0 if value is None else (WIDTH - 250) * value / widest
+        text = "–" if value is None else f"{value:.1f} {unit}"
+        shapes.append(f'<text x="150" y="{y}" text-anchor="end">{escape(name)}</text>')
+        shapes.append(f'<rect x="158" y="{y - 10}" width="{width:.1f}" height="12" fill="{COLORS[0]}"/>')
+        shapes.append(f'<text x="{164 + width:.1f}" y="{y}">{text}</text>')
+    return _svg(shapes, 18 * len(values) + 8)
+
+
+def pose_plot(truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]) -> str:
+    """A pose (C, 3) and its estimate from the front (y to the left, z up) and from above (y left, x up)."""
+    known = np.concatenate([truth, estimate])
+    known = known[np.isfinite(known).all(axis=1)]
+    centre = (known.min(axis=0) + known.max(axis=0)) / 2
+    scale = 200 / max(0.5, float((known.max(axis=0) - known.min(axis=0)).max()))
+    shapes = []
+    for number, axis in enumerate((2, 0)):
+        for pose, color in ((truth, COLORS[0]), (estimate, COLORS[1])):
+            points = (pose - centre) * scale
+            pixels = np.stack([120 + 250 * number - points[:, 1], 120 - points[:, axis]], axis=1)
+            for start, end in edges:
+                if np.isfinite(pixels[[start, end]]).all():
+                    (x1, y1), (x2, y2) = pixels[[start, end]].tolist()
+                    shapes.append(
+                        f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{color}"/>'
+                    )
+            for x, y in pixels[np.isfinite(pixels).all(axis=1)].tolist():
+                shapes.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="{color}"/>')
+    return _svg(shapes, 240, 500)
+
+
+def _axes(span: tuple[float, float], highest: float, x_label: str, y_label: str) -> str:
+    bottom, right = HEIGHT - _BOTTOM, WIDTH - _RIGHT
+    shapes = []
+    for share in np.linspace(0, 1, _TICKS).tolist():
+        y = bottom - share * (bottom - _TOP)
+        x = _LEFT + share * (right - _LEFT)
+        shapes.append(f'<line x1="{_LEFT}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}" stroke="#cdd1d7"/>')
+        shapes.append(f'<text x="{_LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{share * highest:.3g}</text>')
+        value = span[0] + share * (span[1] - span[0])
+        shapes.append(f'<text x="{x:.1f}" y="{bottom + 14}" text-anchor="middle">{value:.4g}</text>')
+    middle = (_LEFT + right) / 2
+    shapes.append(f'<text x="{middle}" y="{HEIGHT - 4}" text-anchor="middle">{escape(x_label)}</text>')
+    place = f'transform="translate(12 {HEIGHT / 2}) rotate(-90)"'
+    shapes.append(f'<text {place} text-anchor="middle">{escape(y_label)}</text>')
+    return "".join(shapes)
+
+
+def _pixels(x: Array, y: Array, span: tuple[float, float], highest: float) -> Array:
+    width, height = WIDTH - _LEFT - _RIGHT, HEIGHT - _TOP - _BOTTOM
+    share = (x - span[0]) / ((span[1] - span[0]) or 1.0)
+    return np.stack([_LEFT + width * share, HEIGHT - _BOTTOM - height * np.minimum(y / highest, 1)], axis=1)
+
+
+def _finite_parts(points: Array) -> list[list[list[float]]]:
+    parts: list[list[list[float]]] = [[]]
+    for point in points.tolist():
+        if np.isfinite(point).all():
+            parts[-1].append(point)
+        elif parts[-1]:
+            parts.append([])
+    return [part for part in parts if part]
+
+
+def _svg(shapes: Sequence[str], height: int, width: int = WIDTH) -> str:
+    return (
+        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" '
+        f'height="{height}" font-family="sans-serif" font-size="11" fill="#3c4048">{"".join(shapes)}</svg>'
+    )

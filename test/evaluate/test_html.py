@@ -1,0 +1,90 @@
+"""The HTML report: complete, self-contained, well-formed, and right in what it draws."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from evaluate_support import NAMES, changed, walking
+
+from humansim_ros.errors import HumansimWarning
+from humansim_ros.evaluate.evaluation import evaluate_poses
+from humansim_ros.evaluate.html import html_report
+from humansim_ros.evaluate.plots import bar_plot, line_plot, pose_plot
+from humansim_ros.types import Array
+
+
+class Balanced(HTMLParser):
+    """Fails at a tag that is closed in the wrong order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        if tag not in ("meta", "br"):
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_startendtag(self, tag: str, attrs: object) -> None:
+        pass
+
+
+def damaged(frame: int, person: str, joints: Array) -> Array | None:
+    return None if frame == 7 and person == "bert" else joints + np.array([0.001 * frame, 0, 0])
+
+
+def test_the_report_is_one_page_with_everything() -> None:
+    page = html_report(evaluate_poses(walking(), changed(walking(), damaged)))
+    parser = Balanced()
+    parser.feed(page)
+    assert parser.open == []
+    assert not re.findall(r"(?:src|href)=|url\(|@import|<script", page)
+    assert page.count("<svg") == 4 + 10
+    for text in ("MPJPE", "IDF1", "anna", "l_knee", "49 of 50", "at 1.960 s: 49.0 mm"):
+        assert text in page
+    for svg in re.findall(r"<svg.*?</svg>", page):
+        ElementTree.fromstring(svg)
+
+
+def test_names_cannot_be_code() -> None:
+    evil = "<script>alert(1)</script>"
+    truth = changed(walking(), lambda frame, person, joints: joints)
+    people = [{evil: each["anna"]} for each in truth.people]
+    page = html_report(evaluate_poses(replace(truth, people=people), walking()))
+    assert "<script" not in page and "&lt;script&gt;" in page
+
+
+def test_a_report_without_matches() -> None:
+    away = changed(walking(), lambda frame, person, joints: joints + np.array([50, 80, 0]))
+    with pytest.warns(HumansimWarning, match="no person"):
+        page = html_report(evaluate_poses(walking(), away))
+    assert "No data." in page and "0 of 50" in page
+
+
+def test_a_line_is_at_its_values_and_breaks_at_gaps() -> None:
+    x = np.array([0.0, 1, 2, 3, 4])
+    svg = ElementTree.fromstring(line_plot({"a": (x, np.array([0, 10, np.nan, 5, 10.0]))}, "x", "y"))
+    lines = [line.get("points", "") for line in svg.iter() if line.tag.endswith("polyline")]
+    assert lines == ["56.0,206.0 199.0,14.0", "485.0,110.0 628.0,14.0"]
+    assert line_plot({"a": (x, np.full(5, np.nan))}, "x", "y") == ""
+
+
+def test_bars_are_as_long_as_their_values() -> None:
+    svg = ElementTree.fromstring(bar_plot({"a": 10.0, "b": 5.0, "c": None}, "mm"))
+    assert [float(bar.get("width", "")) for bar in svg.iter() if bar.tag.endswith("rect")] == [390, 195, 0]
+
+
+def test_a_drawn_pose_leaves_out_absent_joints() -> None:
+    pose = walking(1).people[0]["anna"].copy()
+    other = pose.copy()
+    other[0] = np.nan
+    svg = ElementTree.fromstring(pose_plot(pose, other, [(0, 2), (2, 4)]))
+    tags = [each.tag.rpartition("}")[2] for each in svg.iter()]
+    assert tags.count("circle") == 2 * (2 * len(NAMES) - 1) and tags.count("line") == 2 * 3

@@ -12,6 +12,9 @@ from humansim_ros.body.landmarks import joint_file
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.types import Array
 
+#: Number of vertices of the skin of MakeHuman's base mesh; eyes, clothes and helpers follow.
+SKIN_VERTICES = 13380
+
 
 def known_joints(mesh: Mesh) -> dict[str, Array] | None:
     """Joint centres (3,) in the space of the mesh, or None if the mesh is not a MakeHuman body.
@@ -21,17 +24,22 @@ def known_joints(mesh: Mesh) -> dict[str, Array] | None:
     a weighted mean of skin vertices around it, valid for every shape and every pose of the limbs
     (tools/assets/fit_joint_places.py).
     """
+    if not is_makehuman(mesh):
+        return None
     table: dict[str, Any] = joint_file()["makehuman"]
-    count: int = table["vertices"]
-    if len(mesh.vertices) < count:
-        return None
-    body = mesh.faces[(mesh.faces < count).all(axis=1)]
-    if len(body) != table["quads"] or body.min() < 0 or topology(body) != table["faces"]:
-        return None
     return {
         name: np.asarray(ring["shares"]) @ mesh.vertices[ring["vertices"]] / sum(ring["shares"])
         for name, ring in table["joints"].items()
     }
+
+
+def is_makehuman(mesh: Mesh) -> bool:
+    """Whether the first vertices and their faces are those of MakeHuman's skin."""
+    table: dict[str, Any] = joint_file()["makehuman"]
+    if len(mesh.vertices) < SKIN_VERTICES:
+        return False
+    body = mesh.faces[(mesh.faces < SKIN_VERTICES).all(axis=1)]
+    return bool(len(body) == table["quads"] and body.min() >= 0 and topology(body) == table["faces"])
 
 
 def topology(faces: NDArray[np.integer]) -> str:

@@ -8,13 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.known import SKIN_VERTICES, is_makehuman
 from humansim_ros.body.rigging import dominant_bones
+from humansim_ros.body.skeleton import hanim_skeleton
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.building import SOURCE
 from humansim_ros.keypoints.anatomy import skin_points
+from humansim_ros.rotations import angle_between, rotation_vector_to_matrix, unit_vectors
 from humansim_ros.types import Array, Indices
 
+#: Bones at the ends of limbs: skeletons of other programs end at different points there.
+_ENDS = ("vt3", "l_ankle", "r_ankle", "l_wrist", "r_wrist")
 #: Built-in human whose points are carried over to other bodies.
 _TEMPLATE = "adult_man"
 
@@ -29,18 +34,21 @@ class SkinPlaces:
 
 
 def has_exact_skin(human: Human) -> bool:
-    """Whether the points of the skin of a human are known, not fitted."""
+    """Whether a human has the texture layout of the bodies that are made here."""
     return human.notes.get("source") == SOURCE and human.mesh.uv is not None
 
 
 def place_on_skin(human: Human, names: Sequence[str]) -> SkinPlaces:
     """Find points of :func:`~humansim_ros.keypoints.anatomy.skin_points` on a human.
 
-    Bodies that are made here have one texture layout, which gives the exact place. On other bodies the points
-    are carried over from a built-in human, and are less certain.
+    Bodies that are made here have one texture layout, which gives the exact place; bare MakeHuman bodies have
+    the vertices of its base mesh. On other bodies the points are carried over from a built-in human, and are
+    less certain.
     """
     if has_exact_skin(human):
         return _by_texture(human, names)
+    if is_makehuman(human.mesh):
+        return _by_vertices(human, names)
     return _carried_over(human, names)
 
 
@@ -71,26 +79,120 @@ def _cross(first: Array, second: Array) -> Array:
     return np.asarray(first[:, 0] * second[:, 1] - first[:, 1] * second[:, 0])
 
 
+def _by_vertices(human: Human, names: Sequence[str]) -> SkinPlaces:
+    """Find points of a bare MakeHuman body by vertices of its base mesh; the eyes, which such a mesh may
+    lack, are carried over.
+    """
+    rows = [skin_points()[name] for name in names]
+    places = _carried_over(human, names)
+    known = np.array([max(row.vertices) < SKIN_VERTICES for row in rows], dtype=bool)
+    corners = np.array([row.vertices for row in rows], dtype=np.intp).reshape(-1, 3)
+    weights = np.array([row.weights for row in rows]).reshape(-1, 3)
+    corners = np.where(known[:, None], corners, places.corners)
+    return SkinPlaces(corners, np.where(known[:, None], weights, places.weights), known)
+
+
 def _carried_over(human: Human, names: Sequence[str]) -> SkinPlaces:
-    """Find points by their place beside the bones of a built-in human: the nearest vertex of that part."""
+    """Find points by their place beside the bones of a built-in human: the nearest skin of that body part."""
     template = load_human(_TEMPLATE)
     places = _by_texture(template, names)
-    skeleton, other = human.skeleton, template.skeleton
-    bones = dominant_bones(template.weights)[places.corners[:, 0]]
     skin = np.einsum("nk,nkj->nj", places.weights, template.mesh.vertices[places.corners])
-    own = np.array([skeleton.bone(other.names[bone]) for bone in bones], dtype=np.intp)
-    heights = [float(np.ptp(body.mesh.vertices[:, 1])) for body in (human, template)]
-    scale = np.full((len(names), 3), heights[0] / heights[1])
-    scale[:, 1] = skeleton.lengths[own] / other.lengths[bones]
-    local = np.einsum("nij,nj->ni", other.rest_inverse[bones, :3, :3], skin - other.heads[bones])
-    targets = np.einsum("nij,nj->ni", skeleton.rest[own, :3, :3], scale * local) + skeleton.heads[own]
-    parts = dominant_bones(human.weights)
-    corners = np.zeros((len(names), 3), np.intp)
-    for number, (target, bone) in enumerate(zip(targets, own, strict=True)):
-        allowed = np.flatnonzero(parts == bone)
-        if not len(allowed):
-            allowed = np.arange(len(parts))
-        distances = np.linalg.norm(human.mesh.vertices[allowed] - target, axis=1)
-        corners[number] = allowed[np.argmin(distances)]
-    weights = np.tile([1.0, 0.0, 0.0], (len(names), 1))
+    bones = dominant_bones(template.weights)[places.corners[:, 0]]
+    scale = float(np.ptp(human.mesh.vertices[:, 1]) / np.ptp(template.mesh.vertices[:, 1]))
+    corners, weights = np.zeros((len(names), 3), np.intp), np.zeros((len(names), 3))
+    for bone in np.unique(bones).tolist():
+        there = _BodyPart.of(template, template.skeleton.names[bone])
+        here = _BodyPart.of(human, template.skeleton.names[bone])
+        surface = _Triangles.of(human.mesh.vertices[here.triangles])
+        for number in np.flatnonzero(bones == bone):
+            nearest, weights[number] = surface.nearest(here.place(skin[number], there, scale))
+            corners[number] = here.triangles[nearest]
     return SkinPlaces(corners, weights, np.zeros(len(names), bool))
+
+
+@dataclass(frozen=True)
+class _BodyPart:
+    """Skin of a bone of the general skeleton, and of the bones below it that are not of that skeleton.
+
+    ``head``: (3,). ``direction``: unit vector (3,) along the bone. ``length``: metres, of the bone, or to the
+    end of the skin where the limb ends. ``triangles``: (N, 3) vertex indices; the whole skin if there are
+    none.
+    """
+
+    head: Array
+    direction: Array
+    length: float
+    triangles: Indices
+
+    @classmethod
+    def of(cls, human: Human, name: str) -> _BodyPart:
+        skeleton, general = human.skeleton, set(hanim_skeleton().names)
+        bone = skeleton.bone(name)
+        part = {bone}
+        for below, parent in enumerate(skeleton.parents.tolist()):
+            if parent in part and skeleton.names[below] not in general:
+                part.add(below)
+        own = np.isin(human.triangle_parts, [each + 1 for each in part])
+        triangles = human.mesh.triangles[own if own.any() else slice(None)].astype(np.intp)
+        head, direction = skeleton.heads[bone], unit_vectors(skeleton.tails[bone] - skeleton.heads[bone])
+        length = float(skeleton.lengths[bone])
+        if name in _ENDS and own.any():
+            length = float(((human.mesh.vertices[np.unique(triangles)] - head) @ direction).max())
+        return cls(head, direction, length, triangles)
+
+    def place(self, point: Array, other: _BodyPart, scale: float) -> Array:
+        """Place (3,) beside this bone of a point (3,) beside another one: along the bone in shares of the
+        length, across it times ``scale``.
+        """
+        offset = point - other.head
+        along = float(offset @ other.direction)
+        axis = unit_vectors(np.cross(other.direction, self.direction))
+        turn = rotation_vector_to_matrix(axis * angle_between(other.direction, self.direction))
+        across = scale * turn @ (offset - along * other.direction)
+        return np.asarray(self.head + across + along * self.length / other.length * self.direction)
+
+
+@dataclass(frozen=True)
+class _Triangles:
+    """Triangles (N, 3, 3) with their centres (N, 3) and the distances (N,) of the corners from these."""
+
+    corners: Array
+    centres: Array
+    radii: Array
+
+    @classmethod
+    def of(cls, corners: Array) -> _Triangles:
+        centres = corners.mean(axis=1)
+        return cls(corners, centres, np.linalg.norm(corners - centres[:, None], axis=2).max(axis=1))
+
+    def nearest(self, target: Array) -> tuple[int, Array]:
+        """The nearest triangle to a point (3,), and barycentric weights (3,) of its nearest point."""
+        distance = np.linalg.norm(self.centres - target, axis=1)
+        near = np.flatnonzero(distance - self.radii <= distance.min())
+        triangles = self.corners[near]
+        weights = _nearest_weights(target, triangles)
+        points = np.einsum("oni,nij->onj", weights, triangles)
+        gap = np.linalg.norm(points - target, axis=2)
+        option, number = np.unravel_index(np.argmin(gap), gap.shape)
+        return int(near[number]), np.asarray(weights[option, number])
+
+
+def _nearest_weights(target: Array, triangles: Array) -> Array:
+    """Barycentric weights (4, N, 3): of the nearest point inside each triangle (a corner if there is none),
+    and of the nearest point of each edge.
+    """
+    a, b, c = triangles.transpose(1, 0, 2)
+    normal = np.cross(b - a, c - a)
+    square = np.maximum(np.einsum("ij,ij->i", normal, normal), 1e-30)
+    second = np.einsum("ij,ij->i", np.cross(target - a, c - a), normal) / square
+    third = np.einsum("ij,ij->i", np.cross(b - a, target - a), normal) / square
+    inside = np.stack([1 - second - third, second, third], axis=1)
+    options = [np.where((inside >= 0).all(axis=1, keepdims=True), inside, [1.0, 0.0, 0.0])]
+    for first, last in ((0, 1), (1, 2), (2, 0)):
+        start, along = triangles[:, first], triangles[:, last] - triangles[:, first]
+        length = np.maximum(np.einsum("ij,ij->i", along, along), 1e-30)
+        share = np.clip(np.einsum("ij,ij->i", target - start, along) / length, 0, 1)
+        edge = np.zeros((len(triangles), 3))
+        edge[:, first], edge[:, last] = 1 - share, share
+        options.append(edge)
+    return np.stack(options)

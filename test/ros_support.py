@@ -24,6 +24,7 @@ rclpy = pytest.importorskip("rclpy", reason="ROS 2 is not installed (pip install
 #: Two people and two small cameras, one with an off-centre principal point and non-square pixels.
 SMALL_SCENE = """
 rate: 20
+room: null
 humans:
   first:
     motion: {file: walk, position: [0.0, -1.59], loop: continue}

@@ -19,6 +19,7 @@ BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 #: The cameras that the README's tracker listens to, small.
 SCENE = """
+room: null
 humans: {walker: {motion: {file: walk, position: [0, -1.59], loop: continue}}}
 cameras:
   camera_1: {size: [64, 48], position: [3, 2.6, 2], look_at: [0, 0, 1]}

@@ -11,12 +11,13 @@ from humansim_ros.types import Array
 
 def set_uniform(program: moderngl.Program, name: str, value: Any) -> None:
     """Set a uniform, unless the compiler has removed it as unused."""
-    if name in program:
-        uniform = program[name]
-        if isinstance(value, bytes):
-            uniform.write(value)  # type: ignore[union-attr]
-        else:
-            uniform.value = value  # type: ignore[union-attr]
+    uniform = program.get(name, None)  # `in` would iterate over all uniforms
+    if uniform is None:
+        return
+    if isinstance(value, bytes):
+        uniform.write(value)  # type: ignore[union-attr]
+    else:
+        uniform.value = value  # type: ignore[union-attr]
 
 
 def columns(matrix: Array) -> bytes:

@@ -31,6 +31,7 @@ STEPS = (-20.0, 20.0, -3600.0, 3600.0, -0.5, 0.5)
 #: A scene of one human and one small camera, at 20 frames per second.
 SCENE = """
 rate: 20
+room: null
 humans: {first: {motion: {file: walk, loop: continue}}}
 cameras: {left: {size: [32, 24], position: [3.0, 2.6, 2.0], look_at: [0, 0, 0.8]}}
 """

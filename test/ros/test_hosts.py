@@ -19,6 +19,7 @@ from waiting import PATIENCE, wait_until
 
 SCENE = """
 rate: 10
+room: null
 humans: {anna: {motion: {file: walk, loop: continue}}}
 cameras:
   left: {size: [160, 120], position: [3, 2.6, 2], look_at: [0, 0, 0.8]}

@@ -30,6 +30,7 @@ SECOND = 1_000_000_000
 #: One human is played, the other is live.
 MIXED = """
 rate: 20
+room: null
 humans:
   played: {motion: {file: walk, loop: continue}}
   live: {body: adult_woman, motion: {file: live, position: [1.0, 0.5], yaw_deg: 90}}

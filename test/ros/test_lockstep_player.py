@@ -58,8 +58,8 @@ class Stage:
         return on_message
 
     def player(self, name: str = "motion_player", **parameters: Any) -> MotionPlayerNode:
-        """Start a player."""
-        given = {"scene": str(self._scene), "mode": "lockstep", **parameters}
+        """Start a player, which looks for no other one unless ``parameters`` say so."""
+        given = {"scene": str(self._scene), "mode": "lockstep", "clock_search": 0.0, **parameters}
         player = MotionPlayerNode(
             parameter_overrides=[Parameter(key, value=value) for key, value in given.items()],
             namespace="led",
@@ -238,7 +238,7 @@ def test_the_later_of_two_players_names_the_other_and_ends(
 ) -> None:
     first = stage.player("early_player")
     assert stage.sees(lambda: stage.stamps)
-    second = stage.player("late_player")
+    second = stage.player("late_player", clock_search=2.0)
     assert stage.sees(lambda: second.exit_code is not None)
     assert (first.exit_code, second.exit_code) == (None, 2)
     assert "another node publishes /clock: /led/early_player" in capfd.readouterr().err

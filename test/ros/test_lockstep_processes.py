@@ -55,7 +55,7 @@ def run(scene: Path, *options: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.slow
 def test_every_frame_is_tracked_by_trackers_of_three_kinds(ros: None, tmp_path: Path) -> None:
     """One knows nothing of lockstep, one reports on frame_done, and one has a timer on simulated time."""
-    frames, timer = 300, 0.2
+    frames, timer = 100, 0.2
     simulated = ("--ros-args", "-p", "use_sim_time:=true")
     with (
         tracker(tmp_path / "topic") as unchanged,

@@ -52,7 +52,9 @@ def test_without_any_folder_for_logs_it_is_said(tmp: Path) -> None:
 
 
 def test_run_works_without_write_access_and_warns_once(tmp: Path) -> None:
-    scene = write_scene(tmp, "cameras: {front: {size: [64, 48], position: [3, 0, 1], look_at: [0, 0, 1]}}\n")
+    scene = write_scene(
+        tmp, "room: null\ncameras: {front: {size: [64, 48], position: [3, 0, 1], look_at: [0, 0, 1]}}\n"
+    )
     run = subprocess.run(
         [sys.executable, "-m", "humansim_ros", "run", str(scene), "--duration", "4"],
         capture_output=True,

@@ -738,6 +738,7 @@ def test_the_output_is_one_line_if_the_path_exists(tmp_path: Path) -> None:
 
 SCENE = """
 rate: 20
+room: null
 humans: {anna: {motion: {file: walk}}}
 cameras:
   left: {size: [64, 48], position: [3, 0, 1.5], look_at: [0, 0, 1]}

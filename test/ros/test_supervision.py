@@ -21,6 +21,7 @@ HUMANSIM = [sys.executable, "-m", "humansim_ros.cli"]
 NODE = [sys.executable, "-m", "humansim_ros.ros.nodes"]
 SCENE = """
 rate: 20
+room: null
 humans: {anna: {motion: {file: walk}}}
 cameras: {front: {size: [64, 48], position: [3, 0, 1.5], look_at: [0, 0, 1]}}
 """

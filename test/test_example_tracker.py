@@ -12,6 +12,8 @@ import cv2
 import numpy as np
 import pytest
 from conftest import ROOT
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 sys.path.insert(0, str(ROOT / "examples" / "tracker"))
@@ -19,6 +21,7 @@ sys.path.insert(0, str(ROOT / "examples" / "tracker"))
 from association import epipolar_distances, group_people
 from cameras import Camera
 from detectors import NO_FAULTS, Faults, noisy_people
+from frame_buffer import FrameBuffer
 from kalman import KalmanFilter
 from measure import Score, TruthFrame, crossing_scene, measure, truth_frames
 from tracking import Detections, Person, PixelNoise, Tracker
@@ -255,6 +258,67 @@ def test_the_faults_of_a_frame_are_the_same_every_time_and_have_their_shares() -
     first = {tuple(noisy_people(truth, (640, 480), NO_FAULTS, "left", stamp)[0, 0]) for stamp in range(20)}
     assert len(first) == 3  # the order says nothing about who it is
     assert noisy_people([], (640, 480), faults, "left", 0).shape == (0, 0, 2)
+
+
+def released(buffer: FrameBuffer[str], now: float) -> list[tuple[int, str]]:
+    """Stamps of the frames that are released, and what they contain."""
+    frames = []
+    while frame := buffer.next_frame(now):
+        frames.append((frame[0], "".join(sorted(frame[1].values()))))
+    return frames
+
+
+def test_a_frame_waits_for_all_cameras_until_they_send_a_later_one_or_patience_ends() -> None:
+    buffer: FrameBuffer[str] = FrameBuffer(0.5, "abc")
+    buffer.add("a", 10, "a", 0.0)
+    buffer.add("b", 10, "b", 0.1)
+    assert released(buffer, 0.4) == []
+    buffer.add("c", 20, "c", 0.4)  # it has dropped frame 10
+    assert released(buffer, 0.4) == [(10, "ab")]
+    assert released(buffer, 0.8) == []
+    assert released(buffer, 1.0) == [(20, "c")]
+    buffer.add("a", 20, "a", 1.1)  # too late
+    assert released(buffer, 9.0) == []
+
+
+def test_a_camera_that_has_died_is_not_waited_for_until_it_sends_again() -> None:
+    buffer: FrameBuffer[str] = FrameBuffer(0.5, "ab")
+    for stamp in range(5):
+        buffer.add("a", stamp, "a", float(stamp))
+        assert released(buffer, stamp + 0.4) == []
+        assert released(buffer, stamp + 0.6) == [(stamp, "a")]
+    buffer.add("a", 5, "a", 5.0)
+    assert released(buffer, 5.0) == [(5, "a")]
+    buffer.add("b", 6, "b", 6.0)
+    buffer.add("a", 6, "a", 6.1)
+    buffer.add("a", 7, "a", 7.0)
+    assert released(buffer, 7.1) == [(6, "ab")]
+
+
+def test_stamps_that_go_back_far_are_a_new_run() -> None:
+    buffer: FrameBuffer[str] = FrameBuffer(0.5, "a")
+    buffer.add("a", 10**10, "a", 0.0)
+    assert released(buffer, 0.0) == [(10**10, "a")]
+    assert not buffer.begins_new_run(10**10 - 10**8)
+    assert buffer.begins_new_run(1)
+    buffer.restart()
+    buffer.add("a", 1, "a", 1.0)
+    assert released(buffer, 1.0) == [(1, "a")]
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.integers(0, 20), st.floats(0, 0.3)), max_size=80))
+@settings(max_examples=200)
+def test_frames_come_in_order_and_once_whatever_cameras_send(
+    sent: list[tuple[str, int, float]],
+) -> None:
+    buffer: FrameBuffer[str] = FrameBuffer(0.5, "abc")
+    now, stamps = 0.0, []
+    for camera, stamp, pause in sent:
+        now += pause
+        buffer.add(camera, stamp, camera, now)
+        stamps += [frame for frame, _ in released(buffer, now)]
+    stamps += [frame for frame, _ in released(buffer, now + 1.0)]
+    assert stamps == sorted(set(stamps)) and buffer.next_frame(1e9) is None
 
 
 @pytest.fixture(scope="module")

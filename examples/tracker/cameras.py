@@ -13,6 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Array = NDArray[np.float64]
 
+LENS_MODELS = ("plumb_bob", "rational_polynomial", "equidistant")
+
 _NEWTON_STEPS = 30
 #: Error on the normalised image plane at which a lens counts as inverted.
 _TOLERANCE = 1e-9
@@ -26,7 +28,7 @@ class Camera:
         matrix: Intrinsics K of the image, (3, 3).
         rotation: From ``map`` to the optical frame (z forward, x right, y down), (3, 3).
         center: Centre of the camera in ``map``, (3,) metres.
-        model: ``distortion_model`` of CameraInfo: ``plumb_bob``, ``rational_polynomial`` or ``equidistant``.
+        model: ``distortion_model`` of CameraInfo, one of :data:`LENS_MODELS`.
         distortion: Its coefficients, as in CameraInfo.
     """
 

@@ -1,7 +1,7 @@
 """Detectors: they find the joints of people in an image, without identities.
 
-:class:`Detector` is what the node needs of one. :func:`noisy_people` stands in for a detector: it takes the 2D
-joints of the truth, and adds the faults of a detector.
+:class:`Detector` is what the node needs of one. :func:`noisy_people` stands in for a detector: it takes the
+2D joints of the truth, and adds the faults of a detector.
 """
 
 from __future__ import annotations
@@ -62,6 +62,9 @@ class Faults:
         dropped_people: Share of people that are not found in an image.
         false_people: Mean number of people in an image that are not there.
         seed: Seed of all of them.
+
+    Raises:
+        ValueError: A number is negative, or a share is above 1.
     """
 
     pixel_noise: float = 1.0
@@ -70,6 +73,12 @@ class Faults:
     dropped_people: float = 0.02
     false_people: float = 0.05
     seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            limit = 1.0 if name in ("dropped_joints", "false_joints", "dropped_people") else np.inf
+            if not 0 <= value <= limit:
+                raise ValueError(f"{name} must be between 0 and {limit:g}, not {value}")
 
 
 NO_FAULTS = Faults(0.0, 0.0, 0.0, 0.0, 0.0)

@@ -16,9 +16,9 @@ _NEW_RUN = 1_000_000_000
 class FrameBuffer(Generic[T]):
     """Collects what cameras send by stamp, and releases frames in the order of their stamps.
 
-    A frame is released when each camera has sent it, or has dropped it, which is known when the camera sends a
-    later one. It waits for the others for ``patience`` seconds after its first message. What comes later than
-    its frame, or a second time, is ignored.
+    A frame is released when each camera has sent it, or has dropped it, which is known when the camera sends
+    a later one. It waits for the others for ``patience`` seconds after its first message. What comes later
+    than its frame, or a second time, is ignored.
     """
 
     def __init__(self, patience: float, cameras: Iterable[str] = ()) -> None:
@@ -43,7 +43,7 @@ class FrameBuffer(Generic[T]):
         self._frames.clear()
         self._last = None
 
-    def is_repeated(self, stamp: int) -> bool:
+    def is_last(self, stamp: int) -> bool:
         """Whether a stamp is that of the frame that was released last."""
         return stamp == self._last
 

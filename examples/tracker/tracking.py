@@ -86,7 +86,7 @@ class PixelNoise:
     """
 
     #: Known at the start, and at most remembered: degrees of freedom. The least noise, pixels.
-    _START, _MEMORY, _LEAST = 10.0, 1000.0, 0.02
+    _START, _MEMORY, _LEAST = 1.0, 300.0, 0.02
 
     def __init__(self, deviation: float = 2.0) -> None:
         self._freedom = self._START

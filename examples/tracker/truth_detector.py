@@ -1,10 +1,9 @@
-"""A stand-in for a detector: the 2D joints that cameras of humansim_ros publish, with the faults of a detector."""
+"""Detector that takes the 2D joints of the truth, ``<camera>/joints``, and adds the faults of a detector."""
 
 from __future__ import annotations
 
 import json
 from functools import partial
-from typing import Any
 
 import numpy as np
 from detectors import Array, Faults, noisy_people
@@ -13,6 +12,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
+from humansim_ros import HumansimError
 from humansim_ros.ros.messages import read_joint_view, to_nanoseconds
 from humansim_ros.truth import VISIBLE
 
@@ -53,13 +53,17 @@ class TruthDetector:
         self._names, self._indices = names, indices
 
     def detect(self, camera: str, message: PointCloud2, size: tuple[int, int]) -> Array:
-        points = read_joint_view(message)
+        try:
+            points = read_joint_view(message)
+        except HumansimError as error:
+            raise ValueError(str(error)) from None
         people = []
         for label in np.unique(points["human"]):
-            if (indices := self._indices.get(int(label))) is None:
-                raise ValueError(f"the legend has no human {label}")
             own = points[(points["human"] == label) & (points["visible"] == VISIBLE)]
+            indices = self._indices.get(int(label), ())
+            if own["joint"].max(initial=0) >= len(indices):
+                raise ValueError(f"the legend has no human {label} with so many joints")
             pixels = np.full((len(self._names), 2), np.nan)
-            pixels[np.array(indices)[own["joint"]]] = np.column_stack([own["u"], own["v"]])
+            pixels[np.array(indices, dtype=int)[own["joint"]]] = np.column_stack([own["u"], own["v"]])
             people.append(pixels)
         return noisy_people(people, size, self._faults, camera, to_nanoseconds(message.header.stamp))

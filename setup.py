@@ -55,6 +55,7 @@ EXTRAS = {
     "ray": ["fsspec>=2023.1", "mcap>=1.1", "ray[client]>=2.9", "rosbags>=0.10.6"],
     "test": [
         "bvhio",
+        "c3d>=0.5",
         "colcon-common-extensions",
         "DracoPy>=1.5",
         "embreex",
@@ -84,7 +85,7 @@ EXTRAS = {
     # panoramas of that kind
     "exr": ["OpenEXR>=3.3"],
     # formats of data sets (docs/export.md)
-    "export": ["OpenEXR>=3.3", "pycocotools>=2.0.7"],
+    "export": ["OpenEXR>=3.3", "c3d>=0.5", "pycocotools>=2.0.7"],
     # the other renderer
     "pyrender": ["pyrender==0.1.45"],
     "bench": ["pyrender==0.1.45"],

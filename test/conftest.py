@@ -44,8 +44,9 @@ SHARED_DATA = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shar
 #: Modules that only tests import. Tests that need a missing one are skipped: rosdep does not have all of
 #: them, and `colcon test` has to pass without.
 TEST_PACKAGES = {
-    "DracoPy", "OpenEXR", "OpenGL", "bvhio", "catkin_pkg", "collada", "colcon_core", "embreex", "fsspec",
-    "hypothesis", "lxml", "mcap", "mypy", "networkx", "pycollada", "pyrender", "ray", "rosbags", "rtree",
+    "DracoPy", "OpenEXR", "OpenGL", "bvhio", "c3d", "catkin_pkg", "collada", "colcon_core", "embreex",
+    "ezc3d", "fsspec", "hypothesis", "lxml", "mcap", "mypy", "networkx", "pycollada", "pyrender", "ray",
+    "rosbags", "rtree",
 }  # fmt: skip
 
 with suppress(ImportError):

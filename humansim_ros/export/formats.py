@@ -11,8 +11,11 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 
 from humansim_ros.errors import ExportError, did_you_mean
+from humansim_ros.export.calibrations import AniposeWriter
 from humansim_ros.export.coco import CocoWriter
 from humansim_ros.export.croissant import CroissantWriter
+from humansim_ros.export.datasets import Human36mWriter, PanopticWriter
+from humansim_ros.export.glb import GlbWriter
 from humansim_ros.export.images import (
     DepthExrWriter,
     DepthNpyWriter,
@@ -22,7 +25,10 @@ from humansim_ros.export.images import (
     KittiFlowWriter,
     LabelWriter,
 )
+from humansim_ros.export.markers import C3dWriter, TrcWriter
 from humansim_ros.export.mot import MotWriter
+from humansim_ros.export.openpose import OpenPoseWriter
+from humansim_ros.export.poses import BvhWriter
 from humansim_ros.export.thesis import ThesisWriter
 from humansim_ros.export.video import VideoWriter
 from humansim_ros.export.writer import FormatWriter
@@ -90,6 +96,14 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
             "thesis", "vertices, bones, cameras and images of the thesis", ThesisWriter, images=True
         ),
         ExportFormat("mp4", "a video of each camera, H.264", VideoWriter, images=True),
+        ExportFormat("openpose", "OpenPose JSON in a project of Pose2Sim", OpenPoseWriter, _KEYPOINTS),
+        ExportFormat("anipose", "calibration of Anipose and aniposelib", AniposeWriter),
+        ExportFormat("trc", "keypoints or markers of each person, TRC", TrcWriter),
+        ExportFormat("c3d", "keypoints or markers of each person, C3D", C3dWriter, needs=("c3d",)),
+        ExportFormat("panoptic", "19 joints and cameras, JSON of CMU Panoptic", PanopticWriter),
+        ExportFormat("human36m", "17 joints and cameras, JSON of Human3.6M", Human36mWriter),
+        ExportFormat("bvh", "skeleton and motion of each person, BVH", BvhWriter),
+        ExportFormat("glb", "people with skin, texture and motion, binary glTF", GlbWriter),
         # the last one: it describes the files of the others
         ExportFormat("croissant", "data card, Croissant JSON-LD", CroissantWriter, images=True),
     )

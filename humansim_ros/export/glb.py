@@ -1,0 +1,300 @@
+"""Animated, skinned people as one GLB file (binary glTF 2.0), for Blender, Unity, three.js and others."""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros import __version__
+from humansim_ros.errors import warn_about
+from humansim_ros.export.folder import ExportFolder
+from humansim_ros.export.poses import AnimatedHuman, PoseWriter
+from humansim_ros.export.writer import Record
+from humansim_ros.humans.human import Human
+from humansim_ros.io.images import encode_image
+from humansim_ros.io.srgb import decode_srgb
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.normals import SurfaceNormals
+from humansim_ros.rotations import WORLD_FROM_BODY, matrix_to_quaternion
+from humansim_ros.types import Array
+
+#: glTF has sets of four bones and weights per vertex.
+_BONES_OF_SET = 4
+#: Translations and sizes that vary less than this are constant, metres.
+_CONSTANT = 1e-9
+_FLOAT, _UNSIGNED_BYTE, _UNSIGNED_INT = 5126, 5121, 5125
+_TYPES = {
+    np.dtype(np.float32): _FLOAT,
+    np.dtype(np.uint8): _UNSIGNED_BYTE,
+    np.dtype(np.uint32): _UNSIGNED_INT,
+}
+_SHAPES = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (4, 4): "MAT4"}
+_VERTICES, _TRIANGLES = 34962, 34963
+
+
+def glb_bytes(people: Mapping[str, AnimatedHuman], rate: float) -> bytes:
+    """Content of a GLB file with people, their skeletons, weights, textures and motions.
+
+    The axes are those of glTF: y up, metres, x_gltf = y_map, y_gltf = z_map, z_gltf = x_map. Vertices 0 to
+    V - 1 of a mesh are those of the human in their order; copies for seams of the texture follow, and the
+    attribute ``_VERTEX`` has the number of the original of each. A node of a bone has the axes of the bone (y
+    along it). There is one animation; its time starts at 0. Warns (HumansimWarning) of humans with dual
+    quaternion skinning: glTF has only linear blending, and their vertices differ.
+
+    ``people``: one or more by name, with equal numbers of frames. ``rate``: frames per second.
+    """
+    if curved := [name for name, person in people.items() if person.human.skinning != "linear"]:
+        warn_about(
+            "GLB",
+            f"glTF has no dual quaternion skinning: vertices near bent joints of {', '.join(curved)} differ",
+        )
+    document = _Document()
+    frames = len(next(iter(people.values())).bones)
+    times = document.accessor((np.arange(frames) / rate).astype(np.float32), bounds=True)
+    for name, person in people.items():
+        document.add_person(name, person, times)
+    return document.encoded()
+
+
+class _Document:
+    """A glTF document while it is made: its JSON and its binary buffer."""
+
+    def __init__(self) -> None:
+        self._binary = bytearray()
+        self._views: list[dict[str, Any]] = []
+        self._accessors: list[dict[str, Any]] = []
+        self._images: list[dict[str, Any]] = []
+        self._materials: list[dict[str, Any]] = []
+        self._meshes: list[dict[str, Any]] = []
+        self._nodes: list[dict[str, Any]] = []
+        self._skins: list[dict[str, Any]] = []
+        self._roots: list[int] = []
+        self._samplers: list[dict[str, Any]] = []
+        self._channels: list[dict[str, Any]] = []
+        #: mesh of each human, by identity: people may share a body
+        self._mesh_of: dict[int, int] = {}
+
+    def accessor(self, values: NDArray[Any], target: int | None = None, bounds: bool = False) -> int:
+        """Add an array (N, ...) of float32, uint8 or uint32; returns the number of its accessor.
+
+        ``bounds``: with the smallest and largest values, which glTF requires of positions and times.
+        """
+        accessor: dict[str, Any] = {
+            "bufferView": self._view(values.tobytes(), target),
+            "componentType": _TYPES[values.dtype],
+            "count": len(values),
+            "type": _SHAPES[values.shape[1:]],
+        }
+        if bounds:
+            accessor |= {
+                "min": np.atleast_1d(values.min(0)).tolist(),
+                "max": np.atleast_1d(values.max(0)).tolist(),
+            }
+        self._accessors.append(accessor)
+        return len(self._accessors) - 1
+
+    def _view(self, data: bytes, target: int | None = None) -> int:
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": len(self._binary), "byteLength": len(data)}
+        if target is not None:
+            view["target"] = target
+        self._views.append(view)
+        self._binary += data + bytes(-len(data) % 4)
+        return len(self._views) - 1
+
+    def add_person(self, name: str, person: AnimatedHuman, times: int) -> None:
+        """Add the nodes, the mesh and the motion of a person; ``times``: accessor of the times of frames."""
+        human, skeleton = person.human, person.human.skeleton
+        local = local_transforms(person)
+        first = len(self._nodes) + 2
+        children: list[list[int]] = [[] for _ in skeleton.names]
+        roots: list[int] = []
+        for bone, parent in enumerate(skeleton.parents.tolist()):
+            (children[parent] if parent >= 0 else roots).append(first + bone)
+        self._roots.append(len(self._nodes))
+        self._nodes.append({"name": name, "children": [first - 1, *roots]})
+        self._nodes.append({"name": f"{name}_mesh", "mesh": self._mesh(human), "skin": len(self._skins)})
+        for bone, bone_name in enumerate(skeleton.names):
+            node: dict[str, Any] = {"name": bone_name}
+            if children[bone]:
+                node["children"] = children[bone]
+            self._nodes.append(node)
+            for path, values in zip(("translation", "rotation", "scale"), local, strict=True):
+                self._animate(first + bone, path, values[:, bone].astype(np.float32), times)
+        # column-major
+        inverse_bind = np.swapaxes(skeleton.rest_inverse, -1, -2).astype(np.float32)
+        self._skins.append(
+            {
+                "name": name,
+                "joints": list(range(first, first + len(skeleton))),
+                "skeleton": roots[0] if len(roots) == 1 else first - 2,
+                "inverseBindMatrices": self.accessor(np.ascontiguousarray(inverse_bind)),
+            }
+        )
+
+    def _animate(self, node: int, path: str, values: NDArray[np.float32], times: int) -> None:
+        """Set a property of a node to its first value, and add a channel if it changes."""
+        if path != "scale" or (values[0] != 1).any():
+            self._nodes[node][path] = values[0].tolist()
+        if np.ptp(values, axis=0).max() <= _CONSTANT:
+            return
+        self._samplers.append({"input": times, "output": self.accessor(np.ascontiguousarray(values))})
+        target = {"node": node, "path": path}
+        self._channels.append({"sampler": len(self._samplers) - 1, "target": target})
+
+    def _mesh(self, human: Human) -> int:
+        """Number of the mesh of a human, added on the first call."""
+        if id(human) not in self._mesh_of:
+            self._mesh_of[id(human)] = len(self._meshes)
+            primitive = {
+                "attributes": self._attributes(human),
+                "indices": self.accessor(split_seams(human.mesh)[2].ravel(), _TRIANGLES),
+                "material": self._material(human),
+            }
+            self._meshes.append({"name": human.name, "primitives": [primitive]})
+        return self._mesh_of[id(human)]
+
+    def _attributes(self, human: Human) -> dict[str, int]:
+        mesh = human.mesh
+        original, uv, _ = split_seams(mesh)
+        normals = SurfaceNormals(mesh.triangles, len(mesh.vertices))(mesh.vertices)
+        # a vertex without triangles has no normal; glTF needs one of unit length
+        normals = np.where(normals.any(axis=-1, keepdims=True), normals, (0.0, 1.0, 0.0))
+        columns: dict[str, NDArray[Any]] = {
+            "POSITION": mesh.vertices.astype(np.float32)[original],
+            "NORMAL": normals.astype(np.float32)[original],
+            "_VERTEX": original.astype(np.float32),
+        }
+        if uv is not None:
+            columns["TEXCOORD_0"] = np.column_stack([uv[:, 0], 1 - uv[:, 1]]).astype(np.float32)
+        if mesh.colors is not None:
+            columns["COLOR_0"] = decode_srgb(mesh.colors / 255.0).astype(np.float32)[original]
+        for number, (bones, weights) in enumerate(influences(human)):
+            columns[f"JOINTS_{number}"] = bones[original]
+            columns[f"WEIGHTS_{number}"] = weights[original]
+        return {
+            name: self.accessor(np.ascontiguousarray(values), _VERTICES, bounds=name == "POSITION")
+            for name, values in columns.items()
+        }
+
+    def _material(self, human: Human) -> int:
+        reflection: dict[str, Any] = {"metallicFactor": 0.0, "roughnessFactor": 1.0}
+        if human.mesh.texture is not None:
+            look = human.looks.get(human.outfit)
+            image = encode_image(human.mesh.texture) if look is None or look.ndim != 1 else look
+            data = image.tobytes()
+            kind = "image/jpeg" if data[:2] == b"\xff\xd8" else "image/png"
+            self._images.append({"bufferView": self._view(data), "mimeType": kind})
+            reflection["baseColorTexture"] = {"index": len(self._images) - 1}
+        name = f"{human.name} {human.outfit}"
+        self._materials.append({"name": name, "pbrMetallicRoughness": reflection, "doubleSided": True})
+        return len(self._materials) - 1
+
+    def encoded(self) -> bytes:
+        """Bytes of the GLB file."""
+        document: dict[str, Any] = {
+            "asset": {"version": "2.0", "generator": f"humansim_ros {__version__}"},
+            "scene": 0,
+            "scenes": [{"nodes": self._roots}],
+            "nodes": self._nodes,
+            "meshes": self._meshes,
+            "materials": self._materials,
+            "skins": self._skins,
+            "accessors": self._accessors,
+            "bufferViews": self._views,
+            "buffers": [{"byteLength": len(self._binary)}],
+        }
+        if self._images:
+            document["images"] = self._images
+            document["textures"] = [{"source": number} for number in range(len(self._images))]
+        if self._channels:
+            animation = {"name": "motion", "samplers": self._samplers, "channels": self._channels}
+            document["animations"] = [animation]
+        text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
+        text += b" " * (-len(text) % 4)
+        total = 12 + 8 + len(text) + 8 + len(self._binary)
+        return b"".join(
+            [
+                struct.pack("<4sII", b"glTF", 2, total),
+                struct.pack("<I4s", len(text), b"JSON"),
+                text,
+                struct.pack("<I4s", len(self._binary), b"BIN\0"),
+                bytes(self._binary),
+            ]
+        )
+
+
+def local_transforms(person: AnimatedHuman) -> tuple[Array, Array, Array]:
+    """Translations (F, B, 3), rotations (F, B, 4) xyzw and scales (F, B, 3) of the bones in their parents.
+
+    Roots are in glTF's axes. The rotations of a bone change sign nowhere, as programs that interpolate their
+    numbers need.
+    """
+    parents = person.human.skeleton.parents
+    rotations = WORLD_FROM_BODY.T @ person.bones[..., :3, :3]
+    heads = person.bones[..., :3, 3] @ WORLD_FROM_BODY
+    is_root = parents < 0
+    above = np.where(is_root[:, None, None], np.eye(3), rotations[:, parents])
+    inverse = np.swapaxes(above, -1, -2)
+    step = heads - np.where(is_root[:, None], 0.0, heads[:, parents])
+    sizes = person.sizes[:, None]
+    translations = np.einsum("fbij,fbj->fbi", inverse, step) / np.where(is_root, 1.0, sizes)[..., None]
+    quaternions = matrix_to_quaternion(inverse @ rotations)
+    flips = np.sum(quaternions[1:] * quaternions[:-1], axis=-1, keepdims=True) < 0
+    quaternions[1:] *= np.where(np.cumsum(flips, axis=0) % 2 == 1, -1.0, 1.0)
+    scales = np.where(is_root, sizes, 1.0)[..., None] * np.ones(3)
+    return translations, quaternions, scales
+
+
+def split_seams(mesh: Mesh) -> tuple[NDArray[np.int64], Array | None, NDArray[np.uint32]]:
+    """Copy vertices that have several texture coordinates: glTF has one per vertex.
+
+    Returns:
+        Original vertex (N,) of each vertex, of which the first V are 0 to V - 1; texture coordinates (N, 2),
+        v up, or None; and triangles (T, 3) of the N vertices.
+    """
+    count = len(mesh.vertices)
+    if mesh.uv is None or mesh.uv_triangles is None:
+        return np.arange(count), None, mesh.triangles.astype(np.uint32)
+    vertex, coordinate = mesh.triangles.ravel().astype(np.int64), mesh.uv_triangles.ravel()
+    pairs, pair_of_corner = np.unique(vertex * len(mesh.uv) + coordinate, return_inverse=True)
+    vertex_of_pair = pairs // len(mesh.uv)
+    _, first_pair = np.unique(vertex_of_pair, return_index=True)
+    number = np.zeros(len(pairs), dtype=np.int64)
+    is_first = np.zeros(len(pairs), dtype=bool)
+    is_first[first_pair] = True
+    number[is_first] = vertex_of_pair[is_first]
+    number[~is_first] = count + np.arange(int((~is_first).sum()))
+    original = np.concatenate([np.arange(count), vertex_of_pair[~is_first]])
+    uv = np.zeros((len(original), 2))
+    uv[number] = mesh.uv[pairs % len(mesh.uv)]
+    return original, uv, number[pair_of_corner.ravel()].reshape(-1, 3).astype(np.uint32)
+
+
+def influences(human: Human) -> Sequence[tuple[NDArray[np.uint8], NDArray[np.float32]]]:
+    """Bones (V, 4) and weights (V, 4) in sets of four, the largest weights first; unused ones are zero."""
+    weights = human.weights.tocsr()
+    counts = np.diff(weights.indptr)
+    rows = np.repeat(np.arange(len(counts)), counts)
+    order = np.lexsort((weights.indices, -weights.data, rows))
+    column = np.arange(len(order)) - np.repeat(weights.indptr[:-1], counts)
+    width = -(-int(counts.max()) // _BONES_OF_SET) * _BONES_OF_SET
+    bones = np.zeros((len(counts), width), dtype=np.uint8)
+    values = np.zeros((len(counts), width), dtype=np.float32)
+    bones[rows, column], values[rows, column] = weights.indices[order], weights.data[order]
+    return [
+        (bones[:, start : start + _BONES_OF_SET], values[:, start : start + _BONES_OF_SET])
+        for start in range(0, width, _BONES_OF_SET)
+    ]
+
+
+class GlbWriter(PoseWriter):
+    """All people of a scene as ``people.glb``."""
+
+    def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        """Write the file."""
+        folder.write("people.glb", glb_bytes(self.people(records), self.settings.rate))

@@ -1,0 +1,166 @@
+"""Paths of points (keypoints, joints, markers) as files of motion capture: TRC and C3D."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from io import BytesIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import ExportError
+from humansim_ros.export.folder import ExportFolder
+from humansim_ros.export.writer import ExportFrame, FormatWriter, Record
+from humansim_ros.keypoints.sets import keypoint_set
+from humansim_ros.rotations import WORLD_FROM_BODY
+from humansim_ros.types import Array
+
+_MILLIMETRES = 1000.0
+
+
+@dataclass(frozen=True)
+class MarkerPaths:
+    """Paths of K points of one person.
+
+    Attributes:
+        names: K names, all different.
+        positions: (F, K, 3) in ``map``, metres; NaN where a point is missing.
+        rate: Frames per second.
+        first_frame: Number of the first frame in its scene, from 0; its time is ``first_frame / rate``.
+
+    Raises:
+        ExportError: The shapes do not fit, there is no frame or no point, or names repeat.
+    """
+
+    names: tuple[str, ...]
+    positions: Array
+    rate: float
+    first_frame: int = 0
+
+    def __post_init__(self) -> None:
+        frames, points = self.positions.shape[0], len(self.names)
+        if self.positions.shape != (frames, points, 3) or not frames or not points:
+            raise ExportError(f"{points} points cannot have positions of shape {self.positions.shape}")
+        if len(set(self.names)) < points:
+            raise ExportError(f"two points have the same name: {', '.join(self.names)}")
+
+    @property
+    def missing(self) -> NDArray[np.bool_]:
+        """(F, K) bool: points without a position."""
+        return np.asarray(~np.isfinite(self.positions).all(axis=-1))
+
+
+def trc_text(paths: MarkerPaths, name: str) -> str:
+    """Text of a TRC file, as OpenSim, Pose2Sim and OpenCap read it: metres, y up.
+
+    The axes are those of OpenSim and of body space: x_trc = y_map, y_trc = z_map, z_trc = x_map. A missing
+    point has three empty fields. Frames count from 1, times are seconds from the start of the scene.
+    ``name``: name of the file, which is in its first line.
+
+    Raises:
+        ExportError: A name has a tab or a line end.
+    """
+    if bad := [point for point in paths.names if not point.strip() or not point.isprintable()]:
+        raise ExportError(f"a TRC file cannot have a point named {bad[0]!r}", path=name)
+    return "".join(f"{line}\n" for line in _trc_lines(name, paths))
+
+
+def _trc_lines(name: str, paths: MarkerPaths) -> Iterator[str]:
+    frames, points = paths.positions.shape[:2]
+    first, rate = paths.first_frame + 1, f"{paths.rate:.10g}"
+    yield f"PathFileType\t4\t(X/Y/Z)\t{name}"
+    header = {
+        "DataRate": rate,
+        "CameraRate": rate,
+        "NumFrames": frames,
+        "NumMarkers": points,
+        "Units": "m",
+        "OrigDataRate": rate,
+        "OrigDataStartFrame": first,
+        "OrigNumFrames": frames,
+    }
+    yield "\t".join(header)
+    yield "\t".join(str(value) for value in header.values())
+    yield "Frame#\tTime\t" + "\t\t\t".join(paths.names) + "\t\t"
+    yield "\t\t" + "\t".join(f"X{point}\tY{point}\tZ{point}" for point in range(1, points + 1))
+    yield ""
+    rows = (paths.positions @ WORLD_FROM_BODY).tolist()
+    missing = paths.missing.tolist()
+    for index, (row, gaps) in enumerate(zip(rows, missing, strict=True)):
+        fields = [
+            "\t\t" if gap else "\t".join(f"{value:.6f}" for value in point)
+            for point, gap in zip(row, gaps, strict=True)
+        ]
+        frame = paths.first_frame + index
+        yield "\t".join([str(frame + 1), f"{frame / paths.rate:.6f}", *fields])
+
+
+def c3d_bytes(paths: MarkerPaths) -> bytes:
+    """Content of a C3D file (32 bit floats): millimetres, the axes of ``map`` (z up).
+
+    A missing point has the residual -1. The first frame is that of the scene, from 1. Needs the package c3d.
+
+    Raises:
+        ExportError: A name is too long, or not in ASCII.
+    """
+    if bad := [name for name in paths.names if not name.strip() or not name.isascii() or len(name) > 127]:
+        raise ExportError(
+            f"a C3D file cannot have a point named {bad[0]!r}: use at most 127 ASCII characters"
+        )
+    import c3d  # of an extra
+
+    writer = c3d.Writer(point_rate=paths.rate, point_units="mm")
+    writer.set_point_labels(paths.names)
+    writer.set_screen_axis("+X", "+Z")
+    writer.set_start_frame(paths.first_frame + 1)
+    # x, y, z, residual, cameras
+    rows = np.zeros((*paths.positions.shape[:2], 5), dtype=np.float32)
+    rows[..., :3] = np.where(paths.missing[..., None], 0.0, paths.positions * _MILLIMETRES)
+    rows[..., 3] = np.where(paths.missing, -1.0, 0.0)
+    no_analog = np.zeros((0, 0), dtype=np.float32)
+    writer.add_frames([(row, no_analog) for row in rows])
+    content = BytesIO()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # there is no analog data
+        writer.write(content)
+    return content.getvalue()
+
+
+class _MarkerWriter(FormatWriter):
+    """Keypoints of each person over all frames."""
+
+    def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
+        """Positions of the keypoints by person."""
+        return frame.frame.keypoint_positions[self.settings.keypoints]
+
+    def people(self, records: Iterable[tuple[int, Record]]) -> dict[str, MarkerPaths]:
+        """Paths of the keypoints of each person."""
+        positions: dict[str, list[Array]] = {}
+        for _, people in records:
+            for person, points in people.items():
+                positions.setdefault(person, []).append(np.asarray(points, dtype=float))
+        names = keypoint_set(self.settings.keypoints).names
+        rate, first = self.settings.rate, self.settings.frames.start
+        return {
+            person: MarkerPaths(names, np.array(points), rate, first) for person, points in positions.items()
+        }
+
+
+class TrcWriter(_MarkerWriter):
+    """A TRC file for each person."""
+
+    def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        """Write all files."""
+        for person, paths in self.people(records).items():
+            folder.write(f"{person}.trc", trc_text(paths, f"{person}.trc"))
+
+
+class C3dWriter(_MarkerWriter):
+    """A C3D file for each person."""
+
+    def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        """Write all files."""
+        for person, paths in self.people(records).items():
+            folder.write(f"{person}.c3d", c3d_bytes(paths))

@@ -1,0 +1,131 @@
+"""2D keypoints as OpenPose writes them, one JSON file per image, in the folders of a Pose2Sim project."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.export.calibrations import calibration_text
+from humansim_ros.export.folder import ExportFolder
+from humansim_ros.export.writer import ExportFrame, ExportSettings, FormatWriter, Record
+from humansim_ros.keypoints.sets import keypoint_set
+from humansim_ros.truth import OCCLUDED, VISIBLE
+from humansim_ros.types import Array
+
+#: Confidence of a keypoint that the camera sees, and of one that is occluded. Readers take 0 for "not found".
+VISIBLE_CONFIDENCE, OCCLUDED_CONFIDENCE = 1.0, 0.5
+#: Keypoint sets that Pose2Sim knows, and its names of them.
+POSE2SIM_MODELS = {"body25": "BODY_25", "coco17": "COCO_17", "halpe26": "HALPE_26"}
+
+
+def openpose_keypoints(pixels: Array, visible: NDArray[np.uint8]) -> Array:
+    """Rows x, y, confidence (K, 3) from pixels (K, 2) and visibility (K,); zeros outside the image."""
+    confidence = np.where(visible == VISIBLE, VISIBLE_CONFIDENCE, 0.0)
+    confidence[visible == OCCLUDED] = OCCLUDED_CONFIDENCE
+    found = confidence > 0
+    return np.where(found[:, None], np.column_stack([np.nan_to_num(pixels), confidence]), 0.0)
+
+
+def openpose_text(people: Sequence[Array]) -> str:
+    """Text of the file of one image: keypoints (K, 3) of :func:`openpose_keypoints` of each.
+
+    The file lists all people in the order given, those out of sight with zeros: entry n of all files is the
+    same person. ``person_id`` counts from 1.
+    """
+    entries = [
+        {
+            "person_id": [number],
+            "pose_keypoints_2d": np.round(keypoints, 6).ravel().tolist(),
+            "face_keypoints_2d": [],
+            "hand_left_keypoints_2d": [],
+            "hand_right_keypoints_2d": [],
+            "pose_keypoints_3d": [],
+            "face_keypoints_3d": [],
+            "hand_left_keypoints_3d": [],
+            "hand_right_keypoints_3d": [],
+        }
+        for number, keypoints in enumerate(people, 1)
+    ]
+    return json.dumps({"version": 1.3, "people": entries})
+
+
+def openpose_file(camera: str, frame: int) -> str:
+    """Path of the file of an image in a Pose2Sim project, such as
+    ``pose/camera_1_json/camera_1_000000000012_keypoints.json``.
+    """
+    return f"pose/{camera}_json/{camera}_{frame:012d}_keypoints.json"
+
+
+def pose2sim_order(cameras: Iterable[str]) -> list[str]:
+    """Order in which Pose2Sim takes folders of keypoints: by the last number in the name, then those without.
+
+    It takes cameras from ``Calib.toml`` in the order of the file, and compares no names.
+
+    Example:
+        >>> pose2sim_order(["camera_10", "left", "camera_2"])
+        ['camera_2', 'camera_10', 'left']
+    """
+
+    def key(name: str) -> tuple[bool, int, str]:
+        numbers = re.findall(r"\d+", name)
+        return (False, int(numbers[-1]), "") if numbers else (True, 0, name)
+
+    return sorted(cameras, key=key)
+
+
+class OpenPoseWriter(FormatWriter):
+    """A project of Pose2Sim: keypoints of all cameras as OpenPose writes them, ``calibration/Calib.toml``,
+    and a ``Config.toml`` with which ``Pose2Sim.triangulation()`` runs.
+    """
+
+    def __init__(self, settings: ExportSettings) -> None:
+        super().__init__(settings)
+        self._cameras = pose2sim_order(settings.cameras)
+        self._calibration = calibration_text(settings, "anipose", self._cameras)
+
+    def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
+        """Write a file for each camera."""
+        views = frame.frame.keypoints[self.settings.keypoints]
+        for camera, people in views.items():
+            rows = [openpose_keypoints(person.pixels, person.visible) for person in people.values()]
+            folder.write(openpose_file(camera, frame.index), openpose_text(rows))
+
+    def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
+        """Write the calibration and the configuration."""
+        folder.write("calibration/Calib.toml", self._calibration)
+        folder.write("Config.toml", self._config())
+
+    def _config(self) -> str:
+        settings = self.settings
+        distorted = any(camera.camera.distorted for camera in settings.scene.scene_cameras.values())
+        people = len(settings.scene.actors) > 1
+        lines = [
+            "[project]",
+            f"multi_person = {str(people).lower()}",
+            f"frame_rate = {round(settings.rate)}",
+            f"frame_range = [{settings.frames.start}, {settings.frames.stop}]",
+            "",
+            "[pose]",
+            *_pose_model(settings.keypoints),
+            "",
+            "[triangulation]",
+            "reproj_error_threshold_triangulation = 15",
+            "likelihood_threshold_triangulation = 0.3",
+            "min_cameras_for_triangulation = 2",
+            f"undistort_points = {str(distorted).lower()}",
+        ]
+        return "\n".join(lines) + "\n"
+
+
+def _pose_model(keypoints: str) -> list[str]:
+    """Lines of the section ``pose``: a skeleton of Pose2Sim, or one of a root with all points below it."""
+    if keypoints in POSE2SIM_MODELS:
+        return [f'pose_model = "{POSE2SIM_MODELS[keypoints]}"']
+    lines = ['pose_model = "CUSTOM"', "[pose.CUSTOM]", 'name = "root"', 'id = "None"']
+    for number, name in enumerate(keypoint_set(keypoints).names):
+        lines += ["[[pose.CUSTOM.children]]", f'name = "{name}"', f"id = {number}"]
+    return lines

@@ -1,0 +1,72 @@
+"""TRC and C3D files: units, axes, rates, times and missing points, read back by other programs' code."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from humansim_ros.errors import ExportError
+from humansim_ros.export.markers import MarkerPaths, c3d_bytes, trc_text
+
+NAMES = ("nose", "left_wrist", "right_wrist")
+
+
+def paths(frames: int = 12, first_frame: int = 30) -> MarkerPaths:
+    positions = np.random.default_rng(3).uniform(-5, 5, (frames, len(NAMES), 3))
+    positions[4, 1] = np.nan
+    return MarkerPaths(NAMES, positions, 29.97, first_frame)
+
+
+def test_a_trc_file_has_metres_with_y_up_and_times_of_the_scene() -> None:
+    written = paths()
+    lines = trc_text(written, "anna.trc").splitlines()
+    assert lines[0].split("\t") == ["PathFileType", "4", "(X/Y/Z)", "anna.trc"]
+    header = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=True))
+    assert header["Units"] == "m" and header["NumFrames"] == "12" and header["NumMarkers"] == "3"
+    assert float(header["DataRate"]) == 29.97 and header["OrigDataStartFrame"] == "31"
+    assert tuple(name for name in lines[3].split("\t")[2:] if name) == NAMES
+    assert lines[4].split("\t")[2:] == [f"{axis}{point}" for point in (1, 2, 3) for axis in "XYZ"]
+    rows = [line.split("\t") for line in lines[6:]]
+    assert [len(row) for row in rows] == [2 + 9] * 12
+    assert [int(row[0]) for row in rows] == list(range(31, 43))
+    np.testing.assert_allclose([float(row[1]) for row in rows], np.arange(30, 42) / 29.97, atol=1e-6)
+    y_up = np.array([[float(field or "nan") for field in row[2:]] for row in rows]).reshape(12, 3, 3)
+    expected = written.positions[..., [1, 2, 0]]  # left, up, forward
+    np.testing.assert_allclose(y_up, expected, atol=1e-6)
+    assert rows[4][5:8] == ["", "", ""]
+
+
+def test_ezc3d_reads_millimetres_with_z_up_and_missing_points(tmp_path: Path) -> None:
+    ezc3d = pytest.importorskip("ezc3d")
+    written = paths()
+    (tmp_path / "anna.c3d").write_bytes(c3d_bytes(written))
+    read = ezc3d.c3d(str(tmp_path / "anna.c3d"))
+    point = read["parameters"]["POINT"]
+    assert tuple(point["LABELS"]["value"]) == NAMES and point["UNITS"]["value"] == ["mm"]
+    assert point["RATE"]["value"][0] == pytest.approx(29.97)
+    assert (point["X_SCREEN"]["value"], point["Y_SCREEN"]["value"]) == (["+X"], ["+Z"])
+    assert (read["header"]["points"]["first_frame"], read["header"]["points"]["last_frame"]) == (30, 41)
+    metres = read["data"]["points"][:3].transpose(2, 1, 0) / 1000
+    np.testing.assert_allclose(metres, written.positions, atol=1e-6)
+    residuals = read["data"]["meta_points"]["residuals"][0].T
+    np.testing.assert_array_equal(residuals < 0, written.missing)
+
+
+def test_names_that_a_file_cannot_hold_are_refused() -> None:
+    def named(name: str) -> MarkerPaths:
+        return MarkerPaths((name,), np.zeros((1, 1, 3)), 30.0)
+
+    for name in ("two\twords", "", "line\nend"):
+        with pytest.raises(ExportError, match="cannot have a point named"):
+            trc_text(named(name), "x.trc")
+    for name in ("Knöchel", "x" * 128, " "):
+        with pytest.raises(ExportError, match="cannot have a point named"):
+            c3d_bytes(named(name))
+
+
+def test_paths_must_fit_their_names() -> None:
+    for names, shape in ((NAMES, (4, 2, 3)), (NAMES, (0, 3, 3)), ((), (4, 0, 3)), (("a", "a"), (4, 2, 3))):
+        with pytest.raises(ExportError):
+            MarkerPaths(names, np.zeros(shape), 30.0)

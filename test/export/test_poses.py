@@ -1,0 +1,69 @@
+"""BVH files of an export: joints as in the scene, also for people of another size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from humansim_ros import Scene, read_bvh
+from humansim_ros.errors import HumansimWarning
+from humansim_ros.export.folder import ExportFolder
+from humansim_ros.export.poses import BvhWriter
+from humansim_ros.export.writer import ExportFrame, ExportSettings
+from humansim_ros.rotations import WORLD_FROM_BODY
+from humansim_ros.scene import Frame
+
+KEYFRAMES = """<animation startframe="0" endframe="30" rate="30">
+<object name="ben">
+<frame number="0"><position x="1" y="0" z="0"/><rotation x="0" y="0" z="90"/>
+<size x="{0}" y="{0}" z="{0}"/></frame>
+<frame number="30"><position x="0" y="1" z="0"/><rotation x="0" y="0" z="0"/>
+<size x="{1}" y="{1}" z="{1}"/></frame>
+</object>
+</animation>
+"""
+
+
+def export(folder: Path, first_size: float, last_size: float) -> tuple[ExportSettings, list[Frame]]:
+    """Write BVH files of the frames 10 to 15 of a scene, as with another process between frames and files."""
+    (folder / "moves.xml").write_text(KEYFRAMES.format(first_size, last_size))
+    human: dict[str, Any] = {"body": "child", "motion": {"file": "wave"}}
+    scene = Scene.from_dict(
+        {
+            "humans": {"anna": human, "ben": {**human, "keyframes": str(folder / "moves.xml")}},
+            "cameras": {"front": {"position": [3, 0, 1.5], "look_at": [0, 0, 1]}},
+        }
+    )
+    settings = ExportSettings(scene, range(10, 15))
+    frames = [
+        Frame(index, 1, {name: actor.at(index / 30) for name, actor in scene.actors.items()}, {})
+        for index in settings.frames
+    ]
+    writer, out = BvhWriter(settings), ExportFolder(folder)
+    records = [(frame.index, writer.frame(ExportFrame(frame, settings), out)) for frame in frames]
+    plain = [
+        (index, {name: [np.asarray(part).tolist() for part in parts] for name, parts in record.items()})
+        for index, record in records
+    ]
+    writer.finish(plain, out)
+    return settings, frames
+
+
+def test_joints_of_bvh_files_are_those_of_the_people(tmp_path: Path) -> None:
+    settings, frames = export(tmp_path, 0.8, 0.8)
+    for name, actor in settings.scene.actors.items():
+        motion = read_bvh(tmp_path / f"{name}.bvh")
+        assert motion.n_frames == 5 and motion.frame_time == pytest.approx(1 / 30)
+        names = list(actor.human.skeleton.joint_names)
+        order = [motion.joint_names.index(joint) for joint in names]
+        for index, frame in enumerate(frames):
+            found = motion.world_positions(index)[order] / 100 @ WORLD_FROM_BODY.T
+            np.testing.assert_allclose(found, frame.humans[name].positions, atol=1e-9)
+
+
+def test_a_size_that_changes_is_warned_of(tmp_path: Path) -> None:
+    with pytest.warns(HumansimWarning, match="size of ben changes"):
+        export(tmp_path, 0.8, 1.2)

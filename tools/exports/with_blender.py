@@ -1,0 +1,90 @@
+"""Compare GLB and BVH files of an export with the truth, in Blender: vertices and joints of every frame.
+
+    BLENDER_PYTHON tools/exports/with_blender.py FOLDER
+
+Run it with a Python that has bpy 4.5 or later; ``tools/exports/make.py`` makes the folder.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+
+def to_map(points: np.ndarray) -> np.ndarray:
+    """Points of Blender after the import of a file with y up, in ``map``.
+
+    The file has (y, z, x) of ``map``, and Blender's importers turn (x, y, z) to (x, -z, y).
+    """
+    return np.stack([-points[..., 1], points[..., 0], points[..., 2]], axis=-1)
+
+
+def empty_scene(rate: float) -> None:
+    """A scene of this rate."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.render.fps, scene.render.fps_base = round(rate), round(rate) / rate
+
+
+def heads(armature: bpy.types.Object, names: list[str]) -> np.ndarray:
+    """Heads (B, 3) of the bones in ``map``."""
+    return to_map(np.array([armature.matrix_world @ armature.pose.bones[name].head for name in names]))
+
+
+def compare_glb(folder: Path, truth: dict[str, np.ndarray]) -> None:
+    """Vertices and heads of all people of people.glb."""
+    empty_scene(float(truth["rate"]))
+    bpy.ops.import_scene.gltf(filepath=str(folder / "export" / "glb" / "people.glb"), merge_vertices=False)
+    scene = bpy.context.scene
+    for person in truth["people"].tolist():
+        root = scene.objects[person]
+        family = [root, *root.children_recursive]
+        mesh = next(o for o in family if o.type == "MESH" and any(m.type == "ARMATURE" for m in o.modifiers))
+        armature = next(m.object for m in mesh.modifiers if m.type == "ARMATURE")
+        vertices, joints = truth[f"{person}_vertices"], truth[f"{person}_joints"]
+        names = truth[f"{person}_bones"].tolist()
+        worst_vertex = worst_joint = 0.0
+        for frame in range(len(vertices)):
+            scene.frame_set(frame)
+            evaluated = mesh.evaluated_get(bpy.context.evaluated_depsgraph_get())
+            found = np.zeros(3 * len(evaluated.data.vertices), dtype=np.float32)
+            evaluated.data.vertices.foreach_get("co", found)
+            world = np.array(mesh.matrix_world)
+            points = to_map(found.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3])[: vertices.shape[1]]
+            worst_vertex = max(worst_vertex, float(np.linalg.norm(points - vertices[frame], axis=1).max()))
+            found_heads = heads(armature, names)
+            distance = np.linalg.norm(found_heads - joints[frame, : len(names)], axis=1)
+            worst_joint = max(worst_joint, float(distance.max()))
+        print(
+            f"GLB {person}: {len(vertices)} frames, {vertices.shape[1]} vertices: "
+            f"at most {worst_vertex:.1e} m; {len(names)} joints: at most {worst_joint:.1e} m"
+        )
+
+
+def compare_bvh(folder: Path, truth: dict[str, np.ndarray], rotations: str) -> None:
+    """Heads of the BVH file of each person. ``rotations``: kind of rotations that the importer makes."""
+    for person in truth["people"].tolist():
+        empty_scene(float(truth["rate"]))
+        # centimetres; Blender puts the first row at frame 1
+        file = str(folder / "export" / "bvh" / f"{person}.bvh")
+        bpy.ops.import_anim.bvh(filepath=file, global_scale=0.01, frame_start=1, rotate_mode=rotations)
+        scene = bpy.context.scene
+        armature = next(o for o in scene.objects if o.type == "ARMATURE")
+        joints, names = truth[f"{person}_joints"], truth[f"{person}_bones"].tolist()
+        worst = 0.0
+        for frame in range(len(joints)):
+            scene.frame_set(frame + 1)
+            distance = np.linalg.norm(heads(armature, names) - joints[frame, : len(names)], axis=1)
+            worst = max(worst, float(distance.max()))
+        print(f"BVH {person}, {rotations}: {len(joints)} frames, {len(names)} joints: at most {worst:.1e} m")
+
+
+if __name__ == "__main__":
+    exported = Path(sys.argv[-1])
+    arrays = dict(np.load(exported / "truth.npz"))
+    compare_glb(exported, arrays)
+    for kind in ("QUATERNION", "NATIVE"):
+        compare_bvh(exported, arrays, kind)

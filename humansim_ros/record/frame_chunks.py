@@ -160,13 +160,17 @@ class FrameEncoder:
         for index, topic in topics:
             if topic.per_frame or frame.index == 0:
                 start = time.process_time()
-                message = topic.message(frame)
+                sent = topic.sent(frame)
                 start = self._add_cost(IMAGE_COMPRESSION if topic.type is CompressedImage else TRUTH, start)
-                messages.append(BagMessage(index, frame.stamp, serialised(message, topic.type_name)))
+                messages += [
+                    BagMessage(index, time_sent, serialised(message, topic.type_name))
+                    for time_sent, message in sent
+                ]
                 self._add_cost(SERIALISING, start)
         if not messages:
             return None
         start = time.process_time()
+        messages.sort(key=lambda message: message.stamp)  # faults send some of them later
         chunk = encode_chunk(messages, self._recording.plan.compression)
         self._add_cost(CHUNKS, start)
         return chunk

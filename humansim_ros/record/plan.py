@@ -16,7 +16,6 @@ from humansim_ros.bags.storages import Storage
 from humansim_ros.errors import BagError, near_names
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.ros.messages import ImageCompression
-from humansim_ros.ros.qos import SCENE_TIME
 from humansim_ros.ros.topics import Topic, scene_topics
 from humansim_ros.scene import Scene
 from humansim_ros.scene.scene_hash import scene_hash
@@ -154,16 +153,15 @@ def _chosen(
         chosen = {name for pattern in patterns for name in _matching(pattern, names)}
     else:
         # what the demo shows, and what gives it meaning
-        chosen = {
-            f"/{topic.name}"
-            for topic in table
-            if topic.shown or (topic.latched and not topic.optional) or topic.name == SCENE_TIME
-        }
+        chosen = {f"/{topic.name}" for topic in table if topic.recorded}
     for end, form in (("/image_raw", images), ("/depth/image", depth)):
         if form != "raw":
             chosen = {
                 name.removesuffix(end) + _COMPRESSED[end] if name.endswith(end) else name for name in chosen
             }
+    # a message for each frame, also of a camera that loses images
+    faulty = {topic.camera for topic in table if topic.faulty and f"/{topic.name}" in chosen}
+    chosen |= {f"/{topic.name}" for topic in table if topic.explains and topic.camera in faulty}
     return [name for name in names if name in chosen]
 
 

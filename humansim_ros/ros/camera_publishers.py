@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from humansim_ros.camera import Camera
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
+from humansim_ros.ros.camera_driver import CameraDriver
 from humansim_ros.ros.compressed import CompressedDepthPublisher, CompressedImagePublisher
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.topics import CameraTopics, Topic
+from humansim_ros.scene.faults import FrameFaults
 from humansim_ros.truth import CameraTruth
 
 
@@ -23,13 +25,14 @@ def _publisher(node: SceneNode, topic: Topic[Any]) -> Any:
 class ImagePublishers:
     """Publishers of a camera's channels: raw, compressed and rectified."""
 
-    def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
+    def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
+        self._driver = driver
         self._images = [(topic, _publisher(node, topic)) for topic in topics.images]
         self._rectified = {
             channel: (topic, _publisher(node, topic)) for channel, topic in topics.rectified.items()
         }
         self._compressed: dict[str, CompressedImagePublisher | CompressedDepthPublisher] = {
-            "rgb": CompressedImagePublisher(node, topics),
+            "rgb": CompressedImagePublisher(node, topics, driver),
             "depth": CompressedDepthPublisher(node, topics),
         }
 
@@ -45,14 +48,14 @@ class ImagePublishers:
     def publish_rectified(self, channel: str, image: NDArray[Any], stamp: int) -> None:
         """Publish the rectified image of a channel."""
         topic, publisher = self._rectified[channel]
-        publisher.publish(topic.build(image, stamp))
+        self._driver.send(topic, publisher, image, stamp)
 
     def publish(self, view: View, channels: Collection[str], stamp: int) -> None:
         """Publish some channels of a view, colour first."""
         for channel in (name for name in CHANNEL_TABLE if name in channels):
             for topic, publisher in self._images:
                 if channel in topic.channels and _has_subscribers(publisher):
-                    publisher.publish(topic.build(view, stamp))
+                    self._driver.send(topic, publisher, view, stamp)
             compressed = self._compressed.get(channel)
             if compressed is not None and compressed.subscribed:
                 compressed.publish(view, stamp)
@@ -65,16 +68,31 @@ def _has_subscribers(publisher: Any) -> bool:
 class InfoPublishers:
     """Publishers of a camera's calibration: ``<camera>/camera_info``, and one beside each image."""
 
-    def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
-        self._build = topics.infos[0].build
-        self._publishers = [_publisher(node, topic) for topic in topics.infos]
+    def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
+        self._driver = driver
+        self._publishers = [(topic, _publisher(node, topic)) for topic in topics.infos]
 
     def publish(self, camera: Camera, stamp: int) -> None:
         """Publish the calibration of the whole sensor on all topics with subscribers."""
-        subscribed = [publisher for publisher in self._publishers if _has_subscribers(publisher)]
-        message = self._build(camera, stamp) if subscribed else None
-        for publisher in subscribed:
-            publisher.publish(message)
+        for topic, publisher in self._publishers:
+            if _has_subscribers(publisher):
+                self._driver.send(topic, publisher, camera, stamp)
+
+
+class FaultsPublisher:
+    """Publisher of ``<camera>/faults``; counts the faults for the diagnostics."""
+
+    def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
+        self._node = node
+        self._publishers = [(topic, _publisher(node, topic)) for topic in topics.faults]
+
+    def publish(self, faults: FrameFaults, stamp: int) -> None:
+        """Publish what is wrong with a frame."""
+        for kind in faults.kinds:
+            self._node.count(f"fault_{kind}")
+        for topic, publisher in self._publishers:
+            if _has_subscribers(publisher):
+                publisher.publish(topic.build(faults, stamp))
 
 
 class TruthPublishers:

@@ -19,22 +19,25 @@ from humansim_ros.bags.topics import message_types
 def serialised(message: Any, type_name: str) -> memoryview:
     """Serialise a message of rclpy as little-endian CDR, ready for a bag.
 
-    Number arrays of the message become NumPy arrays. ``type_name``: such as ``sensor_msgs/msg/Image``.
+    Number arrays of the message become NumPy arrays, single bytes numbers.
+    ``type_name``: such as ``sensor_msgs/msg/Image``.
 
     Raises:
         BagError: rosbags is not installed.
     """
-    for *parents, attribute in _number_sequences(type_name):
+    for *parents, attribute in _numbers(type_name):
         for owner in _parts(message, parents):
             numbers = getattr(owner, attribute)
             if isinstance(numbers, array.array):
                 setattr(owner, f"_{attribute}", np.asarray(numbers))  # without the check of each number
+            elif isinstance(numbers, bytes):  # a single byte
+                setattr(owner, f"_{attribute}", numbers[0])
     return message_types().serialize_cdr(message, type_name, little_endian=True)
 
 
 @cache
-def _number_sequences(name: str) -> list[tuple[str, ...]]:
-    """Paths of all fields of a type that are sequences of numbers: attributes from the message on."""
+def _numbers(name: str) -> list[tuple[str, ...]]:
+    """Paths of all fields of a type that are sequences of numbers or a byte: attributes from the message."""
     from rosbags.interfaces import Nodetype
 
     found: list[tuple[str, ...]] = []
@@ -43,8 +46,10 @@ def _number_sequences(name: str) -> list[tuple[str, ...]]:
         single = node in (Nodetype.BASE, Nodetype.NAME)
         kind, part = description if single else cast(Any, description[1])[0]
         if kind == Nodetype.NAME:
-            found += [(attribute, *path) for path in _number_sequences(str(part))]
-        elif node == Nodetype.SEQUENCE and part[0] != "string":
+            found += [(attribute, *path) for path in _numbers(str(part))]
+        elif (
+            (part[0] in ("byte", "octet")) if single else (node == Nodetype.SEQUENCE and part[0] != "string")
+        ):
             found.append((attribute,))
     return found
 

@@ -13,6 +13,7 @@ from rcl_interfaces.msg import SetParametersResult
 
 from humansim_ros.errors import RosError
 from humansim_ros.render import View
+from humansim_ros.ros.camera_driver import CameraDriver
 from humansim_ros.ros.messages import DepthCompression, ImageCompression
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.topics import CameraTopics, Topic
@@ -58,9 +59,10 @@ class _CompressedPublisher:
 class CompressedImagePublisher(_CompressedPublisher):
     """Publisher of ``<camera>/image_raw/compressed``."""
 
-    def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
+    def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
         default = ImageCompression()
         self._topics = topics
+        self._driver = driver
         super().__init__(node, topics.compressed(default))
         self._declare("format", default.format, None, "jpeg or png")
         self._restrict("format", "jpeg", "png")
@@ -70,7 +72,7 @@ class CompressedImagePublisher(_CompressedPublisher):
     def publish(self, view: View, stamp: int) -> None:
         """Encode the image of a view and publish it."""
         settings = ImageCompression(*map(self._value, ("format", "jpeg_quality", "png_level")))
-        self._publisher.publish(self._topics.compressed(settings).build(view, stamp))
+        self._driver.send(self._topics.compressed(settings), self._publisher, view, stamp)
 
 
 class CompressedDepthPublisher(_CompressedPublisher):

@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
+from diagnostic_msgs.msg import DiagnosticArray
 from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from numpy.typing import NDArray
 from rclpy.qos import QoSProfile
@@ -42,6 +43,7 @@ from humansim_ros.scene import HumanState, Scene
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.config import LIVE
+from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.live import JointSource
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 from humansim_ros.scene.simulation import Frame
@@ -71,6 +73,8 @@ class Topic(Generic[Content]):
         channels: Channels of the view that the message is built from.
         rectified_depth: The message needs the depth of ``image_rect``.
         optional: A recording has it only if it is asked for.
+        explains: Others cannot be understood without it: it is recorded with them.
+        faulty: Faults of the camera change its stamp, and when and how often it is sent.
     """
 
     name: str
@@ -84,6 +88,8 @@ class Topic(Generic[Content]):
     channels: frozenset[str] = field(default=frozenset())
     rectified_depth: bool = False
     optional: bool = False
+    explains: bool = False
+    faulty: bool = False
 
     @property
     def type_name(self) -> str:
@@ -95,14 +101,28 @@ class Topic(Generic[Content]):
         """Quality of service of the publisher."""
         return LATCHED if self.latched else DATA
 
+    @property
+    def recorded(self) -> bool:
+        """Whether it is recorded unless topics are named."""
+        return self.shown or self.explains or (self.latched and not self.optional)
+
+    def sent(self, frame: Frame) -> list[tuple[int, Any]]:
+        """Times in nanoseconds at which the message of a frame of a simulation is sent, and the message."""
+        sent = self._faults(frame).sent
+        message = self.message(frame) if sent else None
+        return [(frame.stamp + after, message) for after in sent]
+
     def message(self, frame: Frame) -> Any:
         """Build the message of a frame of a simulation."""
-        return self.build(self.content(frame), frame.stamp)
+        return self.build(self.content(frame), self._faults(frame).stamp(frame.stamp))
+
+    def _faults(self, frame: Frame) -> FrameFaults:
+        return frame.faults[self.camera] if self.faulty else NO_FAULTS
 
 
 #: Scene time of each frame.
 SCENE_TIME_TOPIC: Topic[int] = Topic(
-    SCENE_TIME, TimeReference, messages.scene_time_message, lambda frame: frame.scene_time
+    SCENE_TIME, TimeReference, messages.scene_time_message, lambda frame: frame.scene_time, explains=True
 )
 
 
@@ -243,7 +263,8 @@ class CameraTopics:
         infos: Calibration, beside each image: image_transport takes it from the namespace of the image.
         truth: Joints, boxes and visible vertices, by property of :class:`CameraTruth`.
         keypoints: Keypoints by set.
-        legends: Meaning of the numbers of the images, of the joints and of the keypoints.
+        legends: Meaning of the numbers of the images, of the joints and of the keypoints; settings of faults.
+        faults: Faults of each frame; empty for a camera without faults.
         extrinsics: Pose; for each frame if the camera moves.
         projection: Projection matrix; for each frame if the camera moves.
         pose: Pose of a camera with a trajectory.
@@ -259,6 +280,7 @@ class CameraTopics:
     ) -> None:
         self._scene, self._camera = scene, camera
         self._name = name = camera.name
+        self._has_faults = camera.faults is not None
         self._frame = frame = messages.optical_frame(name) if frame is None else frame
         supported = [channel for channel in CHANNEL_TABLE.values() if channel.name in channels]
         self.images: Sequence[Topic[View]] = [
@@ -278,6 +300,7 @@ class CameraTopics:
                 lambda _: camera.whole,
                 shown=namespace == name,
                 camera=name,
+                faulty=self._has_faults and namespace == name,
             )
             for namespace in namespaces
         ]
@@ -306,6 +329,7 @@ class CameraTopics:
             for keypoints in KEYPOINT_SETS
         }
         self.legends: Sequence[Topic[None]] = self._legend_topics()
+        self.faults: Sequence[Topic[FrameFaults]] = [] if camera.faults is None else [self._faults_topic()]
 
         def posed(simulated: Frame) -> Camera:
             return simulated.cameras[name]
@@ -340,6 +364,7 @@ class CameraTopics:
             lambda simulated: simulated.views[name],
             camera=name,
             channels=frozenset({"rgb"}),
+            faulty=self._has_faults,
         )
 
     def compressed_depth(self, settings: DepthCompression) -> Topic[View]:
@@ -363,7 +388,16 @@ class CameraTopics:
         compressed = self.compressed(compression), self.compressed_depth(DepthCompression())
         truth, rectified = [*self.truth.values(), *self.keypoints.values()], self.rectified.values()
         poses = (self.extrinsics, self.projection, *moving)
-        return [*self.legends, *poses, *self.images, *compressed, *rectified, *self.infos, *truth]
+        return [
+            *self.faults,
+            *self.legends,
+            *poses,
+            *self.images,
+            *compressed,
+            *rectified,
+            *self.infos,
+            *truth,
+        ]
 
     def _encoding(self, channel: Channel) -> str:
         return channel.encoding or self._camera.encoding
@@ -381,6 +415,7 @@ class CameraTopics:
                 shown=channel.name in _SHOWN_CHANNELS,
                 camera=name,
                 channels=frozenset({channel.name}),
+                faulty=self._has_faults and channel.name == "rgb",
             )
 
         def of_body(label: int) -> Callable[[View], NDArray[Any]]:
@@ -411,6 +446,7 @@ class CameraTopics:
                 CHANNEL_TABLE["rgb"],
                 lambda simulated: camera.rectify(simulated.views[name].rgb),
                 channels=frozenset({"rgb"}),
+                faulty=self._has_faults,
             ),
             "depth": topic(
                 CHANNEL_TABLE["depth"],
@@ -458,6 +494,9 @@ class CameraTopics:
         exact = {actor.name: (actor.instance, has_exact_skin(actor.human)) for actor in actors}
         legends["keypoints"] = lambda: messages.keypoints_legend(exact, scene.object_labels)
 
+        if (faults := self._camera.faults) is not None:
+            legends["faults"] = lambda: messages.faults_legend(faults)
+
         def topic(kind: str, build: Callable[[], String]) -> Topic[None]:
             return Topic(
                 f"{self._name}/{kind}/legend",
@@ -471,6 +510,17 @@ class CameraTopics:
             )
 
         return [topic(*legend) for legend in legends.items()]
+
+    def _faults_topic(self) -> Topic[FrameFaults]:
+        name, frame = self._name, self._frame
+        return Topic(
+            f"{name}/faults",
+            DiagnosticArray,
+            lambda faults, stamp: messages.faults_message(faults, stamp, frame),
+            lambda simulated: simulated.faults[name],
+            camera=name,
+            explains=True,
+        )
 
 
 def moving_camera_topics(name: str) -> tuple[Topic[CameraPose], Topic[CameraPose]]:

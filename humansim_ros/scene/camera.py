@@ -22,6 +22,7 @@ from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.backdrops import load_backdrop
 from humansim_ros.scene.config import CameraConfig, RigConfig
+from humansim_ros.scene.faults import FaultSchedule
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.sensor import Sensor
 from humansim_ros.types import Array
@@ -94,6 +95,7 @@ class SceneCamera:
         offset: Time that the trajectory is ahead of the scene, seconds.
         speed: Seconds of the trajectory per second.
         backdrop: Image behind everything; a plain colour if None.
+        faults: Its faults over time; None if it has none.
     """
 
     name: str
@@ -104,6 +106,7 @@ class SceneCamera:
     offset: float = 0.0
     speed: float = 1.0
     backdrop: Backdrop | None = None
+    faults: FaultSchedule | None = None
 
     @classmethod
     def build(cls, name: str, config: CameraConfig, source: SceneSource) -> SceneCamera:

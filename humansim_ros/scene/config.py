@@ -22,6 +22,7 @@ from humansim_ros.io.schema_errors import Expected, schema_error
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.render.lighting import Lighting
 from humansim_ros.render.make import RendererName
+from humansim_ros.scene.fault_config import FaultsConfig
 from humansim_ros.sensor.config import SensorConfig
 
 if TYPE_CHECKING:
@@ -319,6 +320,7 @@ class CameraConfig(Section):
     )
     roi: RegionConfig | None = Field(default=None, description="region of interest of the sensor")
     sensor: SensorConfig = Field(default=SensorConfig(), description="model of the sensor")
+    faults: FaultsConfig | None = Field(default=None, description="faults of the camera; none if absent")
     background: FileName | None = Field(
         default=None, description="image behind everything; the background of the world if absent"
     )
@@ -385,6 +387,7 @@ class RigConfig(_ShortSection):
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
     sensor: SensorConfig = Field(default=SensorConfig(), description="model of the sensors")
+    faults: FaultsConfig | None = Field(default=None, description="faults of the cameras; none if absent")
     background: FileName | dict[str, FileName] | None = Field(
         default=None,
         description="image behind everything: one file, where {name} is the name of the camera in the "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 from humansim_ros.camera import Calibration, Camera
 from humansim_ros.camera.placement import RigPlacement, common_point
@@ -14,6 +15,7 @@ from humansim_ros.render.renderer import Backdrop
 from humansim_ros.scene.backdrops import load_backdrop
 from humansim_ros.scene.camera import SceneCamera, read_cameras
 from humansim_ros.scene.config import RigConfig, SceneConfig, load_config
+from humansim_ros.scene.faults import FaultSchedule
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.sensor import Sensor
 
@@ -29,7 +31,14 @@ def build_cameras(config: SceneConfig, source: SceneSource) -> dict[str, SceneCa
             if name in cameras:
                 raise SceneError("the rig has a camera of this name already", key=name)
             cameras[name] = SceneCamera.build(name, camera, source)
-    return cameras
+    return {name: _with_faults(camera, config) for name, camera in cameras.items()}
+
+
+def _with_faults(camera: SceneCamera, config: SceneConfig) -> SceneCamera:
+    section = config.cameras.get(camera.name, config.rig)
+    if section is None or section.faults is None:
+        return camera
+    return replace(camera, faults=FaultSchedule(section.faults, camera.name, config.rate))
 
 
 def rig_camera_names(path: str | os.PathLike[str]) -> list[str]:

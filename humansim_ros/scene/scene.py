@@ -30,6 +30,7 @@ from humansim_ros.scene.objects import SceneObject, load_tracks
 from humansim_ros.scene.randomise import random_cameras, random_looks
 from humansim_ros.scene.rig import build_cameras
 from humansim_ros.scene.source import SceneSource, name_objects
+from humansim_ros.scene.times import frame_time
 from humansim_ros.scene.variety import with_variety
 from humansim_ros.truth import joint_surfaces
 
@@ -221,7 +222,7 @@ class Scene:
 
     def frame_time(self, index: int) -> int:
         """Nanoseconds from the start to frame ``index``, round(index * period): errors do not accumulate."""
-        return round(index * 1_000_000_000 / self.config.rate)
+        return frame_time(index, self.config.rate)
 
     @cached_property
     def labels(self) -> dict[str, int]:

@@ -22,12 +22,13 @@ from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_cha
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import capture, capture_rectified_depth
+from humansim_ros.scene.faults import FrameFaults
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses
 from humansim_ros.scene.scene import Scene, short_list
 from humansim_ros.scene.state import JointMotion, SceneState
 from humansim_ros.truth import BodyBox, CameraTruth, JointView, KeypointView
-from humansim_ros.types import Array, Float32Array
+from humansim_ros.types import Array, Float32Array, Image
 
 #: Poses, humans and state at one scene time.
 _Snapshot = tuple[ScenePoses, dict[str, HumanState], SceneState]
@@ -53,6 +54,8 @@ class Frame:
         rectified_depth: (H, W) float32 depth in metres along the axis of ``image_rect`` by camera, if it was
             requested.
         models: Humans without pose by name.
+        faults: Faults of cameras that have any, by camera. ``views`` show those of the image; whether and
+            when it is sent is in ``sent``.
     """
 
     index: int
@@ -69,6 +72,7 @@ class Frame:
     camera_poses: Mapping[str, CameraPose] = field(default_factory=dict)
     rectified_depth: Mapping[str, Float32Array] = field(default_factory=dict)
     models: Mapping[str, Human] = field(default_factory=dict)
+    faults: Mapping[str, FrameFaults] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         humans, views = short_list(self.humans, "humans"), short_list(self.views, "views")
@@ -204,13 +208,21 @@ class Simulation:
             for name, step in zip(ADJACENT_NAMES, (1, -1), strict=True)
             if comparing_with(name, self.channels)
         }
-        poses, humans, state = self._at(self.scene.frame_time(index))
         chosen = self._cameras(cameras)
+        faults = {name: camera.faults.at(index) for name, camera in chosen.items() if camera.faults}
+        frozen = {
+            name: self._frozen(chosen[name], index - faulty.picture)
+            for name, faulty in faults.items()
+            if faulty.picture and "rgb" in self.channels
+        }
+        poses, humans, state = self._at(self.scene.frame_time(index))
         at_their_poses = {
             name: camera.camera_at(poses.cameras[name]) if camera.moves else camera.camera
             for name, camera in chosen.items()
         }
-        views = {name: self._view(camera, state, adjacent) for name, camera in chosen.items()}
+        views = {
+            name: self._view(camera, state, adjacent, frozen.get(name)) for name, camera in chosen.items()
+        }
         return Frame(
             index=index,
             stamp=state.stamp,
@@ -229,6 +241,7 @@ class Simulation:
                 name: capture_rectified_depth(self.renderer, chosen[name], state.exposure(chosen[name]))
                 for name in rectified_depth
             },
+            faults=faults,
         )
 
     def _cameras(self, names: Collection[str] | None) -> dict[str, SceneCamera]:
@@ -242,14 +255,27 @@ class Simulation:
         self.renderer.close()
 
     def _view(
-        self, camera: SceneCamera, state: SceneState, adjacent: Mapping[AdjacentName, SceneState]
+        self,
+        camera: SceneCamera,
+        state: SceneState,
+        adjacent: Mapping[AdjacentName, SceneState],
+        frozen: Image | None,
     ) -> View:
+        """View of a camera. ``frozen``: the colours that it shows in place of its own."""
         next_frame, previous_frame = (
             other.exposure(camera).adjacent_frame(camera) if (other := adjacent.get(name)) else None
             for name in ADJACENT_NAMES
         )
         exposure = replace(state.exposure(camera), next_frame=next_frame, previous_frame=previous_frame)
-        return capture(self.renderer, camera, exposure, self.channels, state.scene_time)
+        if frozen is None:
+            return capture(self.renderer, camera, exposure, self.channels, state.scene_time)
+        channels = [channel for channel in self.channels if channel != "rgb"]
+        return capture(self.renderer, camera, exposure, channels, state.scene_time).with_channels(rgb=frozen)
+
+    def _frozen(self, camera: SceneCamera, index: int) -> Image:
+        """Image of an earlier frame, at which a camera has frozen."""
+        state = self._at(self.scene.frame_time(index))[2]
+        return capture(self.renderer, camera, state.exposure(camera), ("rgb",), state.scene_time).rgb
 
     def _at(self, elapsed: int) -> _Snapshot:
         """Everything at a scene time in nanoseconds.

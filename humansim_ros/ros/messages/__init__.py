@@ -30,6 +30,7 @@ from humansim_ros.ros.messages.compressed import (
     compressed_depth_message,
     compressed_image_message,
 )
+from humansim_ros.ros.messages.faults import faults_legend, faults_message, read_faults
 from humansim_ros.ros.messages.headers import (
     WORLD_FRAME,
     header,
@@ -78,6 +79,8 @@ __all__ = [
     "compressed_depth_message",
     "compressed_image_message",
     "extrinsics_message",
+    "faults_legend",
+    "faults_message",
     "header",
     "image_message",
     "instance_legend",
@@ -100,6 +103,7 @@ __all__ = [
     "projection_message",
     "read_boxes",
     "read_camera_info",
+    "read_faults",
     "read_joint_view",
     "read_joints",
     "read_motion_legend",

@@ -15,11 +15,18 @@ from dataclasses import replace
 from typing import Any
 
 from humansim_ros.errors import CameraError, RosError, SceneError
+from humansim_ros.render import View
 from humansim_ros.render.channels import comparing_with
 from humansim_ros.ros import messages
 from humansim_ros.ros.camera_calibration import PublishedCalibration, read_single_camera
+from humansim_ros.ros.camera_driver import CameraDriver
 from humansim_ros.ros.camera_pose import CameraPosePublisher
-from humansim_ros.ros.camera_publishers import ImagePublishers, InfoPublishers, TruthPublishers
+from humansim_ros.ros.camera_publishers import (
+    FaultsPublisher,
+    ImagePublishers,
+    InfoPublishers,
+    TruthPublishers,
+)
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.runtime import run_node
@@ -27,7 +34,9 @@ from humansim_ros.ros.topics import CameraTopics
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.capture import Exposure, capture, capture_rectified_depth
+from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.state import SceneState
+from humansim_ros.types import Image
 
 #: Channels that need the next frame, and the previous one.
 _FORWARD, _BACKWARD = comparing_with("next_frame"), comparing_with("previous_frame")
@@ -50,12 +59,18 @@ class CameraNode(SceneNode):
         self._in_rig = renderer is not None
         self._renderer = renderer if self._in_rig else self.make_renderer()
         self._topics = CameraTopics(self.scene, self._camera, frame, self._renderer.channels)
-        self._images = ImagePublishers(self, self._topics)
+        self._driver = CameraDriver(self)
+        self._images = ImagePublishers(self, self._topics, self._driver)
         #: States and exposures of the last frame and of the one before it, if flow is subscribed to.
         self._last: tuple[SceneState, Exposure] | None = None
         self._previous: tuple[SceneState, Exposure] | None = None
-        self._infos = InfoPublishers(self, self._topics)
+        self._infos = InfoPublishers(self, self._topics, self._driver)
         self._truth = TruthPublishers(self, self._topics)
+        self._faults = FaultsPublisher(self, self._topics)
+        schedule = self._camera.faults
+        self._freezes = schedule is not None and schedule.config.freeze is not None
+        #: Colours of the last frame that was not frozen, if the camera may freeze.
+        self._last_colours: Image | None = None
         self._calibration = PublishedCalibration(self, self._camera)
         if url := self.text_parameter(
             "published_info_url",
@@ -141,6 +156,15 @@ class CameraNode(SceneNode):
             self._images.publish(view, channels & _FORWARD, before.stamp)
 
     def _publish_view(self, state: SceneState, exposure: Exposure, channels: set[str]) -> None:
+        schedule = None if state.is_preview else self._camera.faults
+        faults = NO_FAULTS if schedule is None else schedule.at_time(state.scene_time)
+        self._faults.publish(faults, state.stamp)
+        with self._driver.frame(state.stamp, faults):
+            self._publish_images(state, exposure, channels, faults)
+
+    def _publish_images(
+        self, state: SceneState, exposure: Exposure, channels: set[str], faults: FrameFaults
+    ) -> None:
         stamp = state.stamp
         truth_topics = self._truth.subscribed()
         rectified = self._images.rectified_subscribed()
@@ -148,7 +172,7 @@ class CameraNode(SceneNode):
         self._infos.publish(self._calibration.published, stamp)
         if not rendered and not rectified:
             return
-        view = capture(self._renderer, self._camera, exposure, rendered, state.scene_time)
+        view = self._captured(state, exposure, rendered, faults)
         self._images.publish(view, channels, stamp)
         if "rgb" in rectified:
             self._images.publish_rectified("rgb", self._camera.rectify(view.rgb), stamp)
@@ -159,6 +183,20 @@ class CameraNode(SceneNode):
         self._truth.publish(truth_topics, truth, stamp)
         self.count("frames")
         self.report_lateness(stamp)
+
+    def _captured(
+        self, state: SceneState, exposure: Exposure, channels: set[str], faults: FrameFaults
+    ) -> View:
+        """View of a state; with the colours of an earlier frame while the camera is frozen."""
+        frozen = self._last_colours if faults.picture and "rgb" in channels else None
+        if frozen is not None:
+            channels = channels - {"rgb"}
+        view = capture(self._renderer, self._camera, exposure, channels, state.scene_time)
+        if frozen is not None:
+            return view.with_channels(rgb=frozen)
+        if self._freezes and "rgb" in channels:
+            self._last_colours = view.rgb
+        return view
 
 
 def main(scene: Scene | None = None) -> int:

@@ -109,7 +109,7 @@ class RecorderNode(SuiteNode):
         space = self.get_namespace()
         topics = scene_topics(scene) if path and scene else []
         if topics and not names:
-            names = [*(topic.name for topic in topics if topic.shown or topic.latched), SCENE_TIME, "/clock"]
+            names = [*(topic.name for topic in topics if topic.recorded), "/clock"]
         self._choice = TopicChoice.of([*names, *awaited], space)
         #: Types of the topics of the scene.
         self._types = {absolute(topic.name, space): topic.type_name for topic in topics}
@@ -371,10 +371,10 @@ def has_message_per_frame(topic: Topic[Any]) -> bool:
     """Whether a topic has exactly one message for each frame when the frame has been shown.
 
     Not those that compare a frame with the next or the previous one, because a camera that was started again
-    lacks that; nor those without a stamp.
+    lacks that; nor those without a stamp, nor those that a camera with faults may lose.
     """
     compared = any(CHANNEL_TABLE[channel].adjacent_frame for channel in topic.channels)
-    return topic.per_frame and not compared and begins_with_stamp(topic.type)
+    return topic.per_frame and not compared and not topic.faulty and begins_with_stamp(topic.type)
 
 
 def _listed(texts: Sequence[str], separator: str) -> str:

@@ -19,7 +19,9 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-FOLDERS = ("", "scene", "camera", "motion", "humans", "body", "mesh", "render", "sensor", "truth")
+FOLDERS = (
+    "", "scene", "camera", "motion", "humans", "keypoints", "body", "mesh", "render", "sensor", "truth",
+)  # fmt: skip
 HEAD = """# Python API
 
 Names on this page are public: they stay, or keep an alias with a `DeprecationWarning` for one minor version.

@@ -108,6 +108,7 @@ def crossing_scene(people: int, cameras: int) -> dict[str, Any]:
     angles = np.radians(45 + step * np.arange(cameras))
     return {
         "rate": 30,
+        "room": None,  # the walls of the default room would hide people from some cameras
         "humans": {
             f"person_{index}": {
                 "body": BODIES[index % len(BODIES)],

@@ -43,7 +43,7 @@ PARSED |= {
 }
 OWN_FILE = re.compile(r"[A-Z][A-Z_0-9]*(\.\w+)?/?")
 #: Options before a file that the command writes.
-WRITES = ("-o", "--output", "--preview")
+WRITES = ("-o", "--output", "--preview", "--json", "--report")
 
 
 def commands(text: str) -> list[list[str]]:

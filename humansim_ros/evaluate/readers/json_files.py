@@ -32,12 +32,13 @@ _PANOPTIC["joints15"] = _PANOPTIC["joints19"][:15]
 
 
 def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:
-    """Read a folder with a file a frame, or one such file.
+    """Read a folder with a file a frame, or one such file. The folder may be a sequence of Panoptic.
 
     Positions of Panoptic (centimetres, y down) become those of ``map``. The last number in the name of a
     file is its frame. Raises EvaluationError.
     """
-    files = sorted(path.glob("*.json")) if path.is_dir() else [path]
+    sequence = sorted(path.glob("hdPose3d_*/*.json"))
+    files = (sequence or sorted(path.glob("*.json"))) if path.is_dir() else [path]
     if not files:
         raise EvaluationError("there are no .json files in this folder", path=path)
     builder = SequenceBuilder(str(path))

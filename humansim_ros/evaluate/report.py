@@ -29,7 +29,12 @@ def _plain(value: Any) -> Any:
 
 def millimetres(value: float | None) -> str:
     """Length in millimetres, or a dash."""
-    return "–" if value is None else f"{value * 1000:.1f} mm"
+    return "–" if value is None else f"{thousand(value)} mm"
+
+
+def thousand(value: float) -> str:
+    """A thousand times a number, with one decimal; 0.0 for small negative ones, too."""
+    return f"{round(value * 1000, 1) + 0.0:.1f}"
 
 
 def percent(value: float | None) -> str:
@@ -48,8 +53,8 @@ def summary(evaluation: Evaluation) -> Iterator[tuple[str, str, str]]:
     yield "frames", "compared", str(e.frames.compared)
     yield "frames", "without estimate", str(e.frames.without_estimate)
     yield "frames", "estimate without truth", str(e.frames.without_truth)
-    measured = "unknown" if e.offset.measured is None else f"{e.offset.measured * 1000:.1f} ms"
-    applied = f"{e.offset.applied * 1000:.1f} ms corrected" if e.offset.applied else "not corrected"
+    measured = "unknown" if e.offset.measured is None else f"{thousand(e.offset.measured)} ms"
+    applied = f"{thousand(e.offset.applied)} ms corrected" if e.offset.applied else "not corrected"
     yield "frames", "stamps are late by", f"{measured} ({applied})"
     yield "people", "found", f"{e.people.found} of {e.people.present} ({percent(e.people.recall)})"
     yield "people", "missed", str(e.people.missed)

@@ -101,7 +101,7 @@ def show(evaluation: Evaluation) -> str:
             "joint", "MPJPE", "PA-MPJPE", "PCK", "bias x, y, z (mm)", box=box.SIMPLE, pad_edge=False
         )
         for name, joint in evaluation.by_joint.items():
-            bias = "–" if joint.bias is None else ", ".join(f"{1000 * b:.1f}" for b in joint.bias)
+            bias = "–" if joint.bias is None else ", ".join(thousand(b) for b in joint.bias)
             joints.add_row(
                 name, millimetres(joint.mpjpe), millimetres(joint.pa_mpjpe), percent(joint.pck), bias
             )

@@ -11,6 +11,7 @@ from humansim_ros.camera.calibration import write_calibration
 from humansim_ros.errors import ExportError, HumansimError, HumansimWarning
 from humansim_ros.export.folder import ExportFolder
 from humansim_ros.export.writer import ExportSettings, FormatWriter
+from humansim_ros.io.files import ANY_SIZE, read_text
 
 
 def calibration_text(settings: ExportSettings, format: str, cameras: Sequence[str] | None = None) -> str:
@@ -33,7 +34,7 @@ def calibration_text(settings: ExportSettings, format: str, cameras: Sequence[st
             write_calibration(path, {name: known[name].camera for name in names}, format)
         except HumansimError as error:
             raise ExportError(error.message, key=f"{format}: {error.key}" if error.key else format) from None
-        return path.read_text(encoding="utf-8")
+        return read_text(path, ExportError, "calibration", ANY_SIZE)
 
 
 class AniposeWriter(FormatWriter):

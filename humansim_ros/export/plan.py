@@ -12,6 +12,7 @@ from humansim_ros import __version__
 from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.errors import ExportError
 from humansim_ros.export.formats import chosen_formats, needed_channels
+from humansim_ros.io.files import ANY_SIZE, read_text
 from humansim_ros.keypoints.sets import keypoint_set
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene import Scene
@@ -117,16 +118,15 @@ class ExportPlan:
 
 def read_index(folder: Path) -> dict[str, Any]:
     """Content of the index of an export. Raises ExportError without a folder, or without an index in it."""
+    path = folder / INDEX
+    if not path.exists():
+        raise ExportError("there is no export here", path=path)
     try:
-        index = json.loads((folder / INDEX).read_text(encoding="utf-8"))
-    except OSError as reason:
-        raise ExportError(
-            f"there is no export here: {reason.strerror or reason}", path=folder / INDEX
-        ) from None
+        index = json.loads(read_text(path, ExportError, "index", ANY_SIZE))
     except ValueError:
         index = None
     if not isinstance(index, dict) or index.get(_KEY) != _LAYOUT:
-        raise ExportError("this is not the index of an export of this version", path=folder / INDEX)
+        raise ExportError("this is not the index of an export of this version", path=path)
     return index
 
 

@@ -12,6 +12,7 @@ from humansim_ros.drawing.views import color_image
 from humansim_ros.errors import ExportError
 from humansim_ros.export.folder import ExportFolder
 from humansim_ros.export.writer import FormatWriter, Record
+from humansim_ros.io.files import ANY_SIZE, read_bytes
 from humansim_ros.types import Image
 
 
@@ -29,7 +30,8 @@ class VideoWriter(FormatWriter):
         encoding = self.settings.scene.scene_cameras[camera].sensor.config.encoding
         for index in self.settings.frames:
             path = folder.root / self.settings.image(camera, index)
-            image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+            encoded = np.frombuffer(read_bytes(path, ExportError, "image", ANY_SIZE), np.uint8)
+            image = cv2.imdecode(encoded, cv2.IMREAD_UNCHANGED) if encoded.size else None
             if image is None:
                 raise ExportError("this image of the export cannot be read", path=path)
             # images in colour are in the order of OpenCV, whatever the camera delivers

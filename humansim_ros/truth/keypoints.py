@@ -54,7 +54,7 @@ def view_keypoints(
     on_skin = {label: locator.on_surface for label, locator in locators.items()}
     points = [positions[label][mask] for label, mask in on_skin.items()]
     seen = visible_points(camera, bodies, np.concatenate([np.zeros((0, 3)), *points]), view)
-    parts = np.split(seen, np.cumsum([len(part) for part in points])[:-1])
+    parts = np.split(seen, np.cumsum([len(part) for part in points]))[: len(points)]
     views = {}
     for (label, locator), skin_seen in zip(locators.items(), parts, strict=True):
         joints = view_joints(camera, positions[label], view, label, locator.surfaces, objects)

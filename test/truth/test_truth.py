@@ -397,3 +397,10 @@ def test_keypoints_on_the_skin_are_visible_where_rays_reach_them(casters: list[R
     assert agreed >= 0.99 * compared
     assert 0.15 * compared < seen_at_all < 0.9 * compared
     assert kinds >= {NOTHING, SELF, PERSON, THING}
+
+
+def test_a_scene_without_people_has_no_keypoints() -> None:
+    camera = {"size": [32, 24], "position": [3, 0, 1], "look_at": [0, 0, 1]}
+    scene = Scene.from_dict({"room": None, "humans": {}, "cameras": {"left": camera}})
+    with Simulation(scene, ("depth", "instance", "part")) as simulation:
+        assert simulation.frame(0).keypoints["coco17"]["left"] == {}

@@ -267,7 +267,11 @@ def test_topics_without_frames_are_recorded_once(scene: Scene, tmp_path: Path) -
     found = by_rosbags(recorded(scene, tmp_path / "bag", "humans/anna/mesh", "*/legend"))
     assert {topic: len(messages) for topic, messages in found.items()} == dict.fromkeys(
         ["/humans/anna/mesh", "/humans/anna/motion/legend"]
-        + [f"/{name}/{kind}/legend" for name in ("noisy", "bent") for kind in ("instance", "part", "joints")],
+        + [
+            f"/{name}/{kind}/legend"
+            for name in ("noisy", "bent")
+            for kind in ("instance", "part", "joints", "keypoints")
+        ],
         1,
     )
 

@@ -306,7 +306,8 @@ def test_requests_that_rclpy_cannot_read_soon_are_refused(ros: None) -> None:
 
 
 def test_all_nodes_of_the_package_are_guarded() -> None:
+    """But for the listener in tests of users, which is no part of a graph."""
     for path in (ROOT / "humansim_ros").rglob("*.py"):
-        if path.name != "guarded_node.py":
+        if path.name != "guarded_node.py" and path.parent.name != "testing":
             text = path.read_text()
             assert not re.search(r"create_node\(|\(Node\b|create_task\(", text), path

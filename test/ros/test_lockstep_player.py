@@ -21,6 +21,7 @@ from waiting import wait_until
 
 from humansim_ros.errors import RosError
 from humansim_ros.ros import messages
+from humansim_ros.ros.clock_owner import CLOCK_SEARCH
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE
 from humansim_ros.ros.runtime import make_executor
@@ -208,7 +209,7 @@ def test_a_player_that_was_killed_goes_on_with_the_newest_finished_frame(stage: 
     assert stage.sees(lambda: stamp_of(4) in stage.stamps)
     stage.kill(first)
     stage.stamps.clear()
-    stage.player()
+    stage.player(clock_search=CLOCK_SEARCH)  # in this time it hears of the camera, too
     assert stage.sees(lambda: stage.stamps)
     assert stage.stamps[0] == stamp_of(3)
     stage.finish(stamp_of(3))

@@ -392,7 +392,9 @@ def test_entry_points_import_nothing_before_they_can_be_stopped(module: str) -> 
 
 def test_installed_commands_lead_to_the_light_entry_points() -> None:
     commands = [line.strip(' ",') for line in (ROOT / "setup.py").read_text().splitlines() if ":" in line]
-    entries = [line.partition(" = ")[2] for line in commands if " = humansim_ros." in line]
+    entries = [
+        line.partition(" = ")[2] for line in commands if line.count(":") == 1 and " = humansim_ros." in line
+    ]
     assert len(entries) == 6
     assert {entry.partition(":")[0] for entry in entries} == {
         "humansim_ros.cli.__main__",

@@ -595,6 +595,21 @@ def test_log_times_go_on_when_the_clock_is_set_back(
     assert [data for _, data in content(recorder.folder)] == serialised([header(n) for n in range(10)])
 
 
+def test_messages_that_have_arrived_before_the_end_are_in_the_bag(
+    recording: Callable[..., Recording],
+) -> None:
+    from std_msgs.msg import Header
+
+    recorder = recording()
+    publishers = [recorder.publisher(Header, f"/sent/{name}") for name in "ab"]
+    for number in range(10):
+        publishers[number % 2].publish(header(number))
+    assert all(publisher.wait_for_all_acked() for publisher in publishers)
+    recorder.finish()  # the executor has not spun
+    found = sorted(data for _, data in content(recorder.folder))
+    assert found == serialised([header(n) for n in range(10)])
+
+
 def test_a_bag_is_split_by_size(recording: Callable[..., Recording]) -> None:
     from std_msgs.msg import UInt8MultiArray
 

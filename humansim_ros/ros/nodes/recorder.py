@@ -55,6 +55,8 @@ _MAX_NEW = 20
 _MAX_TOPICS = 1000
 #: Seconds after which topics without messages are reported.
 _REPORT_AFTER = 5.0
+#: Seconds in which a recorder that is stopped takes messages that have arrived: publishers may go on.
+_MAX_TAKING = 1.0
 #: Most topics that a line of the log names.
 _MAX_NAMED = 5
 #: Nanoseconds at the end of a bag that is continued whose messages may come again.
@@ -351,7 +353,9 @@ class RecorderNode(SuiteNode):
 
     def complete(self) -> None:
         """Write all that has been received, and finish the bag."""
+        deadline = time.monotonic() + _MAX_TAKING
         for recorded in self._recorded.values():
+            _take_waiting(recorded.subscription, deadline)
             self.destroy_subscription(recorded.subscription)
         self._bag.close()
         if self._bag.error is not None:
@@ -375,6 +379,14 @@ def has_message_per_frame(topic: Topic[Any]) -> bool:
     """
     compared = any(CHANNEL_TABLE[channel].adjacent_frame for channel in topic.channels)
     return topic.per_frame and not compared and not topic.faulty and begins_with_stamp(topic.type)
+
+
+def _take_waiting(subscription: Any, deadline: float) -> None:
+    """Pass the messages that have arrived, but for which the executor had no time, to the callback."""
+    handle = subscription.handle
+    with handle:
+        while time.monotonic() < deadline and (taken := handle.take_message(subscription.msg_type, True)):
+            subscription.callback(taken[0])
 
 
 def _listed(texts: Sequence[str], separator: str) -> str:

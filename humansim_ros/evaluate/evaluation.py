@@ -27,6 +27,7 @@ from humansim_ros.evaluate.metrics import (
     velocity_errors,
 )
 from humansim_ros.evaluate.offset import measure_offset
+from humansim_ros.evaluate.timing import Timing, timing
 from humansim_ros.evaluate.tracking import TrackedFrame, TrackingScores, similarity, tracking_scores
 from humansim_ros.evaluate.tracks import PoseSequence
 from humansim_ros.types import Array, Indices
@@ -172,10 +173,10 @@ class Matches:
 class Evaluation:
     """Result of a comparison. Lengths are metres, times seconds, shares 0 to 1; docs/evaluation.md.
 
-    ``tracking`` is None if the estimate has no identities, or nobody is in it. The fields from ``matches`` on
-    are for plots, and not in JSON: stamps of the compared frames (N,), their numbers of people found, missed
-    and false (N, 3), errors of all matches (M, C), the same with inf for joints that the estimate lacks, and
-    the number of joints of missed people.
+    ``tracking`` is None if the estimate has no identities, or nobody is in it; ``live`` is None for files.
+    The fields from ``matches`` on are for plots, and not in JSON: stamps of the compared frames (N,), their
+    numbers of people found, missed and false (N, 3), errors of all matches (M, C), the same with inf for
+    joints that the estimate lacks, and the number of joints of missed people.
     """
 
     truth: str
@@ -193,6 +194,7 @@ class Evaluation:
     by_joint: dict[str, JointScore]
     by_person: dict[str, PersonScore]
     worst: list[WorstPose]
+    live: Timing | None
     matches: Matches = field(repr=False)
     frame_times: NDArray[np.int64] = field(repr=False)
     found_by_frame: Indices = field(repr=False)
@@ -329,6 +331,7 @@ class _Comparison:
             by_joint={name: self._joint(index) for index, name in enumerate(self.truth.names)},
             by_person={name: self._person(name) for name in self._numbers[0]},
             worst=self._worst(),
+            live=timing(self.truth, self.estimate),
             matches=self.matches,
             frame_times=times,
             found_by_frame=self.found_by_frame,

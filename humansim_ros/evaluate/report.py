@@ -7,6 +7,7 @@ from dataclasses import asdict, fields, is_dataclass
 from typing import Any
 
 from humansim_ros.evaluate.evaluation import Evaluation
+from humansim_ros.evaluate.timing import Timing
 
 #: Version of the keys in JSON.
 JSON_VERSION = 1
@@ -56,6 +57,8 @@ def summary(evaluation: Evaluation) -> Iterator[tuple[str, str, str]]:
     measured = "unknown" if e.offset.measured is None else f"{thousand(e.offset.measured)} ms"
     applied = f"{thousand(e.offset.applied)} ms corrected" if e.offset.applied else "not corrected"
     yield "frames", "stamps are late by", f"{measured} ({applied})"
+    if e.live is not None:
+        yield from _timing_rows(e.live)
     yield "people", "found", f"{e.people.found} of {e.people.present} ({percent(e.people.recall)})"
     yield "people", "missed", str(e.people.missed)
     yield "people", "false", str(e.people.false)
@@ -81,6 +84,17 @@ def summary(evaluation: Evaluation) -> Iterator[tuple[str, str, str]]:
         yield "identity", "MOTA", percent(t.mota)
         yield "identity", "IDF1", percent(t.idf1)
         yield "identity", "switches, fragments", f"{t.switches}, {t.fragments}"
+
+
+def _timing_rows(timing: Timing) -> Iterator[tuple[str, str, str]]:
+    if timing.latency is not None:
+        times = (timing.latency.median, timing.latency.p99, timing.latency.worst)
+        yield "live", "latency: median, 99 %, worst", ", ".join(f"{thousand(each)} ms" for each in times)
+    if timing.rate is not None:
+        yield "live", "rate", f"{timing.rate:.1f} frames/s"
+    after = f", and {timing.after} after the last estimate" if timing.after else ""
+    yield "live", "lost", f"{timing.lost} frames ({percent(timing.lost_share)}){after}"
+    yield "live", "repeated, out of order", f"{timing.duplicates}, {timing.out_of_order} messages"
 
 
 def show(evaluation: Evaluation) -> str:

@@ -17,6 +17,25 @@ from humansim_ros.types import Array
 People = Mapping[str, Array]
 
 
+@dataclass(frozen=True)
+class Arrivals:
+    """How the messages of a sequence arrived.
+
+    Attributes:
+        times: (F,) int64 nanoseconds of the last message of each frame, of any clock.
+        latencies: (L,) seconds from the stamp to the last message of a frame, where they are known.
+        messages: Number of messages with a stamp, also of repeated ones.
+        duplicates: Number of messages that add nobody to the estimate of their frame.
+        out_of_order: Number of messages that are older than the one before on their topic.
+    """
+
+    times: NDArray[np.int64]
+    latencies: Array
+    messages: int
+    duplicates: int
+    out_of_order: int
+
+
 @dataclass(frozen=True, repr=False)
 class PoseSequence:
     """Poses of people over time, of a truth or an estimate.
@@ -28,6 +47,7 @@ class PoseSequence:
         scores: By frame: confidence by person; None if the source has none.
         source: Where the poses come from, for messages.
         has_identities: A name is the same person in all frames.
+        arrivals: How its messages arrived; None for files.
     """
 
     names: tuple[str, ...]
@@ -36,6 +56,7 @@ class PoseSequence:
     scores: Sequence[Mapping[str, float]] | None = None
     source: str = ""
     has_identities: bool = True
+    arrivals: Arrivals | None = None
 
     def __repr__(self) -> str:
         return f"PoseSequence({len(self.names)} joints, {len(self.times)} frames, {self.source})"

@@ -14,7 +14,7 @@ from humansim_ros import Scene
 from humansim_ros.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.bags.topics import BagTopic, message_types
 from humansim_ros.bags.writer import BagWriter
-from humansim_ros.errors import BagError, EvaluationError
+from humansim_ros.errors import BagError, EvaluationError, HumansimWarning
 from humansim_ros.evaluate.evaluation import evaluate_poses
 from humansim_ros.evaluate.names import set_of_names
 from humansim_ros.evaluate.readers.bag_topics import read_bag_topic
@@ -100,8 +100,13 @@ def test_a_folder_is_no_truth(tmp_path: Path) -> None:
         open_truth(tmp_path)
 
 
-def write_bag(folder: Path, sequences: dict[str, tuple[str, PoseSequence]]) -> Path:
-    """Bag of joints (MultiDOFJointState) and poses (PoseArray) of people on topics ``{person}``."""
+def write_bag(
+    folder: Path, sequences: dict[str, tuple[str, PoseSequence]], late: int = 0, frame: str = "map"
+) -> Path:
+    """Bag of joints (MultiDOFJointState) and poses (PoseArray) of people on topics ``{person}``.
+
+    ``late``: nanoseconds from a stamp to its log time. ``frame``: frame_id of the messages.
+    """
     types = message_types().types
     point, vector = types["geometry_msgs/msg/Point"], types["geometry_msgs/msg/Vector3"]
     turn = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
@@ -114,27 +119,27 @@ def write_bag(folder: Path, sequences: dict[str, tuple[str, PoseSequence]]) -> P
                 topics.setdefault(pattern, kind)
                 joints = np.concatenate([*people.values(), np.zeros((0, 3))])
                 poses = [whole(point(*row), turn) for row in joints.tolist()]
-                messages.append((pattern, time, types[kind](header(time), poses)))
+                messages.append((pattern, time, types[kind](header(time, frame), poses)))
                 continue
             for person, joints in people.items():
                 topics.setdefault(pattern.format(person), kind)
                 transforms = [transform(vector(*row), turn) for row in joints.tolist()]
-                content = types[kind](header(time), list(sequence.names), transforms, [], [])
+                content = types[kind](header(time, frame), list(sequence.names), transforms, [], [])
                 messages.append((pattern.format(person), time, content))
     order = list(topics)
     with BagWriter(folder, [BagTopic(name, kind) for name, kind in topics.items()]) as writer:
         for name, time, message in messages:
             data = message_types().serialize_cdr(message, topics[name])
-            writer.append(encode_chunk([BagMessage(order.index(name), time, data)], "none"))
+            writer.append(encode_chunk([BagMessage(order.index(name), time + late, data)], "none"))
     return folder
 
 
 JOINTS, POSES = "sensor_msgs/msg/MultiDOFJointState", "geometry_msgs/msg/PoseArray"
 
 
-def header(stamp: int) -> Any:
+def header(stamp: int, frame: str) -> Any:
     time = message_types().types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
-    return message_types().types["std_msgs/msg/Header"](time, "map")
+    return message_types().types["std_msgs/msg/Header"](time, frame)
 
 
 def test_truth_and_estimate_of_one_bag(tmp_path: Path) -> None:
@@ -154,21 +159,45 @@ def test_truth_and_estimate_of_one_bag(tmp_path: Path) -> None:
     assert (source.period, source.start) == (PERIOD, 1)
     with pytest.raises(EvaluationError, match=r"no topic /humans/<id>/keypoints/coco17\. Record it as well"):
         source.poses((0, 1), 0.0, keypoint_set("coco17"))
-    named = read_bag_topic(bag, "/tracker/*/pose", ReadOptions())
+    named = read_bag_topic(bag, "/tracker/*/pose", ReadOptions()).sequence()
     result = evaluate_poses(truth, named)
     assert result.position.mpjpe == pytest.approx(np.linalg.norm(noise, axis=1).mean())
     assert result.people.missed == 2 and result.tracking is not None
-    unnamed = read_bag_topic(bag, "/tracker/poses", ReadOptions(names=NAMES))
+    unnamed = read_bag_topic(bag, "/tracker/poses", ReadOptions(names=NAMES)).sequence()
     assert len(unnamed.times) == 50 and unnamed.people[3] == {}  # an empty message is a frame
     result = evaluate_poses(truth, unnamed)
     assert result.position.mpjpe == pytest.approx(np.linalg.norm(noise, axis=1).mean())
     assert result.tracking is None
 
 
+def test_latency_and_losses_of_a_bag(tmp_path: Path) -> None:
+    estimate = changed(walking(), lambda frame, _, joints: joints if frame not in (7, 48, 49) else None)
+    some = [index for index, each in enumerate(estimate.people) if each or index == 7]
+    estimate = replace(estimate, times=estimate.times[some], people=[estimate.people[i] for i in some])
+    topics = {"/humans/{}/joints": (JOINTS, walking()), "/tracker/{}/pose": (JOINTS, estimate)}
+    for name, late in (("lockstep", 0), ("live", 80_000_000), ("other clock", 10**18)):
+        bag = write_bag(tmp_path / name, topics, late)
+        result = evaluate_poses(
+            bag_truth(bag), read_bag_topic(bag, "/tracker/*/pose", ReadOptions()).sequence()
+        )
+        assert result.live is not None
+        assert (result.live.lost, result.live.after, result.live.frames) == (1, 2, 47)
+        assert result.live.lost_share == 1 / 48 and result.live.rate == pytest.approx(25 * 46 / 47)
+        assert (result.live.latency is not None) == (name == "live")
+        if result.live.latency is not None:
+            assert result.live.latency.median == result.live.latency.p99 == pytest.approx(0.08)
+
+
+def test_another_frame_is_told(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", {"/tracker/poses": (POSES, walking(3))}, frame="odom")
+    with pytest.warns(HumansimWarning, match=r"bag:/tracker/poses: frame_id is 'odom', and is taken as map"):
+        read_bag_topic(bag, "/tracker/poses", ReadOptions(names=NAMES))
+
+
 def test_one_person_a_message_on_one_topic(tmp_path: Path) -> None:
     anna = replace(walking(5), people=[{"anna": each["anna"]} for each in walking(5).people])
     bag = write_bag(tmp_path / "bag", {"/tracker/poses": (POSES, anna)})
-    sequence = read_bag_topic(bag, "/tracker/poses", ReadOptions(names=NAMES))
+    sequence = read_bag_topic(bag, "/tracker/poses", ReadOptions(names=NAMES)).sequence()
     assert sequence.has_identities and [set(each) for each in sequence.people] == [{"1"}] * 5
 
 

@@ -14,8 +14,8 @@ from evaluate_support import NAMES, PERIOD, pose, walking
 
 from humansim_ros.errors import EvaluationError
 from humansim_ros.evaluate.names import read_names
-from humansim_ros.evaluate.readers.bag_topics import _READERS, Pose
 from humansim_ros.evaluate.readers.estimates import read_estimates
+from humansim_ros.evaluate.readers.messages import Pose, read_message
 from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.evaluate.tracks import PoseSequence
 from humansim_ros.types import Array
@@ -264,7 +264,7 @@ def test_tables_of_names(tmp_path: Path) -> None:
 
 
 def header(stamp: int) -> Any:
-    return SimpleNamespace(stamp=SimpleNamespace(sec=stamp // 10**9, nanosec=stamp % 10**9))
+    return SimpleNamespace(stamp=SimpleNamespace(sec=stamp // 10**9, nanosec=stamp % 10**9), frame_id="map")
 
 
 def xyz(point: Array) -> Any:
@@ -272,7 +272,9 @@ def xyz(point: Array) -> Any:
 
 
 def poses_of(kind: str, message: Any, names: tuple[str, ...] | None = NAMES) -> list[Pose]:
-    return list(_READERS[kind](message, ReadOptions(names)))
+    frame = read_message(kind, message, ReadOptions(names))
+    assert (frame.stamp, frame.frame_id) == (5, "map")
+    return list(frame.people)
 
 
 def test_joint_states_of_one_person_and_of_several() -> None:
@@ -283,7 +285,7 @@ def test_joint_states_of_one_person_and_of_several() -> None:
         return SimpleNamespace(header=header(5), joint_names=names, transforms=transforms)
 
     (one,) = poses_of("sensor_msgs/msg/MultiDOFJointState", message(list(NAMES)), None)
-    assert (one.stamp, one.person, one.names) == (5, None, NAMES)
+    assert (one.person, one.names) == (None, NAMES)
     np.testing.assert_array_equal(one.positions, joints)
     both = poses_of(
         "sensor_msgs/msg/MultiDOFJointState", message([f"{p}/{n}" for p in "ab" for n in NAMES]), None
@@ -360,6 +362,37 @@ def test_point_clouds_with_and_without_numbers_of_people(fields: tuple[str, ...]
     assert [each.person for each in people] == (["3", "9"] if fields else [None, None])
     assert [each.score for each in people] == ([0.25, 0.75] if "score" in fields else [None, None])
     np.testing.assert_allclose(people[1].positions, pose("bert", 0), atol=1e-6)
+
+
+def test_messages_that_no_estimate_can_be() -> None:
+    def poses(position: float = 1.0, stamp: int = 5) -> Any:
+        point = SimpleNamespace(position=xyz(np.array([position, 0.0, 0.0])))
+        return SimpleNamespace(header=header(stamp), poses=[point])
+
+    kind = "geometry_msgs/msg/PoseArray"
+    options = ReadOptions(("head",))
+    assert np.isnan(read_message(kind, poses(np.nan), options).people[0].positions).any()
+    with pytest.raises(EvaluationError, match="a position is more than 1000 km away"):
+        read_message(kind, poses(1e12), options)
+    with pytest.raises(EvaluationError, match="a stamp of -2 s is not valid"):
+        read_message(kind, poses(stamp=-2 * 10**9), options)
+    crowd = poses()
+    crowd.poses *= 1001
+    with pytest.raises(EvaluationError, match="a message has more than 1000 people"):
+        read_message(kind, crowd, options)
+    cloud = SimpleNamespace(header=header(5), fields=[], is_bigendian=False, point_step=-1, data=b"")
+    with pytest.raises(EvaluationError, match="a message cannot be read: ValueError"):
+        read_message("sensor_msgs/msg/PointCloud2", cloud, options)
+    twins = [
+        SimpleNamespace(header=header(5), ns="anna", id=i, type=7, action=0, points=[xyz(np.zeros(3))])
+        for i in (1, 2)
+    ]
+    markers = "visualization_msgs/msg/MarkerArray"
+    with pytest.raises(EvaluationError, match="person 'anna' has two poses in a message"):
+        read_message(markers, SimpleNamespace(markers=twins), options)
+    clear = SimpleNamespace(header=header(0), ns="", id=0, type=0, action=3)
+    assert read_message(markers, SimpleNamespace(markers=[clear]), options).stamp is None
+    assert read_message(markers, SimpleNamespace(markers=[clear, twins[0]]), options).stamp == 5
 
 
 def test_a_sequence_says_what_it_is() -> None:

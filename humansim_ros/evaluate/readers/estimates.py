@@ -56,7 +56,7 @@ def _read(text: str, options: ReadOptions) -> PoseSequence:
     name, topic = split_topic(text)
     path = Path(name)
     if topic is not None:
-        return _in_map(read_bag_topic(path, topic, options), "z-up", options)
+        return in_map(read_bag_topic(path, topic, options).sequence(), "z-up", options)
     if not path.exists():
         raise EvaluationError(missing_file(path), key="--estimate")
     if is_bag(path):
@@ -72,7 +72,7 @@ def _read(text: str, options: ReadOptions) -> PoseSequence:
             f"unknown kind of file {suffix!r}; known are {known}, folders of them, and BAG:TOPIC", path=path
         )
     reader, axes = _READERS[suffix]
-    return _in_map(reader(path, options), axes, options)
+    return in_map(reader(path, options), axes, options)
 
 
 def is_bag(path: Path) -> bool:
@@ -84,14 +84,15 @@ def _read_folder(path: Path, options: ReadOptions) -> PoseSequence:
     """A file a frame in JSON, or a file a person in another format."""
     if any(path.glob("*.json")):
         reader, axes = _READERS[".json"]
-        return _in_map(reader(path, options), axes, options)
+        return in_map(reader(path, options), axes, options)
     files = [file for file in sorted(path.iterdir()) if file.suffix.lower() in _READERS]
     if not files:
         raise EvaluationError(f"no file of a known kind ({', '.join(_READERS)}) in this folder", path=path)
     return read_estimates([str(file) for file in files], options)
 
 
-def _in_map(sequence: PoseSequence, axes: str, options: ReadOptions) -> PoseSequence:
+def in_map(sequence: PoseSequence, axes: str, options: ReadOptions) -> PoseSequence:
+    """The sequence with the scale and axes of ``options``; ``axes``: those of its format."""
     matrix = options.scale * axes_matrix(options.axes or axes)
     return sequence if np.array_equal(matrix, np.eye(3)) else sequence.mapped(matrix)
 

@@ -1,0 +1,221 @@
+"""Read the poses of people from messages, of a bag or of a live graph."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from humansim_ros.bounds import MAX_COORDINATE
+from humansim_ros.errors import EvaluationError, printable
+from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.types import Array
+
+#: visualization_msgs/Marker: types with a list of points, a single one, and actions that add nothing.
+_LISTS, _SPHERE, _DELETE = (7, 8), 2, (2, 3)
+#: sensor_msgs/PointField datatypes.
+_DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+#: Fields of a point cloud that number the person, and those that give a confidence.
+_PERSON_FIELDS, _SCORE_FIELDS = ("person", "id", "instance", "label"), ("score", "confidence")
+#: Most people of a message: more are no estimate of a room.
+MAX_PEOPLE = 1000
+#: Greatest coordinate; millimetres are still allowed.
+MAX_POSITION = MAX_COORDINATE * 1000
+
+
+class Pose(NamedTuple):
+    """A person of a message; ``person`` is None if it has no name there. ``positions``: (K, 3)."""
+
+    person: str | None
+    names: tuple[str, ...]
+    positions: Array
+    score: float | None = None
+
+
+@dataclass(frozen=True)
+class PoseFrame:
+    """The people of a message.
+
+    Attributes:
+        stamp: Nanoseconds; None if the message has no header, and nobody is in it.
+        frame_id: Coordinate frame of the positions, as the message names it.
+        people: Everybody in it.
+    """
+
+    stamp: int | None
+    frame_id: str
+    people: Sequence[Pose]
+
+
+def read_message(kind: str, message: Any, options: ReadOptions) -> PoseFrame:
+    """Read the people of a message.
+
+    Args:
+        kind: Its type, one of :data:`MESSAGE_TYPES`.
+        message: A message of rclpy, or of another library with the same attributes.
+        options: Names of points that have none.
+
+    Raises:
+        EvaluationError: The message contradicts itself or the options, or its numbers are beyond all bounds.
+    """
+    try:
+        people = list(islice(_READERS[kind](message, options), MAX_PEOPLE + 1))
+    except EvaluationError:
+        raise
+    except Exception as reason:  # contents come from other programs: offsets of a point cloud, types of names
+        text = printable(f"{type(reason).__name__}: {reason}")
+        raise EvaluationError(f"a message cannot be read: {text}") from None
+    if len(people) > MAX_PEOPLE:
+        raise EvaluationError(f"a message has more than {MAX_PEOPLE} people")
+    named = [pose.person for pose in people if pose.person is not None]
+    if len(set(named)) < len(named):
+        twice = next(name for name in named if named.count(name) > 1)
+        raise EvaluationError(
+            f"person {printable(twice, 80)!r} has two poses in a message; give each person a name of its own"
+        )
+    for pose in people:
+        if (np.abs(pose.positions[np.isfinite(pose.positions)]) > MAX_POSITION).any():
+            raise EvaluationError("a position is more than 1000 km away")
+    headers = [marker.header for marker in message.markers] if kind == _MARKERS else [message.header]
+    if not headers:
+        return PoseFrame(None, "", people)
+    # markers that delete others may have no stamp
+    newest = max(headers, key=_nanoseconds)
+    stamp = _nanoseconds(newest)
+    if not 0 <= stamp < 1 << 62:
+        raise EvaluationError(f"a stamp of {newest.stamp.sec} s is not valid")
+    if stamp == 0 and kind == _MARKERS and not people:
+        return PoseFrame(None, "", people)
+    return PoseFrame(stamp, str(newest.frame_id), people)
+
+
+def _nanoseconds(header: Any) -> int:
+    return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
+
+
+def _multi_dof(message: Any, _: ReadOptions) -> Iterator[Pose]:
+    names = [str(name) for name in message.joint_names]
+    if len(names) != len(message.transforms):
+        raise EvaluationError(f"{len(names)} joint names but {len(message.transforms)} transforms")
+    positions = np.array(
+        [(t.translation.x, t.translation.y, t.translation.z) for t in message.transforms]
+    ).reshape(-1, 3)
+    people: dict[str | None, list[int]] = {}
+    for index, name in enumerate(names):
+        people.setdefault(name.rpartition("/")[0] or None, []).append(index)
+    for person, indices in people.items():
+        joints = tuple(names[index].rpartition("/")[2] for index in indices)
+        yield Pose(person, joints, positions[indices])
+
+
+def _of_points(points: Array, options: ReadOptions) -> Iterator[Pose]:
+    """People of a list of points (N, 3) in the order of the joints, one person after the other."""
+    names = _names(options)
+    if len(points) % len(names):
+        raise EvaluationError(
+            f"{len(points)} points are not a multiple of the {len(names)} joints {names[0]} to {names[-1]}"
+        )
+    for pose in points.reshape(-1, len(names), 3):
+        yield Pose(None, names, pose)
+
+
+def _names(options: ReadOptions) -> tuple[str, ...]:
+    if options.names is None:
+        raise EvaluationError(
+            "these points have no names: choose their keypoint set with --keypoints, or give a list of names "
+            "with --names (of the node: parameters keypoints and names)"
+        )
+    return options.names
+
+
+def _pose_array(message: Any, options: ReadOptions) -> Iterator[Pose]:
+    points = np.array([(p.position.x, p.position.y, p.position.z) for p in message.poses]).reshape(-1, 3)
+    yield from _of_points(points, options)
+
+
+def _markers(message: Any, options: ReadOptions) -> Iterator[Pose]:
+    names = _names(options)
+    single: dict[str, dict[str, tuple[float, float, float]]] = {}
+    for marker in message.markers:
+        if marker.action in _DELETE:
+            continue
+        if marker.type in _LISTS:
+            points = np.array([(p.x, p.y, p.z) for p in marker.points]).reshape(-1, 3)
+            if len(points) != len(names):
+                raise EvaluationError(f"a marker has {len(points)} points, but there are {len(names)} joints")
+            yield Pose(_marker_person(marker), names, points)
+        elif marker.type == _SPHERE and 0 <= marker.id < len(names):
+            place = marker.pose.position
+            single.setdefault(str(marker.ns), {})[names[marker.id]] = (place.x, place.y, place.z)
+    for person, joints in single.items():
+        yield Pose(person or None, tuple(joints), np.array(list(joints.values())))
+
+
+def _marker_person(marker: Any) -> str:
+    """Name of the person of a list of points: the first part of the namespace, or its id."""
+    return str(marker.ns).partition("/")[0] or str(marker.id)
+
+
+def _point_cloud(message: Any, options: ReadOptions) -> Iterator[Pose]:
+    names = _names(options)
+    points = _cloud_rows(message)
+    fields = points.dtype.names or ()
+    if not {"x", "y", "z"} <= set(fields):
+        raise EvaluationError(f"the point cloud has no fields x, y and z, but {', '.join(fields)}")
+    positions = np.stack([points[axis].astype(float) for axis in "xyz"], axis=1)
+    person = next((name for name in _PERSON_FIELDS if name in fields), None)
+    joint = next((name for name in ("joint", "keypoint") if name in fields), None)
+    score = next((name for name in _SCORE_FIELDS if name in fields), None)
+    if person is None:
+        yield from _of_points(positions, options)
+        return
+    numbers = np.unique(points[person][np.isfinite(points[person])])
+    for number in numbers[: MAX_PEOPLE + 1]:  # each takes a look at all points
+        rows = np.flatnonzero(points[person] == number)
+        order = points[joint][rows].astype(int) if joint else np.arange(len(rows))
+        if len(rows) > len(names) or (order >= len(names)).any() or (order < 0).any():
+            raise EvaluationError(
+                f"person {number} has {len(rows)} points, but there are {len(names)} joints"
+            )
+        confidence = float(np.mean(points[score][rows])) if score else None
+        yield Pose(
+            f"{number:g}",
+            tuple(names[index] for index in order),
+            positions[rows],
+            confidence if confidence is not None and math.isfinite(confidence) else None,
+        )
+
+
+def _cloud_rows(message: Any) -> Any:
+    """Points of a PointCloud2 as a structured array."""
+    byte_order = ">" if message.is_bigendian else "<"
+    kinds = [
+        (str(f.name), f"{byte_order}{_DATATYPES[f.datatype]}", f.offset)
+        for f in message.fields
+        if f.count == 1
+    ]
+    layout = np.dtype(
+        {
+            "names": [name for name, _, _ in kinds],
+            "formats": [kind for _, kind, _ in kinds],
+            "offsets": [offset for *_, offset in kinds],
+            "itemsize": message.point_step,
+        }
+    )
+    count = message.width * message.height
+    return np.frombuffer(bytes(message.data), dtype=layout, count=count)
+
+
+_MARKERS = "visualization_msgs/msg/MarkerArray"
+_READERS: dict[str, Callable[[Any, ReadOptions], Iterator[Pose]]] = {
+    "sensor_msgs/msg/MultiDOFJointState": _multi_dof,
+    "geometry_msgs/msg/PoseArray": _pose_array,
+    _MARKERS: _markers,
+    "sensor_msgs/msg/PointCloud2": _point_cloud,
+}
+#: Types of messages that hold poses of people.
+MESSAGE_TYPES = tuple(_READERS)

@@ -1,0 +1,116 @@
+"""Topics of a live graph that hold an estimate: found, subscribed to, and read as those of bags."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.qos import QoSProfile
+
+from humansim_ros.errors import RosError, printable
+from humansim_ros.evaluate.readers.bag_topics import topic_pattern, topic_person
+from humansim_ros.evaluate.readers.messages import MESSAGE_TYPES, PoseFrame, read_message
+from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.ros.bag_qos import subscription_profile
+from humansim_ros.ros.guarded_node import GuardedNode
+from humansim_ros.ros.message_types import message_type
+from humansim_ros.ros.topic_choice import absolute
+
+#: Seconds between two looks for topics and publishers.
+_DISCOVERY_EVERY = 0.25
+#: Most topics of one estimate: a topic for each person.
+_MAX_TOPICS = 100
+#: Bytes of the longest message that is read, except of point clouds: 100 people with 40 joints.
+_MAX_BYTES = 256 << 10
+#: Seconds between two log lines about one problem.
+_LINE_EVERY = 5.0
+
+
+class PoseTopics:
+    """Subscriptions of a node to all topics with poses that match a name, also those that appear later.
+
+    Messages that are too long or cannot be read are ignored with an error in the log; the node goes on.
+
+    Args:
+        node: The node.
+        topic: Name of the topic; ``*`` stands for the name of a person. A relative one is in its namespace.
+        options: Names of points that have none.
+        on_frame: Gets each message, its topic, and the person that the topic names.
+
+    Raises:
+        RosError: The name is no name of a topic.
+    """
+
+    def __init__(
+        self,
+        node: GuardedNode,
+        topic: str,
+        options: ReadOptions,
+        on_frame: Callable[[PoseFrame, str, str | None], object],
+    ) -> None:
+        if not topic.strip("/") or any(letter.isspace() for letter in topic):
+            raise RosError(f"{printable(topic, 80)!r} is no topic: give a name such as /tracker/poses")
+        self.topic = absolute(topic, node.get_namespace())
+        self._node, self._options, self._on_frame = node, options, on_frame
+        self._pattern = topic_pattern(self.topic)
+        #: By topic: type, profile and subscription.
+        self._subscriptions: dict[str, tuple[str, QoSProfile, Any]] = {}
+        node.create_timer(_DISCOVERY_EVERY, self.discover, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.discover()
+
+    @property
+    def found(self) -> Sequence[str]:
+        """Names of the topics."""
+        return list(self._subscriptions)
+
+    def discover(self) -> None:
+        """Subscribe to topics that have appeared, and follow changes of their publishers."""
+        for name, types in self._node.get_topic_names_and_types():
+            if match := self._pattern.fullmatch(name):
+                self._follow(name, types, topic_person(match))
+
+    def _follow(self, name: str, types: Sequence[str], person: str | None) -> None:
+        offers = [
+            (each.topic_type, each.qos_profile) for each in self._node.get_publishers_info_by_topic(name)
+        ]
+        known = [kind for kind, _ in offers if kind in MESSAGE_TYPES]
+        if not known:
+            if offers:
+                listed = ", ".join(printable(kind, 80) for kind in types[:3])
+                self._warn(
+                    f"{printable(name, 100)}: {listed} holds no poses; known are {', '.join(MESSAGE_TYPES)}"
+                )
+            return
+        before, profile_before, old = self._subscriptions.get(name, ("", None, None))
+        kind = before if before in known else known[0]
+        profile = subscription_profile([offer for each, offer in offers if each == kind])
+        if (kind, profile) == (before, profile_before):
+            return
+        if old is None and len(self._subscriptions) >= _MAX_TOPICS:
+            self._warn(f"more than {_MAX_TOPICS} topics match {self.topic}: the others are ignored")
+            return
+        new = self._node.create_subscription(
+            message_type(kind),
+            name,
+            partial(self._on_message, name, kind, person),
+            profile,
+            max_bytes=None if kind.endswith("PointCloud2") else _MAX_BYTES,
+        )
+        if old is not None:
+            self._node.destroy_subscription(old)
+        self._subscriptions[name] = kind, profile, new
+
+    def _on_message(self, name: str, kind: str, person: str | None, message: Any) -> None:
+        self._on_frame(read_message(kind, message, self._options), name, person)
+
+    def _warn(self, text: str) -> None:
+        self._node.get_logger().warn(text, throttle_duration_sec=_LINE_EVERY)
+
+    def close(self) -> None:
+        """End all subscriptions."""
+        for *_, subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        self._subscriptions.clear()

@@ -41,13 +41,15 @@ class PublishedCalibration:
     ``$ROS_HOME/camera_info/<camera>.yaml``.
 
     Attributes:
-        published: Calibration of the whole sensor in ``camera_info``.
+        published: Calibration of the whole sensor in ``<camera>/camera_info``.
+        beside_truth: That beside images of ground truth, such as depth: the true one until it is replaced.
     """
 
     def __init__(self, node: SceneNode, camera: SceneCamera) -> None:
         self._node = node
         self._name = name = camera.name
-        self._rendered = self.published = camera.whole
+        self._rendered = self.beside_truth = camera.whole
+        self.published = camera.published
         node.create_service(SetCameraInfo, f"{name}/set_camera_info", self._on_set)
 
     def replace(self, camera: Camera, source: str | None = None) -> None:
@@ -56,7 +58,7 @@ class PublishedCalibration:
             (w, h), (width, height) = camera.size, self._rendered.size
             message = f"this calibration is for {w}x{h} pixels, the camera has {width}x{height}"
             raise CameraError(message, path=source)
-        self.published = camera
+        self.published = self.beside_truth = camera
 
     def _on_set(self, request: Any, response: Any) -> Any:
         info: CameraInfo = request.camera_info

@@ -34,7 +34,8 @@ class CameraPosePublisher:
 
     A static camera has them once, a moving one with the stamp of every frame. ``<camera>/pose`` (optical
     frame in ``map``) moves any camera: poses are interpolated, and the camera stays at the last one. A pose
-    far ahead of a frame has a stamp of another clock: it holds from that frame on.
+    far ahead of a frame has a stamp of another clock: it holds from that frame on. With a wrong calibration
+    these are wrong, and ``<camera>/truth/extrinsics`` has the true pose.
     """
 
     def __init__(self, node: SceneNode, camera: SceneCamera, topics: CameraTopics) -> None:
@@ -49,6 +50,11 @@ class CameraPosePublisher:
             node.create_publisher(topic.type, topic.name, topic.qos)
             for topic in (topics.extrinsics, topics.projection)
         )
+        self._true_extrinsics = topics.true_extrinsics
+        if self._true_extrinsics is not None:
+            topic = self._true_extrinsics
+            self._true_publisher = node.create_publisher(topic.type, topic.name, topic.qos)
+            self._publish_true(CameraPose.of(camera.camera), node.now())
         self._tf = self._tf_static = None
         if TFMessage is not None:
             self._tf = node.create_publisher(TFMessage, "/tf", DATA)
@@ -61,7 +67,7 @@ class CameraPosePublisher:
 
     def exposure(self, state: SceneState) -> Exposure:
         """Exposure of the camera at a scene state; publishes the camera's pose at its stamp."""
-        exposure = state.exposure(self._camera)
+        exposure, pose = state.exposure(self._camera), state.calibrated_pose(self._camera)
         if self._poses and state.stamp < self._last_stamp:
             self._follow_clock(self._last_stamp, state.stamp)
         self._last_stamp = state.stamp
@@ -71,16 +77,26 @@ class CameraPosePublisher:
                 self._last_motion = state.stamp
             exposure = replace(
                 exposure,
-                pose_at=lambda seconds: self._pose_at(state.stamp + round(1e9 * seconds)),
-                moving=abs(state.stamp - self._last_motion) < _MOVING_FOR,
+                pose_at=lambda seconds: self._camera.true_pose(
+                    self._pose_at(state.stamp + round(1e9 * seconds)), state.scene_time * 1e-9 + seconds
+                ),
+                moving=self._camera.drifts or abs(state.stamp - self._last_motion) < _MOVING_FOR,
             )
-        self._last = exposure.pose_at(0.0)
-        if exposure.moving or self._poses:
+            pose = self._pose_at(state.stamp)
+        self._last = pose
+        if self._camera.moves or self._poses:
             # a lookup in tf at the stamp of a frame needs a transform with that stamp
-            transform = self._publish(self._last, state.stamp)
+            transform = self._publish(pose, state.stamp)
             if self._tf is not None:
                 self._tf.publish(TFMessage(transforms=[transform]))
+        if self._camera.moves or self._poses or self._camera.drifts:
+            self._publish_true(exposure.pose_at(0.0), state.stamp)
         return exposure
+
+    def _publish_true(self, pose: CameraPose, stamp: int) -> None:
+        """Publish the pose that a camera with a wrong calibration really has."""
+        if self._true_extrinsics is not None:
+            self._true_publisher.publish(self._true_extrinsics.build(self._camera.camera_at(pose), stamp))
 
     def _restamp_poses_ahead(self, stamp: int) -> None:
         """Give the newest pose the stamp of a frame if its own is far ahead, and would never be reached."""
@@ -126,7 +142,7 @@ class CameraPosePublisher:
         self._poses.append((stamp, pose))
 
     def _publish(self, pose: CameraPose, stamp: int) -> TransformStamped:
-        camera = self._camera.camera_at(pose)
+        camera = self._camera.published_at(pose)
         transform: TransformStamped = self._topics.extrinsics.build(camera, stamp)
         self._extrinsics.publish(transform)
         self._projection.publish(self._topics.projection.build(camera, stamp))

@@ -7,9 +7,9 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from humansim_ros.camera import Camera
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
+from humansim_ros.ros.camera_calibration import PublishedCalibration
 from humansim_ros.ros.camera_driver import CameraDriver
 from humansim_ros.ros.compressed import CompressedDepthPublisher, CompressedImagePublisher
 from humansim_ros.ros.node import SceneNode
@@ -70,12 +70,14 @@ class InfoPublishers:
 
     def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
         self._driver = driver
-        self._publishers = [(topic, _publisher(node, topic)) for topic in topics.infos]
+        self._own = topics.info
+        self._publishers = [(topic, _publisher(node, topic)) for topic in (topics.info, *topics.truth_infos)]
 
-    def publish(self, camera: Camera, stamp: int) -> None:
+    def publish(self, calibration: PublishedCalibration, stamp: int) -> None:
         """Publish the calibration of the whole sensor on all topics with subscribers."""
         for topic, publisher in self._publishers:
             if _has_subscribers(publisher):
+                camera = calibration.published if topic is self._own else calibration.beside_truth
                 self._driver.send(topic, publisher, camera, stamp)
 
 

@@ -10,7 +10,7 @@ Names are relative: a node puts them into its namespace, a recording into ``/``.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
@@ -260,12 +260,14 @@ class CameraTopics:
     Attributes:
         images: Images of the channels; those of single bodies, one for each.
         rectified: Images without lens distortion by channel; none if the camera has no distortion.
-        infos: Calibration, beside each image: image_transport takes it from the namespace of the image.
+        info: Calibration, beside the colour image: image_transport takes it from the namespace of the image.
+        truth_infos: True calibration, beside each other image.
         truth: Joints, boxes and visible vertices, by property of :class:`CameraTruth`.
         keypoints: Keypoints by set.
         legends: Meaning of the numbers of the images, of the joints and of the keypoints; settings of faults.
         faults: Faults of each frame; empty for a camera without faults.
-        extrinsics: Pose; for each frame if the camera moves.
+        extrinsics: Pose as its calibration says; for each frame if the camera moves.
+        true_extrinsics: True pose of a camera with a wrong calibration.
         projection: Projection matrix; for each frame if the camera moves.
         pose: Pose of a camera with a trajectory.
         twist: Velocity of a camera with a trajectory.
@@ -292,18 +294,19 @@ class CameraTopics:
             for channel in CHANNEL_TABLE.values()
             if not channel.per_body
         )
-        self.infos: Sequence[Topic[Camera]] = [
-            Topic(
+
+        def info(namespace: str, whole: Camera, **settings: Any) -> Topic[Camera]:
+            return Topic(
                 f"{namespace}/camera_info",
                 CameraInfo,
                 lambda whole, stamp: messages.camera_info_message(whole, stamp, frame, camera.region),
-                lambda _: camera.whole,
-                shown=namespace == name,
+                lambda _: whole,
                 camera=name,
-                faulty=self._has_faults and namespace == name,
+                **settings,
             )
-            for namespace in namespaces
-        ]
+
+        self.info = info(name, camera.published, shown=True, faulty=self._has_faults)
+        self.truth_infos = [info(each, camera.whole) for each in namespaces if each != name]
         self.truth: dict[str, Topic[CameraTruth]] = {
             kind: Topic(
                 f"{name}/{kind}",
@@ -332,7 +335,7 @@ class CameraTopics:
         self.faults: Sequence[Topic[FrameFaults]] = [] if camera.faults is None else [self._faults_topic()]
 
         def posed(simulated: Frame) -> Camera:
-            return simulated.cameras[name]
+            return simulated.published_cameras[name]
 
         self.extrinsics: Topic[Camera] = Topic(
             f"{name}/extrinsics",
@@ -343,6 +346,15 @@ class CameraTopics:
             per_frame=camera.moves,
             camera=name,
         )
+        self.true_extrinsics: Topic[Camera] | None = None
+        if camera.faults is not None and camera.faults.calibration is not None:
+            self.true_extrinsics = replace(
+                self.extrinsics,
+                name=f"{name}/truth/extrinsics",
+                content=lambda simulated: simulated.cameras[name],
+                per_frame=camera.moves or camera.drifts,
+                explains=True,
+            )
         self.projection: Topic[Camera] = Topic(
             f"{name}/projection",
             Float64MultiArray,
@@ -387,7 +399,9 @@ class CameraTopics:
         moving = (self.twist, self.pose) if self._camera.moves else ()
         compressed = self.compressed(compression), self.compressed_depth(DepthCompression())
         truth, rectified = [*self.truth.values(), *self.keypoints.values()], self.rectified.values()
-        poses = (self.extrinsics, self.projection, *moving)
+        poses = [self.extrinsics, self.projection, *moving]
+        if self.true_extrinsics is not None:
+            poses.append(self.true_extrinsics)
         return [
             *self.faults,
             *self.legends,
@@ -395,7 +409,8 @@ class CameraTopics:
             *self.images,
             *compressed,
             *rectified,
-            *self.infos,
+            self.info,
+            *self.truth_infos,
             *truth,
         ]
 

@@ -21,11 +21,12 @@ from humansim_ros.motion.joint_poses import VELOCITY_STEP, Velocity
 from humansim_ros.render.renderer import Backdrop
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, slerp
 from humansim_ros.scene.backdrops import load_backdrop
+from humansim_ros.scene.calibration_error import CalibrationError
 from humansim_ros.scene.config import CameraConfig, RigConfig
-from humansim_ros.scene.faults import FaultSchedule
+from humansim_ros.scene.faults import FaultSchedule, FrameFaults
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.sensor import Sensor
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Float32Array
 
 
 @dataclass(frozen=True)
@@ -174,6 +175,54 @@ class SceneCamera:
             return self.camera
         return replace(self.camera, R=pose.R, t=pose.t)
 
+    @property
+    def drifts(self) -> bool:
+        """Whether a fault moves it away from its calibration."""
+        return self._error is not None and self._error.drifts
+
+    def true_pose(self, pose: CameraPose, seconds: float) -> CameraPose:
+        """Pose that it really has when the scene gives it a pose at a scene time in seconds."""
+        if self._error is None or not self._error.drifts:
+            return pose
+        return _displaced(pose, *self._error.moved(seconds))
+
+    def published_at(self, pose: CameraPose) -> Camera:
+        """Camera of ``image_raw`` as its calibration says when the scene gives it a pose."""
+        if self._error is None:
+            return self.camera_at(pose)
+        pose = _displaced(pose, self._error.rotation, self._error.translation)
+        return replace(self._error.published(self.camera), R=pose.R, t=pose.t)
+
+    @cached_property
+    def published(self) -> Camera:
+        """Camera of the whole sensor as ``camera_info`` says."""
+        return self.whole if self._error is None else self._error.published(self.whole)
+
+    @property
+    def _error(self) -> CalibrationError | None:
+        return None if self.faults is None else self.faults.calibration
+
+    def light(self, scene_time: int, faults: FrameFaults) -> Float32Array | None:
+        """Light of each pixel relative to that without faults, (H, 1) or (H, W); None if it is the same.
+
+        Args:
+            scene_time: Scene time of the picture, nanoseconds.
+            faults: Faults of its frame.
+        """
+        if self.faults is None:
+            return None
+        config, sensor = self.faults.config, self.sensor.config
+        dirt = self.faults.transmission(self.camera.size)
+        if config.flicker is None and config.exposure_steps is None:
+            return dirt
+        height = self.camera.size[1]
+        rows = (
+            scene_time * 1e-9 + (np.arange(height, dtype=float) - (height - 1) / 2) * sensor.rolling_shutter
+        )
+        lamp = self.faults.lamp(rows + faults.trigger_delay, sensor.exposure_time)
+        light = (2**faults.stops * lamp[:, None]).astype(np.float32)
+        return light if dirt is None else light * dirt
+
     @cached_property
     def rectified(self) -> Ideal | None:
         """Ideal camera of ``image_rect``; None if ``image_raw`` is ideal already."""
@@ -196,10 +245,22 @@ class SceneCamera:
         return self.sensor.config.encoding
 
     def rectify(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Make ``image_rect`` from ``image_raw``; a Bayer mosaic becomes a colour image."""
+        """Make ``image_rect`` from ``image_raw`` as its calibration says; a Bayer mosaic becomes a colour
+        image.
+        """
         if self.encoding == "bayer_rggb8":
             image = np.asarray(cv2.cvtColor(image, cv2.COLOR_BayerBG2RGB), dtype=np.uint8)
-        return image if self.rectified is None else self.rectified.to_ideal(image)
+        return image if self.rectified is None else self._published_rectified.to_ideal(image)
+
+    @cached_property
+    def _published_rectified(self) -> Ideal:
+        return rectify(self.region.of(self.published))
+
+
+def _displaced(pose: CameraPose, rotation: Array, translation: Array) -> CameraPose:
+    """Pose with its optical frame rotated in itself (3, 3), and moved (3,) in ``map``."""
+    r = rotation @ pose.R
+    return CameraPose(r, -r @ (pose.position + translation), pose.velocity)
 
 
 def _camera(name: str, config: CameraConfig, source: SceneSource) -> Camera:

@@ -9,6 +9,7 @@ import numpy as np
 
 from humansim_ros.render import AdjacentFrame, Body, Renderer, View
 from humansim_ros.scene.camera import CameraPose, SceneCamera
+from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.types import Float32Array, Image
 
 
@@ -36,7 +37,12 @@ class Exposure:
 
 
 def capture(
-    renderer: Renderer, camera: SceneCamera, exposure: Exposure, channels: Collection[str], scene_time: int
+    renderer: Renderer,
+    camera: SceneCamera,
+    exposure: Exposure,
+    channels: Collection[str],
+    scene_time: int,
+    faults: FrameFaults = NO_FAULTS,
 ) -> View:
     """Render what a camera sees during its exposure, and apply its sensor to rgb.
 
@@ -46,9 +52,10 @@ def capture(
         exposure: Bodies and camera pose around the stamp, which is the middle of the exposure time.
         channels: Names of the channels. All but rgb show the scene at the stamp.
         scene_time: Nanoseconds; the sensor's noise depends on it.
+        faults: Faults of the picture. Channels other than rgb have none.
     """
-    times = camera.sensor.times() if "rgb" in channels else np.zeros(1)
-    single = len(times) == 1
+    times = camera.sensor.times() + faults.trigger_delay if "rgb" in channels else np.zeros(1)
+    single = not times.any()
     rendered = [channel for channel in channels if single or channel != "rgb"]
     view = View()
     if rendered:
@@ -61,10 +68,13 @@ def capture(
             exposure.previous_frame,
             camera.backdrop,
         )
-    if "rgb" not in channels or not camera.sensor.active:
+    if "rgb" not in channels:
+        return view
+    light = None if faults is NO_FAULTS else camera.light(scene_time, faults)
+    if single and not camera.sensor.active and light is None:
         return view
     if single:
-        return view.with_channels(rgb=camera.sensor.expose([view.rgb], scene_time))
+        return view.with_channels(rgb=camera.sensor.expose([view.rgb], scene_time, light))
 
     def images() -> Iterator[Image]:
         for time in times.tolist():
@@ -77,7 +87,7 @@ def capture(
             )
             yield sample.rgb
 
-    return view.with_channels(rgb=camera.sensor.expose(images(), scene_time))
+    return view.with_channels(rgb=camera.sensor.expose(images(), scene_time, light))
 
 
 def capture_rectified_depth(renderer: Renderer, camera: SceneCamera, exposure: Exposure) -> Float32Array:

@@ -10,10 +10,14 @@ from humansim_ros.io.schema import Section, Share
 
 #: Longest delay, and longest random event, seconds: the schedule looks back as far.
 MAX_DELAY, MAX_EVENT = 5.0, 60.0
+#: Longest time, seconds, over which bodies are moved at the velocities of their frame.
+MAX_TRIGGER_DELAY = 0.1
 _Delay = Annotated[float, Field(ge=0, le=MAX_DELAY)]
 _Duration = Annotated[float, Field(gt=0, le=MAX_EVENT)]
 _Count = Annotated[int, Field(ge=1, le=1000)]
 _Time = Annotated[float, Field(ge=0, le=1e6)]
+_Stops = Annotated[float, Field(ge=-10, le=10)]
+_SpotSize = Annotated[float, Field(gt=0, le=2)]
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
@@ -128,6 +132,107 @@ class ClockFault(_NumberSection):
     )
 
 
+class TriggerDelayFault(_NumberSection):
+    """The camera is triggered late: its picture is of another instant than its stamp."""
+
+    number_key: ClassVar[str] = "delay"
+
+    delay: float = Field(
+        default=0.0,
+        ge=-MAX_TRIGGER_DELAY,
+        le=MAX_TRIGGER_DELAY,
+        description="time from the stamp to the middle of the exposure, seconds",
+    )
+    jitter: float = Field(
+        default=0.0, ge=0, le=0.05, description="standard deviation of the delay of each frame, seconds"
+    )
+
+    @model_validator(mode="after")
+    def _delays(self) -> TriggerDelayFault:
+        if not self.delay and not self.jitter:
+            raise ValueError("give a delay or a jitter")
+        return self
+
+
+class CalibrationDrift(Section):
+    """The camera turns and moves away from its calibration."""
+
+    rotation: float = Field(default=0.0, ge=0, le=360, description="degrees per minute")
+    translation: float = Field(default=0.0, ge=0, le=100, description="metres per minute")
+
+
+class CalibrationFault(Section):
+    """The published calibration differs from the camera, in a random direction."""
+
+    other_words: ClassVar[dict[str, str]] = {
+        "rotation": "angle deg degrees turn",
+        "translation": "offset position metres",
+        "focal": "focal_length zoom f",
+    }
+
+    rotation: float = Field(default=0.0, ge=0, le=180, description="error of the published rotation, degrees")
+    translation: float = Field(
+        default=0.0, ge=0, le=100, description="error of the published position, metres"
+    )
+    focal: float = Field(
+        default=0.0,
+        ge=0,
+        le=0.9,
+        description="error of the published focal length, as a share of it; larger or smaller",
+    )
+    drift: CalibrationDrift | None = Field(
+        default=None, description="motion of the camera; what is published stays"
+    )
+
+    @model_validator(mode="after")
+    def _differs(self) -> CalibrationFault:
+        moved = self.drift is not None and (self.drift.rotation or self.drift.translation)
+        if not (self.rotation or self.translation or self.focal or moved):
+            raise ValueError(
+                "give a rotation, a translation, a focal error, or a drift with one of the first two"
+            )
+        return self
+
+
+class FlickerFault(Section):
+    """The light flickers, as 1 + depth cos(2 pi frequency t)."""
+
+    other_words: ClassVar[dict[str, str]] = {"depth": "amplitude strength", "frequency": "hz rate"}
+
+    frequency: float = Field(
+        gt=0, le=1e5, examples=[100], description="maxima of the light per second; mains have 100 or 120"
+    )
+    depth: Share = Field(
+        default=0.5, description="(brightest - darkest) / (brightest + darkest) of the light"
+    )
+
+
+class ExposureStepsFault(_NumberSection):
+    """The exposure steps, as that of an automatic exposure does."""
+
+    probability: Share = Field(description="probability that the exposure steps at a frame")
+    stops: tuple[_Stops, _Stops] = Field(
+        default=(-1.0, 1.0), description="least and greatest exposure after a step, in stops"
+    )
+
+    _check_stops = field_validator("stops")(_ordered)
+
+
+class DirtFault(_NumberSection):
+    """Spots on the lens, out of focus."""
+
+    number_key: ClassVar[str] = "spots"
+    other_words: ClassVar[dict[str, str]] = {"spots": "count number", "size": "diameter radius"}
+
+    spots: _Count = Field(description="number of spots")
+    size: tuple[_SpotSize, _SpotSize] = Field(
+        default=(0.03, 0.12), description="least and greatest diameter, as a share of the image width"
+    )
+    opacity: Share = Field(default=0.7, description="light that the middle of a spot takes, as a share")
+
+    _check_size = field_validator("size")(_ordered)
+
+
 class FaultsConfig(Section):
     """Faults of a camera."""
 
@@ -139,6 +244,11 @@ class FaultsConfig(Section):
         "out_of_order": "reorder order swap",
         "duplicate": "duplicates twice repeat",
         "clock": "stamp time_offset",
+        "trigger_delay": "trigger sync triggered_late",
+        "calibration": "extrinsics intrinsics miscalibration",
+        "flicker": "lamp mains light",
+        "exposure_steps": "exposure auto_exposure",
+        "dirt": "dust smudge spots",
     }
 
     seed: int = Field(default=0, ge=0, description="the same seed gives the same faults")
@@ -149,3 +259,12 @@ class FaultsConfig(Section):
     out_of_order: OutOfOrderFault | None = Field(default=None, description="images are sent after later ones")
     duplicate: DuplicateFault | None = Field(default=None, description="images are sent twice")
     clock: ClockFault | None = Field(default=None, description="wrong stamps of images")
+    trigger_delay: TriggerDelayFault | None = Field(
+        default=None, description="the picture is of another instant than its stamp"
+    )
+    calibration: CalibrationFault | None = Field(
+        default=None, description="what is published differs from the camera"
+    )
+    flicker: FlickerFault | None = Field(default=None, description="the light flickers")
+    exposure_steps: ExposureStepsFault | None = Field(default=None, description="the exposure steps")
+    dirt: DirtFault | None = Field(default=None, description="spots on the lens")

@@ -9,17 +9,28 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import ceil
 from statistics import NormalDist
 
 import numpy as np
 
-from humansim_ros.scene.fault_config import MAX_DELAY, FaultsConfig, FreezeFault, OutageFault
+from humansim_ros.scene.calibration_error import CalibrationError
+from humansim_ros.scene.fault_config import (
+    MAX_DELAY,
+    MAX_TRIGGER_DELAY,
+    FaultsConfig,
+    FreezeFault,
+    OutageFault,
+)
+from humansim_ros.scene.lens_dirt import transmission
 from humansim_ros.scene.times import frame_at, frame_time
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Float32Array
 
 #: Nanoseconds between messages of which one follows the other.
 FOLLOWING = 1
+#: Frames whose exposures are looked at together for the last step.
+_BLOCK = 4096
 
 
 @dataclass(frozen=True)
@@ -30,12 +41,16 @@ class FrameFaults:
         sent: Nanoseconds after the stamp of the frame at which its image is sent; empty: it is lost.
         stamp_error: Nanoseconds that the stamp of its image is ahead of that of the frame.
         picture: Number of frames since the one whose picture it shows; 0: its own.
+        trigger_delay: Seconds from the stamp of the frame whose picture it shows to the exposure of it.
+        stops: Exposure of the picture, in stops above that of the sensor.
         kinds: What is wrong, by key of the scene, with its values.
     """
 
     sent: tuple[int, ...] = (0,)
     stamp_error: int = 0
     picture: int = 0
+    trigger_delay: float = 0.0
+    stops: float = 0.0
     kinds: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     @property
@@ -72,6 +87,8 @@ class FaultSchedule:
         self._camera = camera
         self._rate = rate
         self._last: tuple[int, FrameFaults] = (-1, NO_FAULTS)
+        #: By size of the image; that of the last size.
+        self._transmissions: dict[tuple[int, int], Float32Array] = {}
 
     def at_time(self, scene_time: int) -> FrameFaults:
         """Faults of the frame at a scene time in nanoseconds."""
@@ -97,7 +114,73 @@ class FaultSchedule:
         stamp_error = self._stamp_error(index)
         if self.config.clock is not None:
             kinds["clock"] = {"seconds": stamp_error * 1e-9}
-        return FrameFaults(sent, stamp_error, frozen or 0, kinds)
+        seconds = index / self._rate
+        if self.calibration is not None:
+            kinds["calibration"] = self.calibration.size(seconds)
+        pictured = index - (frozen or 0)
+        delay, stops = self._trigger_delay(pictured), self._stops(pictured)
+        if self.config.trigger_delay is not None:
+            kinds["trigger_delay"] = {"seconds": delay}
+        if self.config.flicker is not None:
+            kinds["flicker"] = {"light": float(self.lamp(np.array([pictured / self._rate + delay]))[0])}
+        if self.config.exposure_steps is not None:
+            kinds["exposure_steps"] = {"stops": stops}
+        if self.config.dirt is not None:
+            kinds["dirt"] = {}
+        return FrameFaults(sent, stamp_error, frozen or 0, delay, stops, kinds)
+
+    @cached_property
+    def calibration(self) -> CalibrationError | None:
+        """Error of the published calibration; None if it is exact."""
+        config = self.config.calibration
+        if config is None:
+            return None
+        return CalibrationError.drawn(config, self._generator("calibration"))
+
+    def lamp(self, times: Array, exposure: float = 0.0) -> Array:
+        """Light (N,) of a lamp that flickers, relative to its mean; cameras with the same seed see the same.
+
+        ``times``: scene times (N,), seconds; ``exposure``: seconds around them over which it is averaged.
+        """
+        flicker = self.config.flicker
+        if flicker is None:
+            return np.ones(len(times))
+        phase = 2 * np.pi * _generator(self.config.seed, "flicker", "").random()
+        depth = flicker.depth * np.sinc(flicker.frequency * exposure)
+        return np.asarray(1 + depth * np.cos(2 * np.pi * flicker.frequency * times + phase), dtype=float)
+
+    def transmission(self, size: tuple[int, int]) -> Float32Array | None:
+        """Share (H, W) of the light that passes the dirt on the lens; None if it is clean.
+
+        ``size``: width and height of the images, pixels.
+        """
+        if self.config.dirt is None:
+            return None
+        if size not in self._transmissions:
+            self._transmissions = {size: transmission(self.config.dirt, size, self._generator("dirt"))}
+        return self._transmissions[size]
+
+    def _trigger_delay(self, index: int) -> float:
+        trigger = self.config.trigger_delay
+        if trigger is None:
+            return 0.0
+        delay = trigger.delay
+        if trigger.jitter:
+            delay += trigger.jitter * self._normal("trigger_delay", index)
+        return float(np.clip(delay, -MAX_TRIGGER_DELAY, MAX_TRIGGER_DELAY))
+
+    def _stops(self, index: int) -> float:
+        """Exposure in stops since its last step; 0 before the first one."""
+        steps = self.config.exposure_steps
+        if steps is None or not steps.probability:
+            return 0.0
+        for last in range(index, -1, -_BLOCK):
+            draws = self._draws("exposure_steps", max(0, last - _BLOCK + 1), last)
+            (stepped,) = np.nonzero(draws[:, 0] < steps.probability)
+            if len(stepped):
+                low, high = steps.stops
+                return float(low + (high - low) * draws[stepped[-1], 1])
+        return 0.0
 
     def _is_dropped(self, index: int) -> bool:
         drop = self.config.drop
@@ -158,12 +241,24 @@ class FaultSchedule:
             return 0
         error = clock.offset + 1e-6 * clock.drift_ppm * index / self._rate
         if clock.jitter:
-            error += clock.jitter * NormalDist().inv_cdf(float(self._draws("clock", index, index)[0, 0]))
+            error += clock.jitter * self._normal("clock", index)
         return round(1e9 * error)
+
+    def _normal(self, kind: str, index: int) -> float:
+        """Standard normal number of a frame."""
+        return NormalDist().inv_cdf(float(self._draws(kind, index, index)[0, 0]))
+
+    def _generator(self, kind: str) -> np.random.Generator:
+        """Random numbers of what is the same in all frames."""
+        return _generator(self.config.seed, kind, self._camera)
 
     def _draws(self, kind: str, first: int, last: int) -> Array:
         """Uniform numbers (N, 4) in (0, 1) of the frames from ``first`` to ``last``."""
-        digest = hashlib.sha256(f"{self.config.seed} {kind} {self._camera}".encode()).digest()
-        key = int.from_bytes(digest[:16], "little")
-        random = np.random.Generator(np.random.Philox(counter=first, key=key))
+        random = _generator(self.config.seed, kind, self._camera, first)
         return np.maximum(random.random((last - first + 1, 4)), 2**-54)
+
+
+def _generator(seed: int, kind: str, camera: str, counter: int = 0) -> np.random.Generator:
+    digest = hashlib.sha256(f"{seed} {kind} {camera}".encode()).digest()
+    key = int.from_bytes(digest[:16], "little")
+    return np.random.Generator(np.random.Philox(counter=counter, key=key))

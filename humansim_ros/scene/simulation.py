@@ -22,7 +22,7 @@ from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_cha
 from humansim_ros.scene.actor import Actor, HumanState
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import capture, capture_rectified_depth
-from humansim_ros.scene.faults import FrameFaults
+from humansim_ros.scene.faults import NO_FAULTS, FrameFaults
 from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback, ScenePoses
 from humansim_ros.scene.scene import Scene, short_list
@@ -45,12 +45,13 @@ class Frame:
         views: Channels by camera.
         truth: Ground truth by camera; its numbers are computed on first access.
         objects: Poses of moving objects by name.
-        cameras: Cameras of ``views`` at their poses by name.
+        cameras: Cameras of ``views`` at their poses by name: the true ones.
+        published_cameras: The same as topics publish them, with the errors of ``faults.calibration``.
         bodies: All bodies, humans first.
         labels: Instance labels of humans and labelled objects by name.
         scene_time: Nanoseconds from the start of the scene.
         motions: Joints of the motions (N = 1) by human, with the names that they have in the motion.
-        camera_poses: Poses and velocities of moving cameras by name.
+        camera_poses: Poses and velocities by name of the cameras that a trajectory moves.
         rectified_depth: (H, W) float32 depth in metres along the axis of ``image_rect`` by camera, if it was
             requested.
         models: Humans without pose by name.
@@ -73,6 +74,7 @@ class Frame:
     rectified_depth: Mapping[str, Float32Array] = field(default_factory=dict)
     models: Mapping[str, Human] = field(default_factory=dict)
     faults: Mapping[str, FrameFaults] = field(default_factory=dict)
+    published_cameras: Mapping[str, Camera] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         humans, views = short_list(self.humans, "humans"), short_list(self.views, "views")
@@ -217,11 +219,11 @@ class Simulation:
         }
         poses, humans, state = self._at(self.scene.frame_time(index))
         at_their_poses = {
-            name: camera.camera_at(poses.cameras[name]) if camera.moves else camera.camera
-            for name, camera in chosen.items()
+            name: camera.camera_at(state.exposure(camera).pose_at(0.0)) for name, camera in chosen.items()
         }
         views = {
-            name: self._view(camera, state, adjacent, frozen.get(name)) for name, camera in chosen.items()
+            name: self._view(camera, state, adjacent, frozen.get(name), faults.get(name, NO_FAULTS))
+            for name, camera in chosen.items()
         }
         return Frame(
             index=index,
@@ -242,6 +244,9 @@ class Simulation:
                 for name in rectified_depth
             },
             faults=faults,
+            published_cameras={
+                name: camera.published_at(state.calibrated_pose(camera)) for name, camera in chosen.items()
+            },
         )
 
     def _cameras(self, names: Collection[str] | None) -> dict[str, SceneCamera]:
@@ -260,22 +265,33 @@ class Simulation:
         state: SceneState,
         adjacent: Mapping[AdjacentName, SceneState],
         frozen: Image | None,
+        faults: FrameFaults,
     ) -> View:
-        """View of a camera. ``frozen``: the colours that it shows in place of its own."""
+        """View of a camera.
+
+        Args:
+            camera: The camera.
+            state: State of the scene.
+            adjacent: States of adjacent frames.
+            frozen: The colours that it shows in place of its own.
+            faults: Faults of the frame.
+        """
         next_frame, previous_frame = (
             other.exposure(camera).adjacent_frame(camera) if (other := adjacent.get(name)) else None
             for name in ADJACENT_NAMES
         )
         exposure = replace(state.exposure(camera), next_frame=next_frame, previous_frame=previous_frame)
         if frozen is None:
-            return capture(self.renderer, camera, exposure, self.channels, state.scene_time)
+            return capture(self.renderer, camera, exposure, self.channels, state.scene_time, faults)
         channels = [channel for channel in self.channels if channel != "rgb"]
         return capture(self.renderer, camera, exposure, channels, state.scene_time).with_channels(rgb=frozen)
 
     def _frozen(self, camera: SceneCamera, index: int) -> Image:
         """Image of an earlier frame, at which a camera has frozen."""
         state = self._at(self.scene.frame_time(index))[2]
-        return capture(self.renderer, camera, state.exposure(camera), ("rgb",), state.scene_time).rgb
+        faults = NO_FAULTS if camera.faults is None else camera.faults.at(index)
+        exposure = state.exposure(camera)
+        return capture(self.renderer, camera, exposure, ("rgb",), state.scene_time, faults).rgb
 
     def _at(self, elapsed: int) -> _Snapshot:
         """Everything at a scene time in nanoseconds.

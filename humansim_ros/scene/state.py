@@ -74,7 +74,12 @@ class SceneState:
 
     def exposure(self, camera: SceneCamera) -> Exposure:
         """Bodies and camera pose around the stamp."""
-        return Exposure(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), camera.moves)
+        moving = camera.moves or camera.drifts
+        return Exposure(self._bodies_at, lambda seconds: self._pose_at(camera, seconds), moving)
+
+    def calibrated_pose(self, camera: SceneCamera) -> CameraPose:
+        """Pose at the stamp that the scene gives a camera; a camera that drifts has another."""
+        return self.cameras.get(camera.name, CameraPose.of(camera.camera))
 
     def camera_truth(self, camera: Camera, view: View) -> CameraTruth:
         """Ground truth of a view of this state. ``camera``: with its pose at the stamp."""
@@ -110,4 +115,5 @@ class SceneState:
         return self.actors[name].moved(motion.joints, motion.linear, motion.angular, seconds)
 
     def _pose_at(self, camera: SceneCamera, seconds: float) -> CameraPose:
-        return self.cameras.get(camera.name, CameraPose.of(camera.camera)).moved(seconds)
+        pose = self.calibrated_pose(camera).moved(seconds)
+        return camera.true_pose(pose, self.scene_time * 1e-9 + seconds)

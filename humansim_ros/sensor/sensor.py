@@ -85,7 +85,7 @@ class Sensor:
         """Weights (H, T) of the images of :meth:`times` in each row."""
         return row_weights(*self._shutter)
 
-    def expose(self, images: Iterable[Image], stamp: int) -> Image:
+    def expose(self, images: Iterable[Image], stamp: int, light: Float32Array | None = None) -> Image:
         """Compute the image of the sensor.
 
         Rendered images are consumed one at a time; at most two are in memory. Without any effect, the
@@ -95,6 +95,7 @@ class Sensor:
             images: Images (H, W, 3) sRGB rendered at :meth:`times`.
             stamp: Time of the frame, nanoseconds; the noise depends on it. Scenes give the scene time, so
                 that the same frame has the same noise whenever it is played.
+            light: Factors of the light, (H, 1) or (H, W); none if None.
 
         Returns:
             Image in the encoding of the sensor: (H, W, 3), or (H, W) for mono8 and bayer_rggb8.
@@ -103,8 +104,8 @@ class Sensor:
             CameraError: The number, size or type of the images is wrong.
         """
         images = self._checked(images)
-        if self._changes_light:
-            image = self._digitize(self._light(images), generator(self.config.seed, self.name, stamp))
+        if self._changes_light or light is not None:
+            image = self._digitize(self._light(images), generator(self.config.seed, self.name, stamp), light)
         else:
             (rendered,) = images
             image = self._filtered(rendered)
@@ -150,8 +151,12 @@ class Sensor:
                     _flat(light)[rows] += part
         return light
 
-    def _digitize(self, light: Float32Array, random: np.random.Generator) -> Image:
-        """Values (H, W, 3) or (H, W) of light (H, W, 3) in front of the colour filters."""
+    def _digitize(
+        self, light: Float32Array, random: np.random.Generator, factors: Float32Array | None
+    ) -> Image:
+        """Values (H, W, 3) or (H, W) of light (H, W, 3) in front of the colour filters, times factors."""
+        if factors is not None:
+            light = light * factors[..., None]
         config, noise = self.config, self.config.noise
         samples = self._filtered(light)
         well = 1.0 if noise is None else noise.full_well

@@ -169,7 +169,7 @@ class CameraNode(SceneNode):
         truth_topics = self._truth.subscribed()
         rectified = self._images.rectified_subscribed()
         rendered = channels | self._truth.needed(truth_topics) | (rectified & {"rgb"})
-        self._infos.publish(self._calibration.published, stamp)
+        self._infos.publish(self._calibration, stamp)
         if not rendered and not rectified:
             return
         view = self._captured(state, exposure, rendered, faults)
@@ -191,7 +191,7 @@ class CameraNode(SceneNode):
         frozen = self._last_colours if faults.picture and "rgb" in channels else None
         if frozen is not None:
             channels = channels - {"rgb"}
-        view = capture(self._renderer, self._camera, exposure, channels, state.scene_time)
+        view = capture(self._renderer, self._camera, exposure, channels, state.scene_time, faults)
         if frozen is not None:
             return view.with_channels(rgb=frozen)
         if self._freezes and "rgb" in channels:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 import heapq
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+from rclpy.duration import Duration
+
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.topics import Content, Topic
 from humansim_ros.scene.faults import FOLLOWING, NO_FAULTS, FrameFaults
+
+#: Seconds in which subscribers take what is sent at the end of a run.
+_MAX_WAIT = 1.0
 
 
 class _Held(NamedTuple):
@@ -71,6 +77,17 @@ class CameraDriver:
             self._number += 1
             held = _Held(stamp + after, self._number, stamp, faults.follows, publisher, message)
             heapq.heappush(self._held, held)
+
+    def send_held(self) -> None:
+        """Send all messages that are held at the end of a run, and wait until they have been received."""
+        if not self._held:
+            return
+        publishers = {id(held.publisher): held.publisher for held in self._held}
+        self._send_due(max(held.due for held in self._held))
+        deadline = time.monotonic() + _MAX_WAIT
+        for publisher in publishers.values():
+            left = max(0.0, deadline - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=left))
 
     def _send_due(self, time: int) -> None:
         while self._held and self._held[0].due <= time:

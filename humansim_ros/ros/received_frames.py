@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Callable, Collection
 from hashlib import blake2b
 
 #: Bytes of a digest of a message.
@@ -19,18 +20,25 @@ class ReceivedFrames:
     Args:
         per_frame: Topics of the scene, which have one message for each stamp.
         awaited: Other topics that have to deliver each stamp.
+        copies: Returns how often a message of another topic and stamp is sent.
 
     Attributes:
         newest: Stamp of the newest frame, nanoseconds; 0 before the first.
     """
 
-    def __init__(self, per_frame: Collection[str], awaited: Collection[str] = ()) -> None:
+    def __init__(
+        self,
+        per_frame: Collection[str],
+        awaited: Collection[str] = (),
+        copies: Callable[[str, int], int] = lambda *_: 1,
+    ) -> None:
+        self._copies = copies
         self._per_frame = frozenset(per_frame)
         self._awaited = self._per_frame | frozenset(awaited)
         self._last: dict[str, int] = {}
         self._absent: set[str] = set()
-        #: Digests of the messages of other topics at their newest stamp.
-        self._digests: dict[str, set[bytes]] = {}
+        #: Digests of the messages of other topics at their newest stamp, with their number.
+        self._digests: dict[str, Counter[bytes]] = {}
         self.newest = 0
         self._is_whole = False
 
@@ -54,8 +62,8 @@ class ReceivedFrames:
     def add(self, topic: str, stamp: int, data: bytes) -> bool:
         """Note a message; whether it is new.
 
-        Messages of topics per frame are repeated if their stamp is, those of other topics if the bytes are
-        the same, too.
+        Messages of topics per frame are repeated if their stamp is, those of other topics if the same bytes
+        have come as often as they are sent.
 
         Args:
             topic: Its topic.
@@ -69,7 +77,7 @@ class ReceivedFrames:
             self.begin(stamp)
         elif stamp < last:
             return True
-        elif not self._is_new_content(topic, data, stamp > last):
+        elif not self._is_new_content(topic, data, stamp):
             return False
         self._last[topic] = stamp
         self._absent.discard(topic)
@@ -85,11 +93,10 @@ class ReceivedFrames:
     def _behind(self) -> set[str]:
         return {topic for topic in self._awaited if self._last.get(topic, -1) < self.newest}
 
-    def _is_new_content(self, topic: str, data: bytes, new_stamp: bool) -> bool:
+    def _is_new_content(self, topic: str, data: bytes, stamp: int) -> bool:
         digest = blake2b(data, digest_size=_DIGEST).digest()
-        known = self._digests.setdefault(topic, set())
-        if new_stamp:
+        known = self._digests.setdefault(topic, Counter())
+        if stamp > self._last.get(topic, -1):
             known.clear()
-        is_new = digest not in known
-        known.add(digest)
-        return is_new
+        known[digest] += 1
+        return known[digest] <= self._copies(topic, stamp)

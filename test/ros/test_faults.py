@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray
+from geometry_msgs.msg import TransformStamped
 from rclpy.serialization import deserialize_message
 from render_scenes import renderer_or_skip
 from ros_support import Client, Lockstep
-from sensor_msgs.msg import CameraInfo, Image
-from std_msgs.msg import String
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
+from std_msgs.msg import Float64MultiArray, String
 
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.record.frame_chunks import SceneRecording
@@ -156,6 +158,170 @@ def test_nodes_send_the_images_of_the_simulation_in_its_order(ros: None, scene: 
     client.close()
 
 
+LIES = """\
+rate: 20
+room: null
+humans: {anna: {body: child, motion: run}}
+cameras:
+  left:
+    size: [64, 48]
+    position: [3, 0.4, 1.4]
+    look_at: [0, 0, 1]
+    sensor: {rolling_shutter: 0.0002, samples: 2}
+    distortion: [-0.2, 0.05]
+    faults:
+      seed: 3
+      trigger_delay: {delay: 0.02, jitter: 0.005}
+      calibration: {rotation: 1.5, translation: 0.04, focal: 0.05, drift: {rotation: 90, translation: 3}}
+      flicker: {frequency: 93, depth: 0.4}
+      exposure_steps: {probability: 0.5}
+      dirt: {spots: 4, size: [0.1, 0.3]}
+"""
+#: What a tracker reads, and where the truth is.
+LYING = {
+    "extrinsics": TransformStamped,
+    "projection": Float64MultiArray,
+    "camera_info": CameraInfo,
+    "image_raw": Image,
+    "image_rect": Image,
+    "depth/image": Image,
+    "depth/camera_info": CameraInfo,
+    "truth/extrinsics": TransformStamped,
+    "joints": PointCloud2,
+}
+LATCHED_TOPICS = ("extrinsics", "projection", "truth/extrinsics")
+
+
+def numbers(message: Any) -> Any:
+    """What a message says, without its stamp."""
+    if isinstance(message, CameraInfo):
+        return [*message.k, *message.p, *message.d]
+    if isinstance(message, TransformStamped):
+        shift, turn = message.transform.translation, message.transform.rotation
+        return [shift.x, shift.y, shift.z, turn.x, turn.y, turn.z, turn.w]
+    return list(message.data) if isinstance(message, Float64MultiArray) else bytes(message.data)
+
+
+@pytest.fixture
+def lying(tmp_path: Path) -> Path:
+    renderer_or_skip().close()
+    path = tmp_path / "lies.yaml"
+    path.write_text(LIES)
+    return path
+
+
+def told(scene: Path, count: int) -> dict[str, list[Any]]:
+    """Numbers of the messages of each topic in a simulation."""
+    loaded = Scene.load(scene)
+    table = {topic.name: topic for topic in scene_topics(loaded)}
+    found: dict[str, list[Any]] = {name: [] for name in LYING}
+    with Simulation(loaded, ("rgb", "depth", "instance", "part")) as simulation:
+        for frame in simulation.frames(count):
+            for name in LYING:
+                topic = table[f"left/{name}"]
+                if topic.per_frame or frame.index == 0:
+                    found[name].append(numbers(topic.message(frame)))
+    return found
+
+
+def test_a_recording_of_a_wrong_calibration_has_the_lies_and_the_truth(lying: Path, tmp_path: Path) -> None:
+    loaded = Scene.load(lying)
+    plan = RecordingPlan.of(loaded, 3, [f"/left/{name}" for name in LYING if name != "truth/extrinsics"])
+    record(SceneRecording(loaded, plan), tmp_path / "bag", jobs=1)
+    found: dict[str, list[Any]] = {name: [] for name in LYING}
+    kinds: set[str] = set()
+    with BagReader(tmp_path / "bag") as reader:
+        for topic, _, data, _ in reader.messages():
+            name = reader.topics[topic].name.removeprefix("/left/")
+            if name in LYING:
+                found[name].append(numbers(deserialize_message(bytes(data), LYING[name])))
+            elif name == "faults":
+                kinds |= messages.read_faults(deserialize_message(bytes(data), DiagnosticArray)).keys()
+    assert found == told(lying, 3)
+    assert kinds == {"trigger_delay", "calibration", "flicker", "exposure_steps", "dirt"}
+    frames = [len(found[name]) for name in ("extrinsics", "truth/extrinsics")]
+    assert frames == [1, 3]  # the camera drifts away from what is published
+    assert found["extrinsics"][0] != found["truth/extrinsics"][0]
+    assert found["camera_info"][0] != found["depth/camera_info"][0]
+
+
+def test_nodes_lie_as_a_simulation_does_and_count_their_faults(ros: None, lying: Path) -> None:
+    from rclpy.parameter import Parameter
+
+    given = [Parameter("scene", value=str(lying))]
+    nodes = [
+        kind(parameter_overrides=given, namespace="lying")
+        for kind in (MotionPlayerNode, SkinnerNode, CameraNode)
+    ]
+    lockstep, client = Lockstep(nodes[0]), Client("client_of_lying")
+    for node in nodes:
+        client.executor.add_node(node)
+    received: dict[str, list[Any]] = {name: [] for name in LYING}
+    for name, kind in LYING.items():
+        listen = received[name].append
+        qos = LATCHED if name in LATCHED_TOPICS else 100
+        client.node.create_subscription(kind, f"/lying/left/{name}", listen, qos)
+    counted: Counter[str] = Counter()
+
+    def on_diagnostics(message: Any) -> None:
+        for status in message.status:
+            counted.update({each.key: int(each.value) for each in status.values if "fault_" in each.key})
+
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", on_diagnostics, 100)
+    client.spin_until_matched(*nodes)
+    for index in range(4):
+        lockstep.play()
+        assert client.spin_until(lambda index=index: len(received["depth/image"]) == index + 1)
+    expected = told(lying, 4)
+    per_frame = [name for name in LYING if name not in LATCHED_TOPICS]
+    assert client.spin_until(lambda: all(len(received[name]) == 4 for name in per_frame))
+    assert client.spin_until(lambda: len(received["truth/extrinsics"]) >= 4)
+    sent = {name: [numbers(each) for each in received[name]] for name in LYING}
+    sent["truth/extrinsics"] = sent["truth/extrinsics"][-4:]  # before them that of the start
+    sent["extrinsics"], sent["projection"] = sent["extrinsics"][:1], sent["projection"][:1]
+    assert sent == expected
+    assert client.spin_until(lambda: len(counted) == 5 and min(counted.values()) == 4)
+    assert counted.keys() == {
+        "fault_trigger_delay", "fault_calibration", "fault_flicker", "fault_exposure_steps", "fault_dirt"
+    }  # fmt: skip
+    for node in nodes:
+        node.close()
+        node.destroy_node()
+    client.close()
+
+
+def test_the_player_in_lockstep_goes_on_after_frames_that_a_camera_loses(ros: None, scene: Path) -> None:
+    from rclpy.parameter import Parameter
+
+    scene.write_text(SCENE.replace(FAULTS, "      drop: 1\n"))
+    count = 4
+    lockstep = {"mode": "lockstep", "clock_search": 0.0, "frames": count}
+
+    def made(kind: Any, name: str, **settings: Any) -> Any:
+        given = {"scene": str(scene), **settings}
+        return kind(
+            parameter_overrides=[Parameter(key, value=value) for key, value in given.items()],
+            namespace="losing",
+            cli_args=["--ros-args", "-r", f"__node:={name}"],
+        )
+
+    player, skinner = made(MotionPlayerNode, "motion_player", **lockstep), made(SkinnerNode, "skinner")
+    nodes = [player, skinner, made(CameraNode, "left")]
+    client = Client("client_of_losing")
+    for node in nodes:
+        client.executor.add_node(node)
+    client.subscribe(Image, ["/losing/left/image_raw", "/losing/left/depth/image"])
+    client.subscribe(DiagnosticArray, ["/losing/left/faults"])
+    assert client.spin_until(lambda: player.exit_code is not None)
+    assert player.exit_code == 0
+    assert client.spin_until(lambda: 1 + PERIOD * (count - 1) in client.received["/losing/left/faults"])
+    assert not client.received["/losing/left/image_raw"]
+    for node in nodes:
+        node.close()
+        node.destroy_node()
+    client.close()
+
+
 def test_a_recorder_in_lockstep_does_not_wait_for_images_that_may_be_lost(scene: Path) -> None:
     table = {topic.name: topic for topic in scene_topics(Scene.load(scene))}
     assert not has_message_per_frame(table["left/image_raw"])
@@ -201,6 +367,10 @@ class _Topic:
 class _Publisher:
     def __init__(self) -> None:
         self.sent: list[tuple[str, int]] = []
+        self.awaited = 0
+
+    def wait_for_all_acked(self, timeout: Any) -> None:
+        self.awaited += 1
 
     def publish(self, message: tuple[str, int]) -> None:
         self.sent.append(message)
@@ -235,3 +405,16 @@ def test_a_frame_that_comes_again_is_sent_again_and_its_held_messages_are_not_do
     send(driver, publisher, "d", 50)  # the clock was set back
     send(driver, publisher, "e", 2000)
     assert [name for name, _ in publisher.sent] == ["a", "b", "d", "e"]
+
+
+def test_images_that_are_held_at_the_end_of_a_run_are_sent() -> None:
+    node, publisher = _Node(), _Publisher()
+    node.has_simulated_time = lambda: True  # type: ignore[method-assign]
+    driver: Any = CameraDriver(node)  # type: ignore[arg-type]
+    send(driver, publisher, "a", 100, sent=(10**9,))
+    send(driver, publisher, "b", 200, sent=(50, 51), kinds={"duplicate": {}})
+    driver.send_held()
+    assert [name for name, _ in publisher.sent] == ["b", "b", "a"]
+    assert publisher.awaited == 1
+    driver.send_held()
+    assert len(publisher.sent) == 3

@@ -305,6 +305,26 @@ def test_another_topic_may_have_several_messages_of_a_stamp() -> None:
     assert [given.add("tracker", *each) for each in sent] == [1, 1, 0, 1, 1, 0]
 
 
+def test_copies_that_a_faulty_camera_sends_are_kept_and_those_of_a_frame_that_comes_again_are_not() -> None:
+    from humansim_ros.ros.image_copies import ImageCopies
+    from humansim_ros.ros.received_frames import ReceivedFrames
+    from humansim_ros.scene.fault_config import FaultsConfig
+    from humansim_ros.scene.faults import FaultSchedule
+
+    config = FaultsConfig.model_validate({"duplicate": 0.5, "clock": 0.25})
+    schedule, rate = FaultSchedule(config, "left", 10.0), 10
+    copies = ImageCopies({"/left/image_raw": schedule})
+    frames = ReceivedFrames([], [], copies)
+    expected = [len(schedule.at(index).sent) for index in range(20)]
+    assert set(expected) == {1, 2}
+    for index, count in enumerate(expected):
+        stamp = 1 + index * 10**9 // rate
+        copies.note(stamp, stamp - 1)
+        sent = [frames.add("/left/image_raw", schedule.at(index).stamp(stamp), b"image") for _ in range(4)]
+        assert sum(sent) == count
+        assert sum(frames.add("/left/other", stamp, b"image") for _ in range(2)) == 1
+
+
 def test_a_topic_whose_node_is_gone_is_not_awaited_until_it_delivers_again() -> None:
     given = FakeMessages()
     for topic in ("a", "b", "tracker"):

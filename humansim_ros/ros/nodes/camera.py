@@ -119,6 +119,10 @@ class CameraNode(SceneNode):
             raise RosError(f"parameter {parameter}: frames do not begin with /, as in {frame}")
         return frame
 
+    def complete(self) -> None:
+        """Send the images that faults hold back."""
+        self._driver.send_held()
+
     def close(self) -> None:
         """Free the renderer, unless it belongs to a rig."""
         if not self._in_rig:

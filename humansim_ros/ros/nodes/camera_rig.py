@@ -81,6 +81,11 @@ class CameraRigNode(SceneNode):
     def _publish_diagnostics(self) -> None:
         """Nothing: the cameras publish them."""
 
+    def complete(self) -> None:
+        """Send the images that faults hold back."""
+        for camera in self.cameras:
+            camera.complete()
+
     def close(self) -> None:
         """Close all cameras and free the renderer."""
         for camera in self.cameras:

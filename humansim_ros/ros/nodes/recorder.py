@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,6 +23,7 @@ from typing import Any, get_args
 from rclpy.event_handler import QoSMessageLostInfo, SubscriptionEventCallbacks
 from rclpy.parameter import Parameter
 from rclpy.qos import QoSProfile
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
 
@@ -37,8 +38,9 @@ from humansim_ros.ros.bag_qos import recorded_qos, subscription_profile
 from humansim_ros.ros.bag_thread import BagThread
 from humansim_ros.ros.clock_steps import ClockSteps
 from humansim_ros.ros.guarded_node import ANY_SIZE
+from humansim_ros.ros.image_copies import ImageCopies
 from humansim_ros.ros.message_types import begins_with_stamp, message_type
-from humansim_ros.ros.messages import header, serialised_stamp
+from humansim_ros.ros.messages import header, serialised_stamp, to_nanoseconds
 from humansim_ros.ros.node import SuiteNode, loaded_scene
 from humansim_ros.ros.qos import DATA, DONE, FRAME_DONE, SCENE_TIME
 from humansim_ros.ros.received_frames import ReceivedFrames
@@ -116,10 +118,13 @@ class RecorderNode(SuiteNode):
         #: Types of the topics of the scene.
         self._types = {absolute(topic.name, space): topic.type_name for topic in topics}
         self._frames: ReceivedFrames | None = None
+        self._copies = ImageCopies({})
         if lockstep:
             per_frame = [absolute(topic.name, space) for topic in topics if has_message_per_frame(topic)]
             chosen = [topic for topic in (*per_frame, "/clock") if self._choice.has(topic)]
-            self._frames = ReceivedFrames(chosen, TopicChoice.of(awaited, space).patterns)
+            if scene is not None:
+                self._copies = _copies(scene, {absolute(topic.name, space): topic for topic in topics})
+            self._frames = ReceivedFrames(chosen, TopicChoice.of(awaited, space).patterns, self._copies)
         self._done = self.create_publisher(Header, FRAME_DONE, DONE) if lockstep else None
         self._clock_steps = ClockSteps(lambda: self.now(), self.has_simulated_time)
         #: Log time of the last message, and nanoseconds by which the clock has been set back.
@@ -331,6 +336,9 @@ class RecorderNode(SuiteNode):
         stamp = serialised_stamp(data)
         if self._frames is None:
             return
+        if self._copies:
+            scene_time = deserialize_message(data, TimeReference).time_ref
+            self._copies.note(stamp, to_nanoseconds(scene_time))
         self._frames.begin(stamp)
         if self._frames.is_finished(stamp):
             self._report(stamp)
@@ -379,6 +387,20 @@ def has_message_per_frame(topic: Topic[Any]) -> bool:
     """
     compared = any(CHANNEL_TABLE[channel].adjacent_frame for channel in topic.channels)
     return topic.per_frame and not compared and not topic.faulty and begins_with_stamp(topic.type)
+
+
+def _copies(scene: Scene, topics: Mapping[str, Topic[Any]]) -> ImageCopies:
+    """How often the messages of topics are sent; ``topics``: by absolute name."""
+    faults = {
+        name: scene.scene_cameras[topic.camera].faults for name, topic in topics.items() if topic.faulty
+    }
+    return ImageCopies(
+        {
+            name: each
+            for name, each in faults.items()
+            if each is not None and each.config.duplicate is not None
+        }
+    )
 
 
 def _take_waiting(subscription: Any, deadline: float) -> None:

@@ -14,6 +14,8 @@ from typing import BinaryIO
 
 from humansim_ros.errors import HumansimError, did_you_mean, near_names
 
+#: Bytes of a file that :func:`read_blocks` reads at once.
+_BLOCK = 1 << 20
 #: Names of a folder that are compared with the name of a missing file.
 _MOST_NAMES = 5000
 #: Entries of a folder that are no regular files, in words.
@@ -44,7 +46,14 @@ def reading_errors(path: str | os.PathLike[str], error: type[HumansimError], wha
 ANY_SIZE = 1 << 62
 
 
-def open_file(path: str | os.PathLike[str], error: type[HumansimError], what: str, most: int) -> BinaryIO:
+def open_file(
+    path: str | os.PathLike[str],
+    error: type[HumansimError],
+    what: str,
+    most: int,
+    *,
+    may_be_empty: bool = False,
+) -> BinaryIO:
     """Open a regular file to read it; all files of users are opened here.
 
     Opening never waits. What the name stands for and its size are checked before anything is read.
@@ -54,6 +63,7 @@ def open_file(path: str | os.PathLike[str], error: type[HumansimError], what: st
         error: Error class to raise.
         what: Kind of file for messages, such as ``mesh``.
         most: Maximum size in bytes.
+        may_be_empty: Open empty files, too.
 
     Raises:
         HumansimError: ``error``, if the file is missing, not a regular file (a folder, a named pipe, a
@@ -66,7 +76,7 @@ def open_file(path: str | os.PathLike[str], error: type[HumansimError], what: st
         try:
             status = os.fstat(descriptor)
             _check_entry(status, path, error, what)
-            if status.st_size == 0:
+            if status.st_size == 0 and not may_be_empty:
                 raise error(f"the {what} file is empty", path=path)
             if status.st_size > most:
                 size, limit = size_text(status.st_size), size_text(most)
@@ -75,6 +85,22 @@ def open_file(path: str | os.PathLike[str], error: type[HumansimError], what: st
             os.close(descriptor)
             raise
     return os.fdopen(descriptor, "rb")
+
+
+def read_blocks(path: str | os.PathLike[str], error: type[HumansimError], what: str) -> Iterator[bytes]:
+    """Content of a file of any size, part by part; nothing if it is empty.
+
+    Args:
+        path: File to read.
+        error: Error class to raise.
+        what: Kind of file for messages, such as ``image``.
+
+    Raises:
+        HumansimError: ``error``, as for :func:`open_file`.
+    """
+    with open_file(path, error, what, ANY_SIZE, may_be_empty=True) as file, reading_errors(path, error, what):
+        while block := file.read(_BLOCK):
+            yield block
 
 
 def _check_entry(

@@ -5,12 +5,9 @@ from __future__ import annotations
 import hashlib
 
 from humansim_ros.errors import SceneError
-from humansim_ros.io.files import ANY_SIZE, open_file
+from humansim_ros.io.files import read_blocks
 from humansim_ros.scene.config import map_files
 from humansim_ros.scene.scene import Scene
-
-#: Bytes of a file that are read at once.
-_BLOCK = 1 << 20
 
 
 def scene_hash(scene: Scene) -> str:
@@ -21,9 +18,8 @@ def scene_hash(scene: Scene) -> str:
         path = scene.source.folder / name.split("#")[0]
         if path.is_file():
             digest.update(f"{name}\n".encode())
-            with open_file(path, SceneError, "scene", ANY_SIZE) as file:
-                while block := file.read(_BLOCK):
-                    digest.update(block)
+            for block in read_blocks(path, SceneError, "scene"):
+                digest.update(block)
         return name
 
     map_files(scene.config.model_dump(exclude_none=True), add)

@@ -9,7 +9,7 @@ import pytest
 
 from humansim_ros.errors import HumansimError, did_you_mean
 from humansim_ros.io.assets import find_asset
-from humansim_ros.io.files import missing_file, read_bytes, read_text
+from humansim_ros.io.files import missing_file, read_blocks, read_bytes, read_text
 
 
 def message(path: Path) -> str:
@@ -104,3 +104,17 @@ def test_a_misspelt_built_in_is_recognised(name: str, kind: str, meant: str) -> 
 
 def test_an_unknown_word_that_resembles_nothing_gets_no_suggestion() -> None:
     assert did_you_mean("zzz", ["walk", "run"]) == ""
+
+
+def test_a_file_of_any_size_is_read_part_by_part(tmp_path: Path) -> None:
+    """Empty ones, too; a pipe is refused, and not waited for."""
+    path = tmp_path / "large.bin"
+    content = bytes(range(256)) * (5 << 12)
+    path.write_bytes(content)
+    blocks = list(read_blocks(path, HumansimError, "export"))
+    assert b"".join(blocks) == content and max(map(len, blocks)) <= 1 << 20
+    path.write_bytes(b"")
+    assert list(read_blocks(path, HumansimError, "export")) == []
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(HumansimError, match="this is a named pipe, not a regular file"):
+        list(read_blocks(tmp_path / "pipe", HumansimError, "export"))

@@ -79,6 +79,7 @@ EXTRAS = {
         "setuptools>=70.1,<80",
         "types-PyYAML",
         "types-defusedxml",
+        "webdataset>=0.2",
     ],
     # mesh files in COLLADA and 3MF, and glTF files with Draco compression
     "meshes": ["DracoPy>=1.5", "lxml>=4.9", "networkx>=2.8", "pycollada>=0.8"],

@@ -1,4 +1,4 @@
-"""``humansim export``: write a scene as a data set in the formats of other programs."""
+"""``humansim export``: write a scene or bag as a data set in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -15,7 +15,9 @@ from humansim_ros.cli.output import print_error, print_text
 from humansim_ros.ros.stop_signals import Stopped
 
 if TYPE_CHECKING:
-    from humansim_ros.export.export import SceneExport
+    from humansim_ros.export.export import Export
+    from humansim_ros.export.formats import ExportFormat
+    from humansim_ros.export.source import ExportSource
     from humansim_ros.record.progress import FrameProgress
 
 
@@ -34,22 +36,30 @@ def _print_formats(wanted: bool) -> None:
 
 
 def export(
-    frames: Annotated[
-        str, typer.Option(help="Frames A:B, from A up to, but not including, B, such as 0:300.")
-    ],
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder, which must not exist.")],
     formats: Annotated[
         list[str],
         typer.Option("--format", help="Formats with commas between them, such as coco,mot; may be repeated."),
     ],
-    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    scene: Annotated[
+        Path | None, typer.Argument(help="Scene file (YAML) or bag; the demo scene if absent.")
+    ] = None,
+    frames: Annotated[
+        str | None,
+        typer.Option(
+            help="Frames A:B, from A up to, but not including, B, such as 0:300; all of a bag if absent."
+        ),
+    ] = None,
     keypoints: Annotated[
         str, typer.Option(help="Keypoint set of the formats with keypoints (docs/keypoints.md).")
     ] = "coco17",
     images: Annotated[_ImageFormat, typer.Option(help="Format of colour images.")] = _ImageFormat.png,
+    shard_size: Annotated[
+        int, typer.Option(help="Size of the shards of webdataset in bytes.", min=1)
+    ] = 1_000_000_000,
     jobs: Annotated[
         int | None,
-        typer.Option(help="Number of processes that render; all cores if absent.", min=1, max=1024),
+        typer.Option(help="Number of processes that render or read; all cores if absent.", min=1, max=1024),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an interrupted export; give the same options.")
@@ -59,21 +69,39 @@ def export(
         typer.Option("--list", help="List the formats and exit.", is_eager=True, callback=_print_formats),
     ] = False,
 ) -> None:
-    """Write frames of a scene as a data set: images, annotations, calibrations, motions."""
-    from humansim_ros.export.export import SceneExport
+    """Write frames of a scene or bag as a data set: images, annotations, calibrations, motions."""
+    from humansim_ros.export.export import Export
+    from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan, parse_frames
+    from humansim_ros.keypoints.sets import keypoint_set
     from humansim_ros.ros.processes import cores
+
+    chosen = None if frames is None else parse_frames(frames)
+    names = [word.strip() for text in formats for word in text.split(",") if word.strip()]
+    rows = tuple(chosen_formats(names))
+    source = _source(scene, rows, keypoint_set(keypoints).name)
+    plan = ExportPlan.of(source, chosen, f".{images.value}", shard_size)
+    _export(Export(source, plan, output), output, jobs or cores(), resume)
+
+
+def _source(path: Path | None, formats: tuple[ExportFormat, ...], keypoints: str) -> ExportSource:
+    """The scene or bag that is exported."""
+    from humansim_ros.evaluate.readers.estimates import is_bag
+    from humansim_ros.export.source import SimulatedSource
+    from humansim_ros.ros.runtime import require_ros
     from humansim_ros.scene import Scene
 
-    chosen = parse_frames(frames)
-    names = [word.strip() for text in formats for word in text.split(",") if word.strip()]
-    loaded = Scene.load(scene)
-    warn_about_mistakes(loaded)
-    plan = ExportPlan.of(loaded, chosen, names, f".{images.value}", keypoints)
-    _export(SceneExport(loaded, plan, output), output, jobs or cores(), resume)
+    if path is None or not is_bag(path):
+        scene = Scene.load(path)
+        warn_about_mistakes(scene)
+        return SimulatedSource(scene, formats, keypoints)
+    require_ros()
+    from humansim_ros.export.bag import BagSource
+
+    return BagSource.read(path, formats, keypoints)
 
 
-def _export(job: SceneExport, output: Path, jobs: int, resume: bool) -> None:
+def _export(job: Export, output: Path, jobs: int, resume: bool) -> None:
     from humansim_ros.export.export import export
     from humansim_ros.record.workers import WorkerDiedError
 

@@ -23,7 +23,7 @@ def calibration_text(settings: ExportSettings, format: str, cameras: Sequence[st
     Raises:
         ExportError: A camera moves, or the format cannot store its lens.
     """
-    known = settings.scene.scene_cameras
+    known = settings.scene.cameras
     names = list(known) if cameras is None else cameras
     if moving := [name for name in names if known[name].moves]:
         raise ExportError(f"the camera {moving[0]} moves: this file is for fixed cameras only", key=format)

@@ -11,7 +11,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Iterator
 from itertools import count
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -50,7 +49,7 @@ class CocoWriter(FormatWriter):
                     "camera": camera,
                     "frame": frame.index,
                     "stamp": frame.frame.stamp,
-                    **_calibration(frame.frame.cameras[camera]),
+                    **calibration_entry(frame.frame.cameras[camera]),
                     "annotations": annotations,
                 }
             )
@@ -60,16 +59,15 @@ class CocoWriter(FormatWriter):
         """Write both files of annotations."""
         person = person_category(keypoint_set(self.settings.keypoints))
         scene = self.settings.scene
-        shapes = {name: Path(scene.objects[name].shape).stem for name in scene.object_labels}
-        kinds = dict.fromkeys(shape for shape in shapes.values() if shape != _PERSON)
-        ids = {_PERSON: 1} | {shape: number for number, shape in enumerate(kinds, 2)}
+        kinds = dict.fromkeys(kind for kind in scene.objects.values() if kind != _PERSON)
+        ids = {_PERSON: 1} | {kind: number for number, kind in enumerate(kinds, 2)}
         categories = [person] + [
             {"id": number, "name": name, "supercategory": "object"}
             for name, number in ids.items()
             if number > 1
         ]
-        category_of = {name: ids[shapes.get(name, _PERSON)] for name in scene.labels}
-        people = set(scene.actors)
+        category_of = {name: ids[scene.objects.get(name, _PERSON)] for name in scene.labels}
+        people = set(scene.people)
         for file, names, listed in (
             ("person_keypoints.json", people, [person]),
             ("instances.json", set(scene.labels), categories),
@@ -139,7 +137,7 @@ def _region(mask: NDArray[np.bool_], box: BodyBox) -> dict[str, Any]:
     }
 
 
-def _calibration(camera: Camera) -> dict[str, Any]:
+def calibration_entry(camera: Camera) -> dict[str, Any]:
     """Size and calibration of the camera of an image: x = K distorted(R X + t)."""
     return {
         "width": camera.size[0],

@@ -97,15 +97,14 @@ class CroissantWriter(FormatWriter):
     def _card(self, files: list[dict[str, Any]]) -> dict[str, Any]:
         settings = self.settings
         scene = settings.scene
-        title = scene.path.stem if scene.path else "scene"
         first, last = settings.frames[0], settings.frames[-1]
         return {
             "@context": _CONTEXT,
             "@type": "sc:Dataset",
             "conformsTo": "http://mlcommons.org/croissant/1.0",
-            "name": title,
+            "name": scene.title,
             "description": (
-                f"Synthetic ground truth of {len(scene.actors)} people seen by {len(scene.cameras)} cameras: "
+                f"Synthetic ground truth of {len(scene.people)} people seen by {len(scene.cameras)} cameras: "
                 f"frames {first} to {last} of a scene at {settings.rate:g} Hz, made by humansim_ros "
                 f"{__version__}. index.json has the scene, seeds, versions and the hashes of all files."
             ),

@@ -1,9 +1,8 @@
-"""Export a scene with any number of processes, and continue an interrupted export."""
+"""Export a scene or bag with any number of processes, and continue an interrupted export."""
 
 from __future__ import annotations
 
 import json
-import platform
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -14,66 +13,75 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-import cv2
 import numpy as np
 
-from humansim_ros import __version__
 from humansim_ros.bags.chunks import Chunk
 from humansim_ros.camera import write_calibration
-from humansim_ros.errors import ExportError
-from humansim_ros.export.folder import ExportFolder, FileEntry
-from humansim_ros.export.formats import EXPORT_FORMATS, ExportFormat, needed_channels
+from humansim_ros.errors import ExportError, HumansimError
+from humansim_ros.export.folder import TEMPORARY, ExportFolder, FileEntry
+from humansim_ros.export.formats import ExportFormat, needed_channels
 from humansim_ros.export.plan import INDEX, ExportPlan
+from humansim_ros.export.source import ExportSource
 from humansim_ros.export.writer import ExportFrame, ExportSettings, Record, frame_name
+from humansim_ros.io.files import read_text
 from humansim_ros.record.progress import FrameProgress
 from humansim_ros.record.workers import FrameEncoding
-from humansim_ros.scene import Scene, Simulation
 
-#: Folder of an export with what finished frames leave for the files of the whole export; removed at its end.
-_RECORDS = ".frames"
+#: Largest file that a frame leaves for the files of the whole export, bytes.
+_MAX_RECORD = 1 << 30
 #: Cameras of the scene, in the root of an export.
 CALIBRATION = "calibration.yaml"
-#: Step of rendering a frame, for the summary of costs.
-_RENDERING = "rendering and motion"
 
 
 @dataclass(frozen=True)
-class SceneExport:
-    """A scene and the plan of its export to a folder. It can be copied to another process."""
+class Export:
+    """A scene or bag, and the plan of its export to a folder. It can be copied to another process."""
 
-    scene: Scene
+    source: ExportSource
     plan: ExportPlan
     root: Path
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return type(self), (self.scene, self.plan, self.root)
+        return type(self), (self.source, self.plan, self.root)
 
     @property
-    def formats(self) -> list[ExportFormat]:
+    def formats(self) -> Sequence[ExportFormat]:
         """Rows of the formats that are written."""
-        return [EXPORT_FORMATS[name] for name in self.plan.formats]
+        return self.source.formats
 
     @cached_property
     def settings(self) -> ExportSettings:
         """What writers get."""
-        return ExportSettings(self.scene, self.plan.frames, self.plan.keypoints, self.plan.image_suffix)
+        plan = self.plan
+        return ExportSettings(
+            self.source.scene, plan.frames, plan.keypoints, plan.image_suffix, plan.shard_size
+        )
 
     @property
     def cameras(self) -> int:
-        """Number of cameras that are rendered."""
-        return len(self.scene.scene_cameras) if needed_channels(self.formats) else 0
+        """Number of cameras whose images are needed."""
+        return len(self.source.scene.cameras) if needed_channels(self.formats) else 0
 
     def start(self) -> FrameExporter:
-        """Load the renderer. Raises RenderError without OpenGL."""
+        """Load the renderer, or open the bag. Raises HumansimError if this machine cannot do it."""
         return FrameExporter(self)
 
     def finished(self, index: int) -> bool:
-        """Whether a frame and all its files have been written."""
+        """Whether a frame and all its files have been written.
+
+        Raises:
+            ExportError: Something else is in place of its record, such as a named pipe.
+        """
+        path = self.root / self.record_path(index)
+        if not path.exists():
+            return False
         try:
             files: Mapping[str, FileEntry] = self._read(index)["files"]
             return all((self.root / name).stat().st_size == entry["bytes"] for name, entry in files.items())
-        except (OSError, ValueError):
-            return False
+        except (HumansimError, OSError, ValueError):
+            if not path.is_file():
+                raise
+            return False  # empty or cut after a power cut
 
     def files(self, index: int) -> dict[str, FileEntry]:
         """Files of a finished frame."""
@@ -86,10 +94,11 @@ class SceneExport:
 
     def record_path(self, index: int) -> str:
         """File that says that a frame is finished, relative to the root."""
-        return f"{_RECORDS}/{frame_name(index)}.json"
+        return f"{TEMPORARY}/{frame_name(index)}.json"
 
     def _read(self, index: int) -> dict[str, Any]:
-        content: dict[str, Any] = json.loads((self.root / self.record_path(index)).read_bytes())
+        path = self.root / self.record_path(index)
+        content: dict[str, Any] = json.loads(read_text(path, ExportError, "record of a frame", _MAX_RECORD))
         return content
 
 
@@ -97,7 +106,7 @@ class SceneExport:
 class FrameRecords:
     """Number of each frame, with what it leaves for the files of a format; read from disk each time."""
 
-    export: SceneExport
+    export: Export
     name: str
 
     def __iter__(self) -> Iterator[tuple[int, Record]]:
@@ -106,17 +115,15 @@ class FrameRecords:
 
 
 class FrameExporter:
-    """Renders frames of an export and writes their files; use it in a ``with`` block.
+    """Renders or reads frames of an export and writes their files; use it in a ``with`` block.
 
     Attributes:
         costs: Seconds of processor time by step.
     """
 
-    def __init__(self, export: SceneExport) -> None:
+    def __init__(self, export: Export) -> None:
         self._export = export
-        channels = needed_channels(export.formats)
-        self._cameras: tuple[str, ...] | None = None if channels else ()
-        self._simulation = Simulation(export.scene, channels)
+        self._frames = export.source.open()
         self._writers = {row.name: row.writer(export.settings) for row in export.formats}
         self.costs: dict[str, float] = {}
 
@@ -129,18 +136,18 @@ class FrameExporter:
         self.close()
 
     def close(self) -> None:
-        """Free the renderer."""
-        self._simulation.close()
+        """Free the renderer, or close the bag."""
+        self._frames.close()
 
     def encode(self, index: int) -> list[Chunk]:
         """Write the files of a frame, at last the one that says that it is finished; there are no chunks.
 
         Raises:
-            HumansimError: The frame cannot be rendered, or a file cannot be written.
+            HumansimError: The frame cannot be rendered or read, or a file cannot be written.
         """
         start = time.process_time()
-        frame = ExportFrame(self._simulation.frame(index, self._cameras), self._export.settings)
-        start = self._add_cost(_RENDERING, start)
+        frame = ExportFrame(self._frames.frame(index), self._export.settings)
+        start = self._add_cost(self._export.source.step, start)
         folder = ExportFolder(self._export.root)
         records = {}
         for name, writer in self._writers.items():
@@ -165,17 +172,17 @@ def _plain(value: Any) -> Any:
 
 
 def export(
-    job: SceneExport,
+    job: Export,
     jobs: int = 1,
     resume: bool = False,
     on_progress: Callable[[FrameProgress], None] = lambda _: None,
 ) -> FrameProgress:
-    """Export a scene. The files do not depend on ``jobs``, nor on interruptions.
+    """Export a scene or bag. The files do not depend on ``jobs``, nor on interruptions.
 
     However the export ends, its files are whole, and finished frames are not written again.
 
     Args:
-        job: Scene, plan and folder. The folder must not exist unless ``resume``.
+        job: Source, plan and folder. The folder must not exist unless ``resume``.
         jobs: Number of processes that render; with 1, this process does.
         resume: Continue an interrupted export; nothing happens if it is complete.
         on_progress: Called after each frame; its argument is also the result.
@@ -183,7 +190,7 @@ def export(
     Raises:
         ExportError: The folder exists, or has another export.
         WorkerDiedError: A worker process has died.
-        HumansimError: A frame cannot be rendered, or a file cannot be written, such as on a full disk.
+        HumansimError: A frame cannot be rendered or read, or a file cannot be written: a full disk.
     """
     root, plan = job.root, job.plan
     total = len(plan.frames)
@@ -205,7 +212,7 @@ def export(
 
 
 def _write(
-    job: SceneExport,
+    job: Export,
     encoding: FrameEncoding,
     pending: Sequence[int],
     progress: FrameProgress,
@@ -221,11 +228,12 @@ def _write(
         on_progress(progress)
 
 
-def _finish(job: SceneExport) -> None:
+def _finish(job: Export) -> None:
     """Write the files of the whole export, then the index, and remove the records of the frames."""
-    folder = ExportFolder(job.root)
-    with folder.path(CALIBRATION) as path:
-        write_calibration(path, job.scene.cameras, "scene")
+    folder, scene = ExportFolder(job.root), job.source.scene
+    if scene.cameras:
+        with folder.path(CALIBRATION) as path:
+            write_calibration(path, {name: each.camera for name, each in scene.cameras.items()}, "scene")
     for row in job.formats:
         row.writer(job.settings).finish(job.records(row.name), folder.subfolder(row.name))
     files = dict(folder.written)
@@ -235,39 +243,13 @@ def _finish(job: SceneExport) -> None:
         INDEX,
         job.plan.index(
             finished=True,
-            provenance=_provenance(job.scene),
-            rate=job.scene.config.rate,
-            humans=list(job.scene.actors),
-            objects=list(job.scene.object_labels),
-            cameras={name: list(camera.size) for name, camera in job.scene.cameras.items()},
-            files=dict(sorted(files.items())),
+            provenance=job.source.provenance(job.plan.frames),
+            rate=scene.rate,
+            humans=scene.people,
+            objects=list(scene.objects),
+            cameras={name: list(each.camera.size) for name, each in scene.cameras.items()},
+            files={name: files[name] for name in sorted(files) if not name.startswith(f"{TEMPORARY}/")},
         ),
     )
     with suppress(OSError):  # the index is complete: nothing reads them again
-        shutil.rmtree(job.root / _RECORDS)
-
-
-def _provenance(scene: Scene) -> dict[str, Any]:
-    """Where an export comes from: scene, seeds and versions."""
-    config = scene.config.model_dump(mode="json", exclude_defaults=True)
-    return {
-        "scene_file": scene.path.name if scene.path else None,
-        "scene": config,
-        "seeds": dict(_seeds(scene.config.model_dump(mode="json"), "")),
-        "versions": {
-            "humansim_ros": __version__,
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "opencv": cv2.__version__,
-        },
-    }
-
-
-def _seeds(value: Any, key: str) -> Iterator[tuple[str, int]]:
-    """Seeds of a configuration by key, defaults included."""
-    if isinstance(value, dict):
-        for name, part in value.items():
-            if name == "seed":
-                yield f"{key}{name}", part
-            else:
-                yield from _seeds(part, f"{key}{name}.")
+        shutil.rmtree(job.root / TEMPORARY)

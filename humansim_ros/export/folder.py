@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TypedDict
 
 from humansim_ros.errors import ExportError
-from humansim_ros.io.files import atomic_path
+from humansim_ros.io.files import atomic_path, read_blocks
 
-#: Bytes of a file that are read at once.
-_BLOCK = 1 << 20
+#: Folder of an export with what finished frames leave for the files of the whole export; removed at its end.
+TEMPORARY = ".frames"
 
 
 class FileEntry(TypedDict):
@@ -58,6 +58,16 @@ class ExportFolder:
         with self.path(name) as path:
             path.write_bytes(content.encode() if isinstance(content, str) else content)
 
+    def write_temporary(self, name: str, content: bytes) -> None:
+        """Write a file that :meth:`temporary` finds until the export is complete."""
+        folder = ExportFolder(self.root, f"{TEMPORARY}/{self._prefix}".rstrip("/"))
+        folder.written = self.written
+        folder.write(name, content)
+
+    def temporary(self, name: str) -> Path:
+        """Path of a file of :meth:`write_temporary`."""
+        return self.root / TEMPORARY / f"{self._prefix}{name}"
+
     @contextmanager
     def path(self, name: str) -> Iterator[Path]:
         """Temporary path to write a file to, which gets its name after the block."""
@@ -95,8 +105,7 @@ class ExportFolder:
 
 def _entry(path: Path) -> FileEntry:
     digest, size = hashlib.sha256(), 0
-    with path.open("rb") as file:
-        while block := file.read(_BLOCK):
-            digest.update(block)
-            size += len(block)
+    for block in read_blocks(path, ExportError, "export"):
+        digest.update(block)
+        size += len(block)
     return {"sha256": digest.hexdigest(), "bytes": size}

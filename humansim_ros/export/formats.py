@@ -31,12 +31,19 @@ from humansim_ros.export.openpose import OpenPoseWriter
 from humansim_ros.export.poses import BvhWriter
 from humansim_ros.export.thesis import ThesisWriter
 from humansim_ros.export.video import VideoWriter
+from humansim_ros.export.webdataset import WebDatasetWriter
 from humansim_ros.export.writer import FormatWriter
 from humansim_ros.export.yolo import YoloWriter
+from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
 #: The format that writes the tree of colour images; others that name images need it.
 IMAGES = "images"
+#: What formats may need of a frame beside channels: boxes of bodies, keypoints in the images, keypoints in
+#: ``map``, and bodies with vertices and bones.
+BOXES, KEYPOINTS, POSITIONS, BODIES = "boxes", "keypoints", "positions", "bodies"
+#: Channels that a renderer needs for them.
+_CHANNELS_OF = {BOXES: REQUIRED_CHANNELS["boxes"], KEYPOINTS: REQUIRED_CHANNELS["joints"]}
 
 
 @dataclass(frozen=True)
@@ -47,7 +54,9 @@ class ExportFormat:
         name: Name on the command line, and of the folder of its files.
         title: One line for people.
         writer: Class of its writer.
-        channels: Channels that all cameras render for it; nothing is rendered without any.
+        content: What it needs of a frame: channels of all cameras, and of :data:`BOXES`, :data:`KEYPOINTS`,
+            :data:`POSITIONS` and :data:`BODIES`.
+        keypoints: Keypoint set that it always has; empty if there is a choice.
         images: Its files name colour images: the tree of images is written, too.
         needs: Python modules that it needs beyond those of the package.
     """
@@ -55,14 +64,20 @@ class ExportFormat:
     name: str
     title: str
     writer: type[FormatWriter]
-    channels: frozenset[str] = frozenset()
+    content: frozenset[str] = frozenset()
+    keypoints: str = ""
     images: bool = False
     needs: tuple[str, ...] = ()
 
+    @property
+    def channels(self) -> frozenset[str]:
+        """Channels that all cameras of a scene render for it; nothing is rendered without any."""
+        derived = (channel for name in self.content for channel in _CHANNELS_OF.get(name, ()))
+        return frozenset(derived) | (self.content & CHANNEL_TABLE.keys())
 
-_KEYPOINTS = frozenset(REQUIRED_CHANNELS["joints"])
-_BOXES = frozenset(REQUIRED_CHANNELS["boxes"])
-_DEPTH = frozenset({"depth"})
+
+_DEPTH, _BODIES = frozenset({"depth"}), frozenset({BODIES})
+_POSITIONS = frozenset({POSITIONS})
 
 #: All formats by name, in the order in which they are written.
 EXPORT_FORMATS: dict[str, ExportFormat] = {
@@ -84,26 +99,50 @@ EXPORT_FORMATS: dict[str, ExportFormat] = {
             "coco",
             "COCO: people with keypoints, boxes and masks; objects",
             CocoWriter,
-            _KEYPOINTS | _BOXES,
+            frozenset({"instance", KEYPOINTS, BOXES}),
             images=True,
             needs=("pycocotools",),
         ),
         ExportFormat(
-            "yolo", "YOLO-pose: boxes and keypoints of people", YoloWriter, _KEYPOINTS | _BOXES, images=True
+            "yolo",
+            "YOLO-pose: boxes and keypoints of people",
+            YoloWriter,
+            frozenset({KEYPOINTS, BOXES}),
+            images=True,
         ),
-        ExportFormat("mot", "MOTChallenge: tracks of people in each camera", MotWriter, _BOXES, images=True),
         ExportFormat(
-            "thesis", "vertices, bones, cameras and images of the thesis", ThesisWriter, images=True
+            "mot", "MOTChallenge: tracks of people in each camera", MotWriter, frozenset({BOXES}), images=True
+        ),
+        ExportFormat(
+            "thesis", "vertices, bones, cameras and images of the thesis", ThesisWriter, _BODIES, images=True
         ),
         ExportFormat("mp4", "a video of each camera, H.264", VideoWriter, images=True),
-        ExportFormat("openpose", "OpenPose JSON in a project of Pose2Sim", OpenPoseWriter, _KEYPOINTS),
+        ExportFormat(
+            "openpose", "OpenPose JSON in a project of Pose2Sim", OpenPoseWriter, frozenset({KEYPOINTS})
+        ),
         ExportFormat("anipose", "calibration of Anipose and aniposelib", AniposeWriter),
-        ExportFormat("trc", "keypoints or markers of each person, TRC", TrcWriter),
-        ExportFormat("c3d", "keypoints or markers of each person, C3D", C3dWriter, needs=("c3d",)),
-        ExportFormat("panoptic", "19 joints and cameras, JSON of CMU Panoptic", PanopticWriter),
-        ExportFormat("human36m", "17 joints and cameras, JSON of Human3.6M", Human36mWriter),
-        ExportFormat("bvh", "skeleton and motion of each person, BVH", BvhWriter),
-        ExportFormat("glb", "people with skin, texture and motion, binary glTF", GlbWriter),
+        ExportFormat("trc", "keypoints or markers of each person, TRC", TrcWriter, _POSITIONS),
+        ExportFormat(
+            "c3d", "keypoints or markers of each person, C3D", C3dWriter, _POSITIONS, needs=("c3d",)
+        ),
+        ExportFormat(
+            "panoptic",
+            "19 joints and cameras, JSON of CMU Panoptic",
+            PanopticWriter,
+            _POSITIONS,
+            "panoptic19",
+        ),
+        ExportFormat(
+            "human36m", "17 joints and cameras, JSON of Human3.6M", Human36mWriter, _POSITIONS, "h36m17"
+        ),
+        ExportFormat("bvh", "skeleton and motion of each person, BVH", BvhWriter, _BODIES),
+        ExportFormat("glb", "people with skin, texture and motion, binary glTF", GlbWriter, _BODIES),
+        ExportFormat(
+            "webdataset",
+            "tar shards of WebDataset: image, camera, boxes, keypoints and labels",
+            WebDatasetWriter,
+            frozenset({"rgb", "instance", "part", KEYPOINTS, BOXES}),
+        ),
         # the last one: it describes the files of the others
         ExportFormat("croissant", "data card, Croissant JSON-LD", CroissantWriter, images=True),
     )

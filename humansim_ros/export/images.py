@@ -37,7 +37,7 @@ class ImageWriter(FormatWriter):
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Write an image for each camera. ``folder``: the folder ``images``."""
         for camera, view in frame.frame.views.items():
-            encoding = self.settings.scene.scene_cameras[camera].sensor.config.encoding
+            encoding = self.settings.scene.cameras[camera].encoding
             image = encoded_image(view.rgb, encoding, self.settings.image_suffix)
             folder.write(f"{camera}/{frame.name}{self.settings.image_suffix}", image)
 
@@ -88,8 +88,8 @@ class LabelWriter(FormatWriter):
         """Write the legend."""
         scene = self.settings.scene
         parts = {
-            name: {"0": "background"} | {str(n): part for n, part in enumerate(actor.human.skeleton.names, 1)}
-            for name, actor in scene.actors.items()
+            name: {"0": "background"} | {str(n): part for n, part in enumerate(parts, 1)}
+            for name, parts in scene.parts.items()
         }
         instances = {"0": "background"} | {str(label): name for name, label in scene.labels.items()}
         legend = {"instance": instances, "part": parts}

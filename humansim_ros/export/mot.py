@@ -2,7 +2,7 @@
 
 Numbers of frames, identities and pixels count from 1. A box is that of the whole person, also where it is
 hidden or outside of the image; the last column is the visible share of it. A person has the same identity in
-all cameras.
+all cameras. The format has no keypoints.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class MotWriter(FormatWriter):
         rows: dict[str, list[list[float]]] = {}
         for camera, truth in frame.frame.truth.items():
             rows[camera] = []
-            for name in scene.actors:
+            for name in scene.people:
                 box = truth.boxes[name]
                 if box.truncation >= 1:  # nothing of the box is in the image
                     continue
@@ -48,8 +48,8 @@ class MotWriter(FormatWriter):
         for number, (_, rows) in enumerate(records, 1):
             for camera, boxes in rows.items():
                 lines[camera] += [_line(number, box) for box in boxes]
-        for name, camera in scene.cameras.items():
-            sequence = folder.subfolder(name)
+        for name, known in scene.cameras.items():
+            camera, sequence = known.camera, folder.subfolder(name)
             sequence.write("gt/gt.txt", "".join(lines[name]))
             sequence.write("seqinfo.ini", self._sequence_info(name, camera.size))
             with sequence.path("calibration.yaml") as path:

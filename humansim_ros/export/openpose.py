@@ -101,8 +101,8 @@ class OpenPoseWriter(FormatWriter):
 
     def _config(self) -> str:
         settings = self.settings
-        distorted = any(camera.camera.distorted for camera in settings.scene.scene_cameras.values())
-        people = len(settings.scene.actors) > 1
+        distorted = any(camera.camera.distorted for camera in settings.scene.cameras.values())
+        people = len(settings.scene.people) > 1
         lines = [
             "[project]",
             f"multi_person = {str(people).lower()}",

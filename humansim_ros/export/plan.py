@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -11,12 +10,9 @@ from typing import Any
 from humansim_ros import __version__
 from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.errors import ExportError
-from humansim_ros.export.formats import chosen_formats, needed_channels
+from humansim_ros.export.source import ExportSource
+from humansim_ros.export.writer import SHARD_SIZE
 from humansim_ros.io.files import ANY_SIZE, read_text
-from humansim_ros.keypoints.sets import keypoint_set
-from humansim_ros.render.context import OpenGLContext
-from humansim_ros.scene import Scene
-from humansim_ros.scene.scene_hash import scene_hash
 
 #: File of an export with its plan; when the export is complete, also with all files and their hashes.
 INDEX = "index.json"
@@ -30,12 +26,13 @@ class ExportPlan:
     """Everything that determines the files of an export.
 
     Attributes:
-        scene: Hash of the scene and of the files that it names.
+        scene: Hash of the source: of the scene and of the files that it names, or of the bag.
         first: Number of the first frame.
         end: Number after that of the last frame.
         formats: Names of the formats, images included if others need them.
         image_suffix: Suffix of colour images, ``.png`` or ``.jpg``.
         keypoints: Name of the keypoint set.
+        shard_size: Size of shards of samples, bytes.
         device: Device that renders: others round differently. Empty if nothing is rendered.
         version: Version of this package.
     """
@@ -46,36 +43,41 @@ class ExportPlan:
     formats: tuple[str, ...]
     image_suffix: str
     keypoints: str
+    shard_size: int
     device: str
     version: str = __version__
 
     @classmethod
     def of(
-        cls, scene: Scene, frames: range, formats: Sequence[str], image_suffix: str, keypoints: str
+        cls,
+        source: ExportSource,
+        frames: range | None = None,
+        image_suffix: str = ".png",
+        shard_size: int = SHARD_SIZE,
     ) -> ExportPlan:
-        """Plan the export of a scene on this machine.
+        """Plan the export of a scene or bag on this machine.
 
         Args:
-            scene: The scene.
-            frames: Numbers of the frames, without steps.
-            formats: Names of formats.
+            source: The scene or bag, with the formats.
+            frames: Numbers of the frames, without steps; all of a bag if None.
             image_suffix: Suffix of colour images, ``.png`` or ``.jpg``.
-            keypoints: Name of the keypoint set.
+            shard_size: Size of shards of samples, bytes.
 
         Raises:
-            ExportError: A format is unknown, or needs a library that is not installed.
-            KeypointError: There is no such keypoint set.
+            ExportError: There are no such frames.
             RenderError: OpenGL is missing.
         """
-        rows = chosen_formats(formats)
-        keypoint_set(keypoints)
-        device = ""
-        if needed_channels(rows):
-            context = OpenGLContext()
-            device = context.device
-            context.close()
-        names = tuple(row.name for row in rows)
-        return cls(scene_hash(scene), frames.start, frames.stop, names, image_suffix, keypoints, device)
+        frames = _checked_frames(frames, source.count)
+        return cls(
+            scene=source.hash,
+            first=frames.start,
+            end=frames.stop,
+            formats=tuple(row.name for row in source.formats),
+            image_suffix=image_suffix,
+            keypoints=source.keypoints,
+            shard_size=shard_size,
+            device=source.device(),
+        )
 
     @property
     def frames(self) -> range:
@@ -111,7 +113,7 @@ class ExportPlan:
     def _difference(self, name: str, there: ExportPlan) -> str:
         """What differs in a field from the plan of a folder, in words."""
         if name == "scene":
-            return "the scene or a file of it has changed"
+            return "the scene, a file of it, or the bag has changed"
         before, now = _text(getattr(there, name)), _text(getattr(self, name))
         return f"{name.replace('_', ' ')}: {before} there, {now} now"
 
@@ -128,6 +130,17 @@ def read_index(folder: Path) -> dict[str, Any]:
     if not isinstance(index, dict) or index.get(_KEY) != _LAYOUT:
         raise ExportError("this is not the index of an export of this version", path=path)
     return index
+
+
+def _checked_frames(frames: range | None, count: int | None) -> range:
+    """Numbers of frames, all if None. ``count``: number of those that there are; None without an end."""
+    if frames is None:
+        if count is None:
+            raise ExportError("a scene has no end: give frames, such as 0:300", key="--frames")
+        return range(count)
+    if count is not None and frames.stop > count:
+        raise ExportError(f"the bag has {count} frames, so that the last one is {count - 1}", key="--frames")
+    return frames
 
 
 def parse_frames(text: str) -> range:

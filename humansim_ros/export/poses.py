@@ -57,7 +57,7 @@ class PoseWriter(FormatWriter):
         """Pose of each person: heads and rotations of the bones, and size."""
         record = {}
         for name, state in frame.frame.humans.items():
-            bones = len(self.settings.scene.actors[name].human.skeleton)
+            bones = len(self.settings.scene.humans[name].skeleton)
             record[name] = [state.positions[:bones], state.rotations[:bones], state.size]
         return record
 
@@ -71,7 +71,7 @@ class PoseWriter(FormatWriter):
         for name, poses in frames.items():
             heads, rotations, sizes = (np.array(parts) for parts in zip(*poses, strict=True))
             bones = transform(quaternion_to_matrix(rotations), heads)
-            people[name] = AnimatedHuman(self.settings.scene.actors[name].human, bones, sizes)
+            people[name] = AnimatedHuman(self.settings.scene.humans[name], bones, sizes)
         return people
 
 

@@ -37,25 +37,24 @@ class ThesisWriter(FormatWriter):
     def frame(self, frame: ExportFrame, folder: ExportFolder) -> Record:
         """Write vertices and bones of each person, and what depends on the frame of each camera."""
         for name, state in frame.frame.humans.items():
-            skeleton = self.settings.scene.actors[name].human.skeleton
+            skeleton = self.settings.scene.humans[name].skeleton
             folder.write(f"{name}/{frame.name}.verts", verts_text(state.vertices))
             folder.write(f"{name}/{frame.name}.bones", bones_text(bone_ends(state, skeleton.lengths)))
         for name, camera in frame.frame.cameras.items():
-            if name in self.settings.scene.moving_cameras:
+            if self.settings.scene.cameras[name].moves:
                 self._write_camera(f"{name}/{frame.name}", name, camera, folder)
             if (ideal := _conversion(camera)) is not None:
-                encoding = self.settings.scene.scene_cameras[name].sensor.config.encoding
+                encoding = self.settings.scene.cameras[name].encoding
                 image = ideal.to_ideal(color_image(frame.frame.views[name].rgb, encoding))
                 path = f"images/{name}/{frame.name}{self.settings.image_suffix}"
                 folder.write(path, encoded_image(image, "rgb8", self.settings.image_suffix))
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         """Write the cameras that do not move, and the links to images."""
-        scene = self.settings.scene
-        for name, camera in scene.cameras.items():
-            if name not in scene.moving_cameras:
-                self._write_camera(name, name, camera, folder)
-            if _conversion(camera) is None:
+        for name, known in self.settings.scene.cameras.items():
+            if not known.moves:
+                self._write_camera(name, name, known.camera, folder)
+            if _conversion(known.camera) is None:
                 folder.link(f"images/{name}", f"images/{name}")
 
     @staticmethod

@@ -27,7 +27,7 @@ class VideoWriter(FormatWriter):
 
     def _images(self, camera: str, folder: ExportFolder) -> Iterator[Image]:
         """Images (H, W, 3) of a camera, RGB."""
-        encoding = self.settings.scene.scene_cameras[camera].sensor.config.encoding
+        encoding = self.settings.scene.cameras[camera].encoding
         for index in self.settings.frames:
             path = folder.root / self.settings.image(camera, index)
             encoded = np.frombuffer(read_bytes(path, ExportError, "image", ANY_SIZE), np.uint8)

@@ -12,11 +12,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from humansim_ros.export.folder import ExportFolder
-from humansim_ros.scene import Frame, Scene
+from humansim_ros.export.scene import ExportScene
+from humansim_ros.scene import Frame
 
 #: What a frame leaves for the files of the whole export: values of JSON and NumPy arrays. Arrays come back as
 #: lists.
 Record = Any
+#: Size of shards of samples, bytes.
+SHARD_SIZE = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -24,26 +27,28 @@ class ExportSettings:
     """Settings of an export.
 
     Attributes:
-        scene: The scene.
+        scene: What is known of the scene.
         frames: Numbers of the frames.
         keypoints: Name of the keypoint set (docs/keypoints.md).
         image_suffix: Suffix of colour images: ``.png`` or ``.jpg``.
+        shard_size: Largest size of a shard of samples, bytes; a frame more if one is larger.
     """
 
-    scene: Scene
+    scene: ExportScene
     frames: range
     keypoints: str = "coco17"
     image_suffix: str = ".png"
+    shard_size: int = SHARD_SIZE
 
     @property
     def rate(self) -> float:
         """Frames per second."""
-        return self.scene.config.rate
+        return self.scene.rate
 
     @property
     def cameras(self) -> Sequence[str]:
         """Names of the cameras."""
-        return list(self.scene.scene_cameras)
+        return list(self.scene.cameras)
 
     def image(self, camera: str, index: int) -> str:
         """Path of a colour image, relative to the folder of the export."""

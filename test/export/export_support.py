@@ -9,8 +9,10 @@ from typing import Any
 import yaml
 
 from humansim_ros import Scene
-from humansim_ros.export.export import SceneExport, export
+from humansim_ros.export.export import Export, export
+from humansim_ros.export.formats import chosen_formats
 from humansim_ros.export.plan import ExportPlan, parse_frames
+from humansim_ros.export.source import SimulatedSource
 
 #: Two people, a labelled box, a camera with noise and one with a distorted lens.
 SCENE = """
@@ -33,16 +35,19 @@ def small_scene() -> Scene:
 
 
 def job(
-    root: Path, formats: str, scene: Scene | None = None, frames: str = FRAMES, **options: str
-) -> SceneExport:
-    scene = scene or small_scene()
-    settings = {"image_suffix": ".png", "keypoints": "coco17", **options}
-    return SceneExport(
-        scene, ExportPlan.of(scene, parse_frames(frames), formats.split(","), **settings), root
-    )
+    root: Path,
+    formats: str,
+    scene: Scene | None = None,
+    frames: str = FRAMES,
+    keypoints: str = "coco17",
+    **options: Any,
+) -> Export:
+    rows = tuple(chosen_formats(formats.split(",")))
+    source = SimulatedSource(scene or small_scene(), rows, keypoints)
+    return Export(source, ExportPlan.of(source, parse_frames(frames), **options), root)
 
 
-def exported(root: Path, formats: str, scene: Scene | None = None, **options: str) -> Path:
+def exported(root: Path, formats: str, scene: Scene | None = None, **options: Any) -> Path:
     """Export frames in this process; returns the folder."""
     export(job(root, formats, scene, **options))
     return root

@@ -13,6 +13,7 @@ import pytest
 from humansim_ros import Camera, Scene
 from humansim_ros.export.datasets import Human36mWriter, PanopticWriter, human36m_text, panoptic_text
 from humansim_ros.export.folder import ExportFolder
+from humansim_ros.export.scene import ExportScene
 from humansim_ros.export.writer import ExportFrame, ExportSettings
 
 
@@ -21,7 +22,7 @@ def settings() -> ExportSettings:
     human = {"body": "child", "motion": {"file": "wave"}}
     camera = {"position": [3, 1, 1.5], "look_at": [0, 0, 1], "distortion": [-0.1, 0.02, 0.001, 0.002, 0.003]}
     scene = Scene.from_dict({"humans": {"anna": human, "ben": human}, "cameras": {"hd_1": camera}})
-    return ExportSettings(scene, range(4, 6))
+    return ExportSettings(ExportScene.of(scene), range(4, 6))
 
 
 def frames(settings: ExportSettings, name: str, count: int) -> list[Any]:
@@ -30,8 +31,8 @@ def frames(settings: ExportSettings, name: str, count: int) -> list[Any]:
     return [
         SimpleNamespace(
             index=index,
-            scene_time=settings.scene.frame_time(index),
-            keypoint_positions={name: {p: rng.uniform(-1, 1, (count, 3)) for p in settings.scene.actors}},
+            scene_time=round(index * 1e9 / settings.rate),
+            keypoint_positions={name: {p: rng.uniform(-1, 1, (count, 3)) for p in settings.scene.people}},
         )
         for index in settings.frames
     ]
@@ -49,7 +50,7 @@ def test_a_sequence_of_panoptic_has_centimetres_with_y_down(tmp_path: Path, sett
     writer.finish([(f.index, writer.frame(ExportFrame(f, settings), folder)) for f in made], folder)
     (camera,) = json.loads((tmp_path / "calibration_panoptic.json").read_text())["cameras"]
     assert camera["name"] == "hd_1"
-    truth = settings.scene.cameras["hd_1"]
+    truth = settings.scene.cameras["hd_1"].camera
     for frame in made:
         path = tmp_path / "hdPose3d_stage1_coco19" / f"body3DScene_{frame.index:08d}.json"
         data = json.loads(path.read_text())
@@ -79,8 +80,8 @@ def test_human36m_has_millimetres_and_a_subject_for_each_person(
     writer.finish([(f.index, writer.frame(ExportFrame(f, settings), folder)) for f in made], folder)
     cameras = json.loads((tmp_path / "camera-parameters.json").read_text())
     inner, outer = cameras["intrinsics"]["hd_1"], cameras["extrinsics"]["S1"]["hd_1"]
-    truth = settings.scene.cameras["hd_1"]
-    for number, person in enumerate(settings.scene.actors, 1):
+    truth = settings.scene.cameras["hd_1"].camera
+    for number, person in enumerate(settings.scene.people, 1):
         joints = json.loads((tmp_path / f"Human36M_subject{number}_joint_3d.json").read_text())["1"]["1"]
         assert list(joints) == ["4", "5"]
         for frame in made:

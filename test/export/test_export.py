@@ -85,6 +85,25 @@ def test_an_interrupted_export_continues_to_the_same_files(tmp_path: Path, scene
     assert export(made, resume=True).new == 0
 
 
+def test_records_of_frames_are_read_only_from_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
+    """One that is cut is written again; a pipe in its place is refused, and not waited for."""
+    root = tmp_path / "out"
+    made = job(root, FORMATS, scene, frames="2:6")
+    with pytest.raises(_InterruptionError):
+        export(made, on_progress=stop_after(3))
+    record = root / made.record_path(3)
+    record.write_bytes(record.read_bytes()[:-9])
+    (root / made.record_path(4)).write_bytes(b"")
+    assert [index for index in made.plan.frames if made.finished(index)] == [2]
+    record.unlink()
+    os.mkfifo(record)
+    with pytest.raises(ExportError, match=r"000003.json: .*this is a named pipe, not a regular file"):
+        export(made, resume=True)
+    record.unlink()
+    assert export(made, resume=True).new == 3
+    assert content(root) == content(whole)
+
+
 @pytest.mark.slow
 def test_several_processes_write_the_same_files(tmp_path: Path, scene: Scene, whole: Path) -> None:
     root = tmp_path / "out"
@@ -97,7 +116,7 @@ def test_another_export_is_not_continued(scene: Scene, whole: Path) -> None:
     with pytest.raises(ExportError, match=r"another export: end: 6 there, 7 now; formats: .* there, images "):
         export(job(whole, "images", scene, frames="2:7"), resume=True)
     changed = Scene.build(cameras={"c": {"position": [3, 0, 1], "look_at": [0, 0, 1]}}, room=None)
-    with pytest.raises(ExportError, match="the scene or a file of it has changed"):
+    with pytest.raises(ExportError, match="the scene, a file of it, or the bag has changed"):
         export(job(whole, FORMATS, changed, frames="2:6"), resume=True)
     with pytest.raises(ExportError, match="this path exists; choose another one, or continue with --resume"):
         export(job(whole, FORMATS, scene, frames="2:6"))

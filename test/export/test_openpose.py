@@ -23,6 +23,7 @@ from humansim_ros.export.openpose import (
     openpose_text,
     pose2sim_order,
 )
+from humansim_ros.export.scene import ExportScene
 from humansim_ros.export.writer import ExportFrame, ExportSettings
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.truth import OCCLUDED, OUTSIDE, VISIBLE
@@ -58,12 +59,12 @@ def test_cameras_are_in_the_order_of_pose2sim() -> None:
 
 def test_a_project_has_files_of_all_cameras_and_their_calibration(tmp_path: Path) -> None:
     lens = {**CAMERA, "position": [0, 3, 1.5], "distortion": [-0.1, 0.02, 0.001, 0.0, 0.0]}
-    settings = ExportSettings(scene({"cam10": CAMERA, "cam2": lens}), range(5, 6), "coco17")
+    settings = ExportSettings(ExportScene.of(scene({"cam10": CAMERA, "cam2": lens})), range(5, 6), "coco17")
     rng = np.random.default_rng(1)
     views = {
         camera: {
             person: SimpleNamespace(pixels=rng.uniform(0, 400, (17, 2)), visible=np.full(17, VISIBLE))
-            for person in settings.scene.actors
+            for person in settings.scene.people
         }
         for camera in settings.cameras
     }
@@ -80,7 +81,7 @@ def test_a_project_has_files_of_all_cameras_and_their_calibration(tmp_path: Path
     cameras = read_calibration(tmp_path / "calibration" / "Calib.toml")
     assert list(cameras) == ["cam2", "cam10"]
     for name, camera in cameras.items():
-        truth = settings.scene.cameras[name]
+        truth = settings.scene.cameras[name].camera
         for part in ("K", "R", "t"):
             np.testing.assert_allclose(getattr(camera, part), getattr(truth, part), atol=1e-9)
         np.testing.assert_allclose(camera.distortion, truth.distortion)
@@ -94,7 +95,7 @@ def test_other_keypoint_sets_get_a_skeleton_of_their_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(openpose, "POSE2SIM_MODELS", {})
-    settings = ExportSettings(scene({"cam": CAMERA}, people=1), range(3), "coco17")
+    settings = ExportSettings(ExportScene.of(scene({"cam": CAMERA}, people=1)), range(3), "coco17")
     OpenPoseWriter(settings).finish([], ExportFolder(tmp_path))
     config = tomllib.loads((tmp_path / "Config.toml").read_text())
     assert config["project"]["multi_person"] is False
@@ -111,10 +112,10 @@ def test_moving_cameras_are_refused_before_the_first_frame(tmp_path: Path) -> No
     flying = {"trajectory": {"file": str(path)}}
     for writer in (OpenPoseWriter, AniposeWriter):
         with pytest.raises(ExportError, match="camera flying moves"):
-            writer(ExportSettings(scene({"still": CAMERA, "flying": flying}), range(3)))
+            writer(ExportSettings(ExportScene.of(scene({"still": CAMERA, "flying": flying})), range(3)))
 
 
 def test_a_lens_that_the_format_cannot_store_is_refused_before_the_first_frame() -> None:
     wide = {**CAMERA, "K": [[400, 5, 320], [0, 400, 240], [0, 0, 1]], "size": [640, 480]}
     with pytest.raises(ExportError, match=r"shelf: wide: .*skew"):
-        calibration_text(ExportSettings(scene({"wide": wide}), range(3)), "shelf")
+        calibration_text(ExportSettings(ExportScene.of(scene({"wide": wide})), range(3)), "shelf")

@@ -12,6 +12,7 @@ from humansim_ros import Scene, read_bvh
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.export.folder import ExportFolder
 from humansim_ros.export.poses import BvhWriter
+from humansim_ros.export.scene import ExportScene
 from humansim_ros.export.writer import ExportFrame, ExportSettings
 from humansim_ros.rotations import WORLD_FROM_BODY
 from humansim_ros.scene import Frame
@@ -37,7 +38,7 @@ def export(folder: Path, first_size: float, last_size: float) -> tuple[ExportSet
             "cameras": {"front": {"position": [3, 0, 1.5], "look_at": [0, 0, 1]}},
         }
     )
-    settings = ExportSettings(scene, range(10, 15))
+    settings = ExportSettings(ExportScene.of(scene), range(10, 15))
     frames = [
         Frame(index, 1, {name: actor.at(index / 30) for name, actor in scene.actors.items()}, {})
         for index in settings.frames
@@ -54,10 +55,10 @@ def export(folder: Path, first_size: float, last_size: float) -> tuple[ExportSet
 
 def test_joints_of_bvh_files_are_those_of_the_people(tmp_path: Path) -> None:
     settings, frames = export(tmp_path, 0.8, 0.8)
-    for name, actor in settings.scene.actors.items():
+    for name, human in settings.scene.humans.items():
         motion = read_bvh(tmp_path / f"{name}.bvh")
         assert motion.n_frames == 5 and motion.frame_time == pytest.approx(1 / 30)
-        names = list(actor.human.skeleton.joint_names)
+        names = list(human.skeleton.joint_names)
         order = [motion.joint_names.index(joint) for joint in names]
         for index, frame in enumerate(frames):
             found = motion.world_positions(index)[order] / 100 @ WORLD_FROM_BODY.T

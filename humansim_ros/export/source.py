@@ -1,0 +1,148 @@
+"""Sources of exports: what gives the frames. A scene is simulated; a bag is read (``export/bag.py``)."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from humansim_ros import __version__
+from humansim_ros.export.formats import ExportFormat, needed_channels
+from humansim_ros.export.scene import ExportScene
+from humansim_ros.render.context import OpenGLContext
+from humansim_ros.scene import Frame, Scene, Simulation
+from humansim_ros.scene.scene_hash import scene_hash
+
+
+class FrameReader(Protocol):
+    """Gives frames in any order, in one process."""
+
+    def frame(self, index: int) -> Frame:
+        """A frame with what the formats need. Raises HumansimError if it cannot be rendered or read."""
+
+    def close(self) -> None:
+        """Free what is open."""
+
+
+class ExportSource(Protocol):
+    """A scene or bag, for some formats. It can be copied to another process."""
+
+    @property
+    def formats(self) -> Sequence[ExportFormat]:
+        """Rows of the formats."""
+
+    @property
+    def keypoints(self) -> str:
+        """Name of the keypoint set."""
+
+    @property
+    def scene(self) -> ExportScene:
+        """What the writers of formats know."""
+
+    @property
+    def hash(self) -> str:
+        """Equal for sources that give the same files."""
+
+    @property
+    def step(self) -> str:
+        """How it makes frames, for the summary of costs."""
+
+    @property
+    def count(self) -> int | None:
+        """Number of frames; None if there is no end."""
+
+    def device(self) -> str:
+        """Device that renders; empty if nothing is rendered. Raises RenderError without OpenGL."""
+
+    def open(self) -> FrameReader:
+        """Start to give frames. Raises HumansimError if this machine cannot."""
+
+    def provenance(self, frames: range) -> dict[str, Any]:
+        """Where the data of some frames come from, for the index of an export."""
+
+
+@dataclass(frozen=True)
+class SimulatedSource:
+    """A scene that is simulated. ``formats``: rows. ``keypoints``: name of the keypoint set."""
+
+    simulated: Scene
+    formats: tuple[ExportFormat, ...]
+    keypoints: str = "coco17"
+    step = "rendering and motion"
+    count = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.simulated, self.formats, self.keypoints)
+
+    @cached_property
+    def scene(self) -> ExportScene:
+        """What the writers of formats know."""
+        return ExportScene.of(self.simulated)
+
+    @cached_property
+    def hash(self) -> str:
+        """Hash of the scene and of the files that it names."""
+        return scene_hash(self.simulated)
+
+    def device(self) -> str:
+        """Device that renders; empty if nothing is rendered. Raises RenderError without OpenGL."""
+        if not needed_channels(self.formats):
+            return ""
+        context = OpenGLContext()
+        context.close()
+        return context.device
+
+    def open(self) -> FrameReader:
+        """Load the renderer."""
+        return _SimulatedFrames(self.simulated, needed_channels(self.formats))
+
+    def provenance(self, frames: range) -> dict[str, Any]:
+        """Scene, seeds and versions."""
+        scene, config = self.simulated, self.simulated.config
+        return {
+            "scene_file": scene.path.name if scene.path else None,
+            "scene": config.model_dump(mode="json", exclude_defaults=True),
+            "seeds": dict(_seeds(config.model_dump(mode="json"), "")),
+            "versions": versions(),
+        }
+
+
+class _SimulatedFrames:
+    """Frames of a scene; nothing is rendered without channels."""
+
+    def __init__(self, scene: Scene, channels: Collection[str]) -> None:
+        self._cameras = None if channels else ()
+        self._simulation = Simulation(scene, channels)
+
+    def frame(self, index: int) -> Frame:
+        """A frame, rendered now."""
+        return self._simulation.frame(index, self._cameras)
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._simulation.close()
+
+
+def versions() -> dict[str, str]:
+    """Versions of this package and of those that change numbers."""
+    return {
+        "humansim_ros": __version__,
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "opencv": cv2.__version__,
+    }
+
+
+def _seeds(value: Any, key: str) -> Iterator[tuple[str, int]]:
+    """Seeds of a configuration by key, defaults included."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            if name == "seed":
+                yield f"{key}{name}", part
+            else:
+                yield from _seeds(part, f"{key}{name}.")

@@ -309,7 +309,7 @@ def legend() -> dict[str, Any]:
 def read(text: str) -> JointSource:
     from std_msgs.msg import String
 
-    return JointSource.from_dict(messages.read_motion_legend(String(data=text)), scene().actors["first"])
+    return JointSource.from_dict(messages.read_legend(String(data=text)), scene().actors["first"])
 
 
 def test_a_legend_returns_from_its_message() -> None:

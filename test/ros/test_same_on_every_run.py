@@ -75,7 +75,7 @@ def test_body_of_sent_joints_has_the_bits_of_simulation(ros: None, tmp_path: Pat
     scene = Scene.load(write_scene(tmp_path, f"humans: {{anna: {human}}}\ncameras: {{left: {camera}}}"))
     actor = scene.actors["anna"]
     told = LiveRetargeter(actor, live=True)
-    told.add_legend(messages.read_motion_legend(messages.motion_legend(JointSource.of_actor(actor))))
+    told.add_legend(messages.read_legend(messages.motion_legend(JointSource.of_actor(actor))))
     with Simulation(scene, ()) as simulation:
         for frame in simulation.frames(40):
             state = frame.humans["anna"]

@@ -22,13 +22,17 @@ from humansim_ros.ros.messages.cameras import (
     pose_message,
     projection_message,
     read_camera_info,
+    read_extrinsics,
     read_pose,
+    read_region,
 )
 from humansim_ros.ros.messages.compressed import (
     DepthCompression,
     ImageCompression,
     compressed_depth_message,
     compressed_image_message,
+    read_compressed_depth,
+    read_compressed_image,
 )
 from humansim_ros.ros.messages.faults import faults_legend, faults_message, read_faults
 from humansim_ros.ros.messages.headers import (
@@ -52,7 +56,7 @@ from humansim_ros.ros.messages.humans import (
     read_vertices,
     vertices_message,
 )
-from humansim_ros.ros.messages.images import image_message, mask_pixels
+from humansim_ros.ros.messages.images import image_message, mask_pixels, read_image
 from humansim_ros.ros.messages.legends import (
     instance_legend,
     joints_legend,
@@ -60,7 +64,7 @@ from humansim_ros.ros.messages.legends import (
     live_legend,
     motion_legend,
     part_legend,
-    read_motion_legend,
+    read_legend,
 )
 from humansim_ros.ros.messages.objects import object_message, read_object, read_twist, twist_message
 from humansim_ros.ros.messages.points import point_cloud, read_points
@@ -103,13 +107,18 @@ __all__ = [
     "projection_message",
     "read_boxes",
     "read_camera_info",
+    "read_compressed_depth",
+    "read_compressed_image",
+    "read_extrinsics",
     "read_faults",
+    "read_image",
     "read_joint_view",
     "read_joints",
-    "read_motion_legend",
+    "read_legend",
     "read_object",
     "read_points",
     "read_pose",
+    "read_region",
     "read_scene_time",
     "read_twist",
     "read_vertices",

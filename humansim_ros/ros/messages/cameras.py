@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import Point, PoseStamped, Quaternion, TransformStamped, Vector3
+from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, TransformStamped, Vector3
 from sensor_msgs.msg import CameraInfo
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
@@ -64,6 +64,15 @@ def read_camera_info(message: CameraInfo) -> Camera:
     )
 
 
+def read_region(message: CameraInfo) -> Region:
+    """Read binning and region of interest of a CameraInfo."""
+    roi = message.roi
+    window = (roi.x_offset, roi.y_offset, roi.width, roi.height)
+    return Region(
+        window if roi.width and roi.height else None, (message.binning_x or 1, message.binning_y or 1)
+    )
+
+
 def pose_message(pose: CameraPose, stamp: int) -> PoseStamped:
     """Build ``<camera>/pose``: pose of the optical frame of a moving camera in ``map``."""
     message = PoseStamped(header=header(stamp, WORLD_FRAME))
@@ -100,6 +109,13 @@ def extrinsics_message(camera: Camera, stamp: int, frame: str) -> TransformStamp
     x, y, z, w = matrix_to_quaternion(camera.R.T).tolist()
     message.transform.rotation = Quaternion(x=x, y=y, z=z, w=w)
     return message
+
+
+def read_extrinsics(message: TransformStamped) -> CameraPose:
+    """Read an ``<camera>/extrinsics`` message. Raises RosError as :func:`read_pose`."""
+    p, q = message.transform.translation, message.transform.rotation
+    position = Point(x=p.x, y=p.y, z=p.z)
+    return read_pose(PoseStamped(header=message.header, pose=Pose(position=position, orientation=q)))
 
 
 def projection_message(camera: Camera) -> Float64MultiArray:

@@ -103,6 +103,47 @@ def compressed_depth_message(
     return _message("32FC1; compressedDepth png", np.concatenate([head, png]), stamp, frame)
 
 
+def read_compressed_image(message: CompressedImage) -> tuple[NDArray[np.uint8], str]:
+    """Pixels (H, W) or (H, W, 3) of a JPEG or PNG, and their encoding. Raises RosError if it is damaged."""
+    pixels = _decode(np.frombuffer(message.data, dtype=np.uint8))
+    if pixels.dtype != np.uint8:
+        raise RosError("a compressed image must have 8 bits per sample")
+    encoding = message.format.partition(";")[0].strip()
+    if pixels.ndim == 2:
+        return pixels, encoding if encoding == "bayer_rggb8" else "mono8"
+    if encoding == "rgb8":
+        return np.ascontiguousarray(pixels[..., ::-1]), encoding
+    return pixels, "bgr8"
+
+
+def read_compressed_depth(message: CompressedImage) -> NDArray[np.float32]:
+    """Depth (H, W) in metres of the format of :func:`compressed_depth_message`; inf where none is.
+
+    Raises:
+        RosError: The message is damaged, or of another format.
+    """
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    if len(data) <= _CONFIG_HEADER.size or not message.format.startswith("32FC1"):
+        raise RosError(f"compressed depth of format {message.format!r} is not read; known is 32FC1")
+    _, a, b = _CONFIG_HEADER.unpack(data[: _CONFIG_HEADER.size].tobytes())
+    levels = _decode(data[_CONFIG_HEADER.size :])
+    if levels.dtype != np.uint16 or levels.ndim != 2:
+        raise RosError("compressed depth must be a PNG of 16 bits")
+    depth = np.full(levels.shape, np.inf, np.float32)
+    np.divide(np.float32(a), levels - np.float32(b), out=depth, where=levels > 0)
+    return depth
+
+
+def _decode(data: NDArray[np.uint8]) -> NDArray[Any]:
+    try:
+        pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:  # no data
+        pixels = None
+    if pixels is None:
+        raise RosError("a compressed image cannot be decoded")
+    return np.asarray(pixels)
+
+
 def _message(form: str, data: NDArray[np.uint8], stamp: int, frame: str) -> CompressedImage:
     message = CompressedImage(header=header(stamp, frame), format=form)
     set_data(message, data)

@@ -26,8 +26,8 @@ def live_legend() -> String:
     return _legend({"live": True})
 
 
-def read_motion_legend(message: String) -> dict[str, Any]:
-    """Read a ``motion/legend`` message. Raises RosError if it is not a JSON object."""
+def read_legend(message: String) -> dict[str, Any]:
+    """Read a legend. Raises RosError if it is not a JSON object."""
     try:
         data = json.loads(message.data, parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as reason:

@@ -20,7 +20,7 @@ from std_msgs.msg import Header, String
 from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import HumansimError, RosError, SceneError, printable
 from humansim_ros.motion.joint_tables import built_in_tables, load_table
-from humansim_ros.ros.messages import read_joints, read_motion_legend, to_nanoseconds
+from humansim_ros.ros.messages import read_joints, read_legend, to_nanoseconds
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.motion_player import MAX_LEAD
 from humansim_ros.ros.qos import LATCHED, NEWEST
@@ -155,7 +155,7 @@ class SkinnerNode(SceneNode):
 
     def _on_legend(self, message: String) -> None:
         try:
-            legend = read_motion_legend(message)
+            legend = read_legend(message)
             if not legend.get("live"):
                 self._live_retargeter.add_legend(legend)
                 self._message = self._asked = None  # the player moves the human

@@ -1,0 +1,588 @@
+"""A bag as source of an export: the frames are read from its topics; nothing is rendered or computed anew.
+
+A frame is a stamp at which each topic that the formats need has a message. Frames are numbered from 0 in the
+order of their stamps.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import compress
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from geometry_msgs.msg import TransformStamped
+from numpy.typing import NDArray
+from sensor_msgs.msg import (
+    CameraInfo,
+    CompressedImage,
+    Image,
+    MultiDOFJointState,
+    PointCloud2,
+    TimeReference,
+)
+from std_msgs.msg import String
+
+from humansim_ros.bags.reader import BagReader
+from humansim_ros.camera import Camera
+from humansim_ros.errors import BagError, ExportError, HumansimError, warn_about
+from humansim_ros.export.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, ExportFormat
+from humansim_ros.export.scene import ExportCamera, ExportScene
+from humansim_ros.export.source import versions
+from humansim_ros.keypoints.sets import keypoint_set
+from humansim_ros.render import View
+from humansim_ros.render.channels import CHANNEL_TABLE
+from humansim_ros.ros import messages
+from humansim_ros.ros.limits import deserialised
+from humansim_ros.scene import CameraPose, Frame
+from humansim_ros.truth import BodyBox, CameraTruth, KeypointView
+from humansim_ros.types import Array
+
+#: Largest message that is read, bytes.
+_MAX_MESSAGE = 1 << 31
+#: Compressed topics that hold a channel as well, beside its own.
+_COMPRESSED = {"rgb": "compressed", "depth": "compressedDepth"}
+#: What is about labelled bodies: needs their names.
+_LABELLED = {"instance", "part", BOXES, KEYPOINTS}
+_SCENE_TIME = "/scene_time"
+#: Topics with which every format can be understood.
+_ALWAYS = ("/scene_time", "*/camera_info", "*/extrinsics", "*/joints/legend", "*/part/legend")
+_KINDS = {number: kind for kind, number in messages.BODY_KINDS.items()}
+#: Most topics that a message lists.
+_MAX_LISTED = 4
+
+
+class _Place(NamedTuple):
+    """A frame in the bag: its stamp, and the log times of its first and last message, nanoseconds."""
+
+    stamp: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class _Needed:
+    """Topics of which each frame needs a message, by what they hold.
+
+    Attributes:
+        channels: Topic by camera and channel.
+        boxes: Topic by camera.
+        keypoints: Topic by camera.
+        positions: Topic by set of keypoints and person.
+        extrinsics: Topic by camera that moves.
+    """
+
+    channels: Mapping[tuple[str, str], str]
+    boxes: Mapping[str, str]
+    keypoints: Mapping[str, str]
+    positions: Mapping[tuple[str, str], str]
+    extrinsics: Mapping[str, str]
+
+    @property
+    def topics(self) -> list[str]:
+        """All topics, each once."""
+        groups = (self.channels, self.boxes, self.keypoints, self.positions, self.extrinsics)
+        return list(dict.fromkeys(topic for group in groups for topic in group.values()))
+
+
+@dataclass(frozen=True)
+class BagSource:
+    """A bag that is read, for some formats.
+
+    Attributes:
+        path: The bag.
+        formats: Rows of the formats.
+        keypoints: Name of the keypoint set.
+        scene: What the writers of formats know.
+        hash: Hash of topics, sizes, and times of the bag.
+        custom: Texts that the writer of the bag has left.
+        needed: Topics that are read.
+        frames: Places of the frames.
+    """
+
+    path: Path
+    formats: tuple[ExportFormat, ...]
+    keypoints: str
+    scene: ExportScene
+    hash: str
+    custom: Mapping[str, str]
+    needed: _Needed
+    frames: tuple[_Place, ...]
+    step = "reading"
+
+    @classmethod
+    def read(cls, path: Path, formats: Sequence[ExportFormat], keypoints: str = "coco17") -> BagSource:
+        """Find out what a bag holds. Messages are read once, to find the frames.
+
+        Args:
+            path: The bag.
+            formats: Rows of the formats.
+            keypoints: Name of the keypoint set.
+
+        Raises:
+            ExportError: The bag lacks a topic that a format needs, or no frame is whole.
+            BagError: The bag cannot be read.
+        """
+        with BagReader(path) as reader:
+            return _Survey(reader, tuple(formats), keypoints).source()
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self.frames)
+
+    def device(self) -> str:
+        """Nothing is rendered."""
+        return ""
+
+    def open(self) -> BagFrames:
+        """Open the bag."""
+        return BagFrames(self)
+
+    def provenance(self, frames: range) -> dict[str, Any]:
+        """The bag, what its writer has left about its scene, and the stamps of the frames."""
+        return {
+            "bag": self.path.name,
+            "bag_hash": self.hash,
+            "recording": {name: _parsed(text) for name, text in self.custom.items()},
+            "stamps": [self.frames[index].stamp for index in frames],
+            "versions": versions(),
+        }
+
+
+def _parsed(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+class _Survey:
+    """What a bag holds for some formats. Arguments are those of :meth:`BagSource.read`."""
+
+    def __init__(self, reader: BagReader, formats: tuple[ExportFormat, ...], keypoints: str) -> None:
+        self._reader, self._formats, self._keypoints = reader, formats, keypoints
+        counts = reader.info.counts
+        # in the order of the bag, which is that of the scene if humansim has recorded it
+        names = (topic.name for index, topic in enumerate(reader.topics) if counts.get(index))
+        self._topics = dict.fromkeys(names)
+        self._content = frozenset[str]().union(*(row.content for row in formats))
+
+    def source(self) -> BagSource:
+        """The source of the export."""
+        for row in self._formats:
+            if BODIES in row.content:
+                self._refuse(row, "needs bodies with their skeleton, which no topic has: export the scene")
+        cameras = self._camera_names()
+        needed = self._needed(cameras)
+        frames = self._frames(needed.topics or [f"/{cameras[0]}/camera_info"])
+        labels, objects = self._labels(cameras)
+        parts = self._parts(cameras)
+        steps = np.diff([place.stamp for place in frames])
+        scene = ExportScene(
+            title=self._reader.path.stem,
+            rate=round(1e9 / float(np.median(steps)), 4) if len(steps) else 1.0,
+            cameras={name: self._camera(name, name in needed.extrinsics, needed) for name in cameras},
+            labels=labels,
+            objects=objects,
+            parts={name: parts for name in labels if name not in objects},
+        )
+        path, custom = self._reader.path, self._reader.info.custom
+        return BagSource(
+            path, self._formats, self._keypoints, scene, self._hash(), dict(custom), needed, tuple(frames)
+        )
+
+    def _refuse(self, row: ExportFormat, text: str) -> None:
+        raise ExportError(f"the format {row.name} {text}", path=self._reader.path, key="--format")
+
+    def _camera_names(self) -> list[str]:
+        """Cameras: names in front of the topics that only cameras have."""
+        ends = ("camera_info", "extrinsics", "image_raw", "joints/legend", "boxes")
+        split = (topic.removeprefix("/").partition("/") for topic in self._topics)
+        names = dict.fromkeys(name for name, _, rest in split if rest.startswith(ends))
+        cameras = [name for name in names if name not in ("humans", "objects")]
+        if all(row.content == {POSITIONS} and not row.keypoints for row in self._formats):
+            # nothing but paths of points is written: cameras of which too little is known are left out
+            known = [
+                {f"/{name}/camera_info", f"/{name}/extrinsics"} <= self._topics.keys() for name in cameras
+            ]
+            cameras = list(compress(cameras, known))
+        return cameras
+
+    def _people(self) -> list[str]:
+        """People of which there are topics."""
+        parts = (topic.split("/") for topic in self._topics)
+        return list(dict.fromkeys(each[2] for each in parts if each[1] == "humans" and len(each) > 3))
+
+    def _needed(self, cameras: Sequence[str]) -> _Needed:
+        """Topics of the frames. Raises ExportError if one is missing."""
+        channels: dict[tuple[str, str], str] = {}
+        boxes, keypoints, extrinsics = {}, {}, {}
+        positions: dict[tuple[str, str], str] = {}
+        for row in self._formats:
+            for camera in cameras:
+                self._require(row, f"/{camera}/camera_info")
+                self._require(row, f"/{camera}/extrinsics")
+                if row.content & _LABELLED:
+                    self._require(row, f"/{camera}/joints/legend")
+                if "part" in row.content:
+                    self._require(row, f"/{camera}/part/legend")
+                for channel in sorted(row.content & CHANNEL_TABLE.keys()):
+                    own = f"/{camera}/{CHANNEL_TABLE[channel].topic}"
+                    other = f"{own}/{_COMPRESSED.get(channel, '')}"
+                    channels[camera, channel] = other if other in self._topics else self._require(row, own)
+                if BOXES in row.content:
+                    boxes[camera] = self._require(row, f"/{camera}/boxes")
+                if KEYPOINTS in row.content:
+                    keypoints[camera] = self._require(row, f"/{camera}/keypoints/{self._keypoints}")
+            if POSITIONS in row.content:
+                chosen = row.keypoints or self._keypoints
+                for person in self._people() or ["<id>"]:
+                    topic = self._require(row, f"/humans/{person}/keypoints/{chosen}")
+                    positions[chosen, person] = topic
+            if not cameras and (row.content != {POSITIONS} or row.keypoints):
+                self._require(row, "/<camera>/camera_info")
+        for camera in cameras:
+            if (
+                len(
+                    {
+                        _pose_key(message)
+                        for message in self._messages(f"/{camera}/extrinsics", TransformStamped)
+                    }
+                )
+                > 1
+            ):
+                extrinsics[camera] = f"/{camera}/extrinsics"
+        return _Needed(channels, boxes, keypoints, positions, extrinsics)
+
+    def _require(self, row: ExportFormat, topic: str) -> str:
+        """The topic, if the bag has it; else ExportError with the command that records all topics."""
+        if topic not in self._topics:
+            self._refuse(
+                row,
+                f"needs the topic {topic}, which the bag does not have; record one with "
+                f"humansim record … --topics '{','.join(recorded_patterns(self._formats, self._keypoints))}'",
+            )
+        return topic
+
+    def _messages(self, topic: str, kind: type[Any]) -> Iterator[Any]:
+        for message in self._reader.messages([topic]):
+            with _reading(self._reader.path, topic):
+                found = _message(bytes(message.data), kind)
+            yield found
+
+    def _first(self, topic: str, kind: type[Any]) -> Any:
+        return next(self._messages(topic, kind))
+
+    def _labels(self, cameras: Sequence[str]) -> tuple[dict[str, int], dict[str, str]]:
+        """Instance labels by name, and kinds of objects, by the legend of a camera; else people by topics."""
+        for camera in cameras:
+            topic = f"/{camera}/joints/legend"
+            if topic in self._topics:
+                legend = self._legend(topic)
+                people, objects = legend.get("human", {}), legend.get("object", {})
+                labels = {str(name): int(label) for each in (people, objects) for label, name in each.items()}
+                return labels, {str(name): str(name) for name in objects.values()}
+        return {name: number for number, name in enumerate(self._people(), 1)}, {}
+
+    def _parts(self, cameras: Sequence[str]) -> tuple[str, ...]:
+        """Names of the values of body parts from 1, the same for all people."""
+        for camera in cameras:
+            topic = f"/{camera}/part/legend"
+            if topic in self._topics:
+                legend = self._legend(topic)
+                return tuple(str(legend[key]) for key in sorted(legend, key=int) if key != "0")
+        return ()
+
+    def _legend(self, topic: str) -> dict[str, Any]:
+        with _reading(self._reader.path, topic):
+            return messages.read_legend(self._first(topic, String))
+
+    def _camera(self, name: str, moves: bool, needed: _Needed) -> ExportCamera:
+        """Camera of the images, at its first pose."""
+        topic = f"/{name}/camera_info"
+        with _reading(self._reader.path, topic):
+            info = self._first(topic, CameraInfo)
+            camera = messages.read_region(info).of(messages.read_camera_info(info))
+        topic = f"/{name}/extrinsics"
+        with _reading(self._reader.path, topic):
+            pose = messages.read_extrinsics(self._first(topic, TransformStamped))
+        encoding = "rgb8"
+        image = needed.channels.get((name, "rgb"))
+        if image is not None:
+            with _reading(self._reader.path, image):
+                encoding = _pixels(self._first(image, _image_type(image)))[1]
+        return ExportCamera(_simple(replace(camera, R=pose.R, t=pose.t)), moves, encoding)
+
+    def _frames(self, topics: Sequence[str]) -> list[_Place]:
+        """Stamps at which all topics have a message. Warns of those that lack one."""
+        names = [topic.name for topic in self._reader.topics]
+        found: dict[int, dict[str, int]] = {}
+        for message in self._reader.messages(topics):
+            name = names[message.topic]
+            with _reading(self._reader.path, name):
+                stamp = messages.serialised_stamp(bytes(message.data[:12]))
+            found.setdefault(stamp, {}).setdefault(name, message.stamp)
+        whole = {stamp: times for stamp, times in sorted(found.items()) if len(times) == len(topics)}
+        if len(whole) < len(found):
+            lacking = {topic: sum(topic not in times for times in found.values()) for topic in topics}
+            listed = [topic for topic, count in lacking.items() if count]
+            more = f" and {len(listed) - _MAX_LISTED} more" * (len(listed) > _MAX_LISTED)
+            text = f"{len(found) - len(whole)} of {len(found)} frames lack a message on "
+            text += ", ".join(listed[:_MAX_LISTED]) + more
+            if not whole:
+                raise ExportError(f"no frame is whole: {text}", path=self._reader.path)
+            warn_about(self._reader.path, f"{text}: they are left out")
+        return [_Place(stamp, min(times.values()), max(times.values())) for stamp, times in whole.items()]
+
+    def _hash(self) -> str:
+        """Hash of the topics, numbers of messages, sizes and times of the bag."""
+        info = self._reader.info
+        topics = sorted(
+            (topic.name, topic.type, info.counts.get(n, 0)) for n, topic in enumerate(self._reader.topics)
+        )
+        content = [topics, [path.stat().st_size for path in info.files], info.start, info.end]
+        return hashlib.sha256(json.dumps([*content, dict(info.custom)]).encode()).hexdigest()
+
+
+def recorded_patterns(formats: Iterable[ExportFormat], keypoints: str) -> list[str]:
+    """Topics for ``humansim record --topics`` with which a bag can be exported to some formats."""
+    patterns = dict.fromkeys(_ALWAYS)
+    for row in formats:
+        for name in sorted(row.content):
+            if name in CHANNEL_TABLE:
+                patterns[f"*/{CHANNEL_TABLE[name].topic}"] = None
+            elif name == BOXES:
+                patterns["*/boxes"] = None
+            else:
+                patterns[f"*/keypoints/{row.keypoints or keypoints}"] = None
+    return list(patterns)
+
+
+class BagFrames:
+    """Frames of a bag in any order. ``source``: the bag; it is opened."""
+
+    def __init__(self, source: BagSource) -> None:
+        self._source = source
+        self._reader = BagReader(source.path)
+        self._names = [topic.name for topic in self._reader.topics]
+
+    def close(self) -> None:
+        """Close the bag."""
+        self._reader.close()
+
+    def frame(self, index: int) -> BagFrame:
+        """A frame with what the formats need.
+
+        Raises:
+            ExportError: A message of the frame is damaged.
+        """
+        source, place = self._source, self._source.frames[index]
+        needed, scene = source.needed, source.scene
+        data = self._data(place)
+
+        def read(topic: str, kind: type[Any], reader: Callable[[Any], Any]) -> Any:
+            with _reading(source.path, topic):
+                return reader(_message(data[topic], kind))
+
+        cameras = {name: known.camera for name, known in scene.cameras.items()}
+        for name, topic in needed.extrinsics.items():
+            pose: CameraPose = read(topic, TransformStamped, messages.read_extrinsics)
+            cameras[name] = replace(cameras[name], R=pose.R, t=pose.t)
+        images: dict[str, dict[str, NDArray[Any]]] = {}
+        for (camera, channel), topic in needed.channels.items():
+            pixels = read(topic, _image_type(topic), lambda message: _pixels(message)[0])
+            images.setdefault(camera, {})[channel] = pixels
+        views = {camera: View(**channels) for camera, channels in images.items()}
+        boxes = {
+            camera: self._boxes(read(topic, PointCloud2, messages.read_boxes))
+            for camera, topic in needed.boxes.items()
+        }
+        keypoints = {
+            camera: self._keypoints(read(topic, PointCloud2, _read_points), cameras[camera])
+            for camera, topic in needed.keypoints.items()
+        }
+        positions: dict[str, dict[str, Array]] = {}
+        for (chosen, person), topic in needed.positions.items():
+            poses = read(topic, MultiDOFJointState, messages.read_joints)
+            if poses.names != keypoint_set(chosen).names:
+                raise ExportError(f"the points are not those of {chosen}", path=source.path, key=topic)
+            positions.setdefault(chosen, {})[person] = poses.positions[0]
+        scene_time = place.stamp - source.frames[0].stamp
+        if _SCENE_TIME in data:
+            scene_time = read(_SCENE_TIME, TimeReference, messages.read_scene_time)
+        return BagFrame(
+            index=index,
+            stamp=place.stamp,
+            humans={},
+            views=views,
+            truth={
+                name: BagCameraTruth(
+                    camera,
+                    views.get(name, View()),
+                    (),
+                    scene.labels,
+                    {},
+                    _no_joints,
+                    recorded=boxes.get(name, {}),
+                )
+                for name, camera in cameras.items()
+            },
+            cameras=cameras,
+            labels=scene.labels,
+            scene_time=scene_time,
+            recorded_keypoints={source.keypoints: keypoints},
+            recorded_positions=positions,
+        )
+
+    def _data(self, place: _Place) -> dict[str, bytes]:
+        """Messages of a frame by topic; of several with its stamp the first."""
+        wanted = list(self._source.needed.topics)
+        if _SCENE_TIME in self._names:
+            wanted.append(_SCENE_TIME)
+        found: dict[str, bytes] = {}
+        for message in self._reader.messages(wanted, start=place.first, end=place.last + 1):
+            name = self._names[message.topic]
+            head = bytes(message.data[:12])
+            if name not in found and messages.serialised_stamp(head) == place.stamp:
+                found[name] = bytes(message.data)
+        if lost := [topic for topic in self._source.needed.topics if topic not in found]:
+            raise ExportError("the bag has changed, or is damaged", path=self._source.path, key=lost[0])
+        return found
+
+    def _boxes(self, points: NDArray[Any]) -> dict[str, BodyBox]:
+        """Boxes by name of a human or object."""
+        by_label = {int(point["instance"]): point for point in points}
+        found = {}
+        for name, label in self._source.scene.labels.items():
+            if label in by_label:
+                point = by_label[label]
+                found[name] = BodyBox(
+                    visible=_floats(point, ("left", "top", "right", "bottom")),
+                    whole=_floats(point, ("whole_left", "whole_top", "whole_right", "whole_bottom")),
+                    truncation=float(point["truncation"]),
+                    visible_fraction=float(point["visible_fraction"]),
+                    pixels=int(point["pixels"]),
+                    kind=_KINDS.get(int(point["kind"]), "human"),  # type: ignore[arg-type]
+                )
+        return found
+
+    def _keypoints(self, points: NDArray[Any], camera: Camera) -> dict[str, KeypointView]:
+        """Keypoints in an image by person."""
+        scene, found = self._source.scene, {}
+        count = len(keypoint_set(self._source.keypoints))
+        for name in scene.people:
+            rows = points[points["human"] == scene.labels[name]]
+            rows = rows[np.argsort(rows["joint"], kind="stable")]
+            if rows["joint"].tolist() != list(range(count)):
+                raise ExportError(
+                    f"{len(rows)} points of {name} are not those of {self._source.keypoints}",
+                    path=self._source.path,
+                )
+            optical = np.stack([rows[axis] for axis in "xyz"], axis=1).astype(float)
+            found[name] = KeypointView(
+                optical=optical,
+                pixels=np.stack([rows["u"], rows["v"]], axis=1).astype(float),
+                visible=rows["visible"],
+                occluder=rows["occluder"],
+                by=rows["by"],
+                behind=rows["behind"],
+                positions=(optical - camera.t) @ camera.R,
+                certain=np.zeros(count, dtype=bool),  # no topic says it
+            )
+        return found
+
+
+@dataclass(frozen=True, repr=False)
+class BagFrame(Frame):
+    """A frame of a bag.
+
+    Attributes:
+        recorded_keypoints: Keypoints by set, camera and person.
+        recorded_positions: Keypoints (K, 3) in ``map``, metres, by set and person.
+    """
+
+    recorded_keypoints: Mapping[str, dict[str, dict[str, KeypointView]]] = field(default_factory=dict)
+    recorded_positions: Mapping[str, dict[str, Array]] = field(default_factory=dict)
+
+    @cached_property
+    def keypoints(self) -> Mapping[str, dict[str, dict[str, KeypointView]]]:
+        """Keypoints by set, camera and person."""
+        return self.recorded_keypoints
+
+    @cached_property
+    def keypoint_positions(self) -> Mapping[str, dict[str, Array]]:
+        """Keypoints (K, 3) in ``map``, metres, by set and person."""
+        return self.recorded_positions
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class BagCameraTruth(CameraTruth):
+    """Truth of a camera of a bag. ``recorded``: boxes by name of a human or object."""
+
+    recorded: Mapping[str, BodyBox] = field(default_factory=dict)
+
+    @cached_property
+    def boxes(self) -> dict[str, BodyBox]:
+        """Boxes by name of a human or object."""
+        return dict(self.recorded)
+
+
+def _no_joints(name: str) -> Array:
+    """Joints of a person, which no format reads from here."""
+    raise ExportError(f"the joints of {name} are not read")
+
+
+@contextmanager
+def _reading(path: Path, topic: str) -> Iterator[None]:
+    """Name the bag and the topic in errors about a message."""
+    try:
+        yield
+    except BagError:
+        raise
+    except HumansimError as error:
+        raise ExportError(error.message, path=path, key=topic) from None
+
+
+def _message(data: bytes, kind: type[Any]) -> Any:
+    return deserialised(data, kind, _MAX_MESSAGE)
+
+
+def _read_points(message: PointCloud2) -> NDArray[Any]:
+    return messages.read_points(message, messages.JOINT_POINT.names or ())
+
+
+def _image_type(topic: str) -> type[Any]:
+    return CompressedImage if topic.endswith(tuple(_COMPRESSED.values())) else Image
+
+
+def _pixels(message: Image | CompressedImage) -> tuple[NDArray[Any], str]:
+    """Pixels and encoding of a raw or compressed image, or of depth."""
+    if isinstance(message, Image):
+        return messages.read_image(message), message.encoding
+    if "compressedDepth" in message.format:
+        return messages.read_compressed_depth(message), "32FC1"
+    return messages.read_compressed_image(message)
+
+
+def _simple(camera: Camera) -> Camera:
+    """The camera without a rectification if it is the one that follows from the rest."""
+    simple = replace(camera, rectification=None, rectified=None)
+    same = np.allclose(simple.rectification_matrix, camera.rectification_matrix, atol=1e-12)
+    same &= np.allclose(simple.rectified_projection, camera.rectified_projection, atol=1e-9)
+    return simple if same else camera
+
+
+def _pose_key(message: TransformStamped) -> tuple[float, ...]:
+    p, q = message.transform.translation, message.transform.rotation
+    return (p.x, p.y, p.z, q.x, q.y, q.z, q.w)
+
+
+def _floats(point: Any, names: Sequence[str]) -> Array:
+    return np.array([point[name] for name in names], dtype=float)

@@ -1,0 +1,291 @@
+"""Exports of bags: the same data sets as of the scene, and errors that name what a bag lacks."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import ros_support  # noqa: F401  # skips without ROS
+import yaml
+from export_support import SCENE, index_of, job, small_scene
+
+from humansim_ros import HumansimWarning, Scene
+from humansim_ros.bags.reader import BagReader
+from humansim_ros.bags.writer import BagWriter
+from humansim_ros.cli.main import main
+from humansim_ros.errors import ExportError
+from humansim_ros.export.bag import BagSource, recorded_patterns
+from humansim_ros.export.export import Export, export
+from humansim_ros.export.formats import BODIES, EXPORT_FORMATS, chosen_formats
+from humansim_ros.export.plan import ExportPlan
+from humansim_ros.record.frame_chunks import SceneRecording
+from humansim_ros.record.plan import RecordingPlan
+from humansim_ros.record.recording import record
+
+FRAMES = 4
+#: Formats that a bag can be exported to: all but those of bodies.
+FORMATS = [row.name for row in EXPORT_FORMATS.values() if BODIES not in row.content]
+_NUMBER = re.compile(r"-?\d+\.?\d*(?:e-?\d+)?")
+
+
+def recorded(folder: Path, scene: Scene, patterns: list[str], **options: Any) -> Path:
+    plan = RecordingPlan.of(scene, FRAMES, patterns, **options)
+    record(SceneRecording(scene, plan), folder)
+    return folder
+
+
+def bag_job(root: Path, bag: Path, formats: str, frames: range | None = None, **options: Any) -> Export:
+    source = BagSource.read(bag, chosen_formats(formats.split(",")))
+    return Export(source, ExportPlan.of(source, frames, **options), root)
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A bag with the topics that errors ask for."""
+    patterns = recorded_patterns([EXPORT_FORMATS[name] for name in FORMATS], "coco17")
+    return recorded(tmp_path_factory.mktemp("recorded") / "bag", small_scene(), patterns)
+
+
+@pytest.fixture(scope="module")
+def exports(tmp_path_factory: pytest.TempPathFactory, bag: Path) -> tuple[Path, Path]:
+    """All formats of the bag, and of its scene."""
+    folder = tmp_path_factory.mktemp("exports")
+    names = ",".join(FORMATS)
+    export(bag_job(folder / "of_bag", bag, names))
+    export(job(folder / "of_scene", names, frames=f"0:{FRAMES}"))
+    return folder / "of_bag", folder / "of_scene"
+
+
+def numbers(text: str) -> np.ndarray:
+    return np.array([float(word) for word in _NUMBER.findall(text)])
+
+
+@pytest.mark.parametrize("name", [name for name in FORMATS if name not in ("croissant", "webdataset", "c3d")])
+def test_a_bag_gives_the_files_of_its_scene(name: str, exports: tuple[Path, Path]) -> None:
+    """Images are the same; messages have pixels as float32."""
+    files = [sorted(p.relative_to(root) for p in (root / name).rglob("*")) for root in exports]
+    assert files[0] == files[1] and files[0]
+    for file in files[0]:
+        here, there = (root / file for root in exports)
+        if here.is_dir() or here.read_bytes() == there.read_bytes():
+            continue
+        assert file.suffix in (".json", ".txt", ".toml", ".trc", ".yaml"), file
+        texts = [path.read_text() for path in (here, there)]
+        if name == "coco":  # a bag has the names of objects, not their kinds
+            texts[1] = texts[1].replace('"name": "box"', '"name": "crate"')
+        assert _NUMBER.sub("0", texts[0]) == _NUMBER.sub("0", texts[1]), file
+        np.testing.assert_allclose(numbers(texts[0]), numbers(texts[1]), atol=0.0011, err_msg=str(file))
+
+
+def test_keypoints_of_a_bag_score_as_those_of_the_scene(exports: tuple[Path, Path]) -> None:
+    """pycocotools takes the annotations of the bag as a detection of the scene."""
+    coco = pytest.importorskip("pycocotools.coco")
+    evaluation = pytest.importorskip("pycocotools.cocoeval")
+    of_bag, of_scene = (json.loads((r / "coco/person_keypoints.json").read_text()) for r in exports)
+    truth = coco.COCO()
+    truth.dataset = of_scene
+    truth.createIndex()
+    found = truth.loadRes([{**each, "score": 1.0} for each in of_bag["annotations"]])
+    for kind in ("keypoints", "bbox", "segm"):
+        judge = evaluation.COCOeval(truth, found, kind)
+        judge.evaluate()
+        judge.accumulate()
+        judge.summarize()
+        assert judge.stats[0] == pytest.approx(1.0)
+
+
+def test_the_index_names_the_bag_and_its_stamps(exports: tuple[Path, Path], bag: Path) -> None:
+    of_bag, of_scene = map(index_of, exports)
+    assert of_bag["finished"] and of_bag["rate"] == of_scene["rate"] == 20
+    assert of_bag["humans"] == ["anna", "bert"] and of_bag["objects"] == ["crate"]
+    assert of_bag["provenance"]["bag"] == "bag"
+    assert of_bag["provenance"]["stamps"] == [1 + 50_000_000 * index for index in range(FRAMES)]
+    assert of_bag["provenance"]["recording"]["humansim_recording"]["frames"] == FRAMES
+    assert set(of_bag["files"]) == set(of_scene["files"])
+
+
+def content(root: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(root)): path.read_bytes() for path in root.rglob("*") if path.is_file()}
+
+
+class _InterruptionError(Exception):
+    pass
+
+
+@pytest.mark.slow
+def test_interruptions_and_processes_do_not_change_the_files(tmp_path: Path, bag: Path) -> None:
+    formats = "images,labels,webdataset"
+    whole = bag_job(tmp_path / "whole", bag, formats, shard_size=60_000)
+    export(whole)
+    assert len(list((tmp_path / "whole/webdataset").iterdir())) > 1
+    root = tmp_path / "out"
+    made = bag_job(root, bag, formats, shard_size=60_000)
+
+    def stop(progress: Any) -> None:
+        if progress.new == 2:
+            raise _InterruptionError
+
+    with pytest.raises(_InterruptionError):
+        export(made, on_progress=stop)
+    assert not index_of(root)["finished"]
+    state = export(made, jobs=2, resume=True)
+    assert (state.first, state.new) == (2, 2)
+    assert content(root) == content(tmp_path / "whole")
+
+
+def test_another_bag_does_not_continue_an_export(tmp_path: Path, bag: Path) -> None:
+    export(bag_job(tmp_path / "out", bag, "anipose"))
+    other = recorded(tmp_path / "other", small_scene(), ["*/camera_info", "*/extrinsics"])
+    with pytest.raises(ExportError, match="the scene, a file of it, or the bag has changed"):
+        export(bag_job(tmp_path / "out", other, "anipose"), resume=True)
+
+
+@pytest.mark.parametrize("options", [{"images": "png", "depth": "png"}, {"storage": "sqlite3"}])
+def test_compressed_images_and_other_storages_are_read(
+    options: dict[str, str], tmp_path: Path, exports: tuple[Path, Path]
+) -> None:
+    patterns = ["*/image_raw", "*/camera_info", "*/extrinsics", "*/depth/image"]
+    other = recorded(tmp_path / "bag", small_scene(), patterns, **options)
+    export(bag_job(tmp_path / "out", other, "images,depth-npy"))
+    for file in (exports[1] / "images").rglob("*.png"):
+        assert (tmp_path / "out" / file.relative_to(exports[1])).read_bytes() == file.read_bytes()
+    for file in (exports[1] / "depth-npy").rglob("*.npy"):
+        found, truth = np.load(tmp_path / "out" / file.relative_to(exports[1])), np.load(file)
+        if "depth" in options:  # 16 bits of inverse depth up to 10 m (docs of compressed_depth_message)
+            assert np.isinf(found[truth >= 10]).all()
+            near = truth < 10
+            limit = truth[near] ** 2 / (2 * 100 * 101) + 1e-4
+            assert (np.abs(found[near] - truth[near]) <= limit).all()
+        else:
+            np.testing.assert_array_equal(found, truth)
+
+
+def test_jpeg_images_are_those_of_the_bag(tmp_path: Path, exports: tuple[Path, Path]) -> None:
+    other = recorded(
+        tmp_path / "bag", small_scene(), ["*/image_raw", "*/camera_info", "*/extrinsics"], images="jpeg"
+    )
+    export(bag_job(tmp_path / "out", other, "images"))
+    for file in (exports[1] / "images").rglob("*.png"):
+        found = cv2.imread(str(tmp_path / "out" / file.relative_to(exports[1]))).astype(int)
+        assert np.abs(found - cv2.imread(str(file)).astype(int)).mean() < 4  # colours are not swapped
+
+
+def test_each_frame_of_a_moving_camera_has_its_pose(tmp_path: Path) -> None:
+    (tmp_path / "flight.txt").write_text("0 3 0 1.5 0.5 0.5 -0.5 -0.5\n1 4 0 1.5 0.5 0.5 -0.5 -0.5\n")
+    text = yaml.safe_load(SCENE)
+    text["cameras"]["noisy"] = {"size": [96, 72], "trajectory": {"file": str(tmp_path / "flight.txt")}}
+    scene = Scene.from_dict(text)
+    rows = chosen_formats(["coco"])
+    other = recorded(tmp_path / "bag", scene, recorded_patterns(rows, "coco17"))
+    export(bag_job(tmp_path / "out", other, "coco"))
+    export(job(tmp_path / "truth", "coco", scene, frames=f"0:{FRAMES}"))
+    found, truth = (
+        json.loads((tmp_path / name / "coco/person_keypoints.json").read_text())["images"]
+        for name in ("out", "truth")
+    )
+    poses = {tuple(map(float, image["t"])) for image in found if image["camera"] == "noisy"}
+    assert len(poses) == FRAMES
+    by_file = {image["file_name"]: image for image in truth}
+    for image in found:
+        for part in ("K", "R", "t"):
+            np.testing.assert_allclose(image[part], by_file[image["file_name"]][part], atol=1e-9)
+
+
+def copy_without(bag: Path, to: Path, left_out: Callable[[str, int], bool]) -> Path:
+    """A copy of a bag. ``left_out``: whether a message of a topic and log time is left out."""
+    from humansim_ros.bags.chunks import encode_chunk
+
+    with BagReader(bag) as reader, BagWriter(to, list(reader.topics)) as writer:
+        for message in reader.messages():
+            if not left_out(reader.topics[message.topic].name, message.stamp):
+                writer.append(encode_chunk([message], "none"), ends_group=True)
+    return to
+
+
+def test_frames_that_lack_a_message_are_left_out_and_named(tmp_path: Path, bag: Path) -> None:
+    second = 50_000_001
+    part = copy_without(
+        bag, tmp_path / "bag", lambda topic, stamp: topic == "/bent/image_raw" and stamp == second
+    )
+    with pytest.warns(
+        HumansimWarning, match=r"1 of 4 frames lack a message on /bent/image_raw: they are left"
+    ):
+        made = bag_job(tmp_path / "out", part, "images")
+    export(made)
+    assert index_of(tmp_path / "out")["provenance"]["stamps"] == [1, 100_000_001, 150_000_001]
+    assert len(list((tmp_path / "out/images/noisy").iterdir())) == 3
+    apart = {"/bent/image_raw": {1}, "/noisy/image_raw": {second}}
+    alone = copy_without(
+        bag, tmp_path / "alone", lambda topic, stamp: topic in apart and stamp not in apart[topic]
+    )
+    with pytest.raises(ExportError, match="no frame is whole: 2 of 2 frames lack a message on /"):
+        bag_job(tmp_path / "none", alone, "images")
+
+
+@pytest.fixture(scope="module")
+def poor_bag(tmp_path_factory: pytest.TempPathFactory, bag: Path) -> Path:
+    """A bag without the pose of a camera and the keypoints of a person."""
+    missing = ("/bent/extrinsics", "/humans/bert/keypoints/coco17")
+    return copy_without(bag, tmp_path_factory.mktemp("poor") / "bag", lambda topic, _: topic in missing)
+
+
+@pytest.mark.parametrize("format", FORMATS)
+def test_a_topic_that_is_missing_is_named_with_the_command_that_records_it(
+    format: str, poor_bag: Path
+) -> None:
+    """The topics of the command are those of the bag of the other tests, which can be exported."""
+    missing = "/humans/bert/keypoints/coco17" if format in ("trc", "c3d") else "/bent/extrinsics"
+    patterns = ",".join(recorded_patterns([EXPORT_FORMATS[format]], "coco17"))
+    said = f"{missing}, which the bag does not have; record one with humansim record … --topics '{patterns}'"
+    with pytest.raises(ExportError) as caught:
+        BagSource.read(poor_bag, [EXPORT_FORMATS[format]])
+    assert f"the format {format} needs the topic {said}" in str(caught.value)
+
+
+@pytest.mark.parametrize("format", ["thesis", "bvh", "glb"])
+def test_formats_of_bodies_need_the_scene(format: str, tmp_path: Path, bag: Path) -> None:
+    with pytest.raises(ExportError, match=f"the format {format} needs bodies .*: export the scene"):
+        bag_job(tmp_path / "out", bag, format)
+
+
+def command(patch: pytest.MonkeyPatch, *words: Any) -> int:
+    patch.setattr(sys, "argv", ["humansim", "export", *map(str, words)])
+    return main()
+
+
+def test_the_command_exports_all_frames_of_a_bag(
+    tmp_path: Path, bag: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = [bag, "--format", "trc,anipose", "--jobs", "1"]
+    assert command(monkeypatch, *words, "-o", tmp_path / "out") == 0
+    assert index_of(tmp_path / "out")["plan"]["end"] == FRAMES
+    assert command(monkeypatch, *words, "-o", tmp_path / "part", "--frames", "1:3") == 0
+    assert "NumFrames" in (tmp_path / "part/trc/anna.trc").read_text()
+    capsys.readouterr()
+    assert command(monkeypatch, *words, "-o", tmp_path / "more", "--frames", "0:9") == 2
+    assert "--frames: the bag has 4 frames, so that the last one is 3" in capsys.readouterr().err
+    scene = tmp_path / "scene.yaml"
+    scene.write_text(SCENE)
+    assert command(monkeypatch, scene, "--format", "trc", "-o", tmp_path / "more") == 2
+    assert "--frames: a scene has no end: give frames, such as 0:300" in capsys.readouterr().err
+
+
+def test_a_damaged_message_is_named(tmp_path: Path, bag: Path) -> None:
+    """Its stamp can be read, but its image is cut."""
+    from humansim_ros.bags.chunks import encode_chunk
+
+    with BagReader(bag) as reader, BagWriter(tmp_path / "bag", list(reader.topics)) as writer:
+        for message in reader.messages():
+            name = reader.topics[message.topic].name
+            cut = name == "/bent/depth/image" and message.stamp == 1
+            data = bytes(message.data)[:200] if cut else message.data
+            writer.append(encode_chunk([message._replace(data=data)], "none"), ends_group=True)
+    with pytest.raises(ExportError, match=r"bag: /bent/depth/image: 200 bytes that are no Image"):
+        export(bag_job(tmp_path / "out", tmp_path / "bag", "depth-png"))

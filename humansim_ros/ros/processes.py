@@ -97,6 +97,7 @@ class NodeProcess:
         namespace: ROS namespace of its nodes, without the first /.
         stop_limit: Seconds that it has to stop: more than it gives its own shutdown.
         final_codes: Exit codes after which it is not started again.
+        stops_last: It is stopped after the others, and receives what they send until then.
     """
 
     executable: str
@@ -106,6 +107,7 @@ class NodeProcess:
     namespace: str = ""
     stop_limit: float = 6.0
     final_codes: frozenset[int] = frozenset({WRONG_INPUT, TIMED_OUT, QUIT})
+    stops_last: bool = False
 
     @property
     def renders(self) -> bool:
@@ -326,6 +328,7 @@ def _recorder(
         parameters,
         stop_limit=120.0,
         final_codes=frozenset({CANNOT_WRITE, WRONG_INPUT}),
+        stops_last=True,  # cameras send then the images that faults hold back
     )
 
 

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from types import TracebackType
@@ -143,19 +143,25 @@ class Supervisor:
         return None
 
     def stop(self) -> None:
-        """Send SIGTERM to all nodes, then SIGKILL to those that still run: at once after a stop signal."""
+        """Send SIGTERM to all nodes, then SIGKILL to those that still run: at once after a stop signal.
+
+        Nodes that stop last are stopped when the others have ended.
+        """
         pids = [process.pid for process in self._all]
+        last = {process.pid for name, process in self._running.items() if self._processes[name].stops_last}
         self._shared_memory.note(pids, now=True)
         try:
+            if last:
+                self._send(signal.SIGTERM, last)
             self._send(signal.SIGTERM)
         finally:
             self._send(signal.SIGKILL)
             self._shared_memory.remove(pids)
             remove_dead_files()  # of nodes that were killed while they started
 
-    def _send(self, number: signal.Signals) -> None:
-        """Send a signal to all processes that run, and wait for their end."""
-        alive = [each for each in self._all if each.poll() is None]
+    def _send(self, number: signal.Signals, but: Collection[int] = ()) -> None:
+        """Send a signal to all processes that run, ``but`` some, and wait for their end."""
+        alive = [each for each in self._all if each.poll() is None and each.pid not in but]
         for process in alive:
             process.send_signal(number)
         limits = {process.pid: self._processes[name].stop_limit for name, process in self._running.items()}

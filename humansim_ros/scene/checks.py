@@ -6,6 +6,7 @@ import numpy as np
 
 from humansim_ros.scene.camera_checks import check_cameras, covered_pixels
 from humansim_ros.scene.cpu_estimate import cores, cpu_ms, has_gpu
+from humansim_ros.scene.fault_checks import check_faults
 from humansim_ros.scene.findings import Finding, SceneSamples
 from humansim_ros.scene.obstacles import Obstacle, find_obstacles, without_enclosures
 from humansim_ros.scene.people_checks import check_people
@@ -50,6 +51,7 @@ def check_scene(scene: Scene, quick: bool = False, processors: int | None = None
     found = [
         *check_cameras(samples, obstacles),
         *check_people(samples, obstacles),
+        *check_faults(samples),
         *_rate(samples, processors),
     ]
     return sorted((finding.located(scene) for finding in found), key=lambda finding: finding.severity)

@@ -400,3 +400,33 @@ def test_installed_commands_lead_to_the_light_entry_points() -> None:
         "humansim_ros.cli.__main__",
         "humansim_ros.ros.nodes.executables",
     }
+
+
+def test_a_recorder_is_stopped_when_the_others_have_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from humansim_ros.ros.processes import NodeProcess
+    from humansim_ros.ros.supervisor import Supervisor
+
+    program = """
+import signal, sys, time
+from pathlib import Path
+folder, name = Path(sys.argv[1]), sys.argv[2]
+def stop(*_):
+    if name == "camera":
+        time.sleep(0.3)
+    (folder / name).write_text(" ".join(sorted(each.name for each in folder.iterdir())))
+    sys.exit()
+signal.signal(signal.SIGTERM, stop)
+(folder / f"{name}_runs").touch()
+signal.pause()
+"""
+
+    def start(_: Supervisor, module: str, *arguments: str, **__: object) -> subprocess.Popen[bytes]:
+        return subprocess.Popen([sys.executable, "-c", program, str(tmp_path), arguments[0]])
+
+    monkeypatch.setattr(Supervisor, "_start", start)
+    processes = [NodeProcess("recorder", "recorder", {}, stops_last=True), NodeProcess("camera", "left", {})]
+    with Supervisor(processes):
+        assert wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
+    assert "camera" in (tmp_path / "recorder").read_text().split()

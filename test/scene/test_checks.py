@@ -494,3 +494,65 @@ def test_points_of_a_moving_object_return_to_its_mesh() -> None:
     for item in scene.objects.values():
         points = np.stack([item.at(float(time)).apply(item.mesh.vertices) for time in times])
         np.testing.assert_allclose(item.to_mesh(points, times), [item.mesh.vertices] * 7, atol=1e-9)
+
+
+# --- faults
+
+
+@pytest.mark.parametrize(
+    ("faults", "camera", "key", "text"),
+    [
+        ({"flicker": {"frequency": 90}}, {}, "flicker.frequency", "90 Hz is a multiple of the rate of 30 Hz"),
+        (
+            {"flicker": {"frequency": 100}},
+            {"sensor": {"exposure_time": 0.01}},
+            "flicker",
+            "the exposure_time of 0.01 s is a multiple of its period of 0.01 s",
+        ),
+        ({"drop": 1}, {}, "drop", "no image in the first 1800 frames (60 s)"),
+        ({"outage": {"at": [[0, 100]]}}, {}, "outage", "sends no image"),
+    ],
+)
+def test_faults_that_nobody_sees_are_found(faults: Any, camera: Any, key: str, text: str) -> None:
+    scene = scene_with(cameras__front={**CLEAN["cameras"]["front"], **camera, "faults": faults})
+    finding = only(findings(scene, quick=True))
+    assert (finding.severity, finding.key) == ("warning", f"cameras.front.faults.{key}")
+    assert text in finding.text
+
+
+@pytest.mark.parametrize(
+    ("faults", "sensor"),
+    [
+        ({"flicker": {"frequency": 100}}, {}),
+        ({"flicker": {"frequency": 90}}, {"rolling_shutter": 0.00002}),
+        ({"flicker": {"frequency": 90}, "trigger_delay": {"jitter": 0.001}}, {}),
+        ({"drop": 0.9, "outage": {"at": [[0, 10]]}}, {}),
+        ({"clock": -0.1}, {}),
+    ],
+)
+def test_faults_that_are_seen_are_not_found(faults: Any, sensor: Any) -> None:
+    camera = {**CLEAN["cameras"]["front"], "sensor": sensor, "faults": faults}
+    assert findings(scene_with(cameras__front=camera), quick=True) == []
+
+
+@pytest.mark.parametrize(
+    ("clock", "key"),
+    [({"offset": -0.01}, "offset"), ({"drift_ppm": -5}, "drift_ppm"), ({"jitter": 0.001}, "jitter")],
+)
+def test_a_clock_behind_stamps_that_lockstep_waits_for_is_found(clock: Any, key: str) -> None:
+    camera = {**CLEAN["cameras"]["front"], "faults": {"clock": clock}}
+    time = {"mode": "lockstep", "wait_for": [{"topic": "/tracker/poses"}]}
+    finding = only(findings(scene_with(cameras__front=camera, time=time), quick=True))
+    assert finding.key == f"cameras.front.faults.clock.{key}"
+    assert "wait for stamps on /tracker/poses" in finding.text
+    by_name = {"mode": "lockstep", "wait_for": ["tracker"]}
+    assert findings(scene_with(cameras__front=camera, time=by_name), quick=True) == []
+
+
+def test_a_fault_of_a_rig_is_found_once(tmp_path: Path) -> None:
+    cameras = {name: Camera.look_at((3, y, 1.6), (0, 0, 1)) for name, y in (("a", 0), ("b", 1))}
+    write_calibration(tmp_path / "rig.toml", cameras)
+    scene = scene_with(rig={"file": "rig.toml", "faults": {"flicker": {"frequency": 60}}})
+    finding = only(check_scene(Scene.from_dict(scene, folder=tmp_path), quick=True, processors=64))
+    assert finding.key == "rig.faults.flicker.frequency"
+    assert finding.text.endswith("(a, b)")

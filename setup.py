@@ -17,6 +17,7 @@ COMMANDS = [
     "skinner = humansim_ros.ros.nodes.executables:skinner",
     "camera = humansim_ros.ros.nodes.executables:camera",
     "camera_rig = humansim_ros.ros.nodes.executables:camera_rig",
+    "evaluator = humansim_ros.ros.nodes.executables:evaluator",
     "recorder = humansim_ros.ros.nodes.executables:recorder",
 ]
 

@@ -1,4 +1,6 @@
-"""Start all nodes of a scene: motion player, one skinner per human, camera processes, a recorder."""
+"""Start all nodes of a scene: motion player, one skinner per human, camera processes, a recorder, an
+evaluator.
+"""
 
 from __future__ import annotations
 
@@ -13,6 +15,7 @@ from launch_ros.actions import Node
 
 from humansim_ros.ros.processes import (
     CANNOT_WRITE,
+    EVALUATE_ARGUMENTS,
     QUIT,
     RECORD_ARGUMENTS,
     RECORDER_NODE,
@@ -20,6 +23,7 @@ from humansim_ros.ros.processes import (
     TIMED_OUT,
     WRONG_INPUT,
     NodeProcess,
+    evaluate_options,
     record_options,
     relative_namespace,
     render_threads,
@@ -41,7 +45,12 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
     only = LaunchConfiguration("only").perform(context)
     time = time_options({name: LaunchConfiguration(name).perform(context) for name in TIME_ARGUMENTS})
     record = record_options({name: LaunchConfiguration(name).perform(context) for name in RECORD_ARGUMENTS})
-    processes = scene_processes(scene, number, frame_prefix=frame_prefix, only=only, time=time, record=record)
+    evaluate = evaluate_options(
+        {name: LaunchConfiguration(name).perform(context) for name in EVALUATE_ARGUMENTS}
+    )
+    processes = scene_processes(
+        scene, number, frame_prefix=frame_prefix, only=only, time=time, record=record, evaluate=evaluate
+    )
     remove_dead_files()
     transport = choose_transport(len(processes))
     warnings = [LogInfo(msg=f"warning: {transport.warning}")] if transport.warning else []
@@ -121,7 +130,7 @@ def generate_launch_description() -> LaunchDescription:
             ),
             *(
                 DeclareLaunchArgument(name, default_value="", description=description)
-                for name, description in {**TIME_ARGUMENTS, **RECORD_ARGUMENTS}.items()
+                for name, description in {**TIME_ARGUMENTS, **RECORD_ARGUMENTS, **EVALUATE_ARGUMENTS}.items()
             ),
             OpaqueFunction(function=scene_nodes),
         ]

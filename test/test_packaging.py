@@ -28,7 +28,7 @@ from humansim_ros.ros.processes import NodeProcess, TimeOptions, scene_processes
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")
-EXECUTABLES = {"humansim", "motion_player", "skinner", "camera", "camera_rig", "recorder"}
+EXECUTABLES = {"humansim", "motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator"}
 SOURCES = ("LICENSES", "humansim_ros", "resource", *SHARED_FOLDERS)
 SOURCE_FILES = (
     "LICENSE",
@@ -418,6 +418,7 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     names = ["scene", "processes", "only", "namespace", "frame_prefix", "respawn"]
     names += ["lockstep", "frames", "wait_for", "timeout", "on_timeout", "pace"]
     names += ["record", "record_topics", "record_compression"]
+    names += ["evaluate", "evaluate_keypoints", "evaluate_output"]
     assert [argument.args for argument in arguments] == [(name,) for name in names]
     defaults = {name: argument.default_value for name, argument in zip(names, arguments, strict=True)}
     for number in (None, 3):
@@ -469,6 +470,11 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     assert float(recorder.sigterm_timeout) > 60  # it writes what it has received
     full = types.SimpleNamespace(returncode=1)
     assert recorder.on_exit(full, defaults) and not any(node.on_exit(full, defaults) for node in others)
+
+    *others, evaluator = opaque.function({**defaults, "evaluate": "/tracker/poses", **lockstep})
+    assert evaluator.executable == "evaluator" and "use_sim_time:=true" in evaluator.arguments
+    assert 'topic:="/tracker/poses"' in evaluator.arguments
+    assert not [node for node in others if node.executable == "evaluator"]
 
 
 def test_interfaces_that_cannot_be_built_say_why_and_leave_nothing(tmp_path: Path) -> None:

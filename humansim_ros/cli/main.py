@@ -18,7 +18,7 @@ from humansim_ros.cli.check import check, warn_about_mistakes
 from humansim_ros.cli.evaluate import evaluate
 from humansim_ros.cli.export import export
 from humansim_ros.cli.options import join_numbers
-from humansim_ros.cli.output import flush_output, give_up_output, print_error, print_text
+from humansim_ros.cli.output import check_output, flush_output, give_up_output, print_error, print_text
 from humansim_ros.cli.play import play
 from humansim_ros.cli.record import record
 from humansim_ros.cli.scene_options import SceneOptions
@@ -116,6 +116,20 @@ def run(
     record_compression: Annotated[
         str, typer.Option(help="Compression of the bag: none, zstd or lz4.")
     ] = "none",
+    evaluate: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TOPIC",
+            help="Evaluate the poses of a tracker on this topic, such as /tracker/poses; * stands for the "
+            "name of a person.",
+        ),
+    ] = None,
+    evaluate_keypoints: Annotated[
+        str, typer.Option(help="Keypoint set of these poses, such as coco17; joints of bodies if absent.")
+    ] = "",
+    evaluate_output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the result to this JSON file.")
+    ] = None,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.io.temporary import temporary_folder
@@ -123,6 +137,7 @@ def run(
     from humansim_ros.ros.processes import (
         QUIT,
         WRONG_INPUT,
+        EvaluateOptions,
         RecordOptions,
         TimeOptions,
         relative_namespace,
@@ -151,8 +166,13 @@ def run(
         if record_topics and record is None:
             raise HumansimError("--record-topics goes with --record only")
         recorded = RecordOptions(record, record_topics or (), record_compression) if record else None
+        if evaluate_output is not None:
+            check_output(evaluate_output)
+        if (evaluate_keypoints or evaluate_output) and evaluate is None:
+            raise HumansimError("--evaluate-keypoints and --evaluate-output go with --evaluate only")
+        evaluated = EvaluateOptions(evaluate, evaluate_keypoints, evaluate_output) if evaluate else None
         node_processes = scene_processes(
-            path, processes, namespace, frame_prefix, only, options_of_time, recorded
+            path, processes, namespace, frame_prefix, only, options_of_time, recorded, evaluated
         )
         transport = prepare_transport(len(node_processes) + 1, network)
         with Supervisor(node_processes) as nodes:

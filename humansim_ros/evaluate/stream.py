@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 
 import numpy as np
 
 from humansim_ros.errors import EvaluationError, printable
-from humansim_ros.evaluate.readers.messages import Pose, PoseFrame
+from humansim_ros.evaluate.readers.messages import MAX_PEOPLE, Pose, PoseFrame
 from humansim_ros.evaluate.tracks import Arrivals, PoseSequence, SequenceBuilder
 
 #: Most different joint names of an estimate, and most characters of a name: they come from other programs.
@@ -51,6 +52,11 @@ class EstimateStream:
     def __len__(self) -> int:
         return len(self._frames)
 
+    @property
+    def newest(self) -> int:
+        """Newest stamp in nanoseconds; -1 before the first message."""
+        return max(self._newest.values(), default=-1)
+
     def add(
         self,
         frame: PoseFrame,
@@ -72,7 +78,7 @@ class EstimateStream:
             Whether it adds to the estimate; False for a repeated message, and for one without a stamp.
 
         Raises:
-            EvaluationError: It has too many names, or too long ones; the message is not added.
+            EvaluationError: It has too many people or names, or too long names; it is not added.
         """
         if frame.stamp is None:
             return False
@@ -82,6 +88,8 @@ class EstimateStream:
         self._newest[topic] = max(frame.stamp, self._newest.get(topic, 0))
         kept = self._frames.get(frame.stamp, _Frame())
         before = len(kept.people)
+        if before + len(frame.people) > MAX_PEOPLE:
+            raise EvaluationError(f"more than {MAX_PEOPLE} people at {frame.stamp * 1e-9:.6f} s")
         for pose in frame.people:
             self._add_person(kept, pose, person, alone=len(frame.people) == 1)
         if len(kept.people) == before and topic in kept.topics:
@@ -130,18 +138,19 @@ class EstimateStream:
             self.forgotten += 1
 
     def sequence(self, since: int = 0) -> PoseSequence:
-        """The poses of frames with stamps from ``since`` on, nanoseconds.
+        """The poses of frames with stamps from ``since`` on, nanoseconds; also while messages are added.
 
         Raises:
             EvaluationError: There is no pose, or no position is finite.
         """
         builder = SequenceBuilder(self.source, self._has_identities)
-        for stamp, frame in self._frames.items():
-            if stamp >= since:
-                builder.add_frame(stamp)
-                for person, pose in frame.people.items():
-                    builder.add(stamp, person, pose.names, pose.positions, pose.score)
-        kept = [frame for stamp, frame in sorted(self._frames.items()) if stamp >= since]
+        # copies: other threads may call add
+        frames = sorted((each for each in list(self._frames.items()) if each[0] >= since), key=itemgetter(0))
+        for stamp, frame in frames:
+            builder.add_frame(stamp)
+            for person, pose in list(frame.people.items()):
+                builder.add(stamp, person, pose.names, pose.positions, pose.score)
+        kept = [frame for _, frame in frames]
         latencies = [frame.latency for frame in kept if frame.latency is not None]
         arrivals = Arrivals(
             np.array([frame.arrival for frame in kept], np.int64),

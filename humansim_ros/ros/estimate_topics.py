@@ -10,12 +10,13 @@ from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile
 
-from humansim_ros.errors import RosError, printable
+from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.evaluate.readers.bag_topics import topic_pattern, topic_person
 from humansim_ros.evaluate.readers.messages import MESSAGE_TYPES, PoseFrame, read_message
 from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.ros.bag_qos import subscription_profile
-from humansim_ros.ros.guarded_node import GuardedNode
+from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
+from humansim_ros.ros.limits import deserialised
 from humansim_ros.ros.message_types import message_type
 from humansim_ros.ros.topic_choice import absolute
 
@@ -32,7 +33,8 @@ _LINE_EVERY = 5.0
 class PoseTopics:
     """Subscriptions of a node to all topics with poses that match a name, also those that appear later.
 
-    Messages that are too long or cannot be read are ignored with an error in the log; the node goes on.
+    Messages that are too long or cannot be read, and those that ``on_frame`` refuses with a HumansimError,
+    are ignored with an error in the log; the node goes on.
 
     Args:
         node: The node.
@@ -42,6 +44,10 @@ class PoseTopics:
 
     Raises:
         RosError: The name is no name of a topic.
+
+    Attributes:
+        topic: Absolute name.
+        ignored: Number of messages that were ignored.
     """
 
     def __init__(
@@ -55,6 +61,7 @@ class PoseTopics:
             raise RosError(f"{printable(topic, 80)!r} is no topic: give a name such as /tracker/poses")
         self.topic = absolute(topic, node.get_namespace())
         self._node, self._options, self._on_frame = node, options, on_frame
+        self.ignored = 0
         self._pattern = topic_pattern(self.topic)
         #: By topic: type, profile and subscription.
         self._subscriptions: dict[str, tuple[str, QoSProfile, Any]] = {}
@@ -97,17 +104,29 @@ class PoseTopics:
             name,
             partial(self._on_message, name, kind, person),
             profile,
-            max_bytes=None if kind.endswith("PointCloud2") else _MAX_BYTES,
+            raw=True,
+            max_bytes=ANY_SIZE,
         )
         if old is not None:
             self._node.destroy_subscription(old)
         self._subscriptions[name] = kind, profile, new
 
-    def _on_message(self, name: str, kind: str, person: str | None, message: Any) -> None:
-        self._on_frame(read_message(kind, message, self._options), name, person)
+    def _on_message(self, name: str, kind: str, person: str | None, data: bytes) -> None:
+        try:
+            limit = None if kind.endswith("PointCloud2") else _MAX_BYTES
+            message = deserialised(data, message_type(kind), limit)
+            self._on_frame(read_message(kind, message, self._options), name, person)
+        except HumansimError:
+            self.ignored += 1
+            raise
 
     def _warn(self, text: str) -> None:
         self._node.get_logger().warn(text, throttle_duration_sec=_LINE_EVERY)
+
+    def take_waiting(self, deadline: float) -> None:
+        """Read messages that have arrived, until a monotonic time."""
+        for *_, subscription in self._subscriptions.values():
+            self._node.take_waiting(subscription, deadline)
 
     def close(self) -> None:
         """End all subscriptions."""

@@ -131,6 +131,18 @@ class GuardedNode(Node):
 
         return super().create_subscription(msg_type, topic, on_data, qos_profile, raw=True, **options)
 
+    def take_waiting(self, subscription: Any, deadline: float) -> None:
+        """Pass messages that have arrived, but for which the executor had no time, to the callback.
+
+        ``deadline``: monotonic time of the end, because publishers may go on.
+        """
+        handle = subscription.handle
+        with handle:
+            while time.monotonic() < deadline and (
+                taken := handle.take_message(subscription.msg_type, subscription.raw)
+            ):
+                subscription.callback(taken[0])
+
     def create_timer(
         self, timer_period_sec: float, callback: Callable[[], object], *arguments: Any, **options: Any
     ) -> Any:

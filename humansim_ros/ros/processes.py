@@ -31,6 +31,8 @@ TIMED_OUT = 3
 QUIT = 4
 #: Node that records the topics of a run.
 RECORDER_NODE = "recorder"
+#: Node that evaluates an estimate.
+EVALUATOR_NODE = "evaluator"
 #: Exit code of a recorder that cannot write any more.
 CANNOT_WRITE = 1
 
@@ -49,6 +51,21 @@ class RecordOptions:
     output: str | os.PathLike[str]
     topics: Sequence[str] = ()
     compression: str = "none"
+
+
+@dataclass(frozen=True)
+class EvaluateOptions:
+    """An estimate that is evaluated in a run (docs/evaluation.md).
+
+    Attributes:
+        topic: Its topic; ``*`` stands for the name of a person.
+        keypoints: Its keypoint set; empty: joints of bodies.
+        output: JSON file for the result; None: none.
+    """
+
+    topic: str
+    keypoints: str = ""
+    output: str | os.PathLike[str] | None = None
 
 
 @dataclass(frozen=True)
@@ -197,6 +214,26 @@ def record_options(arguments: Mapping[str, str]) -> RecordOptions | None:
     return RecordOptions(given["record"], topics, given.get("record_compression", "none"))
 
 
+#: Launch arguments of an evaluation, and their descriptions; all are empty by default.
+EVALUATE_ARGUMENTS = {
+    "evaluate": "Topic of an estimate to evaluate, such as /tracker/poses; empty: none",
+    "evaluate_keypoints": "Keypoint set of the estimate, such as coco17",
+    "evaluate_output": "JSON file for the result",
+}
+
+
+def evaluate_options(arguments: Mapping[str, str]) -> EvaluateOptions | None:
+    """Options of launch arguments; None if nothing is evaluated. Raises RosError without a topic."""
+    given = {name: text.strip() for name, text in arguments.items() if text.strip()}
+    if "evaluate" not in given:
+        if given:
+            raise RosError(f"launch argument {next(iter(given))} goes with evaluate only")
+        return None
+    return EvaluateOptions(
+        given["evaluate"], given.get("evaluate_keypoints", ""), given.get("evaluate_output")
+    )
+
+
 def _number(name: str, arguments: Mapping[str, str]) -> float | None:
     """A number of the launch arguments; None if it is not given. Raises RosError."""
     if name not in arguments:
@@ -225,8 +262,10 @@ def scene_processes(
     only: str = "",
     time: TimeOptions | None = None,
     record: RecordOptions | None = None,
+    evaluate: EvaluateOptions | None = None,
 ) -> list[NodeProcess]:
-    """List the processes of a scene: motion player, one skinner per human, camera processes, a recorder.
+    """List the processes of a scene: motion player, one skinner per human, camera processes, a recorder, an
+    evaluator.
 
     Args:
         scene_path: Scene file.
@@ -237,6 +276,7 @@ def scene_processes(
             empty: all nodes.
         time: How time goes on; as the scene says if None.
         record: What is recorded; nothing if None.
+        evaluate: Estimate that is evaluated; none if None.
 
     Raises:
         HumansimError: A name of the scene, or the namespace, is not valid in ROS; or the scene has no node of
@@ -264,6 +304,8 @@ def scene_processes(
     here = [process for process in listed if process.node_name in chosen or process.renders]
     if record is not None:
         here.append(_recorder(record, names, scene, time.wait_for))
+    if evaluate is not None:
+        here.append(_evaluator(evaluate, names, in_lockstep))
     return [replace(process, namespace=namespace) for process in here]
 
 
@@ -309,9 +351,7 @@ def _recorder(
     output = Path(record.output).resolve()
     if output.exists():
         raise RosError("this path exists; choose another name for the bag", path=record.output)
-    if RECORDER_NODE in names.cameras:
-        text = f"the node of a camera has its name, and {RECORDER_NODE} is the node that records"
-        raise RosError(f"{text}: give the camera another name", key=f"cameras.{RECORDER_NODE}")
+    _check_free(RECORDER_NODE, "records", names)
     parameters: dict[str, ParameterValue] = {**scene, "output": str(output), "resume": True}
     parameters["compression"] = record.compression
     parameters["lockstep"] = "use_sim_time" in scene
@@ -330,6 +370,24 @@ def _recorder(
         final_codes=frozenset({CANNOT_WRITE, WRONG_INPUT}),
         stops_last=True,  # cameras send then the images that faults hold back
     )
+
+
+def _evaluator(evaluate: EvaluateOptions, names: SceneNames, in_lockstep: bool) -> NodeProcess:
+    """The evaluator of a run. Raises RosError if a camera has its name."""
+    _check_free(EVALUATOR_NODE, "evaluates", names)
+    parameters: dict[str, ParameterValue] = {"topic": evaluate.topic, "keypoints": evaluate.keypoints}
+    if evaluate.output is not None:
+        parameters["output"] = str(Path(evaluate.output).resolve())
+    if in_lockstep:
+        parameters["use_sim_time"] = True
+    # the result of a long run takes long
+    return NodeProcess("evaluator", EVALUATOR_NODE, parameters, stop_limit=120.0)
+
+
+def _check_free(node: str, verb: str, names: SceneNames) -> None:
+    if node in names.cameras:
+        text = f"the node of a camera has its name, and {node} is the node that {verb}"
+        raise RosError(f"{text}: give the camera another name", key=f"cameras.{node}")
 
 
 def _camera_processes(

@@ -368,12 +368,20 @@ print(request.number)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.3, 1.0, 2.0])
-@pytest.mark.parametrize("node", ["motion_player", "skinner", "camera", "camera_rig", "recorder"])
+@pytest.mark.parametrize(
+    "node", ["motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator"]
+)
 def test_ctrl_c_while_a_node_starts_is_quiet(
     ros: None, processes: Processes, tmp_path: Path, output: Path, node: str, delay: float
 ) -> None:
     scene = write_scene(tmp_path, SCENE)
-    given = ["-p", f"scene:={scene}", *(["-p", f"output:={tmp_path}/bag"] if node == "recorder" else [])]
+    given = [
+        "-p",
+        f"scene:={scene}",
+        *{"recorder": ["-p", f"output:={tmp_path}/bag"], "evaluator": ["-p", "topic:=/tracker/poses"]}.get(
+            node, []
+        ),
+    ]
     process = processes.start([*NODE, node, "--ros-args", *given], output)
     assert wait_until(lambda: handles_hangup(process.pid))
     time.sleep(delay)  # the moment of the signal
@@ -395,7 +403,7 @@ def test_installed_commands_lead_to_the_light_entry_points() -> None:
     entries = [
         line.partition(" = ")[2] for line in commands if line.count(":") == 1 and " = humansim_ros." in line
     ]
-    assert len(entries) == 6
+    assert len(entries) == 7
     assert {entry.partition(":")[0] for entry in entries} == {
         "humansim_ros.cli.__main__",
         "humansim_ros.ros.nodes.executables",

@@ -1,1 +1,1 @@
-"""The executables of the package: motion_player, skinner, camera, camera_rig."""
+"""The executables of the package: motion_player, skinner, camera, camera_rig, recorder, evaluator."""

@@ -36,3 +36,8 @@ def camera_rig() -> int:
 def recorder() -> int:
     """Run a recorder."""
     return run("recorder")
+
+
+def evaluator() -> int:
+    """Run an evaluator."""
+    return run("evaluator")

@@ -363,7 +363,7 @@ class RecorderNode(SuiteNode):
         """Write all that has been received, and finish the bag."""
         deadline = time.monotonic() + _MAX_TAKING
         for recorded in self._recorded.values():
-            _take_waiting(recorded.subscription, deadline)
+            self.take_waiting(recorded.subscription, deadline)
             self.destroy_subscription(recorded.subscription)
         self._bag.close()
         if self._bag.error is not None:
@@ -401,14 +401,6 @@ def _copies(scene: Scene, topics: Mapping[str, Topic[Any]]) -> ImageCopies:
             if each is not None and each.config.duplicate is not None
         }
     )
-
-
-def _take_waiting(subscription: Any, deadline: float) -> None:
-    """Pass the messages that have arrived, but for which the executor had no time, to the callback."""
-    handle = subscription.handle
-    with handle:
-        while time.monotonic() < deadline and (taken := handle.take_message(subscription.msg_type, True)):
-            subscription.callback(taken[0])
 
 
 def _listed(texts: Sequence[str], separator: str) -> str:

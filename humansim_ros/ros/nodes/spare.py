@@ -23,7 +23,7 @@ def main(scene_path: str) -> int:
     """Prepare, wait, and run the node; returns its exit code."""
     nodes = {
         name: import_module(f"humansim_ros.ros.nodes.{name}")
-        for name in ("motion_player", "skinner", "camera", "camera_rig", "recorder")
+        for name in ("motion_player", "skinner", "camera", "camera_rig", "recorder", "evaluator")
     }
     scene = _prepare(scene_path)
     line = sys.stdin.readline()

@@ -30,6 +30,8 @@ _START_LIMIT = 60.0
 _VIDEO_SIZE = (480, 360)
 #: Stamps that are held until one of them has arrived from all cameras, and their memory in bytes.
 _MAX_INCOMPLETE, _MAX_BYTES = 20, 1 << 29
+#: Frames whose stamps of images are held.
+_MAX_CLOCKS = 200
 #: Most cameras that the pictures show.
 _MAX_CAMERAS = 8
 #: Quality of the JPEG images that the frames of the video are held as.
@@ -165,7 +167,14 @@ class _Recorder:
         self.thumbnails: dict[int, dict[str, Any]] = {}
         #: Cameras of the pictures.
         self.cameras = list(scene.cameras)[:_MAX_CAMERAS]
-        topics = [topic for topic in scene_topics(scene) if topic.shown]
+        #: Stamps of frames by camera whose clock is wrong, and stamp of its image.
+        self._frame_stamps: dict[str, dict[int, int]] = {
+            name: {} for name in self.cameras if _has_wrong_clock(scene, name)
+        }
+        # before the images, whose stamps they explain
+        clocks = [f"{name}/faults" for name in self._frame_stamps]
+        topics = sorted(scene_topics(scene), key=lambda topic: topic.name not in clocks)
+        topics = [topic for topic in topics if topic.shown or topic.name in clocks]
         topics = [topic for topic in topics if topic.camera in ("", *self.cameras)]
         self._sheet_topics = [
             f"/{camera}/{kind}" for camera in self.cameras for kind in ("image_raw", *_ENCODINGS, "joints")
@@ -218,8 +227,12 @@ class _Recorder:
         from humansim_ros.ros.messages import serialised_stamp
 
         def on_message(data: bytes) -> None:
-            stamp = serialised_stamp(data)
-            if topic in self._sheet_topics:
+            stamp: int | None = serialised_stamp(data)
+            if topic.endswith("/faults"):
+                self._note_clock(camera, data)
+            if topic.endswith("/image_raw") and camera in self._frame_stamps:
+                stamp = self._frame_stamps[camera].get(serialised_stamp(data))
+            if topic in self._sheet_topics and stamp is not None:
                 content = self._joints(topic, data) if topic.endswith("/joints") else self._image(topic, data)
                 self._store_for_sheet(stamp, topic, content)
                 if topic.endswith("/image_raw"):
@@ -230,6 +243,17 @@ class _Recorder:
             self.bytes[topic] += len(data)
 
         return on_message
+
+    def _note_clock(self, camera: str, data: bytes) -> None:
+        """Note which stamp the image of a frame has."""
+        from humansim_ros.ros.limits import deserialised
+        from humansim_ros.ros.messages import read_faults, to_nanoseconds
+
+        message = deserialised(data, self._message_types[f"/{camera}/faults"])
+        stamp, known = to_nanoseconds(message.header.stamp), self._frame_stamps[camera]
+        known[stamp + round(1e9 * read_faults(message)["clock"]["seconds"])] = stamp
+        if len(known) > _MAX_CLOCKS:
+            del known[next(iter(known))]
 
     def _image(self, topic: str, data: bytes) -> NDArray[Any]:
         """Pixels of a serialised image. Raises RosError unless it is as the camera of the topic sends it."""
@@ -271,6 +295,11 @@ class _Recorder:
             if len(self._incomplete) <= _MAX_INCOMPLETE and held <= _MAX_BYTES:
                 break
             held -= sum(part.nbytes for part in self._incomplete.pop(old).values())
+
+
+def _has_wrong_clock(scene: Scene, camera: str) -> bool:
+    faults = scene.scene_cameras[camera].faults
+    return faults is not None and faults.config.clock is not None
 
 
 def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:

@@ -24,11 +24,11 @@ cameras:
   tall: {size: [90, 160], position: [0, 3, 1.2], look_at: [0, 0, 0.7], sensor: {encoding: mono8}}
   bayer: {size: [120, 120], position: [-3, 0, 1.2], look_at: [0, 0, 0.7], sensor: {encoding: bayer_rggb8}}
 """
-#: Nothing moves, and nobody is there.
+#: Nothing moves, and nobody is there. The images of one camera have wrong stamps.
 EMPTY = """
 rate: 10
 cameras:
-  left: {size: [120, 90], position: [3, 1, 1.2], look_at: [0, 0, 0.7]}
+  left: {size: [120, 90], position: [3, 1, 1.2], look_at: [0, 0, 0.7], faults: {clock: 0.013}}
   right: {size: [120, 90], position: [3, -1, 1.2], look_at: [0, 0, 0.7]}
 """
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 import pytest
 from conftest import ROOT
-from waiting import PATIENCE, wait_until
+from waiting import PATIENCE, end_process, wait_until
 
 from humansim_ros import Camera, read_bvh, write_calibration
 
@@ -97,8 +97,7 @@ def running(*command: str) -> Iterator[None]:
     try:
         yield
     finally:
-        process.terminate()
-        process.wait(timeout=PATIENCE)
+        end_process(process)
 
 
 def test_a_tracker_is_measured_and_a_camera_is_moved() -> None:

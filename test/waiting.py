@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import subprocess
 import time
 from collections.abc import Callable
+from typing import Any
 
 from humansim_ros.testing import waiting
 from humansim_ros.testing.waiting import patience
@@ -19,3 +21,13 @@ def wait_until(
 ) -> bool:
     """Call ``step`` until ``condition`` is true; False if it is not after ``limit`` seconds."""
     return waiting.wait_until(condition, limit, step)
+
+
+def end_process(process: subprocess.Popen[Any]) -> None:
+    """Ask a process to end; kill it if it does not: rclpy sometimes misses SIGTERM."""
+    process.terminate()
+    try:
+        process.wait(30)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()

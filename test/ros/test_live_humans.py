@@ -16,7 +16,7 @@ from conftest import ROOT
 from rclpy.parameter import Parameter
 from ros_support import Client, write_scene
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
-from waiting import PATIENCE
+from waiting import end_process
 
 from humansim_ros import Scene
 from humansim_ros.ros import messages
@@ -292,8 +292,7 @@ def test_run_live_says_what_it_waits_for_and_follows_the_example(ros: None, tmp_
     finally:
         for process in (sender, run):
             if process is not None:
-                process.terminate()
-                process.wait(timeout=PATIENCE)
+                end_process(process)
         client.close()
     text = output.read_text()
     assert "live: live" not in text and "Traceback" not in text

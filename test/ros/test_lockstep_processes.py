@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 from ros_support import write_scene
-from waiting import PATIENCE
+from waiting import PATIENCE, end_process
 
 HUMANSIM = [sys.executable, "-m", "humansim_ros.cli"]
 TOOLS = ROOT / "tools"
@@ -39,7 +39,7 @@ def tracker(log: Path, *options: str, cameras: Sequence[str] = ("left", "right")
         try:
             yield log
         finally:
-            process.terminate()
+            end_process(process)
 
 
 def rows(log: Path) -> list[list[int]]:

@@ -18,7 +18,7 @@ from conftest import ROOT, if_shared
 from ros_support import Client, write_scene
 from scipy.spatial.transform import Rotation
 from stand_ins import motion_path
-from waiting import PATIENCE
+from waiting import end_process
 
 from humansim_ros.errors import HumansimError, MotionError, RosError
 from humansim_ros.motion import read_bvh
@@ -346,8 +346,8 @@ def test_the_example_drives_a_skinner_in_another_process(ros: None, tmp_path: Pa
     try:
         done = client.spin_until(lambda: len(client.received) == 3 and len(client.common_stamps()) >= 5)
     finally:
-        process.terminate()
-        error = process.communicate(timeout=PATIENCE)[1]
+        end_process(process)
+        error = process.communicate()[1]
     assert done, error
     names = read_bvh(file).joint_names
     ends = {bone: [next(n for n in names if n.endswith(e)) for e in link] for bone, link in LINKS.items()}

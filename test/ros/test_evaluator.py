@@ -96,6 +96,12 @@ def check_result(data: dict[str, Any]) -> None:
     assert set(data["by_person"]) == {"anna", "ben"}
 
 
+def compute(node: Any) -> None:
+    """Evaluate now, in the thread of the node, after whatever it computes at present."""
+    node._thread.submit(node._next.clear).result()
+    node._thread.submit(node.compute_results).result()
+
+
 def values(status: Any) -> dict[str, str]:
     return {each.key: each.value for each in status.values}
 
@@ -115,12 +121,11 @@ def test_a_tracker_in_lockstep(computed: bool, tmp_path: Path) -> None:
         graph.play(20)
         graph.spin_until(lambda: len(node.evaluation.estimate) == 15)
         graph.spin_until(lambda: computed or len(node.evaluation.truth) == 20)
-        node._next.clear()
-        node.compute_results()
-        before = published.arrived
+        compute(node)
         node.publish_results()
-        graph.spin_until(lambda: published.arrived > before)
-        window, total = published[-1].status
+        newest = [node._status(name) for name in ("window", "total")]
+        graph.spin_until(lambda: published and published[-1].status == newest)
+        window, total = newest
         node.complete()
         node.close()
     assert (window.name, total.name) == ("/evaluator: window", "/evaluator: total")
@@ -186,7 +191,7 @@ def test_a_tracker_in_real_time(ros: None) -> None:
     assert (result.live.lost, result.live.after) == (0, 3)
     # the last stamps are of the future; the first was 300 ms old when it was sent
     assert late * 1e-9 <= result.live.latency.worst < PATIENCE
-    node.compute_results()
+    compute(node)
     assert node._status("window").message == "evaluated"
     node._heard -= 10.0
     node._sent[stamp] = node._heard + 9.0
@@ -243,7 +248,7 @@ def test_hostile_messages(ros: None) -> None:
     after = live.total()
     assert after.people == before.people and after.position == before.position
     assert after.live is not None and after.live.duplicates == 400 and after.live.frames == 20
-    node.compute_results()
+    compute(node)
     assert [values(node._status(name))["mpjpe_mm"] for name in ("window", "total")] == ["30.00", "30.00"]
     assert values(node._status("total"))["ignored"] == str(len(ignored) + 1)
     # a new run
@@ -264,11 +269,10 @@ def test_people_who_cannot_be_compared_are_told(ros: None) -> None:
     client.node.create_publisher(kind, JOINTS, 50)
     assert client.spin_until(lambda: {JOINTS, TOPIC} <= {each.topic_name for each in node.subscriptions})
     deliver(node, TOPIC, joints_message(1, {"1": (("tail",), np.zeros((1, 3)))}))
-    node.compute_results()
+    compute(node)
     assert node._status("window").message == "no truth has arrived"
     deliver(node, JOINTS, message)
-    node._next.clear()
-    node.compute_results()
+    compute(node)
     status = node._status("window")
     assert status.level == b"\2" and status.message.startswith("no joint is common: the truth has l_knee")
     with pytest.raises(EvaluationError, match="no joint is common"):

@@ -50,8 +50,8 @@ EXTRAS = {
     ],
     # writing and reading of bags; mcap brings zstandard and lz4
     "record": ["mcap>=1.1", "rosbags>=0.10.6"],
-    # estimates in C3D files and in bags
-    "evaluate": ["ezc3d>=1.5", "mcap>=1.1", "rosbags>=0.10.6"],
+    # estimates in C3D files, in bags, and in images
+    "evaluate": ["ezc3d>=1.5", "mcap>=1.1", "pycocotools>=2.0.7", "rosbags>=0.10.6"],
     # recording on a cluster, and to URLs; client is for addresses such as ray://host:10001
     "ray": ["fsspec>=2023.1", "mcap>=1.1", "ray[client]>=2.9", "rosbags>=0.10.6"],
     "test": [

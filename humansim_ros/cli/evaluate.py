@@ -1,10 +1,12 @@
-"""``humansim evaluate``: compare estimated poses with the truth."""
+"""``humansim evaluate``: compare estimated poses, or detections in images, with the truth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import closing
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -12,12 +14,52 @@ from humansim_ros.cli.output import check_output, print_text, to_json
 from humansim_ros.errors import EvaluationError
 from humansim_ros.io.files import atomic_path
 
+if TYPE_CHECKING:
+    from humansim_ros.evaluate.truth import RecordedTruth, SceneTruth
+    from humansim_ros.export.truth import ExportTruth
+
 #: Greatest time offset in seconds: the stamps of a wall clock.
 _MAX_SHIFT = 9e9
 
 
+@dataclass(frozen=True)
+class _Result:
+    """What is printed and written. ``report``: makes the HTML page."""
+
+    table: str
+    data: dict[str, Any]
+    report: Callable[[], str]
+
+
+@dataclass(frozen=True)
+class _PoseOptions:
+    """Options that only 3D poses have."""
+
+    names: Path | None
+    scale: float
+    axes: str | None
+    offset: str
+    gate: float | None
+
+    def check_unused(self) -> None:
+        """Raise EvaluationError if one is given."""
+        given = {
+            "--names": self.names is not None,
+            "--scale": self.scale != 1,
+            "--axes": self.axes is not None,
+            "--offset": self.offset != "0",
+            "--gate": self.gate is not None,
+        }
+        for name, used in given.items():
+            if used:
+                raise EvaluationError("is for 3D poses; the estimate is detections in images", key=name)
+
+
 def evaluate(
-    truth: Annotated[Path, typer.Option(help="Scene file, or bag with the topics /humans/<id>/joints.")],
+    truth: Annotated[
+        Path,
+        typer.Option(help="Scene file, bag with the topics /humans/<id>/joints, or folder of an export."),
+    ],
     estimate: Annotated[
         list[str],
         typer.Option(
@@ -29,7 +71,7 @@ def evaluate(
         str | None,
         typer.Option(
             help="Keypoint set of the estimate, such as coco17; if absent, the joints of bodies, or the set "
-            "that has the names of the estimate."
+            "that has the names of the estimate. In images coco17, or the set of the export."
         ),
     ] = None,
     names: Annotated[
@@ -53,53 +95,105 @@ def evaluate(
         typer.Option(help="Seconds by which the stamps of the estimate are late, or auto to measure them."),
     ] = "0",
     gate: Annotated[
-        float,
+        float | None,
         typer.Option(
-            help="Greatest mean joint distance of a person who is found, metres.", min=0.001, max=1000
+            help="Greatest mean joint distance of a person who is found, metres; 0.5 if absent.",
+            min=0.001,
+            max=1000,
         ),
-    ] = 0.5,
+    ] = None,
+    min_score: Annotated[
+        float | None,
+        typer.Option(help="Detections in images with a lower score count for average precision only."),
+    ] = None,
     json: Annotated[Path | None, typer.Option(help="Write the result to this JSON file.")] = None,
     report: Annotated[
-        Path | None, typer.Option(help="Write tables, plots and the worst poses to this HTML file.")
+        Path | None, typer.Option(help="Write tables, plots and the worst frames to this HTML file.")
     ] = None,
 ) -> None:
-    """Compare estimated 3D poses of people with the truth."""
-    from humansim_ros.evaluate.evaluation import evaluate_poses
+    """Compare estimated 3D poses of people, or detections in images, with the truth."""
+    from humansim_ros.evaluate.readers.image_estimates import is_of_images
+
+    for output in filter(None, (json, report)):
+        check_output(output)
+    options = _PoseOptions(names, scale, axes, offset, gate)
+    if any(map(is_of_images, estimate)):
+        options.check_unused()
+        result = _images(truth, estimate, keypoints, min_score)
+    elif min_score is not None:
+        raise EvaluationError("is for detections in images; the estimate is 3D poses", key="--min-score")
+    else:
+        result = _poses(truth, estimate, keypoints, options)
+    if json is not None:
+        with atomic_path(json) as temporary:
+            temporary.write_text(to_json(result.data) + "\n", encoding="utf-8")
+    if report is not None:
+        page = result.report()
+        with atomic_path(report) as temporary:
+            temporary.write_text(page, encoding="utf-8")
+    print_text(result.table)
+
+
+def _open_truth(path: Path) -> SceneTruth | RecordedTruth | ExportTruth:
+    from humansim_ros.evaluate.truth import open_truth
+    from humansim_ros.export.truth import ExportTruth, is_export
+
+    return ExportTruth(path) if is_export(path) else open_truth(path)
+
+
+def _poses(truth: Path, estimate: Sequence[str], keypoints: str | None, options: _PoseOptions) -> _Result:
+    """Compare 3D poses."""
+    from humansim_ros.evaluate.evaluation import DEFAULT_GATE, evaluate_poses
     from humansim_ros.evaluate.html import html_report
     from humansim_ros.evaluate.names import read_names, set_of_names
     from humansim_ros.evaluate.offset import MAX_OFFSET
     from humansim_ros.evaluate.readers.estimates import read_estimates
     from humansim_ros.evaluate.readers.options import ReadOptions
     from humansim_ros.evaluate.report import show, to_data
-    from humansim_ros.evaluate.truth import RecordedTruth, open_truth
+    from humansim_ros.evaluate.truth import SceneTruth
     from humansim_ros.keypoints import keypoint_set
 
-    for output in filter(None, (json, report)):
-        check_output(output)
-    late = _seconds(offset)
-    given = read_names(names) if names is not None else None
-    source = open_truth(truth)
+    late = _seconds(options.offset)
+    given = read_names(options.names) if options.names is not None else None
+    source = _open_truth(truth)
     points = keypoint_set(keypoints) if keypoints is not None else None
     listed = tuple(given) if isinstance(given, list) else points.names if points is not None else None
-    estimated = read_estimates(estimate, ReadOptions(listed, source.period, source.start, axes, scale))
+    estimated = read_estimates(
+        estimate, ReadOptions(listed, source.period, source.start, options.axes, options.scale)
+    )
     shift = round((late or 0.0) * 1e9)
-    if points is None and not isinstance(source, RecordedTruth):
+    if points is None and isinstance(source, SceneTruth):
         points = set_of_names(estimated.names)
     first, last = int(estimated.times[0]) - shift, int(estimated.times[-1]) - shift
     result = evaluate_poses(
         source.poses((first, last), MAX_OFFSET, points),
         estimated,
         names=given if isinstance(given, dict) else None,
-        gate=gate,
+        gate=DEFAULT_GATE if options.gate is None else options.gate,
         offset=late,
     )
-    if json is not None:
-        with atomic_path(json) as temporary:
-            temporary.write_text(to_json(to_data(result)) + "\n", encoding="utf-8")
-    if report is not None:
-        with atomic_path(report) as temporary:
-            temporary.write_text(html_report(result), encoding="utf-8")
-    print_text(show(result))
+    return _Result(show(result), to_data(result), lambda: html_report(result))
+
+
+def _images(truth: Path, estimate: Sequence[str], keypoints: str | None, min_score: float | None) -> _Result:
+    """Compare detections in images."""
+    from humansim_ros.evaluate.image_html import image_html_report
+    from humansim_ros.evaluate.image_report import show_images
+    from humansim_ros.evaluate.images import evaluate_images
+    from humansim_ros.evaluate.readers.image_estimates import read_image_estimates
+    from humansim_ros.evaluate.report import to_data
+    from humansim_ros.export.truth import open_image_truth
+
+    source = open_image_truth(truth, keypoints)
+    found = read_image_estimates(estimate, source)
+    numbers = found.images if found.images is not None else {row["image_id"] for row in found.results}
+    result = evaluate_images(source.images(numbers), found, min_score or 0.0)
+
+    def page() -> str:
+        with closing(source.pictures()) as pictures:
+            return image_html_report(result, pictures)
+
+    return _Result(show_images(result), to_data(result), page)
 
 
 def _seconds(text: str) -> float | None:

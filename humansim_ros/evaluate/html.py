@@ -18,7 +18,7 @@ from humansim_ros.types import Array
 _STYLE = """
 body { font: 15px/1.45 sans-serif; color: #3c4048; max-width: 1400px; margin: 24px auto; padding: 0 16px; }
 table { border-collapse: collapse; } td, th { padding: 2px 14px 2px 0; text-align: left; }
-.row { display: flex; flex-wrap: wrap; gap: 12px 40px; } svg { max-width: 100%; height: auto; }
+.row { display: flex; flex-wrap: wrap; gap: 12px 40px; } svg, img { max-width: 100%; height: auto; }
 .truth { color: #0072b2; } .estimate { color: #d55e00; }
 """
 #: Lines of drawn poses, joints of the package's skeleton.
@@ -36,16 +36,13 @@ def html_report(evaluation: Evaluation) -> str:
     """The page: tables, errors over time and by joint, PCK curve, people by frame, and the worst poses."""
     e = evaluation
     parts = [
-        "<h1>Evaluation</h1>",
-        f'<p class="truth">Truth: {escape(e.truth)}</p>',
-        f'<p class="estimate">Estimate: {escape(e.estimate)}</p>',
         '<div class="row">',
-        _section("Metrics", _table((), summary(e))),
-        _section("Error over time", _error_over_time(e)),
-        _section("Error by joint (MPJPE)", bar_plot({n: _mm(j.mpjpe) for n, j in e.by_joint.items()}, "mm")),
-        _section("Share of correct joints (PCK) by threshold", _pck_curve(e)),
-        _section("People by frame", _people_over_time(e)),
-        _section("People", _people_table(e)),
+        section("Metrics", table((), summary(e))),
+        section("Error over time", _error_over_time(e)),
+        section("Error by joint (MPJPE)", bar_plot({n: _mm(j.mpjpe) for n, j in e.by_joint.items()}, "mm")),
+        section("Share of correct joints (PCK) by threshold", _pck_curve(e)),
+        section("People by frame", _people_over_time(e)),
+        section("People", _people_table(e)),
         "</div>",
         "<h2>Worst poses</h2>",
         "<p>From the front, and from above, in the colours of truth and estimate.</p>",
@@ -53,17 +50,29 @@ def html_report(evaluation: Evaluation) -> str:
         *_worst(e),
         "</div>",
     ]
+    return page(e.truth, e.estimate, parts)
+
+
+def page(truth: str, estimate: str, parts: Iterable[str]) -> str:
+    """An HTML page that loads nothing else: where truth and estimate come from, and some elements."""
+    content = (
+        "<h1>Evaluation</h1>"
+        f'<p class="truth">Truth: {escape(truth)}</p>'
+        f'<p class="estimate">Estimate: {escape(estimate)}</p>{"".join(parts)}'
+    )
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Evaluation</title>'
-        f"<style>{_STYLE}</style></head>\n<body>{''.join(parts)}</body></html>\n"
+        f"<style>{_STYLE}</style></head>\n<body>{content}</body></html>\n"
     )
 
 
-def _section(title: str, content: str) -> str:
+def section(title: str, content: str) -> str:
+    """Element with a heading."""
     return f"<section><h2>{escape(title)}</h2>{content or '<p>No data.</p>'}</section>"
 
 
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Table of texts."""
     head = "".join(f"<th>{escape(word)}</th>" for word in header)
     body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
     return f"<table>{f'<tr>{head}</tr>' if head else ''}{body}</table>"
@@ -114,7 +123,7 @@ def _people_table(e: Evaluation) -> str:
         )
         for name, p in e.by_person.items()
     )
-    return _table(("person", "found", "MPJPE", "PA-MPJPE", "PCP"), rows)
+    return table(("person", "found", "MPJPE", "PA-MPJPE", "PCP"), rows)
 
 
 def _worst(e: Evaluation) -> list[str]:
@@ -126,5 +135,5 @@ def _worst(e: Evaluation) -> list[str]:
     for pose in e.worst:
         row = keys.index((pose.stamp, pose.person))
         title = f"{pose.person} at {pose.stamp * 1e-9:.3f} s: {millimetres(pose.error)}"
-        sections.append(_section(title, pose_plot(e.matches.truth[row], e.matches.estimate[row], edges)))
+        sections.append(section(title, pose_plot(e.matches.truth[row], e.matches.estimate[row], edges)))
     return sections

@@ -7,14 +7,15 @@ from dataclasses import asdict, fields, is_dataclass
 from typing import Any
 
 from humansim_ros.evaluate.evaluation import Evaluation
+from humansim_ros.evaluate.images import ImageEvaluation
 from humansim_ros.evaluate.timing import Timing
 
 #: Version of the keys in JSON.
 JSON_VERSION = 1
 
 
-def to_data(evaluation: Evaluation) -> dict[str, Any]:
-    """The result with the keys of :class:`Evaluation`, for JSON: without the poses."""
+def to_data(evaluation: Evaluation | ImageEvaluation) -> dict[str, Any]:
+    """The result with the keys of its class, for JSON: without the poses."""
     data = {field.name: getattr(evaluation, field.name) for field in fields(evaluation) if field.repr}
     return {"version": JSON_VERSION, **{name: _plain(value) for name, value in data.items()}}
 

@@ -18,11 +18,15 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.export.folder import ExportFolder
+from humansim_ros.export.scene import ExportScene
 from humansim_ros.export.writer import ExportFrame, FormatWriter, Record
 from humansim_ros.keypoints.sets import KeypointSet, keypoint_set
 from humansim_ros.truth import OUTSIDE, BodyBox, KeypointView
+from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
 _PERSON = "person"
+#: Channels that annotations need.
+CHANNELS = tuple(sorted({*REQUIRED_CHANNELS["joints"], *REQUIRED_CHANNELS["boxes"]}))
 
 
 class CocoWriter(FormatWriter):
@@ -57,33 +61,46 @@ class CocoWriter(FormatWriter):
 
     def finish(self, records: Iterable[tuple[int, Record]], folder: ExportFolder) -> None:
         """Write both files of annotations."""
-        person = person_category(keypoint_set(self.settings.keypoints))
         scene = self.settings.scene
-        kinds = dict.fromkeys(kind for kind in scene.objects.values() if kind != _PERSON)
-        ids = {_PERSON: 1} | {kind: number for number, kind in enumerate(kinds, 2)}
-        categories = [person] + [
-            {"id": number, "name": name, "supercategory": "object"}
-            for name, number in ids.items()
-            if number > 1
-        ]
-        category_of = {name: ids[scene.objects.get(name, _PERSON)] for name in scene.labels}
-        people = set(scene.people)
+        category_of, categories = scene_categories(scene, keypoint_set(self.settings.keypoints))
         for file, names, listed in (
-            ("person_keypoints.json", people, [person]),
-            ("instances.json", set(scene.labels), categories),
+            ("person_keypoints.json", scene.people, categories[:1]),
+            ("instances.json", scene.labels, categories),
         ):
-            content = _document(records, {name: category_of[name] for name in names}, listed)
+            content = coco_document(records, {name: category_of[name] for name in names}, listed)
             folder.write(file, json.dumps(content) + "\n")
 
 
-def _document(
-    records: Iterable[tuple[int, Record]], category_of: dict[str, int], categories: list[dict[str, Any]]
+def scene_categories(
+    scene: ExportScene, keypoints: KeypointSet
+) -> tuple[dict[str, int], list[dict[str, Any]]]:
+    """Number of the category by body, and the categories of a scene: people first, then kinds of objects."""
+    kinds = dict.fromkeys(kind for kind in scene.objects.values() if kind != _PERSON)
+    ids = {_PERSON: 1} | {kind: number for number, kind in enumerate(kinds, 2)}
+    categories = [person_category(keypoints)] + [
+        {"id": number, "name": name, "supercategory": "object"} for name, number in ids.items() if number > 1
+    ]
+    return {name: ids[scene.objects.get(name, _PERSON)] for name in scene.labels}, categories
+
+
+def coco_document(
+    records: Iterable[tuple[int, Record]],
+    category_of: dict[str, int],
+    categories: list[dict[str, Any]],
+    first: int = 1,
 ) -> dict[str, Any]:
-    """Content of a file with the bodies in ``category_of``; images and annotations are numbered from 1."""
+    """Content of a file of annotations.
+
+    Args:
+        records: Results of :meth:`CocoWriter.frame` with the numbers of the frames.
+        category_of: Number of the category by body; others are left out.
+        categories: Categories of COCO.
+        first: Number of the first image; annotations are numbered from 1.
+    """
     images: list[dict[str, Any]] = []
     annotations: list[dict[str, Any]] = []
     numbers = count(1)
-    for image_id, image in enumerate(_images(records), 1):
+    for image_id, image in enumerate(_images(records), first):
         images.append({"id": image_id, **{key: image[key] for key in image if key != "annotations"}})
         for annotation in image["annotations"]:
             if (category := category_of.get(annotation["name"])) is not None:

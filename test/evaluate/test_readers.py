@@ -231,6 +231,15 @@ def test_damaged_trc_files(tmp_path: Path) -> None:
             read_estimates([str(tmp_path / "bad.trc")], OPTIONS)
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".trc", ".c3d", ".json"])
+def test_files_of_more_than_2_gb_are_refused_before_they_are_read(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"huge{suffix}"
+    with path.open("wb") as file:
+        file.truncate((2 << 30) + 1)  # a hole: it needs no space on the disk
+    with pytest.raises(EvaluationError, match="is too large: 2 GB; at most 2 GB are read"):
+        read_estimates([str(path)], ReadOptions(NAMES, PERIOD))
+
+
 def test_missing_files_and_bags_without_a_topic(tmp_path: Path) -> None:
     (tmp_path / "poses.csv").write_text("x")
     with pytest.raises(EvaluationError, match=r"no such file.*did you mean 'poses\.csv'"):

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from humansim_ros.errors import EvaluationError
-from humansim_ros.evaluate.readers.numbers import split_name
+from humansim_ros.evaluate.readers.numbers import MAX_BYTES, split_name
 from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.evaluate.readers.trc import UNITS
 from humansim_ros.evaluate.tracks import PoseSequence, SequenceBuilder
-from humansim_ros.io.files import ANY_SIZE, open_file
+from humansim_ros.io.files import open_file
 from humansim_ros.types import Array
 
 
@@ -22,7 +22,7 @@ def read_c3d(path: Path, options: ReadOptions) -> PoseSequence:
     A label ``anna:l_knee`` is of person anna; others are of the person after whom the file is named.
     Raises EvaluationError.
     """
-    open_file(path, EvaluationError, "C3D", ANY_SIZE).close()
+    open_file(path, EvaluationError, "C3D", MAX_BYTES).close()
     labels, unit, rate, first, points = _points(path)
     if unit not in UNITS:
         raise EvaluationError(

@@ -43,7 +43,7 @@ def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:
         raise EvaluationError("there are no .json files in this folder", path=path)
     builder = SequenceBuilder(str(path))
     for file in files:
-        content = _load(file)
+        content = load_json(file)
         time = _time(file, options)
         builder.add_frame(time)
         if isinstance(content.get("bodies"), list):
@@ -55,7 +55,8 @@ def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:
     return builder.build()
 
 
-def _load(path: Path) -> dict[str, Any]:
+def load_json(path: Path) -> dict[str, Any]:
+    """Content of a JSON file, a mapping. Raises EvaluationError."""
     text = read_text(path, EvaluationError, "JSON", MAX_BYTES)
     try:
         content = json.loads(text)

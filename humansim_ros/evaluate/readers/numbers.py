@@ -8,7 +8,7 @@ from pathlib import Path
 
 from humansim_ros.errors import EvaluationError
 
-#: Greatest size of a text file of poses: an hour of ten people at 30 Hz.
+#: Greatest size of a file of poses: as text, an hour of ten people at 30 Hz.
 MAX_BYTES = 1 << 31
 #: Seconds beyond which a time cannot be a stamp in 64 bits.
 _MAX_SECONDS = 9e9

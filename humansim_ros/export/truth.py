@@ -1,0 +1,277 @@
+"""The truth of exports, and of scenes in images, for evaluations."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Collection, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.camera import Camera
+from humansim_ros.errors import EvaluationError, MeshError
+from humansim_ros.evaluate.images import ImageTruth, image_table
+from humansim_ros.evaluate.pictures import ScenePictures
+from humansim_ros.evaluate.readers.estimates import is_bag, read_estimates
+from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.evaluate.tracks import PoseSequence
+from humansim_ros.evaluate.truth import FIRST_STAMP
+from humansim_ros.export.coco import CHANNELS, CocoWriter, coco_document, scene_categories
+from humansim_ros.export.folder import ExportFolder
+from humansim_ros.export.plan import INDEX, read_index
+from humansim_ros.export.scene import ExportScene
+from humansim_ros.export.writer import ExportFrame, ExportSettings
+from humansim_ros.io.files import read_bytes, read_text
+from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image
+from humansim_ros.keypoints import KeypointSet, keypoint_set
+from humansim_ros.scene import Scene, Simulation
+from humansim_ros.types import Image
+
+#: Formats with 3D poses, and the keypoint set that they have; None: that of the export.
+_POSES: dict[str, str | None] = {"trc": None, "c3d": None, "panoptic": "panoptic19"}
+_COCO = "coco/instances.json"
+#: Greatest size of a file of truth.
+_MAX_BYTES = 1 << 32
+#: Most frames of a scene that are rendered as truth: an hour at 30 Hz.
+MAX_RENDERED_FRAMES = 108_000
+
+
+def is_export(path: Path) -> bool:
+    """Whether a folder is an export."""
+    return (path / INDEX).is_file()
+
+
+class ExportTruth:
+    """Truth of a finished export: 3D poses of TRC, C3D or Panoptic files, and images of its COCO file.
+
+    The files that are read are compared with the hashes of the index.
+
+    Raises:
+        ExportError: The folder has no index.
+        EvaluationError: The export is not finished.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self._index = folder, read_index(folder)
+        if not self._index.get("finished"):
+            raise EvaluationError(
+                "this export is not finished: continue it with humansim export --resume", path=folder
+            )
+        try:
+            plan = self._index["plan"]
+            self.formats: tuple[str, ...] = tuple(plan["formats"])
+            self.keypoints: KeypointSet = keypoint_set(plan["keypoints"])
+            self.period, self.start = round(1e9 / float(self._index["rate"])), FIRST_STAMP
+            self._files: dict[str, dict[str, Any]] = dict(self._index["files"])
+        except (KeyError, TypeError, ValueError, ZeroDivisionError) as reason:
+            raise EvaluationError(f"the index is damaged: {reason}", path=folder / INDEX) from None
+
+    def poses(self, span: tuple[int, int], around: float, keypoints: KeypointSet | None) -> PoseSequence:
+        """All poses of the export, with its keypoints. Raises EvaluationError if it has none."""
+        found = {name: _POSES[name] or self.keypoints.name for name in _POSES if name in self.formats}
+        chosen = [name for name, points in found.items() if keypoints is None or points == keypoints.name]
+        if not chosen:
+            has = f"poses of {', '.join(sorted(set(found.values())))}" if found else "no 3D poses"
+            wanted = f" of {keypoints.name}" if keypoints is not None else ""
+            raise EvaluationError(
+                f"the export has {has}; export them{wanted} with --format trc, or give its scene",
+                path=self.folder,
+                key="--truth",
+            )
+        for name in self._files:
+            if name.startswith(f"{chosen[0]}/"):
+                self._check(name)
+        options = ReadOptions(None, self.period, self.start)
+        return read_estimates([str(self.folder / chosen[0])], options)
+
+    @property
+    def cameras(self) -> Sequence[str]:
+        """Names of the cameras."""
+        return list(dict.fromkeys(row["camera"] for row in self._document["images"]))
+
+    def number(self, camera: str, frame: int) -> int | None:
+        """Number of the image of a camera in a frame in the COCO file; None if there is none."""
+        return self._numbers.get((camera, frame))
+
+    def size(self, number: int) -> tuple[int, int] | None:
+        """Width and height of an image; None if there is none with this number."""
+        return self._sizes.get(number)
+
+    def images(self, numbers: Collection[int] | None) -> ImageTruth:
+        """Truth of the images of its COCO file; ``numbers`` does not matter."""
+        document = self._document
+        return ImageTruth(
+            document["images"],
+            document["annotations"],
+            document["categories"],
+            self.keypoints,
+            str(self.folder),
+        )
+
+    def pictures(self) -> ExportPictures:
+        """Images of the export."""
+        return ExportPictures(self.folder, self._document["images"] if _COCO in self._files else ())
+
+    @cached_property
+    def _document(self) -> dict[str, Any]:
+        if _COCO not in self._files:
+            raise EvaluationError(
+                "the export has no truth in images: export it with --format coco, or give its scene",
+                path=self.folder,
+                key="--truth",
+            )
+        self._check(_COCO)
+        document: dict[str, Any] = json.loads(
+            read_text(self.folder / _COCO, EvaluationError, "COCO", _MAX_BYTES)
+        )
+        return document
+
+    @cached_property
+    def _numbers(self) -> dict[tuple[str, int], int]:
+        return image_table(self._document["images"])
+
+    @cached_property
+    def _sizes(self) -> dict[int, tuple[int, int]]:
+        return {row["id"]: (row["width"], row["height"]) for row in self._document["images"]}
+
+    def _check(self, name: str) -> None:
+        """Check that a file is the one that the index lists."""
+        data = read_bytes(self.folder / name, EvaluationError, "exported", _MAX_BYTES)
+        if hashlib.sha256(data).hexdigest() != self._files[name].get("sha256"):
+            raise EvaluationError(
+                "this file has changed since it was exported: its hash is not that of the index",
+                path=self.folder / name,
+            )
+
+
+class ExportPictures:
+    """Colour images of an export. ``folder``: its folder. ``rows``: images of its COCO file; may be empty."""
+
+    def __init__(self, folder: Path, rows: Sequence[dict[str, Any]]) -> None:
+        self._folder = folder
+        self._rows = {(row["camera"], row["stamp"]): row for row in rows}
+
+    def cameras(self, stamp: int) -> dict[str, Camera]:
+        """Cameras with an image at a stamp, as the COCO file has them."""
+        return {
+            name: Camera(
+                (row["width"], row["height"]),
+                np.array(row["K"]),
+                np.array(row["R"]),
+                np.array(row["t"]),
+                tuple(row["distortion"]),
+                row["distortion_model"],
+            )
+            for (name, time), row in self._rows.items()
+            if time == stamp
+        }
+
+    def image(self, stamp: int, camera: str) -> Image | None:
+        """Image of a camera at a stamp; None if there is none. Raises HumansimError for a damaged file."""
+        row = self._rows.get((camera, stamp))
+        if row is None:
+            return None
+        path = self._folder / "images" / row["file_name"]
+        try:
+            return decode_image(read_bytes(path, EvaluationError, "image", MAX_IMAGE_BYTES), "image")
+        except MeshError as error:
+            raise EvaluationError(error.message, path=path) from None
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class SceneImages:
+    """Truth of the images of a scene, which is rendered without colours.
+
+    Images have the numbers of an export from frame 0 on: 1 + frame · cameras + number of the camera from 0.
+
+    ``keypoints``: set of the keypoints.
+    """
+
+    def __init__(self, scene: Scene, keypoints: KeypointSet) -> None:
+        self.scene, self.keypoints = scene, keypoints
+
+    @property
+    def cameras(self) -> Sequence[str]:
+        """Names of the cameras."""
+        return list(self.scene.scene_cameras)
+
+    def number(self, camera: str, frame: int) -> int | None:
+        """Number of the image of a camera in a frame."""
+        return 1 + frame * len(self.cameras) + self.cameras.index(camera)
+
+    def size(self, number: int) -> tuple[int, int] | None:
+        """Width and height of an image; None for numbers below 1."""
+        if number < 1:
+            return None
+        width, height = self.scene.cameras[self.cameras[(number - 1) % len(self.cameras)]].size
+        return width, height
+
+    def images(self, numbers: Collection[int]) -> ImageTruth:
+        """Render the frames from the first to the last of some images; needs OpenGL.
+
+        Raises:
+            EvaluationError: There are no numbers, or too many frames.
+            RenderError: OpenGL is missing.
+        """
+        if not numbers:
+            raise EvaluationError("the estimate is of no image", key="--estimate")
+        count = len(self.cameras)
+        frames = range((min(numbers) - 1) // count, (max(numbers) - 1) // count + 1)
+        if len(frames) > MAX_RENDERED_FRAMES:
+            raise EvaluationError(
+                f"the estimate has images of frames {frames[0]} to {frames[-1]}, more than "
+                f"{MAX_RENDERED_FRAMES}: are the numbers of the images those of an export of the scene? "
+                "Give the export as --truth",
+                path=self.scene.path,
+                key="--truth",
+            )
+        described = ExportScene.of(self.scene)
+        settings = ExportSettings(described, frames, self.keypoints.name)
+        writer, folder = CocoWriter(settings), ExportFolder(Path())
+        with Simulation(self.scene, CHANNELS) as simulation:
+            records = [
+                (index, writer.frame(ExportFrame(simulation.frame(index), settings), folder))
+                for index in frames
+            ]
+        document = coco_document(
+            records, *scene_categories(described, self.keypoints), first=1 + frames[0] * count
+        )
+        source = str(self.scene.path or "the scene")
+        return ImageTruth(
+            document["images"], document["annotations"], document["categories"], self.keypoints, source
+        )
+
+    def pictures(self) -> ScenePictures:
+        """Images of the scene."""
+        return ScenePictures(self.scene)
+
+
+def open_image_truth(path: Path, keypoints: str | None) -> ExportTruth | SceneImages:
+    """Open the truth of images: an export, or a scene, which is rendered.
+
+    ``keypoints``: name of the keypoint set; that of the export, or coco17, if None.
+
+    Raises:
+        HumansimError: The scene or export is wrong, is a bag, or has other keypoints.
+    """
+    if is_export(path):
+        export = ExportTruth(path)
+        if keypoints not in (None, export.keypoints.name):
+            raise EvaluationError(
+                f"the export has keypoints of {export.keypoints.name}, not {keypoints}",
+                path=path,
+                key="--keypoints",
+            )
+        return export
+    if is_bag(path) or path.is_dir():
+        raise EvaluationError(
+            "the truth of detections in images is a scene, or a folder of humansim export",
+            path=path,
+            key="--truth",
+        )
+    return SceneImages(Scene.load(path), keypoint_set(keypoints or "coco17"))

@@ -1,0 +1,260 @@
+"""Detections in images: AP as pycocotools computes it, errors in pixels, IoU of masks, by camera and name."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from humansim_ros.errors import EvaluationError, HumansimWarning
+from humansim_ros.keypoints import keypoint_set
+
+pytest.importorskip("pycocotools")
+from pycocotools.coco import COCO
+from pycocotools.cocoeval import COCOeval
+
+from humansim_ros.evaluate.images import Detections2D, ImageTruth, evaluate_images
+from humansim_ros.evaluate.readers.coco_results import encoded_mask
+
+SIZE = (80, 60)
+COCO17 = keypoint_set("coco17")
+Record = dict[str, Any]
+
+
+def annotation(
+    number: int, image: int, name: str, box: tuple[int, int, int, int], category: int = 1
+) -> Record:
+    """A person or object that fills its box; the keypoints of people are on its diagonal."""
+    x, y, width, height = box
+    mask = np.zeros(SIZE[::-1], bool)
+    mask[y : y + height, x : x + width] = True
+    row: Record = {
+        "id": number,
+        "image_id": image,
+        "category_id": category,
+        "name": name,
+        "bbox": list(box),
+        "area": width * height,
+        "iscrowd": 0,
+        "segmentation": encoded_mask(mask),
+    }
+    if category == 1:
+        steps = np.linspace(0, 1, len(COCO17))
+        points = np.column_stack([x + steps * (width - 1), y + steps * (height - 1), np.full(17, 2)])
+        points[0] = 0  # the nose is out of the image
+        points[1, 2] = 1  # the left eye is occluded
+        row |= {"keypoints": points.ravel().tolist(), "num_keypoints": 16}
+    return row
+
+
+@pytest.fixture
+def truth() -> ImageTruth:
+    """Two people and a box, seen by two cameras in two frames; bert is not in the last image."""
+    images = [
+        {"id": 10 + n, "camera": "ab"[n % 2], "frame": n // 2, "stamp": 1 + n // 2, "width": 80, "height": 60}
+        for n in range(4)
+    ]
+    rows = []
+    for image in images:
+        rows.append(annotation(len(rows) + 1, image["id"], "anna", (5, 5, 20, 50)))
+        if image["id"] != 13:
+            rows.append(annotation(len(rows) + 1, image["id"], "bert", (30, 4, 24, 54)))
+        rows.append(annotation(len(rows) + 1, image["id"], "crate", (60, 40, 10, 10), 2))
+    categories = [{"id": 1, "name": "person", "keypoints": list(COCO17.names)}, {"id": 2, "name": "box"}]
+    return ImageTruth(images, rows, categories, COCO17, "truth")
+
+
+def found(truth: ImageTruth, change: Callable[[Record], Record | None] = lambda row: row) -> Detections2D:
+    """The truth as a result, with a change of each detection; None leaves it out."""
+    results = []
+    for row in truth.annotations:
+        keys = ("image_id", "category_id", "keypoints", "bbox", "segmentation")
+        result = change({key: row[key] for key in keys if key in row} | {"score": 0.9, "name": row["name"]})
+        if result is not None:
+            results.append({key: value for key, value in result.items() if key != "name"})
+    return Detections2D(results, None, "estimate")
+
+
+def moved(pixels: tuple[float, float], name: str | None = None) -> Callable[[Record], Record]:
+    """Change of detections: keypoints and boxes moved, of a person or of all."""
+
+    def change(row: Record) -> Record:
+        if name not in (None, row["name"]):
+            return row
+        shift = np.array(pixels)
+        if "keypoints" in row:
+            points = np.reshape(row["keypoints"], (-1, 3)) + np.array([*pixels, 0])
+            row = row | {"keypoints": points.ravel().tolist()}
+        return row | {"bbox": [*(np.array(row["bbox"][:2]) + shift).tolist(), *row["bbox"][2:]]}
+
+    return change
+
+
+def test_the_truth_has_no_error(truth: ImageTruth) -> None:
+    result = evaluate_images(truth, found(truth))
+    assert set(result.kinds) == {"keypoints", "boxes", "masks"}
+    for kind, scores in result.kinds.items():
+        for own in (scores.all, *scores.by_camera.values()):
+            assert own.precision["ap"] == pytest.approx(1) and own.false == 0
+            assert own.found == own.present and own.similarity == pytest.approx(1)
+        assert set(scores.by_camera) == {"a", "b"}
+        assert scores.all.present == (7 if kind == "keypoints" else 11)
+    assert result.keypoints is not None and result.keypoints.all.error is not None
+    assert result.keypoints.all.error.mean == 0
+    assert result.images == 4
+
+
+def test_keypoints_moved_by_known_pixels(truth: ImageTruth) -> None:
+    result = evaluate_images(truth, found(truth, moved((3, 4), "anna"))).keypoints
+    assert result is not None and result.all.error is not None
+    # OKS of anna: the mean over 16 labelled points of exp(-d² / (2 · area · (2 sigma)²))
+    sigmas = np.array(COCO17.sigmas)[1:]
+    oks = np.exp(-25 / (2 * 20 * 50 * (2 * sigmas) ** 2)).mean()
+    assert result.by_name["anna"].similarity == pytest.approx(oks, abs=1e-9)
+    assert result.by_name["bert"].similarity == pytest.approx(1)
+    assert result.all.similarity == pytest.approx((4 * oks + 3) / 7)
+    assert (oks >= 0.5) == (result.by_name["anna"].found == 4)
+    assert result.worst[0].name == "anna" and result.worst[0].error == pytest.approx(5)
+
+
+def test_errors_of_keypoints_are_pixels(truth: ImageTruth) -> None:
+    def change(row: Record) -> Record:
+        row = moved((0.3, -0.4))(row)
+        if "keypoints" in row:
+            row["keypoints"][3 * 1] += 3  # the left eye, which is occluded
+            row["keypoints"][3 * 16 : 3 * 17] = [0, 0, 0]  # the right ankle was not found
+        return row
+
+    result = evaluate_images(truth, found(truth, change)).keypoints
+    assert result is not None and result.all.error is not None
+    far = float(np.hypot(3.3, 0.4))
+    assert result.all.error.visible == pytest.approx(0.5)
+    assert result.all.error.occluded == pytest.approx(far)
+    assert result.all.error.mean == pytest.approx((14 * 0.5 + far) / 15)
+    assert result.all.error.median == pytest.approx(0.5)
+    assert result.by_keypoint["left_eye"].bias == pytest.approx((3.3, -0.4))
+    assert result.by_keypoint["left_knee"].error == pytest.approx(0.5)
+    assert result.by_keypoint["nose"].error is None and result.by_keypoint["right_ankle"].bias is None
+
+
+def test_boxes_moved_by_known_pixels(truth: ImageTruth) -> None:
+    result = evaluate_images(truth, found(truth, moved((5, 0), "anna"))).boxes
+    assert result is not None
+    assert result.by_name["anna"].similarity == pytest.approx(15 / 25)  # widths: 15 in common of 25
+    assert result.all.similarity == pytest.approx((4 * 0.6 + 7) / 11)
+    worse = evaluate_images(truth, found(truth, moved((10, 0), "anna"))).boxes
+    assert worse is not None and worse.by_name["anna"].similarity == pytest.approx(1 / 3)
+    assert worse.by_name["anna"].found == 0 and worse.all.false == 4
+
+
+def test_masks_with_known_pixels(truth: ImageTruth) -> None:
+    half = np.zeros(SIZE[::-1], bool)
+    half[5:30, 5:25] = True  # of anna: 25 of 50 lines
+
+    def change(row: Record) -> Record | None:
+        if row["image_id"] == 10 and row["name"] == "bert":
+            return None
+        return row | ({"segmentation": encoded_mask(half)} if row["name"] == "anna" else {})
+
+    result = evaluate_images(truth, found(truth, change)).masks
+    assert result is not None
+    assert result.by_name["anna"].similarity == pytest.approx(0.5)
+    assert result.by_name["bert"].similarity == pytest.approx(2 / 3)  # missed in one of three images
+    assert result.by_name["crate"].similarity == pytest.approx(1)
+    assert result.by_camera["a"].similarity == pytest.approx((2 * 0.5 + 1 + 2) / 6)
+    assert result.worst[0].name == "bert" and result.worst[0].similarity == 0
+
+
+def test_labels_without_categories_are_compared_with_everything(truth: ImageTruth) -> None:
+    def change(row: Record) -> Record:
+        return {key: row[key] for key in ("image_id", "segmentation", "score", "name")}
+
+    result = evaluate_images(truth, found(truth, change))
+    assert set(result.kinds) == {"masks"} and result.masks is not None
+    assert result.masks.all.precision["ap"] == pytest.approx(1)
+    assert result.masks.all.found == 11 and result.masks.all.false == 0
+
+
+@pytest.mark.parametrize("kind", ["keypoints", "boxes", "masks"])
+def test_scores_are_those_of_pycocotools(truth: ImageTruth, kind: str) -> None:
+    random = np.random.default_rng(3)
+
+    def change(row: Record) -> Record | None:
+        if random.random() < 0.15:
+            return None
+        shift = random.normal(0, 2, 2)
+        row = moved((float(shift[0]), float(shift[1])))(row)
+        mask = np.zeros(SIZE[::-1], bool)
+        x, y, width, height = (max(0, round(value)) for value in row["bbox"])
+        mask[y : y + height, x : x + width] = True
+        return row | {"score": float(random.random()), "segmentation": encoded_mask(mask)}
+
+    estimate = found(truth, change)
+    scores = evaluate_images(truth, estimate).kinds[kind]
+    key, name = {
+        "keypoints": ("keypoints", "keypoints"),
+        "boxes": ("bbox", "bbox"),
+        "masks": ("segmentation", "segm"),
+    }[kind]
+    for camera in (None, "a", "b"):
+        with contextlib.redirect_stdout(io.StringIO()):
+            coco = COCO()
+            categories = [row for row in truth.categories if kind != "keypoints" or row["id"] == 1]
+            ids = {row["id"] for row in categories}
+            coco.dataset = {
+                "images": list(truth.images),
+                "annotations": [dict(row) for row in truth.annotations if row["category_id"] in ids],
+                "categories": categories,
+            }
+            coco.createIndex()
+            own = [dict(row) for row in estimate.results if key in row]
+            judge = COCOeval(coco, coco.loadRes(own), name)
+            if camera is not None:
+                judge.params.imgIds = [row["id"] for row in truth.images if row["camera"] == camera]
+            judge.evaluate()
+            judge.accumulate()
+            judge.summarize()
+        mine = (scores.all if camera is None else scores.by_camera[camera]).precision
+        expected = [None if value < 0 else value for value in judge.stats.tolist()]
+        assert list(mine.values()) == expected
+        assert 0.1 < mine["ap"] < 0.95
+
+
+def test_false_people_and_low_scores(truth: ImageTruth) -> None:
+    estimate = found(truth)
+    ghost = {"image_id": 11, "category_id": 1, "bbox": [0, 0, 4, 4], "score": 0.2}
+    with_ghost = Detections2D([*estimate.results, ghost], None, "estimate")
+    result = evaluate_images(truth, with_ghost).boxes
+    assert result is not None and result.all.false == 1 and result.by_camera["b"].false == 1
+    result = evaluate_images(truth, with_ghost, min_score=0.5).boxes
+    assert result is not None and result.all.false == 0
+
+
+def test_images_that_were_not_searched_do_not_count(truth: ImageTruth) -> None:
+    rows = [row for row in found(truth).results if row["image_id"] == 10]
+    assert evaluate_images(truth, Detections2D(rows, {10, 11}, "")).images == 2
+    result = evaluate_images(truth, Detections2D(rows, {10}, "")).boxes
+    assert result is not None and result.all.found == result.all.present == 3
+
+
+def test_what_cannot_be_compared(truth: ImageTruth) -> None:
+    def category(number: int) -> Callable[[Record], Record]:
+        return lambda row: row | {"category_id": number}
+
+    with pytest.raises(EvaluationError, match="category_id 7 is not in the truth, which has 1 person, 2 box"):
+        evaluate_images(truth, found(truth, category(7)))
+    with pytest.warns(HumansimWarning, match="category_id 7 .* 7 detections of others are left out"):
+        evaluate_images(
+            truth, found(truth, lambda row: row | {"category_id": 7} if row["category_id"] == 1 else row)
+        )
+    with pytest.raises(EvaluationError, match="none of its images"):
+        evaluate_images(truth, Detections2D(found(truth).results, {99}, ""))
+    with pytest.raises(EvaluationError, match="no detection in it"):
+        evaluate_images(truth, Detections2D([], {10}, ""))
+    h36m = ImageTruth(truth.images, truth.annotations, truth.categories, keypoint_set("h36m17"), "")
+    with pytest.raises(EvaluationError, match="h36m17 has no published OKS constants"):
+        evaluate_images(h36m, found(truth))

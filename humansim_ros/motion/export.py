@@ -21,7 +21,10 @@ from humansim_ros.types import Array
 
 SUFFIXES = (".bvh", ".npz", ".json")
 _CENTIMETRES = 100.0
-_ORDER = "ZXY"
+#: Order of the rotation channels, and others for joints that come near the gimbal lock of the first.
+_ORDERS = ("ZXY", "XZY", "XYZ")
+#: Least cosine of the middle angle: programs that compute with float32 lose digits below.
+_MIN_COSINE = 0.2
 
 
 @dataclass(frozen=True)
@@ -61,7 +64,8 @@ class PosedBones:
     def to_motion(self) -> Motion:
         """A motion for BVH: y up, facing +z, centimetres, in the rest pose of the skeleton.
 
-        Joints are the heads of the bones. End sites are the tails of the last bones.
+        Joints are the heads of the bones. End sites are the tails of the last bones. Rotations have the order
+        ZXY, or another one in joints that come near its gimbal lock.
         """
         skeleton = self.skeleton
         parents = skeleton.parents
@@ -69,11 +73,18 @@ class PosedBones:
         rotations = WORLD_FROM_BODY.T @ self.posed[..., :3, :3] @ np.swapaxes(rest, -1, -2)
         above = np.where((parents < 0)[:, None, None], np.eye(3), rotations[:, parents])
         local = Rotation.from_matrix((np.swapaxes(above, -1, -2) @ rotations).reshape(-1, 3, 3))
-        angles = local.as_euler(_ORDER, degrees=True).reshape(*rotations.shape[:2], 3)
+        matrices = local.as_matrix().reshape(rotations.shape)
+        orders = [_order(matrices[:, bone], along) for bone, along in enumerate(_directions(skeleton))]
+        angles = np.stack(
+            [
+                Rotation.from_matrix(matrices[:, bone]).as_euler(order, degrees=True)
+                for bone, order in enumerate(orders)
+            ],
+            axis=1,
+        )
         angles = np.unwrap(angles, 360.0, axis=0)
         positions = self.heads @ WORLD_FROM_BODY * _CENTIMETRES
 
-        rotation_channels = tuple(f"{axis}rotation" for axis in _ORDER)
         position_channels = ("Xposition", "Yposition", "Zposition")
         names: list[str] = []
         joint_parents: list[int] = []
@@ -83,6 +94,7 @@ class PosedBones:
         joint_of: dict[int, int] = {}
         for bone, parent in enumerate(parents.tolist()):
             joint_of[bone] = len(names)
+            rotation_channels = tuple(f"{axis}rotation" for axis in orders[bone])
             names.append(skeleton.names[bone])
             joint_parents.append(joint_of[parent] if parent >= 0 else -1)
             offsets.append(skeleton.heads[bone] - (skeleton.heads[parent] if parent >= 0 else 0.0))
@@ -101,6 +113,37 @@ class PosedBones:
             np.concatenate(values, axis=1),
             self.frame_time,
         )
+
+
+def _directions(skeleton: Skeleton) -> Array:
+    """Direction (B, 3) of each bone as programs draw it: to the mean of its children, or to its tail."""
+    ends = skeleton.tails.copy()
+    for bone in set(skeleton.parents.tolist()) - {-1}:
+        ends[bone] = skeleton.heads[skeleton.parents == bone].mean(axis=0)
+    return ends - skeleton.heads
+
+
+def _order(rotations: Array, along: Array) -> str:
+    """Order of the angles of a joint: the first that stays away from gimbal lock, else the best.
+
+    With the middle axis b and the outer axes a and c, the element (a, c) of a rotation is the sine of the middle
+    angle. Blender turns the rotations to the axes of the bone, whose y axis is along it, before it computes angles;
+    there the outer axes are exchanged.
+
+    ``rotations``: (N, 3, 3), from the rest pose. ``along``: (3,) direction of the bone at rest.
+    """
+    # one vector: the shortest rotation
+    to_bone = Rotation.align_vectors(along[None], [[0.0, 1.0, 0.0]])[0].as_matrix()
+    both = np.concatenate([rotations, to_bone.T @ rotations @ to_bone])
+
+    def cosine(order: str) -> float:
+        first, last = ("XYZ".index(order[place]) for place in (0, 2))
+        sine = np.abs(both[:, [first, last], [last, first]]).max()
+        return float(np.sqrt(max(0.0, 1.0 - sine**2)))
+
+    cosines = {order: cosine(order) for order in _ORDERS}
+    clear = (order for order, value in cosines.items() if value >= _MIN_COSINE)
+    return next(clear, max(cosines, key=cosines.__getitem__))
 
 
 def write_bones(path: str | os.PathLike[str], bones: PosedBones) -> None:

@@ -12,6 +12,7 @@ import typer
 from humansim_ros.cli.check import warn_about_mistakes
 from humansim_ros.cli.frame_progress import frame_progress, rate_text
 from humansim_ros.cli.output import print_error, print_text
+from humansim_ros.errors import ExportError
 from humansim_ros.ros.stop_signals import Stopped
 
 if TYPE_CHECKING:
@@ -36,7 +37,12 @@ def _print_formats(wanted: bool) -> None:
 
 
 def export(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder, which must not exist.")],
+    output: Annotated[
+        str,
+        typer.Option(
+            "--output", "-o", help="Folder, which must not exist; with --ray one that all hosts share."
+        ),
+    ],
     formats: Annotated[
         list[str],
         typer.Option("--format", help="Formats with commas between them, such as coco,mot; may be repeated."),
@@ -64,6 +70,16 @@ def export(
     resume: Annotated[
         bool, typer.Option("--resume", help="Continue an interrupted export; give the same options.")
     ] = False,
+    ray: Annotated[
+        str | None,
+        typer.Option(
+            help="Export on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT; local starts Ray here with "
+            "--jobs workers."
+        ),
+    ] = None,
+    shard_frames: Annotated[
+        int, typer.Option(help="Frames that a worker of Ray writes at a time.", min=1)
+    ] = 100,
     show_list: Annotated[
         bool,
         typer.Option("--list", help="List the formats and exit.", is_eager=True, callback=_print_formats),
@@ -74,14 +90,23 @@ def export(
     from humansim_ros.export.formats import chosen_formats
     from humansim_ros.export.plan import ExportPlan, parse_frames
     from humansim_ros.keypoints.sets import keypoint_set
+    from humansim_ros.record.output import is_url
     from humansim_ros.ros.processes import cores
 
+    if is_url(output):
+        raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")
     chosen = None if frames is None else parse_frames(frames)
     names = [word.strip() for text in formats for word in text.split(",") if word.strip()]
     rows = tuple(chosen_formats(names))
+    if ray is not None and scene is not None:
+        scene = scene.resolve()  # workers are in other folders
     source = _source(scene, rows, keypoint_set(keypoints).name)
     plan = ExportPlan.of(source, chosen, f".{images.value}", shard_size)
-    _export(Export(source, plan, output), output, jobs or cores(), resume)
+    job = Export(source, plan, Path(output) if ray is None else Path(output).resolve())
+    if ray is None:
+        _export(job, jobs or cores(), resume)
+    else:
+        _export_on_ray(job, ray, jobs, shard_frames, resume)
 
 
 def _source(path: Path | None, formats: tuple[ExportFormat, ...], keypoints: str) -> ExportSource:
@@ -101,11 +126,27 @@ def _source(path: Path | None, formats: tuple[ExportFormat, ...], keypoints: str
     return BagSource.read(path, formats, keypoints)
 
 
-def _export(job: Export, output: Path, jobs: int, resume: bool) -> None:
+def _export_on_ray(job: Export, address: str, jobs: int | None, shard_frames: int, resume: bool) -> None:
+    """Export with the workers of a Ray cluster."""
+    from humansim_ros.export.cluster import export_on_cluster
+
+    with frame_progress("exporting", job.cameras) as display:
+        try:
+            state = export_on_cluster(
+                job, address, workers=jobs, shard_frames=shard_frames, resume=resume, on_progress=display
+            )
+        except Stopped:
+            print_text(f"stopped; the same command with --resume writes what is missing in {job.root}")
+            raise
+    print_text(_summary(state, job))
+
+
+def _export(job: Export, jobs: int, resume: bool) -> None:
+    """Export with processes of this machine."""
     from humansim_ros.export.export import export
     from humansim_ros.record.workers import WorkerDiedError
 
-    done, total = 0, len(job.plan.frames)
+    done, total, output = 0, len(job.plan.frames), job.root
 
     def show(progress: FrameProgress) -> None:
         nonlocal done
@@ -122,16 +163,20 @@ def _export(job: Export, output: Path, jobs: int, resume: bool) -> None:
                 raise typer.Exit(1) from None
             print_text(f"stopped; {text}")
             raise
+    print_text(_summary(state, job))
+
+
+def _summary(state: FrameProgress, job: Export) -> str:
+    """Text after an export: rate, size, and the processor time of each step."""
     if not state.new:
-        print_text(f"{output}: all {total} frames are written already")
-        return
+        return f"{job.root}: all {len(job.plan.frames)} frames are written already"
+    text = f"wrote {job.root}: {state.done} frames, {rate_text(state, job.cameras)}"
+    if not state.costs:
+        return text
     units = state.new * max(job.cameras, 1)
     costs = ", ".join(f"{step} {1e3 * seconds / units:.1f}" for step, seconds in state.costs.items())
     unit = "camera-frame" if job.cameras else "frame"
-    print_text(
-        f"wrote {output}: {state.done} frames, {rate_text(state, job.cameras)}\n"
-        f"processor time in ms per {unit}: {costs}"
-    )
+    return f"{text}\nprocessor time in ms per {unit}: {costs}"
 
 
 #: Commands of this module by name.

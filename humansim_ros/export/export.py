@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import re
 import shutil
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
@@ -29,6 +31,8 @@ from humansim_ros.record.workers import FrameEncoding
 
 #: Largest file that a frame leaves for the files of the whole export, bytes.
 _MAX_RECORD = 1 << 30
+#: Names of files while :func:`~humansim_ros.io.files.atomic_path` writes them.
+_TEMPORARY_NAME = re.compile(r"\..+\.[a-z0-9_]{8}(\.[^.]*)?")
 #: Cameras of the scene, in the root of an export.
 CALIBRATION = "calibration.yaml"
 
@@ -65,6 +69,33 @@ class Export:
     def start(self) -> FrameExporter:
         """Load the renderer, or open the bag. Raises HumansimError if this machine cannot do it."""
         return FrameExporter(self)
+
+    def pending(self, resume: bool) -> tuple[Sequence[int] | None, FrameProgress]:
+        """Numbers of the frames that are not written, None if the export is complete; and its progress.
+
+        ``resume``: the export has begun.
+
+        Raises:
+            ExportError: The folder exists, or has another export.
+        """
+        frames, total = self.plan.frames, len(self.plan.frames)
+        if not resume:
+            if self.root.exists() or self.root.is_symlink():
+                text = "this path exists; choose another one, or continue with --resume"
+                raise ExportError(text, path=self.root)
+            return frames, FrameProgress(0, total, 0)
+        if self.plan.check_continues(self.root):
+            return None, FrameProgress(total, total, total)
+        left = [index for index in frames if not self.finished(index)]
+        return left, FrameProgress(total - len(left), total, total - len(left))
+
+    def begin(self) -> None:
+        """Make the folder, with the plan. Raises HumansimError if it cannot be made."""
+        ExportFolder(self.root).write(INDEX, self.plan.index())
+
+    def finish(self) -> None:
+        """Write the files of the whole export; all frames are written. Raises HumansimError."""
+        _finish(self)
 
     def finished(self, index: int) -> bool:
         """Whether a frame and all its files have been written.
@@ -192,22 +223,14 @@ def export(
         WorkerDiedError: A worker process has died.
         HumansimError: A frame cannot be rendered or read, or a file cannot be written: a full disk.
     """
-    root, plan = job.root, job.plan
-    total = len(plan.frames)
-    pending: Sequence[int] = plan.frames
-    if resume:
-        if plan.check_continues(root):
-            return FrameProgress(total, total, total)
-        pending = [index for index in plan.frames if not job.finished(index)]
-    elif root.exists() or root.is_symlink():
-        raise ExportError("this path exists; choose another one, or continue with --resume", path=root)
-    progress = FrameProgress(total - len(pending), total, total - len(pending))
+    pending, progress = job.pending(resume)
     if pending:
         with FrameEncoding(job, min(jobs, len(pending))) as encoding:
             if not resume:  # after the start of the encoder: without OpenGL no folder is made
-                ExportFolder(root).write(INDEX, plan.index())
+                job.begin()
             _write(job, encoding, pending, progress, on_progress)
-    _finish(job)
+    if pending is not None:
+        job.finish()
     return progress
 
 
@@ -228,6 +251,15 @@ def _write(
         on_progress(progress)
 
 
+def _remove_temporary_files(root: Path, files: Collection[str]) -> None:
+    """Remove files that processes were writing when they were killed. ``files``: those of the export."""
+    for folder, _, names in os.walk(root):
+        for name in names:
+            path = Path(folder) / name
+            if _TEMPORARY_NAME.fullmatch(name) and path.relative_to(root).as_posix() not in files:
+                path.unlink(missing_ok=True)
+
+
 def _finish(job: Export) -> None:
     """Write the files of the whole export, then the index, and remove the records of the frames."""
     folder, scene = ExportFolder(job.root), job.source.scene
@@ -239,6 +271,7 @@ def _finish(job: Export) -> None:
     files = dict(folder.written)
     for index in job.plan.frames:
         files |= job.files(index)
+    _remove_temporary_files(job.root, files)
     ExportFolder(job.root).write(
         INDEX,
         job.plan.index(

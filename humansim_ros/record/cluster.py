@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 from urllib.parse import urlsplit
 
 from humansim_ros import __version__
@@ -50,6 +50,11 @@ _ONE_CORE = {"LP_NUM_THREADS": "0", "OPENCV_FOR_THREADS_NUM": "1"}
 _PLAN = "recording.json"
 #: Most shards that an error lists.
 _MAX_LISTED = 5
+
+
+#: Part of a work on a cluster, and what a worker returns for it.
+_Work = TypeVar("_Work")
+_Result = TypeVar("_Result")
 
 
 class Encoder(Protocol):
@@ -194,6 +199,15 @@ def _encoder(content: _Content) -> Encoder:
     return content.recipe.encoder(content.cameras, content.bodies)
 
 
+def prepare_worker(version: str) -> None:
+    """Prepare the process of a task. Raises HumansimError if the driver has another version."""
+    if version != __version__:
+        message = f"has humansim_ros {__version__}, and the driver {version}: install the same everywhere"
+        raise HumansimError(f"{socket.gethostname()} {message}")
+    for name, value in _ONE_CORE.items():
+        os.environ.setdefault(name, value)
+
+
 def write_shard(recipe: Recipe, job: _Job) -> ShardResult:
     """Write a shard of a recipe and move it to the output; this runs in a worker.
 
@@ -202,11 +216,7 @@ def write_shard(recipe: Recipe, job: _Job) -> ShardResult:
             loaded or rendered there.
     """
     host, shard = socket.gethostname(), job.shard
-    if job.version != __version__:
-        message = f"has humansim_ros {__version__}, and the driver {job.version}: install the same everywhere"
-        raise HumansimError(f"{host} {message}")
-    for name, value in _ONE_CORE.items():
-        os.environ.setdefault(name, value)
+    prepare_worker(job.version)
     from humansim_ros.bags.mcap_file import McapFile
 
     with temporary_folder() as folder:
@@ -257,7 +267,7 @@ def record_on_cluster(
             shards could not be written, which the message lists. Those that are whole stay for ``resume``.
     """
     written = {recording.output: _written(recording, resume) for recording in recordings}
-    with _connected(address, workers) as ray:
+    with connected(address, workers) as ray:
         tasks = []
         for recording in recordings:
             recipe = ray.put(recording.recipe)  # once for all its tasks
@@ -269,14 +279,25 @@ def record_on_cluster(
         total = sum(shard.size for recording in recordings for shard in recording.shards)
         first = total - sum(job.shard.size for _, job in tasks)
         progress = FrameProgress(first, total, first)
-        results, failures = _run(ray, tasks, progress, on_progress)
+        results: dict[_Place, ShardResult] = {}
+        start = time.monotonic()
+
+        def add(job: _Job, result: ShardResult) -> None:
+            results[job.folder, job.name] = result
+            progress.done += job.shard.size
+            progress.size += result.size
+            progress.seconds = time.monotonic() - start
+            on_progress(progress)
+
+        failures = run_tasks(ray, write_shard, tasks, add)
     missing = [job for _, job in tasks if (job.folder, job.name) not in results]
     unwritten = {(job.folder, job.name) for job in missing}
     for recording in recordings:
         if unwritten.isdisjoint(map(recording.place, recording.shards)):
             _finish(recording, results)
     if missing:
-        raise BagError(_missing_text(missing, failures), path=missing[0].folder.url)
+        text = missing_text([job.name for job in missing], failures, "shards", "records")
+        raise BagError(text, path=missing[0].folder.url)
     return progress
 
 
@@ -318,51 +339,46 @@ def _begin(recording: ClusterRecording) -> None:
     recording.folder.write(_PLAN, recording.plan.encode())
 
 
-def _run(
+def run_tasks(
     ray: Any,
-    tasks: Sequence[tuple[Any, _Job]],
-    progress: FrameProgress,
-    on_progress: Callable[[FrameProgress], None],
-) -> tuple[dict[_Place, ShardResult], list[str]]:
-    """Run tasks. After a failure no task is begun.
+    function: Callable[[Any, _Work], _Result],
+    tasks: Sequence[tuple[Any, _Work]],
+    on_done: Callable[[_Work, _Result], None],
+) -> list[str]:
+    """Run a function on a cluster, once for each task. After a failure no task is begun.
 
     Args:
         ray: The module, connected.
-        tasks: References to recipes, and jobs.
-        progress: Is brought up to date.
-        on_progress: Is called with it after each shard.
+        function: Is called in a worker with a reference's value and the work.
+        tasks: References, and works; the text of a work names it in errors.
+        on_done: Is called with each work and its result.
 
     Returns:
-        Results by place, and the reasons of failures.
+        Reasons of failures.
     """
     options = {"max_retries": _RETRIES, "retry_exceptions": _RETRIED, "scheduling_strategy": "SPREAD"}
-    task = ray.remote(num_cpus=1, **options)(write_shard)
-    waiting, running = deque(tasks), dict[Any, _Job]()
-    results: dict[_Place, ShardResult] = {}
+    task = ray.remote(num_cpus=1, **options)(function)
+    waiting, running = deque(tasks), dict[Any, _Work]()
     failures: list[str] = []
-    start = time.monotonic()
     try:
         while running or (waiting and not failures):
             limit = _TASKS_PER_CORE * max(1, int(ray.cluster_resources().get("CPU", 1)))
             while waiting and not failures and len(running) < limit:
-                recipe, job = waiting.popleft()
-                running[task.remote(recipe, job)] = job
+                reference, work = waiting.popleft()
+                running[task.remote(reference, work)] = work
             ray.wait(list(running), num_returns=1)
             for done in ray.wait(list(running), num_returns=len(running), timeout=0)[0]:
-                job = running.pop(done)
+                work = running.pop(done)
                 try:
-                    results[job.folder, job.name] = result = ray.get(done)
+                    result = ray.get(done)
                 except ray.exceptions.RayError as error:
-                    failures.append(f"{job}: {_reason(error)}")
+                    failures.append(f"{work}: {_reason(error)}")
                 else:
-                    progress.done += job.shard.size
-                    progress.size += result.size
-                    progress.seconds = time.monotonic() - start
-                    on_progress(progress)
+                    on_done(work, result)
     finally:
         for reference in running:  # after Ctrl-C
             ray.cancel(reference, force=True)
-    return results, failures
+    return failures
 
 
 def _reason(error: Any) -> str:
@@ -374,13 +390,21 @@ def _reason(error: Any) -> str:
     return text if isinstance(cause, HumansimError) else f"{type(cause).__name__}: {text}"
 
 
-def _missing_text(missing: Sequence[_Job], failures: Sequence[str]) -> str:
-    names = ", ".join(job.name for job in missing[:_MAX_LISTED])
+def missing_text(missing: Sequence[str], failures: Sequence[str], what: str, does: str) -> str:
+    """Text of an error about parts that could not be written.
+
+    Args:
+        missing: Names of the parts.
+        failures: Reasons.
+        what: Kind of the parts, such as ``shards``.
+        does: What ``--resume`` does with them, such as ``records``.
+    """
+    names = ", ".join(missing[:_MAX_LISTED])
     more = f" and {len(missing) - _MAX_LISTED} more" if len(missing) > _MAX_LISTED else ""
     reasons = "; ".join(failures[:_MAX_LISTED])
     return (
-        f"{len(missing)} shards are missing ({names}{more}), after {1 + _RETRIES} attempts: {reasons}. "
-        "--resume records them, and keeps the others"
+        f"{len(missing)} {what} are missing ({names}{more}), after {1 + _RETRIES} attempts: {reasons}. "
+        f"--resume {does} them, and keeps the others"
     )
 
 
@@ -441,7 +465,7 @@ def _merge(recording: ClusterRecording) -> None:
 
 
 @contextmanager
-def _connected(address: str, workers: int | None) -> Iterator[Any]:
+def connected(address: str, workers: int | None) -> Iterator[Any]:
     """Ray, connected to a cluster, or to the one to which this process is connected already.
 
     Raises:

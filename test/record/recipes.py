@@ -1,4 +1,4 @@
-"""A recipe for shards that needs no scene and no OpenGL; what happens in its workers is said by files."""
+"""Work for a cluster: shards that need no scene and no OpenGL, and a scene whose workers die."""
 
 from __future__ import annotations
 
@@ -8,9 +8,12 @@ import signal
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from humansim_ros.bags.chunks import BagMessage, Chunk, encode_chunk
 from humansim_ros.bags.topics import BagTopic
+from humansim_ros.export.source import FrameReader, SimulatedSource
+from humansim_ros.scene import Frame
 
 CAMERAS = ("left", "right", "top")
 TOPICS = [BagTopic("/joints", "std_msgs/msg/Header")]
@@ -66,3 +69,31 @@ class Numbers:
         if (self.folder / f"broken_{index}").exists():
             raise ZeroDivisionError("no such number")
         return group(index, tuple(self.cameras), self.bodies)
+
+
+@dataclass(frozen=True)
+class DyingSource(SimulatedSource):
+    """A scene whose workers are killed once, before frame 4, if the file ``mark`` exists."""
+
+    mark: Path = Path()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.simulated, self.formats, self.keypoints, self.mark)
+
+    def open(self) -> FrameReader:
+        return _DyingFrames(super().open(), self.mark)
+
+
+@dataclass(frozen=True)
+class _DyingFrames:
+    frames: FrameReader
+    mark: Path
+
+    def frame(self, index: int) -> Frame:
+        if index == 4 and self.mark.exists():
+            self.mark.unlink()
+            os.kill(os.getpid(), signal.SIGKILL)
+        return self.frames.frame(index)
+
+    def close(self) -> None:
+        self.frames.close()

@@ -55,7 +55,7 @@ class ExportScene:
             title=scene.path.stem if scene.path else "scene",
             rate=scene.config.rate,
             cameras={
-                name: ExportCamera(camera.camera, camera.moves, camera.encoding)
+                name: ExportCamera(camera.camera, camera.moves or camera.drifts, camera.encoding)
                 for name, camera in scene.scene_cameras.items()
             },
             labels=scene.labels,

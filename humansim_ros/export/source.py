@@ -16,6 +16,7 @@ from humansim_ros.export.formats import ExportFormat, needed_channels
 from humansim_ros.export.scene import ExportScene
 from humansim_ros.render.context import OpenGLContext
 from humansim_ros.scene import Frame, Scene, Simulation
+from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.scene_hash import scene_hash
 
 
@@ -102,14 +103,30 @@ class SimulatedSource:
         return _SimulatedFrames(self.simulated, needed_channels(self.formats))
 
     def provenance(self, frames: range) -> dict[str, Any]:
-        """Scene, seeds and versions."""
+        """Scene, seeds, versions, and the faults of cameras that have any."""
         scene, config = self.simulated, self.simulated.config
-        return {
+        origin = {
             "scene_file": scene.path.name if scene.path else None,
             "scene": config.model_dump(mode="json", exclude_defaults=True),
             "seeds": dict(_seeds(config.model_dump(mode="json"), "")),
             "versions": versions(),
         }
+        faults = {
+            name: _faults(camera, frames) for name, camera in scene.scene_cameras.items() if camera.faults
+        }
+        return {**origin, "faults": faults} if faults else origin
+
+
+def _faults(camera: SceneCamera, frames: range) -> dict[str, Any]:
+    """What is wrong with each frame of a camera, whether its image is sent, and its published calibration."""
+    assert camera.faults is not None
+    published = camera.published_at(camera.pose(0.0))
+    of_frames = {index: camera.faults.at(index) for index in frames}
+    return {
+        "published_calibration": {key: getattr(published, key).tolist() for key in ("K", "R", "t")},
+        "lost": [index for index, faults in of_frames.items() if not faults.sent],
+        "frames": {str(index): dict(faults.kinds) for index, faults in of_frames.items() if faults.kinds},
+    }
 
 
 class _SimulatedFrames:

@@ -10,12 +10,14 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
 import pytest
 from conftest import ROOT
 from export_support import SCENE, exported, index_of, job, small_scene
 from waiting import PATIENCE
 
 from humansim_ros import HumansimError, Scene
+from humansim_ros.camera import load_calibration
 from humansim_ros.cli.main import main
 from humansim_ros.errors import ExportError
 from humansim_ros.export.export import export
@@ -55,6 +57,26 @@ def test_the_index_says_where_the_files_come_from(whole: Path) -> None:
     assert index["provenance"]["scene"]["humans"]["bert"]["motion"]["position"] == [0.8, 0.3]
     assert index["provenance"]["seeds"]["cameras.noisy.sensor.seed"] == 0
     assert set(index["provenance"]["versions"]) == {"humansim_ros", "python", "numpy", "opencv"}
+
+
+def test_the_index_tells_the_faults_of_each_frame_and_calibrations_stay_true(tmp_path: Path) -> None:
+    faults = {"drop": 0.5, "trigger_delay": 0.01, "calibration": {"translation": 0.1, "focal": 0.05}}
+    camera = {"size": [32, 24], "position": [3, 0, 1.5], "look_at": [0, 0, 1]}
+    cameras = {"left": {**camera, "faults": faults}, "right": camera}
+    made = Scene.from_dict({"room": None, "humans": {"anna": "child"}, "cameras": cameras})
+    root = exported(tmp_path / "out", "images", made, frames="3:13")
+    told = index_of(root)["provenance"]["faults"]
+    schedule = made.scene_cameras["left"].faults
+    assert schedule is not None and set(told) == {"left"}
+    assert told["left"]["frames"] == {str(index): schedule.at(index).kinds for index in range(3, 13)}
+    assert told["left"]["lost"] == [index for index in range(3, 13) if not schedule.at(index).sent]
+    assert 0 < len(told["left"]["lost"]) < 10
+    true = load_calibration(root / "calibration.yaml").cameras["left"]
+    np.testing.assert_allclose(true.P, made.cameras["left"].P)
+    published = told["left"]["published_calibration"]
+    centre = -np.array(published["R"]).T @ published["t"]
+    assert np.linalg.norm(centre - true.center) == pytest.approx(0.1, abs=1e-9)
+    assert abs(published["K"][0][0] / true.K[0, 0] - 1) == pytest.approx(0.05, abs=1e-9)
 
 
 class _InterruptionError(Exception):

@@ -286,9 +286,9 @@ def test_a_camera_of_which_nothing_is_recorded_is_not_rendered(
     monkeypatch.setattr(
         simulation,
         "capture",
-        lambda renderer, camera, exposure, channels, time: (
+        lambda renderer, camera, exposure, channels, time, faults: (
             rendered.append((camera.name, tuple(channels)))
-            or capture(renderer, camera, exposure, channels, time)
+            or capture(renderer, camera, exposure, channels, time, faults)
         ),
     )
     recorded(scene, tmp_path / "bag", "/noisy/depth/image", "/humans/*/joints")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from humansim_ros.cli.output import check_output, print_text, to_json
-from humansim_ros.errors import EvaluationError
+from humansim_ros.errors import EvaluationError, RenderError, warn_about
 from humansim_ros.io.files import atomic_path
 
 if TYPE_CHECKING:
@@ -147,10 +147,11 @@ def _poses(truth: Path, estimate: Sequence[str], keypoints: str | None, options:
     from humansim_ros.evaluate.html import html_report
     from humansim_ros.evaluate.names import read_names, set_of_names
     from humansim_ros.evaluate.offset import MAX_OFFSET
+    from humansim_ros.evaluate.pictures import ScenePictures
     from humansim_ros.evaluate.readers.estimates import read_estimates
     from humansim_ros.evaluate.readers.options import ReadOptions
     from humansim_ros.evaluate.report import show, to_data
-    from humansim_ros.evaluate.truth import SceneTruth
+    from humansim_ros.evaluate.truth import RecordedTruth, SceneTruth
     from humansim_ros.keypoints import keypoint_set
 
     late = _seconds(options.offset)
@@ -172,7 +173,19 @@ def _poses(truth: Path, estimate: Sequence[str], keypoints: str | None, options:
         gate=DEFAULT_GATE if options.gate is None else options.gate,
         offset=late,
     )
-    return _Result(show(result), to_data(result), lambda: html_report(result))
+
+    def page() -> str:
+        if isinstance(source, RecordedTruth):
+            return html_report(result)
+        opened = ScenePictures(source.scene) if isinstance(source, SceneTruth) else source.pictures()
+        try:
+            with closing(opened) as pictures:
+                return html_report(result, pictures)
+        except RenderError as error:
+            warn_about(truth, f"the report has no images: {error}")
+            return html_report(result)
+
+    return _Result(show(result), to_data(result), page)
 
 
 def _images(truth: Path, estimate: Sequence[str], keypoints: str | None, min_score: float | None) -> _Result:

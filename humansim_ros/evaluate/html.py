@@ -8,9 +8,17 @@ from itertools import pairwise
 
 import numpy as np
 
-from humansim_ros.evaluate.evaluation import Evaluation
+from humansim_ros.evaluate.evaluation import Evaluation, WorstPose
 from humansim_ros.evaluate.joint_pairs import body_joint
 from humansim_ros.evaluate.metrics import AUC_THRESHOLDS, pck
+from humansim_ros.evaluate.pictures import (
+    ESTIMATE_COLOR,
+    TRUTH_COLOR,
+    Pictures,
+    Shape,
+    draw_over,
+    jpeg_image,
+)
 from humansim_ros.evaluate.plots import bar_plot, line_plot, pose_plot
 from humansim_ros.evaluate.report import millimetres, percent, summary
 from humansim_ros.types import Array
@@ -32,8 +40,14 @@ _LINES = (
 )
 
 
-def html_report(evaluation: Evaluation) -> str:
-    """The page: tables, errors over time and by joint, PCK curve, people by frame, and the worst poses."""
+def html_report(evaluation: Evaluation, pictures: Pictures | None = None) -> str:
+    """The page: tables, errors over time and by joint, PCK curve, people by frame, and the worst poses.
+
+    ``pictures``: images that the worst poses are drawn over, too.
+
+    Raises:
+        HumansimError: An image cannot be rendered or read.
+    """
     e = evaluation
     parts = [
         '<div class="row">',
@@ -45,9 +59,12 @@ def html_report(evaluation: Evaluation) -> str:
         section("People", _people_table(e)),
         "</div>",
         "<h2>Worst poses</h2>",
-        "<p>From the front, and from above, in the colours of truth and estimate.</p>",
+        "<p>In the camera that shows most of the person, from the front, and from above, in the colours of "
+        "truth and estimate.</p>"
+        if pictures is not None
+        else "<p>From the front, and from above, in the colours of truth and estimate.</p>",
         '<div class="row">',
-        *_worst(e),
+        *_worst(e, pictures),
         "</div>",
     ]
     return page(e.truth, e.estimate, parts)
@@ -126,7 +143,7 @@ def _people_table(e: Evaluation) -> str:
     return table(("person", "found", "MPJPE", "PA-MPJPE", "PCP"), rows)
 
 
-def _worst(e: Evaluation) -> list[str]:
+def _worst(e: Evaluation, pictures: Pictures | None) -> list[str]:
     places = {body_joint(name): index for index, name in reversed(list(enumerate(e.joints)))}
     chains = [[places[name] for name in line.split() if name in places] for line in _LINES]
     edges = [pair for chain in chains for pair in pairwise(chain)]
@@ -135,5 +152,30 @@ def _worst(e: Evaluation) -> list[str]:
     for pose in e.worst:
         row = keys.index((pose.stamp, pose.person))
         title = f"{pose.person} at {pose.stamp * 1e-9:.3f} s: {millimetres(pose.error)}"
-        sections.append(section(title, pose_plot(e.matches.truth[row], e.matches.estimate[row], edges)))
+        truth, estimate = e.matches.truth[row], e.matches.estimate[row]
+        over = "" if pictures is None else _over_image(pictures, pose, truth, estimate, edges)
+        sections.append(section(title, over + pose_plot(truth, estimate, edges)))
     return sections
+
+
+def _over_image(
+    pictures: Pictures, pose: WorstPose, truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]
+) -> str:
+    """A pose drawn over the image of the camera that shows most of it; "" if no camera shows it."""
+    best, found = (0, 0.0), ""
+    pixels: dict[str, tuple[Array, Array]] = {}
+    for name, camera in pictures.cameras(pose.stamp).items():
+        pixels[name] = camera.project(truth)[0], camera.project(estimate)[0]  # NaN stays NaN
+        own = pixels[name][0]
+        inside = own[((own > -0.5) & (own < np.array(camera.size) - 0.5)).all(axis=1)]
+        if len(inside) and (value := (len(inside), float(np.ptp(inside, axis=0).max()))) > best:
+            best, found = value, name
+    image = pictures.image(pose.stamp, found) if found else None
+    if image is None:
+        return ""
+    shapes = [
+        Shape(color, points, edges)
+        for color, points in zip((TRUTH_COLOR, ESTIMATE_COLOR), pixels[found], strict=True)
+    ]
+    title = escape(f"{pose.person} in {found}")
+    return f"<p>{escape(found)}</p>{jpeg_image(draw_over(image, shapes), title)}<br>"

@@ -113,7 +113,8 @@ class ExportTruth:
 
     def pictures(self) -> ExportPictures:
         """Images of the export."""
-        return ExportPictures(self.folder, self._document["images"] if _COCO in self._files else ())
+        rows = self._document["images"] if _COCO in self._files else ()
+        return ExportPictures(self.folder, rows, self.period)
 
     @cached_property
     def _document(self) -> dict[str, Any]:
@@ -148,11 +149,25 @@ class ExportTruth:
 
 
 class ExportPictures:
-    """Colour images of an export. ``folder``: its folder. ``rows``: images of its COCO file; may be empty."""
+    """Colour images of an export.
 
-    def __init__(self, folder: Path, rows: Sequence[dict[str, Any]]) -> None:
-        self._folder = folder
-        self._rows = {(row["camera"], row["stamp"]): row for row in rows}
+    Stamps of 3D files are rounded: an image is that of a stamp if it is the nearest.
+
+    Args:
+        folder: Folder of the export.
+        rows: Images of its COCO file; may be empty.
+        period: Nanoseconds between frames.
+    """
+
+    def __init__(self, folder: Path, rows: Sequence[dict[str, Any]], period: int) -> None:
+        self._folder, self._period = folder, period
+        self._rows: dict[int, dict[str, dict[str, Any]]] = {}
+        for row in rows:
+            self._rows.setdefault(row["stamp"], {})[row["camera"]] = row
+
+    def _at(self, stamp: int) -> dict[str, dict[str, Any]]:
+        nearest = min(self._rows, key=lambda each: abs(each - stamp), default=stamp)
+        return self._rows.get(nearest, {}) if abs(nearest - stamp) <= self._period // 2 else {}
 
     def cameras(self, stamp: int) -> dict[str, Camera]:
         """Cameras with an image at a stamp, as the COCO file has them."""
@@ -165,13 +180,12 @@ class ExportPictures:
                 tuple(row["distortion"]),
                 row["distortion_model"],
             )
-            for (name, time), row in self._rows.items()
-            if time == stamp
+            for name, row in self._at(stamp).items()
         }
 
     def image(self, stamp: int, camera: str) -> Image | None:
         """Image of a camera at a stamp; None if there is none. Raises HumansimError for a damaged file."""
-        row = self._rows.get((camera, stamp))
+        row = self._at(stamp).get(camera)
         if row is None:
             return None
         path = self._folder / "images" / row["file_name"]

@@ -21,7 +21,7 @@ humans:
   anna: {motion: walk}
   bert: {motion: {file: wave, position: [1, 1.5]}}
 cameras:
-  front: {position: [4, 0, 1.5], look_at: [0, 0, 1]}
+  front: {size: [160, 120], position: [4, 0, 1.5], look_at: [0, 0, 1]}
 """
 
 
@@ -54,7 +54,8 @@ def test_table_and_json(
     output = tmp_path / "result.json"
     given = ("--truth", files / "scene.yaml", "--estimate", files / "good.csv", "--json", output)
     assert run(monkeypatch, *given, "--report", tmp_path / "report.html") == 0
-    assert (tmp_path / "report.html").read_text().startswith("<!DOCTYPE html>")
+    page = (tmp_path / "report.html").read_text()
+    assert page.startswith("<!DOCTYPE html>") and page.count("<p>front</p><img ") == 10
     table = capsys.readouterr().out
     for text in ("MPJPE", "10.0 mm", "IDF1", "100.0 %", "PCP, upper arms", "l_knee", "anna"):
         assert text in table

@@ -10,12 +10,32 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from evaluate_support import NAMES, changed, walking
+from numpy.typing import NDArray
 
+from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.evaluate.evaluation import evaluate_poses
 from humansim_ros.evaluate.html import html_report
+from humansim_ros.evaluate.pictures import ESTIMATE_COLOR, TRUTH_COLOR, Shape, draw_over
 from humansim_ros.evaluate.plots import bar_plot, line_plot, pose_plot
 from humansim_ros.types import Array
+
+
+class Grey:
+    """A grey image of the camera ``front``, and one of ``away``, which sees nobody."""
+
+    def cameras(self, stamp: int) -> dict[str, Camera]:
+        return {
+            "away": Camera.look_at((50, 0, 1), (60, 0, 1)),
+            "front": Camera.look_at((8, 1, 1.5), (0, 1, 1)),
+        }
+
+    def image(self, stamp: int, camera: str) -> NDArray[np.uint8]:
+        assert camera == "front"
+        return np.full((480, 640, 3), 100, np.uint8)
+
+    def close(self) -> None:
+        pass
 
 
 class Balanced(HTMLParser):
@@ -26,7 +46,7 @@ class Balanced(HTMLParser):
         self.open: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: object) -> None:
-        if tag not in ("meta", "br"):
+        if tag not in ("meta", "br", "img"):
             self.open.append(tag)
 
     def handle_endtag(self, tag: str) -> None:
@@ -51,6 +71,55 @@ def test_the_report_is_one_page_with_everything() -> None:
         assert text in page
     for svg in re.findall(r"<svg.*?</svg>", page):
         ElementTree.fromstring(svg)
+
+
+def test_the_worst_poses_are_drawn_over_images() -> None:
+    truth = walking()
+    page = html_report(evaluate_poses(truth, changed(truth, damaged)), Grey())
+    parser = Balanced()
+    parser.feed(page)
+    assert parser.open == [] and page.count("<img ") == page.count("<p>front</p>") == 10
+    assert not re.findall(r'(?:src|href)="(?!data:image/jpeg;base64,)|url\(|@import|<script', page)
+    assert len(page) < 1 << 20
+    without = html_report(evaluate_poses(truth, changed(truth, damaged)))
+    assert "<img " not in without
+
+
+def test_a_point_is_drawn_where_it_is() -> None:
+    image = np.zeros((100, 200, 3), np.uint8)
+    truth, estimate = np.array([[60.0, 40], [60, 60], [np.nan, np.nan]]), np.array([[80.0, 40], [80, 60]])
+    box = Shape((9, 200, 9), np.zeros((0, 2)), box=np.array([50.5, 30.5, 40, 40]))
+    drawn = draw_over(
+        image, [Shape(TRUTH_COLOR, truth, [(0, 1), (1, 2)]), Shape(ESTIMATE_COLOR, estimate), box]
+    )
+    # the section is 14 pixels (35 % of 40) around x = 50 to 90 and y = 30 to 70: 36 to 104, 16 to 84
+    assert drawn.shape == (480, 480, 3)
+    scale = 480 / 69
+    for (x, y), color in (
+        ((60, 40), TRUTH_COLOR),
+        ((60, 50), TRUTH_COLOR),
+        ((80, 60), ESTIMATE_COLOR),
+        ((80, 50), (0, 0, 0)),
+        ((50, 45), (9, 200, 9)),
+    ):
+        pixel = drawn[round((y - 16 + 0.5) * scale - 0.5), round((x - 36 + 0.5) * scale - 0.5)]
+        assert pixel.tolist() == list(color), (x, y)
+
+
+def test_masks_are_drawn_as_outlines_and_grey_images_in_colours() -> None:
+    mask = np.zeros((100, 200), bool)
+    mask[20:60, 100:140] = True
+    drawn = draw_over(np.zeros((100, 200), np.uint8), [Shape(TRUTH_COLOR, np.zeros((0, 2)), mask=mask)])
+    colored = (drawn == np.array(TRUTH_COLOR)).all(axis=2)
+    rows, columns = np.nonzero(colored)
+    assert 0.01 < colored.mean() < 0.1
+    inner = drawn[(rows.min() + rows.max()) // 2, (columns.min() + columns.max()) // 2]
+    assert inner.tolist() == [0, 0, 0]
+
+
+def test_nothing_in_the_image_shows_the_whole_image() -> None:
+    drawn = draw_over(np.zeros((100, 200, 3), np.uint8), [Shape(TRUTH_COLOR, np.array([[500.0, 40]]))])
+    assert drawn.shape == (240, 480, 3)
 
 
 def test_names_cannot_be_code() -> None:

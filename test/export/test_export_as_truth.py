@@ -128,9 +128,11 @@ def test_keypoints_and_masks_may_be_two_files(run: Run) -> None:
 
 
 @pytest.mark.parametrize(("estimate", "people"), [("set/trc", 2), ("set/trc/anna.trc", 1)])
-def test_poses_of_an_export(run: Run, estimate: str, people: int) -> None:
-    code, result, text = run("set", estimate)
+def test_poses_of_an_export(run: Run, tmp_path: Path, estimate: str, people: int) -> None:
+    page = tmp_path / "report.html"
+    code, result, text = run("set", estimate, "--report", str(page))
     assert code == 0, text
+    assert page.read_text().count("<img ") == 2 * people
     assert result["frames"]["compared"] == 2 and result["people"]["found"] == 2 * people
     assert result["position"]["worst"] == 0 and len(result["by_joint"]) == 17
 

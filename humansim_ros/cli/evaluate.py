@@ -143,6 +143,7 @@ def _open_truth(path: Path) -> SceneTruth | RecordedTruth | ExportTruth:
 
 def _poses(truth: Path, estimate: Sequence[str], keypoints: str | None, options: _PoseOptions) -> _Result:
     """Compare 3D poses."""
+    from humansim_ros.evaluate.camera_counts import with_camera_counts
     from humansim_ros.evaluate.evaluation import DEFAULT_GATE, evaluate_poses
     from humansim_ros.evaluate.html import html_report
     from humansim_ros.evaluate.names import read_names, set_of_names
@@ -173,6 +174,8 @@ def _poses(truth: Path, estimate: Sequence[str], keypoints: str | None, options:
         gate=DEFAULT_GATE if options.gate is None else options.gate,
         offset=late,
     )
+    if isinstance(source, SceneTruth):
+        result = with_camera_counts(result, source.scene)
 
     def page() -> str:
         if isinstance(source, RecordedTruth):

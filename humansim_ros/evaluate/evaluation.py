@@ -139,6 +139,14 @@ class PersonScore:
 
 
 @dataclass(frozen=True)
+class CameraCountScore:
+    """Joints of people who were found that are in the images of some number of cameras: number, metres."""
+
+    joints: int
+    mpjpe: float | None
+
+
+@dataclass(frozen=True)
 class WorstPose:
     """A pose of those with the greatest mean error: stamp in nanoseconds, person, error in metres."""
 
@@ -173,10 +181,11 @@ class Matches:
 class Evaluation:
     """Result of a comparison. Lengths are metres, times seconds, shares 0 to 1; docs/evaluation.md.
 
-    ``tracking`` is None if the estimate has no identities, or nobody is in it; ``live`` is None for files.
-    The fields from ``matches`` on are for plots, and not in JSON: stamps of the compared frames (N,), their
-    numbers of people found, missed and false (N, 3), errors of all matches (M, C), the same with inf for
-    joints that the estimate lacks, and the number of joints of missed people.
+    ``by_cameras`` has errors by the number of cameras that have a joint in their image, if the truth is a
+    scene. ``tracking`` is None if the estimate has no identities, or nobody is in it; ``live`` is None for
+    files. The fields from ``matches`` to ``missed_joints`` are for plots, and not in JSON: stamps of the
+    compared frames (N,), their numbers of people found, missed and false (N, 3), errors of all matches (M,
+    C), the same with inf for joints that the estimate lacks, and the number of joints of missed people.
     """
 
     truth: str
@@ -201,6 +210,7 @@ class Evaluation:
     errors: Array = field(repr=False)
     counted_errors: Array = field(repr=False)
     missed_joints: int = field(repr=False)
+    by_cameras: dict[str, CameraCountScore] = field(default_factory=dict)
 
 
 def evaluate_poses(

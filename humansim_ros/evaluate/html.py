@@ -20,7 +20,7 @@ from humansim_ros.evaluate.pictures import (
     jpeg_image,
 )
 from humansim_ros.evaluate.plots import bar_plot, line_plot, pose_plot
-from humansim_ros.evaluate.report import millimetres, percent, summary
+from humansim_ros.evaluate.report import camera_count_rows, millimetres, percent, summary
 from humansim_ros.types import Array
 
 _STYLE = """
@@ -57,6 +57,10 @@ def html_report(evaluation: Evaluation, pictures: Pictures | None = None) -> str
         section("Share of correct joints (PCK) by threshold", _pck_curve(e)),
         section("People by frame", _people_over_time(e)),
         section("People", _people_table(e)),
+        section(
+            "Error by number of cameras with the joint in their image",
+            table(("cameras", "joints", "MPJPE"), camera_count_rows(e)) if e.by_cameras else "",
+        ),
         "</div>",
         "<h2>Worst poses</h2>",
         "<p>In the camera that shows most of the person, from the front, and from above, in the colours of "

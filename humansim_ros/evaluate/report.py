@@ -98,6 +98,12 @@ def _timing_rows(timing: Timing) -> Iterator[tuple[str, str, str]]:
     yield "live", "repeated, out of order", f"{timing.duplicates}, {timing.out_of_order} messages"
 
 
+def camera_count_rows(evaluation: Evaluation) -> Iterator[tuple[str, str, str]]:
+    """Rows of errors by number of cameras: number, joints, error."""
+    for count, score in evaluation.by_cameras.items():
+        yield count, str(score.joints), millimetres(score.mpjpe)
+
+
 def show(evaluation: Evaluation) -> str:
     """Tables for a terminal: the metrics, joints and people."""
     from rich import box
@@ -133,4 +139,9 @@ def show(evaluation: Evaluation) -> str:
                 per_second("m/s")(person.velocity),
             )
         console.print(people)
+        if evaluation.by_cameras:
+            cameras = Table("cameras", "joints", "MPJPE", box=box.SIMPLE, pad_edge=False)
+            for row in camera_count_rows(evaluation):
+                cameras.add_row(*row)
+            console.print(cameras)
     return "\n".join(line.rstrip() for line in capture.get().splitlines()).strip("\n")

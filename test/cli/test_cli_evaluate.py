@@ -63,6 +63,7 @@ def test_table_and_json(
     assert data["position"]["mpjpe"] == pytest.approx(0.01, abs=1e-6)
     assert data["by_person"]["bert"]["found"] == data["frames"]["compared"] == 31
     assert data["by_joint"]["l_knee"]["bias"] == pytest.approx([0, 0, 0.01], abs=1e-6)
+    assert data["by_cameras"]["1"]["mpjpe"] == pytest.approx(0.01, abs=1e-6)
     assert "matches" not in data and data["version"] == 1
 
 

@@ -14,7 +14,9 @@ from humansim_ros import Scene
 from humansim_ros.bags.chunks import BagMessage, encode_chunk
 from humansim_ros.bags.topics import BagTopic, message_types
 from humansim_ros.bags.writer import BagWriter
+from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import BagError, EvaluationError, HumansimWarning
+from humansim_ros.evaluate.camera_counts import camera_counts, with_camera_counts
 from humansim_ros.evaluate.evaluation import evaluate_poses
 from humansim_ros.evaluate.names import set_of_names
 from humansim_ros.evaluate.readers.bag_topics import read_bag_topic
@@ -70,6 +72,46 @@ def test_keypoints_of_a_scene_are_those_of_its_frames(scene: Scene, name: str) -
             truth.people[1][person][truth.names.index("left_knee")],
             state.positions[state.joint_names.index("l_knee")],
         )
+
+
+def test_errors_by_the_number_of_cameras(tmp_path: Path) -> None:
+    """One camera sees the whole person, a second one the legs; a third one flies around."""
+    Trajectory.orbit((0, 0, 1), radius=2.0, height=0.6, period=1.0).write(tmp_path / "way.txt")
+    cameras = {
+        "whole": {"size": [100, 100], "position": [9, 0, 1], "look_at": [0, 0, 1]},
+        "legs": {"size": [100, 60], "position": [3, 0, 0.4], "look_at": [0, 0, 0.4]},
+        "drone": {"size": [60, 40], "fov_deg": 60, "trajectory": str(tmp_path / "way.txt")},
+    }
+    scene = Scene.from_dict(SCENE | {"cameras": cameras})
+    truth = scene_truth(scene, (FIRST_STAMP, FIRST_STAMP + 4 * PERIOD))
+    truth = changed(truth, lambda frame, person, joints: joints if person == "bert" else None)
+    worse = changed(truth, lambda frame, person, joints: joints + np.array([0, 0, 0.01 * (1 + frame)]))
+    result = with_camera_counts(evaluate_poses(truth, worse), scene)
+    errors: dict[int, list[float]] = {}
+    for frame, (time, people) in enumerate(zip(truth.times.tolist(), truth.people, strict=True)):
+        placed = [
+            camera.camera_at(camera.pose((time - FIRST_STAMP) * 1e-9))
+            for camera in scene.scene_cameras.values()
+        ]
+        for joint in people["bert"]:
+            count = 0
+            for camera in placed:
+                optical = camera.R @ joint + camera.t
+                x, y, w = camera.K @ optical
+                width, height = camera.size
+                count += (
+                    w > 0
+                    and abs(x / w + 0.5 - width / 2) < width / 2
+                    and (abs(y / w + 0.5 - height / 2) < height / 2)
+                )
+            errors.setdefault(count, []).append(0.01 * (1 + frame))
+    assert len(errors) >= 3
+    assert {int(count): score.joints for count, score in result.by_cameras.items()} == {
+        count: len(own) for count, own in errors.items()
+    }
+    for count, own in errors.items():
+        assert result.by_cameras[str(count)].mpjpe == pytest.approx(np.mean(own))
+    assert camera_counts(scene, truth.times[:1], np.full((1, 2, 3), np.nan)).tolist() == [[0, 0]]
 
 
 def test_the_set_of_an_estimate_is_found_by_its_names() -> None:

@@ -18,6 +18,7 @@ from humansim_ros import Scene, Simulation
 
 FRAMES = 60
 SCENE = {
+    "room": None,  # cameras are where its walls would be
     "humans": {
         "anna": {"body": "adult_woman", "motion": {"file": "walk"}},
         "ben": {"body": "child", "motion": {"file": "wave", "position": [0.5, 1.0], "yaw_deg": 40}},

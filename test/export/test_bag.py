@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import resource
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,7 @@ import ros_support  # noqa: F401  # skips without ROS
 import yaml
 from export_support import SCENE, index_of, job, small_scene
 
-from humansim_ros import HumansimWarning, Scene
+from humansim_ros import HumansimError, HumansimWarning, Scene
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.cli.main import main
@@ -137,6 +138,27 @@ def test_interruptions_and_processes_do_not_change_the_files(tmp_path: Path, bag
     assert not index_of(root)["finished"]
     state = export(made, jobs=2, resume=True)
     assert (state.first, state.new) == (2, 2)
+    assert content(root) == content(tmp_path / "whole")
+
+
+@pytest.mark.parametrize(
+    ("limit", "file"), [(4_000, "images/noisy/000000.png"), (100_000, "webdataset/shard-000000.tar")]
+)
+def test_a_full_disk_leaves_whole_files_of_a_bag(limit: int, file: str, tmp_path: Path, bag: Path) -> None:
+    """While frames are written, and while their samples are joined to a shard."""
+    formats = "images,webdataset"
+    export(bag_job(tmp_path / "whole", bag, formats))
+    root = tmp_path / "out"
+    made = bag_job(root, bag, formats)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))
+    try:
+        with pytest.raises(HumansimError, match=f"{file}: cannot be written: File too large"):
+            export(made)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not (root / file).exists()
+    export(made, resume=True)
     assert content(root) == content(tmp_path / "whole")
 
 

@@ -1,13 +1,12 @@
-"""Support of the ROS tests: a separate ROS domain, a client that collects messages by stamp, and all nodes in
-lockstep.
+"""Support of the ROS tests: a separate ROS domain, a client that collects messages by stamp, and a player
+whose frames a test plays. Tests of whole scenes use ``SceneGraph`` of humansim_ros.testing.
 """
 
 from __future__ import annotations
 
 import os
 from collections import Counter, defaultdict
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -131,63 +130,3 @@ class Lockstep:
         assert tick is not None and tick.dropped == 0
         self._player.playing.send_tick(tick)
         return int(tick.stamp)
-
-
-@contextmanager
-def whole_flow(
-    scene: Path,
-    namespace: str,
-    topics: Mapping[Any, Sequence[str]],
-    frames: int,
-    with_next: Collection[str] = (),
-    with_previous: Collection[str] = (),
-) -> Iterator[Client]:
-    """Run a player, a skinner and a camera of a scene in lockstep, and yield a client with complete frames.
-
-    Args:
-        scene: Scene file.
-        namespace: ROS namespace of the nodes.
-        topics: Topics of a complete frame, by message type.
-        frames: Number of complete frames.
-        with_next: Topics that need the next frame, such as forward flow, and are published with it.
-        with_previous: Topics that need the previous frame.
-    """
-    from rclpy.parameter import Parameter
-
-    from humansim_ros.ros.nodes.camera import CameraNode
-    from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
-    from humansim_ros.ros.nodes.skinner import SkinnerNode
-
-    given = [Parameter("scene", value=str(scene))]
-    nodes = [
-        kind(parameter_overrides=given, namespace=namespace)
-        for kind in (MotionPlayerNode, SkinnerNode, CameraNode)
-    ]
-    lockstep = Lockstep(nodes[0])
-    client = Client(f"client_of_{namespace}")
-    for node in nodes:
-        client.executor.add_node(node)
-    for message, names in topics.items():
-        client.subscribe(message, names)
-    client.spin_until_matched(*nodes)
-    stamps: list[int] = []
-
-    def missing() -> list[str]:
-        first, last = stamps[0], stamps[-1]
-        return [
-            f"{topic} at {stamp}"
-            for stamp in stamps
-            for names in topics.values()
-            for topic in names
-            if not ((stamp == first and topic in with_previous) or (stamp == last and topic in with_next))
-            and stamp not in client.received[topic]
-        ]
-
-    for _ in range(frames + 2 if with_next or with_previous else frames):
-        stamps.append(lockstep.play())
-        assert client.spin_until(lambda: not missing()), missing()
-    yield client
-    for node in nodes:
-        node.close()
-        node.destroy_node()
-    client.close()

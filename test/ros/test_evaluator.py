@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import Client, deliver, rclpy
+from ros_support import Client, deliver
 from waiting import PATIENCE
 
 from humansim_ros import Scene
@@ -72,13 +72,6 @@ class Tracker:
             self._frames += 1
             if self._answers(self._frames):
                 self.poses.publish(joints_message(stamp, frame))
-
-
-@pytest.fixture
-def ros() -> Iterator[None]:
-    rclpy.init()
-    yield
-    rclpy.shutdown()
 
 
 def make_evaluator(**parameters: Any) -> Any:

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import Client, whole_flow
+from ros_support import write_scene
 
 from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
 from humansim_ros.ros import messages
 from humansim_ros.scene import Scene, Simulation
+from humansim_ros.testing import SceneGraph
 from humansim_ros.truth.joints import OCCLUDED, VISIBLE
 
 #: A box passes in front of a person in front of a crate; its position gives the scene time.
@@ -45,30 +46,22 @@ CHANNELS = (*IMAGES.values(), "alpha", "amodal")
 
 @pytest.fixture(scope="module")
 def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    from sensor_msgs.msg import Image, MultiDOFJointState, PointCloud2
-    from visualization_msgs.msg import Marker
-
     folder = tmp_path_factory.mktemp("labels")
     (folder / "moves.xml").write_text(MOVES)
-    (folder / "scene.yaml").write_text(SCENE)
-    images = [*IMAGES, *(f"{kind}/{name}/image" for kind in ("alpha", "amodal") for name in NUMBERS)]
-    topics = {
-        Marker: ["/labels/objects/box/marker"],
-        Image: [f"/labels/left/{topic}" for topic in images],
-        PointCloud2: [
-            f"/labels/left/{topic}" for topic in ("joints", "boxes", "visible_vertices", "keypoints/halpe26")
-        ],
-        MultiDOFJointState: ["/labels/humans/anna/keypoints/halpe26"],
-    }
-    with whole_flow(folder / "scene.yaml", "labels", topics, frames=3) as client:
-        simulation = Simulation(Scene.load(folder / "scene.yaml"), CHANNELS)
-        stamps = client.common_stamps()[-3:]
-        yield SimpleNamespace(client=client, stamps=stamps, simulation=simulation)
-        simulation.close()
+    scene = Scene.load(write_scene(folder, SCENE))
+    of_left = [*IMAGES, *(f"{kind}/{name}/image" for kind in ("alpha", "amodal") for name in NUMBERS)]
+    of_left += ["joints", "boxes", "visible_vertices", "keypoints/halpe26"]
+    others = ("objects/box/marker", "humans/anna/keypoints/halpe26")
+    with SceneGraph(scene, namespace="labels") as graph, Simulation(scene, CHANNELS) as simulation:
+        received = {
+            topic: graph.subscribe(topic) for topic in (*others, *(f"left/{name}" for name in of_left))
+        }
+        stamps = graph.play(3)
+        yield SimpleNamespace(graph=graph, received=received, stamps=stamps, simulation=simulation)
 
 
 def message_at(flow: Any, topic: str, stamp: int) -> Any:
-    return flow.client.received[f"/labels/{topic}"][stamp]
+    return flow.received[topic].at(stamp)
 
 
 def frame_of(flow: Any, stamp: int) -> Any:
@@ -143,21 +136,8 @@ def test_keypoints_equal_those_of_simulation(flow: Any) -> None:
 
 
 def test_legends_name_the_labels_of_humans_and_objects(flow: Any) -> None:
-    from std_msgs.msg import String
-
-    from humansim_ros.ros.qos import LATCHED
-
-    late = Client("late")
-    topics = [f"/labels/left/{kind}/legend" for kind in ("instance", "joints", "keypoints")]
-    late.subscribe(String, topics, LATCHED)
-
-    def both() -> bool:
-        flow.client.executor.spin_once(timeout_sec=0.0)
-        return len(late.received) == 3
-
-    assert late.spin_until(both)
-    instance, joints, keypoints = (json.loads(late.received[topic][0].data) for topic in topics)
-    late.close()
+    topics = [f"left/{kind}/legend" for kind in ("instance", "joints", "keypoints")]
+    instance, joints, keypoints = (json.loads(flow.graph.wait_for(topic).data) for topic in topics)
     assert instance == {"0": "background"} | {str(number): name for name, number in NUMBERS.items()}
     assert joints["human"] == keypoints["human"] == {"1": "anna"}
     assert keypoints["joint"]["halpe26"] == list(keypoint_set("halpe26").names)

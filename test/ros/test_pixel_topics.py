@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from ros_support import whole_flow, write_scene
+from ros_support import write_scene
 
 from humansim_ros.render import ALL_CHANNELS, CHANNELS
 from humansim_ros.render.channels import CHANNEL_TABLE, comparing_with
 from humansim_ros.ros import messages
 from humansim_ros.scene import Scene, Simulation
+from humansim_ros.testing import SceneGraph
 
 SCENE = """
 rate: 4
@@ -41,31 +42,26 @@ CLOUDS = ("joints", "boxes", "visible_vertices")
 
 @pytest.fixture(scope="module")
 def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    from sensor_msgs.msg import Image, PointCloud2
-    from visualization_msgs.msg import Marker
-
     folder = tmp_path_factory.mktemp("detail")
     (folder / "moves.xml").write_text(MOVES)
-    scene = write_scene(folder, SCENE)
+    scene = Scene.load(write_scene(folder, SCENE))
     topics = {c: f"/detail/left/{CHANNEL_TABLE[c].topic.format(body='anna')}" for c in DETAILS}
-    subscriptions = {
-        Marker: ["/detail/objects/box/marker"],
-        Image: list(topics.values()),
-        PointCloud2: [f"/detail/left/{kind}" for kind in CLOUDS],
-    }
-    forward = [topics[channel] for channel in comparing_with("next_frame")]
-    backward = [topics[channel] for channel in comparing_with("previous_frame")]
-    with whole_flow(scene, "detail", subscriptions, 4, forward, backward) as client:
-        simulation = Simulation(Scene.load(scene), ALL_CHANNELS)
-        yield SimpleNamespace(
-            received=client.received, stamps=client.common_stamps(), topics=topics, simulation=simulation
-        )
-        simulation.close()
+    others = ("/detail/objects/box/marker", *(f"/detail/left/{kind}" for kind in CLOUDS))
+    # the first and the last frame lack them, or have them later
+    compared = {topics[c] for which in ("next_frame", "previous_frame") for c in comparing_with(which)}
+    with SceneGraph(scene, namespace="detail") as graph, Simulation(scene, ALL_CHANNELS) as simulation:
+        received = {
+            topic: graph.subscribe(topic, every_frame=topic not in compared)
+            for topic in (*topics.values(), *others)
+        }
+        stamps = graph.play(6)[1:-1]
+        graph.spin_until(lambda: all(set(stamps) <= set(each.stamps) for each in received.values()))
+        yield SimpleNamespace(received=received, stamps=stamps, topics=topics, simulation=simulation)
 
 
 def index_of(flow: Any, stamp: int) -> float:
     """Index of the frame with a stamp: the box moves a metre a second."""
-    marker = flow.received["/detail/objects/box/marker"][stamp]
+    marker = flow.received["/detail/objects/box/marker"].at(stamp)
     return float((messages.read_object(marker).position[1] + 1) * 4)
 
 
@@ -79,7 +75,7 @@ def test_a_topic_has_the_channel_of_simulation(flow: Any, channel: str) -> None:
         if isinstance(truth, dict):
             (truth,) = truth.values()
             truth = truth if truth.dtype == np.uint8 else truth * np.uint8(255)
-        message = flow.received[flow.topics[channel]][stamp]
+        message = flow.received[flow.topics[channel]].at(stamp)
         assert message.encoding == CHANNEL_TABLE[channel].encoding
         assert message.step == message.width * truth.itemsize * (truth.shape[2] if truth.ndim == 3 else 1)
         image = np.frombuffer(message.data, DTYPES[message.encoding]).reshape(truth.shape)
@@ -92,7 +88,7 @@ def test_a_topic_has_the_channel_of_simulation(flow: Any, channel: str) -> None:
 def test_joints_boxes_and_vertices_are_those_of_simulation(flow: Any) -> None:
     for stamp in flow.stamps:
         frame = flow.simulation.frame(round(index_of(flow, stamp)))
-        joints, boxes, vertices = (flow.received[f"/detail/left/{kind}"][stamp] for kind in CLOUDS)
+        joints, boxes, vertices = (flow.received[f"/detail/left/{kind}"].at(stamp) for kind in CLOUDS)
         published, truth = messages.read_joint_view(joints), frame.joints["left"]["anna"]
         assert (
             np.mean((published["visible"] == truth.visible) & (published["occluder"] == truth.occluder)) > 0.9

@@ -56,9 +56,10 @@ class ExpandedMesh:
 class MaterialBuffers:
     """Texture and material of a mesh on the device."""
 
-    def __init__(self, ctx: moderngl.Context, mesh: Mesh) -> None:
+    def __init__(self, ctx: moderngl.Context, mesh: Mesh, texture: moderngl.Texture | None = None) -> None:
+        """``texture``: that of another mesh with the same image and without material; a new one if None."""
         self.material = material = mesh.material
-        self.texture = _texture(ctx, mesh.texture, mesh.skin)
+        self.texture = texture or _texture(ctx, mesh.texture, mesh.skin)
         self._maps: dict[str, moderngl.Texture] = {}
         if material is not None:
             alpha = None if material.alpha_map is None else material.alpha_map[..., None].repeat(3, axis=2)
@@ -70,6 +71,24 @@ class MaterialBuffers:
             }
             for one in (self.texture, *self._maps.values()):
                 one.repeat_x, one.repeat_y = material.wrap
+
+    @classmethod
+    def of_meshes(cls, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> list[MaterialBuffers]:
+        """Materials of several meshes; those with the same image share its texture."""
+        made: list[MaterialBuffers] = []
+        shared: dict[tuple[int, int], moderngl.Texture] = {}
+        for mesh in meshes:
+            key = id(mesh.texture), id(mesh.skin)
+            # a material says how its texture repeats, so that it has a texture of its own
+            made.append(cls(ctx, mesh, shared.get(key) if mesh.material is None else None))
+            if mesh.material is None:
+                shared[key] = made[-1].texture
+        return made
+
+    @staticmethod
+    def matter(program: moderngl.Program) -> bool:
+        """Whether a program draws different materials differently."""
+        return any(name in program for name in ("surface", "has_material", "opacity"))
 
     @property
     def blends(self) -> bool:
@@ -147,6 +166,8 @@ class TriangleBuffers:
             run for run, use in zip(zip(materials, starts, counts, strict=True), chosen, strict=True) if use
         ]
         runs = [run for run in runs if run[2]]
+        if eye is None and not MaterialBuffers.matter(program):
+            runs = _joined(runs)
         index = self._index
         if eye is not None:
             index, runs = self._farthest_first(runs, eye)
@@ -176,6 +197,17 @@ class TriangleBuffers:
             for start, end in zip(starts, ends, strict=True)
         ]
         return self._ctx.buffer(np.ascontiguousarray(corners[selected]).tobytes()), new
+
+
+def _joined(runs: Sequence[tuple[MaterialBuffers, int, int]]) -> list[tuple[MaterialBuffers, int, int]]:
+    """Runs of triangles; those that follow each other become one, because calls of OpenGL take long."""
+    out: list[tuple[MaterialBuffers, int, int]] = []
+    for material, first, count in runs:
+        if out and out[-1][1] + out[-1][2] == first:
+            out[-1] = (out[-1][0], out[-1][1], out[-1][2] + count)
+        else:
+            out.append((material, first, count))
+    return out
 
 
 def _texture(

@@ -27,7 +27,7 @@ class StaticScene:
 
     def __init__(self, ctx: moderngl.Context, meshes: Sequence[Mesh]) -> None:
         self._ctx = ctx
-        self._materials = [MaterialBuffers(ctx, mesh) for mesh in meshes]
+        self._materials = MaterialBuffers.of_meshes(ctx, meshes)
         attributes: list[Float32Array] = [np.zeros((0, 11), np.float32)]
         corners: list[NDArray[Any]] = [np.zeros((0, 3), np.int32)]
         first = 0

@@ -136,6 +136,13 @@ def test_a_part_is_the_bone_with_the_largest_weight_at_the_corners() -> None:
     assert triangle_parts(np.array([[0, 1, 2], [0, 1, 3], [3, 3, 3]]), weights).tolist() == [1, 0, 2]
 
 
+def test_the_heaviest_bones_of_large_meshes_are_those_of_scipy() -> None:
+    rng = np.random.default_rng(4)
+    # few different weights, so that many rows have two largest ones; more rows than a block
+    weights = csr_matrix(rng.integers(0, 3, (40_000, 5)) / 2)
+    assert np.array_equal(dominant_bones(weights), np.asarray(weights.argmax(axis=1)).ravel())
+
+
 def walking_error(rule: RigRule) -> Array:
     """Distances (frames, V) in metres between vertices with weights of a rule and of the artists."""
     man = load_human(ROOT / "assets" / "humans" / "adult_man.npz")

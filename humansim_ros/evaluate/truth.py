@@ -78,12 +78,32 @@ def scene_truth(
     Raises:
         EvaluationError: The scene has nobody whose motion it knows, or the span is beyond any scene.
     """
+    first, last = frames_of(scene, span, around)
+    times = np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
+    return truth_at(scene, times, FIRST_STAMP + times, keypoints)
+
+
+def truth_at(
+    scene: Scene,
+    times: NDArray[np.int64],
+    stamps: NDArray[np.int64],
+    keypoints: KeypointSet | None = None,
+) -> PoseSequence:
+    """Joints or keypoints of all humans of a scene at some times.
+
+    Args:
+        scene: The scene.
+        times: (F,) times of the scene, nanoseconds.
+        stamps: (F,) stamps of these frames, nanoseconds.
+        keypoints: Set of keypoints in place of the joints.
+
+    Raises:
+        EvaluationError: The scene has nobody whose motion it knows.
+    """
     live = [name for name, actor in scene.actors.items() if actor.motion.motion.path == LIVE]
     if live or not scene.actors:
         reason = f"{live[0]} is moved live" if live else "there are no people in it"
         raise EvaluationError(f"{reason}: record a bag, and give it as truth", path=scene.path, key="--truth")
-    first, last = frames_of(scene, span, around)
-    times = np.array([scene.frame_time(index) for index in range(first, last + 1)], np.int64)
     if keypoints is None:
         paths = {name: np.concatenate(list(_paths(scene, name, times))) for name in scene.actors}
         joints = {name: actor.human.skeleton.joint_names for name, actor in scene.actors.items()}
@@ -96,7 +116,7 @@ def scene_truth(
         wide[:, [names.index(joint) for joint in joints[person]]] = path
         paths[person] = wide
     people = [{name: path[frame] for name, path in paths.items()} for frame in range(len(times))]
-    return PoseSequence(names, FIRST_STAMP + times, people, source=str(scene.path or "the scene"))
+    return PoseSequence(names, stamps, people, source=str(scene.path or "the scene"))
 
 
 def frames_of(scene: Scene, span: tuple[int, int], around: float) -> tuple[int, int]:

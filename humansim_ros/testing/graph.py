@@ -16,6 +16,7 @@ from std_msgs.msg import Header
 
 from humansim_ros.errors import RosError
 from humansim_ros.ros.bag_qos import subscription_profile
+from humansim_ros.ros.in_process import InProcessNodes
 from humansim_ros.ros.message_types import message_type
 from humansim_ros.ros.messages import header, to_nanoseconds
 from humansim_ros.ros.processes import relative_namespace
@@ -24,7 +25,7 @@ from humansim_ros.ros.topics import scene_topics
 from humansim_ros.scene import Scene
 from humansim_ros.testing.domain import running_rclpy
 from humansim_ros.testing.received import ReceivedMessages, stamp_of
-from humansim_ros.testing.scene_nodes import InProcessNodes, NodeProcesses
+from humansim_ros.testing.scene_nodes import NEVER, NodeProcesses
 from humansim_ros.testing.waiting import patience
 
 #: Node that subscribes for the test, and that frames wait for.
@@ -263,7 +264,8 @@ class SceneGraph:
             assert self.scene.path is not None
             self._running = NodeProcesses(self.scene.path, self._namespace, _NODE)
         else:
-            self._running = InProcessNodes(self.scene, self._namespace, _NODE)
+            player = {"mode": "lockstep", "wait_for": [_NODE], "timeout": NEVER, "clock_search": 0.0}
+            self._running = InProcessNodes(self.scene, self._namespace, player)
         for node in self._running.nodes:
             self.add_node(node)
 

@@ -134,6 +134,10 @@ class EvaluationError(HumansimError):
     """A truth and an estimate cannot be read or compared."""
 
 
+class ChallengeError(HumansimError):
+    """A suite of challenges, a tracker or a report is wrong."""
+
+
 def warn_about(path: str | os.PathLike[str], message: str) -> None:
     """Issue a HumansimWarning about a file that is usable but doubtful."""
     warnings.warn(f"{os.fspath(path)}: {message}", HumansimWarning, stacklevel=3)

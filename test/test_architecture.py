@@ -21,6 +21,7 @@ PACKAGE = ROOT / "humansim_ros"
 LAYERS = (
     ("testing",),
     ("cli",),
+    ("challenge",),
     ("export",),
     ("record",),
     ("ros",),

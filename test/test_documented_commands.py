@@ -37,6 +37,7 @@ PARSED |= {
     ("motion", "render"),
     ("bench",),
     ("evaluate",),
+    ("challenge",),
     ("record",),
     ("export",),
     ("play",),

@@ -14,6 +14,7 @@ import typer
 
 from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.cli.bench import bench
+from humansim_ros.cli.challenge import challenge
 from humansim_ros.cli.check import check, warn_about_mistakes
 from humansim_ros.cli.evaluate import evaluate
 from humansim_ros.cli.export import export
@@ -286,6 +287,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "export": export,
     "play": play,
     "evaluate": evaluate,
+    "challenge": challenge,
 }
 
 

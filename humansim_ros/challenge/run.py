@@ -1,0 +1,286 @@
+"""Run a tracker through a suite, case by case, and keep what is finished."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from humansim_ros.challenge.results import RESULTS, CaseResult, Report
+from humansim_ros.challenge.suite import Case, Suite
+from humansim_ros.challenge.tracker import TrackerProcess, command_words
+from humansim_ros.errors import ChallengeError
+from humansim_ros.io.files import atomic_path
+from humansim_ros.keypoints import keypoint_set
+from humansim_ros.ros.domain import claim_domain, domain_environment
+
+#: Folder of the scenes and of the output of the tracker in a report.
+CASES = "cases"
+#: Seconds between two looks at the processes.
+_LOOK_EVERY = 0.05
+#: Seconds that a case may take beside its frames, and that the nodes may take to end.
+_BESIDE, _END_WITHIN = 60.0, 20.0
+#: Seconds from the death of a tracker to the end of its case: its last messages arrive.
+_AFTER_DEATH = 0.3
+
+
+@dataclass(frozen=True)
+class ChallengeOptions:
+    """How a tracker is run.
+
+    Attributes:
+        tracker: Command line.
+        topic: Topic of its estimate.
+        keypoints: Keypoint set of its estimate; None: as its names say.
+        timeout: Seconds that a frame waits for it.
+        start_within: Seconds until it must publish its topic.
+        is_realtime: Frames follow the wall clock.
+        is_quick: The short form of the suite.
+    """
+
+    tracker: str
+    topic: str = "/tracker/poses"
+    keypoints: str | None = None
+    timeout: float = 10.0
+    start_within: float = 20.0
+    is_realtime: bool = False
+    is_quick: bool = False
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Everything but the command."""
+        return {key: value for key, value in asdict(self).items() if key != "tracker"}
+
+
+def open_report(suite: Suite, options: ChallengeOptions, folder: Path, resume: bool) -> Report:
+    """The report of a folder: a new one, or an earlier one to go on with.
+
+    Args:
+        suite: The suite.
+        options: How the tracker is run.
+        folder: Folder of the report, which is made.
+        resume: Keep the results that are there.
+
+    Raises:
+        HumansimError: The folder has results, and they are of something else, or nobody wants to go on.
+    """
+    if options.keypoints is not None:
+        keypoint_set(options.keypoints)
+    new = Report.of_suite(suite, options.tracker, options.settings)
+    if not (folder / RESULTS).exists():
+        _make_folder(folder / CASES)
+        return new
+    if not resume:
+        raise ChallengeError(
+            "the folder has results: give --resume to keep them and go on, or another folder", path=folder
+        )
+    old = Report.read(folder)
+    for what, was, wanted in (
+        ("tracker", old.tracker, new.tracker),
+        ("suite", old.suite, new.suite),
+        ("settings", dict(old.settings), dict(new.settings)),
+    ):
+        if was != wanted:
+            raise ChallengeError(
+                f"these are results of another {what} ({was}, not {wanted}): give another folder", path=folder
+            )
+    _make_folder(folder / CASES)
+    return replace(new, results=old.results)
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as reason:
+        raise ChallengeError(f"cannot be made: {reason.strerror or reason}", path=folder) from None
+
+
+def run_challenge(
+    suite: Suite,
+    options: ChallengeOptions,
+    report: Report,
+    folder: Path,
+    on_result: Callable[[CaseResult], object],
+) -> None:
+    """Run all cases that have no result yet; results are written after each case.
+
+    Args:
+        suite: The suite.
+        options: How the tracker is run.
+        report: Gets the results.
+        folder: Folder of the report.
+        on_result: Called with each new result.
+
+    Raises:
+        HumansimError: The tracker cannot be started or fails without a difficulty, or a file cannot be
+            written. What was finished is in the folder.
+    """
+    command_words(options.tracker, {})
+    with CaseProcess(folder / CASES / "nodes.log") as nodes:
+        for case in suite.cases:
+            if case.name in report.results:
+                continue
+            result = run_case(case, options, folder / CASES, nodes)
+            if not case.strength and result.failure:
+                raise ChallengeError(
+                    f"the tracker fails already without a difficulty: {result.failure}. Its output is in "
+                    f"{folder / CASES / case.name}.log",
+                    key="--tracker",
+                )
+            report.results[case.name] = result
+            report.write(folder)
+            on_result(result)
+
+
+class CaseProcess:
+    """The process with the nodes of all cases; it is started again if it hangs. A context manager.
+
+    Args:
+        log: File for its output.
+    """
+
+    def __init__(self, log: Path) -> None:
+        self._log = log
+        self._process: subprocess.Popen[bytes] | None = None
+        domain = os.environ.get("ROS_DOMAIN_ID", "")
+        self.domain = int(domain) if domain.isdecimal() else claim_domain()
+
+    def __enter__(self) -> CaseProcess:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._process is not None:
+            self._kill()
+
+    def _kill(self) -> None:
+        assert self._process is not None
+        self._process.kill()
+        self._process.wait()
+        self._process = None
+
+    def start(self) -> None:
+        """Start the process unless it runs."""
+        if self._process is not None and self._process.poll() is None:
+            return
+        with _writing(self._log), self._log.open("ab") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "humansim_ros.ros.challenge_case"],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                env={**os.environ, **domain_environment(self.domain)},
+                start_new_session=True,
+            )
+
+    def send(self, line: str) -> None:
+        """Send a line; a process that has ended is noticed by :meth:`answer`."""
+        assert self._process is not None and self._process.stdin is not None
+        with suppress(BrokenPipeError):
+            self._process.stdin.write(line.encode() + b"\n")
+            self._process.stdin.flush()
+
+    def answer(self, wait: float) -> dict[str, Any] | None:
+        """The answer to a case; None if there is none within ``wait`` seconds.
+
+        Raises:
+            ChallengeError: The process has ended.
+        """
+        assert self._process is not None and self._process.stdout is not None
+        if not select.select([self._process.stdout], [], [], wait)[0]:
+            return None
+        line = self._process.stdout.readline()
+        if not line:
+            raise ChallengeError(f"the nodes of the case have ended with an error; see {self._log}")
+        answer = json.loads(line)
+        if "error" in answer:
+            raise ChallengeError(answer["error"])
+        return dict(answer)
+
+    def restart(self) -> None:
+        """Give the process up."""
+        if self._process is not None:
+            self._kill()
+
+
+def run_case(case: Case, options: ChallengeOptions, folder: Path, nodes: CaseProcess) -> CaseResult:
+    """Run the tracker in one case. A tracker that fails is a result.
+
+    Args:
+        case: The case.
+        options: How the tracker is run.
+        folder: Folder for its scene and its output.
+        nodes: The process with its nodes.
+
+    Raises:
+        HumansimError: The tracker cannot be started, or a file cannot be written.
+    """
+    scene = folder / f"{case.name}.yaml"
+    with atomic_path(scene) as temporary:
+        content = case.scene.model_dump(mode="json", exclude_unset=True)
+        temporary.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
+    values = {"cameras": ",".join(case.scene.cameras), "topic": options.topic, "scene": str(scene.resolve())}
+    words = command_words(options.tracker, values)
+    patience = options.timeout if case.patience is None else min(case.patience, options.timeout)
+    order = {
+        "scene": str(scene.resolve()),
+        "domain": nodes.domain,
+        "topic": options.topic,
+        "frames": case.frames,
+        "patience": patience,
+        "start_within": options.start_within,
+        "is_realtime": options.is_realtime,
+        "keypoints": options.keypoints,
+    }
+    nodes.start()
+    log = folder / f"{case.name}.log"
+    with _writing(log):
+        tracker = TrackerProcess(words, domain_environment(nodes.domain), log)
+    with tracker:
+        nodes.send(json.dumps(order))
+        limit = time.monotonic() + _BESIDE + options.start_within + case.frames * patience
+        answer, failure = _wait(nodes, tracker, limit)
+    known = {field.name for field in fields(CaseResult)}
+    found: Mapping[str, Any] = {key: value for key, value in (answer or {}).items() if key in known}
+    if failure:
+        found = {**found, "failure": failure}
+    elif found.get("failure") and tracker.output_tail:
+        found = {**found, "failure": f"{found['failure']} (its last output: {tracker.output_tail})"}
+    return CaseResult(**{**found, "axis": case.axis, "strength": case.strength, "label": case.label})
+
+
+def _wait(nodes: CaseProcess, tracker: TrackerProcess, limit: float) -> tuple[dict[str, Any] | None, str]:
+    """Wait for the end of a case: its answer, and why it ended early."""
+    failure = ""
+    while not failure:
+        if (answer := nodes.answer(_LOOK_EVERY)) is not None:
+            return answer, ""
+        if failure := tracker.death:
+            time.sleep(_AFTER_DEATH)
+        elif tracker.is_too_talkative:
+            failure = "the tracker prints more than a megabyte"
+        elif time.monotonic() > limit:
+            failure = "the case took too long: the tracker is too slow or hangs"
+    nodes.send("stop")
+    answer = nodes.answer(_END_WITHIN)
+    if answer is None:
+        nodes.restart()
+    return answer, failure
+
+
+@contextmanager
+def _writing(path: Path) -> Iterator[None]:
+    """Convert errors of the system about a file to ChallengeError."""
+    try:
+        yield
+    except OSError as reason:
+        raise ChallengeError(f"cannot be written: {reason.strerror or reason}", path=path) from None

@@ -26,8 +26,8 @@ from humansim_ros.scene import Scene
 #: Share of dropped frames, and seconds in a row that have it, from which a warning is logged: a camera that
 #: prepares its first frame delays the others for up to two seconds.
 _MAX_LOST, _LATE_AFTER = 0.05, 5
-#: Seconds between two looks for simulated time that has not started.
-_CLOCK_CHECK_EVERY = 5.0
+#: Seconds between two looks for simulated time that has not started: a busy machine starts a suite in five.
+_CLOCK_CHECK_EVERY = 10.0
 
 
 class SuiteNode(GuardedNode):

@@ -13,7 +13,8 @@ WIDTH, HEIGHT = 640, 240
 _LEFT, _RIGHT, _TOP, _BOTTOM = 56, 12, 14, 34
 #: Colours that people with colour blindness tell apart, of Okabe and Ito.
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
-_TICKS = 5
+#: Most intervals between the ticks of an axis.
+_INTERVALS = 5
 #: Points of a line; more are not seen on a screen.
 _MOST_POINTS = 1000
 
@@ -84,18 +85,29 @@ def pose_plot(truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]) -
 def _axes(span: tuple[float, float], highest: float, x_label: str, y_label: str) -> str:
     bottom, right = HEIGHT - _BOTTOM, WIDTH - _RIGHT
     shapes = []
-    for share in np.linspace(0, 1, _TICKS).tolist():
-        y = bottom - share * (bottom - _TOP)
-        x = _LEFT + share * (right - _LEFT)
+    for value in _ticks(0.0, highest):
+        y = bottom - value / highest * (bottom - _TOP)
         shapes.append(f'<line x1="{_LEFT}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}" stroke="#cdd1d7"/>')
-        shapes.append(f'<text x="{_LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{share * highest:.3g}</text>')
-        value = span[0] + share * (span[1] - span[0])
-        shapes.append(f'<text x="{x:.1f}" y="{bottom + 14}" text-anchor="middle">{value:.4g}</text>')
+        shapes.append(f'<text x="{_LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>')
+    for value in _ticks(*span):
+        x = _LEFT + (value - span[0]) / ((span[1] - span[0]) or 1.0) * (right - _LEFT)
+        shapes.append(f'<text x="{x:.1f}" y="{bottom + 14}" text-anchor="middle">{value:g}</text>')
     middle = (_LEFT + right) / 2
     shapes.append(f'<text x="{middle}" y="{HEIGHT - 4}" text-anchor="middle">{escape(x_label)}</text>')
     place = f'transform="translate(12 {HEIGHT / 2}) rotate(-90)"'
     shapes.append(f'<text {place} text-anchor="middle">{escape(y_label)}</text>')
     return "".join(shapes)
+
+
+def _ticks(low: float, high: float) -> list[float]:
+    """Round numbers from low to high: multiples of 1, 2 or 5 times a power of ten, six at most."""
+    if not high > low:
+        return [low]
+    power = 10.0 ** np.floor(np.log10((high - low) / _INTERVALS))
+    step = next(power * factor for factor in (1, 2, 5, 10) if power * factor * _INTERVALS >= high - low)
+    first, last = np.ceil(low / step - 1e-9) + 0.0, np.floor(high / step + 1e-9)
+    # rounded: a product such as 3 * 0.1 has a wrong last digit
+    return [float(f"{number * step:.12g}") for number in np.arange(first, last + 1).tolist()]
 
 
 def _pixels(x: Array, y: Array, span: tuple[float, float], highest: float) -> Array:

@@ -17,7 +17,7 @@ from humansim_ros.errors import HumansimWarning
 from humansim_ros.evaluate.evaluation import evaluate_poses
 from humansim_ros.evaluate.html import html_report
 from humansim_ros.evaluate.pictures import ESTIMATE_COLOR, TRUTH_COLOR, Shape, draw_over
-from humansim_ros.evaluate.plots import bar_plot, line_plot, pose_plot
+from humansim_ros.evaluate.plots import _ticks, bar_plot, line_plot, pose_plot
 from humansim_ros.types import Array
 
 
@@ -157,3 +157,17 @@ def test_a_drawn_pose_leaves_out_absent_joints() -> None:
     svg = ElementTree.fromstring(pose_plot(pose, other, [(0, 2), (2, 4)]))
     tags = [each.tag.rpartition("}")[2] for each in svg.iter()]
     assert tags.count("circle") == 2 * (2 * len(NAMES) - 1) and tags.count("line") == 2 * 3
+
+
+@pytest.mark.parametrize(
+    ("span", "ticks"),
+    [
+        ((0, 18.4), [0, 5, 10, 15]),
+        ((0, 2.967), [0, 1, 2]),
+        ((-0.2, 0.31), [-0.2, 0, 0.2]),
+        ((0, 0.3), [0, 0.1, 0.2, 0.3]),
+        ((3, 3), [3]),
+    ],
+)
+def test_axes_have_round_numbers(span: tuple[float, float], ticks: list[float]) -> None:
+    assert [str(tick) for tick in _ticks(*map(float, span))] == [str(float(tick)) for tick in ticks]

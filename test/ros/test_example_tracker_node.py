@@ -12,7 +12,7 @@ from conftest import ROOT
 from geometry_msgs.msg import Quaternion, TransformStamped
 from rclpy.parameter import Parameter
 from ros_support import Client, write_scene
-from sensor_msgs.msg import CameraInfo, MultiDOFJointState
+from sensor_msgs.msg import CameraInfo, Image, MultiDOFJointState
 
 from humansim_ros import Scene
 from humansim_ros.camera import Trajectory
@@ -22,6 +22,7 @@ from humansim_ros.ros.nodes.skinner import SkinnerNode
 
 sys.path.insert(0, str(ROOT / "examples" / "tracker"))
 
+from mediapipe_detector import MediaPipeDetector
 from node import TrackerNode, camera_of, image_size
 from truth_detector import TruthDetector
 
@@ -114,3 +115,37 @@ def test_calibrations_that_cannot_be_used_are_refused(wrong: dict[str, Any]) -> 
     camera_of(CameraInfo(**good), message.transform)
     with pytest.raises(ValueError, match=r"lens model|not finite"):
         camera_of(CameraInfo(**{**good, **wrong}), message.transform)
+
+
+class SeenPeople:
+    """Stands in for MediaPipe: one person, and the image that was given."""
+
+    def __init__(self) -> None:
+        self.image = np.zeros(0)
+
+    def find(self, camera: str, image: Any) -> list[list[list[float]]]:
+        self.image = image
+        return [[[float(joint), 2.0 * joint, 0.49 if joint % 2 else 0.5] for joint in range(33)]]
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "bgr8"])
+def test_mediapipe_gets_rgb_images_and_gives_joints_that_it_sees(encoding: str) -> None:
+    pixels = np.random.default_rng(0).integers(0, 256, (4, 5, 3), dtype=np.uint8)
+    rows = np.pad(pixels.reshape(4, 15), ((0, 0), (0, 3)))  # with bytes that fill the rows
+    message = Image(height=4, width=5, step=18, encoding=encoding, data=rows.tobytes())
+    people = SeenPeople()
+    found = MediaPipeDetector(people).detect("left", message, (5, 4))
+    np.testing.assert_array_equal(people.image, pixels if encoding == "rgb8" else pixels[..., ::-1])
+    assert found.shape == (1, 33, 2)
+    np.testing.assert_array_equal(found[0, ::2], [[joint, 2 * joint] for joint in range(0, 33, 2)])
+    assert np.isnan(found[0, 1::2]).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [({"encoding": "mono8"}, "rgb8 or bgr8"), ({"step": 12}, "bytes"), ({"height": 9}, "bytes")],
+)
+def test_images_that_mediapipe_cannot_take_are_refused(change: dict[str, Any], problem: str) -> None:
+    message = Image(**{"height": 4, "width": 5, "step": 15, "encoding": "rgb8", "data": bytes(60), **change})
+    with pytest.raises(ValueError, match=problem):
+        MediaPipeDetector(SeenPeople()).detect("left", message, (5, 4))

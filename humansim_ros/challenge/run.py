@@ -30,6 +30,8 @@ CASES = "cases"
 _LOOK_EVERY = 0.05
 #: Seconds that a case may take beside its frames, and that the nodes may take to end.
 _BESIDE, _END_WITHIN = 60.0, 20.0
+#: Least patience with a tracker in a case with a patience of its own, in multiples of its time for a frame.
+_TIMES_LATENCY = 4.0
 #: Seconds from the death of a tracker to the end of its case: its last messages arrive.
 _AFTER_DEATH = 0.3
 
@@ -130,7 +132,9 @@ def run_challenge(
         for case in suite.cases:
             if case.name in report.results:
                 continue
-            result = run_case(case, options, folder / CASES, nodes)
+            result = run_case(
+                case, options, folder / CASES, nodes, patience_with(case, options.timeout, report.baseline)
+            )
             if not case.strength and result.failure:
                 raise ChallengeError(
                     f"the tracker fails already without a difficulty: {result.failure}. Its output is in "
@@ -212,7 +216,25 @@ class CaseProcess:
             self._kill()
 
 
-def run_case(case: Case, options: ChallengeOptions, folder: Path, nodes: CaseProcess) -> CaseResult:
+def patience_with(case: Case, timeout: float, baseline: CaseResult | None) -> float:
+    """Seconds that a frame of a case waits for the tracker.
+
+    A case with a patience of its own must not time out a tracker that is slow without any difficulty.
+
+    Args:
+        case: The case.
+        timeout: Seconds that a frame waits at most.
+        baseline: Result without a difficulty.
+    """
+    if case.patience is None:
+        return timeout
+    usual = baseline.latency if baseline is not None and baseline.latency is not None else 0.0
+    return min(max(case.patience, _TIMES_LATENCY * usual), timeout)
+
+
+def run_case(
+    case: Case, options: ChallengeOptions, folder: Path, nodes: CaseProcess, patience: float
+) -> CaseResult:
     """Run the tracker in one case. A tracker that fails is a result.
 
     Args:
@@ -220,6 +242,7 @@ def run_case(case: Case, options: ChallengeOptions, folder: Path, nodes: CasePro
         options: How the tracker is run.
         folder: Folder for its scene and its output.
         nodes: The process with its nodes.
+        patience: Seconds that a frame waits for the tracker.
 
     Raises:
         HumansimError: The tracker cannot be started, or a file cannot be written.
@@ -230,7 +253,6 @@ def run_case(case: Case, options: ChallengeOptions, folder: Path, nodes: CasePro
         temporary.write_text(yaml.safe_dump(content, sort_keys=False, allow_unicode=True), encoding="utf-8")
     values = {"cameras": ",".join(case.scene.cameras), "topic": options.topic, "scene": str(scene.resolve())}
     words = command_words(options.tracker, values)
-    patience = options.timeout if case.patience is None else min(case.patience, options.timeout)
     order = {
         "scene": str(scene.resolve()),
         "domain": nodes.domain,

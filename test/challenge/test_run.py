@@ -16,7 +16,13 @@ from waiting import wait_until
 
 from humansim_ros.challenge import run
 from humansim_ros.challenge.results import CaseResult, Report
-from humansim_ros.challenge.run import CaseProcess, ChallengeOptions, open_report, run_challenge
+from humansim_ros.challenge.run import (
+    CaseProcess,
+    ChallengeOptions,
+    open_report,
+    patience_with,
+    run_challenge,
+)
 from humansim_ros.challenge.suite import Case, Suite
 from humansim_ros.challenge.tracker import TrackerProcess, command_words
 from humansim_ros.errors import ChallengeError, HumansimError
@@ -203,3 +209,17 @@ def test_nodes_of_a_case_whose_process_dies_are_an_error(tmp_path: Path) -> None
         with pytest.raises(ChallengeError, match="nodes of the case have ended"):
             nodes.answer(100.0)
         nodes.start()
+
+
+@pytest.mark.parametrize(
+    ("own", "latency", "patience"),
+    [(None, 3.0, 10.0), (1.0, 0.05, 1.0), (1.0, 0.9, 3.6), (1.0, 5.0, 10.0), (1.0, None, 1.0)],
+)
+def test_a_case_is_as_patient_as_a_slow_tracker_needs(
+    tmp_path: Path, own: float | None, latency: float | None, patience: float
+) -> None:
+    case = replace(small_suite(tmp_path).cases[0], patience=own)
+    assert patience_with(case, 10.0, CaseResult("baseline", 0, "", latency=latency)) == pytest.approx(
+        patience
+    )
+    assert patience_with(case, 10.0, None) == (10.0 if own is None else own)

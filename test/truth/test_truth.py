@@ -404,3 +404,14 @@ def test_a_scene_without_people_has_no_keypoints() -> None:
     scene = Scene.from_dict({"room": None, "humans": {}, "cameras": {"left": camera}})
     with Simulation(scene, ("depth", "instance", "part")) as simulation:
         assert simulation.frame(0).keypoints["coco17"]["left"] == {}
+
+
+@pytest.mark.parametrize(("azimuth", "state"), [(30, VISIBLE), (75, OCCLUDED)])
+def test_the_far_hip_is_hidden_by_the_near_one_but_not_by_the_own_belly(azimuth: float, state: int) -> None:
+    angle = np.radians(azimuth)
+    eye = {"size": [160, 160], "position": [4 * np.cos(angle), 4 * np.sin(angle), 1], "look_at": [0, 0, 1]}
+    human = {"body": "adult_woman", "motion": "t_to_a_pose"}
+    scene = Scene.from_dict({"room": None, "humans": {"her": human}, "cameras": {"eye": eye}})
+    joint = scene.actors["her"].human.skeleton.joint_names.index("r_hip")  # the camera is on her left
+    with Simulation(scene, channels=("depth", "instance", "part")) as simulation:
+        assert simulation.frame(0).joints["eye"]["her"].visible[joint] == state

@@ -21,10 +21,12 @@ def joint_surfaces(human: Human) -> NDArray[np.bool_]:
             meeting.add(int(skeleton.parents[bone]))
         if skeleton.parents[bone] < 0:
             meeting |= set(np.flatnonzero(skeleton.parents == bone).tolist())
-        # a connector bone has no skin: the bones that it connects meet here, such as thigh and pelvis
+        # a connector bone has no skin: the bones that it connects meet here
         for bare in meeting - with_skin:
-            meeting |= {int(skeleton.parents[bare]), *_siblings(skeleton.parents, skeleton.heads, bare)}
-            meeting |= set(np.flatnonzero(skeleton.parents == bare).tolist())
+            parent = int(skeleton.parents[bare])
+            meeting |= {parent, *np.flatnonzero(skeleton.parents == bare).tolist()}
+            if parent >= 0 and skeleton.parents[parent] < 0:  # the pelvis is beside the connectors of thighs
+                meeting |= set(_siblings(skeleton.parents, skeleton.heads, bare))
         bones_of_joints.append(meeting - {-1})
     table = np.zeros((len(bones_of_joints), 256), dtype=bool)
     for joint, bones in enumerate(bones_of_joints):

@@ -21,6 +21,7 @@ PACKAGE = ROOT / "humansim_ros"
 LAYERS = (
     ("testing",),
     ("cli",),
+    ("view",),
     ("challenge",),
     ("export",),
     ("record",),

@@ -124,6 +124,12 @@ class Skeleton:
         return (*self.names, *(f"{self.names[bone]}_end" for bone in self.leaves))
 
     @property
+    def joint_parents(self) -> tuple[str | None, ...]:
+        """Name of the parent of each of :attr:`joint_names`; None for roots."""
+        of_bones = [self.names[parent] if parent >= 0 else None for parent in self.parents]
+        return (*of_bones, *(self.names[bone] for bone in self.leaves))
+
+    @property
     def joint_bones(self) -> tuple[int, ...]:
         """Bone of each of :attr:`joint_names`."""
         return (*range(len(self)), *self.leaves)

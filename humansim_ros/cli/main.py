@@ -24,6 +24,7 @@ from humansim_ros.cli.play import play
 from humansim_ros.cli.record import record
 from humansim_ros.cli.scene_options import SceneOptions
 from humansim_ros.cli.snapshot import snapshot
+from humansim_ros.cli.view import view
 from humansim_ros.errors import HumansimError, show_warnings
 from humansim_ros.resources import resource_path
 from humansim_ros.ros.stop_signals import Stopped
@@ -281,6 +282,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "run": run,
     "check": check,
     "snapshot": snapshot,
+    "view": view,
     "demo": demo,
     "bench": bench,
     "record": record,

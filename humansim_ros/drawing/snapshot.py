@@ -165,11 +165,9 @@ def _fitted(image: Image, size: tuple[int, int], smooth: bool) -> tuple[Image, f
 def _with_joints(tile: Image, actor: Actor, seen: JointView, scale: float) -> Image:
     """Draw the joints of a human over an image that is scaled."""
     skeleton = actor.human.skeleton
-    parents = [None if parent < 0 else skeleton.names[parent] for parent in skeleton.parents]
-    parents += [skeleton.names[bone] for bone in skeleton.leaves]
     radius = float(np.clip(min(tile.shape[:2]) / 120, 1, 4))
     pixels = scale * (seen.pixels + 0.5) - 0.5
-    return draw_joints(tile, pixels, seen.visible, skeleton.joint_names, parents, radius)
+    return draw_joints(tile, pixels, seen.visible, skeleton.joint_names, skeleton.joint_parents, radius)
 
 
 def _on_tile(image: Image, size: tuple[int, int], name: str, channel: str) -> Image:

@@ -179,10 +179,10 @@ class Actor:
         """
         skeleton, poses = self.human.skeleton, poses.contiguous()
         if poses.linear is None:
-            (joints,), (size,) = self._joints(poses)
+            (joints,), (size,) = self.joints_of(poses)
             linear = angular = None
         else:
-            (before, joints, after), (_, size, _) = self._joints(
+            (before, joints, after), (_, size, _) = self.joints_of(
                 poses.extrapolate([-VELOCITY_STEP, 0.0, VELOCITY_STEP])
             )
             linear, angular = central_difference(
@@ -212,7 +212,7 @@ class Actor:
 
     def joint_paths(self, times: Array) -> Array:
         """Joint positions (N, J, 3) at scene times (N,) in seconds, in the order of the skeleton's joints."""
-        joints = self._joints(self.motion.sample(times + self.offset, self.ahead))[0]
+        joints = self.joints_of(self.motion.sample(times + self.offset, self.ahead))[0]
         if self.keyframes is not None:
             key = self.keyframes.at(times)
             joints = KeyframeSpace(key.position, quaternion_to_matrix(key.quaternion), key.size[:, 0]).to_map(
@@ -239,7 +239,7 @@ class Actor:
         """Body for renderers from the vertices (V, 3) of a frame."""
         return Body(self.human.mesh, vertices, self.human.triangle_parts, self.instance)
 
-    def _joints(self, poses: JointPoses) -> tuple[Array, Array]:
+    def joints_of(self, poses: JointPoses) -> tuple[Array, Array]:
         """Poses (N, J, 4, 4) of the ground-truth joints, and scale of the body (N,)."""
         own, space = undo_keyframes(poses)
         joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own))

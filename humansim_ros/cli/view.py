@@ -1,0 +1,60 @@
+"""``humansim view``: a page in the browser."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from humansim_ros.cli.output import print_text
+from humansim_ros.errors import HumansimError
+
+
+def view(
+    what: Annotated[
+        Path | None,
+        typer.Argument(
+            help="Scene, bag, motion, human or calibration; the demo scene if absent.", metavar="[PATH]"
+        ),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(help="Port on this machine; the next free one if it is in use.", min=0, max=65535)
+    ] = 8080,
+    no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
+) -> None:
+    """Show a scene, a bag, a motion, a human or a calibration in the browser, live and in 3D."""
+    try:
+        from humansim_ros.view.app import ViewApp
+    except ImportError as error:
+        raise HumansimError(
+            f"humansim view needs the extra 'view' ({error.name} is missing): "
+            "pip install 'humansim_ros[view]'"
+        ) from None
+    from humansim_ros.view.inputs import open_source
+
+    opened = open_source(what)
+    app = ViewApp(opened.source, port, opened.reload, opened.path)
+    try:
+        if port not in (0, app.server.port):
+            print_text(f"port {port} is in use")
+        print_text(f"open {app.server.url} to see {opened.source.title}; Ctrl-C ends")
+        if not no_browser:
+            threading.Thread(target=_open_browser, args=(app.server.url,), daemon=True).start()
+        app.run()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        app.close()
+
+
+def _open_browser(url: str) -> None:
+    import webbrowser
+
+    webbrowser.open(url)
+
+
+#: Commands of this module by name.
+COMMANDS: dict[str, Callable[..., None]] = {"view": view}

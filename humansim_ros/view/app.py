@@ -1,0 +1,288 @@
+"""The page of ``humansim view``: ties source, player, 3D scene and panels in one thread."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.errors import HumansimError
+from humansim_ros.types import Array
+from humansim_ros.view.panels.images import ImagesPanel
+from humansim_ros.view.panels.numbers import NumbersPanel
+from humansim_ros.view.panels.show import ShowPanel
+from humansim_ros.view.panels.through import ThroughPanel
+from humansim_ros.view.panels.timeline import TimelinePanel
+from humansim_ros.view.picking import hit_person, person_info
+from humansim_ros.view.player import Player
+from humansim_ros.view.server import PageServer
+from humansim_ros.view.source import ViewFrame, ViewSource
+from humansim_ros.view.stage import Options, Stage
+
+#: Frames per second of the page.
+_RATE = 30.0
+#: Seconds between looks at the file of the scene.
+_LOOK = 0.5
+#: Seconds that a page without browsers waits between looks for one.
+_IDLE = 0.2
+
+
+class ViewApp:
+    """A page that shows a source.
+
+    All of it runs in the thread that calls :meth:`run`; callbacks of the page :meth:`post` what they want.
+
+    Args:
+        source: What is shown.
+        port: Port; the next free one if it is in use.
+        reload: Makes the source again after its file has changed; None if it has no file.
+        path: That file.
+
+    Raises:
+        HumansimError: No port is free.
+    """
+
+    def __init__(
+        self,
+        source: ViewSource,
+        port: int = 8080,
+        reload: Callable[[], ViewSource] | None = None,
+        path: Path | None = None,
+    ) -> None:
+        self.server = PageServer(f"{source.title} · humansim", port)
+        self.gui = self.server.viser.gui
+        self.source = source
+        self.dark = False
+        self.shown_cameras: tuple[str, ...] = tuple(source.cameras)
+        self.shown_channels: tuple[str, ...] = source.channels[:1]
+        self.player = Player(source.frames, source.period)
+        self.frames_shown = 0
+        self._posted: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
+        self._wanted = threading.Event()
+        self._stopped = threading.Event()
+        self._reload, self._path = reload, path
+        self._modified = _signature(path)
+        self._looked = 0.0
+        self._notice: Any = None
+        self._broken: str | None = None
+        self.server.viser.gui.main_panel.dock_right()
+        self.set_dark(False)
+        self._build()
+
+    # --- the thread of the page --------------------------------------------------------------------------
+
+    def run(self) -> None:
+        """Show frames until :meth:`stop`."""
+        due = time.monotonic()
+        while not self._stopped.is_set():
+            self._run_posted()
+            self._look_at_file()
+            try:
+                self._show_next()
+            except HumansimError as error:
+                self.player.playing = False
+                self._say_broken(str(error))
+            due = max(due + 1 / _RATE, time.monotonic())
+            self._sleep(due)
+
+    def stop(self) -> None:
+        """End :meth:`run`; from any thread."""
+        self._stopped.set()
+        self._wanted.set()
+
+    def close(self) -> None:
+        """Free the source, and stop serving."""
+        self.source.close()
+        self.server.close()
+
+    def post(self, function: Callable[[], None]) -> None:
+        """Run a function in the thread of the page; its errors are shown as a notification."""
+        self._posted.put(function)
+        self._wanted.set()
+
+    def refresh(self) -> None:
+        """Show the frame again, also while paused."""
+        self._needs_frame = True
+        self._wanted.set()
+
+    # --- what panels ask for (in the thread of the page) ---------------------------------------------------
+
+    def seek(self, index: int) -> None:
+        """Pause, and show a frame."""
+        self.player.playing = False
+        self.player.seek(index)
+        self.refresh()
+
+    def set_options(self, options: Options) -> None:
+        """Change what is drawn in 3D."""
+        self._stage.set_options(options)
+        self.refresh()
+
+    def set_dark(self, dark: bool) -> None:
+        """Dark or light page."""
+        self.dark = dark
+        self.gui.configure_theme(dark_mode=dark, show_logo=False, show_share_button=False)
+
+    def replace_source(self, source: ViewSource) -> None:
+        """Show another source, at the same time if it has it."""
+        previous, index = self.source, self.player.index
+        playing = self.player.playing
+        self._remove_panels()
+        self.source = source
+        previous.close()
+        self.player = Player(
+            source.frames, source.period, playing, speed=self.player.speed, loop=self.player.loop
+        )
+        self.player.seek(index)
+        self._build()
+
+    def pick_pixel(self, camera: str, across: float, down: float) -> None:
+        """Show the numbers of a pixel, given as shares of the width and height of an image."""
+        if self._frame is None or camera not in self._frame.cameras:
+            return
+        width, height = self._frame.cameras[camera].size
+        self.player.playing = False
+        self.refresh()
+        info = self.source.describe(camera, int(across * width), int(down * height))
+        self._stage.mark(info.world)
+        self._numbers.show(info)
+
+    def pick_person(self, name: str, origin: Array, direction: Array) -> None:
+        """Show the numbers of the point of a person that a ray hits."""
+        frame = self._frame
+        if frame is None or name not in frame.joints or name not in self.source.people:
+            return
+        self.player.playing = False
+        human = self.source.people[name]
+        hit = hit_person(human, frame.joints[name], origin, direction)
+        if hit is None:
+            return
+        info = person_info(self.source, frame, name, hit)
+        self._stage.mark(info.world)
+        self._numbers.show(info)
+
+    def notify(self, title: str, text: str) -> None:
+        """Show a notification in all browsers."""
+        for client in self.server.viser.get_clients().values():
+            client.add_notification(title=title, body=text, auto_close_seconds=8.0)
+
+    # ---------------------------------------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        self.shown_cameras = tuple(self.source.cameras)
+        self.shown_channels = self.source.channels[:1]
+        self._frame: ViewFrame | None = None
+        self._needs_frame = True
+        self._stage = Stage(
+            self.server,
+            self.source,
+            lambda name, origin, direction: self.post(lambda: self.pick_person(name, origin, direction)),
+        )
+        self._timeline = TimelinePanel(self)
+        self._show = ShowPanel(self)
+        self._through = ThroughPanel(self)
+        self._numbers = NumbersPanel(self)
+        self._images = ImagesPanel(self)
+        self._messages = self.gui.add_markdown(
+            "\n\n".join(self.source.messages), visible=bool(self.source.messages), order=-1
+        )
+        self._place_view()
+
+    def _remove_panels(self) -> None:
+        for panel in (self._timeline, self._show, self._through, self._numbers, self._images):
+            panel.remove()
+        self._messages.remove()
+
+    def _place_view(self) -> None:
+        """Begin with a view from above on everything."""
+        centers = [camera.center for camera in self.source.cameras.values()]
+        reach = max([3.0, *(float(np.linalg.norm(center[:2])) for center in centers)])
+        start = self.server.viser.initial_camera
+        start.position = (1.5 * reach, -1.1 * reach, 1.1 * reach)
+        start.look_at = (0.0, 0.0, 0.8)
+
+    def _show_next(self) -> None:
+        if not self.server.viser.get_clients():
+            self.player.advance(time.monotonic())
+            return
+        index = self.player.advance(time.monotonic())
+        shown = self._frame
+        late = shown is not None and shown.image_index is not None and shown.image_index != shown.index
+        if shown is not None and index == shown.index and not self._needs_frame and not late:
+            if self.player.frames is not None:
+                return
+        self._needs_frame = False
+        still = not self.player.playing
+        channels = self.shown_channels if self.shown_cameras else ()
+        frame = self.source.frame(index, self.shown_cameras, channels, wait=still)
+        self._frame = frame
+        self._stage.show(frame)
+        self._timeline.update(frame)
+        self._images.update(frame)
+        self._through.update(frame)
+        self.frames_shown += 1
+
+    def _run_posted(self) -> None:
+        self._wanted.clear()
+        while True:
+            try:
+                function = self._posted.get_nowait()
+            except queue.Empty:
+                return
+            try:
+                function()
+            except HumansimError as error:
+                self.notify("This does not work", str(error))
+
+    def _sleep(self, due: float) -> None:
+        """Wait for the next frame, or for a wish while paused."""
+        clients = self.server.viser.get_clients()
+        if not clients:
+            self._wanted.wait(_IDLE)
+        elif self.player.playing:
+            time.sleep(max(0.0, due - time.monotonic()))
+        else:
+            self._wanted.wait(_IDLE)
+
+    def _look_at_file(self) -> None:
+        now = time.monotonic()
+        if self._reload is None or now - self._looked < _LOOK:
+            return
+        self._looked = now
+        signature = _signature(self._path)
+        if signature == self._modified:
+            return
+        self._modified = signature
+        try:
+            source = self._reload()
+        except HumansimError as error:
+            self._say_broken(str(error))
+            return
+        self._say_broken(None)
+        self.replace_source(source)
+
+    def _say_broken(self, problem: str | None) -> None:
+        """Show what is wrong at the top of the page; None: nothing any more."""
+        if problem == self._broken:
+            return
+        self._broken = problem
+        if self._notice is not None:
+            self._notice.remove()
+            self._notice = None
+        if problem is not None:
+            text = f"**This cannot be shown.** The page shows the last state that could.\n\n```\n{problem}\n```"
+            self._notice = self.gui.add_markdown(text, order=-2)
+
+
+def _signature(path: Path | None) -> tuple[int, int] | None:
+    """Time and size of a file; None if there is none."""
+    try:
+        status = path.stat() if path is not None else None
+    except OSError:
+        return None
+    return None if status is None else (status.st_mtime_ns, status.st_size)

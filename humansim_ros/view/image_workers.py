@@ -1,0 +1,210 @@
+"""Processes that render the images of a page, so that rendering never delays the motion of the page."""
+
+from __future__ import annotations
+
+import contextlib
+import multiprocessing
+import os
+import pickle
+import signal
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from typing import Any
+
+import cv2
+import numpy as np
+
+from humansim_ros.drawing.views import color_channel, color_image, draw_joints
+from humansim_ros.errors import HumansimError
+from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.simulation import Frame, Simulation
+from humansim_ros.types import Image
+from humansim_ros.view.source import JOINTS
+
+#: Channels that joints with their visibility need.
+_JOINT_CHANNELS = ("depth", "instance", "part")
+#: Seconds in which a process must answer.
+_PATIENCE = 60.0
+#: Most processes; each has a renderer of its own.
+_MOST = 4
+
+
+@dataclass(frozen=True)
+class Request:
+    """Images that are wanted.
+
+    Attributes:
+        index: Number of the frame.
+        cameras: Names of the cameras.
+        channels: Names of the channels.
+        width: Width to which wider images are scaled down, pixels.
+    """
+
+    index: int
+    cameras: tuple[str, ...]
+    channels: tuple[str, ...]
+    width: int
+
+
+@dataclass(frozen=True)
+class Images:
+    """Images of a request by camera and channel."""
+
+    request: Request
+    images: dict[str, dict[str, Image]]
+
+
+class ImageWorkers:
+    """Processes that render different frames of a scene at the same time.
+
+    Raises:
+        HumansimError: The scene cannot be rendered, or a process died; from :meth:`latest` and :meth:`exact`.
+    """
+
+    def __init__(self, scene: Scene, count: int | None = None) -> None:
+        context = multiprocessing.get_context("spawn")
+        count = count or min(_MOST, os.cpu_count() or 1)
+        data = pickle.dumps(scene)
+        self._latest: Images | None = None
+        self._busy: dict[Connection, Request] = {}
+        self._free: list[Connection] = []
+        self._processes = []
+        for _ in range(count):
+            ours, other = context.Pipe()
+            process = context.Process(target=_work, args=(other,), daemon=True, name="humansim images")
+            process.start()
+            other.close()
+            ours.send_bytes(data)
+            self._processes.append(process)
+            self._free.append(ours)
+
+    def latest(self, request: Request) -> Images | None:
+        """The newest images that are ready; ask for those of ``request`` if a process has time."""
+        self._collect(0)
+        if self._free and request not in self._busy.values() and not self._has(request):
+            self._ask(request)
+        return self._latest
+
+    def exact(self, request: Request) -> Images:
+        """Images of ``request``; waits for them."""
+        while not self._has(request):
+            if request not in self._busy.values() and self._free:
+                self._ask(request)
+            if not self._collect(_PATIENCE):
+                raise HumansimError(f"the images did not arrive within {_PATIENCE:.0f} s")
+        assert self._latest is not None
+        return self._latest
+
+    def close(self) -> None:
+        """End the processes."""
+        for connection in (*self._free, *self._busy):
+            connection.close()
+        for process in self._processes:
+            process.join(1)
+            if process.is_alive():
+                process.kill()
+                process.join()
+
+    def _has(self, request: Request) -> bool:
+        return self._latest is not None and self._latest.request == request
+
+    def _ask(self, request: Request) -> None:
+        connection = self._free.pop()
+        self._busy[connection] = request
+        with contextlib.suppress(BrokenPipeError):  # the answer says that the process died
+            connection.send(request)
+
+    def _collect(self, timeout: float) -> bool:
+        """Take answers; whether there was one."""
+        ready = wait(list(self._busy), timeout) if self._busy else []
+        for connection in ready:
+            assert isinstance(connection, Connection)
+            request = self._busy.pop(connection)
+            try:
+                answer: Images | HumansimError = connection.recv()
+            except (EOFError, OSError):
+                raise HumansimError("a process that renders images died; open the scene again") from None
+            self._free.append(connection)
+            if isinstance(answer, HumansimError):
+                raise answer
+            if self._latest is None or not self._is_stale(request):
+                self._latest = answer
+        return bool(ready)
+
+    def _is_stale(self, request: Request) -> bool:
+        """Whether newer images of the same kind arrived before; after a jump back in time they are not."""
+        assert self._latest is not None
+        shown = self._latest.request
+        return (
+            shown.index - len(self._processes) <= request.index < shown.index
+            and shown.channels == request.channels
+        )
+
+
+def _work(connection: Connection) -> None:
+    """Render until the socket closes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that serves the page
+    with contextlib.suppress(EOFError, OSError):
+        scene: Scene = pickle.loads(connection.recv_bytes())
+        painter: _Painter | None = None
+        while True:
+            request: Request = connection.recv()
+            try:
+                painter = painter or _Painter(scene)
+                answer: Any = Images(request, painter.images(request))
+            except HumansimError as error:
+                answer = error
+            connection.send(answer)
+
+
+class _Painter:
+    """Simulations of a scene with the channels that were asked for; they share a renderer."""
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._renderer = scene.make_renderer()
+        self._simulations: dict[tuple[str, ...], Simulation] = {}
+
+    def images(self, request: Request) -> dict[str, dict[str, Image]]:
+        wanted = set(request.channels)
+        rendered = wanted - {JOINTS} | ({"rgb", *_JOINT_CHANNELS} if JOINTS in wanted else set())
+        channels = tuple(sorted(rendered))
+        simulation = self._simulations.get(channels)
+        if simulation is None:
+            simulation = Simulation(self._scene, channels=channels, renderer=self._renderer)
+            self._simulations[channels] = simulation
+        frame = simulation.frame(request.index, cameras=request.cameras)
+        return {
+            camera: {
+                channel: _fitted(picture(self._scene, frame, camera, channel), request.width, channel)
+                for channel in request.channels
+            }
+            for camera in request.cameras
+        }
+
+
+def picture(scene: Scene, frame: Frame, camera: str, channel: str) -> Image:
+    """Image (H, W, 3) of a channel, or of ``joints`` over the image, for people."""
+    view = frame.views[camera]
+    if channel != JOINTS:
+        if channel == "rgb":
+            return color_image(view.rgb, scene.scene_cameras[camera].encoding)
+        return color_channel(channel, getattr(view, channel))
+    image = color_image(view.rgb, scene.scene_cameras[camera].encoding)
+    for name, joints in frame.truth[camera].joints.items():
+        skeleton = scene.actors[name].human.skeleton
+        names, parents = skeleton.joint_names, skeleton.joint_parents
+        image = draw_joints(image, joints.pixels, joints.visible, names, parents)
+    return image
+
+
+def _fitted(image: Image, width: int, channel: str) -> Image:
+    """Image of at most ``width`` pixels; labels are not mixed."""
+    if image.shape[1] <= width:
+        return image
+    height = max(1, round(image.shape[0] * width / image.shape[1]))
+    smooth = channel in ("rgb", JOINTS, "shadow", "alpha")
+    return np.asarray(
+        cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if smooth else cv2.INTER_NEAREST),
+        dtype=np.uint8,
+    )

@@ -1,0 +1,122 @@
+"""What ``humansim view`` can open: a scene, a bag, a motion, a human or a calibration, told by its content."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from humansim_ros.camera import read_calibration
+from humansim_ros.camera.rigs import Optics, ring
+from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.io.assets import find_asset
+from humansim_ros.io.files import exists, missing_file
+from humansim_ros.io.yaml import read_yaml
+from humansim_ros.motion.files import find_motion
+from humansim_ros.scene.config import SceneConfig
+from humansim_ros.scene.scene import Scene
+from humansim_ros.view.scene_source import SceneViewSource
+from humansim_ros.view.source import ViewSource
+
+#: Cameras around a motion or a human: their number, distance and height in metres, and target.
+_COUNT, _RADIUS, _HEIGHT, _TARGET = 4, 3.5, 1.8, (0.0, 0.0, 0.9)
+_BODY = "adult_woman"
+_MOTION = "walk"
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A source, and how to make it again after its file has changed.
+
+    Attributes:
+        source: The source.
+        path: Its file; None for built-ins.
+        reload: Makes the source again.
+    """
+
+    source: ViewSource
+    path: Path | None = None
+    reload: Callable[[], ViewSource] | None = None
+
+
+def open_source(what: Path | None) -> Opened:
+    """Open a path, or the name of a built-in; the demo scene if None.
+
+    Raises:
+        HumansimError: It is none of these; with file, line and key where these are known.
+    """
+    if what is None:
+        return Opened(SceneViewSource(Scene.load()))
+    make = _maker(what)
+    return Opened(make(), what if exists(what) else None, make if exists(what) else None)
+
+
+def _maker(what: Path) -> Callable[[], ViewSource]:
+    """Function that makes the source of a path."""
+    if not exists(what):
+        return _built_in(what)
+    if _is_scene(what):
+        return lambda: SceneViewSource(Scene.load(what))
+    attempts: tuple[tuple[str, Callable[[], ViewSource]], ...] = (
+        ("motion", lambda: _around({"body": _BODY, "motion": str(what.resolve())}, what.stem)),
+        ("human", lambda: _around({"body": str(what.resolve()), "motion": _MOTION}, what.stem)),
+        ("calibration", lambda: _cameras(what)),
+    )
+    suffix = what.suffix.lower()
+    if suffix == ".bvh":
+        return attempts[0][1]
+    if suffix == ".npz":
+        return attempts[1][1]
+    problems = []
+    for kind, attempt in (attempts[2], attempts[1], attempts[0]):
+        try:
+            attempt().close()
+        except HumansimError as error:
+            problems.append(f"  as a {kind}: {error.message}")
+        else:
+            return attempt
+    raise HumansimError("can be opened in no way:\n" + "\n".join(problems), path=what)
+
+
+def _built_in(what: Path) -> Callable[[], ViewSource]:
+    """A built-in motion or human by its name."""
+    name = str(what)
+    try:
+        find_motion(name, Path.cwd(), SceneError)
+        return lambda: _around({"body": _BODY, "motion": name}, name)
+    except HumansimError:
+        pass
+    try:
+        find_asset(name, "humans", Path.cwd(), SceneError)
+    except HumansimError:
+        raise HumansimError(missing_file(what, "a scene, bag, motion, human or calibration"), path=what) from None
+    return lambda: _around({"body": name, "motion": _MOTION}, name)
+
+
+def _is_scene(path: Path) -> bool:
+    """Whether a YAML file has a section of scenes at its top."""
+    if path.suffix.lower() not in (".yaml", ".yml"):
+        return False
+    try:
+        value, _ = read_yaml(path, SceneError, "scene")
+    except HumansimError:
+        return True  # let the reader of scenes say with its line what is wrong
+    sections = {"humans", "objects", "world", "variety", "randomise", "room", "rate"}
+    known = set(SceneConfig.model_fields)
+    return isinstance(value, Mapping) and bool(value.keys() & sections) and bool(value.keys() & known)
+
+
+def _around(human: Mapping[str, Any], title: str) -> ViewSource:
+    """A person between four cameras, without a room."""
+    cameras = ring(_COUNT, _RADIUS, _HEIGHT, _TARGET, Optics())
+    scene = Scene.build(humans={"person": dict(human)}, cameras=dict(cameras), room=None)
+    return SceneViewSource(scene, title)
+
+
+def _cameras(path: Path) -> ViewSource:
+    """The cameras of a calibration in the world of its file."""
+    cameras = read_calibration(path).cameras
+    if not cameras:
+        raise HumansimError("has no cameras", path=path)
+    return SceneViewSource(Scene.build(cameras=dict(cameras), room=None), path.stem)

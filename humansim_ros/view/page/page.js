@@ -1,0 +1,146 @@
+// Our part of the page: textures of people (viser's skinned meshes have one colour), clicks in images, and a
+// message where the browser has no WebGL. Loaded before viser's own script.
+"use strict";
+(() => {
+  const scenes = new Set();
+
+  // three.js reports its scenes to this target, made for developer tools (THREE.Scene, "observe").
+  const tools = new EventTarget();
+  window.__THREE_DEVTOOLS__ = tools;
+  tools.addEventListener("observe", (event) => {
+    if (event.detail && event.detail.isScene) scenes.add(event.detail);
+  });
+
+  // --- textures ------------------------------------------------------------------------------------------
+  // people.json: {key: {vertices, surface, texture}}. The key is the colour of the mesh, different for each.
+  let people = {};
+  let version = "";
+  const surfaces = new Map();
+  const textures = new Map();
+  const state = { textured: 0, frames: 0 };
+  window.humansim = state;
+
+  async function loadPeople() {
+    try {
+      const answer = await fetch("/humansim/people.json");
+      if (!answer.ok) return;
+      const text = await answer.text();
+      if (text === version) return;
+      version = text;
+      people = JSON.parse(text);
+      surfaces.clear();
+      textures.clear();
+      state.textured = 0;
+    } catch (_) {
+      // the server has ended; viser says so
+    }
+  }
+
+  async function surfaceOf(url) {
+    const data = await (await fetch(url)).arrayBuffer();
+    const count = new Uint32Array(data, 0, 1)[0];
+    return {
+      normals: new Float32Array(data, 4, 3 * count),
+      uv: new Float32Array(data, 4 + 12 * count, 2 * count),
+    };
+  }
+
+  function onceFor(cache, url, load) {
+    if (!cache.has(url)) {
+      const entry = { value: null };
+      cache.set(url, entry);
+      load(url).then((value) => (entry.value = value), () => cache.delete(url));
+    }
+    return cache.get(url).value;
+  }
+
+  async function imageOf(url) {
+    const image = new Image();
+    image.src = url;
+    await image.decode();
+    return image;
+  }
+
+  function dress(mesh) {
+    const material = mesh.material;
+    if (!material || !material.color) return;
+    if (mesh.userData.humansimVersion === version && mesh.userData.humansimMaterial === material.uuid) return;
+    const key = mesh.userData.humansimKey || material.color.getHexString();
+    const person = people[key];
+    const attributes = mesh.geometry.attributes;
+    if (!person || attributes.position.count !== person.vertices) return;
+    const surface = onceFor(surfaces, person.surface, surfaceOf);
+    const image = person.texture ? onceFor(textures, person.texture, imageOf) : null;
+    if (!surface || (person.texture && !image)) return;
+    const Attribute = attributes.position.constructor;
+    mesh.geometry.setAttribute("normal", new Attribute(surface.normals, 3));
+    mesh.geometry.setAttribute("uv", new Attribute(surface.uv, 2));
+    if (image) {
+      // the class of textures: any that this page's three.js has made
+      const Texture = textureClass();
+      if (!Texture) return;
+      const texture = new Texture(image);
+      texture.colorSpace = "srgb";
+      texture.anisotropy = 4;
+      texture.needsUpdate = true;
+      material.map = texture;
+      material.color.setHex(0xffffff);
+    }
+    material.needsUpdate = true;
+    mesh.userData.humansimKey = key;
+    mesh.userData.humansimVersion = version;
+    mesh.userData.humansimMaterial = material.uuid;
+    state.textured += 1;
+  }
+
+  let Found = null;
+  function textureClass() {
+    if (Found) return Found;
+    for (const scene of scenes)
+      scene.traverse((node) => {
+        if (Found) return;
+        // bone textures are DataTexture, a class made directly from Texture
+        const bones = node.isSkinnedMesh && node.skeleton && node.skeleton.boneTexture;
+        if (bones) Found = Object.getPrototypeOf(bones.constructor);
+      });
+    return Found;
+  }
+
+  function visit() {
+    state.frames += 1;
+    for (const scene of scenes) scene.traverse((node) => node.isSkinnedMesh && node.visible && dress(node));
+  }
+  setInterval(loadPeople, 1000);
+  setInterval(visit, 200);
+  loadPeople();
+
+  // --- clicks in images ------------------------------------------------------------------------------------
+  document.addEventListener("click", (event) => {
+    const image = event.target;
+    if (!(image instanceof HTMLImageElement) || image.naturalWidth < 8) return;
+    const box = image.getBoundingClientRect();
+    const x = ((event.clientX - box.left) / box.width) * image.naturalWidth;
+    const y = ((event.clientY - box.top) / box.height) * image.naturalHeight;
+    const query = `x=${x.toFixed(2)}&y=${y.toFixed(2)}&width=${image.naturalWidth}&height=${image.naturalHeight}`;
+    fetch(`/humansim/pick?${query}`).catch(() => {});
+  });
+
+  // --- no WebGL --------------------------------------------------------------------------------------------
+  function hasWebGL() {
+    try {
+      const canvas = document.createElement("canvas");
+      return Boolean(canvas.getContext("webgl2"));
+    } catch (_) {
+      return false;
+    }
+  }
+  if (!hasWebGL())
+    document.addEventListener("DOMContentLoaded", () => {
+      document.body.innerHTML =
+        '<div style="font:16px/1.5 system-ui,sans-serif;max-width:34em;margin:15vh auto;padding:0 1em">' +
+        "<h1>This browser has no WebGL 2</h1><p>The 3D page needs it. Turn on hardware acceleration (or " +
+        "software rendering) in the settings of the browser, or use another browser. Without a browser, " +
+        "<code>humansim snapshot SCENE -o sheet.png</code> draws the scene into a picture.</p></div>";
+      document.body.dataset.humansim = "no-webgl";
+    });
+})();

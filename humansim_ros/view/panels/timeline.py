@@ -1,0 +1,87 @@
+"""Panel of the time: play, pause, step, scrub, speed, loop."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from humansim_ros.view.player import SPEEDS
+from humansim_ros.view.source import ViewFrame
+
+if TYPE_CHECKING:
+    from humansim_ros.view.app import ViewApp
+
+_PLAY, _PAUSE = "Play", "Pause"
+_BACK, _ON = "◀ frame", "frame ▶"
+
+
+class TimelinePanel:
+    """The controls of the player of a page."""
+
+    def __init__(self, app: ViewApp) -> None:
+        gui, player = app.gui, app.player
+        self._app = app
+        self._live = player.frames is None
+        last = max((player.frames or 2) - 1, 1)
+        self._folder = gui.add_folder("Time", order=0)
+        with self._folder:
+            self._slider = gui.add_slider(
+                "Frame", min=0, max=last, step=1, initial_value=0, visible=not self._live
+            )
+            self._play = gui.add_button(_PAUSE if player.playing else _PLAY)
+            self._steps = gui.add_button_group("Step", (_BACK, _ON), visible=not self._live)
+            self._speed = gui.add_dropdown(
+                "Speed", SPEEDS, initial_value=f"{player.speed:g}", visible=not self._live
+            )
+            self._loop = gui.add_checkbox("Loop", player.loop, visible=not self._live)
+            self._text = gui.add_markdown("")
+        self._shown = ""
+        self._slider.on_update(lambda event: self._seek(event.client_id is not None))
+        self._play.on_click(lambda _: app.post(self._toggle))
+        self._steps.on_click(lambda _: app.post(lambda: self._step(self._steps.value)))
+        self._speed.on_update(lambda _: app.post(self._set_speed))
+        self._loop.on_update(lambda _: app.post(self._set_loop))
+        gui.add_command("Play or pause", hotkey="space").on_trigger(lambda _: app.post(self._toggle))
+
+    def update(self, frame: ViewFrame) -> None:
+        """Show the time of a frame."""
+        player = self._app.player
+        index = frame.index
+        if not self._live and self._slider.value != index:
+            self._slider.value = min(index, int(self._slider.max))
+        label = _PAUSE if player.playing else _PLAY
+        if self._play.label != label:
+            self._play.label = label
+        late = ""
+        if frame.image_index is not None and frame.image_index != index:
+            late = f", images of frame {frame.image_index}"
+        text = f"{frame.scene_time * 1e-9:.3f} s, stamp {frame.stamp} ns{late}"
+        if text != self._shown and (not player.playing or index % 5 == 0):
+            self._text.content = text
+            self._shown = text
+
+    def remove(self) -> None:
+        """Remove the panel."""
+        self._folder.remove()
+
+    def _seek(self, by_user: bool) -> None:
+        index = int(self._slider.value)
+        if by_user:
+            self._app.post(lambda: self._app.seek(index))
+
+    def _toggle(self) -> None:
+        player = self._app.player
+        if not player.playing and player.frames is not None and player.index == player.frames - 1:
+            player.seek(0)
+        player.playing = not player.playing
+        self._app.refresh()
+
+    def _step(self, which: str) -> None:
+        self._app.player.step(1 if which == _ON else -1)
+        self._app.refresh()
+
+    def _set_speed(self) -> None:
+        if self._speed.value in SPEEDS:
+            self._app.player.speed = float(self._speed.value)
+
+    def _set_loop(self) -> None:
+        self._app.player.loop = bool(self._loop.value)

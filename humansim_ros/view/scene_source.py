@@ -1,0 +1,151 @@
+"""A scene as the source of a page: motion in this process, images in processes of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from humansim_ros.camera import Camera
+from humansim_ros.humans import Human
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.rotations import quaternion_to_matrix
+from humansim_ros.scene.objects import ObjectPose
+from humansim_ros.scene.playback import Playback
+from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.simulation import Frame, Simulation
+from humansim_ros.types import Array
+from humansim_ros.view.image_workers import Images, ImageWorkers, Request
+from humansim_ros.view.pixel_info import CHANNELS as PIXEL_CHANNELS
+from humansim_ros.view.pixel_info import pixel_info
+from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
+
+#: Channels that the page can show.
+_CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
+#: Seconds of a scene whose motions are shorter, and longest that the timeline shows.
+_SHORTEST, _LONGEST = 2.0, 600.0
+#: Width of images on the page, pixels.
+IMAGE_WIDTH = 640
+
+
+class SceneViewSource:
+    """A scene that plays in the page.
+
+    Args:
+        scene: The scene.
+        title: Title of the page; the name of the scene file if None.
+        workers: Number of processes that render; as many as the machine has cores if None.
+        image_width: Width to which wider images are scaled down, pixels.
+    """
+
+    channels: tuple[str, ...] = _CHANNELS
+
+    def __init__(
+        self,
+        scene: Scene,
+        title: str | None = None,
+        workers: int | None = None,
+        image_width: int = IMAGE_WIDTH,
+    ) -> None:
+        self.scene = scene
+        self.title = title or (scene.path.stem if scene.path else "scene")
+        self.messages: Sequence[str] = [] if scene.actors else ["The scene has no people."]
+        self._playback = Playback(scene)
+        self._count, self._width = workers, image_width
+        self._shown = 0
+        self._truth: Simulation | None = None
+        self._exact: Frame | None = None
+
+    @property
+    def people(self) -> Mapping[str, Human]:
+        return {name: actor.human for name, actor in self.scene.actors.items()}
+
+    @property
+    def objects(self) -> Mapping[str, Mesh]:
+        return {name: item.mesh for name, item in self.scene.moving_objects.items()}
+
+    @cached_property
+    def static(self) -> Mapping[str, Mesh]:
+        meshes = {f"room {number}": mesh for number, mesh in enumerate(self.scene.environment.meshes, 1)}
+        static = {name: item.static_mesh() for name, item in self.scene.objects.items() if not item.moves}
+        return meshes | static
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]:
+        return self.scene.cameras
+
+    @property
+    def period(self) -> int:
+        return round(1e9 / self.scene.config.rate)
+
+    @property
+    def frames(self) -> int:
+        longest = max((actor.motion.duration for actor in self.scene.actors.values()), default=0.0)
+        return max(2, round(min(max(longest, _SHORTEST), _LONGEST) * self.scene.config.rate))
+
+    def frame(
+        self,
+        index: int,
+        cameras: Collection[str] = (),
+        channels: Collection[str] = (),
+        wait: bool = False,
+    ) -> ViewFrame:
+        elapsed = self.scene.frame_time(index)
+        poses = self._playback.show(elapsed)
+        joints: dict[str, Array] = {}
+        sizes: dict[str, float] = {}
+        for name, actor in self._playback.actors.items():
+            (joints[name],), (size,) = actor.joints_of(poses.poses[name].contiguous())
+            sizes[name] = float(size)
+        self._shown = index
+        images = self._images(index, cameras, channels, wait)
+        return ViewFrame(
+            index=index,
+            stamp=1 + elapsed,
+            scene_time=elapsed,
+            joints=joints,
+            sizes=sizes,
+            objects={name: matrix_of(pose) for name, pose in poses.objects.items()},
+            cameras={
+                name: camera.camera_at(poses.cameras[name]) if name in poses.cameras else camera.camera
+                for name, camera in self.scene.scene_cameras.items()
+            },
+            images=images.images if images else {},
+            image_index=images.request.index if images else None,
+        )
+
+    def describe(self, camera: str, x: int, y: int) -> PixelInfo:
+        if self._truth is None:
+            self._truth = Simulation(self.scene, channels=PIXEL_CHANNELS)
+        if self._exact is None or self._exact.index != self._shown or camera not in self._exact.views:
+            self._exact = self._truth.frame(self._shown, cameras=[camera])
+        return pixel_info(self.scene, self._exact, camera, x, y)
+
+    def close(self) -> None:
+        if "_workers" in self.__dict__:
+            self._workers.close()
+        if self._truth is not None:
+            self._truth.close()
+
+    @cached_property
+    def _workers(self) -> ImageWorkers:
+        return ImageWorkers(self.scene, self._count)
+
+    def _images(
+        self, index: int, cameras: Collection[str], channels: Collection[str], wait: bool
+    ) -> Images | None:
+        known = tuple(name for name in self.scene.scene_cameras if name in cameras)
+        shown = tuple(name for name in _CHANNELS if name in channels)
+        if not known or not shown:
+            return None
+        request = Request(index, known, shown, self._width)
+        return self._workers.exact(request) if wait else self._workers.latest(request)
+
+
+def matrix_of(pose: ObjectPose) -> Array:
+    """(4, 4) transform of the points of an object's mesh to ``map``, with its size."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = quaternion_to_matrix(pose.rotation) * pose.size
+    matrix[:3, 3] = pose.position
+    return matrix

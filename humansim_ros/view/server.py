@@ -1,0 +1,270 @@
+"""Server of the page: viser on 127.0.0.1, with checks of everything that arrives, and our part of the page."""
+
+from __future__ import annotations
+
+import contextlib
+import gzip
+import http
+import io
+import json
+import math
+import re
+import socket
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+from unittest.mock import patch
+from urllib.parse import parse_qs, unquote, urlsplit
+
+import msgspec
+import viser
+import websockets.asyncio.server
+from viser import _messages
+from websockets.datastructures import Headers
+from websockets.http11 import Request, Response
+
+from humansim_ros.errors import HumansimError
+
+#: The only address that the page is served on.
+HOST = "127.0.0.1"
+#: Ports that are tried after the one that was asked for.
+_PORTS = 100
+#: Path of our own files of the page.
+PREFIX = "/humansim/"
+_NAMES = {"127.0.0.1", "localhost", "[::1]", "::1"}
+#: Largest message of a browser, bytes.
+_MOST_BYTES = 1 << 16
+#: Messages of a browser that are taken; all others (uploads, public tunnels …) are dropped.
+_TAKEN = {
+    "CommandTriggerMessage",
+    "GuiButtonHoldMessage",
+    "GuiUpdateMessage",
+    "SceneNodeClickMessage",
+    "SceneNodeDragMessage",
+    "ScenePointerMessage",
+    "TransformControlsDragEndMessage",
+    "TransformControlsDragStartMessage",
+    "TransformControlsUpdateMessage",
+    "ViewerCameraMessage",
+}
+#: Longest text and longest list in a message.
+_LONGEST_TEXT, _LONGEST_LIST = 20_000, 64
+_LARGEST = 1e12
+_LOCK = threading.Lock()
+
+
+class PageServer:
+    """A viser server that only browsers on this machine reach, and only from its own page.
+
+    Args:
+        title: Title of the page.
+        port: Port; the next free one if it is in use.
+
+    Attributes:
+        viser: The server of the page's elements.
+        port: Port that it got.
+
+    Raises:
+        HumansimError: No port is free.
+    """
+
+    def __init__(self, title: str, port: int = 8080) -> None:
+        self.files: dict[str, tuple[str, bytes]] = {}
+        self.requests: dict[str, Callable[[Mapping[str, str]], None]] = {}
+        self._page = _index_page(title)
+        self.add_file("page.js", "text/javascript", Path(__file__).with_name("page").joinpath("page.js").read_bytes())
+        self._compressed: dict[str, bytes] = {}
+        with _LOCK, self._checked_connections(), contextlib.redirect_stdout(io.StringIO()):
+            self.viser = viser.ViserServer(host=HOST, port=_free_port(port), label=title, verbose=False)
+        self.port = int(self.viser.get_port())
+
+    @property
+    def url(self) -> str:
+        """Address for the browser."""
+        return f"http://{HOST}:{self.port}"
+
+    def add_file(self, name: str, kind: str, data: bytes) -> None:
+        """Serve ``data`` as ``/humansim/<name>``, with its MIME type."""
+        self.files[PREFIX + name] = (kind, data)
+
+    def add_json(self, name: str, value: Any) -> None:
+        """Serve a value as JSON."""
+        self.add_file(name, "application/json", json.dumps(value).encode())
+
+    def on_request(self, name: str, function: Callable[[Mapping[str, str]], None]) -> None:
+        """Call ``function`` with the query of each request of ``/humansim/<name>``, in the server's thread."""
+        self.requests[PREFIX + name] = function
+
+    def close(self) -> None:
+        """Stop serving."""
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.viser.stop()
+
+    @contextlib.contextmanager
+    def _checked_connections(self) -> Iterator[None]:
+        """Connections of servers that start meanwhile are checked.
+
+        Viser has no parameter for it; it calls ``websockets.asyncio.server.serve`` with its handlers.
+        """
+        serve = websockets.asyncio.server.serve
+
+        def checked(handler: Any, host: str, port: int, **options: Any) -> Any:
+            answer_of_viser = options.pop("process_request")
+
+            def answer(connection: Any, request: Request) -> Response | None:
+                ours = self._answer(request)
+                return ours if ours is not None else answer_of_viser(connection, request)
+
+            async def handle(connection: Any) -> None:
+                receive = connection.recv
+
+                async def receive_checked(*args: Any, **named: Any) -> Any:
+                    while not is_acceptable(data := await receive(*args, **named)):
+                        pass
+                    return data
+
+                connection.recv = receive_checked
+                await handler(connection)
+
+            options |= {"max_size": _MOST_BYTES, "process_request": answer}
+            return serve(handle, host, port, **options)
+
+        with patch.object(websockets.asyncio.server, "serve", checked):
+            yield
+
+    def _answer(self, request: Request) -> Response | None:
+        """Answer to a request that is not for viser, or that is refused; None for the others."""
+        if not _is_own(request.headers):
+            return _response(http.HTTPStatus.FORBIDDEN, "text/plain", b"only this page may ask\n")
+        parts = urlsplit(request.path)
+        path = unquote(parts.path)
+        if request.headers.get("Upgrade", "").lower() == "websocket":
+            return None
+        if path in ("/", "/index.html"):
+            return self._compressible(request, "index", "text/html; charset=utf-8", self._page)
+        if path in self.requests:
+            query = {name: values[0] for name, values in parse_qs(parts.query).items()}
+            self.requests[path](query)
+            return _response(http.HTTPStatus.NO_CONTENT, "text/plain", b"")
+        if path in self.files:
+            kind, data = self.files[path]
+            return _response(http.HTTPStatus.OK, kind, data)
+        return None
+
+    def _compressible(self, request: Request, name: str, kind: str, data: bytes) -> Response:
+        if "gzip" not in request.headers.get("Accept-Encoding", ""):
+            return _response(http.HTTPStatus.OK, kind, data)
+        if name not in self._compressed:
+            self._compressed[name] = gzip.compress(data, 5)
+        return _response(http.HTTPStatus.OK, kind, self._compressed[name], {"Content-Encoding": "gzip"})
+
+
+def is_acceptable(data: object) -> bool:
+    """Whether a message of a browser is one that its page sends, with values that are in range."""
+    if not isinstance(data, bytes):
+        return False
+    try:
+        content = msgspec.msgpack.decode(data)
+        if not isinstance(content, dict) or content.get("type") not in _TAKEN or not _is_plain(content):
+            return False
+        if content["type"] == "GuiUpdateMessage" and set(content.get("updates", ())) != {"value"}:
+            return False
+        _messages.Message.deserialize(data)
+    except Exception:  # anything at all may be in it, and viser's own reader raises many kinds of errors
+        return False
+    return True
+
+
+def inside(folder: Path, name: str) -> Path:
+    """Path of a file that a page names: below ``folder`` only.
+
+    Raises:
+        HumansimError: It is elsewhere. The page is not trusted with other files.
+    """
+    path = (folder / name).resolve()
+    if "\0" in name or not path.is_relative_to(folder.resolve()):
+        raise HumansimError(f"{name}: the page reads and writes files below {folder} only; use the command line")
+    return path
+
+
+def _is_plain(value: object, depth: int = 0) -> bool:
+    """Whether a value is shallow, short and finite."""
+    if depth > 4:
+        return False
+    if isinstance(value, float):
+        return math.isfinite(value) and abs(value) <= _LARGEST
+    if isinstance(value, int):
+        return abs(value) <= _LARGEST
+    if isinstance(value, (str, bytes)):
+        return len(value) <= _LONGEST_TEXT
+    if isinstance(value, dict):
+        return len(value) <= _LONGEST_LIST and all(
+            isinstance(key, str) and _is_plain(part, depth + 1) for key, part in value.items()
+        )
+    if isinstance(value, list):
+        return len(value) <= _LONGEST_LIST and all(_is_plain(part, depth + 1) for part in value)
+    return value is None
+
+
+def _is_own(headers: Headers) -> bool:
+    """Whether a request is for this machine by name, and comes from our own page or from no page.
+
+    A foreign page that points its own name at 127.0.0.1 sends that name as Host; other foreign pages are
+    told by Origin or Sec-Fetch-Site.
+    """
+    host = headers.get("Host", "")
+    if _host_name(host) not in _NAMES:
+        return False
+    origin = headers.get("Origin")
+    if origin is not None and urlsplit(origin).netloc != host:
+        return False
+    return headers.get("Sec-Fetch-Site", "none") in ("none", "same-origin")
+
+
+def _host_name(host: str) -> str:
+    return re.sub(r":\d+$", "", host).lower()
+
+
+def _response(
+    status: http.HTTPStatus, kind: str, data: bytes, more: Mapping[str, str] | None = None
+) -> Response:
+    headers = Headers(
+        {
+            "Content-Type": kind,
+            "Content-Length": str(len(data)),
+            "Cache-Control": "no-store",
+            "X-Content-Type-Options": "nosniff",
+            "Connection": "close",
+        }
+        | dict(more or {})
+    )
+    return Response(status, status.phrase, headers, data)
+
+
+def _free_port(port: int) -> int:
+    """The first free port from ``port`` on; 0 stays 0: any."""
+    if port == 0:
+        return 0
+    for candidate in range(port, min(port + _PORTS, 1 << 16)):
+        with socket.socket() as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            try:
+                probe.bind((HOST, candidate))
+            except OSError:
+                continue
+            return candidate
+    raise HumansimError(f"ports {port} to {port + _PORTS - 1} are in use: choose another one with --port")
+
+
+def _index_page(title: str) -> bytes:
+    """Viser's page, with our script before its own."""
+    root = Path(viser.__file__).parent / "client" / "build" / "index.html"
+    try:
+        text = root.read_text(encoding="utf-8")
+    except OSError as error:
+        raise HumansimError(f"viser has no page ({error}): install it again, pip install 'viser>=1.0'") from None
+    safe = title.replace("&", "&amp;").replace("<", "&lt;")
+    text = re.sub(r"<title>.*?</title>", lambda _: f"<title>{safe}</title>", text, count=1, flags=re.DOTALL)
+    script = f'<script src="{PREFIX}page.js"></script>'
+    return text.replace("<head>", f"<head>{script}", 1).encode()

@@ -1,0 +1,129 @@
+"""What the page shows: people, objects, cameras and images of a scene, a bag or a running graph."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from humansim_ros.camera import Camera
+from humansim_ros.humans import Human
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.types import Array, Image
+
+#: Channel of a page that is no channel of a renderer: the image with the joints drawn over it.
+JOINTS = "joints"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ViewFrame:
+    """Everything that moves, at one stamp.
+
+    Attributes:
+        index: Number of the frame.
+        stamp: Nanoseconds.
+        scene_time: Nanoseconds from the start.
+        joints: Poses (J, 4, 4) in ``map`` by human, in the order of ``skeleton.joint_names``: the B bones
+            first, then the end points.
+        sizes: Scale of the body by human; 1 if absent.
+        objects: Poses (4, 4) in ``map`` of moving objects, with their scale.
+        cameras: Cameras at their poses.
+        images: RGB images (H, W, 3) for people to look at, by camera and channel.
+        image_index: Frame of the images: an earlier one if they are slower than the motion; None without
+            images.
+        estimate: Points (J, 3) of a tracker in ``map``, by person.
+        estimate_errors: Distance of the estimate from the truth by person, millimetres.
+    """
+
+    index: int
+    stamp: int
+    scene_time: int
+    joints: Mapping[str, Array] = field(default_factory=dict)
+    sizes: Mapping[str, float] = field(default_factory=dict)
+    objects: Mapping[str, Array] = field(default_factory=dict)
+    cameras: Mapping[str, Camera] = field(default_factory=dict)
+    images: Mapping[str, Mapping[str, Image]] = field(default_factory=dict)
+    image_index: int | None = None
+    estimate: Mapping[str, Array] = field(default_factory=dict)
+    estimate_errors: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class PixelInfo:
+    """Numbers of a pixel.
+
+    Attributes:
+        values: Text by name, in the order in which it is shown.
+        world: (3,) the point on the surface in ``map``, metres; None without surface or depth.
+    """
+
+    values: Mapping[str, str]
+    world: Array | None = None
+
+
+class ViewSource(Protocol):
+    """Source of a page; all methods are called in one thread.
+
+    Attributes:
+        title: Title of the page.
+        people: Bodies without pose by name, in their outfit.
+        objects: Meshes of moving objects by name, in their own frame.
+        static: Meshes by name in ``map``: room, static objects.
+        cameras: Cameras at the start.
+        period: Nanoseconds between frames.
+        frames: Number of frames; None for a live source, whose latest frame is shown.
+        channels: Channels that can be shown.
+        messages: What the user should know, such as "the bag has no images".
+    """
+
+    @property
+    def title(self) -> str: ...
+
+    @property
+    def people(self) -> Mapping[str, Human]: ...
+
+    @property
+    def objects(self) -> Mapping[str, Mesh]: ...
+
+    @property
+    def static(self) -> Mapping[str, Mesh]: ...
+
+    @property
+    def cameras(self) -> Mapping[str, Camera]: ...
+
+    @property
+    def period(self) -> int: ...
+
+    @property
+    def frames(self) -> int | None: ...
+
+    @property
+    def channels(self) -> tuple[str, ...]: ...
+
+    @property
+    def messages(self) -> Sequence[str]: ...
+
+    def frame(
+        self,
+        index: int,
+        cameras: Collection[str] = (),
+        channels: Collection[str] = (),
+        wait: bool = False,
+    ) -> ViewFrame:
+        """A frame.
+
+        Args:
+            index: Number of the frame; a live source gives its latest one instead.
+            cameras: Cameras whose images are wanted.
+            channels: Channels that are wanted.
+            wait: The images must be those of this frame; else the latest ones that are ready are given.
+        """
+        ...
+
+    def describe(self, camera: str, x: int, y: int) -> PixelInfo:
+        """Numbers of a pixel of the frame that was given last, as the topics say them."""
+        ...
+
+    def close(self) -> None:
+        """Free processes, renderers and subscriptions."""
+        ...

@@ -1,0 +1,402 @@
+"""The 3D part of the page: people, objects, cameras, floor, and what is drawn beside them."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.camera import Camera
+from humansim_ros.camera.coverage import coverage
+from humansim_ros.drawing.canvas import distinct_hues, hsv_colors
+from humansim_ros.errors import CameraError
+from humansim_ros.rotations import matrix_to_quaternion
+from humansim_ros.types import Array, Color, Image
+from humansim_ros.view.bodies import PageBody, keyed_color
+from humansim_ros.view.server import PageServer
+from humansim_ros.view.source import JOINTS, ViewFrame, ViewSource
+from humansim_ros.view.static_model import glb_of
+
+#: Frames that a trail keeps, and the frames between two of its points.
+_TRAIL, _TRAIL_STEP = 60, 2
+#: Joints with trails, if a body has them; else all end points.
+_TRAILED = ("HumanoidRoot", "l_wrist", "r_wrist", "l_ankle", "r_ankle", "vt3_end")
+#: Length of a frustum, metres; its image is as wide as the field of view.
+_FRUSTUM = 0.45
+#: Width of the images in frusta, pixels.
+_FRUSTUM_IMAGE = 240
+#: Cells of the coverage along its longer side, and the margin around the cameras, metres.
+_CELLS, _MARGIN = 96, 1.0
+_GREEN, _RED = (70, 200, 110), (235, 80, 80)
+#: Change of size at which a body is built again.
+_SIZE_STEP = 1e-3
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is drawn beside people, objects and cameras."""
+
+    cameras: bool = True
+    images: bool = True
+    names: bool = True
+    axes: bool = True
+    joints: bool = False
+    joint_names: bool = False
+    trails: bool = False
+    boxes: bool = False
+    coverage: bool = False
+    room: bool = True
+
+
+class Stage:
+    """The 3D scene of a page; made again for each source.
+
+    Args:
+        server: The server.
+        source: What is shown.
+        on_click: Called with a name of a person or camera and a ray (origin (3,), direction (3,)) when it is
+            clicked.
+    """
+
+    def __init__(
+        self,
+        server: PageServer,
+        source: ViewSource,
+        on_click: Callable[[str, Array, Array], None],
+    ) -> None:
+        self._server, self._scene = server, server.viser.scene
+        self._source, self._on_click = source, on_click
+        self.options = Options()
+        self._bodies: dict[str, tuple[PageBody, Any]] = {}
+        self._numbers: dict[str, int] = {name: number for number, name in enumerate(source.people)}
+        self._extras: dict[str, Any] = {}
+        self._trails: dict[str, deque[Array]] = {name: deque(maxlen=_TRAIL) for name in source.people}
+        self._last_index = -1
+        self.frame: ViewFrame | None = None
+        with server.viser.atomic():
+            self._scene.reset()
+            self._scene.set_up_direction("+z")
+            self._floor = self._add_floor()
+            self._room = self._add_static()
+            self._objects = {name: self._add_object(name) for name in source.objects}
+            self._axes = self._scene.add_frame("/map", axes_length=0.5, axes_radius=0.008)
+            self._frusta = {name: self._add_camera(name, camera) for name, camera in source.cameras.items()}
+            for name in source.people:
+                self._bodies[name] = self._add_body(name, 1.0)
+        self._serve_bodies()
+
+    def show(self, frame: ViewFrame) -> None:
+        """Show a frame."""
+        self.frame = frame
+        if abs(frame.index - self._last_index) > 2 * _TRAIL_STEP:
+            for trail in self._trails.values():
+                trail.clear()
+        self._last_index = frame.index
+        rebuilt = False
+        for name in frame.joints:
+            if name in self._bodies and abs(frame.sizes.get(name, 1.0) - self._bodies[name][0].size) > _SIZE_STEP:
+                self._bodies[name][1].remove()
+                self._bodies[name] = self._add_body(name, frame.sizes[name])
+                rebuilt = True
+        if rebuilt:
+            self._serve_bodies()
+        with self._server.viser.atomic():
+            self._pose_bodies(frame)
+            for name, matrix in frame.objects.items():
+                self._pose_object(name, matrix)
+            for name, camera in frame.cameras.items():
+                self._pose_camera(name, camera)
+            if self.options.images and self.options.cameras:
+                self._show_images(frame)
+            self._show_extras(frame)
+        self._server.viser.flush()
+
+    def set_options(self, options: Options) -> None:
+        """Change what is drawn; from the next frame on."""
+        self.options = options
+        self._room.visible = options.room
+        self._floor.visible = not options.room or not self._source.static
+        self._axes.visible = options.axes
+        for handle, label in self._frusta.values():
+            handle.visible = options.cameras
+            label.visible = options.cameras and options.names
+            if not options.images:
+                handle.image = None
+        self._drop("coverage")
+        if options.coverage:
+            self._add_coverage()
+        for key in list(self._extras):
+            if key != "coverage":
+                self._drop(key)
+
+    # --- people ------------------------------------------------------------------------------------------
+
+    def _add_body(self, name: str, size: float) -> tuple[PageBody, Any]:
+        body = PageBody(self._source.people[name], size)
+        rest = body.rest
+        handle = self._scene.add_mesh_skinned(
+            f"/people/{name}",
+            body.vertices,
+            body.faces,
+            bone_wxyzs=_wxyz(rest[:, :3, :3]),
+            bone_positions=rest[:, :3, 3],
+            skin_weights=body.weights,
+            color=keyed_color(body.color, self._numbers[name]),
+        )
+        handle.on_click(lambda event: self._clicked(name, event))
+        return body, handle
+
+    def _clicked(self, name: str, event: Any) -> None:
+        if event.ray_origin is not None and event.ray_direction is not None:
+            self._on_click(name, np.array(event.ray_origin), np.array(event.ray_direction))
+
+    def _serve_bodies(self) -> None:
+        """Serve textures and normals of the bodies, by the colour of their meshes."""
+        table = {}
+        for name, (body, _) in self._bodies.items():
+            number = self._numbers[name]
+            key = "{:02x}{:02x}{:02x}".format(*keyed_color(body.color, number))
+            person = f"people/{number}-{id(body):x}"
+            self._server.add_file(f"{person}.surface", "application/octet-stream", body.surface)
+            entry: dict[str, Any] = {
+                "vertices": len(body.vertices),
+                "surface": f"/humansim/{person}.surface",
+                "texture": None,
+            }
+            texture = body.texture
+            if texture is not None:
+                self._server.add_file(f"{person}.jpg", "image/jpeg", texture)
+                entry["texture"] = f"/humansim/{person}.jpg"
+            table[key] = entry
+        self._server.add_json("people.json", table)
+
+    def _pose_bodies(self, frame: ViewFrame) -> None:
+        for name, (body, handle) in self._bodies.items():
+            joints = frame.joints.get(name)
+            handle.visible = joints is not None
+            if joints is None:
+                continue
+            bones = joints[: len(body.human.skeleton)]
+            turns = _wxyz(bones[:, :3, :3])
+            for bone, turn, position in zip(handle.bones, turns, bones[:, :3, 3], strict=True):
+                bone.wxyz = turn
+                bone.position = position
+
+    # --- objects and room --------------------------------------------------------------------------------
+
+    def _add_static(self) -> Any:
+        if not self._source.static:
+            return self._scene.add_frame("/room", show_axes=False)
+        return self._scene.add_glb("/room", glb_of(self._source.static.values()), cast_shadow=False)
+
+    def _add_object(self, name: str) -> Any:
+        return self._scene.add_glb(f"/objects/{name}", glb_of([self._source.objects[name]]))
+
+    def _pose_object(self, name: str, matrix: Array) -> None:
+        handle = self._objects.get(name)
+        if handle is None:
+            return
+        sizes = np.linalg.norm(matrix[:3, :3], axis=0)
+        handle.wxyz = _wxyz(matrix[None, :3, :3] / sizes)[0]
+        handle.position = matrix[:3, 3]
+        if not np.allclose(handle.scale, sizes, rtol=1e-4):
+            handle.scale = tuple(map(float, sizes))
+
+    def _add_floor(self) -> Any:
+        return self._scene.add_grid(
+            "/floor", width=12, height=12, cell_size=0.5, section_size=1.0, plane="xy", position=(0, 0, -0.002)
+        )
+
+    # --- cameras -----------------------------------------------------------------------------------------
+
+    def _add_camera(self, name: str, camera: Camera) -> tuple[Any, Any]:
+        width, height = camera.size
+        fov = 2 * math.atan2(height / 2, camera.K[1, 1])
+        handle = self._scene.add_camera_frustum(
+            f"/cameras/{name}",
+            fov=fov,
+            aspect=width / height,
+            scale=_FRUSTUM * math.tan(min(fov, 2.0) / 2),
+            color=(40, 110, 220),
+            thickness=0.008,
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+        label = self._scene.add_label(f"/cameras/{name}/name", name, position=(0.0, -0.12, 0.0))
+        self._place_camera(handle, camera)
+        return handle, label
+
+    def _pose_camera(self, name: str, camera: Camera) -> None:
+        if name in self._frusta:
+            self._place_camera(self._frusta[name][0], camera)
+
+    @staticmethod
+    def _place_camera(handle: Any, camera: Camera) -> None:
+        handle.wxyz = _wxyz(camera.R.T[None])[0]
+        handle.position = camera.center
+
+    def _show_images(self, frame: ViewFrame) -> None:
+        for name, images in frame.images.items():
+            if name in self._frusta and images:
+                image = images.get("rgb", images.get(JOINTS, next(iter(images.values()))))
+                step = max(1, image.shape[1] // _FRUSTUM_IMAGE)
+                self._frusta[name][0].image = np.ascontiguousarray(image[::step, ::step])
+
+    # --- drawn beside them -------------------------------------------------------------------------------
+
+    def _show_extras(self, frame: ViewFrame) -> None:
+        for name, joints in frame.joints.items():
+            color = person_color(self._numbers.get(name, 0))
+            positions = joints[:, :3, 3]
+            if self.options.names:
+                self._label(f"name of {name}", name, positions[:, :2].mean(axis=0), positions[:, 2].max() + 0.2)
+            if self.options.joints or self.options.joint_names:
+                self._skeleton(name, positions, color)
+            if self.options.trails and frame.index % _TRAIL_STEP == 0:
+                self._trail(name, positions, color)
+            if self.options.boxes:
+                self._box(name, joints, color)
+        for name, points in frame.estimate.items():
+            points = points[np.isfinite(points).all(axis=1)]
+            if len(points):
+                self._points(f"estimate {name}", points, _RED)
+                error = frame.estimate_errors.get(name)
+                text = name if error is None else f"{name}: {error:.0f} mm"
+                self._label(f"error {name}", text, points[:, :2].mean(axis=0), points[:, 2].max() + 0.1)
+        for key in [key for key in self._extras if key.startswith(("estimate ", "error "))]:
+            if key.split(" ", 1)[1] not in frame.estimate:
+                self._drop(key)
+
+    def _label(self, key: str, text: str, over: Array, height: float) -> None:
+        position = (float(over[0]), float(over[1]), float(height))
+        label = self._extras.get(key)
+        if label is None:
+            self._extras[key] = self._scene.add_label(f"/beside/{key}", text, position=position)
+        else:
+            label.position = position
+            if label.text != text:
+                label.text = text
+
+    def _skeleton(self, name: str, positions: Array, color: Color) -> None:
+        skeleton = self._source.people[name].skeleton
+        numbers = {joint: number for number, joint in enumerate(skeleton.joint_names)}
+        pairs = [
+            (number, numbers[parent]) for number, parent in enumerate(skeleton.joint_parents) if parent is not None
+        ]
+        self._lines(f"joints {name}", positions[np.array(pairs, dtype=int).reshape(-1, 2)], color)
+        if self.options.joint_names:
+            for joint, number in numbers.items():
+                point = positions[number]
+                self._label(f"joint {name} {joint}", joint, point[:2], float(point[2]))
+
+    def _trail(self, name: str, positions: Array, color: Color) -> None:
+        names = self._source.people[name].skeleton.joint_names
+        chosen = [names.index(joint) for joint in _TRAILED if joint in names] or list(range(len(names)))
+        trail = self._trails[name]
+        trail.append(positions[chosen])
+        if len(trail) > 1:
+            points = np.stack(trail)
+            self._lines(f"trail {name}", np.stack([points[:-1], points[1:]], axis=2).reshape(-1, 2, 3), color)
+
+    def _box(self, name: str, joints: Array, color: Color) -> None:
+        human = self._source.people[name]
+        vertices = human.pose(joints[: len(human.skeleton)])
+        low, high = vertices.min(axis=0), vertices.max(axis=0)
+        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        pairs = [(a, b) for a in range(8) for b in range(a) if np.abs(corners[a] - corners[b]).sum() == 1]
+        self._lines(f"box {name}", (low + corners * (high - low))[np.array(pairs)], color)
+
+    def _lines(self, key: str, points: Array, color: Color) -> None:
+        """Draw line segments (N, 2, 3)."""
+        points = np.asarray(points, dtype=np.float32)
+        handle = self._extras.get(key)
+        if handle is None:
+            self._extras[key] = self._scene.add_line_segments(
+                f"/beside/{key}", points, np.array(color, np.uint8), thickness=2.5, thickness_units="screen"
+            )
+        else:
+            handle.points = points
+
+    def _points(self, key: str, points: Array, color: Color) -> None:
+        points = np.asarray(points, dtype=np.float32)
+        handle = self._extras.get(key)
+        if handle is not None and len(handle.points) == len(points):
+            handle.points = points
+            return
+        self._drop(key)
+        self._extras[key] = self._scene.add_point_cloud(
+            f"/beside/{key}", points, np.array(color, np.uint8), point_size=0.03, point_shape="circle"
+        )
+
+    def mark(self, point: Array | None) -> None:
+        """Mark a point (3,) in ``map``; None removes the mark."""
+        self._drop("mark")
+        if point is not None:
+            self._extras["mark"] = self._scene.add_icosphere(
+                "/beside/mark", radius=0.015, color=(255, 220, 0), position=tuple(map(float, point))
+            )
+
+    def _drop(self, key: str) -> None:
+        handle = self._extras.pop(key, None)
+        if handle is not None:
+            handle.remove()
+
+    def _add_coverage(self) -> None:
+        cameras = {name: camera for name, camera in self._cameras_now().items()}
+        if not cameras:
+            return
+        try:
+            image, low, high = coverage_picture(cameras)
+        except CameraError:
+            return
+        size = high - low
+        self._extras["coverage"] = self._scene.add_image(
+            "/beside/coverage",
+            image,
+            render_width=float(size[0]),
+            render_height=float(size[1]),
+            format="png",
+            wxyz=(0.0, 1.0, 0.0, 0.0),  # images face -z: the first row is at the largest y
+            position=(float(low[0] + size[0] / 2), float(low[1] + size[1] / 2), 0.004),
+        )
+
+    def _cameras_now(self) -> Mapping[str, Camera]:
+        return self.frame.cameras if self.frame is not None else self._source.cameras
+
+
+def coverage_picture(cameras: Mapping[str, Camera]) -> tuple[Image, Array, Array]:
+    """Number of cameras that see a standing person (0.1 to 1.7 m) at each position of the floor.
+
+    Returns:
+        RGBA image, first row at the largest y; low and high corners (2,) in ``map``, metres.
+    """
+    centers = np.array([camera.center[:2] for camera in cameras.values()])
+    low, high = centers.min(axis=0) - _MARGIN, centers.max(axis=0) + _MARGIN
+    middle = (low + high) / 2
+    half = np.maximum((high - low) / 2, 3.0)
+    low, high = middle - half, middle + half
+    cell = float((high - low).max()) / _CELLS
+    x = np.arange(low[0] + cell / 2, high[0], cell)
+    y = np.arange(low[1] + cell / 2, high[1], cell)
+    counts = coverage(cameras, x, y, 0.1, 1.7).counts[::-1]
+    share = counts / max(len(cameras), 1)
+    colors = hsv_colors((share * 60).ravel(), 200, np.full(counts.size, 230)).reshape(*counts.shape, 3)
+    alpha = np.where(counts > 0, 150, 0).astype(np.uint8)
+    return np.dstack([colors, alpha]), low, high
+
+
+def person_color(number: int) -> Color:
+    """Colour of a person in lines."""
+    red, green, blue = hsv_colors(distinct_hues(number + 1)[-1:], 170, np.array([235]))[0]
+    return int(red), int(green), int(blue)
+
+
+def _wxyz(rotations: Array) -> Array:
+    """Quaternions (N, 4) wxyz, as viser has them, of rotations (N, 3, 3)."""
+    return matrix_to_quaternion(np.ascontiguousarray(rotations))[:, [3, 0, 1, 2]]
+
+

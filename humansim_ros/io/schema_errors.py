@@ -71,8 +71,43 @@ def schema_error(
     Returns:
         Error with key and line; its message says what is needed and what was found.
     """
-    faults = reason.errors(include_url=False)
-    first = _best(faults)
+    return _error_of(_best(reason.errors(include_url=False)), model, error, path, tree)
+
+
+def schema_errors(
+    reason: ValidationError,
+    model: type[BaseModel],
+    error: type[HumansimError],
+    path: str | os.PathLike[str] | None = None,
+    tree: yaml.Node | None = None,
+) -> list[HumansimError]:
+    """Make an error of each key that the validation of a model has found wrong.
+
+    Args:
+        reason: Exception of the validation.
+        model: The model that was validated.
+        error: Error class to make.
+        path: File, for messages.
+        tree: YAML nodes of the file, for the lines.
+    """
+    groups: dict[tuple[Any, ...], list[Any]] = {}
+    for fault in reason.errors(include_url=False):
+        unknown = fault["type"] == "extra_forbidden"
+        keys = tuple(fault["loc"]) if unknown else _place(model, tuple(fault["loc"])).keys
+        # the alternatives of a key are one error
+        known = next((other for other in groups if keys[: len(other)] == other), keys)
+        groups.setdefault(known, []).append(fault)
+    return [_error_of(_best(faults), model, error, path, tree) for faults in groups.values()]
+
+
+def _error_of(
+    first: Any,
+    model: type[BaseModel],
+    error: type[HumansimError],
+    path: str | os.PathLike[str] | None,
+    tree: yaml.Node | None,
+) -> HumansimError:
+    """Error of one fault."""
     place = _place(model, tuple(first["loc"]))
     keys, line = place.keys, line_of(tree, [key for key in first["loc"] if key != "[key]"])
     if first["type"] == "extra_forbidden":

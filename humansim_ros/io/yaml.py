@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import yaml
@@ -12,7 +13,7 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.io.files import read_text
 
 #: Size of a file; PyYAML takes many seconds for megabytes.
-_MAX_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 #: Keys and values, including repetitions by aliases and merge keys. A scene of a thousand people has 40,000.
 _MAX_NODES = 100_000
 _MAX_DEPTH = 50
@@ -71,7 +72,7 @@ def read_yaml(
     path: str | os.PathLike[str], error: type[HumansimError], what: str
 ) -> tuple[Any, yaml.Node | None]:
     """Read a YAML file: data and nodes as of :func:`parse_yaml`. ``what``: kind of file for messages."""
-    return parse_yaml(read_text(path, error, what, _MAX_BYTES), error, path)
+    return parse_yaml(read_text(path, error, what, MAX_BYTES), error, path)
 
 
 def parse_yaml(
@@ -91,11 +92,38 @@ def parse_yaml(
     Raises:
         HumansimError: ``error`` with path and line, if the text is wrong, too large, or has a key twice.
     """
-    try:
+    with _yaml_errors(text, error, path):
         loader = kind(text)
         tree = loader.get_single_node()
         _refuse_repeated_keys(tree, error, path)
         return None if tree is None else loader.construct_document(tree), tree
+    raise AssertionError
+
+
+def compose_yaml(
+    text: str, error: type[HumansimError], path: str | os.PathLike[str], loader: Loader
+) -> yaml.Node | None:
+    """Nodes of a YAML text as they are written: aliases and merge keys are not applied.
+
+    Args:
+        text: Content of the file.
+        error: Error class to raise.
+        path: File, for messages.
+        loader: Loader of the text.
+
+    Raises:
+        HumansimError: As for :func:`parse_yaml`.
+    """
+    with _yaml_errors(text, error, path):
+        return loader.get_single_node()
+    raise AssertionError
+
+
+@contextmanager
+def _yaml_errors(text: str, error: type[HumansimError], path: str | os.PathLike[str]) -> Iterator[None]:
+    """Convert exceptions of PyYAML to ``error`` with path and line."""
+    try:
+        yield
     except yaml.reader.ReaderError as reason:
         message = f"not valid YAML: character {reason.character:#x} is not allowed"
         raise error(message, path=path, line=text.count("\n", 0, reason.position) + 1) from None

@@ -54,7 +54,7 @@ class RequestedMotions(SceneSource):
             if not folder.is_dir():
                 raise MotionError(f"{str(folder)!r} is not a folder", key=MOTION_FOLDERS)
         real = tuple(folder.resolve() for folder in allowed)
-        return cls(source.path, source.folder, source.objects, real, frozenset(named))
+        return cls(source.path, source.folder, source.objects, allowed=real, named=frozenset(named))
 
     def motion(self, name: str, positions: PositionChannels) -> Motion:
         """Read a motion that a request names.

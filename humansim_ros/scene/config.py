@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from pydantic import (
@@ -674,3 +674,18 @@ def map_files(value: Any, change: Callable[[str], str]) -> Any:
     if isinstance(value, dict):
         return {key: map_files(part, change) for key, part in value.items()}
     return [map_files(part, change) for part in value] if isinstance(value, (list, tuple)) else value
+
+
+def file_keys(value: Any, keys: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Path and value of each key of a configuration that names a file or a built-in."""
+    if isinstance(value, Section):
+        for name, info in type(value).model_fields.items():
+            yield from file_keys(getattr(value, name), (*keys, info.alias or name))
+    elif isinstance(value, dict):
+        for name, part in value.items():
+            yield from file_keys(part, (*keys, name))
+    elif isinstance(value, (list, tuple)):
+        for number, part in enumerate(value):
+            yield from file_keys(part, (*keys, number))
+    elif isinstance(value, _FileName):
+        yield keys, str(value)

@@ -67,8 +67,21 @@ def _build_rig(rig: RigConfig, source: SceneSource) -> dict[str, SceneCamera]:
     }
 
 
+def rig_placement(rig: RigConfig, source: SceneSource) -> RigPlacement:
+    """Pose of the world of a rig's file in ``map``. Raises HumansimError with the key."""
+    with source.locating_errors(), in_section("rig"):
+        return _placement(rig, [camera for _, camera in _file_cameras(rig, source).values()])
+
+
 def _rig_cameras(rig: RigConfig, source: SceneSource) -> dict[str, tuple[str, Camera]]:
-    """Name in the file and camera, by name in ROS."""
+    """Name in the file and camera in ``map``, by name in ROS."""
+    cameras = _file_cameras(rig, source)
+    placement = _placement(rig, [camera for _, camera in cameras.values()])
+    return {name: (original, placement.camera(camera)) for name, (original, camera) in cameras.items()}
+
+
+def _file_cameras(rig: RigConfig, source: SceneSource) -> dict[str, tuple[str, Camera]]:
+    """Name in the file and camera in the world of the file, by name in ROS."""
     cameras: dict[str, tuple[str, Camera]] = {}
     read = _with_poses(rig, read_cameras(rig.file, "file", rig, source), source)
     missing = set(rig.cameras or ()) - set(read)
@@ -80,8 +93,7 @@ def _rig_cameras(rig: RigConfig, source: SceneSource) -> dict[str, tuple[str, Ca
         if name in cameras:
             raise CameraError(f"two of its cameras would be {name} in ROS: rename one", key="cameras")
         cameras[name] = original, read[original]
-    placement = _placement(rig, [camera for _, camera in cameras.values()])
-    return {name: (original, placement.camera(camera)) for name, (original, camera) in cameras.items()}
+    return cameras
 
 
 def _with_poses(rig: RigConfig, read: Calibration, source: SceneSource) -> dict[str, Camera]:

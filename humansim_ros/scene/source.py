@@ -17,7 +17,7 @@ from humansim_ros.humans.human import Human, Skinning
 from humansim_ros.humans.loading import load_human
 from humansim_ros.io.assets import find_asset
 from humansim_ros.io.files import exists, expand_user, missing_file
-from humansim_ros.io.yaml import line_of, read_yaml
+from humansim_ros.io.yaml import line_of, parse_yaml, read_yaml
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.bvh import PositionChannels
 from humansim_ros.motion.files import find_motion, read_motion
@@ -38,11 +38,13 @@ class SceneSource:
         path: The scene file; None for a scene that is made in memory.
         folder: Folder that relative file names start from.
         objects: Humans, motions and meshes in memory, by their names in the configuration.
+        text: Content of the scene file in place of that on disk, while it is edited.
     """
 
     path: Path | None = None
     folder: Path = field(default_factory=Path.cwd)
     objects: Mapping[str, Human | Motion | Mesh] = field(default_factory=dict)
+    text: str | None = None
 
     @classmethod
     def of_file(cls, path: str | os.PathLike[str]) -> SceneSource:
@@ -55,7 +57,7 @@ class SceneSource:
         try:
             yield
         except HumansimError as error:
-            if error.path is not None or self.path is None:
+            if error.path is not None or (self.path is None and self.text is None):
                 raise
             line = self.line(error.key)
             located = type(error)(error.message, path=self.path, line=line, key=error.key)
@@ -133,10 +135,14 @@ class SceneSource:
 
     def line(self, key: str | None) -> int | None:
         """Line of a dotted key, or of its deepest section that is in the file."""
-        if self.path is None or key is None:
+        if key is None or (self.path is None and self.text is None):
             return None
         try:
-            _, tree = read_yaml(self.path, SceneError, "scene")
+            if self.text is not None:
+                _, tree = parse_yaml(self.text, SceneError, self.path or "scene")
+            else:
+                assert self.path is not None
+                _, tree = read_yaml(self.path, SceneError, "scene")
         except SceneError:
             return None
         return line_of(tree, key.split("."))

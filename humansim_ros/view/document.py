@@ -1,0 +1,693 @@
+"""A scene file that is edited: its text with comments, undo and redo, errors by key and line, saving."""
+
+from __future__ import annotations
+
+import copy
+import os
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Set as AbstractSet
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import ValidationError
+
+from humansim_ros.camera import Camera
+from humansim_ros.errors import HumansimError, SceneError, in_section
+from humansim_ros.io.files import atomic_path, exists, expand_user, read_bytes
+from humansim_ros.io.schema import Section
+from humansim_ros.io.schema_errors import schema_errors
+from humansim_ros.io.yaml import MAX_BYTES, parse_yaml
+from humansim_ros.io.yaml_edit import YamlKey, remove_value, rename_key, set_value
+from humansim_ros.motion.keyframe_tracks import KeyframeTrack
+from humansim_ros.motion.keyframes import read_keyframes
+from humansim_ros.scene.camera import SceneCamera
+from humansim_ros.scene.checks import check_scene
+from humansim_ros.scene.config import (
+    CameraConfig,
+    HumanConfig,
+    KeyframesConfig,
+    ObjectConfig,
+    RigConfig,
+    SceneConfig,
+    file_keys,
+)
+from humansim_ros.scene.rig import rig_placement
+from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.source import SceneSource
+from humansim_ros.view.history import History, Step, changed_lines
+from humansim_ros.view.placing import (
+    ItemPose,
+    SectionKeys,
+    camera_keys,
+    camera_pose,
+    free_place,
+    human_keys,
+    human_pose,
+    object_keys,
+    object_pose,
+    rig_keys,
+)
+from humansim_ros.view.scene_keys import check_name, find_key, metres, plain, split_key
+
+#: Sections whose members have a place; ``rig`` is the whole rig, and its name is ``rig``.
+SectionName = Literal["humans", "objects", "cameras", "rig"]
+
+NEW_SCENE = """\
+# A new scene: one person who walks, and one camera.
+rate: 30
+room:
+  size: [7.0, 6.4, 2.8]
+humans:
+  person: {body: adult_woman, motion: {file: walk, position: [0, -1.59], loop: continue}}
+cameras:
+  camera_1: {size: [640, 480], position: [3.1, 2.8, 2.2], look_at: [0, 0, 0.8], fov_deg: 62}
+"""
+
+_SINGULAR = {"humans": "person", "objects": "object", "cameras": "camera"}
+#: Height of new cameras, and of the point at which they look, metres.
+_EYE, _CHEST = 1.8, 0.9
+
+
+class SceneFault(NamedTuple):
+    """A key that is wrong, its line in the text (None if unknown), and the reason."""
+
+    key: str
+    line: int | None
+    message: str
+
+
+class SceneDocument:
+    """A scene file that is edited.
+
+    Each edit changes the lines of its key only: comments, order, anchors and quotes of all other lines stay.
+    An edit may leave the scene wrong: :meth:`errors` says where. Methods may be called from several threads.
+
+    Args:
+        text: Content of the scene file.
+        path: The file; None for a new scene.
+        folder: Folder that relative file names start from; that of the file if None.
+
+    Example:
+        >>> document = SceneDocument()
+        >>> document.set("humans.person.motion.yaw_deg", 90)
+        >>> document.add_person("anna", near=(1, 1))
+        'anna'
+        >>> document.errors()
+        []
+        >>> print(document.command())
+          anna: {body: adult_woman, motion: {file: walk, position: [1, 1], loop: continue}}
+        >>> document.undo()
+        'Add anna'
+    """
+
+    def __init__(
+        self,
+        text: str = NEW_SCENE,
+        path: str | os.PathLike[str] | None = None,
+        folder: str | os.PathLike[str] | None = None,
+    ) -> None:
+        self.path = None if path is None else Path(path)
+        self.folder = Path(folder or ("." if self.path is None else self.path.parent)).resolve()
+        self._text = text
+        self._saved = text if path is not None else ""
+        self._on_disk: bytes | None = None
+        self._encoding = "utf-8"
+        self._history = History()
+        self._lock = threading.RLock()
+        self._files: dict[Path, tuple[bytes | None, bytes | None]] | None = None
+        self._parsed: tuple[str, Any] | None = None
+        self._built: tuple[str, list[SceneFault], Scene | None] | None = None
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> SceneDocument:
+        """Open a scene file; it may be wrong. Raises SceneError if it cannot be read or is binary."""
+        document = cls("", path)
+        document._read()
+        return document
+
+    # --- the text and its values
+
+    def text(self) -> str:
+        """The scene file as it would be saved."""
+        return self._text
+
+    @property
+    def changed(self) -> bool:
+        """Whether there is something to save."""
+        return self._text != self._saved
+
+    def data(self) -> dict[str, Any]:
+        """Values of the text, with anchors and merge keys applied. Raises SceneError if it is not valid."""
+        with self._lock:
+            if self._parsed is None or self._parsed[0] != self._text:
+                data, _ = parse_yaml(self._text, SceneError, self._name)
+                if data is not None and not isinstance(data, dict):
+                    raise SceneError("a scene is a mapping with 'humans' and 'cameras'", path=self.path)
+                self._parsed = self._text, data or {}
+            return copy.deepcopy(self._parsed[1])
+
+    def value(self, key: str | Sequence[YamlKey]) -> Any:
+        """Value of a key in the text, else its default; None if it has neither.
+
+        Args:
+            key: Dotted key, such as ``humans.anna.motion.yaw_deg``, or its parts.
+
+        Raises:
+            SceneError: Scenes have no such key, or the text is not valid.
+        """
+        found = find_key(key)
+        value: Any = self.data()
+        for number, part in enumerate(found.keys):
+            if isinstance(value, str) and find_key(found.keys[:number]).short_key == part:
+                return value
+            items = dict(enumerate(value)) if isinstance(value, list) else value
+            by_name = {str(name): item for name, item in items.items()} if isinstance(items, dict) else {}
+            if str(part) not in by_name:
+                return found.default
+            value = by_name[str(part)]
+        return value
+
+    def names(self, kind: SectionName) -> list[str]:
+        """Names in a section, in the order of the file; ``["rig"]`` for a rig."""
+        section = self.data().get(kind)
+        if kind == "rig":
+            return ["rig"] if section is not None else []
+        return [str(name) for name in section] if isinstance(section, dict) else []
+
+    # --- edits
+
+    def set(self, key: str | Sequence[YamlKey], value: Any, *, continues: bool = False) -> None:
+        """Set a key; its sections are added where they are missing.
+
+        Args:
+            key: Dotted key, or its parts.
+            value: Plain data or arrays. A wrong value is written, and :meth:`errors` reports it.
+            continues: The same undo step as the last change of this key, as while a slider moves.
+
+        Raises:
+            SceneError: Scenes have no such key; a number is not finite; a value is too long.
+        """
+        found = find_key(key)
+        dotted = ".".join(map(str, found.keys))
+        given = plain(value, dotted)
+        with self.step(f"Set {dotted}", continues=continues):
+            self._expand(found.keys)
+            self._edit(set_value(self._text, found.keys, given, self._name))
+
+    def remove(self, key: str | Sequence[YamlKey]) -> None:
+        """Remove a key with its value, or a person, an object or a camera. Raises SceneError if absent."""
+        keys = split_key(key)
+        with self.step(f"Remove {'.'.join(map(str, keys))}"):
+            self._edit(remove_value(self._text, keys, self._name))
+
+    def rename(self, kind: SectionName, old: str, new: str) -> None:
+        """Rename a person, an object or a camera. Raises SceneError if a name is wrong or taken."""
+        find_key([kind, new])
+        if new in self._names():
+            raise SceneError(f"the name {new!r} is taken", key=f"{kind}.{old}")
+        with self.step(f"Rename {old}"):
+            self._edit(rename_key(self._text, [kind, old], new, self._name))
+
+    def add_person(
+        self,
+        name: str = "person",
+        near: ArrayLike = (0.0, 0.0),
+        body: str = "adult_woman",
+        motion: str = "walk",
+    ) -> str:
+        """Add a person.
+
+        Args:
+            name: Its name; if it is taken, with a number.
+            near: Point (2,) or (3,) of the floor: the nearest place 0.8 m from other people is taken.
+            body: Name of a human, or a file.
+            motion: Name of a motion, or a file.
+
+        Returns:
+            Its name.
+        """
+        section: SectionKeys = {"body": body, "motion": {"file": motion, "position": self._free(near)}}
+        if motion.startswith("walk"):
+            section["motion"]["loop"] = "continue"
+        return self._add("humans", name, section)
+
+    def add_object(self, name: str = "object", near: ArrayLike = (0.0, 0.0), mesh: str = "box") -> str:
+        """Add an object on the floor; parameters and result as of :meth:`add_person`. ``mesh``: its shape."""
+        section: SectionKeys = {"mesh": mesh}
+        height = 0.0
+        if mesh in ("box", "sphere", "cylinder"):
+            section["size"], height = [0.5, 0.5, 0.5], 0.25
+        section["position"] = [*self._free(near), height]
+        return self._add("objects", name, section)
+
+    def add_camera(
+        self, name: str = "camera_1", near: ArrayLike = (3.0, 0.0, _EYE), look_at: ArrayLike | None = None
+    ) -> str:
+        """Add a camera.
+
+        Args:
+            name: Its name; if it is taken, with a number.
+            near: Its position (3,); (2,) at a height of 1.8 m.
+            look_at: Point (3,) that it looks at; the middle of the people if None.
+
+        Returns:
+            Its name.
+        """
+        position = ItemPose(np.array([0, 0, _EYE]), np.eye(3)).changed(near).position
+        target = (
+            self._middle() if look_at is None else ItemPose(np.zeros(3), np.eye(3)).changed(look_at).position
+        )
+        if np.linalg.norm(target - position) < 1e-3:
+            target = position + np.array([1.0, 0.0, 0.0])
+        section = {
+            "size": [640, 480],
+            "position": metres(position),
+            "look_at": metres(target),
+            "fov_deg": 60,
+        }
+        return self._add("cameras", name, section)
+
+    def duplicate(self, kind: SectionName, name: str) -> str:
+        """Add a copy of a person, an object or a camera half a metre beside it; returns the name."""
+        section = self._section(kind, name)
+        with self.step(f"Duplicate {name}"):
+            short = find_key([kind, name]).short_key
+            section = {short: section} if isinstance(section, str) and short else section
+            copied = self._add(kind, name, section)
+            with suppress(SceneError):  # a trajectory moves it
+                self.place(kind, copied, self.pose(kind, name).position + np.array([0.5, 0.5, 0.0]))
+        return copied
+
+    def place(
+        self,
+        kind: SectionName,
+        name: str,
+        position: ArrayLike | None = None,
+        *,
+        yaw_deg: float | None = None,
+        quaternion: ArrayLike | None = None,
+        seconds: float = 0.0,
+        continues: bool = False,
+    ) -> None:
+        """Place a person, an object, a camera or the rig.
+
+        Writes the keys in the form that the file has: ``position`` and ``look_at``, or R and t, or P of a
+        camera. Keys override the pose of a camera from a calibration file. A camera that is only moved still
+        looks at its ``look_at``.
+
+        Args:
+            kind: Section.
+            name: Name in it.
+            position: (3,) in ``map``, metres; (2,) for the same height. A person stays on the floor.
+            yaw_deg: Heading in ``map``, degrees from +x to the left.
+            quaternion: Rotation (4,) xyzw in place of it, as of :meth:`pose`.
+            seconds: Scene time at which keyframes have moved it there.
+            continues: The same undo step as the last placing.
+
+        Raises:
+            SceneError: It cannot be placed: a trajectory moves it, or it is one camera of a rig.
+        """
+        old = self.pose(kind, name, seconds)
+        pose = old.changed(position, yaw_deg, quaternion, forward=2 if kind == "cameras" else 0)
+        at: list[str] = ["rig"] if kind == "rig" else [kind, name]
+        with in_section(".".join(at)):
+            if kind == "humans":
+                keys = human_keys(pose, self._track(kind, name), seconds)
+                keys = {part: keys[part] for part in self._asked(keys, position, yaw_deg, quaternion)}
+                at.append("motion")
+            elif kind == "objects":
+                keys = object_keys(pose, self._track(kind, name), seconds)
+                keys = {part: keys[part] for part in self._asked(keys, position, yaw_deg, quaternion)}
+            elif kind == "cameras":
+                turned = quaternion is not None or yaw_deg is not None
+                keys = camera_keys(self._config(kind, name), self._camera(name), pose, turned)
+            else:
+                keys = rig_keys(pose)
+        with self.step(f"Move {name}", continues=continues):
+            for key, value in keys.items():
+                if value is not None:
+                    self.set([*at, key], value)
+                elif key in (self._raw(at) or {}):
+                    self.remove([*at, key])
+
+    def pose(self, kind: SectionName, name: str, seconds: float = 0.0) -> ItemPose:
+        """Pose of a person (the anchor of its motion), an object, a camera or the rig.
+
+        Args:
+            kind: Section.
+            name: Name in it.
+            seconds: Scene time, for keyframes.
+
+        Raises:
+            HumansimError: It is not in the file, or it is wrong.
+        """
+        config = self._config(kind, name)
+        if kind == "humans":
+            return human_pose(config, self._track(kind, name), seconds)
+        if kind == "objects":
+            return object_pose(config, self._track(kind, name), seconds)
+        if kind == "cameras":
+            return camera_pose(self._camera(name))
+        placement = rig_placement(config, self._source)
+        return ItemPose(placement.position, placement.rotation)
+
+    # --- undo
+
+    @contextmanager
+    def step(self, label: str, command: str = "", *, continues: bool = False) -> Iterator[None]:
+        """Make several edits one step; an error takes them all back.
+
+        Args:
+            label: What it does, for the list of steps.
+            command: Command that does the same; the changed lines if empty.
+            continues: Part of the last step if that has the same label.
+        """
+        with self._lock:
+            if self._files is not None:  # within a step
+                yield
+                return
+            before, self._files = self._text, {}
+            try:
+                yield
+                if self._text != before or self._files:
+                    done = command or changed_lines(before, self._text)
+                    step = Step(label, before, self._text, done, dict(self._files))
+                    self._history.add(step, continues=continues)
+            except BaseException:
+                self._text = before
+                self._restore({path: pair[0] for path, pair in self._files.items()})
+                raise
+            finally:
+                self._files = None
+
+    def undo(self) -> str | None:
+        """Take the last step back; returns its label, None if there is none."""
+        with self._lock:
+            if not self._history.done:
+                return None
+            step = self._history.done.pop()
+            self._restore({path: pair[0] for path, pair in step.files.items()})
+            self._text = step.before
+            self._history.undone.append(step)
+            return step.label
+
+    def redo(self) -> str | None:
+        """Do the step again that was taken back last; returns its label, None if there is none."""
+        with self._lock:
+            if not self._history.undone:
+                return None
+            step = self._history.undone.pop()
+            self._restore({path: pair[1] for path, pair in step.files.items()})
+            self._text = step.after
+            self._history.done.append(step)
+            return step.label
+
+    def steps(self) -> tuple[list[str], list[str]]:
+        """Labels of the steps that undo takes back, and of those that redo does again; the next is last."""
+        with self._lock:
+            return [s.label for s in self._history.done], [s.label for s in self._history.undone]
+
+    def command(self) -> str:
+        """The command, or the lines of the scene file, that do the last step outside of the page."""
+        with self._lock:
+            if self._history.done:
+                return self._history.done[-1].command
+        return "" if self.path is None else f"humansim run {self.path}"
+
+    # --- the scene of the text
+
+    def errors(self) -> list[SceneFault]:
+        """What is wrong in the text, by the check of scene files; empty if the scene loads. Never raises."""
+        return list(self._build()[0])
+
+    def scene(self) -> Scene:
+        """The scene of the text. Raises SceneError with the first error."""
+        faults, scene = self._build()
+        if scene is None:
+            first = faults[0]
+            raise SceneError(first.message, path=self.path, line=first.line, key=first.key or None)
+        return scene
+
+    def findings(self) -> list[SceneFault]:
+        """What is probably a mistake in a scene that loads, as ``humansim check`` says; takes about 1 s."""
+        scene = self._build()[1]
+        if scene is None:
+            return []
+        return [SceneFault(found.key, found.line, found.text) for found in check_scene(scene, quick=True)]
+
+    def _build(self) -> tuple[list[SceneFault], Scene | None]:
+        with self._lock:
+            if self._built is None or self._built[0] != self._text:
+                self._built = self._text, *self._checked()
+            return self._built[1:]
+
+    def _checked(self) -> tuple[list[SceneFault], Scene | None]:
+        try:
+            data, tree = parse_yaml(self._text, SceneError, self._name)
+            if not isinstance(data, dict):
+                raise SceneError("a scene is a mapping with 'humans' and 'cameras'", line=1)
+            config = SceneConfig.model_validate(data)
+            return [], Scene.from_config(config, self._source)
+        except ValidationError as reason:
+            found = schema_errors(reason, SceneConfig, SceneError, None, tree)
+            return [SceneFault(error.key or "", error.line, error.message) for error in found], None
+        except HumansimError as error:
+            elsewhere = error.path is not None and error.path not in (self._name, str(self.path))
+            message = str(error) if elsewhere else error.message
+            return [SceneFault(error.key or "", None if elsewhere else error.line, message)], None
+
+    # --- files
+
+    def save(self, path: str | os.PathLike[str] | None = None, *, overwrite: bool = False) -> Path:
+        """Save the text.
+
+        Relative file names that exist keep their files if the scene is saved in another folder.
+
+        Args:
+            path: File to write; that of the document if None.
+            overwrite: Replace a file that has been changed by others, or that is not this document's.
+
+        Returns:
+            The file.
+
+        Raises:
+            HumansimError: There is no path; the file exists or was changed; it cannot be written.
+        """
+        with self._lock:
+            target = self.path if path is None else Path(path)
+            if target is None:
+                raise SceneError("a new scene has no file: give one")
+            if target.suffix.lower() not in (".yaml", ".yml"):
+                raise SceneError("a scene is a .yaml file: give it this suffix", path=target)
+            same = self.path is not None and target.resolve() == self.path.resolve()
+            if not overwrite and same and self.changed_on_disk():
+                raise SceneError(
+                    "another program has changed this file: reload it, or overwrite it", path=target
+                )
+            if not overwrite and not same and exists(target):
+                raise SceneError("this file exists: choose another name, or overwrite it", path=target)
+            moved = self._moved_to(target.resolve().parent)
+            data = self._encoded(moved)
+            with atomic_path(target) as temporary:
+                temporary.write_bytes(data)
+            if moved != self._text:
+                with self.step(f"Save as {target.name}"):
+                    self._edit(moved)
+            self.path, self.folder = target, target.resolve().parent
+            self._on_disk, self._saved, self._built = data, self._text, None
+            return target
+
+    def changed_on_disk(self) -> bool:
+        """Whether another program has changed the file since it was loaded or saved."""
+        if self.path is None or self._on_disk is None or not exists(self.path):
+            return False
+        try:
+            return read_bytes(self.path, SceneError, "scene", MAX_BYTES) != self._on_disk
+        except SceneError:  # it is empty now, or too large
+            return True
+
+    def reload(self) -> None:
+        """Take the text of the file on disk, as a step. Raises SceneError if it cannot be read."""
+        with self.step("Reload the file"):
+            self._read()
+
+    def _read(self) -> None:
+        assert self.path is not None
+        data = read_bytes(self.path, SceneError, "scene", MAX_BYTES)
+        if b"\0" in data:
+            raise SceneError("this is a binary file, not a scene text file", path=self.path)
+        for encoding in ("utf-8-sig" if data.startswith(b"\xef\xbb\xbf") else "utf-8", "latin-1"):
+            try:
+                text = data.decode(encoding)
+            except UnicodeDecodeError:
+                continue
+            self._text, self._saved, self._encoding, self._on_disk = text, text, encoding, data
+            return
+
+    def _encoded(self, text: str) -> bytes:
+        try:
+            return text.encode(self._encoding)
+        except UnicodeEncodeError:
+            return text.encode("utf-8")
+
+    def _moved_to(self, folder: Path) -> str:
+        """Text whose relative file names start from another folder."""
+        if folder == self.folder:
+            return self._text
+        text, data = self._text, self.data()
+        for keys, name in file_keys(SceneConfig.model_validate(data) if not self.errors() else None):
+            if "://" in name or expand_user(name).is_absolute() or not exists(self.folder / name):
+                continue
+            given = self._written_keys(data, keys)
+            text = set_value(text, given, os.path.relpath(self.folder / name, folder), self._name)
+        return text
+
+    # --- parts
+
+    @property
+    def _name(self) -> str:
+        return "scene" if self.path is None else str(self.path)
+
+    @property
+    def _source(self) -> SceneSource:
+        return SceneSource(self.path, self.folder, text=self._text)
+
+    def _edit(self, text: str) -> None:
+        """Take an edited text; within a step."""
+        size = len(text.encode("utf-8", "surrogatepass"))
+        if size > MAX_BYTES:
+            raise SceneError(
+                f"a scene file has at most {MAX_BYTES} bytes, and would have {size}", path=self.path
+            )
+        self._text = text
+
+    def _write_file(self, path: Path, data: bytes) -> None:
+        """Write another file; within a step, which takes it back with it."""
+        assert self._files is not None
+        before = read_bytes(path, SceneError, "keyframe", MAX_BYTES) if exists(path) else None
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(data)
+        self._files[path] = self._files.get(path, (before, data))[0], data
+
+    def _restore(self, files: Mapping[Path, bytes | None]) -> None:
+        for path, data in files.items():
+            if data is None:
+                path.unlink(missing_ok=True)
+            else:
+                with atomic_path(path) as temporary:
+                    temporary.write_bytes(data)
+
+    def _expand(self, keys: Sequence[YamlKey]) -> None:
+        """Write sections on a path that are a text alone as mappings."""
+        for number in range(1, len(keys)):
+            value, short = self._raw(keys[:number]), find_key(keys[:number]).short_key
+            if isinstance(value, str) and short is not None:
+                self._edit(set_value(self._text, keys[:number], {short: value}, self._name))
+
+    def _raw(self, keys: Sequence[YamlKey]) -> Any:
+        """Value as it is in the text; None if absent."""
+        value: Any = self.data()
+        for key in keys:
+            items = dict(enumerate(value)) if isinstance(value, list) else value
+            if not isinstance(items, dict):
+                return None
+            value = {str(name): item for name, item in items.items()}.get(str(key))
+        return value
+
+    def _written_keys(self, data: Any, keys: Sequence[YamlKey]) -> Sequence[YamlKey]:
+        """Path of a value in the text: shorter where a text stands for its section."""
+        for number, key in enumerate(keys):
+            if isinstance(data, str):
+                return keys[:number]
+            data = data[int(key)] if isinstance(data, list) else data[key]
+        return keys
+
+    def _section(self, kind: SectionName, name: str) -> Any:
+        section = self._raw(["rig"] if kind == "rig" else [kind, name])
+        if section is None:
+            raise SceneError(self._missing(kind, name), key=kind if kind == "rig" else f"{kind}.{name[:60]}")
+        return section
+
+    def _missing(self, kind: SectionName, name: str) -> str:
+        if kind == "cameras" and self._raw(["rig"]) is not None:
+            return "this is a camera of the rig: place the rig, or its cameras one by one in `cameras`"
+        return f"not in the file; there are {', '.join(self.names(kind)[:20]) or 'none'}"
+
+    def _config(self, kind: SectionName, name: str) -> Any:
+        models: dict[str, type[Section]] = {
+            "humans": HumanConfig,
+            "objects": ObjectConfig,
+            "cameras": CameraConfig,
+            "rig": RigConfig,
+        }
+        section = self._section(kind, name)
+        try:
+            return models[kind].model_validate(section)
+        except ValidationError as reason:
+            error = schema_errors(reason, models[kind], SceneError)[0]
+            raise error.within(kind if kind == "rig" else f"{kind}.{name}") from None
+
+    def _camera(self, name: str) -> Camera:
+        with self._source.locating_errors(), in_section("cameras"):
+            return SceneCamera.build(name, self._config("cameras", name), self._source).whole
+
+    def _track(self, kind: SectionName, name: str) -> KeyframeTrack | None:
+        keyframes: KeyframesConfig | None = self._config(kind, name).keyframes
+        if keyframes is None:
+            return None
+        with in_section(f"{kind}.{name}.keyframes.file"):
+            return read_keyframes(self._source.find(keyframes.file)).track(keyframes.object or name)
+
+    @staticmethod
+    def _asked(
+        keys: SectionKeys, position: ArrayLike | None, yaw_deg: float | None, quaternion: ArrayLike | None
+    ) -> list[str]:
+        """The keys that a placing has to write: of the position, of the rotation, or both."""
+        first, second = keys
+        turned = yaw_deg is not None or quaternion is not None
+        return ([first] if position is not None else []) + ([second] if turned else [])
+
+    def _names(self) -> AbstractSet[str]:
+        """All names: of humans, objects and cameras, those of the rig included if the scene loads."""
+        built = self._built[2] if self._built is not None else None
+        rig = frozenset[str]() if built is None else frozenset(built.cameras)
+        return rig.union(self.names("humans"), self.names("objects"), self.names("cameras"))
+
+    def _add(self, kind: SectionName, name: str, section: Any) -> str:
+        find_key([kind, name])
+        taken = self._names()
+        free, number = name, 2
+        stem = name.rstrip("0123456789").rstrip("_") or name
+        while free in taken:
+            free, number = f"{stem}_{number}", number + 1
+        check_name(free, key=kind)
+        with self.step(f"Add {free}"):
+            self._edit(set_value(self._text, [kind, free], plain(section, f"{kind}.{free}"), self._name))
+        return free
+
+    def _floor_places(self) -> dict[str, tuple[float, float]]:
+        """Places on the floor of people and objects."""
+        places = {}
+        for kind, keys in (("humans", ("motion", "position")), ("objects", ("position",))):
+            for name in self.names("humans" if kind == "humans" else "objects"):
+                value = self._raw([kind, name, *keys]) or [0, 0]
+                try:
+                    x, y = (float(part) for part in value[:2])
+                except (TypeError, ValueError):  # it is wrong
+                    continue
+                places[f"{kind}.{name}"] = (x, y)
+        return places
+
+    def _free(self, near: ArrayLike) -> list[float]:
+        at = ItemPose(np.zeros(3), np.eye(3)).changed(near).position
+        placed: list[float] = metres(free_place((float(at[0]), float(at[1])), self._floor_places()))
+        return placed
+
+    def _middle(self) -> np.ndarray[Any, Any]:
+        people = [at for name, at in self._floor_places().items() if name.startswith("humans.")]
+        x, y = np.mean(people, axis=0) if people else (0.0, 0.0)
+        return np.array([x, y, _CHEST])

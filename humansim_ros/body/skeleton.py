@@ -108,6 +108,14 @@ class Skeleton:
             out[..., bones, :, :] = out[..., self.parents[bones], :, :] @ local[..., bones, :, :]
         return out
 
+    def size_of(self, heads: Array) -> float:
+        """Scale of a body relative to the rest pose, from the heads (B, 3) of its bones in any pose."""
+        child = np.flatnonzero(self.parents >= 0)
+        above = self.parents[child]
+        now, rest = (np.linalg.norm(p[child] - p[above], axis=1).sum() for p in (heads, self.heads))
+        size = float(now / rest) if rest > 0 else 1.0
+        return 1.0 if abs(size - 1) < 1e-6 else size
+
     @cached_property
     def levels(self) -> tuple[NDArray[np.intp], ...]:
         """Bones by depth in the tree, roots first."""

@@ -317,7 +317,7 @@ class _Survey:
         image = needed.channels.get((name, "rgb"))
         if image is not None:
             with _reading(self._reader.path, image):
-                encoding = _pixels(self._first(image, _image_type(image)))[1]
+                encoding = messages.read_pixels(self._first(image, _image_type(image)))[1]
         return ExportCamera(_simple(replace(camera, R=pose.R, t=pose.t)), moves, encoding)
 
     def _frames(self, topics: Sequence[str]) -> list[_Place]:
@@ -397,7 +397,7 @@ class BagFrames:
             cameras[name] = replace(cameras[name], R=pose.R, t=pose.t)
         images: dict[str, dict[str, NDArray[Any]]] = {}
         for (camera, channel), topic in needed.channels.items():
-            pixels = read(topic, _image_type(topic), lambda message: _pixels(message)[0])
+            pixels = read(topic, _image_type(topic), lambda message: messages.read_pixels(message)[0])
             images.setdefault(camera, {})[channel] = pixels
         views = {camera: View(**channels) for camera, channels in images.items()}
         boxes = {
@@ -560,15 +560,6 @@ def _read_points(message: PointCloud2) -> NDArray[Any]:
 
 def _image_type(topic: str) -> type[Any]:
     return CompressedImage if topic.endswith(tuple(_COMPRESSED.values())) else Image
-
-
-def _pixels(message: Image | CompressedImage) -> tuple[NDArray[Any], str]:
-    """Pixels and encoding of a raw or compressed image, or of depth."""
-    if isinstance(message, Image):
-        return messages.read_image(message), message.encoding
-    if "compressedDepth" in message.format:
-        return messages.read_compressed_depth(message), "32FC1"
-    return messages.read_compressed_image(message)
 
 
 def _simple(camera: Camera) -> Camera:

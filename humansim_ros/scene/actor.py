@@ -232,7 +232,7 @@ class Actor:
         skeleton = self.human.skeleton
         count = len(skeleton)
         bones = moved(joints[:count], linear[:count], angular[:count], seconds)
-        size = _size(joints[:count, :3, 3], skeleton.heads, skeleton.parents)
+        size = skeleton.size_of(joints[:count, :3, 3])
         return self.human.pose(bones @ np.diag([size, size, size, 1.0]) if size != 1 else bones)
 
     def body(self, vertices: NDArray[np.float32]) -> Body:
@@ -244,11 +244,3 @@ class Actor:
         own, space = undo_keyframes(poses)
         joints = self.human.skeleton.joint_transforms(self.retargeter.pose(own))
         return (joints, np.ones(len(joints))) if space is None else (space.to_map(joints), space.size)
-
-
-def _size(heads: Array, at_rest: Array, parents: NDArray[np.intp]) -> float:
-    """Scale of a body relative to its rest pose, from the distances between the heads of its bones."""
-    child = np.flatnonzero(parents >= 0)
-    now, rest = (np.linalg.norm(p[child] - p[parents[child]], axis=1).sum() for p in (heads, at_rest))
-    size = float(now / rest) if rest > 0 else 1.0
-    return 1.0 if abs(size - 1) < 1e-6 else size

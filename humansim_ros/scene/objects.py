@@ -17,7 +17,7 @@ from humansim_ros.motion.joint_poses import Velocity
 from humansim_ros.motion.keyframe_tracks import KeyframeTrack
 from humansim_ros.motion.keyframes import Keyframes, read_keyframes
 from humansim_ros.render import Body
-from humansim_ros.rotations import quaternion_to_matrix
+from humansim_ros.rotations import quaternion_to_matrix, transform
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
 from humansim_ros.scene.furniture import FURNITURE
 from humansim_ros.scene.source import SceneSource
@@ -50,6 +50,11 @@ class ObjectPose:
         turn = Rotation.from_rotvec(seconds * self.velocity.angular)
         position = self.position + seconds * self.velocity.linear
         return replace(self, position=position, rotation=(turn * Rotation.from_quat(self.rotation)).as_quat())
+
+    @property
+    def matrix(self) -> Array:
+        """(4, 4) transform of points of the mesh to ``map``."""
+        return transform(quaternion_to_matrix(self.rotation) * self.size, self.position)
 
     def apply(self, points: Array) -> Array:
         """Transform points (..., 3) of the mesh to ``map``."""

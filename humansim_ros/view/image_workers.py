@@ -11,14 +11,12 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
-import cv2
-import numpy as np
-
 from humansim_ros.drawing.views import color_channel, color_image, draw_joints
 from humansim_ros.errors import HumansimError
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Image
+from humansim_ros.view.pictures import fitted
 from humansim_ros.view.source import JOINTS
 
 #: Channels that joints with their visibility need.
@@ -176,7 +174,7 @@ class _Painter:
         frame = simulation.frame(request.index, cameras=request.cameras)
         return {
             camera: {
-                channel: _fitted(picture(self._scene, frame, camera, channel), request.width, channel)
+                channel: fitted(picture(self._scene, frame, camera, channel), request.width, channel)
                 for channel in request.channels
             }
             for camera in request.cameras
@@ -196,15 +194,3 @@ def picture(scene: Scene, frame: Frame, camera: str, channel: str) -> Image:
         names, parents = skeleton.joint_names, skeleton.joint_parents
         image = draw_joints(image, joints.pixels, joints.visible, names, parents)
     return image
-
-
-def _fitted(image: Image, width: int, channel: str) -> Image:
-    """Image of at most ``width`` pixels; labels are not mixed."""
-    if image.shape[1] <= width:
-        return image
-    height = max(1, round(image.shape[0] * width / image.shape[1]))
-    smooth = channel in ("rgb", JOINTS, "shadow", "alpha")
-    return np.asarray(
-        cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA if smooth else cv2.INTER_NEAREST),
-        dtype=np.uint8,
-    )

@@ -5,18 +5,15 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from functools import cached_property
 
-import numpy as np
-
 from humansim_ros.camera import Camera
 from humansim_ros.humans import Human
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import quaternion_to_matrix
-from humansim_ros.scene.objects import ObjectPose
 from humansim_ros.scene.playback import Playback
 from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Array
 from humansim_ros.view.image_workers import Images, ImageWorkers, Request
+from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.pixel_info import CHANNELS as PIXEL_CHANNELS
 from humansim_ros.view.pixel_info import pixel_info
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
@@ -25,8 +22,6 @@ from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
 _CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
 #: Seconds of a scene whose motions are shorter, and longest that the timeline shows.
 _SHORTEST, _LONGEST = 2.0, 600.0
-#: Width of images on the page, pixels.
-IMAGE_WIDTH = 640
 
 
 class SceneViewSource:
@@ -106,7 +101,7 @@ class SceneViewSource:
             scene_time=elapsed,
             joints=joints,
             sizes=sizes,
-            objects={name: matrix_of(pose) for name, pose in poses.objects.items()},
+            objects={name: pose.matrix for name, pose in poses.objects.items()},
             cameras={
                 name: camera.camera_at(poses.cameras[name]) if name in poses.cameras else camera.camera
                 for name, camera in self.scene.scene_cameras.items()
@@ -141,11 +136,3 @@ class SceneViewSource:
             return None
         request = Request(index, known, shown, self._width)
         return self._workers.exact(request) if wait else self._workers.latest(request)
-
-
-def matrix_of(pose: ObjectPose) -> Array:
-    """(4, 4) transform of the points of an object's mesh to ``map``, with its size."""
-    matrix = np.eye(4)
-    matrix[:3, :3] = quaternion_to_matrix(pose.rotation) * pose.size
-    matrix[:3, 3] = pose.position
-    return matrix

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import math
 import random
+import struct
+import zlib
 from collections.abc import Iterator
 from functools import cache
 from typing import Any
@@ -15,6 +17,7 @@ from ros_support import SMALL_SCENE
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError, HumansimError, MotionError, RosError
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.ros import messages
 from humansim_ros.ros.limits import MAX_FIELDS, MAX_JOINTS, check_serialised, deserialised
@@ -412,3 +415,65 @@ def test_the_message_of_a_mutated_legend_can_be_published() -> None:
     retargeter = LiveRetargeter(scene().actors["first"], live=True)
     retargeter.add_legend(source.to_dict())
     retargeter.retarget(scene().actors["first"].joint_poses(0.0)).joint_names[0].encode()
+
+
+# --- surfaces
+
+
+def test_a_mesh_returns_from_its_message_in_both_byte_orders() -> None:
+    from rclpy.serialization import serialize_message
+
+    mesh = scene().actors["first"].human.mesh
+    data = serialize_message(messages.mesh_message(mesh))
+    found = messages.read_mesh(data)
+    np.testing.assert_array_equal(found.vertices, mesh.vertices)
+    np.testing.assert_array_equal(found.triangles, mesh.triangles)
+    few = Mesh(mesh.vertices[:5], np.array([(0, 1, 2, -1), (2, 3, 4, -1)], np.int32))
+    data = serialize_message(messages.mesh_message(few))  # an even number of triangles moves the vertices
+    numbers = np.frombuffer(data, "u4", 7, 4).byteswap().tobytes()
+    gap = data[32:36]
+    swapped = (
+        b"\0\0\0\0" + numbers + data[32:36][::-1] + np.frombuffer(data, "f8", 15, 36).byteswap().tobytes()
+    )
+    assert struct.unpack("<I", gap) == (5,)
+    np.testing.assert_array_equal(messages.read_mesh(swapped).vertices, few.vertices)
+    for length in range(4, len(data)):
+        with pytest.raises(RosError):
+            messages.read_mesh(data[:length])
+
+
+@pytest.mark.parametrize(
+    ("offset", "value", "message"),
+    [
+        (4, 0xFFFFFFFF, "ends too early"),
+        (8, 0xFFFFFFFF, "vertex outside"),
+        (20, 0xFFFFFFFF, "bytes are no mesh"),
+        (28, struct.unpack("<Q", struct.pack("<d", NAN))[0], "not finite"),
+    ],
+)
+def test_impossible_meshes_are_refused_at_once(offset: int, value: int, message: str) -> None:
+    from rclpy.serialization import serialize_message
+
+    mesh = Mesh(np.eye(3), np.array([(0, 1, 2, -1)], np.int32))
+    data = bytearray(serialize_message(messages.mesh_message(mesh)))
+    form = "<Q" if offset == 28 else "<I"
+    struct.pack_into(form, data, offset, value)
+    with pytest.raises(HumansimError, match=message):
+        messages.read_mesh(bytes(data))
+    with pytest.raises(RosError, match="a mesh of 33554433 bytes; at most 33554432 are read"):
+        messages.read_mesh(bytes(1 + (32 << 20)))
+
+
+def test_a_small_file_of_a_huge_image_is_not_decoded() -> None:
+    """Its header says 40000 x 40000 pixels: 4.8 GB."""
+    from sensor_msgs.msg import CompressedImage
+
+    whole = messages.compressed_image_message(
+        np.zeros((2, 2, 3), np.uint8), "rgb8", messages.ImageCompression("png"), 1, "camera"
+    )
+    data = bytearray(bytes(whole.data))
+    struct.pack_into(">II", data, 16, 40_000, 40_000)
+    struct.pack_into(">I", data, 29, zlib.crc32(data[12:29]))
+    hostile = CompressedImage(format=whole.format, data=bytes(data))
+    with pytest.raises(RosError, match="a compressed image of 40000x40000 pixels; at most 67108864 are read"):
+        messages.read_compressed_image(hostile)

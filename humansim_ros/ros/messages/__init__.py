@@ -33,6 +33,7 @@ from humansim_ros.ros.messages.compressed import (
     compressed_image_message,
     read_compressed_depth,
     read_compressed_image,
+    read_pixels,
 )
 from humansim_ros.ros.messages.faults import faults_legend, faults_message, read_faults
 from humansim_ros.ros.messages.headers import (
@@ -53,6 +54,7 @@ from humansim_ros.ros.messages.humans import (
     mesh_message,
     motion_message,
     read_joints,
+    read_mesh,
     read_vertices,
     vertices_message,
 )
@@ -115,7 +117,9 @@ __all__ = [
     "read_joint_view",
     "read_joints",
     "read_legend",
+    "read_mesh",
     "read_object",
+    "read_pixels",
     "read_points",
     "read_pose",
     "read_region",

@@ -12,11 +12,12 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import CompressedImage
+from sensor_msgs.msg import CompressedImage, Image
 
 from humansim_ros.errors import RosError
+from humansim_ros.io.images import MAX_PIXELS, declared_size
 from humansim_ros.ros.messages.headers import header
-from humansim_ros.ros.messages.images import set_data
+from humansim_ros.ros.messages.images import read_image, set_data
 
 #: Colour encodings, which OpenCV encodes as bgr8; others are encoded as they are.
 _COLOR_ENCODINGS = ("rgb8", "bgr8")
@@ -24,6 +25,8 @@ _COLOR_ENCODINGS = ("rgb8", "bgr8")
 _INVERSE_DEPTH = 0
 _CONFIG_HEADER = struct.Struct("<iff")
 _MAX_LEVEL = 65535
+#: Bytes in which the size of an image is looked for.
+_MAX_HEAD = 1 << 20
 
 
 @dataclass(frozen=True)
@@ -116,6 +119,17 @@ def read_compressed_image(message: CompressedImage) -> tuple[NDArray[np.uint8], 
     return pixels, "bgr8"
 
 
+def read_pixels(message: Image | CompressedImage) -> tuple[NDArray[Any], str]:
+    """Pixels and encoding of a raw or compressed image, or of compressed depth. Raises RosError if it is
+    damaged, or of an unknown encoding.
+    """
+    if isinstance(message, Image):
+        return read_image(message), str(message.encoding)
+    if "compressedDepth" in message.format:
+        return read_compressed_depth(message), "32FC1"
+    return read_compressed_image(message)
+
+
 def read_compressed_depth(message: CompressedImage) -> NDArray[np.float32]:
     """Depth (H, W) in metres of the format of :func:`compressed_depth_message`; inf where none is.
 
@@ -135,6 +149,9 @@ def read_compressed_depth(message: CompressedImage) -> NDArray[np.float32]:
 
 
 def _decode(data: NDArray[np.uint8]) -> NDArray[Any]:
+    width, height = declared_size(data[:_MAX_HEAD].tobytes()) or (0, 0)
+    if width * height > MAX_PIXELS:
+        raise RosError(f"a compressed image of {width}x{height} pixels; at most {MAX_PIXELS} are read")
     try:
         pixels = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     except cv2.error:  # no data

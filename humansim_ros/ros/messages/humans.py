@@ -17,7 +17,7 @@ from humansim_ros.errors import RosError
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.ros.limits import MAX_JOINTS, MAX_NAME
+from humansim_ros.ros.limits import MAX_JOINTS, MAX_NAME, unpack
 from humansim_ros.ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.ros.messages.points import point_cloud
 from humansim_ros.rotations import quaternion_to_matrix, transform, unit_quaternions
@@ -25,6 +25,8 @@ from humansim_ros.scene import HumanState
 from humansim_ros.scene.state import JointMotion
 from humansim_ros.types import Array, Float32Array, Indices
 
+#: Longest message of a mesh that is read, bytes.
+_MAX_MESH = 32 << 20
 _VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])
 
 
@@ -150,6 +152,29 @@ def mesh_message(mesh: Mesh) -> MeshMessage:
         MeshTriangle(vertex_indices=np.array(t, dtype=np.uint32)) for t in mesh.triangles.tolist()
     ]
     return message
+
+
+def read_mesh(data: bytes) -> Mesh:
+    """Read a serialised ``mesh`` message. rclpy needs a second for one of a human.
+
+    Raises:
+        RosError: It is too long, ends too early, or has another length than it says.
+        MeshError: A triangle has no such vertex, or a vertex is not finite.
+    """
+    if len(data) > _MAX_MESH:
+        raise RosError(f"a mesh of {len(data)} bytes; at most {_MAX_MESH} are read")
+    (triangles,) = unpack("I", data, 4)
+    start = 8 + 12 * triangles
+    (vertices,) = unpack("I", data, start)
+    points = start + 4 + (-start % 8)  # numbers of 8 bytes begin at multiples of 8 after the first 4 bytes
+    if len(data) < points + 24 * vertices:
+        raise RosError(f"{len(data)} bytes are no mesh of {vertices} vertices and {triangles} triangles")
+    order = "<" if data[1] & 1 else ">"
+    corners = np.frombuffer(data, f"{order}u4", 3 * triangles, 8).reshape(-1, 3)
+    faces = np.full((triangles, 4), -1, np.int32)
+    faces[:, :3] = np.minimum(corners, len(data))  # a number beyond 31 bits is no vertex either
+    positions = np.frombuffer(data, f"{order}f8", 3 * vertices, points).reshape(-1, 3)
+    return Mesh(positions.astype(float), faces)
 
 
 class MarkerBuilder:

@@ -24,6 +24,21 @@ def view(
         int, typer.Option(help="Port on this machine; the next free one if it is in use.", min=0, max=65535)
     ] = 8080,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
+    estimate: Annotated[
+        str | None,
+        typer.Option(
+            help="Topic of a tracker's estimate in a bag, shown beside the truth with its error; * stands "
+            "for the name of a person.",
+            metavar="TOPIC",
+        ),
+    ] = None,
+    keypoints: Annotated[
+        str | None, typer.Option(help="Keypoint set of the estimate, such as coco17.", metavar="SET")
+    ] = None,
+    body: Annotated[
+        list[Path] | None,
+        typer.Option(help="File of a body that people of a bag have; may be repeated.", metavar="FILE"),
+    ] = None,
 ) -> None:
     """Show a scene, a bag, a motion, a human or a calibration in the browser, live and in 3D."""
     try:
@@ -33,9 +48,15 @@ def view(
             f"humansim view needs the extra 'view' ({error.name} is missing): "
             "pip install 'humansim_ros[view]'"
         ) from None
-    from humansim_ros.view.inputs import open_source
+    from humansim_ros.evaluate.evaluation import DEFAULT_GATE
+    from humansim_ros.evaluate.live import LiveOptions
+    from humansim_ros.view.inputs import TopicOptions, open_source
 
-    opened = open_source(what)
+    topics = None
+    if estimate is not None or keypoints is not None or body:
+        reading = LiveOptions.of(keypoints or "", "", 1.0, "", DEFAULT_GATE)
+        topics = TopicOptions(estimate, reading, tuple(body or ()))
+    opened = open_source(what, topics)
     app = ViewApp(opened.source, port, opened.reload, opened.path)
     try:
         if port not in (0, app.server.port):

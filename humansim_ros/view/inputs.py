@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from humansim_ros.camera import read_calibration
 from humansim_ros.camera.rigs import Optics, ring
 from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.evaluate.live import LiveOptions
+from humansim_ros.evaluate.readers.estimates import is_bag
+from humansim_ros.humans import load_human
 from humansim_ros.io.assets import find_asset
 from humansim_ros.io.files import exists, missing_file
 from humansim_ros.io.yaml import read_yaml
@@ -40,12 +43,43 @@ class Opened:
     reload: Callable[[], ViewSource] | None = None
 
 
-def open_source(what: Path | None) -> Opened:
+@dataclass(frozen=True)
+class TopicOptions:
+    """How topics of a bag or a graph are shown.
+
+    Attributes:
+        estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person. None: there is none.
+        reading: How the estimate is read and compared.
+        bodies: Names or files of humans that people may have, beside the built-in ones.
+    """
+
+    estimate: str | None = None
+    reading: LiveOptions = field(default_factory=LiveOptions)
+    bodies: Sequence[Path] = ()
+
+    def arguments(self) -> dict[str, Any]:
+        """Arguments of the sources of topics."""
+        humans = [load_human(body) for body in self.bodies]
+        return {"estimate": self.estimate, "options": self.reading, "humans": humans}
+
+
+def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened:
     """Open a path, or the name of a built-in; the demo scene if None.
+
+    ``topics``: how the topics of a bag are shown; None: as they are.
 
     Raises:
         HumansimError: It is none of these; with file, line and key where these are known.
     """
+    if what is not None and is_bag(what):
+        from humansim_ros.ros.runtime import require_ros
+
+        require_ros()
+        from humansim_ros.view.bag_source import BagViewSource
+
+        return Opened(BagViewSource(what, **(topics or TopicOptions()).arguments()))
+    if topics is not None:
+        raise HumansimError("only bags and graphs have estimates and bodies: use these options with a bag")
     if what is None:
         return Opened(SceneViewSource(Scene.load()))
     make = _maker(what)
@@ -90,7 +124,9 @@ def _built_in(what: Path) -> Callable[[], ViewSource]:
     try:
         find_asset(name, "humans", Path.cwd(), SceneError)
     except HumansimError:
-        raise HumansimError(missing_file(what, "a scene, bag, motion, human or calibration"), path=what) from None
+        raise HumansimError(
+            missing_file(what, "a scene, bag, motion, human or calibration"), path=what
+        ) from None
     return lambda: _around({"body": name, "motion": _MOTION}, name)
 
 

@@ -3,6 +3,7 @@
 # make test    format, lint, types and all tests, as CI runs them
 # make lint    format, lint and types
 # make bench   every benchmark, one after the other
+# make docs    the documentation as a site in site/
 # make dist    wheel and sdist in dist/, checked, installed and run in fresh environments (docs/releasing.md)
 # make clean   remove what these have made
 VENV ?= .venv
@@ -14,7 +15,7 @@ ifdef ROS_DISTRO
 unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH
 endif
 
-.PHONY: demo check test lint bench dist clean env env-test env-bench
+.PHONY: demo check test lint bench docs dist clean env env-test env-bench env-docs
 
 demo: env
 	$(BIN)/humansim demo
@@ -36,6 +37,10 @@ lint: env-test
 bench: env-bench
 	@set -e; for file in benchmarks/*.py; do echo "== $$file"; $(BIN)/python "$$file"; done
 
+docs: env-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+	@echo "Look at it: $(BIN)/python -m http.server --bind 127.0.0.1 --directory site 8000, then http://127.0.0.1:8000"
+
 dist:
 	@tools/check_dist.sh
 
@@ -48,6 +53,9 @@ env-test:
 env-bench:
 	@tools/setup_env.sh ros,bench
 
+env-docs:
+	@tools/setup_env.sh ros,docs
+
 clean:
-	rm -rf $(VENV) build install log dist demo .nox *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) build install log dist site demo .nox *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

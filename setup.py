@@ -65,6 +65,9 @@ EXTRAS = {
         "hypothesis",
         "lxml>=4.9",
         "mcap>=1.1",
+        "mkdocs-material>=9.5,<10",
+        "mkdocs>=1.6,<2",
+        "mkdocstrings[python]>=0.27",
         "mypy",
         "networkx>=2.8",
         "OpenEXR>=3.3",
@@ -91,6 +94,8 @@ EXTRAS = {
     # the other renderer
     "pyrender": ["pyrender==0.1.45"],
     "bench": ["pyrender==0.1.45"],
+    # the site of the documentation (make docs)
+    "docs": ["mkdocs>=1.6,<2", "mkdocs-material>=9.5,<10", "mkdocstrings[python]>=0.27"],
 }
 
 

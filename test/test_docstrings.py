@@ -15,7 +15,7 @@ from conftest import ROOT
 
 PACKAGE = ROOT / "humansim_ros"
 MODULES = sorted(PACKAGE.rglob("*.py"))
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 #: Python names of 0.1.0 that have other names now.
 REPLACED = set(
     """Asked Drawn Fallen FrameJoiner Instant Neighbour Outlets PeopleOutlets Photograph SunMap SunView

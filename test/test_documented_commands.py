@@ -27,7 +27,7 @@ from humansim_ros.cli import main as cli
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.scene.config import SceneConfig, check_config
 
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 #: Commands that are slow, or run until they are stopped: their options are parsed and their files must exist.
 PARSED = {("run",), ("demo",), ("human", "rig"), ("human", "build"), ("human", "show"), ("human", "info")}
 PARSED |= {

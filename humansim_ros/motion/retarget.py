@@ -100,10 +100,11 @@ class Retargeter:
         """Fit to a motion: shared rest pose, scale, and lift that puts the lowest sole on the floor.
 
         Args:
-            motion: Motion in ``map``. skeleton: Skeleton to be posed. mode: Whole rotations (``full``), or
-            swing only (``thesis``). root_scale: Measure of the scale, or the scale itself. None: ``legs``,
-            with which feet slide least;
-                ``height`` in mode ``thesis``.
+            motion: Motion in ``map``.
+            skeleton: Skeleton to be posed.
+            mode: Whole rotations (``full``), or swing only (``thesis``).
+            root_scale: Measure of the scale, or the scale itself. None: ``legs``, with which feet slide
+                least; ``height`` in mode ``thesis``.
             clamp: Keep joints within their limits.
         """
         if root_scale is None:

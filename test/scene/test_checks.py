@@ -396,7 +396,7 @@ def test_the_estimate_is_near_the_measured_figures() -> None:
 def documented_scenes() -> Iterator[Any]:
     for path in sorted((ROOT / "config/scenes").glob("*.yaml")):
         yield pytest.param(path.read_text(), path.parent, id=path.name)
-    for path in sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")]):
+    for path in sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")]):
         for number, block in enumerate(re.findall(r"```yaml\n(.*?)```", path.read_text(), re.DOTALL)):
             content = yaml.safe_load(block)
             if isinstance(content, dict) and {"cameras", "humans"} & content.keys():

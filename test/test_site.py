@@ -1,0 +1,81 @@
+"""The site of the documentation: mkdocs builds it without a warning, and each page has its place in it."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+import yaml
+from conftest import ROOT
+from waiting import PATIENCE
+
+DOCS = ROOT / "docs"
+
+
+class Loader(yaml.SafeLoader):
+    """Reads mkdocs.yml, which names a Python function."""
+
+
+Loader.add_multi_constructor("tag:yaml.org,2002:python/", lambda *_: None)
+
+
+def config() -> dict[str, object]:
+    return yaml.load((ROOT / "mkdocs.yml").read_text(), Loader)
+
+
+def pages_of(nav: object) -> list[str]:
+    """Pages of a part of the navigation."""
+    if isinstance(nav, str):
+        return [nav]
+    parts = nav.values() if isinstance(nav, dict) else nav
+    return [page for part in parts for page in pages_of(part)]
+
+
+class Addresses(HTMLParser):
+    """Collects the addresses that a page fetches when it is shown."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.fetched: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        values = dict(attrs)
+        if tag in ("script", "img", "iframe", "source", "video"):
+            self.fetched.append(values.get("src") or "")
+        if tag == "link" and values.get("rel") in ("stylesheet", "icon", "preload"):
+            self.fetched.append(values.get("href") or "")
+
+
+def test_each_page_is_once_in_the_navigation() -> None:
+    named = pages_of(config()["nav"])
+    assert len(named) == len(set(named))
+    existing = {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")}
+    assert {page for page in named if not page.startswith("api/")} == existing
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning_and_fetches_nothing_from_elsewhere(tmp_path: Path) -> None:
+    for module in ("mkdocs", "material", "mkdocstrings"):
+        pytest.importorskip(module, reason=f"{module} is not installed: pip install '.[docs]'")
+    done = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(tmp_path)],
+        cwd=ROOT,
+        env={"NO_MKDOCS_2_WARNING": "1", "PATH": ""},
+        capture_output=True,
+        text=True,
+        timeout=2 * PATIENCE,
+    )
+    assert done.returncode == 0 and "WARNING" not in done.stderr, done.stderr
+    for page in tmp_path.rglob("*.html"):
+        parser = Addresses()
+        parser.feed(page.read_text())
+        elsewhere = [address for address in parser.fetched if re.match(r"(\w+:)?//", address)]
+        assert not elsewhere, f"{page.relative_to(tmp_path)} fetches {elsewhere}"
+    camera = (tmp_path / "api" / "camera.html").read_text()
+    assert 'id="humansim_ros.camera.camera.Camera.project"' in camera
+    assert ":meth:" not in camera
+    assert (tmp_path / "source" / "examples" / "live_mocap.py.html").is_file()

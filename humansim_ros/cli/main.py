@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -161,6 +162,8 @@ def run(
             loaded = Scene.load(path)
         namespace = relative_namespace(namespace)
         _describe(loaded, namespace)
+        if not options:
+            _print_ways_to_see(scene)
         warn_about_mistakes(loaded, options)
         options_of_time = _time_options(
             loaded, TimeOptions(lockstep, wait_for, timeout, on_timeout, pace, frames), folder
@@ -275,6 +278,12 @@ def _describe(scene: Any, namespace: str) -> None:
         )
     for name, camera in scene.cameras.items():
         print_text(f"{name}: {camera.size[0]}x{camera.size[1]}")
+
+
+def _print_ways_to_see(scene: Path | None) -> None:
+    """Print the commands that show a scene; None for the demo scene."""
+    name = "" if scene is None else f" {shlex.quote(str(scene))}"
+    print_text(f"to see it: humansim view{name} (in a browser), or humansim snapshot{name} -o sheet.png")
 
 
 #: Commands of this module by name.

@@ -1,4 +1,4 @@
-"""``humansim snapshot``: one picture of what all cameras of a scene see."""
+"""``humansim snapshot``: one picture of what all cameras of a scene see, and of the scene from above."""
 
 from __future__ import annotations
 
@@ -23,8 +23,9 @@ def snapshot(
         int, typer.Option(help="Greatest width of the sheet in pixels.", min=160, max=8192)
     ] = 1600,
     no_joints: Annotated[bool, typer.Option("--no-joints", help="Do not draw the joints.")] = False,
+    no_plan: Annotated[bool, typer.Option("--no-plan", help="Do not draw the scene from above.")] = False,
 ) -> None:
-    """Draw what every camera of a scene sees at one time, with the joints of the humans, on one sheet."""
+    """Draw on one sheet what every camera of a scene sees, with the joints, and the scene from above."""
     from humansim_ros.drawing.canvas import write_png
     from humansim_ros.drawing.snapshot import snapshot as draw
     from humansim_ros.render import ALL_CHANNELS
@@ -35,7 +36,7 @@ def snapshot(
     check_output(output)
     words = [word.strip() for word in channels.replace(" ", ",").split(",") if word.strip()]
     chosen = ALL_CHANNELS if words == ["all"] else tuple(words)
-    image = draw(Scene.load(scene), time, chosen, width, not no_joints)
+    image = draw(Scene.load(scene), time, chosen, width, not no_joints, not no_plan)
     write_png(output, image)
     print_text(f"wrote {output}: {image.shape[1]}x{image.shape[0]} pixels")
 

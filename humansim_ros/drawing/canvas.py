@@ -107,6 +107,8 @@ def title_bar(text: str, width: int, scale: float = 0.55) -> Image:
 def hsv_colors(hue: ArrayLike, saturation: ArrayLike, value: ArrayLike) -> NDArray[np.uint8]:
     """RGB colours (N, 3) of hues (N,) from 0 to 180, saturations and values from 0 to 255."""
     hsv = np.stack(np.broadcast_arrays(hue, saturation, value), axis=-1).astype(np.uint8)
+    if not len(hsv):  # OpenCV takes no empty image
+        return hsv
     return np.asarray(cv2.cvtColor(hsv[None], cv2.COLOR_HSV2RGB)[0], dtype=np.uint8)
 
 

@@ -1,4 +1,4 @@
-"""Snapshot of a scene for people: one sheet with what every camera sees at one time, and the joints."""
+"""Snapshot of a scene for people: one sheet with what every camera sees at one time, joints, and a plan."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
+from humansim_ros.camera import Camera
 from humansim_ros.drawing.canvas import draw_text, text_size
+from humansim_ros.drawing.top_view import top_view
 from humansim_ros.drawing.views import color_channel, color_image, draw_joints
 from humansim_ros.errors import SceneError
 from humansim_ros.render.channels import CHANNEL_TABLE, check_channels
@@ -65,8 +67,9 @@ def snapshot(
     channels: Collection[str] = ("rgb",),
     width: int = 1600,
     joints: bool = True,
+    above: bool = True,
 ) -> Image:
-    """Draw what all cameras of a scene see at one time, as one sheet (H, W, 3).
+    """Draw what all cameras of a scene see at one time, and the scene from above, as one sheet (H, W, 3).
 
     Cameras are rendered one after the other, with at most twice the pixels of their tile along each axis:
     time and memory do not grow with the size of their images.
@@ -77,6 +80,7 @@ def snapshot(
         channels: Channels to draw, a row each (docs/ground_truth.md).
         width: Greatest width of the sheet in pixels, 160 to 8192. The height follows, up to 8192.
         joints: Draw the joints over rgb: green discs are visible joints, orange circles hidden ones.
+        above: Draw the scene from above in the last tile: cameras, what they see, people and their paths.
 
     Raises:
         HumansimError: A channel does not exist, or the time or the width is out of range.
@@ -92,19 +96,51 @@ def snapshot(
     overlay = joints and "rgb" in channels and bool(scene.actors)
     rendered = [*channels, *(name for name in _JOINT_CHANNELS if overlay and name not in channels)]
     index = round(seconds * scene.config.rate)
-    layout = _Layout.of([camera.camera.size for camera in scene.scene_cameras.values()], len(channels), width)
+    sizes = [camera.camera.size for camera in scene.scene_cameras.values()]
+    layout = _Layout.of(sizes + [_middle(sizes)] * above, len(channels), width)
     cameras = {name: _reduced(camera, layout.tile) for name, camera in scene.scene_cameras.items()}
     scene = replace(scene, scene_cameras=cameras)
     tiles = []
+    posed: dict[str, Camera] = {}
     with Simulation(scene, channels=rendered) as simulation:
         for name in cameras:
             frame = simulation.frame(index, cameras=[name])
+            posed |= frame.cameras
             tiles.append(_tiles(scene, frame, name, channels, layout.tile, overlay))
+    if above:
+        tiles.append(_from_above(scene, posed, index / scene.config.rate, layout.tile, len(channels)))
     seen_at = f"{index / scene.config.rate:.2f} s"
     origin = "scene" if scene.path is None else scene.path.name
     return _sheet(
         tiles, layout, f"{origin} at {seen_at}: {_count(cameras, 'camera')}, {_count(scene.actors, 'human')}"
     )
+
+
+def _middle(sizes: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """The size (width, height) of a camera whose aspect is in the middle."""
+    return sorted(sizes, key=lambda size: size[1] / size[0])[len(sizes) // 2]
+
+
+def _from_above(
+    scene: Scene, cameras: Mapping[str, Camera], seconds: float, tile: tuple[int, int], rows: int
+) -> list[Image]:
+    """Picture of the scene from above in a column of tiles, one below the other.
+
+    Args:
+        scene: The scene.
+        cameras: Its cameras at their poses.
+        seconds: Scene time.
+        tile: Width and height of a tile.
+        rows: Number of tiles.
+    """
+    width, height = tile
+    whole = rows * (height + _GAP) - _GAP
+    column = np.full((rows * (height + _GAP), width, 3), _BACKGROUND, np.uint8)
+    used = min(whole, round(1.2 * width))
+    column[:used] = top_view(scene, cameras, seconds, (width, used))
+    return [
+        column[row * (height + _GAP) :][: height + (_GAP if row < rows - 1 else 0)] for row in range(rows)
+    ]
 
 
 def _reduced(camera: SceneCamera, tile: tuple[int, int]) -> SceneCamera:
@@ -196,7 +232,7 @@ def _sheet(tiles: Sequence[Sequence[Image]], layout: _Layout, title: str) -> Ima
         for channel, picture in enumerate(pictures):
             top = _HEAD + (block * count + channel) * (height + _GAP)
             left = column * (width + _GAP)
-            sheet[top : top + height, left : left + width] = picture
+            sheet[top : top + len(picture), left : left + width] = picture
     scale = min(0.62, 0.62 * (shape[1] - 16) / text_size(title, 0.62)[0])
     draw_text(sheet, title, (8, 24), scale, _TITLE_COLOR)
     return sheet

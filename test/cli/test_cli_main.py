@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -12,7 +14,7 @@ from conftest import ROOT
 
 from humansim_ros import HumansimError, Scene, __version__, load_human
 from humansim_ros.cli.human import BUILT_IN_FACTS, built_in_humans, describe_human
-from humansim_ros.cli.main import _describe, main, make_app
+from humansim_ros.cli.main import COMMANDS, _describe, _print_ways_to_see, main, make_app
 from humansim_ros.cli.options import join_numbers, parse_size
 
 GROUPS = ("camera", "human", "motion")
@@ -23,6 +25,19 @@ def humansim(*arguments: str, capsys: pytest.CaptureFixture[str], patch: pytest.
     patch.setattr(sys, "argv", ["humansim", *arguments])
     assert main() == 0
     return capsys.readouterr().out
+
+
+@pytest.mark.parametrize("scene", [None, "my scene.yaml"])
+def test_a_run_says_which_commands_show_the_scene(
+    scene: str | None, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _print_ways_to_see(None if scene is None else Path(scene))
+    found = re.findall(r"humansim [^,(]+", capsys.readouterr().out)
+    words = [shlex.split(command) for command in found]
+    assert [line[1] for line in words] == ["view", "snapshot"] and set(COMMANDS) >= {"view", "snapshot"}
+    assert all(
+        line[2:3] == ([] if scene is None and line[1] == "view" else [scene or "-o"]) for line in words
+    )
 
 
 def commands() -> list[tuple[str, ...]]:

@@ -15,6 +15,7 @@ from humansim_ros import Scene, Simulation
 from humansim_ros.cli.main import main
 from humansim_ros.drawing.canvas import write_png
 from humansim_ros.drawing.snapshot import MAX_SIDE, _Layout, snapshot
+from humansim_ros.drawing.top_view import top_view
 from humansim_ros.drawing.views import color_channel, color_image
 from humansim_ros.errors import HumansimError, RenderError, SceneError
 from humansim_ros.render import ALL_CHANNELS
@@ -50,7 +51,7 @@ def tile(sheet: np.ndarray, layout: _Layout, camera: int, channels: int = 1, cha
 @pytest.mark.parametrize(("count", "columns"), [(1, 1), (2, 2), (5, 3), (64, 8)])
 def test_the_sheet_has_a_picture_of_every_camera(count: int, columns: int) -> None:
     world = scene(count)
-    sheet = snapshot(world, width=640, joints=False)
+    sheet = snapshot(world, width=640, joints=False, above=False)
     layout = _Layout.of([(48, 36)] * count, 1, 640)
     assert layout.columns == columns and sheet.shape[1] <= 640
     with Simulation(world, channels=("rgb",)) as simulation:
@@ -65,7 +66,7 @@ def test_the_sheet_has_a_picture_of_every_camera(count: int, columns: int) -> No
 @pytest.mark.gl
 def test_joints_are_drawn_where_they_are() -> None:
     world = scene(1, (320, 240))
-    sheet = snapshot(world, seconds=0.5, width=1600)
+    sheet = snapshot(world, seconds=0.5, width=1600, above=False)
     layout = _Layout.of([(320, 240)], 1, 1600)
     assert layout.tile == (320, 240)
     shown = tile(sheet, layout, 0)
@@ -85,12 +86,30 @@ def test_joints_are_drawn_where_they_are() -> None:
 def test_every_channel_has_a_row() -> None:
     world = scene(2)
     sheet = snapshot(world, channels=ALL_CHANNELS, width=400)
-    layout = _Layout.of([(48, 36)] * 2, len(ALL_CHANNELS), 400)
+    layout = _Layout.of([(48, 36)] * 3, len(ALL_CHANNELS), 400)  # two cameras and the plan
     rows = len(ALL_CHANNELS)
     assert sheet.shape[0] == _HEAD + rows * (layout.tile[1] + _GAP) - _GAP
     drawn = {name: tile(sheet, layout, 1, rows, row) for row, name in enumerate(ALL_CHANNELS)}
     assert all(picture.max() > 100 for picture in drawn.values())
     assert len({picture[: layout.tile[1] // 2].tobytes() for picture in drawn.values()}) > 9
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize(("count", "channels"), [(1, ("rgb",)), (3, ("rgb", "depth")), (4, ("rgb",))])
+def test_the_last_tile_is_the_scene_from_above(count: int, channels: tuple[str, ...]) -> None:
+    world = scene(count, (320, 240))
+    sheet = snapshot(world, 0.5, channels, 800)
+    rows = len(channels)
+    layout = _Layout.of([(320, 240)] * (count + 1), rows, 800)
+    (width, height), (block, column) = layout.tile, divmod(count, layout.columns)
+    top, left = _HEAD + block * rows * (height + _GAP), column * (width + _GAP)
+    whole = min(rows * (height + _GAP) - _GAP, round(1.2 * width))
+    with Simulation(world) as simulation:
+        cameras = simulation.frame(15).cameras
+    expected = top_view(world, cameras, 0.5, (width, whole))
+    np.testing.assert_array_equal(sheet[top : top + whole, left : left + width], expected)
+    without = snapshot(world, 0.5, channels, 800, above=False)
+    assert not any((without[row] == expected[0, 0]).all() for row in range(_HEAD, len(without)))
 
 
 def test_layouts_fit_any_number_of_cameras_of_any_size() -> None:
@@ -108,7 +127,7 @@ def test_layouts_fit_any_number_of_cameras_of_any_size() -> None:
 def test_cameras_of_different_sizes_are_not_stretched() -> None:
     config = {"size": [80, 40], "position": [3, 0, 1], "look_at": [0, 0, 0.6]}
     cameras = {"wide": config, "tall": {**config, "size": [40, 80]}}
-    sheet = snapshot(Scene.from_dict({"room": None, "cameras": cameras}), width=640)
+    sheet = snapshot(Scene.from_dict({"room": None, "cameras": cameras}), width=640, above=False)
     layout = _Layout.of([(80, 40), (40, 80)], 1, 640)
     wide, tall = (tile(sheet, layout, number)[: layout.tile[1] // 2] for number in (0, 1))
     assert (wide[0] == 28).all() and not (tall[0] == 28).all()  # bars above the wide, beside the tall one
@@ -144,7 +163,7 @@ def test_a_smaller_camera_sees_the_same() -> None:
 def test_a_large_camera_is_reduced_to_its_tile() -> None:
     config = {"size": [1280, 960], "position": [3, 0, 1], "look_at": [0, 0, 0.6]}
     world = Scene.from_dict({"room": None, "humans": HUMANS, "cameras": {"eye": config}})
-    sheet = snapshot(world, width=320, joints=False)
+    sheet = snapshot(world, width=320, joints=False, above=False)
     with Simulation(world, channels=("rgb",)) as simulation:
         whole = simulation.frame(0).views["eye"].rgb
     expected = cv2.resize(whole, (320, 240), interpolation=cv2.INTER_AREA)

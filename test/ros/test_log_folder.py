@@ -65,3 +65,7 @@ def test_run_works_without_write_access_and_warns_once(tmp: Path) -> None:
     assert run.returncode == 0, run.stderr
     assert "Traceback" not in run.stderr
     assert run.stderr.count("ROS logs to") == 1
+    # the commands that show the scene, before the nodes start
+    ways, start = "humansim view", "starting "
+    assert f"humansim snapshot {scene} -o sheet.png" in run.stdout
+    assert 0 <= run.stdout.index(ways) < run.stdout.index(start)

@@ -70,8 +70,12 @@ class ViewApp:
         self._looked = 0.0
         self._notice: Any = None
         self._broken: str | None = None
-        self.server.viser.gui.main_panel.dock_right()
+        self.gui.main_panel.dock_right()
         self.set_dark(False)
+        self.head = self.gui.add_folder("Time", order=0)
+        tabs = self.gui.add_tab_group(order=1)
+        self.tabs = {name: tabs.add_tab(name) for name in ("Show", "Numbers")}
+        self._place_view()
         self._build()
 
     # --- the thread of the page --------------------------------------------------------------------------
@@ -191,7 +195,6 @@ class ViewApp:
         self._messages = self.gui.add_markdown(
             "\n\n".join(self.source.messages), visible=bool(self.source.messages), order=-1
         )
-        self._place_view()
 
     def _remove_panels(self) -> None:
         for panel in (self._timeline, self._show, self._through, self._numbers, self._images):

@@ -22,6 +22,8 @@ from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
 _CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
 #: Seconds of a scene whose motions are shorter, and longest that the timeline shows.
 _SHORTEST, _LONGEST = 2.0, 600.0
+#: Width of all images on the page together, and most beside each other.
+_PAGE_WIDTH, _BESIDE = 1280, 4
 
 
 class SceneViewSource:
@@ -31,7 +33,6 @@ class SceneViewSource:
         scene: The scene.
         title: Title of the page; the name of the scene file if None.
         workers: Number of processes that render; as many as the machine has cores if None.
-        image_width: Width to which wider images are scaled down, pixels.
     """
 
     channels: tuple[str, ...] = _CHANNELS
@@ -41,13 +42,12 @@ class SceneViewSource:
         scene: Scene,
         title: str | None = None,
         workers: int | None = None,
-        image_width: int = IMAGE_WIDTH,
     ) -> None:
         self.scene = scene
         self.title = title or (scene.path.stem if scene.path else "scene")
         self.messages: Sequence[str] = [] if scene.actors else ["The scene has no people."]
         self._playback = Playback(scene)
-        self._count, self._width = workers, image_width
+        self._count = workers
         self._shown = 0
         self._truth: Simulation | None = None
         self._exact: Frame | None = None
@@ -134,5 +134,5 @@ class SceneViewSource:
         shown = tuple(name for name in _CHANNELS if name in channels)
         if not known or not shown:
             return None
-        request = Request(index, known, shown, self._width)
+        request = Request(index, known, shown, _PAGE_WIDTH // min(len(known), _BESIDE))
         return self._workers.exact(request) if wait else self._workers.latest(request)

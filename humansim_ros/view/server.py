@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import gzip
 import http
@@ -20,6 +21,7 @@ from urllib.parse import parse_qs, unquote, urlsplit
 import msgspec
 import viser
 import websockets.asyncio.server
+import websockets.exceptions
 from viser import _messages
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
@@ -75,6 +77,9 @@ class PageServer:
         self._page = _index_page(title)
         self.add_file("page.js", "text/javascript", Path(__file__).with_name("page").joinpath("page.js").read_bytes())
         self._compressed: dict[str, bytes] = {}
+        self._streams: set[asyncio.Event] = set()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._latest: bytes | None = None
         with _LOCK, self._checked_connections(), contextlib.redirect_stdout(io.StringIO()):
             self.viser = viser.ViserServer(host=HOST, port=_free_port(port), label=title, verbose=False)
         self.port = int(self.viser.get_port())
@@ -95,6 +100,38 @@ class PageServer:
     def on_request(self, name: str, function: Callable[[Mapping[str, str]], None]) -> None:
         """Call ``function`` with the query of each request of ``/humansim/<name>``, in the server's thread."""
         self.requests[PREFIX + name] = function
+
+    def stream(self, data: bytes) -> None:
+        """Send data to the scripts of all pages; a slow page, or one that comes later, gets the latest only."""
+        self._latest = data
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the server has ended
+                self._loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        for event in self._streams:
+            event.set()
+
+    async def _stream_to(self, connection: Any) -> None:
+        """Send what :meth:`stream` is given until the browser goes away."""
+        event = asyncio.Event()
+        if self._latest is not None:
+            event.set()
+        self._streams.add(event)
+        closed = asyncio.ensure_future(connection.wait_closed())
+        try:
+            while not closed.done():
+                woken = asyncio.ensure_future(event.wait())
+                await asyncio.wait({woken, closed}, return_when=asyncio.FIRST_COMPLETED)
+                woken.cancel()
+                event.clear()
+                if self._latest is not None and not closed.done():
+                    await connection.send(self._latest)
+        except websockets.exceptions.ConnectionClosed:
+            pass
+        finally:
+            self._streams.discard(event)
+            closed.cancel()
 
     def close(self) -> None:
         """Stop serving."""
@@ -117,6 +154,10 @@ class PageServer:
                 return ours if ours is not None else answer_of_viser(connection, request)
 
             async def handle(connection: Any) -> None:
+                self._loop = asyncio.get_running_loop()
+                if urlsplit(connection.request.path).path == f"{PREFIX}frames":
+                    await self._stream_to(connection)
+                    return
                 receive = connection.recv
 
                 async def receive_checked(*args: Any, **named: Any) -> Any:

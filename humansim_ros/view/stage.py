@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 
 from humansim_ros.camera import Camera
@@ -28,7 +29,7 @@ _TRAILED = ("HumanoidRoot", "l_wrist", "r_wrist", "l_ankle", "r_ankle", "vt3_end
 #: Length of a frustum, metres; its image is as wide as the field of view.
 _FRUSTUM = 0.45
 #: Width of the images in frusta, pixels.
-_FRUSTUM_IMAGE = 240
+_FRUSTUM_IMAGE = 160
 #: Cells of the coverage along its longer side, and the margin around the cameras, metres.
 _CELLS, _MARGIN = 96, 1.0
 _GREEN, _RED = (70, 200, 110), (235, 80, 80)
@@ -76,6 +77,7 @@ class Stage:
         self._extras: dict[str, Any] = {}
         self._trails: dict[str, deque[Array]] = {name: deque(maxlen=_TRAIL) for name in source.people}
         self._last_index = -1
+        self._images: object = None
         self.frame: ViewFrame | None = None
         with server.viser.atomic():
             self._scene.reset()
@@ -88,6 +90,7 @@ class Stage:
             for name in source.people:
                 self._bodies[name] = self._add_body(name, 1.0)
         self._serve_bodies()
+        self.set_options(self.options)
 
     def show(self, frame: ViewFrame) -> None:
         """Show a frame."""
@@ -175,16 +178,15 @@ class Stage:
         self._server.add_json("people.json", table)
 
     def _pose_bodies(self, frame: ViewFrame) -> None:
+        """Send the poses of the bones; the page's script applies them (page/page.js)."""
+        people = []
         for name, (body, handle) in self._bodies.items():
             joints = frame.joints.get(name)
-            handle.visible = joints is not None
-            if joints is None:
-                continue
-            bones = joints[: len(body.human.skeleton)]
-            turns = _wxyz(bones[:, :3, :3])
-            for bone, turn, position in zip(handle.bones, turns, bones[:, :3, 3], strict=True):
-                bone.wxyz = turn
-                bone.position = position
+            if handle.visible != (joints is not None):
+                handle.visible = joints is not None
+            if joints is not None:
+                people.append((keyed_color(body.color, self._numbers[name]), joints[: len(body.human.skeleton)]))
+        self._server.stream(pose_message(frame.index, people))
 
     # --- objects and room --------------------------------------------------------------------------------
 
@@ -240,11 +242,15 @@ class Stage:
         handle.position = camera.center
 
     def _show_images(self, frame: ViewFrame) -> None:
+        if frame.images is self._images:
+            return
+        self._images = frame.images
         for name, images in frame.images.items():
             if name in self._frusta and images:
                 image = images.get("rgb", images.get(JOINTS, next(iter(images.values()))))
-                step = max(1, image.shape[1] // _FRUSTUM_IMAGE)
-                self._frusta[name][0].image = np.ascontiguousarray(image[::step, ::step])
+                scale = _FRUSTUM_IMAGE / max(image.shape[:2])
+                small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+                self._frusta[name][0].image = np.asarray(small)
 
     # --- drawn beside them -------------------------------------------------------------------------------
 
@@ -366,6 +372,16 @@ class Stage:
 
     def _cameras_now(self) -> Mapping[str, Camera]:
         return self.frame.cameras if self.frame is not None else self._source.cameras
+
+
+def pose_message(index: int, people: Sequence[tuple[Color, Array]]) -> bytes:
+    """Message of a frame for the page's script (page/page.js): bones (B, 4, 4) in ``map`` by colour."""
+    parts = [np.array([index, len(people)], np.uint32).tobytes()]
+    for (red, green, blue), bones in people:
+        parts.append(np.array([red << 16 | green << 8 | blue, len(bones)], np.uint32).tobytes())
+        quaternions = matrix_to_quaternion(np.ascontiguousarray(bones[:, :3, :3]))
+        parts.append(np.concatenate([quaternions, bones[:, :3, 3]], axis=1).astype(np.float32).tobytes())
+    return b"".join(parts)
 
 
 def coverage_picture(cameras: Mapping[str, Camera]) -> tuple[Image, Array, Array]:

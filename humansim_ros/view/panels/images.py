@@ -58,7 +58,7 @@ def mosaic(images: Mapping[str, Mapping[str, Image]], width: int = _WIDTH) -> Mo
     if not cameras:
         return None
     columns = min(4 if len(cameras) <= 8 else 6, len(cameras))
-    across = min((width + _GAP) // columns - _GAP, max(images[name][c].shape[1] for name in cameras for c in images[name]))
+    across = min(width // columns, max(images[name][c].shape[1] for name in cameras for c in images[name]))
     tiles: list[tuple[Tile, Image]] = []
     top = 0
     for start in range(0, len(cameras), columns):

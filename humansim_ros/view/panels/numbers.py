@@ -16,7 +16,7 @@ class NumbersPanel:
     """Table of the numbers of what was clicked last."""
 
     def __init__(self, app: ViewApp) -> None:
-        with app.gui.add_folder("Numbers", order=3) as self._folder:
+        with app.tabs["Numbers"]:
             self._text = app.gui.add_markdown(_HINT)
 
     def show(self, info: PixelInfo) -> None:
@@ -26,7 +26,7 @@ class NumbersPanel:
 
     def remove(self) -> None:
         """Remove the panel."""
-        self._folder.remove()
+        self._text.remove()
 
 
 def _cell(text: str) -> str:

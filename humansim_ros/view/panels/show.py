@@ -34,14 +34,14 @@ class ShowPanel:
         names = list(source.cameras)
         self._channels = {}
         self._options = {}
-        with gui.add_folder("Images", visible=bool(names), order=1) as self._images:
+        with app.tabs["Show"], gui.add_folder("Images", visible=bool(names), order=1) as self._images:
             self._camera = gui.add_dropdown("Cameras", (_ALL, *names), initial_value=_ALL)
             for channel in source.channels:
                 box = gui.add_checkbox(channel, channel == source.channels[0])
                 box.on_update(lambda _: app.post(self._choose))
                 self._channels[channel] = box
             self._camera.on_update(lambda _: app.post(self._choose))
-        with gui.add_folder("3D", order=2) as self._drawn:
+        with app.tabs["Show"], gui.add_folder("3D", order=3) as self._drawn:
             for option in fields(Options):
                 box = gui.add_checkbox(_LABELS[option.name], bool(option.default))
                 box.on_update(lambda _: app.post(self._draw))

@@ -26,7 +26,7 @@ class ThroughPanel:
         self._shows_image = False
         self._version: object = None
         names = tuple(app.source.cameras)
-        with app.gui.add_folder("Look through", visible=bool(names), order=2.5) as self._folder:
+        with app.tabs["Show"], app.gui.add_folder("Look through", visible=bool(names), order=2) as self._folder:
             self._choice = app.gui.add_dropdown("Camera", (_FREE, *names), initial_value=_FREE)
             self._kind = app.gui.add_dropdown("Show", (_WITH_LENS, _WITHOUT), initial_value=_WITH_LENS)
         self._choice.on_update(lambda _: app.post(self._choose))

@@ -22,8 +22,7 @@ class TimelinePanel:
         self._app = app
         self._live = player.frames is None
         last = max((player.frames or 2) - 1, 1)
-        self._folder = gui.add_folder("Time", order=0)
-        with self._folder:
+        with app.head:
             self._slider = gui.add_slider(
                 "Frame", min=0, max=last, step=1, initial_value=0, visible=not self._live
             )
@@ -40,7 +39,6 @@ class TimelinePanel:
         self._steps.on_click(lambda _: app.post(lambda: self._step(self._steps.value)))
         self._speed.on_update(lambda _: app.post(self._set_speed))
         self._loop.on_update(lambda _: app.post(self._set_loop))
-        gui.add_command("Play or pause", hotkey="space").on_trigger(lambda _: app.post(self._toggle))
 
     def update(self, frame: ViewFrame) -> None:
         """Show the time of a frame."""
@@ -61,7 +59,8 @@ class TimelinePanel:
 
     def remove(self) -> None:
         """Remove the panel."""
-        self._folder.remove()
+        for handle in (self._slider, self._play, self._steps, self._speed, self._loop, self._text):
+            handle.remove()
 
     def _seek(self, by_user: bool) -> None:
         index = int(self._slider.value)

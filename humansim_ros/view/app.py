@@ -42,6 +42,7 @@ class ViewApp:
         port: Port; the next free one if it is in use.
         reload: Makes the source again after its file has changed; None if it has no file.
         path: That file.
+        problem: Why the file cannot be shown yet.
 
     Raises:
         HumansimError: No port is free.
@@ -53,6 +54,7 @@ class ViewApp:
         port: int = 8080,
         reload: Callable[[], ViewSource] | None = None,
         path: Path | None = None,
+        problem: str | None = None,
     ) -> None:
         self.server = PageServer(f"{source.title} · humansim", port)
         self.gui = self.server.viser.gui
@@ -77,6 +79,7 @@ class ViewApp:
         self.tabs = {name: tabs.add_tab(name) for name in ("Show", "Numbers")}
         self._place_view()
         self._build()
+        self._say_broken(problem)
 
     # --- the thread of the page --------------------------------------------------------------------------
 
@@ -175,7 +178,7 @@ class ViewApp:
         for client in self.server.viser.get_clients().values():
             client.add_notification(title=title, body=text, auto_close_seconds=8.0)
 
-    # ---------------------------------------------------------------------------------------------------------
+    # --- parts of the loop -------------------------------------------------------------------------------
 
     def _build(self) -> None:
         self.shown_cameras = tuple(self.source.cameras)
@@ -216,9 +219,9 @@ class ViewApp:
         index = self.player.advance(time.monotonic())
         shown = self._frame
         late = shown is not None and shown.image_index is not None and shown.image_index != shown.index
-        if shown is not None and index == shown.index and not self._needs_frame and not late:
-            if self.player.frames is not None:
-                return
+        is_shown = shown is not None and index == shown.index and not self._needs_frame and not late
+        if is_shown and self.player.frames is not None:
+            return
         self._needs_frame = False
         still = not self.player.playing
         channels = self.shown_channels if self.shown_cameras else ()
@@ -278,7 +281,9 @@ class ViewApp:
             self._notice.remove()
             self._notice = None
         if problem is not None:
-            text = f"**This cannot be shown.** The page shows the last state that could.\n\n```\n{problem}\n```"
+            text = (
+                f"**This cannot be shown.** The page shows the last state that could.\n\n```\n{problem}\n```"
+            )
             self._notice = self.gui.add_markdown(text, order=-2)
 
 

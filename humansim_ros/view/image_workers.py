@@ -209,7 +209,14 @@ class _Painter:
 
 
 def picture(scene: Scene, frame: Frame, camera: str, channel: str) -> Image:
-    """Image (H, W, 3) of a channel, or of ``joints`` over the image, for people."""
+    """Image (H, W, 3) of a channel for people to look at.
+
+    Args:
+        scene: The scene.
+        frame: Its frame.
+        camera: Name of the camera.
+        channel: Name of the channel; ``joints`` is the image with the joints drawn over it.
+    """
     view = frame.views[camera]
     if channel != JOINTS:
         if channel == "rgb":

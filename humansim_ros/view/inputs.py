@@ -1,4 +1,4 @@
-"""What ``humansim view`` can open: a scene, a bag, a motion, a human or a calibration, told by its content."""
+"""What ``humansim view`` opens: a scene, a bag, a motion, a human or a calibration, told by its content."""
 
 from __future__ import annotations
 
@@ -19,6 +19,7 @@ from humansim_ros.io.yaml import read_yaml
 from humansim_ros.motion.files import find_motion
 from humansim_ros.scene.config import SceneConfig
 from humansim_ros.scene.scene import Scene
+from humansim_ros.view.empty_source import EmptySource
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.source import ViewSource
 
@@ -36,11 +37,13 @@ class Opened:
         source: The source.
         path: Its file; None for built-ins.
         reload: Makes the source again.
+        problem: Why the file cannot be shown; the source is empty then.
     """
 
     source: ViewSource
     path: Path | None = None
     reload: Callable[[], ViewSource] | None = None
+    problem: str | None = None
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,14 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
     if what is None:
         return Opened(SceneViewSource(Scene.load()))
     make = _maker(what)
-    return Opened(make(), what if exists(what) else None, make if exists(what) else None)
+    if not exists(what):
+        return Opened(make())
+    try:
+        return Opened(make(), what, make)
+    except HumansimError as error:
+        if what.is_dir():
+            raise
+        return Opened(EmptySource(what.stem), what, make, str(error))
 
 
 def _maker(what: Path) -> Callable[[], ViewSource]:
@@ -152,7 +162,7 @@ def _around(human: Mapping[str, Any], title: str) -> ViewSource:
 
 def _cameras(path: Path) -> ViewSource:
     """The cameras of a calibration in the world of its file."""
-    cameras = read_calibration(path).cameras
+    cameras = read_calibration(path)
     if not cameras:
         raise HumansimError("has no cameras", path=path)
     return SceneViewSource(Scene.build(cameras=dict(cameras), room=None), path.stem)

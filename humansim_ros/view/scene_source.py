@@ -54,28 +54,34 @@ class SceneViewSource:
 
     @property
     def people(self) -> Mapping[str, Human]:
+        """Bodies without pose by name, in their outfit."""
         return {name: actor.human for name, actor in self.scene.actors.items()}
 
     @property
     def objects(self) -> Mapping[str, Mesh]:
+        """Meshes of moving objects by name, in their own frame."""
         return {name: item.mesh for name, item in self.scene.moving_objects.items()}
 
     @cached_property
     def static(self) -> Mapping[str, Mesh]:
+        """Meshes by name in ``map``: room, static objects."""
         meshes = {f"room {number}": mesh for number, mesh in enumerate(self.scene.environment.meshes, 1)}
         static = {name: item.static_mesh() for name, item in self.scene.objects.items() if not item.moves}
         return meshes | static
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
+        """Cameras at the start."""
         return self.scene.cameras
 
     @property
     def period(self) -> int:
+        """Nanoseconds between frames."""
         return round(1e9 / self.scene.config.rate)
 
     @property
     def frames(self) -> int:
+        """Number of frames."""
         longest = max((actor.motion.duration for actor in self.scene.actors.values()), default=0.0)
         return max(2, round(min(max(longest, _SHORTEST), _LONGEST) * self.scene.config.rate))
 
@@ -111,6 +117,7 @@ class SceneViewSource:
         )
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
+        """Numbers of a pixel of the frame that was given last."""
         if self._truth is None:
             self._truth = Simulation(self.scene, channels=PIXEL_CHANNELS)
         if self._exact is None or self._exact.index != self._shown or camera not in self._exact.views:
@@ -118,6 +125,7 @@ class SceneViewSource:
         return pixel_info(self.scene, self._exact, camera, x, y)
 
     def close(self) -> None:
+        """Free processes and renderers."""
         if "_workers" in self.__dict__:
             self._workers.close()
         if self._truth is not None:

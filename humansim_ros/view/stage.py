@@ -101,7 +101,10 @@ class Stage:
         self._last_index = frame.index
         rebuilt = False
         for name in frame.joints:
-            if name in self._bodies and abs(frame.sizes.get(name, 1.0) - self._bodies[name][0].size) > _SIZE_STEP:
+            if (
+                name in self._bodies
+                and abs(frame.sizes.get(name, 1.0) - self._bodies[name][0].size) > _SIZE_STEP
+            ):
                 self._bodies[name][1].remove()
                 self._bodies[name] = self._add_body(name, frame.sizes[name])
                 rebuilt = True
@@ -185,7 +188,9 @@ class Stage:
             if handle.visible != (joints is not None):
                 handle.visible = joints is not None
             if joints is not None:
-                people.append((keyed_color(body.color, self._numbers[name]), joints[: len(body.human.skeleton)]))
+                people.append(
+                    (keyed_color(body.color, self._numbers[name]), joints[: len(body.human.skeleton)])
+                )
         self._server.stream(pose_message(frame.index, people))
 
     # --- objects and room --------------------------------------------------------------------------------
@@ -210,7 +215,13 @@ class Stage:
 
     def _add_floor(self) -> Any:
         return self._scene.add_grid(
-            "/floor", width=12, height=12, cell_size=0.5, section_size=1.0, plane="xy", position=(0, 0, -0.002)
+            "/floor",
+            width=12,
+            height=12,
+            cell_size=0.5,
+            section_size=1.0,
+            plane="xy",
+            position=(0, 0, -0.002),
         )
 
     # --- cameras -----------------------------------------------------------------------------------------
@@ -259,7 +270,9 @@ class Stage:
             color = person_color(self._numbers.get(name, 0))
             positions = joints[:, :3, 3]
             if self.options.names:
-                self._label(f"name of {name}", name, positions[:, :2].mean(axis=0), positions[:, 2].max() + 0.2)
+                self._label(
+                    f"name of {name}", name, positions[:, :2].mean(axis=0), positions[:, 2].max() + 0.2
+                )
             if self.options.joints or self.options.joint_names:
                 self._skeleton(name, positions, color)
             if self.options.trails and frame.index % _TRAIL_STEP == 0:
@@ -291,7 +304,9 @@ class Stage:
         skeleton = self._source.people[name].skeleton
         numbers = {joint: number for number, joint in enumerate(skeleton.joint_names)}
         pairs = [
-            (number, numbers[parent]) for number, parent in enumerate(skeleton.joint_parents) if parent is not None
+            (number, numbers[parent])
+            for number, parent in enumerate(skeleton.joint_parents)
+            if parent is not None
         ]
         self._lines(f"joints {name}", positions[np.array(pairs, dtype=int).reshape(-1, 2)], color)
         if self.options.joint_names:
@@ -343,7 +358,7 @@ class Stage:
         self._drop("mark")
         if point is not None:
             self._extras["mark"] = self._scene.add_icosphere(
-                "/beside/mark", radius=0.015, color=(255, 220, 0), position=tuple(map(float, point))
+                "/beside/mark", radius=0.015, color=(255, 220, 0), position=np.asarray(point)
             )
 
     def _drop(self, key: str) -> None:
@@ -352,7 +367,7 @@ class Stage:
             handle.remove()
 
     def _add_coverage(self) -> None:
-        cameras = {name: camera for name, camera in self._cameras_now().items()}
+        cameras = self._cameras_now()
         if not cameras:
             return
         try:
@@ -414,5 +429,3 @@ def person_color(number: int) -> Color:
 def _wxyz(rotations: Array) -> Array:
     """Quaternions (N, 4) wxyz, as viser has them, of rotations (N, 3, 3)."""
     return matrix_to_quaternion(np.ascontiguousarray(rotations))[:, [3, 0, 1, 2]]
-
-

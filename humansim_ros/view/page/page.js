@@ -117,6 +117,7 @@
       });
     meshes = found;
     state.people = found.size;
+    state.meshes = found;
   }
   setInterval(loadPeople, 1000);
   setInterval(visit, 200);

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from humansim_ros.view.page_interface import Page
 from humansim_ros.view.source import PixelInfo
-
-if TYPE_CHECKING:
-    from humansim_ros.view.app import ViewApp
 
 _HINT = "Click a person in 3D, or a pixel of an image."
 
@@ -15,7 +11,7 @@ _HINT = "Click a person in 3D, or a pixel of an image."
 class NumbersPanel:
     """Table of the numbers of what was clicked last."""
 
-    def __init__(self, app: ViewApp) -> None:
+    def __init__(self, app: Page) -> None:
         with app.tabs["Numbers"]:
             self._text = app.gui.add_markdown(_HINT)
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import TYPE_CHECKING
 
+from humansim_ros.view.page_interface import Page
 from humansim_ros.view.stage import Options
-
-if TYPE_CHECKING:
-    from humansim_ros.view.app import ViewApp
 
 _LABELS = {
     "cameras": "Cameras",
@@ -28,7 +25,7 @@ _ALL = "all"
 class ShowPanel:
     """Checkboxes of channels, cameras and of what is drawn."""
 
-    def __init__(self, app: ViewApp) -> None:
+    def __init__(self, app: Page) -> None:
         gui, source = app.gui, app.source
         self._app = app
         names = list(source.cameras)

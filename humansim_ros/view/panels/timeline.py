@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
+from humansim_ros.view.page_interface import Page
 from humansim_ros.view.player import SPEEDS
 from humansim_ros.view.source import ViewFrame
-
-if TYPE_CHECKING:
-    from humansim_ros.view.app import ViewApp
 
 _PLAY, _PAUSE = "Play", "Pause"
 _BACK, _ON = "◀ frame", "frame ▶"
@@ -17,13 +15,13 @@ _BACK, _ON = "◀ frame", "frame ▶"
 class TimelinePanel:
     """The controls of the player of a page."""
 
-    def __init__(self, app: ViewApp) -> None:
+    def __init__(self, app: Page) -> None:
         gui, player = app.gui, app.player
         self._app = app
         self._live = player.frames is None
-        last = max((player.frames or 2) - 1, 1)
+        self._last = last = max((player.frames or 2) - 1, 1)
         with app.head:
-            self._slider = gui.add_slider(
+            self._slider: Any = gui.add_slider(
                 "Frame", min=0, max=last, step=1, initial_value=0, visible=not self._live
             )
             self._play = gui.add_button(_PAUSE if player.playing else _PLAY)
@@ -45,7 +43,7 @@ class TimelinePanel:
         player = self._app.player
         index = frame.index
         if not self._live and self._slider.value != index:
-            self._slider.value = min(index, int(self._slider.max))
+            self._slider.value = min(index, self._last)
         label = _PAUSE if player.playing else _PLAY
         if self._play.label != label:
             self._play.label = label

@@ -37,6 +37,14 @@ class EmptySource:
         channels: Collection[str] = (),
         wait: bool = False,
     ) -> ViewFrame:
+        """A frame.
+
+        Args:
+            index: Number of the frame.
+            cameras: Cameras whose images are wanted.
+            channels: Channels that are wanted.
+            wait: The images must be those of this frame.
+        """
         return ViewFrame(index=0, stamp=0, scene_time=0)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:

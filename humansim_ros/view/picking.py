@@ -31,7 +31,7 @@ class Hit:
 
 
 def hit_person(human: Human, joints: Array, origin: Array, direction: Array) -> Hit | None:
-    """First point of a posed human on a ray [Möller 1997]; None if it misses.
+    """First point of a posed human on a ray [Moller 1997]; None if it misses.
 
     Args:
         human: The human at rest.

@@ -13,7 +13,6 @@ from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Array
 from humansim_ros.view.image_workers import Images, ImageWorkers, Request
-from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.pixel_info import CHANNELS as PIXEL_CHANNELS
 from humansim_ros.view.pixel_info import pixel_info
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
@@ -92,6 +91,14 @@ class SceneViewSource:
         channels: Collection[str] = (),
         wait: bool = False,
     ) -> ViewFrame:
+        """A frame.
+
+        Args:
+            index: Number of the frame.
+            cameras: Cameras whose images are wanted.
+            channels: Channels that are wanted.
+            wait: The images must be those of this frame.
+        """
         elapsed = self.scene.frame_time(index)
         poses = self._playback.show(elapsed)
         joints: dict[str, Array] = {}

@@ -32,7 +32,14 @@ class TimelinePanel:
             self._loop = gui.add_checkbox("Loop", player.loop, visible=not self._live)
             self._text = gui.add_markdown("")
         self._shown = ""
-        self._slider.on_update(lambda event: self._seek(event.client_id is not None))
+
+        # a coroutine: it runs before anything else can set the slider
+        @self._slider.on_update
+        async def _(event: Any) -> None:
+            if event.client_id is not None:
+                index = int(self._slider.value)
+                app.post(lambda: app.seek(index))
+
         self._play.on_click(lambda _: app.post(self._toggle))
         self._steps.on_click(lambda _: app.post(lambda: self._step(self._steps.value)))
         self._speed.on_update(lambda _: app.post(self._set_speed))
@@ -59,11 +66,6 @@ class TimelinePanel:
         """Remove the panel."""
         for handle in (self._slider, self._play, self._steps, self._speed, self._loop, self._text):
             handle.remove()
-
-    def _seek(self, by_user: bool) -> None:
-        index = int(self._slider.value)
-        if by_user:
-            self._app.post(lambda: self._app.seek(index))
 
     def _toggle(self) -> None:
         player = self._app.player

@@ -186,17 +186,18 @@ def test_a_scene_with_an_error_is_told_with_its_line_until_it_is_mended(
         page.close()
 
 
-@pytest.mark.parametrize(("name", "size"), [("view", (1280, 800)), ("view_tablet", (800, 1200))])
-def test_the_pictures_of_the_docs(chromium: Any, name: str, size: tuple[int, int]) -> None:
+def test_the_pictures_of_the_docs(chromium: Any) -> None:
     """The demo scene at the sizes of a laptop and a tablet."""
     with served("--port", "0") as (address, _):
-        page = opened_page(chromium, address, size=size)
+        page = opened_page(chromium, address)
         until(lambda: mosaic_of(page) is not None)
         pause(page)
         scrub(page, 20)
-        page.wait_for_timeout(1500)
-        picture = page.screenshot()
-        assert len(picture) > 50_000  # an empty page is smaller
-        if PICTURES:
-            (ROOT / PICTURES / f"{name}.png").write_bytes(picture)
+        for name, width, height in (("view", 1280, 800), ("view_tablet", 800, 1200)):
+            page.set_viewport_size({"width": width, "height": height})
+            page.wait_for_timeout(1500)
+            picture = page.screenshot()
+            assert len(picture) > 50_000  # an empty page is smaller
+            if PICTURES:
+                (ROOT / PICTURES / f"{name}.png").write_bytes(picture)
         page.close()

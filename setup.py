@@ -66,6 +66,7 @@ EXTRAS = {
         "fsspec>=2023.1",
         "hypothesis",
         "lxml>=4.9",
+        "matplotlib>=3.8",
         "mcap>=1.1",
         "mkdocs-material>=9.5,<10",
         "mkdocs>=1.6,<2",
@@ -94,6 +95,8 @@ EXTRAS = {
     "exr": ["OpenEXR>=3.3"],
     # formats of data sets (docs/export.md)
     "export": ["OpenEXR>=3.3", "c3d>=0.5", "pycocotools>=2.0.7"],
+    # frame.plot()
+    "plot": ["matplotlib>=3.8"],
     # the other renderer
     "pyrender": ["pyrender==0.1.45"],
     "bench": ["pyrender==0.1.45"],

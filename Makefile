@@ -45,10 +45,10 @@ dist:
 	@tools/check_dist.sh
 
 env:
-	@tools/setup_env.sh ros,view
+	@tools/setup_env.sh ros
 
 env-test:
-	@tools/setup_env.sh ros,view,test
+	@tools/setup_env.sh ros,test
 
 env-bench:
 	@tools/setup_env.sh ros,bench

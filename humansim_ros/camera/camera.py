@@ -20,7 +20,6 @@ from scipy.linalg import rq
 
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, HumansimWarning
-from humansim_ros.pictures import Pictured
 from humansim_ros.rotations import transform
 from humansim_ros.types import Array, ImageSize
 
@@ -33,7 +32,7 @@ MAX_SIZE = 8192
 
 
 @dataclass(frozen=True, repr=False)
-class Camera(Pictured):
+class Camera:
     """A calibrated camera.
 
     Args:

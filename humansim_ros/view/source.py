@@ -62,52 +62,46 @@ class PixelInfo:
 
 
 class ViewSource(Protocol):
-    """Source of a page; all methods are called in one thread."""
+    """Source of a page; all methods are called in one thread.
+
+    Attributes:
+        title: Title of the page.
+        people: Bodies without pose by name, in their outfit.
+        objects: Meshes of moving objects by name, in their own frame.
+        static: Meshes by name in ``map``: room, static objects.
+        cameras: Cameras at the start.
+        period: Nanoseconds between frames.
+        frames: Number of frames; None for a live source, whose latest frame is shown.
+        channels: Channels that can be shown.
+        messages: What the user should know, such as "the bag has no images".
+    """
 
     @property
-    def title(self) -> str:
-        """Title of the page."""
-        ...
+    def title(self) -> str: ...
 
     @property
-    def people(self) -> Mapping[str, Human]:
-        """Bodies without pose by name, in their outfit."""
-        ...
+    def people(self) -> Mapping[str, Human]: ...
 
     @property
-    def objects(self) -> Mapping[str, Mesh]:
-        """Meshes of moving objects by name, in their own frame."""
-        ...
+    def objects(self) -> Mapping[str, Mesh]: ...
 
     @property
-    def static(self) -> Mapping[str, Mesh]:
-        """Meshes by name in ``map``: room, static objects."""
-        ...
+    def static(self) -> Mapping[str, Mesh]: ...
 
     @property
-    def cameras(self) -> Mapping[str, Camera]:
-        """Cameras at the start."""
-        ...
+    def cameras(self) -> Mapping[str, Camera]: ...
 
     @property
-    def period(self) -> int:
-        """Nanoseconds between frames."""
-        ...
+    def period(self) -> int: ...
 
     @property
-    def frames(self) -> int | None:
-        """Number of frames; None for a live source, whose latest frame is shown."""
-        ...
+    def frames(self) -> int | None: ...
 
     @property
-    def channels(self) -> tuple[str, ...]:
-        """Channels that can be shown."""
-        ...
+    def channels(self) -> tuple[str, ...]: ...
 
     @property
-    def messages(self) -> Sequence[str]:
-        """What the user should know, such as "the bag has no images"."""
-        ...
+    def messages(self) -> Sequence[str]: ...
 
     def frame(
         self,

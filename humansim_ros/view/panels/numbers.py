@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
-from humansim_ros.view.page_interface import Page
+from typing import TYPE_CHECKING
+
 from humansim_ros.view.source import PixelInfo
+
+if TYPE_CHECKING:
+    from humansim_ros.view.app import ViewApp
 
 _HINT = "Click a person in 3D, or a pixel of an image."
 
@@ -11,8 +15,8 @@ _HINT = "Click a person in 3D, or a pixel of an image."
 class NumbersPanel:
     """Table of the numbers of what was clicked last."""
 
-    def __init__(self, app: Page) -> None:
-        with app.tabs["Numbers"]:
+    def __init__(self, app: ViewApp) -> None:
+        with app.gui.add_folder("Numbers", order=3) as self._folder:
             self._text = app.gui.add_markdown(_HINT)
 
     def show(self, info: PixelInfo) -> None:
@@ -22,7 +26,7 @@ class NumbersPanel:
 
     def remove(self) -> None:
         """Remove the panel."""
-        self._text.remove()
+        self._folder.remove()
 
 
 def _cell(text: str) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
-from humansim_ros.view.page_interface import Page
 from humansim_ros.view.player import SPEEDS
 from humansim_ros.view.source import ViewFrame
+
+if TYPE_CHECKING:
+    from humansim_ros.view.app import ViewApp
 
 _PLAY, _PAUSE = "Play", "Pause"
 _BACK, _ON = "◀ frame", "frame ▶"
@@ -15,13 +17,14 @@ _BACK, _ON = "◀ frame", "frame ▶"
 class TimelinePanel:
     """The controls of the player of a page."""
 
-    def __init__(self, app: Page) -> None:
+    def __init__(self, app: ViewApp) -> None:
         gui, player = app.gui, app.player
         self._app = app
         self._live = player.frames is None
-        self._last = last = max((player.frames or 2) - 1, 1)
-        with app.head:
-            self._slider: Any = gui.add_slider(
+        last = max((player.frames or 2) - 1, 1)
+        self._folder = gui.add_folder("Time", order=0)
+        with self._folder:
+            self._slider = gui.add_slider(
                 "Frame", min=0, max=last, step=1, initial_value=0, visible=not self._live
             )
             self._play = gui.add_button(_PAUSE if player.playing else _PLAY)
@@ -32,25 +35,19 @@ class TimelinePanel:
             self._loop = gui.add_checkbox("Loop", player.loop, visible=not self._live)
             self._text = gui.add_markdown("")
         self._shown = ""
-
-        # a coroutine: it runs before anything else can set the slider
-        @self._slider.on_update
-        async def _(event: Any) -> None:
-            if event.client_id is not None:
-                index = int(self._slider.value)
-                app.post(lambda: app.seek(index))
-
+        self._slider.on_update(lambda event: self._seek(event.client_id is not None))
         self._play.on_click(lambda _: app.post(self._toggle))
         self._steps.on_click(lambda _: app.post(lambda: self._step(self._steps.value)))
         self._speed.on_update(lambda _: app.post(self._set_speed))
         self._loop.on_update(lambda _: app.post(self._set_loop))
+        gui.add_command("Play or pause", hotkey="space").on_trigger(lambda _: app.post(self._toggle))
 
     def update(self, frame: ViewFrame) -> None:
         """Show the time of a frame."""
         player = self._app.player
         index = frame.index
         if not self._live and self._slider.value != index:
-            self._slider.value = min(index, self._last)
+            self._slider.value = min(index, int(self._slider.max))
         label = _PAUSE if player.playing else _PLAY
         if self._play.label != label:
             self._play.label = label
@@ -64,8 +61,12 @@ class TimelinePanel:
 
     def remove(self) -> None:
         """Remove the panel."""
-        for handle in (self._slider, self._play, self._steps, self._speed, self._loop, self._text):
-            handle.remove()
+        self._folder.remove()
+
+    def _seek(self, by_user: bool) -> None:
+        index = int(self._slider.value)
+        if by_user:
+            self._app.post(lambda: self._app.seek(index))
 
     def _toggle(self) -> None:
         player = self._app.player

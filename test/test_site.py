@@ -6,7 +6,9 @@ import re
 import subprocess
 import sys
 from html.parser import HTMLParser
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 import yaml
@@ -55,6 +57,35 @@ def test_each_page_is_once_in_the_navigation() -> None:
     assert len(named) == len(set(named))
     existing = {page.relative_to(DOCS).as_posix() for page in DOCS.rglob("*.md")}
     assert {page for page in named if not page.startswith("api/")} == existing
+
+
+@pytest.fixture
+def reference_pages(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    monkeypatch.syspath_prepend(ROOT / "tools")
+    return import_module("reference_pages")
+
+
+@pytest.mark.parametrize("name", ["scene_keys.md", "commands.md"])
+def test_the_reference_is_made_of_todays_code(reference_pages: ModuleType, name: str) -> None:
+    text = (DOCS / "reference" / name).read_text()
+    assert text == reference_pages.PAGES[name](), "run tools/doc_pages.py"
+
+
+def test_the_page_of_topics_is_made_of_todays_topics(reference_pages: ModuleType) -> None:
+    pytest.importorskip("rclpy")
+    text = (DOCS / "reference" / "topics.md").read_text()
+    assert text == reference_pages.topics_page(), "run tools/doc_pages.py"
+
+
+def test_the_page_of_scene_keys_has_every_section_of_the_schema(reference_pages: ModuleType) -> None:
+    from humansim_ros.scene.config import SceneConfig
+
+    text = (DOCS / "reference" / "scene_keys.md").read_text()
+    schema = SceneConfig.model_json_schema()
+    for section in (schema, *schema["$defs"].values()):
+        for key in section["properties"]:
+            assert f"\n| `{key}` | " in text, key
+    assert "### cameras.*.sensor\n" in text and "#### cameras.*.faults.drop\n" in text
 
 
 @pytest.mark.slow

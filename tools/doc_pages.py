@@ -1,8 +1,9 @@
 """Write the parts of docs/ that come from docstrings and tables: ``python tools/doc_pages.py``.
 
 docs/api.md lists all public names; the module map of docs/architecture.md has a line for each module;
-docs/joints.md has the table of joint names. A test compares them with their sources: run this program after a
-public or a module docstring, or that table, has changed.
+docs/joints.md has the table of joint names; tools/reference_pages.py makes the pages of docs/reference/.
+Tests compare them with their sources: run this program after a public or a module docstring, that table, a
+scene key, a topic or an option of a command has changed.
 """
 
 from __future__ import annotations
@@ -17,7 +18,9 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "tools")]
+
+import reference_pages  # noqa: E402
 
 FOLDERS = (
     "", "scene", "camera", "motion", "humans", "keypoints", "body", "mesh", "render", "sensor", "truth",
@@ -170,3 +173,4 @@ if __name__ == "__main__":
     architecture.write_text(with_module_map(architecture.read_text(encoding="utf-8")), encoding="utf-8")
     joints = ROOT / "docs" / "joints.md"
     joints.write_text(with_joint_names(joints.read_text(encoding="utf-8")), encoding="utf-8")
+    reference_pages.write()

@@ -124,10 +124,14 @@ def _error_of(
     return error(message, path=path, line=line, key=".".join(map(str, keys)) or None)
 
 
+def allowed(annotation: Any, field: FieldInfo | None = None) -> str:
+    """The values that a key takes: ``two whole numbers``, ``a number of 0 or more``."""
+    return _Words.of(annotation, () if field is None else field.metadata).one
+
+
 def needed(annotation: Any, field: FieldInfo | None = None) -> str:
     """What a key needs, as a request: ``give two whole numbers (width, height), such as [640, 480]``."""
-    metadata = () if field is None else field.metadata
-    text = f"give {_Words.of(annotation, metadata).one}"
+    text = f"give {allowed(annotation, field)}"
     if field is None:
         return text
     description = (field.description or "").split(";")[0].split(":")[0].strip()

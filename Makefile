@@ -45,10 +45,10 @@ dist:
 	@tools/check_dist.sh
 
 env:
-	@tools/setup_env.sh ros
+	@tools/setup_env.sh ros,view
 
 env-test:
-	@tools/setup_env.sh ros,test
+	@tools/setup_env.sh ros,view,test
 
 env-bench:
 	@tools/setup_env.sh ros,bench

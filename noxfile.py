@@ -33,7 +33,7 @@ def run_tests(session: nox.Session) -> None:
 @nox.parametrize("python,numpy", COMBINATIONS)
 def tests(session: nox.Session, numpy: str) -> None:
     """All tests, with ROS from PyPI, on each Python with each major version of NumPy."""
-    session.install("-e", ".[ros,test]", NUMPYS[numpy])
+    session.install("-e", ".[ros,view,test]", NUMPYS[numpy])
     run_tests(session)
 
 
@@ -48,7 +48,7 @@ def no_ros(session: nox.Session) -> None:
 @nox.session(python="3.12")
 def colcon(session: nox.Session) -> None:
     """colcon builds the package, copied and symlinked, and the result runs. The Python is that of Jazzy."""
-    session.install("-e", ".[ros,test]", NUMPYS["1.26"])
+    session.install("-e", ".[ros,view,test]", NUMPYS["1.26"])
     session.run("python", "-m", "pytest", "-k", "colcon", *(session.posargs or ["test"]))
 
 

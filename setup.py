@@ -52,6 +52,8 @@ EXTRAS = {
     "record": ["mcap>=1.1", "rosbags>=0.10.6"],
     # estimates in C3D files, in bags, and in images
     "evaluate": ["ezc3d>=1.5", "mcap>=1.1", "pycocotools>=2.0.7", "rosbags>=0.10.6"],
+    # the page of humansim view; 1.1.1 is tested
+    "view": ["ruamel.yaml>=0.18", "viser>=1.1,<1.2"],
     # recording on a cluster, and to URLs; client is for addresses such as ray://host:10001
     "ray": ["fsspec>=2023.1", "mcap>=1.1", "ray[client]>=2.9", "rosbags>=0.10.6"],
     "test": [
@@ -64,6 +66,7 @@ EXTRAS = {
         "fsspec>=2023.1",
         "hypothesis",
         "lxml>=4.9",
+        "matplotlib>=3.8",
         "mcap>=1.1",
         "mkdocs-material>=9.5,<10",
         "mkdocs>=1.6,<2",
@@ -71,6 +74,7 @@ EXTRAS = {
         "mypy",
         "networkx>=2.8",
         "OpenEXR>=3.3",
+        "playwright>=1.40",
         "pycocotools>=2.0.7",
         "pycollada>=0.8",
         "pyrender==0.1.45",
@@ -91,6 +95,8 @@ EXTRAS = {
     "exr": ["OpenEXR>=3.3"],
     # formats of data sets (docs/export.md)
     "export": ["OpenEXR>=3.3", "c3d>=0.5", "pycocotools>=2.0.7"],
+    # frame.plot()
+    "plot": ["matplotlib>=3.8"],
     # the other renderer
     "pyrender": ["pyrender==0.1.45"],
     "bench": ["pyrender==0.1.45"],

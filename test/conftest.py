@@ -46,7 +46,7 @@ SHARED_DATA = Path(os.environ.get("HUMANSIM_SHARED_DATA") or ROOT.parent / "shar
 TEST_PACKAGES = {
     "DracoPy", "OpenEXR", "OpenGL", "bvhio", "c3d", "catkin_pkg", "collada", "colcon_core", "embreex",
     "ezc3d", "fsspec", "hypothesis", "lxml", "mcap", "mypy", "networkx", "pycollada", "pyrender", "ray",
-    "rosbags", "rtree",
+    "playwright", "rosbags", "rtree", "viser",
 }  # fmt: skip
 
 with suppress(ImportError):

@@ -41,7 +41,7 @@ LAYERS = (
     ("io",),
 )
 #: Modules of the top level, which every folder may import.
-BASE = {"__init__", "bounds", "errors", "hierarchy", "resources", "rotations", "types"}
+BASE = {"__init__", "bounds", "errors", "hierarchy", "pictures", "resources", "rotations", "types"}
 #: Deprecated paths that lead to the folder above which they stood.
 DEPRECATED = {"body/__init__.py", "body/mesh.py"}
 PUBLIC = {

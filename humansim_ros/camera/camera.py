@@ -20,6 +20,7 @@ from scipy.linalg import rq
 
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, HumansimWarning
+from humansim_ros.pictures import Pictured
 from humansim_ros.rotations import transform
 from humansim_ros.types import Array, ImageSize
 
@@ -32,7 +33,7 @@ MAX_SIZE = 8192
 
 
 @dataclass(frozen=True, repr=False)
-class Camera:
+class Camera(Pictured):
     """A calibrated camera.
 
     Args:

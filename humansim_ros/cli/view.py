@@ -57,11 +57,13 @@ def view(
         reading = LiveOptions.of(keypoints or "", "", 1.0, "", DEFAULT_GATE)
         topics = TopicOptions(estimate, reading, tuple(body or ()))
     opened = open_source(what, topics)
-    app = ViewApp(opened.source, port, opened.reload, opened.path, opened.document)
+    app = ViewApp(opened.source, port, opened.reload, opened.path, opened.problem)
     try:
         if port not in (0, app.server.port):
             print_text(f"port {port} is in use")
         print_text(f"open {app.server.url} to see {opened.source.title}; Ctrl-C ends")
+        if opened.problem is not None:
+            print_text(f"the page shows what is wrong, and the scene when it is mended:\n{opened.problem}")
         if not no_browser:
             threading.Thread(target=_open_browser, args=(app.server.url,), daemon=True).start()
         app.run()

@@ -119,12 +119,18 @@ def distinct_hues(count: int) -> Array:
 
 def write_png(path: str | os.PathLike[str], image: Image) -> None:
     """Write an RGB image; the file is complete or absent."""
+    encoded = encode_png(image)
+    with atomic_path(path) as temporary:
+        temporary.write_bytes(encoded)
+
+
+def encode_png(image: Image) -> bytes:
+    """PNG file of an RGB image. Raises HumansimError if it cannot be encoded."""
     # the default compression of OpenCV 5 is fast, and makes files two to four times as large
     done, encoded = cv2.imencode(".png", image[..., ::-1], [cv2.IMWRITE_PNG_COMPRESSION, 6])
     if not done:
-        raise HumansimError("the image cannot be encoded", path=path)
-    with atomic_path(path) as temporary:
-        temporary.write_bytes(encoded.tobytes())
+        raise HumansimError("the image cannot be encoded")
+    return bytes(encoded.tobytes())
 
 
 def write_mp4(path: str | os.PathLike[str], frames: Iterable[Image], rate: float) -> None:

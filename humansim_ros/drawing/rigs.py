@@ -71,6 +71,12 @@ def rig_image(cameras: Mapping[str, Camera], points: Array | None = None) -> Ima
     return _sheet(title, headings, [_from_above(rig, crosses), from_side])
 
 
+def camera_panel(camera: Camera) -> Image:
+    """Draw one camera from the side, (620, 620, 3). Raises CameraError as :func:`rig_image`."""
+    image, _ = _from_side(_Rig.of({"camera": camera}), np.zeros((0, 3)))
+    return image
+
+
 def coverage_image(
     cameras: Mapping[str, Camera],
     chest: float = 1.2,

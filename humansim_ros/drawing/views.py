@@ -14,7 +14,8 @@ from humansim_ros.drawing.canvas import distinct_hues, draw_disc, draw_line, dra
 from humansim_ros.truth.joints import OUTSIDE, VISIBLE
 from humansim_ros.types import Color, Image
 
-_VISIBLE_COLOR, _HIDDEN_COLOR = (60, 230, 90), (255, 150, 40)
+_VISIBLE_COLOR: Color = (60, 230, 90)
+_HIDDEN_COLOR: Color = (255, 150, 40)
 #: Bright colours of left, right and trunk, for photographs.
 _SIDE_COLORS: dict[int, Color] = {1: (80, 170, 255), -1: (255, 110, 150), 0: (250, 220, 90)}
 #: Grey of the title row and of the gaps of a contact sheet.
@@ -150,6 +151,11 @@ def draw_joints(
             color, width = (_VISIBLE_COLOR, -1) if state == VISIBLE else (_HIDDEN_COLOR, 1)
             draw_disc(out, pixel_of[name], radius, color, width)
     return out
+
+
+def joint_colors(names: Sequence[str]) -> tuple[list[Color], Color, Color]:
+    """Colours of the line from each joint (J,) to its parent, of visible joints, and of hidden ones."""
+    return [_SIDE_COLORS[side_of(name)] for name in names], _VISIBLE_COLOR, _HIDDEN_COLOR
 
 
 def contact_sheet(

@@ -22,6 +22,7 @@ from humansim_ros.io.images import decode_image
 from humansim_ros.io.npz import read_npz, write_npz
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.skinned import normalise_weights
+from humansim_ros.pictures import Pictured
 from humansim_ros.types import Array
 
 #: Name of the only outfit of a human.
@@ -32,7 +33,7 @@ _OUTFIT_PREFIX = "texture_"
 
 
 @dataclass(frozen=True, repr=False)
-class Human:
+class Human(Pictured):
     """Human in the rest pose, in body space (metres, y up, facing +z).
 
     ``weights``: (V, B), rows sum to one. ``looks``: outfits by name, each a PNG or JPEG texture as (N,) bytes

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import MotionError
 from humansim_ros.hierarchy import levels
+from humansim_ros.pictures import Pictured
 from humansim_ros.rotations import quaternion_to_matrix, transform
 from humansim_ros.types import Array, Indices
 
@@ -27,7 +28,7 @@ AXES = {"X": 0, "Y": 1, "Z": 2}
 
 
 @dataclass(frozen=True, repr=False)
-class Motion:
+class Motion(Pictured):
     """A joint hierarchy and the values of its channels in each frame, as in the file.
 
     Attributes:

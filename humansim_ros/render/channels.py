@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import ChannelError, RenderError
+from humansim_ros.pictures import Pictured
 
 #: Name of an adjacent frame, as a keyword of :meth:`Renderer.render`.
 AdjacentName = Literal["next_frame", "previous_frame"]
@@ -111,7 +112,7 @@ def comparing_with(frame: AdjacentName, channels: Collection[str] = ALL_CHANNELS
     return {name for name in compared if name in channels}
 
 
-class View:
+class View(Pictured):
     """Channels of one camera at one stamp, on one pixel grid: arrays (H, W, ...).
 
     A view has the channels that were requested. Any other raises :class:`~humansim_ros.errors.ChannelError`,

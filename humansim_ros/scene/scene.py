@@ -18,6 +18,7 @@ from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.motion.keyframe_tracks import KeyframeTrack
 from humansim_ros.motion.kinematics import Motion
+from humansim_ros.pictures import Pictured
 from humansim_ros.render import Body, GLRenderer, PyrenderRenderer, make_renderer
 from humansim_ros.resources import resource_path
 from humansim_ros.scene.actor import Actor
@@ -46,7 +47,7 @@ def short_list(names: Iterable[str], kind: str) -> str:
 
 
 @dataclass(frozen=True, repr=False)
-class Scene:
+class Scene(Pictured):
     """Humans with motions, objects, cameras and environment of a simulation.
 
     Make one with :meth:`load` (scene file), :meth:`from_dict` (the same keys as a mapping) or :meth:`build`

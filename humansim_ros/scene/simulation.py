@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from humansim_ros.humans import Human
 from humansim_ros.keypoints import KeypointLocator, KeypointSet
 from humansim_ros.keypoints.sets import BySet
 from humansim_ros.motion.joint_poses import JointPoses
+from humansim_ros.pictures import Pictured, drawing
 from humansim_ros.render import CHANNELS, Body, Renderer, View
 from humansim_ros.render.channels import ADJACENT_NAMES, AdjacentName, check_channels, comparing_with
 from humansim_ros.scene.actor import Actor, HumanState
@@ -30,12 +32,15 @@ from humansim_ros.scene.state import JointMotion, SceneState
 from humansim_ros.truth import BodyBox, CameraTruth, JointView, KeypointView
 from humansim_ros.types import Array, Float32Array, Image
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 #: Poses, humans and state at one scene time.
 _Snapshot = tuple[ScenePoses, dict[str, HumanState], SceneState]
 
 
 @dataclass(frozen=True, repr=False)
-class Frame:
+class Frame(Pictured):
     """Everything of a scene at one stamp.
 
     Attributes:
@@ -47,6 +52,7 @@ class Frame:
         objects: Poses of moving objects by name.
         cameras: Cameras of ``views`` at their poses by name: the true ones.
         published_cameras: The same as topics publish them, with the errors of ``faults.calibration``.
+        encodings: Encodings of ``rgb`` by camera, such as ``rgb8``, as the sensors have them.
         bodies: All bodies, humans first.
         labels: Instance labels of humans and labelled objects by name.
         scene_time: Nanoseconds from the start of the scene.
@@ -75,6 +81,7 @@ class Frame:
     models: Mapping[str, Human] = field(default_factory=dict)
     faults: Mapping[str, FrameFaults] = field(default_factory=dict)
     published_cameras: Mapping[str, Camera] = field(default_factory=dict)
+    encodings: Mapping[str, str] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         humans, views = short_list(self.humans, "humans"), short_list(self.views, "views")
@@ -122,6 +129,25 @@ class Frame:
         return {
             camera: {name: truth.boxes[name] for name in self.labels} for camera, truth in self.truth.items()
         }
+
+    def plot(self, channel: str = "rgb", joints: bool = True) -> Figure:
+        """Plot the cameras in a grid, with the joints over the images, and their names as titles.
+
+        Needs matplotlib (``pip install 'humansim_ros[plot]'``). Visible joints are green, hidden ones orange
+        circles; without the channels ``depth``, ``instance`` and ``part`` only the lines between joints are
+        drawn. Notebooks show the figure; elsewhere ``frame.plot().savefig("frame.png")`` writes it.
+
+        Args:
+            channel: Name of the channel to plot.
+            joints: Draw the joints.
+
+        Raises:
+            HumansimError: matplotlib is not installed, or the frame has no cameras.
+            RenderError: There is no channel of this name.
+            ChannelError: The frame has not this channel.
+        """
+        figure: Figure = drawing("frames").plot_frame(self, channel, joints)
+        return figure
 
     def visible_vertices(self, camera: str) -> dict[str, NDArray[np.bool_]]:
         """Masks (V,) of the vertices that a camera sees, by human or labelled object; raises
@@ -244,6 +270,7 @@ class Simulation:
                 for name in rectified_depth
             },
             faults=faults,
+            encodings={name: camera.encoding for name, camera in chosen.items()},
             published_cameras={
                 name: camera.published_at(state.calibrated_pose(camera)) for name, camera in chosen.items()
             },

@@ -13,12 +13,9 @@ import numpy as np
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.types import Array
-from humansim_ros.view.document import SceneDocument
-from humansim_ros.view.panels.commands import CommandsPanel
-from humansim_ros.view.panels.editor import EditorPanel
 from humansim_ros.view.panels.images import ImagesPanel
 from humansim_ros.view.panels.numbers import NumbersPanel
-from humansim_ros.view.panels.show import ALL, ShowPanel
+from humansim_ros.view.panels.show import ShowPanel
 from humansim_ros.view.panels.through import ThroughPanel
 from humansim_ros.view.panels.timeline import TimelinePanel
 from humansim_ros.view.picking import hit_person, person_info
@@ -45,7 +42,7 @@ class ViewApp:
         port: Port; the next free one if it is in use.
         reload: Makes the source again after its file has changed; None if it has no file.
         path: That file.
-        document: The scene that can be edited; None for other sources.
+        problem: Why the file cannot be shown yet.
 
     Raises:
         HumansimError: No port is free.
@@ -57,12 +54,8 @@ class ViewApp:
         port: int = 8080,
         reload: Callable[[], ViewSource] | None = None,
         path: Path | None = None,
-        document: SceneDocument | None = None,
+        problem: str | None = None,
     ) -> None:
-        self.editor: EditorPanel | None = None
-        self.commands: CommandsPanel | None = None
-        self.chosen_camera = ALL
-        self.options = Options()
         self.server = PageServer(f"{source.title} · humansim", port)
         self.gui = self.server.viser.gui
         self.source = source
@@ -79,12 +72,14 @@ class ViewApp:
         self._looked = 0.0
         self._notice: Any = None
         self._broken: str | None = None
-        self.server.viser.gui.main_panel.dock_right()
+        self.gui.main_panel.dock_right()
         self.set_dark(False)
+        self.head = self.gui.add_folder("Time", order=0)
+        tabs = self.gui.add_tab_group(order=1)
+        self.tabs = {name: tabs.add_tab(name) for name in ("Show", "Numbers")}
+        self._place_view()
         self._build()
-        if document is not None:
-            self.editor = EditorPanel(self, document)
-            self.commands = CommandsPanel(self, document)
+        self._say_broken(problem)
 
     # --- the thread of the page --------------------------------------------------------------------------
 
@@ -94,8 +89,6 @@ class ViewApp:
         while not self._stopped.is_set():
             self._run_posted()
             self._look_at_file()
-            if self.commands is not None:
-                self.commands.update()
             try:
                 self._show_next()
             except HumansimError as error:
@@ -111,8 +104,6 @@ class ViewApp:
 
     def close(self) -> None:
         """Free the source, and stop serving."""
-        if self.commands is not None:
-            self.commands.close()
         self.source.close()
         self.server.close()
 
@@ -136,7 +127,6 @@ class ViewApp:
 
     def set_options(self, options: Options) -> None:
         """Change what is drawn in 3D."""
-        self.options = options
         self._stage.set_options(options)
         self.refresh()
 
@@ -183,26 +173,16 @@ class ViewApp:
         self._stage.mark(info.world)
         self._numbers.show(info)
 
-    @property
-    def scene_seconds(self) -> float:
-        """Scene time that is shown, seconds."""
-        return 0.0 if self._frame is None else self._frame.scene_time * 1e-9
-
-    def saved(self, path: Path) -> None:
-        """The scene has been saved as a file, which is watched from now on."""
-        self._path, self._modified = path, _signature(path)
-
     def notify(self, title: str, text: str) -> None:
         """Show a notification in all browsers."""
         for client in self.server.viser.get_clients().values():
             client.add_notification(title=title, body=text, auto_close_seconds=8.0)
 
-    # ---------------------------------------------------------------------------------------------------------
+    # --- parts of the loop -------------------------------------------------------------------------------
 
     def _build(self) -> None:
         self.shown_cameras = tuple(self.source.cameras)
-        kept = tuple(name for name in self.source.channels if name in self.shown_channels)
-        self.shown_channels = kept or self.source.channels[:1]
+        self.shown_channels = self.source.channels[:1]
         self._frame: ViewFrame | None = None
         self._needs_frame = True
         self._stage = Stage(
@@ -218,9 +198,6 @@ class ViewApp:
         self._messages = self.gui.add_markdown(
             "\n\n".join(self.source.messages), visible=bool(self.source.messages), order=-1
         )
-        self._place_view()
-        if self.editor is not None:
-            self.editor.stage_made()
 
     def _remove_panels(self) -> None:
         for panel in (self._timeline, self._show, self._through, self._numbers, self._images):
@@ -242,9 +219,9 @@ class ViewApp:
         index = self.player.advance(time.monotonic())
         shown = self._frame
         late = shown is not None and shown.image_index is not None and shown.image_index != shown.index
-        if shown is not None and index == shown.index and not self._needs_frame and not late:
-            if self.player.frames is not None:
-                return
+        is_shown = shown is not None and index == shown.index and not self._needs_frame and not late
+        if is_shown and self.player.frames is not None:
+            return
         self._needs_frame = False
         still = not self.player.playing
         channels = self.shown_channels if self.shown_cameras else ()
@@ -280,8 +257,7 @@ class ViewApp:
 
     def _look_at_file(self) -> None:
         now = time.monotonic()
-        make = self._reload if self.editor is None else self.editor.make_source
-        if make is None or self._path is None or now - self._looked < _LOOK:
+        if self._reload is None or now - self._looked < _LOOK:
             return
         self._looked = now
         signature = _signature(self._path)
@@ -289,16 +265,12 @@ class ViewApp:
             return
         self._modified = signature
         try:
-            if self.editor is not None and not self.editor.file_changed():
-                return
-            source = make()
+            source = self._reload()
         except HumansimError as error:
             self._say_broken(str(error))
             return
         self._say_broken(None)
         self.replace_source(source)
-        if self.editor is not None:
-            self.editor.refresh()
 
     def _say_broken(self, problem: str | None) -> None:
         """Show what is wrong at the top of the page; None: nothing any more."""
@@ -309,7 +281,9 @@ class ViewApp:
             self._notice.remove()
             self._notice = None
         if problem is not None:
-            text = f"**This cannot be shown.** The page shows the last state that could.\n\n```\n{problem}\n```"
+            text = (
+                f"**This cannot be shown.** The page shows the last state that could.\n\n```\n{problem}\n```"
+            )
             self._notice = self.gui.add_markdown(text, order=-2)
 
 

@@ -87,7 +87,8 @@ class PageBody:
             return None
         scale = _TEXTURE_SIDE / max(image.shape[:2])
         if scale < 1:
-            image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            smaller = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+            image = np.asarray(smaller, dtype=np.uint8)
         return bytes(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1])
 
     @property
@@ -105,6 +106,6 @@ class PageBody:
 
 
 def keyed_color(color: Color, number: int) -> Color:
-    """Colour near ``color`` that tells body ``number`` (below 512) from others: its lowest bits are the number."""
+    """Colour near ``color`` whose lowest bits are the number (below 512) of a body."""
     red, green, blue = (channel & ~7 for channel in color)
     return red | number & 7, green | number >> 3 & 7, blue | number >> 6 & 7

@@ -6,10 +6,12 @@ import contextlib
 import multiprocessing
 import os
 import pickle
+import queue
 import signal
+import threading
 from dataclasses import dataclass
-from multiprocessing.connection import Connection, wait
-from typing import Any
+from multiprocessing.connection import Connection
+from typing import Any, Literal
 
 from humansim_ros.drawing.views import color_channel, color_image, draw_joints
 from humansim_ros.errors import HumansimError
@@ -23,6 +25,8 @@ from humansim_ros.view.source import JOINTS
 _JOINT_CHANNELS = ("depth", "instance", "part")
 #: Seconds in which a process must answer.
 _PATIENCE = 60.0
+#: The motion of the page goes before its images.
+_NICE = 5
 #: Most processes; each has a renderer of its own.
 _MOST = 4
 
@@ -52,6 +56,10 @@ class Images:
     images: dict[str, dict[str, Image]]
 
 
+#: What a process says: it has the scene, images, what is wrong, or nothing more (it ended).
+_Answer = Literal["ready"] | Images | HumansimError | None
+
+
 class ImageWorkers:
     """Processes that render different frames of a scene at the same time.
 
@@ -64,29 +72,33 @@ class ImageWorkers:
         count = count or min(_MOST, os.cpu_count() or 1)
         data = pickle.dumps(scene)
         self._latest: Images | None = None
-        self._busy: dict[Connection, Request] = {}
+        self._connections: list[Connection] = []
         self._free: list[Connection] = []
+        self._wanted: dict[Connection, Request] = {}
+        self._answers: queue.SimpleQueue[tuple[Connection, _Answer]] = queue.SimpleQueue()
         self._processes = []
         for _ in range(count):
             ours, other = context.Pipe()
             process = context.Process(target=_work, args=(other,), daemon=True, name="humansim images")
             process.start()
             other.close()
-            ours.send_bytes(data)
+            # images are larger than the buffer of a pipe: a thread waits for them, not the page
+            threading.Thread(target=self._receive, args=(ours, data), daemon=True).start()
             self._processes.append(process)
-            self._free.append(ours)
+            self._connections.append(ours)
 
     def latest(self, request: Request) -> Images | None:
         """The newest images that are ready; ask for those of ``request`` if a process has time."""
-        self._collect(0)
-        if self._free and request not in self._busy.values() and not self._has(request):
+        while self._collect(0):
+            pass
+        if self._free and request not in self._wanted.values() and not self._has(request):
             self._ask(request)
         return self._latest
 
     def exact(self, request: Request) -> Images:
         """Images of ``request``; waits for them."""
         while not self._has(request):
-            if request not in self._busy.values() and self._free:
+            if request not in self._wanted.values() and self._free:
                 self._ask(request)
             if not self._collect(_PATIENCE):
                 raise HumansimError(f"the images did not arrive within {_PATIENCE:.0f} s")
@@ -95,8 +107,9 @@ class ImageWorkers:
 
     def close(self) -> None:
         """End the processes."""
-        for connection in (*self._free, *self._busy):
-            connection.close()
+        for connection in self._connections:
+            with contextlib.suppress(OSError):
+                connection.send(None)
         for process in self._processes:
             process.join(1)
             if process.is_alive():
@@ -108,26 +121,37 @@ class ImageWorkers:
 
     def _ask(self, request: Request) -> None:
         connection = self._free.pop()
-        self._busy[connection] = request
-        with contextlib.suppress(BrokenPipeError):  # the answer says that the process died
+        self._wanted[connection] = request
+        with contextlib.suppress(OSError):  # the thread that receives tells that the process died
             connection.send(request)
 
+    def _receive(self, connection: Connection, scene: bytes) -> None:
+        """Send the scene, then receive what a process renders, until it ends."""
+        try:
+            connection.send_bytes(scene)
+            self._answers.put((connection, "ready"))
+            while True:
+                self._answers.put((connection, connection.recv()))
+        except (EOFError, OSError):
+            self._answers.put((connection, None))
+
     def _collect(self, timeout: float) -> bool:
-        """Take answers; whether there was one."""
-        ready = wait(list(self._busy), timeout) if self._busy else []
-        for connection in ready:
-            assert isinstance(connection, Connection)
-            request = self._busy.pop(connection)
-            try:
-                answer: Images | HumansimError = connection.recv()
-            except (EOFError, OSError):
-                raise HumansimError("a process that renders images died; open the scene again") from None
-            self._free.append(connection)
-            if isinstance(answer, HumansimError):
-                raise answer
-            if self._latest is None or not self._is_stale(request):
-                self._latest = answer
-        return bool(ready)
+        """Take an answer; whether there was one."""
+        try:
+            connection, answer = self._answers.get(block=timeout > 0, timeout=timeout or None)
+        except queue.Empty:
+            return False
+        request = self._wanted.pop(connection, None)
+        if answer is None:
+            raise HumansimError("a process that renders images died; open the scene again")
+        self._free.append(connection)
+        if answer == "ready":
+            return True
+        if isinstance(answer, HumansimError):
+            raise answer
+        if self._latest is None or request is None or not self._is_stale(request):
+            self._latest = answer
+        return True
 
     def _is_stale(self, request: Request) -> bool:
         """Whether newer images of the same kind arrived before; after a jump back in time they are not."""
@@ -142,11 +166,14 @@ class ImageWorkers:
 def _work(connection: Connection) -> None:
     """Render until the socket closes."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the process that serves the page
+    os.nice(_NICE)
     with contextlib.suppress(EOFError, OSError):
         scene: Scene = pickle.loads(connection.recv_bytes())
         painter: _Painter | None = None
         while True:
-            request: Request = connection.recv()
+            request: Request | None = connection.recv()
+            if request is None:
+                return
             try:
                 painter = painter or _Painter(scene)
                 answer: Any = Images(request, painter.images(request))
@@ -182,7 +209,14 @@ class _Painter:
 
 
 def picture(scene: Scene, frame: Frame, camera: str, channel: str) -> Image:
-    """Image (H, W, 3) of a channel, or of ``joints`` over the image, for people."""
+    """Image (H, W, 3) of a channel for people to look at.
+
+    Args:
+        scene: The scene.
+        frame: Its frame.
+        camera: Name of the camera.
+        channel: Name of the channel; ``joints`` is the image with the joints drawn over it.
+    """
     view = frame.views[camera]
     if channel != JOINTS:
         if channel == "rgb":

@@ -1,4 +1,4 @@
-"""What ``humansim view`` can open: a scene, a bag, a motion, a human or a calibration, told by its content."""
+"""What ``humansim view`` opens: a scene, a bag, a motion, a human or a calibration, told by its content."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from humansim_ros.io.assets import find_asset
 from humansim_ros.io.files import exists, missing_file
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.motion.files import find_motion
-from humansim_ros.resources import resource_path
 from humansim_ros.scene.config import SceneConfig
-from humansim_ros.scene.scene import DEMO_SCENE, Scene
-from humansim_ros.view.document import SceneDocument
+from humansim_ros.scene.scene import Scene
+from humansim_ros.view.empty_source import EmptySource
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.source import ViewSource
 
@@ -38,13 +37,13 @@ class Opened:
         source: The source.
         path: Its file; None for built-ins.
         reload: Makes the source again.
-        document: The scene, to edit it; None for other kinds.
+        problem: Why the file cannot be shown; the source is empty then.
     """
 
     source: ViewSource
     path: Path | None = None
     reload: Callable[[], ViewSource] | None = None
-    document: SceneDocument | None = None
+    problem: str | None = None
 
 
 @dataclass(frozen=True)
@@ -85,10 +84,16 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
     if topics is not None:
         raise HumansimError("only bags and graphs have estimates and bodies: use these options with a bag")
     if what is None:
-        return Opened(SceneViewSource(Scene.load()), document=SceneDocument.copy_of(resource_path(DEMO_SCENE)))
+        return Opened(SceneViewSource(Scene.load()))
     make = _maker(what)
-    document = SceneDocument.load(what) if exists(what) and _is_scene(what) else None
-    return Opened(make(), what if exists(what) else None, make if exists(what) else None, document)
+    if not exists(what):
+        return Opened(make())
+    try:
+        return Opened(make(), what, make)
+    except HumansimError as error:
+        if what.is_dir():
+            raise
+        return Opened(EmptySource(what.stem), what, make, str(error))
 
 
 def _maker(what: Path) -> Callable[[], ViewSource]:
@@ -157,7 +162,7 @@ def _around(human: Mapping[str, Any], title: str) -> ViewSource:
 
 def _cameras(path: Path) -> ViewSource:
     """The cameras of a calibration in the world of its file."""
-    cameras = read_calibration(path).cameras
+    cameras = read_calibration(path)
     if not cameras:
         raise HumansimError("has no cameras", path=path)
     return SceneViewSource(Scene.build(cameras=dict(cameras), room=None), path.stem)

@@ -31,7 +31,7 @@ class Hit:
 
 
 def hit_person(human: Human, joints: Array, origin: Array, direction: Array) -> Hit | None:
-    """First point of a posed human on a ray [Möller 1997]; None if it misses.
+    """First point of a posed human on a ray [Moller 1997]; None if it misses.
 
     Args:
         human: The human at rest.
@@ -61,7 +61,14 @@ def hit_person(human: Human, joints: Array, origin: Array, direction: Array) -> 
 
 
 def person_info(source: ViewSource, frame: ViewFrame, name: str, hit: Hit) -> PixelInfo:
-    """Numbers of a point of a person: world, part, joint, and its pixel in each camera that shows images."""
+    """Numbers of a point of a person: world, part, joint, and its pixel in each camera.
+
+    Args:
+        source: The source.
+        frame: Its frame that was given last.
+        name: Name of the person.
+        hit: The point.
+    """
     human = source.people[name]
     skeleton = human.skeleton
     part = int(human.triangle_parts[hit.triangle])
@@ -79,7 +86,12 @@ def person_info(source: ViewSource, frame: ViewFrame, name: str, hit: Hit) -> Pi
     for camera_name, camera in frame.cameras.items():
         pixels, depths = camera.project(hit.point[None])
         x, y = (float(value) for value in pixels[0])
-        if not (np.isfinite(x) and np.isfinite(y) and -0.5 <= x < camera.size[0] - 0.5 and -0.5 <= y < camera.size[1] - 0.5):
+        if not (
+            np.isfinite(x)
+            and np.isfinite(y)
+            and -0.5 <= x < camera.size[0] - 0.5
+            and -0.5 <= y < camera.size[1] - 0.5
+        ):
             values[camera_name] = "outside the image"
             continue
         surface = source.describe(camera_name, round(x), round(y)).world

@@ -1,4 +1,4 @@
-"""Keys of scene files: what each may hold, from the schema; values that a file can hold."""
+"""SectionKeys of scene files: what each may hold, from the schema; values that a file can hold."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class SceneKey:
 
     @property
     def short_key(self) -> str | None:
-        """Key of the section that a text alone stands for."""
+        """YamlKey of the section that a text alone stands for."""
         return getattr(self.section, "short_key", None)
 
     @property
@@ -85,7 +85,7 @@ def find_key(key: str | Sequence[YamlKey]) -> SceneKey:
 
 def _inside(outer: SceneKey, part: YamlKey, keys: tuple[YamlKey, ...]) -> SceneKey:
     dotted = ".".join(printable(str(each), 60) for each in keys)
-    for annotation in alternatives(outer.annotation):
+    for annotation in _alternatives(outer.annotation):
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
             for name, field in annotation.model_fields.items():
                 if part == (field.alias or name):
@@ -172,18 +172,18 @@ def _rounded(value: Any, digits: int) -> Any:
     return (np.round(np.asarray(value, dtype=float), digits) + 0.0).tolist()
 
 
-def alternatives(annotation: Any) -> Iterator[Any]:
+def _alternatives(annotation: Any) -> Iterator[Any]:
     """Types of an annotation without metadata, None and unions."""
     if get_origin(annotation) is Annotated:
-        yield from alternatives(get_args(annotation)[0])
+        yield from _alternatives(get_args(annotation)[0])
     elif get_origin(annotation) in (Union, types.UnionType):
         for part in get_args(annotation):
-            yield from alternatives(part)
+            yield from _alternatives(part)
     elif annotation is not type(None):
         yield annotation
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    for part in alternatives(annotation):
+    for part in _alternatives(annotation):
         if isinstance(part, type) and issubclass(part, BaseModel):
             yield part

@@ -13,7 +13,6 @@ from humansim_ros.scene.scene import Scene
 from humansim_ros.scene.simulation import Frame, Simulation
 from humansim_ros.types import Array
 from humansim_ros.view.image_workers import Images, ImageWorkers, Request
-from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.pixel_info import CHANNELS as PIXEL_CHANNELS
 from humansim_ros.view.pixel_info import pixel_info
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
@@ -22,6 +21,8 @@ from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
 _CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
 #: Seconds of a scene whose motions are shorter, and longest that the timeline shows.
 _SHORTEST, _LONGEST = 2.0, 600.0
+#: Width of all images on the page together, and most beside each other.
+_PAGE_WIDTH, _BESIDE = 1280, 4
 
 
 class SceneViewSource:
@@ -31,7 +32,6 @@ class SceneViewSource:
         scene: The scene.
         title: Title of the page; the name of the scene file if None.
         workers: Number of processes that render; as many as the machine has cores if None.
-        image_width: Width to which wider images are scaled down, pixels.
     """
 
     channels: tuple[str, ...] = _CHANNELS
@@ -41,41 +41,46 @@ class SceneViewSource:
         scene: Scene,
         title: str | None = None,
         workers: int | None = None,
-        image_width: int = IMAGE_WIDTH,
     ) -> None:
         self.scene = scene
         self.title = title or (scene.path.stem if scene.path else "scene")
         self.messages: Sequence[str] = [] if scene.actors else ["The scene has no people."]
         self._playback = Playback(scene)
-        self._count, self._width = workers, image_width
+        self._count = workers
         self._shown = 0
         self._truth: Simulation | None = None
         self._exact: Frame | None = None
 
     @property
     def people(self) -> Mapping[str, Human]:
+        """Bodies without pose by name, in their outfit."""
         return {name: actor.human for name, actor in self.scene.actors.items()}
 
     @property
     def objects(self) -> Mapping[str, Mesh]:
+        """Meshes of moving objects by name, in their own frame."""
         return {name: item.mesh for name, item in self.scene.moving_objects.items()}
 
     @cached_property
     def static(self) -> Mapping[str, Mesh]:
+        """Meshes by name in ``map``: room, static objects."""
         meshes = {f"room {number}": mesh for number, mesh in enumerate(self.scene.environment.meshes, 1)}
         static = {name: item.static_mesh() for name, item in self.scene.objects.items() if not item.moves}
         return meshes | static
 
     @property
     def cameras(self) -> Mapping[str, Camera]:
+        """Cameras at the start."""
         return self.scene.cameras
 
     @property
     def period(self) -> int:
+        """Nanoseconds between frames."""
         return round(1e9 / self.scene.config.rate)
 
     @property
     def frames(self) -> int:
+        """Number of frames."""
         longest = max((actor.motion.duration for actor in self.scene.actors.values()), default=0.0)
         return max(2, round(min(max(longest, _SHORTEST), _LONGEST) * self.scene.config.rate))
 
@@ -86,6 +91,14 @@ class SceneViewSource:
         channels: Collection[str] = (),
         wait: bool = False,
     ) -> ViewFrame:
+        """A frame.
+
+        Args:
+            index: Number of the frame.
+            cameras: Cameras whose images are wanted.
+            channels: Channels that are wanted.
+            wait: The images must be those of this frame.
+        """
         elapsed = self.scene.frame_time(index)
         poses = self._playback.show(elapsed)
         joints: dict[str, Array] = {}
@@ -111,6 +124,7 @@ class SceneViewSource:
         )
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
+        """Numbers of a pixel of the frame that was given last."""
         if self._truth is None:
             self._truth = Simulation(self.scene, channels=PIXEL_CHANNELS)
         if self._exact is None or self._exact.index != self._shown or camera not in self._exact.views:
@@ -118,6 +132,7 @@ class SceneViewSource:
         return pixel_info(self.scene, self._exact, camera, x, y)
 
     def close(self) -> None:
+        """Free processes and renderers."""
         if "_workers" in self.__dict__:
             self._workers.close()
         if self._truth is not None:
@@ -134,5 +149,5 @@ class SceneViewSource:
         shown = tuple(name for name in _CHANNELS if name in channels)
         if not known or not shown:
             return None
-        request = Request(index, known, shown, self._width)
+        request = Request(index, known, shown, _PAGE_WIDTH // min(len(known), _BESIDE))
         return self._workers.exact(request) if wait else self._workers.latest(request)

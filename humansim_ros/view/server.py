@@ -1,7 +1,8 @@
-"""Server of the page: viser on 127.0.0.1, with checks of everything that arrives, and our part of the page."""
+"""Server of the page: viser on 127.0.0.1, checks of everything that arrives, and our part of the page."""
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import gzip
 import http
@@ -20,11 +21,12 @@ from urllib.parse import parse_qs, unquote, urlsplit
 import msgspec
 import viser
 import websockets.asyncio.server
+import websockets.exceptions
 from viser import _messages
 from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
-from humansim_ros.errors import HumansimError
+from humansim_ros.errors import HumansimError, printable
 
 #: The only address that the page is served on.
 HOST = "127.0.0.1"
@@ -73,8 +75,13 @@ class PageServer:
         self.files: dict[str, tuple[str, bytes]] = {}
         self.requests: dict[str, Callable[[Mapping[str, str]], None]] = {}
         self._page = _index_page(title)
-        self.add_file("page.js", "text/javascript", Path(__file__).with_name("page").joinpath("page.js").read_bytes())
+        self.add_file(
+            "page.js", "text/javascript", Path(__file__).with_name("page").joinpath("page.js").read_bytes()
+        )
         self._compressed: dict[str, bytes] = {}
+        self._streams: set[asyncio.Event] = set()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._latest: bytes | None = None
         with _LOCK, self._checked_connections(), contextlib.redirect_stdout(io.StringIO()):
             self.viser = viser.ViserServer(host=HOST, port=_free_port(port), label=title, verbose=False)
         self.port = int(self.viser.get_port())
@@ -93,8 +100,40 @@ class PageServer:
         self.add_file(name, "application/json", json.dumps(value).encode())
 
     def on_request(self, name: str, function: Callable[[Mapping[str, str]], None]) -> None:
-        """Call ``function`` with the query of each request of ``/humansim/<name>``, in the server's thread."""
+        """Call ``function`` with the query of requests of ``/humansim/<name>``, in the server's thread."""
         self.requests[PREFIX + name] = function
+
+    def stream(self, data: bytes) -> None:
+        """Send data to the scripts of all pages; a slow or a new page gets the latest only."""
+        self._latest = data
+        if self._loop is not None:
+            with contextlib.suppress(RuntimeError):  # the server has ended
+                self._loop.call_soon_threadsafe(self._wake)
+
+    def _wake(self) -> None:
+        for event in self._streams:
+            event.set()
+
+    async def _stream_to(self, connection: Any) -> None:
+        """Send what :meth:`stream` is given until the browser goes away."""
+        event = asyncio.Event()
+        if self._latest is not None:
+            event.set()
+        self._streams.add(event)
+        closed = asyncio.ensure_future(connection.wait_closed())
+        try:
+            while not closed.done():
+                woken = asyncio.ensure_future(event.wait())
+                await asyncio.wait({woken, closed}, return_when=asyncio.FIRST_COMPLETED)
+                woken.cancel()
+                event.clear()
+                if self._latest is not None and not closed.done():
+                    await connection.send(self._latest)
+        except websockets.exceptions.ConnectionClosed:
+            pass
+        finally:
+            self._streams.discard(event)
+            closed.cancel()
 
     def close(self) -> None:
         """Stop serving."""
@@ -117,6 +156,10 @@ class PageServer:
                 return ours if ours is not None else answer_of_viser(connection, request)
 
             async def handle(connection: Any) -> None:
+                self._loop = asyncio.get_running_loop()
+                if urlsplit(connection.request.path).path == f"{PREFIX}frames":
+                    await self._stream_to(connection)
+                    return
                 receive = connection.recv
 
                 async def receive_checked(*args: Any, **named: Any) -> Any:
@@ -182,9 +225,11 @@ def inside(folder: Path, name: str) -> Path:
     Raises:
         HumansimError: It is elsewhere. The page is not trusted with other files.
     """
-    path = (folder / name).resolve()
+    path = (folder / name.replace("\0", "")).resolve()
     if "\0" in name or not path.is_relative_to(folder.resolve()):
-        raise HumansimError(f"{name}: the page reads and writes files below {folder} only; use the command line")
+        raise HumansimError(
+            f"{printable(name)}: the page reads and writes files below {folder} only; use the command line"
+        )
     return path
 
 
@@ -263,7 +308,9 @@ def _index_page(title: str) -> bytes:
     try:
         text = root.read_text(encoding="utf-8")
     except OSError as error:
-        raise HumansimError(f"viser has no page ({error}): install it again, pip install 'viser>=1.0'") from None
+        raise HumansimError(
+            f"viser has no page ({error}): install it again, pip install 'viser>=1.0'"
+        ) from None
     safe = title.replace("&", "&amp;").replace("<", "&lt;")
     text = re.sub(r"<title>.*?</title>", lambda _: f"<title>{safe}</title>", text, count=1, flags=re.DOTALL)
     script = f'<script src="{PREFIX}page.js"></script>'

@@ -62,46 +62,52 @@ class PixelInfo:
 
 
 class ViewSource(Protocol):
-    """Source of a page; all methods are called in one thread.
-
-    Attributes:
-        title: Title of the page.
-        people: Bodies without pose by name, in their outfit.
-        objects: Meshes of moving objects by name, in their own frame.
-        static: Meshes by name in ``map``: room, static objects.
-        cameras: Cameras at the start.
-        period: Nanoseconds between frames.
-        frames: Number of frames; None for a live source, whose latest frame is shown.
-        channels: Channels that can be shown.
-        messages: What the user should know, such as "the bag has no images".
-    """
+    """Source of a page; all methods are called in one thread."""
 
     @property
-    def title(self) -> str: ...
+    def title(self) -> str:
+        """Title of the page."""
+        ...
 
     @property
-    def people(self) -> Mapping[str, Human]: ...
+    def people(self) -> Mapping[str, Human]:
+        """Bodies without pose by name, in their outfit."""
+        ...
 
     @property
-    def objects(self) -> Mapping[str, Mesh]: ...
+    def objects(self) -> Mapping[str, Mesh]:
+        """Meshes of moving objects by name, in their own frame."""
+        ...
 
     @property
-    def static(self) -> Mapping[str, Mesh]: ...
+    def static(self) -> Mapping[str, Mesh]:
+        """Meshes by name in ``map``: room, static objects."""
+        ...
 
     @property
-    def cameras(self) -> Mapping[str, Camera]: ...
+    def cameras(self) -> Mapping[str, Camera]:
+        """Cameras at the start."""
+        ...
 
     @property
-    def period(self) -> int: ...
+    def period(self) -> int:
+        """Nanoseconds between frames."""
+        ...
 
     @property
-    def frames(self) -> int | None: ...
+    def frames(self) -> int | None:
+        """Number of frames; None for a live source, whose latest frame is shown."""
+        ...
 
     @property
-    def channels(self) -> tuple[str, ...]: ...
+    def channels(self) -> tuple[str, ...]:
+        """Channels that can be shown."""
+        ...
 
     @property
-    def messages(self) -> Sequence[str]: ...
+    def messages(self) -> Sequence[str]:
+        """What the user should know, such as "the bag has no images"."""
+        ...
 
     def frame(
         self,

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 
 from humansim_ros.camera import Camera
@@ -28,7 +29,7 @@ _TRAILED = ("HumanoidRoot", "l_wrist", "r_wrist", "l_ankle", "r_ankle", "vt3_end
 #: Length of a frustum, metres; its image is as wide as the field of view.
 _FRUSTUM = 0.45
 #: Width of the images in frusta, pixels.
-_FRUSTUM_IMAGE = 240
+_FRUSTUM_IMAGE = 160
 #: Cells of the coverage along its longer side, and the margin around the cameras, metres.
 _CELLS, _MARGIN = 96, 1.0
 _GREEN, _RED = (70, 200, 110), (235, 80, 80)
@@ -76,6 +77,7 @@ class Stage:
         self._extras: dict[str, Any] = {}
         self._trails: dict[str, deque[Array]] = {name: deque(maxlen=_TRAIL) for name in source.people}
         self._last_index = -1
+        self._images: object = None
         self.frame: ViewFrame | None = None
         with server.viser.atomic():
             self._scene.reset()
@@ -88,6 +90,7 @@ class Stage:
             for name in source.people:
                 self._bodies[name] = self._add_body(name, 1.0)
         self._serve_bodies()
+        self.set_options(self.options)
 
     def show(self, frame: ViewFrame) -> None:
         """Show a frame."""
@@ -98,7 +101,10 @@ class Stage:
         self._last_index = frame.index
         rebuilt = False
         for name in frame.joints:
-            if name in self._bodies and abs(frame.sizes.get(name, 1.0) - self._bodies[name][0].size) > _SIZE_STEP:
+            if (
+                name in self._bodies
+                and abs(frame.sizes.get(name, 1.0) - self._bodies[name][0].size) > _SIZE_STEP
+            ):
                 self._bodies[name][1].remove()
                 self._bodies[name] = self._add_body(name, frame.sizes[name])
                 rebuilt = True
@@ -175,16 +181,17 @@ class Stage:
         self._server.add_json("people.json", table)
 
     def _pose_bodies(self, frame: ViewFrame) -> None:
+        """Send the poses of the bones; the page's script applies them (page/page.js)."""
+        people = []
         for name, (body, handle) in self._bodies.items():
             joints = frame.joints.get(name)
-            handle.visible = joints is not None
-            if joints is None:
-                continue
-            bones = joints[: len(body.human.skeleton)]
-            turns = _wxyz(bones[:, :3, :3])
-            for bone, turn, position in zip(handle.bones, turns, bones[:, :3, 3], strict=True):
-                bone.wxyz = turn
-                bone.position = position
+            if handle.visible != (joints is not None):
+                handle.visible = joints is not None
+            if joints is not None:
+                people.append(
+                    (keyed_color(body.color, self._numbers[name]), joints[: len(body.human.skeleton)])
+                )
+        self._server.stream(pose_message(frame.index, people))
 
     # --- objects and room --------------------------------------------------------------------------------
 
@@ -208,7 +215,13 @@ class Stage:
 
     def _add_floor(self) -> Any:
         return self._scene.add_grid(
-            "/floor", width=12, height=12, cell_size=0.5, section_size=1.0, plane="xy", position=(0, 0, -0.002)
+            "/floor",
+            width=12,
+            height=12,
+            cell_size=0.5,
+            section_size=1.0,
+            plane="xy",
+            position=(0, 0, -0.002),
         )
 
     # --- cameras -----------------------------------------------------------------------------------------
@@ -240,11 +253,15 @@ class Stage:
         handle.position = camera.center
 
     def _show_images(self, frame: ViewFrame) -> None:
+        if frame.images is self._images:
+            return
+        self._images = frame.images
         for name, images in frame.images.items():
             if name in self._frusta and images:
                 image = images.get("rgb", images.get(JOINTS, next(iter(images.values()))))
-                step = max(1, image.shape[1] // _FRUSTUM_IMAGE)
-                self._frusta[name][0].image = np.ascontiguousarray(image[::step, ::step])
+                scale = _FRUSTUM_IMAGE / max(image.shape[:2])
+                small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+                self._frusta[name][0].image = np.asarray(small)
 
     # --- drawn beside them -------------------------------------------------------------------------------
 
@@ -253,7 +270,9 @@ class Stage:
             color = person_color(self._numbers.get(name, 0))
             positions = joints[:, :3, 3]
             if self.options.names:
-                self._label(f"name of {name}", name, positions[:, :2].mean(axis=0), positions[:, 2].max() + 0.2)
+                self._label(
+                    f"name of {name}", name, positions[:, :2].mean(axis=0), positions[:, 2].max() + 0.2
+                )
             if self.options.joints or self.options.joint_names:
                 self._skeleton(name, positions, color)
             if self.options.trails and frame.index % _TRAIL_STEP == 0:
@@ -285,7 +304,9 @@ class Stage:
         skeleton = self._source.people[name].skeleton
         numbers = {joint: number for number, joint in enumerate(skeleton.joint_names)}
         pairs = [
-            (number, numbers[parent]) for number, parent in enumerate(skeleton.joint_parents) if parent is not None
+            (number, numbers[parent])
+            for number, parent in enumerate(skeleton.joint_parents)
+            if parent is not None
         ]
         self._lines(f"joints {name}", positions[np.array(pairs, dtype=int).reshape(-1, 2)], color)
         if self.options.joint_names:
@@ -337,7 +358,7 @@ class Stage:
         self._drop("mark")
         if point is not None:
             self._extras["mark"] = self._scene.add_icosphere(
-                "/beside/mark", radius=0.015, color=(255, 220, 0), position=tuple(map(float, point))
+                "/beside/mark", radius=0.015, color=(255, 220, 0), position=np.asarray(point)
             )
 
     def _drop(self, key: str) -> None:
@@ -346,7 +367,7 @@ class Stage:
             handle.remove()
 
     def _add_coverage(self) -> None:
-        cameras = {name: camera for name, camera in self._cameras_now().items()}
+        cameras = self._cameras_now()
         if not cameras:
             return
         try:
@@ -366,6 +387,16 @@ class Stage:
 
     def _cameras_now(self) -> Mapping[str, Camera]:
         return self.frame.cameras if self.frame is not None else self._source.cameras
+
+
+def pose_message(index: int, people: Sequence[tuple[Color, Array]]) -> bytes:
+    """Message of a frame for the page's script (page/page.js): bones (B, 4, 4) in ``map`` by colour."""
+    parts = [np.array([index, len(people)], np.uint32).tobytes()]
+    for (red, green, blue), bones in people:
+        parts.append(np.array([red << 16 | green << 8 | blue, len(bones)], np.uint32).tobytes())
+        quaternions = matrix_to_quaternion(np.ascontiguousarray(bones[:, :3, :3]))
+        parts.append(np.concatenate([quaternions, bones[:, :3, 3]], axis=1).astype(np.float32).tobytes())
+    return b"".join(parts)
 
 
 def coverage_picture(cameras: Mapping[str, Camera]) -> tuple[Image, Array, Array]:
@@ -398,5 +429,3 @@ def person_color(number: int) -> Color:
 def _wxyz(rotations: Array) -> Array:
     """Quaternions (N, 4) wxyz, as viser has them, of rotations (N, 3, 3)."""
     return matrix_to_quaternion(np.ascontiguousarray(rotations))[:, [3, 0, 1, 2]]
-
-

@@ -17,7 +17,7 @@
   let version = "";
   const surfaces = new Map();
   const textures = new Map();
-  const state = { textured: 0, frames: 0 };
+  const state = { textured: 0, people: 0, frame: null };
   window.humansim = state;
 
   async function loadPeople() {
@@ -63,12 +63,10 @@
 
   function dress(mesh) {
     const material = mesh.material;
-    if (!material || !material.color) return;
     if (mesh.userData.humansimVersion === version && mesh.userData.humansimMaterial === material.uuid) return;
     const key = mesh.userData.humansimKey || material.color.getHexString();
     const person = people[key];
     const attributes = mesh.geometry.attributes;
-    if (!person || attributes.position.count !== person.vertices) return;
     const surface = onceFor(surfaces, person.surface, surfaceOf);
     const image = person.texture ? onceFor(textures, person.texture, imageOf) : null;
     if (!surface || (person.texture && !image)) return;
@@ -107,12 +105,67 @@
   }
 
   function visit() {
-    state.frames += 1;
-    for (const scene of scenes) scene.traverse((node) => node.isSkinnedMesh && node.visible && dress(node));
+    const found = new Map();
+    for (const scene of scenes)
+      scene.traverse((node) => {
+        if (!node.isSkinnedMesh || !node.material || !node.material.color) return;
+        const key = node.userData.humansimKey || node.material.color.getHexString();
+        if (!people[key] || node.geometry.attributes.position.count !== people[key].vertices) return;
+        dress(node);
+        if (!found.has(key)) found.set(key, []);
+        found.get(key).push(node);
+      });
+    meshes = found;
+    state.people = found.size;
+    state.meshes = found;
   }
   setInterval(loadPeople, 1000);
   setInterval(visit, 200);
   loadPeople();
+
+  // --- poses -----------------------------------------------------------------------------------------------
+  // One message per frame: index, number of people; per person: key, number of bones, then for each bone the
+  // quaternion x y z w and the position. It replaces two messages of viser for each bone.
+  let meshes = new Map();
+  let poses = new Map();
+
+  function readPoses(data) {
+    const view = new DataView(data);
+    const read = new Map();
+    let at = 8;
+    for (let person = view.getUint32(4, true); person > 0; person -= 1) {
+      const key = view.getUint32(at, true).toString(16).padStart(6, "0");
+      const bones = view.getUint32(at + 4, true);
+      read.set(key, new Float32Array(data, at + 8, 7 * bones));
+      at += 8 + 28 * bones;
+    }
+    poses = read;
+    state.frame = view.getUint32(0, true);
+    state.received = (state.received || 0) + 1;
+  }
+
+  function pose() {
+    for (const [key, values] of poses)
+      for (const mesh of meshes.get(key) || []) {
+        if (mesh.userData.humansimPose === values || mesh.skeleton.bones.length !== values.length / 7) continue;
+        mesh.skeleton.bones.forEach((bone, number) => {
+          const i = 7 * number;
+          bone.quaternion.set(values[i], values[i + 1], values[i + 2], values[i + 3]);
+          bone.position.set(values[i + 4], values[i + 5], values[i + 6]);
+        });
+        mesh.userData.humansimPose = values;
+      }
+    requestAnimationFrame(pose);
+  }
+  requestAnimationFrame(pose);
+
+  function listen() {
+    const socket = new WebSocket(`ws://${location.host}/humansim/frames`);
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = (event) => readPoses(event.data);
+    socket.onclose = () => setTimeout(listen, 1000);
+  }
+  listen();
 
   // --- clicks in images ------------------------------------------------------------------------------------
   document.addEventListener("click", (event) => {

@@ -1,20 +1,18 @@
-"""Panel of the images: cameras beside each other, a row for each channel; a click shows the numbers of a pixel."""
+"""Panel of the images: cameras beside each other, a row for each channel; a click tells a pixel."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
 
 from humansim_ros.drawing.canvas import draw_text
 from humansim_ros.types import Image
+from humansim_ros.view.page_interface import Page
 from humansim_ros.view.source import ViewFrame
-
-if TYPE_CHECKING:
-    from humansim_ros.view.app import ViewApp
 
 #: Greatest width of the mosaic in pixels, and the gap between its tiles.
 _WIDTH, _GAP = 1280, 4
@@ -58,7 +56,7 @@ def mosaic(images: Mapping[str, Mapping[str, Image]], width: int = _WIDTH) -> Mo
     if not cameras:
         return None
     columns = min(4 if len(cameras) <= 8 else 6, len(cameras))
-    across = min((width + _GAP) // columns - _GAP, max(images[name][c].shape[1] for name in cameras for c in images[name]))
+    across = min(width // columns, max(images[name][c].shape[1] for name in cameras for c in images[name]))
     tiles: list[tuple[Tile, Image]] = []
     top = 0
     for start in range(0, len(cameras), columns):
@@ -79,7 +77,9 @@ def mosaic(images: Mapping[str, Mapping[str, Image]], width: int = _WIDTH) -> Mo
         method = cv2.INTER_AREA if image.shape[1] > tile.width else cv2.INTER_NEAREST
         small = image
         if image.shape[1] != tile.width:
-            small = np.asarray(cv2.resize(image, (tile.width, tile.height), interpolation=method), dtype=np.uint8)
+            small = np.asarray(
+                cv2.resize(image, (tile.width, tile.height), interpolation=method), dtype=np.uint8
+            )
         canvas[tile.top : tile.top + tile.height, tile.left : tile.left + tile.width] = small
         label = f"{tile.camera}  {tile.channel}" if several else tile.camera
         for color, thickness in (((0, 0, 0), 3), ((255, 255, 255), 1)):
@@ -90,7 +90,7 @@ def mosaic(images: Mapping[str, Mapping[str, Image]], width: int = _WIDTH) -> Mo
 class ImagesPanel:
     """The mosaic of all images that were chosen."""
 
-    def __init__(self, app: ViewApp) -> None:
+    def __init__(self, app: Page) -> None:
         self._app = app
         self._panel = app.gui.add_panel()
         self._tab = self._panel.add_tab("Images")

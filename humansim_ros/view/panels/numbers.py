@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
+from humansim_ros.view.page_interface import Page
 from humansim_ros.view.source import PixelInfo
-
-if TYPE_CHECKING:
-    from humansim_ros.view.app import ViewApp
 
 _HINT = "Click a person in 3D, or a pixel of an image."
 
@@ -15,8 +11,8 @@ _HINT = "Click a person in 3D, or a pixel of an image."
 class NumbersPanel:
     """Table of the numbers of what was clicked last."""
 
-    def __init__(self, app: ViewApp) -> None:
-        with app.gui.add_folder("Numbers", order=3) as self._folder:
+    def __init__(self, app: Page) -> None:
+        with app.tabs["Numbers"]:
             self._text = app.gui.add_markdown(_HINT)
 
     def show(self, info: PixelInfo) -> None:
@@ -26,7 +22,7 @@ class NumbersPanel:
 
     def remove(self) -> None:
         """Remove the panel."""
-        self._folder.remove()
+        self._text.remove()
 
 
 def _cell(text: str) -> str:

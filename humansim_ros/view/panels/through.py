@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from humansim_ros.rotations import matrix_to_quaternion
+from humansim_ros.view.page_interface import Page
 from humansim_ros.view.source import ViewFrame
-
-if TYPE_CHECKING:
-    from humansim_ros.view.app import ViewApp
 
 _FREE = "free view"
 _WITH_LENS, _WITHOUT = "its image, with its lens", "3D from its position"
@@ -20,13 +18,16 @@ _WITH_LENS, _WITHOUT = "its image, with its lens", "3D from its position"
 class ThroughPanel:
     """Choice of a camera to look through, for each browser."""
 
-    def __init__(self, app: ViewApp) -> None:
+    def __init__(self, app: Page) -> None:
         self._app = app
         self._camera: str | None = None
         self._shows_image = False
         self._version: object = None
         names = tuple(app.source.cameras)
-        with app.gui.add_folder("Look through", visible=bool(names), order=2.5) as self._folder:
+        with (
+            app.tabs["Show"],
+            app.gui.add_folder("Look through", visible=bool(names), order=2) as self._folder,
+        ):
             self._choice = app.gui.add_dropdown("Camera", (_FREE, *names), initial_value=_FREE)
             self._kind = app.gui.add_dropdown("Show", (_WITH_LENS, _WITHOUT), initial_value=_WITH_LENS)
         self._choice.on_update(lambda _: app.post(self._choose))

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Any
 
+from humansim_ros.view.page_interface import Page
 from humansim_ros.view.player import SPEEDS
 from humansim_ros.view.source import ViewFrame
-
-if TYPE_CHECKING:
-    from humansim_ros.view.app import ViewApp
 
 _PLAY, _PAUSE = "Play", "Pause"
 _BACK, _ON = "◀ frame", "frame ▶"
@@ -17,14 +15,13 @@ _BACK, _ON = "◀ frame", "frame ▶"
 class TimelinePanel:
     """The controls of the player of a page."""
 
-    def __init__(self, app: ViewApp) -> None:
+    def __init__(self, app: Page) -> None:
         gui, player = app.gui, app.player
         self._app = app
         self._live = player.frames is None
-        last = max((player.frames or 2) - 1, 1)
-        self._folder = gui.add_folder("Time", order=0)
-        with self._folder:
-            self._slider = gui.add_slider(
+        self._last = last = max((player.frames or 2) - 1, 1)
+        with app.head:
+            self._slider: Any = gui.add_slider(
                 "Frame", min=0, max=last, step=1, initial_value=0, visible=not self._live
             )
             self._play = gui.add_button(_PAUSE if player.playing else _PLAY)
@@ -35,19 +32,25 @@ class TimelinePanel:
             self._loop = gui.add_checkbox("Loop", player.loop, visible=not self._live)
             self._text = gui.add_markdown("")
         self._shown = ""
-        self._slider.on_update(lambda event: self._seek(event.client_id is not None))
+
+        # a coroutine: it runs before anything else can set the slider
+        @self._slider.on_update
+        async def _(event: Any) -> None:
+            if event.client_id is not None:
+                index = int(self._slider.value)
+                app.post(lambda: app.seek(index))
+
         self._play.on_click(lambda _: app.post(self._toggle))
         self._steps.on_click(lambda _: app.post(lambda: self._step(self._steps.value)))
         self._speed.on_update(lambda _: app.post(self._set_speed))
         self._loop.on_update(lambda _: app.post(self._set_loop))
-        gui.add_command("Play or pause", hotkey="space").on_trigger(lambda _: app.post(self._toggle))
 
     def update(self, frame: ViewFrame) -> None:
         """Show the time of a frame."""
         player = self._app.player
         index = frame.index
         if not self._live and self._slider.value != index:
-            self._slider.value = min(index, int(self._slider.max))
+            self._slider.value = min(index, self._last)
         label = _PAUSE if player.playing else _PLAY
         if self._play.label != label:
             self._play.label = label
@@ -61,12 +64,8 @@ class TimelinePanel:
 
     def remove(self) -> None:
         """Remove the panel."""
-        self._folder.remove()
-
-    def _seek(self, by_user: bool) -> None:
-        index = int(self._slider.value)
-        if by_user:
-            self._app.post(lambda: self._app.seek(index))
+        for handle in (self._slider, self._play, self._steps, self._speed, self._loop, self._text):
+            handle.remove()
 
     def _toggle(self) -> None:
         player = self._app.player

@@ -1,0 +1,28 @@
+"""Pictures of objects in notebooks: the folder ``drawing`` makes them for the classes below it."""
+
+from __future__ import annotations
+
+import warnings
+from importlib import import_module
+from typing import Any
+
+from humansim_ros.errors import HumansimWarning
+
+
+class Pictured:
+    """Base class of objects that notebooks show as a picture, at most 640 pixels wide."""
+
+    def _repr_png_(self) -> bytes | None:
+        """PNG file for IPython; None, and a warning, if it cannot be drawn: IPython shows the text then."""
+        try:
+            png: bytes = drawing("notebooks").notebook_png(self)
+        except Exception as reason:  # a cell with this object as its value must not fail
+            text = f"{type(reason).__name__}: {reason}"
+            warnings.warn(f"{type(self).__name__} has no picture: {text}", HumansimWarning, stacklevel=2)
+            return None
+        return png
+
+
+def drawing(module: str) -> Any:
+    """Load a module of the folder ``drawing`` on first use; it imports the folders that draw by this."""
+    return import_module(f"humansim_ros.drawing.{module}")

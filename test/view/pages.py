@@ -1,0 +1,136 @@
+"""Pages of humansim view in a headless Chromium, for tests."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+import selectors
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from conftest import ROOT
+from waiting import PATIENCE, end_process, wait_until
+
+from humansim_ros.testing.waiting import patience
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+#: WebGL in software, as on a machine without GPU.
+_SOFTWARE = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
+needs_browser = pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (apt install chromium)")
+
+
+@contextlib.contextmanager
+def served(*arguments: str, cwd: Path | None = None) -> Iterator[tuple[str, list[str]]]:
+    """The page of ``humansim view ARGUMENTS``: its address, and all lines printed up to it."""
+    environment = os.environ | {"PYTHONUNBUFFERED": "1", "PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "humansim_ros", "view", *arguments, "--no-browser"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        cwd=cwd,
+        env=environment,
+    )
+    lines: list[str] = []
+    try:
+        assert process.stdout is not None
+        with selectors.DefaultSelector() as selector:
+            selector.register(process.stdout, selectors.EVENT_READ)
+            limit = time.monotonic() + PATIENCE
+            while not any("http://" in line for line in lines):
+                assert time.monotonic() < limit and process.poll() is None, "".join(lines)
+                if selector.select(1.0):
+                    lines.append(process.stdout.readline())
+        found = re.search(r"http://127\.0\.0\.1:\d+", lines[-1])
+        assert found is not None, lines
+        yield found.group(), lines
+    finally:
+        end_process(process)
+
+
+@contextlib.contextmanager
+def browser() -> Iterator[Any]:
+    """A headless Chromium."""
+    sync_api = pytest.importorskip("playwright.sync_api")
+    with sync_api.sync_playwright() as playwright:
+        opened = playwright.chromium.launch(executable_path=CHROMIUM, args=list(_SOFTWARE))
+        try:
+            yield opened
+        finally:
+            opened.close()
+
+
+def opened_page(chromium: Any, url: str, people: int = 1, size: tuple[int, int] = (1280, 800)) -> Any:
+    """A tab that shows its people with their textures."""
+    page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
+    page.set_default_timeout(1000 * patience(60.0))
+    page.goto(url)
+    page.wait_for_function(
+        f"window.humansim && window.humansim.textured >= {people} && window.humansim.frame !== null"
+    )
+    return page
+
+
+def pause(page: Any) -> None:
+    """Pause, if it plays."""
+    button = page.get_by_role("button", name="Pause", exact=True)
+    if button.count():
+        button.click()
+        page.get_by_role("button", name="Play", exact=True).wait_for()
+
+
+def scrub(page: Any, frame: int) -> None:
+    """Type a frame into the number beside the slider, and wait until the page shows it."""
+    field = page.locator("input[inputmode]").first
+    field.fill(str(frame))
+    field.press("Enter")
+    page.wait_for_function(f"window.humansim.frame === {frame}")
+
+
+def mosaic_of(page: Any) -> Any:
+    """RGB image (H, W, 3) of all images on the page, or None."""
+    data = page.evaluate(
+        """async () => {
+            const image = [...document.images].find((image) => image.naturalWidth > 200);
+            if (!image) return null;
+            const bytes = new Uint8Array(await (await fetch(image.src)).arrayBuffer());
+            return [...bytes];
+        }"""
+    )
+    if data is None:
+        return None
+    return cv2.imdecode(np.array(data, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+
+
+def three_vertices(page: Any, key: str, numbers: list[int]) -> Any:
+    """World positions (N, 3) in ``map`` of vertices, as three.js skins them."""
+    return np.array(
+        page.evaluate(
+            """([key, numbers]) => {
+                const mesh = window.humansim.meshes.get(key)[0];
+                mesh.skeleton.bones.forEach((bone) => bone.updateWorldMatrix(true, false));
+                mesh.skeleton.update();
+                mesh.updateWorldMatrix(true, false);
+                return numbers.map((number) => {
+                    const point = mesh.position.clone();
+                    mesh.getVertexPosition(number, point);
+                    return [point.x, point.y, point.z];
+                });
+            }""",
+            [key, numbers],
+        )
+    )
+
+
+def until(condition: Any) -> None:
+    """Wait for a condition, and assert it."""
+    assert wait_until(condition)

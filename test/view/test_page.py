@@ -1,0 +1,203 @@
+"""The page of humansim view in a headless Chromium."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+pytest.importorskip("viser")
+pytest.importorskip("playwright")
+
+from pages import (
+    browser,
+    mosaic_of,
+    needs_browser,
+    opened_page,
+    pause,
+    scrub,
+    served,
+    three_vertices,
+    until,
+)
+
+from humansim_ros import Scene, Simulation
+from humansim_ros.view.bodies import PageBody
+from humansim_ros.view.panels.images import mosaic
+
+pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.process]
+
+SCENE = """\
+rate: 30
+room: null
+humans:
+  anna: {body: adult_woman, motion: {file: walk, position: [0.6, 0.4]}}
+  ben: {body: adult_man, motion: {file: wave, position: [-0.6, -0.2]}}
+cameras:
+  left: {position: [3, 2, 1.6], look_at: [0, 0, 1], size: [320, 240]}
+  right: {position: [3, -2, 1.6], look_at: [0, 0, 1], size: [320, 240]}
+"""
+#: Pictures of the docs are made by these tests: set it to docs/images.
+PICTURES = os.environ.get("HUMANSIM_PICTURES")
+
+
+@pytest.fixture(scope="module")
+def scene_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("view") / "lab.yaml"
+    path.write_text(SCENE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def url(scene_file: Path) -> Iterator[str]:
+    with served(str(scene_file), "--port", "0") as (address, _):
+        yield address
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    with browser() as opened:
+        yield opened
+
+
+@pytest.fixture
+def page(chromium: Any, url: str) -> Iterator[Any]:
+    opened = opened_page(chromium, url, people=2)
+    yield opened
+    opened.close()
+
+
+def body_key(page: Any, body: PageBody) -> str:
+    """Key of a body in the page: there is one with as many vertices and this texture."""
+    table = page.evaluate("fetch('/humansim/people.json').then((answer) => answer.json())")
+    (key,) = (key for key, entry in table.items() if entry["vertices"] == len(body.vertices))
+    return str(key)
+
+
+def test_people_move_while_it_plays(page: Any) -> None:
+    before = page.evaluate("window.humansim.frame")
+    page.wait_for_function(f"window.humansim.frame !== {before}")
+
+
+def test_a_scrub_shows_that_frame(page: Any, scene_file: Path) -> None:
+    pause(page)
+    scrub(page, 17)
+    scene = Scene.load(scene_file)
+    with Simulation(scene, channels=("rgb",)) as simulation:
+        frame = simulation.frame(17)
+        expected = mosaic({name: {"rgb": view.rgb} for name, view in frame.views.items()})
+        other = mosaic({name: {"rgb": view.rgb} for name, view in simulation.frame(40).views.items()})
+    assert expected is not None and other is not None
+
+    def difference(image: Any) -> float:
+        shown = mosaic_of(page)
+        if shown is None or shown.shape != image.shape:
+            return np.inf
+        return float(np.abs(shown.astype(float) - image).mean())
+
+    until(lambda: difference(expected.image) < 2.0)  # JPEG of quality 80
+    assert difference(other.image) > 2 * difference(expected.image)
+
+
+def test_three_js_poses_the_skin_as_we_do(page: Any, scene_file: Path) -> None:
+    pause(page)
+    scrub(page, 23)
+    scene = Scene.load(scene_file)
+    for actor in scene.actors.values():
+        body = PageBody(actor.human)
+        expected = actor.at(scene.frame_time(23) * 1e-9).vertices
+        key = body_key(page, body)
+        numbers = list(range(0, len(expected), 97))
+        found = three_vertices(page, key, numbers)
+        # four bones per vertex in the page, all of them in ours
+        assert np.median(np.linalg.norm(found - expected[numbers], axis=1)) < 1e-4
+        assert np.linalg.norm(found - expected[numbers], axis=1).max() < 5e-3
+
+
+def test_two_tabs_show_the_same_frame(page: Any, chromium: Any, url: str) -> None:
+    other = opened_page(chromium, url, people=2)
+    try:
+        pause(page)
+        scrub(page, 9)
+        other.wait_for_function("window.humansim.frame === 9")
+        until(lambda: np.array_equal(mosaic_of(page), mosaic_of(other)))
+    finally:
+        other.close()
+
+
+def test_a_reload_shows_the_same_frame(page: Any) -> None:
+    pause(page)
+    scrub(page, 31)
+    page.reload()
+    page.wait_for_function("window.humansim && window.humansim.textured >= 2 && window.humansim.frame === 31")
+
+
+def test_a_click_in_an_image_shows_the_numbers_of_the_pixel(page: Any, scene_file: Path) -> None:
+    pause(page)
+    scrub(page, 5)
+    with Simulation(Scene.load(scene_file)) as simulation:
+        frame = simulation.frame(5)
+    view = frame.views["left"]
+    rows, columns = np.nonzero(view.instance == 1)
+    middle = len(rows) // 2
+    x, y = int(columns[middle]), int(rows[middle])
+    until(lambda: mosaic_of(page) is not None)
+    image = page.locator("img").filter(visible=True).last
+    box = image.bounding_box()
+    across, down = (x + 0.5) / (2 * 320 + 4), (y + 0.5) / 240
+    image.click(position={"x": across * box["width"], "y": down * box["height"]})
+    page.get_by_role("tab", name="Numbers").click()
+    page.get_by_text("optical frame").wait_for()
+    table = page.inner_text("table")
+    assert "left" in table and "anna" in table
+    # the mosaic is drawn smaller than it is, so that a click may hit a neighbour
+    near = view.depth[max(0, y - 2) : y + 3, max(0, x - 2) : x + 3]
+    assert any(f"{depth:.4f} m" in table for depth in near.ravel())
+
+
+def test_a_page_without_webgl_says_so(chromium: Any, url: str) -> None:
+    page = chromium.new_page()
+    page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
+    page.goto(url)
+    page.get_by_text("This browser has no WebGL 2").wait_for()
+    page.close()
+
+
+def test_a_scene_with_an_error_is_told_with_its_line_until_it_is_mended(
+    chromium: Any, tmp_path: Path
+) -> None:
+    path = tmp_path / "wrong.yaml"
+    path.write_text(SCENE.replace("body: adult_man", "body: adult_mann"))
+    with served(str(path), "--port", "0") as (address, _):
+        page = chromium.new_page()
+        page.goto(address)
+        page.get_by_text("wrong.yaml:5").wait_for()
+        path.write_text(SCENE)
+        page.wait_for_function("window.humansim.people === 2")
+        until(lambda: page.get_by_text("wrong.yaml:5").count() == 0)
+        path.write_text(SCENE + "rate: fast\n")
+        page.get_by_text("wrong.yaml").first.wait_for()
+        assert page.evaluate("window.humansim.people") == 2
+        page.close()
+
+
+def test_the_pictures_of_the_docs(chromium: Any) -> None:
+    """The demo scene at the sizes of a laptop and a tablet."""
+    with served("--port", "0") as (address, _):
+        page = opened_page(chromium, address)
+        until(lambda: mosaic_of(page) is not None)
+        pause(page)
+        scrub(page, 20)
+        for name, width, height in (("view", 1280, 800), ("view_tablet", 800, 1200)):
+            page.set_viewport_size({"width": width, "height": height})
+            page.wait_for_timeout(1500)
+            picture = page.screenshot()
+            assert len(picture) > 50_000  # an empty page is smaller
+            if PICTURES:
+                (ROOT / PICTURES / f"{name}.png").write_bytes(picture)
+        page.close()

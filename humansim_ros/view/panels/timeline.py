@@ -34,12 +34,12 @@ class TimelinePanel:
         self._shown = ""
 
         # a coroutine: it runs before anything else can set the slider
-        @self._slider.on_update
-        async def _(event: Any) -> None:
+        async def seek(event: Any) -> None:
             if event.client_id is not None:
                 index = int(self._slider.value)
                 app.post(lambda: app.seek(index))
 
+        self._slider.on_update(seek)
         self._play.on_click(lambda _: app.post(self._toggle))
         self._steps.on_click(lambda _: app.post(lambda: self._step(self._steps.value)))
         self._speed.on_update(lambda _: app.post(self._set_speed))

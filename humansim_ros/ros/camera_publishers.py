@@ -105,6 +105,7 @@ class TruthPublishers:
     def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
         _ = node.scene.joint_surfaces  # computed now: later it would delay a frame
         kinds = topics.truth | {f"keypoints/{name}": topic for name, topic in topics.keypoints.items()}
+        kinds["overlay"] = topics.overlay
         self._publishers = {kind: (topic, _publisher(node, topic)) for kind, topic in kinds.items()}
 
     def subscribed(self) -> set[str]:

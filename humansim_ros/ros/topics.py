@@ -28,7 +28,7 @@ from sensor_msgs.msg import (
 )
 from shape_msgs.msg import Mesh as MeshMessage
 from std_msgs.msg import Float64MultiArray, Header, String
-from visualization_msgs.msg import Marker, MarkerArray
+from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
 
 from humansim_ros.camera import Camera
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet
@@ -264,6 +264,7 @@ class CameraTopics:
         truth_infos: True calibration, beside each other image.
         truth: Joints, boxes and visible vertices, by property of :class:`CameraTruth`.
         keypoints: Keypoints by set.
+        overlay: Joints to be drawn over the colour image by viewers.
         legends: Meaning of the numbers of the images, of the joints and of the keypoints; settings of faults.
         faults: Faults of each frame; empty for a camera without faults.
         extrinsics: Pose as its calibration says; for each frame if the camera moves.
@@ -331,6 +332,16 @@ class CameraTopics:
             )
             for keypoints in KEYPOINT_SETS
         }
+        # about four pixels in an image of 640 x 480
+        radius = max(2.0, min(camera.camera.size) / 120)
+        self.overlay: Topic[CameraTruth] = Topic(
+            f"{name}/overlay",
+            ImageMarker,
+            lambda truth, stamp: messages.overlay_message([*truth.joints.values()], radius, stamp, frame),
+            lambda simulated: simulated.truth[name],
+            camera=name,
+            channels=frozenset(REQUIRED_CHANNELS["joints"]),
+        )
         self.legends: Sequence[Topic[None]] = self._legend_topics()
         self.faults: Sequence[Topic[FrameFaults]] = [] if camera.faults is None else [self._faults_topic()]
 
@@ -398,7 +409,8 @@ class CameraTopics:
         """All topics. ``compression``: settings of the compressed images."""
         moving = (self.twist, self.pose) if self._camera.moves else ()
         compressed = self.compressed(compression), self.compressed_depth(DepthCompression())
-        truth, rectified = [*self.truth.values(), *self.keypoints.values()], self.rectified.values()
+        truth = [*self.truth.values(), *self.keypoints.values(), self.overlay]
+        rectified = self.rectified.values()
         poses = [self.extrinsics, self.projection, *moving]
         if self.true_extrinsics is not None:
             poses.append(self.true_extrinsics)

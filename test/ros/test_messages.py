@@ -172,6 +172,30 @@ def test_joint_view_has_the_layout_of_its_fields(read_outside: Any) -> None:
     assert read["joint"].tolist() == [0, 1, 0, 1]
 
 
+def test_the_overlay_has_visible_and_hidden_joints_inside_the_image(read_outside: Any) -> None:
+    nothing = np.zeros(4, np.uint8)
+    view = JointView(
+        optical=np.zeros((4, 3)),
+        pixels=np.array([[0.0, 0.0], [12.5, 100.25], [-7.0, 3.0], [np.nan, np.nan]]),
+        visible=np.array([2, 1, 0, 0], np.uint8),
+        occluder=nothing,
+        by=nothing.astype(np.uint16),
+        behind=nothing.astype(np.float32),
+    )
+    other = JointView(view.optical, view.pixels + 1, view.visible, view.occluder, view.by, view.behind)
+    outside = read_outside(messages.overlay_message([view, other], 4.0, STAMP, "cam_optical_frame"))
+    assert outside.header.frame_id == "cam_optical_frame"
+    assert (outside.header.stamp.sec, outside.header.stamp.nanosec) == (1_700_000_000, 123_456_789)
+    assert (outside.type, outside.action, outside.scale) == (outside.POINTS, outside.ADD, 4.0)
+    # the centre of the top-left pixel is (0, 0), as in <camera>/joints
+    assert [(p.x, p.y) for p in outside.points] == [(0, 0), (12.5, 100.25), (1, 1), (13.5, 101.25)]
+    colors = [(round(c.r, 2), round(c.g, 2), round(c.b, 2), c.a) for c in outside.outline_colors]
+    green, orange = (0.24, 0.9, 0.35, 1), (1, 0.59, 0.16, 1)
+    assert colors == [green, orange, green, orange]
+    empty = read_outside(messages.overlay_message([], 4.0, STAMP, "cam_optical_frame"))
+    assert not empty.points and empty.type == outside.POINTS  # it takes the last one away
+
+
 def columns_of(cloud: Any) -> dict[str, np.ndarray]:
     """Fields of a PointCloud2, read from its bytes."""
     kinds = {7: "<f4", 6: "<u4", 4: "<u2", 2: "u1"}

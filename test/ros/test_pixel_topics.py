@@ -46,7 +46,7 @@ def flow(ros: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     (folder / "moves.xml").write_text(MOVES)
     scene = Scene.load(write_scene(folder, SCENE))
     topics = {c: f"/detail/left/{CHANNEL_TABLE[c].topic.format(body='anna')}" for c in DETAILS}
-    others = ("/detail/objects/box/marker", *(f"/detail/left/{kind}" for kind in CLOUDS))
+    others = ("/detail/objects/box/marker", *(f"/detail/left/{kind}" for kind in (*CLOUDS, "overlay")))
     # the first and the last frame lack them, or have them later
     compared = {topics[c] for which in ("next_frame", "previous_frame") for c in comparing_with(which)}
     with SceneGraph(scene, namespace="detail") as graph, Simulation(scene, ALL_CHANNELS) as simulation:
@@ -105,3 +105,17 @@ def test_joints_boxes_and_vertices_are_those_of_simulation(flow: Any) -> None:
         visible[messages.read_visible_vertices(vertices)["vertex"]] = True
         assert np.mean(visible == frame.visible_vertices("left")["anna"]) > 0.99
         assert visible.any()
+
+
+def test_the_overlay_shows_the_joints_of_the_same_frame(flow: Any) -> None:
+    states = set()
+    for stamp in flow.stamps:
+        joints = messages.read_joint_view(flow.received["/detail/left/joints"].at(stamp))
+        overlay = flow.received["/detail/left/overlay"].at(stamp)
+        inside = joints[joints["visible"] > 0]
+        drawn = [(point.x, point.y) for point in overlay.points]
+        np.testing.assert_allclose(drawn, np.column_stack([inside["u"], inside["v"]]), atol=1e-4)
+        green = [color.g > color.r for color in overlay.outline_colors]
+        assert green == [state == 2 for state in inside["visible"]]
+        states |= set(green)
+    assert states == {True, False}

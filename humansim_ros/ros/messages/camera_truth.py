@@ -6,12 +6,17 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from geometry_msgs.msg import Point
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import ImageMarker
 
+from humansim_ros.drawing.views import joint_colors
 from humansim_ros.ros.messages.headers import header
 from humansim_ros.ros.messages.points import point_cloud, read_points
-from humansim_ros.truth import BodyBox, JointView
+from humansim_ros.truth import OUTSIDE, VISIBLE, BodyBox, JointView
+from humansim_ros.types import Color
 
 #: One point of ``<camera>/joints``; padded so that points start at multiples of four bytes.
 JOINT_POINT = np.dtype(
@@ -59,6 +64,33 @@ def read_joint_view(message: PointCloud2) -> NDArray[Any]:
     Recordings of earlier versions lack some of its fields. Raises RosError for another layout.
     """
     return read_points(message, ("x", "y", "z", "u", "v", "visible", "human", "joint"))
+
+
+def overlay_message(views: Sequence[JointView], radius: float, stamp: int, frame: str) -> ImageMarker:
+    """Build ``<camera>/overlay``: the joints inside the image as points, hidden ones in another colour.
+
+    Args:
+        views: Joints of the humans.
+        radius: Radius of the points in pixels.
+        stamp: Nanoseconds.
+        frame: Optical frame of the camera.
+    """
+    _, *colors = joint_colors(())
+    shown, hidden = (_color(color) for color in colors)
+    message = ImageMarker(header=header(stamp, frame), ns="joints", type=ImageMarker.POINTS)
+    message.scale, message.outline_color = float(radius), shown
+    for view in views:
+        inside = view.visible != OUTSIDE
+        message.points += [Point(x=x, y=y) for x, y in view.pixels[inside].tolist()]
+        message.outline_colors += [
+            shown if state == VISIBLE else hidden for state in view.visible[inside].tolist()
+        ]
+    return message
+
+
+def _color(color: Color) -> ColorRGBA:
+    red, green, blue = (channel / 255 for channel in color)
+    return ColorRGBA(r=red, g=green, b=blue, a=1.0)
 
 
 def boxes_message(boxes: Sequence[tuple[int, BodyBox]], stamp: int, frame: str) -> PointCloud2:

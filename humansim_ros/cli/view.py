@@ -57,7 +57,7 @@ def view(
         reading = LiveOptions.of(keypoints or "", "", 1.0, "", DEFAULT_GATE)
         topics = TopicOptions(estimate, reading, tuple(body or ()))
     opened = open_source(what, topics)
-    app = ViewApp(opened.source, port, opened.reload, opened.path, opened.problem)
+    app = ViewApp(opened.source, port, opened.reload, opened.path, opened.problem, opened.document)
     try:
         if port not in (0, app.server.port):
             print_text(f"port {port} is in use")

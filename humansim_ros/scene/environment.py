@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -68,7 +68,7 @@ class Environment:
     @cached_property
     def meshes(self) -> tuple[Mesh, ...]:
         """Meshes of the room and of the mesh files."""
-        room = [] if self.room is None else furnished_room(self.room.size, self.room.seed)
+        room = () if self.room is None else _furnished(self.room.size, self.room.seed)
         return (*room, *self.mesh_files)
 
 
@@ -76,6 +76,12 @@ def mesh_files(config: SceneConfig, source: SceneSource) -> tuple[Mesh, ...]:
     """Meshes of ``world.meshes`` in ``map``. Raises HumansimError with the key."""
     files = enumerate(config.world.meshes)
     return tuple(mesh for n, item in files for mesh in _load_meshes(item, source, f"world.meshes.{n}"))
+
+
+@lru_cache(maxsize=2)
+def _furnished(size: tuple[float, float, float], seed: int) -> tuple[Mesh, ...]:
+    """Meshes of a room; kept, because an editor makes a scene again after each edit."""
+    return tuple(furnished_room(size, seed))
 
 
 def _lighting(light: LightConfig) -> Lighting:

@@ -13,9 +13,12 @@ import numpy as np
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.types import Array
+from humansim_ros.view.document import SceneDocument
+from humansim_ros.view.panels.commands import CommandsPanel
+from humansim_ros.view.panels.editor import EditorPanel
 from humansim_ros.view.panels.images import ImagesPanel
 from humansim_ros.view.panels.numbers import NumbersPanel
-from humansim_ros.view.panels.show import ShowPanel
+from humansim_ros.view.panels.show import ALL, ShowPanel
 from humansim_ros.view.panels.through import ThroughPanel
 from humansim_ros.view.panels.timeline import TimelinePanel
 from humansim_ros.view.picking import hit_person, person_info
@@ -43,6 +46,7 @@ class ViewApp:
         reload: Makes the source again after its file has changed; None if it has no file.
         path: That file.
         problem: Why the file cannot be shown yet.
+        document: The scene that can be edited; None for other sources.
 
     Raises:
         HumansimError: No port is free.
@@ -55,7 +59,12 @@ class ViewApp:
         reload: Callable[[], ViewSource] | None = None,
         path: Path | None = None,
         problem: str | None = None,
+        document: SceneDocument | None = None,
     ) -> None:
+        self.editor: EditorPanel | None = None
+        self.commands: CommandsPanel | None = None
+        self.chosen_camera = ALL
+        self.options = Options()
         self.server = PageServer(f"{source.title} · humansim", port)
         self.gui = self.server.viser.gui
         self.source = source
@@ -76,10 +85,14 @@ class ViewApp:
         self.set_dark(False)
         self.head = self.gui.add_folder("Time", order=0)
         tabs = self.gui.add_tab_group(order=1)
-        self.tabs = {name: tabs.add_tab(name) for name in ("Show", "Numbers")}
+        names = ("Show", "Numbers") if document is None else ("Show", "Numbers", "Edit", "Run")
+        self.tabs = {name: tabs.add_tab(name) for name in names}
         self._place_view()
         self._build()
         self._say_broken(problem)
+        if document is not None:
+            self.editor = EditorPanel(self, document)
+            self.commands = CommandsPanel(self, document)
 
     # --- the thread of the page --------------------------------------------------------------------------
 
@@ -89,6 +102,8 @@ class ViewApp:
         while not self._stopped.is_set():
             self._run_posted()
             self._look_at_file()
+            if self.commands is not None:
+                self.commands.update()
             try:
                 self._show_next()
             except HumansimError as error:
@@ -104,6 +119,8 @@ class ViewApp:
 
     def close(self) -> None:
         """Free the source, and stop serving."""
+        if self.commands is not None:
+            self.commands.close()
         self.source.close()
         self.server.close()
 
@@ -127,6 +144,7 @@ class ViewApp:
 
     def set_options(self, options: Options) -> None:
         """Change what is drawn in 3D."""
+        self.options = options
         self._stage.set_options(options)
         self.refresh()
 
@@ -147,6 +165,7 @@ class ViewApp:
         )
         self.player.seek(index)
         self._build()
+        self._say_broken(None)
 
     def pick_pixel(self, camera: str, across: float, down: float) -> None:
         """Show the numbers of a pixel, given as shares of the width and height of an image."""
@@ -173,6 +192,15 @@ class ViewApp:
         self._stage.mark(info.world)
         self._numbers.show(info)
 
+    @property
+    def scene_seconds(self) -> float:
+        """Scene time that is shown, seconds."""
+        return 0.0 if self._frame is None else self._frame.scene_time * 1e-9
+
+    def saved(self, path: Path) -> None:
+        """The scene has been saved as a file, which is watched from now on."""
+        self._path, self._modified = path, _signature(path)
+
     def notify(self, title: str, text: str) -> None:
         """Show a notification in all browsers."""
         for client in self.server.viser.get_clients().values():
@@ -182,7 +210,8 @@ class ViewApp:
 
     def _build(self) -> None:
         self.shown_cameras = tuple(self.source.cameras)
-        self.shown_channels = self.source.channels[:1]
+        kept = tuple(name for name in self.source.channels if name in self.shown_channels)
+        self.shown_channels = kept or self.source.channels[:1]
         self._frame: ViewFrame | None = None
         self._needs_frame = True
         self._stage = Stage(
@@ -198,6 +227,8 @@ class ViewApp:
         self._messages = self.gui.add_markdown(
             "\n\n".join(self.source.messages), visible=bool(self.source.messages), order=-1
         )
+        if self.editor is not None:
+            self.editor.stage_made()
 
     def _remove_panels(self) -> None:
         for panel in (self._timeline, self._show, self._through, self._numbers, self._images):
@@ -257,7 +288,8 @@ class ViewApp:
 
     def _look_at_file(self) -> None:
         now = time.monotonic()
-        if self._reload is None or now - self._looked < _LOOK:
+        make = self._reload if self.editor is None else self.editor.make_source
+        if make is None or self._path is None or now - self._looked < _LOOK:
             return
         self._looked = now
         signature = _signature(self._path)
@@ -265,12 +297,15 @@ class ViewApp:
             return
         self._modified = signature
         try:
-            source = self._reload()
+            if self.editor is not None and not self.editor.file_changed():
+                return
+            source = make()
         except HumansimError as error:
             self._say_broken(str(error))
-            return
-        self._say_broken(None)
-        self.replace_source(source)
+        else:
+            self.replace_source(source)
+        if self.editor is not None:
+            self.editor.refresh()
 
     def _say_broken(self, problem: str | None) -> None:
         """Show what is wrong at the top of the page; None: nothing any more."""

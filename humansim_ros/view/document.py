@@ -119,7 +119,7 @@ class SceneDocument:
         self._history = History()
         self._lock = threading.RLock()
         self._files: dict[Path, tuple[bytes | None, bytes | None]] | None = None
-        self._parsed: tuple[str, Any] | None = None
+        self._parsed: tuple[str, dict[str, Any]] | None = None
         self._built: tuple[str, list[SceneFault], Scene | None] | None = None
 
     @classmethod
@@ -128,6 +128,12 @@ class SceneDocument:
         document = cls("", path)
         document._read()
         return document
+
+    @classmethod
+    def copy_of(cls, path: str | os.PathLike[str]) -> SceneDocument:
+        """A new scene with the text of a file, such as a built-in one; its files are found from there."""
+        original = cls.load(path)
+        return cls(original.text(), folder=original.folder)
 
     # --- the text and its values
 
@@ -142,13 +148,17 @@ class SceneDocument:
 
     def data(self) -> dict[str, Any]:
         """Values of the text, with anchors and merge keys applied. Raises SceneError if it is not valid."""
+        return copy.deepcopy(self._values())
+
+    def _values(self) -> dict[str, Any]:
+        """The same, to read only."""
         with self._lock:
             if self._parsed is None or self._parsed[0] != self._text:
                 data, _ = parse_yaml(self._text, SceneError, self._name)
                 if data is not None and not isinstance(data, dict):
                     raise SceneError("a scene is a mapping with 'humans' and 'cameras'", path=self.path)
                 self._parsed = self._text, data or {}
-            return copy.deepcopy(self._parsed[1])
+            return self._parsed[1]
 
     def value(self, key: str | Sequence[YamlKey]) -> Any:
         """Value of a key in the text, else its default; None if it has neither.
@@ -160,7 +170,7 @@ class SceneDocument:
             SceneError: Scenes have no such key, or the text is not valid.
         """
         found = find_key(key)
-        value: Any = self.data()
+        value: Any = self._values()
         for number, part in enumerate(found.keys):
             if isinstance(value, str) and find_key(found.keys[:number]).short_key == part:
                 return value
@@ -169,11 +179,21 @@ class SceneDocument:
             if str(part) not in by_name:
                 return found.default
             value = by_name[str(part)]
-        return value
+        return copy.deepcopy(value)
+
+    def has(self, key: str | Sequence[YamlKey]) -> bool:
+        """Whether a key is in the text; False if the text is not valid."""
+        try:
+            keys = split_key(key)
+            value = self._raw(keys[:-1])
+        except SceneError:
+            return False
+        items = dict(enumerate(value)) if isinstance(value, list) else value
+        return isinstance(items, dict) and str(keys[-1]) in map(str, items)
 
     def names(self, kind: SectionName) -> list[str]:
         """Names in a section, in the order of the file; ``["rig"]`` for a rig."""
-        section = self.data().get(kind)
+        section = self._values().get(kind)
         if kind == "rig":
             return ["rig"] if section is not None else []
         return [str(name) for name in section] if isinstance(section, dict) else []
@@ -589,8 +609,8 @@ class SceneDocument:
                 self._edit(set_value(self._text, keys[:number], {short: value}, self._name))
 
     def _raw(self, keys: Sequence[YamlKey]) -> Any:
-        """Value as it is in the text; None if absent."""
-        value: Any = self.data()
+        """Value as it is in the text, to read only; None if absent."""
+        value: Any = self._values()
         for key in keys:
             items = dict(enumerate(value)) if isinstance(value, list) else value
             if not isinstance(items, dict):

@@ -17,8 +17,10 @@ from humansim_ros.io.assets import find_asset
 from humansim_ros.io.files import exists, missing_file
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.motion.files import find_motion
+from humansim_ros.resources import resource_path
 from humansim_ros.scene.config import SceneConfig
-from humansim_ros.scene.scene import Scene
+from humansim_ros.scene.scene import DEMO_SCENE, Scene
+from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.empty_source import EmptySource
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.source import ViewSource
@@ -38,12 +40,14 @@ class Opened:
         path: Its file; None for built-ins.
         reload: Makes the source again.
         problem: Why the file cannot be shown; the source is empty then.
+        document: The scene, to edit it; None for other kinds.
     """
 
     source: ViewSource
     path: Path | None = None
     reload: Callable[[], ViewSource] | None = None
     problem: str | None = None
+    document: SceneDocument | None = None
 
 
 @dataclass(frozen=True)
@@ -84,16 +88,18 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
     if topics is not None:
         raise HumansimError("only bags and graphs have estimates and bodies: use these options with a bag")
     if what is None:
-        return Opened(SceneViewSource(Scene.load()))
+        demo = resource_path(DEMO_SCENE)
+        return Opened(SceneViewSource(Scene.load(demo)), document=SceneDocument.copy_of(demo))
     make = _maker(what)
     if not exists(what):
         return Opened(make())
+    document = SceneDocument.load(what) if _is_scene(what) else None
     try:
-        return Opened(make(), what, make)
+        return Opened(make(), what, make, document=document)
     except HumansimError as error:
         if what.is_dir():
             raise
-        return Opened(EmptySource(what.stem), what, make, str(error))
+        return Opened(EmptySource(what.stem), what, make, str(error), document)
 
 
 def _maker(what: Path) -> Callable[[], ViewSource]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, Protocol
 
 from humansim_ros.view.player import Player
@@ -24,6 +25,8 @@ class Page(Protocol):
         dark: Whether the page is dark.
         shown_cameras: Cameras whose images are shown.
         shown_channels: Channels that are shown.
+        chosen_camera: Camera that was chosen, or ``all``; it stays when the source is replaced.
+        options: What is drawn in 3D; it stays, too.
     """
 
     server: PageServer
@@ -35,6 +38,12 @@ class Page(Protocol):
     dark: bool
     shown_cameras: tuple[str, ...]
     shown_channels: tuple[str, ...]
+    chosen_camera: str
+    options: Options
+
+    @property
+    def scene_seconds(self) -> float:
+        """Scene time that is shown, seconds."""
 
     def post(self, function: Callable[[], None]) -> None:
         """Run a function in the thread of the page; its errors are shown as a notification."""
@@ -50,6 +59,15 @@ class Page(Protocol):
 
     def set_dark(self, dark: bool) -> None:
         """Dark or light page."""
+
+    def replace_source(self, source: ViewSource) -> None:
+        """Show another source, at the same time if it has it."""
+
+    def saved(self, path: Path) -> None:
+        """The scene has been saved as a file, which is watched from now on."""
+
+    def notify(self, title: str, text: str) -> None:
+        """Show a notification in all browsers."""
 
     def pick_pixel(self, camera: str, across: float, down: float) -> None:
         """Show the numbers of a pixel, given as shares of the width and height of an image."""

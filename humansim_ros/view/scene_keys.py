@@ -1,4 +1,4 @@
-"""SectionKeys of scene files: what each may hold, from the schema; values that a file can hold."""
+"""Keys of scene files: what each may hold, from the schema; values that a file can hold."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class SceneKey:
 
     @property
     def short_key(self) -> str | None:
-        """YamlKey of the section that a text alone stands for."""
+        """Key of the section that a text alone stands for."""
         return getattr(self.section, "short_key", None)
 
     @property
@@ -85,7 +85,7 @@ def find_key(key: str | Sequence[YamlKey]) -> SceneKey:
 
 def _inside(outer: SceneKey, part: YamlKey, keys: tuple[YamlKey, ...]) -> SceneKey:
     dotted = ".".join(printable(str(each), 60) for each in keys)
-    for annotation in _alternatives(outer.annotation):
+    for annotation in alternatives(outer.annotation):
         if isinstance(annotation, type) and issubclass(annotation, BaseModel):
             for name, field in annotation.model_fields.items():
                 if part == (field.alias or name):
@@ -172,18 +172,18 @@ def _rounded(value: Any, digits: int) -> Any:
     return (np.round(np.asarray(value, dtype=float), digits) + 0.0).tolist()
 
 
-def _alternatives(annotation: Any) -> Iterator[Any]:
+def alternatives(annotation: Any) -> Iterator[Any]:
     """Types of an annotation without metadata, None and unions."""
     if get_origin(annotation) is Annotated:
-        yield from _alternatives(get_args(annotation)[0])
+        yield from alternatives(get_args(annotation)[0])
     elif get_origin(annotation) in (Union, types.UnionType):
         for part in get_args(annotation):
-            yield from _alternatives(part)
+            yield from alternatives(part)
     elif annotation is not type(None):
         yield annotation
 
 
 def _models(annotation: Any) -> Iterator[type[BaseModel]]:
-    for part in _alternatives(annotation):
+    for part in alternatives(annotation):
         if isinstance(part, type) and issubclass(part, BaseModel):
             yield part

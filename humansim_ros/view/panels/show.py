@@ -19,7 +19,8 @@ _LABELS = {
     "coverage": "Coverage of the floor",
     "room": "Room and objects",
 }
-_ALL = "all"
+#: Choice of all cameras.
+ALL = "all"
 
 
 class ShowPanel:
@@ -29,23 +30,27 @@ class ShowPanel:
         gui, source = app.gui, app.source
         self._app = app
         names = list(source.cameras)
+        if app.chosen_camera not in names:
+            app.chosen_camera = ALL
         self._channels = {}
         self._options = {}
         with app.tabs["Show"], gui.add_folder("Images", visible=bool(names), order=1) as self._images:
-            self._camera = gui.add_dropdown("Cameras", (_ALL, *names), initial_value=_ALL)
+            self._camera = gui.add_dropdown("Cameras", (ALL, *names), initial_value=app.chosen_camera)
             for channel in source.channels:
-                box = gui.add_checkbox(channel, channel == source.channels[0])
+                box = gui.add_checkbox(channel, channel in app.shown_channels)
                 box.on_update(lambda _: app.post(self._choose))
                 self._channels[channel] = box
             self._camera.on_update(lambda _: app.post(self._choose))
         with app.tabs["Show"], gui.add_folder("3D", order=3) as self._drawn:
             for option in fields(Options):
-                box = gui.add_checkbox(_LABELS[option.name], bool(option.default))
+                box = gui.add_checkbox(_LABELS[option.name], bool(getattr(app.options, option.name)))
                 box.on_update(lambda _: app.post(self._draw))
                 self._options[option.name] = box
             self._dark = gui.add_checkbox("Dark page", app.dark)
             self._dark.on_update(lambda _: app.post(lambda: app.set_dark(bool(self._dark.value))))
         self._choose()
+        if app.options != Options():
+            self._draw()
 
     def remove(self) -> None:
         """Remove the panel."""
@@ -54,8 +59,8 @@ class ShowPanel:
 
     def _choose(self) -> None:
         names = list(self._app.source.cameras)
-        chosen = self._camera.value
-        self._app.shown_cameras = tuple(name for name in names if chosen in (_ALL, name))
+        chosen = self._app.chosen_camera = str(self._camera.value)
+        self._app.shown_cameras = tuple(name for name in names if chosen in (ALL, name))
         self._app.shown_channels = tuple(name for name, box in self._channels.items() if box.value)
         self._app.refresh()
 

@@ -1,0 +1,292 @@
+"""Controls for the keys of a section of a scene, made of the schema; wrong values are told below them."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Literal, get_args, get_origin
+
+from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.io.assets import built_in_names
+from humansim_ros.io.schema import ByteColor
+from humansim_ros.io.yaml import parse_yaml
+from humansim_ros.io.yaml_edit import YamlKey, flow
+from humansim_ros.scene.config import LIVE, SceneConfig
+from humansim_ros.scene.objects import BUILT_IN_MESHES
+from humansim_ros.view.document import SceneDocument, SceneFault
+from humansim_ros.view.scene_keys import SceneKey, alternatives, find_key
+
+#: Changes a key; None removes it.
+KeyChange = Callable[[tuple[YamlKey, ...], Any], None]
+
+_OFF = "(default)"
+
+
+class SectionControls:
+    """Controls for all keys of a section, in folders for the sections in it.
+
+    Args:
+        gui: The GUI of viser.
+        document: The scene.
+        keys: Path of the section.
+        change: Called with a key and its new value when a user changes it.
+        only: Keys of the section; all if empty.
+        choices: Values of keys to choose from, by dotted key within the section.
+        post: Runs a function in the thread that edits the document.
+    """
+
+    def __init__(
+        self,
+        gui: Any,
+        document: SceneDocument,
+        keys: Sequence[YamlKey],
+        change: KeyChange,
+        only: Sequence[str] = (),
+        choices: Mapping[str, Sequence[str]] | None = None,
+        post: Callable[[Callable[[], None]], None] = lambda function: function(),
+    ) -> None:
+        self.keys = tuple(keys)
+        self._gui, self._document, self._change, self._post = gui, document, change, post
+        self._choices = choices or {}
+        self.controls: dict[tuple[YamlKey, ...], KeyControl] = {}
+        self._order = 0.0
+        self._add(tuple(keys), None, only)
+
+    def refresh(self) -> None:
+        """Show the values of the document."""
+        for control in self.controls.values():
+            control.show(self._document)
+
+    def show_errors(self, faults: Sequence[SceneFault]) -> list[SceneFault]:
+        """Show errors below their controls; returns those that belong to none of them."""
+        told: dict[tuple[YamlKey, ...], str] = {}
+        others = []
+        for fault in faults:
+            keys = tuple(fault.key.split("."))
+            own = [known for known in self.controls if tuple(map(str, known)) == keys[: len(known)]]
+            if own:
+                told.setdefault(max(own, key=len), fault.message)
+            else:
+                others.append(fault)
+        for keys_of, control in self.controls.items():
+            control.tell(self._gui, told.get(keys_of))
+        return others
+
+    def control(self, key: str) -> KeyControl:
+        """Control of a dotted key within the section."""
+        return next(
+            one for one in self.controls.values() if key == ".".join(map(str, one.key.keys[len(self.keys) :]))
+        )
+
+    def _add(self, keys: tuple[YamlKey, ...], folder: Any, only: Sequence[str] = ()) -> None:
+        model = find_key(keys).section if keys else SceneConfig
+        assert model is not None
+        nested = []
+        for name, info in model.model_fields.items():
+            key = info.alias or name
+            if only and key not in only:
+                continue
+            found = find_key((*keys, key))
+            if found.section is not None and get_origin(_single(found.annotation)) is None:
+                nested.append(found)
+            else:
+                self._add_control(found, folder)
+        for found in nested:
+            self._add_section(found)
+
+    def _add_section(self, found: SceneKey) -> None:
+        """A folder for a section; a box turns an optional one on."""
+        self._order += 1
+        optional = type(None) in get_args(found.annotation)
+        folder = self._gui.add_folder(str(found.keys[-1]), order=self._order, expand_by_default=False)
+        with folder:
+            if optional:
+                needs = any(info.is_required() for info in found.section.model_fields.values())  # type: ignore[union-attr]
+                if needs:
+                    self._add_control(found, folder)
+                    return
+                self._order += 1
+                box = self._gui.add_checkbox("on", False, hint=_hint(found), order=self._order)
+                self._register(KeyControl(found, box, folder, self._order, _read_switch, _show_switch))
+            self._add(found.keys, folder)
+
+    def _add_control(self, found: SceneKey, folder: Any) -> None:
+        self._order += 1
+        gui, label = self._gui, str(found.keys[-1])
+        options = {"hint": _hint(found), "order": self._order}
+        single = _single(found.annotation)
+        optional = type(None) in get_args(found.annotation)
+        names = self._names_for(found)
+        if names:
+            handle = gui.add_dropdown(label, (_OFF, *names), **options)
+            control = KeyControl(found, handle, folder, self._order, _read_choice, _show_choice, tuple(names))
+        elif single is bool and not optional:
+            handle = gui.add_checkbox(label, False, **options)
+            control = KeyControl(found, handle, folder, self._order, _read_plain, _show_plain)
+        elif get_origin(single) is Literal and not optional:
+            handle = gui.add_dropdown(label, tuple(map(str, get_args(single))), **options)
+            control = KeyControl(found, handle, folder, self._order, _read_plain, _show_plain)
+        elif single in (int, float) and not optional:
+            start = 0 if single is int else 0.0
+            handle = gui.add_number(label, start, step=1 if single is int else 0.01, **options)
+            control = KeyControl(found, handle, folder, self._order, _read_plain, _show_number)
+        elif single == ByteColor and not optional:
+            handle = gui.add_rgb(label, (0, 0, 0), **options)
+            control = KeyControl(found, handle, folder, self._order, _read_plain, _show_plain)
+        else:
+            handle = gui.add_text(label, "", **options)
+            control = KeyControl(found, handle, folder, self._order, _read_text, _show_text)
+        self._register(control)
+
+    def _register(self, control: KeyControl) -> None:
+        control.show(self._document)
+        self.controls[control.key.keys] = control
+        control.handle.on_update(lambda event: self._used(control, event.client_id))
+
+    def _used(self, control: KeyControl, client: int | None) -> None:
+        if client is not None:  # else the program has changed it
+            self._post(lambda: self.changed(control))
+
+    def changed(self, control: KeyControl) -> None:
+        """A user has changed a control."""
+        try:
+            self._change(control.key.keys, control.read())
+        except HumansimError as error:
+            control.tell(self._gui, error.message)
+
+    def _names_for(self, found: SceneKey) -> list[str]:
+        """Names to choose from, with the one of the document if that is another."""
+        dotted = ".".join(map(str, found.keys[len(self.keys) :]))
+        names = list(self._choices.get(dotted, ()))
+        value = self._document.value(found.keys)
+        return [*names, value] if names and isinstance(value, str) and value not in names else names
+
+
+def choices_of(kind: str) -> dict[str, Sequence[str]]:
+    """Built-in names to choose from in the sections of a kind."""
+    if kind == "humans":
+        return {"body": built_in_names("humans"), "motion.file": [*built_in_names("motions"), LIVE]}
+    return {"mesh": list(BUILT_IN_MESHES)} if kind == "objects" else {}
+
+
+class KeyControl:
+    """One control of a key, and the error below it."""
+
+    def __init__(
+        self,
+        key: SceneKey,
+        handle: Any,
+        folder: Any,
+        order: float,
+        read: Callable[[SceneKey, Any], Any],
+        show: Callable[[Any, Any, SceneDocument, SceneKey], None],
+        names: tuple[str, ...] = (),
+    ) -> None:
+        self.key, self.handle, self.names = key, handle, names
+        self._folder, self._order = folder, order
+        self._read, self._show = read, show
+        self._error: Any = None
+
+    @property
+    def error(self) -> str | None:
+        """Text of the error below it, if any."""
+        return None if self._error is None else self._error.content
+
+    def read(self) -> Any:
+        """Value for the document; None removes the key."""
+        return self._read(self.key, self.handle.value)
+
+    def show(self, document: SceneDocument) -> None:
+        """Show the value of the document; a wrong one of another type stays as it was typed."""
+        try:
+            value = document.value(self.key.keys)
+            self._show(self.handle, value, document, self.key)
+        except (HumansimError, TypeError, ValueError):
+            return
+
+    def tell(self, gui: Any, message: str | None) -> None:
+        """Show an error below the control; None for none."""
+        if message is None:
+            if self._error is not None:
+                self._error.remove()
+                self._error = None
+            return
+        text = f"⚠ **{self.key.keys[-1]}**: {plain_markdown(message)}"
+        if self._error is not None:
+            self._error.content = text
+            return
+        if self._folder is None:
+            self._error = gui.add_markdown(text, order=self._order + 0.5)
+            return
+        with self._folder:
+            self._error = gui.add_markdown(text, order=self._order + 0.5)
+
+
+def plain_markdown(text: str) -> str:
+    """Text in which nothing is markup for markdown."""
+    return "".join(f"\\{c}" if c in "\\`*_{}[]<>()#+-!|~$" else c for c in text.replace("\n", " "))
+
+
+def _read_plain(_: SceneKey, value: Any) -> Any:
+    return value
+
+
+def _read_choice(_: SceneKey, value: Any) -> Any:
+    return None if value == _OFF else value
+
+
+def _read_switch(_: SceneKey, value: Any) -> Any:
+    return {} if value else None
+
+
+def _read_text(key: SceneKey, value: str) -> Any:
+    """Text of a name or file; YAML of all others."""
+    text = value.strip()
+    if not text:
+        return None
+    kinds = list(alternatives(key.annotation))
+    if all(kind is str for kind in kinds):
+        return text
+    return parse_yaml(text, SceneError, "value")[0]
+
+
+def _show_plain(handle: Any, value: Any, _: SceneDocument, key: SceneKey) -> None:
+    shown = tuple(value) if isinstance(value, list) else value
+    if handle.value != shown and shown is not None:
+        handle.value = shown
+
+
+def _show_number(handle: Any, value: Any, _: SceneDocument, key: SceneKey) -> None:
+    if value is not None and handle.value != float(value):
+        handle.value = int(value) if isinstance(handle.value, int) else float(value)
+
+
+def _show_choice(handle: Any, value: Any, document: SceneDocument, key: SceneKey) -> None:
+    shown = _OFF if value is None else str(value)
+    if handle.value != shown:
+        if shown not in handle.options:
+            handle.options = (*handle.options, shown)
+        handle.value = shown
+
+
+def _show_switch(handle: Any, value: Any, _: SceneDocument, key: SceneKey) -> None:
+    handle.value = value is not None
+
+
+def _show_text(handle: Any, value: Any, _: SceneDocument, key: SceneKey) -> None:
+    written = value if isinstance(value, str) else "" if value is None else flow(value)
+    read = None
+    with contextlib.suppress(HumansimError):  # it is not YAML
+        read = _read_text(key, handle.value)
+    if written != handle.value and (read != value or not handle.value):
+        handle.value = written
+
+
+def _single(annotation: Any) -> Any:
+    """The only type of an annotation, without metadata; None if there are several."""
+    found = list(alternatives(annotation))
+    return found[0] if len(found) == 1 else None
+
+
+def _hint(found: SceneKey) -> str | None:
+    return found.field.description if found.field is not None else None

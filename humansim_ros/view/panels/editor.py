@@ -1,0 +1,340 @@
+"""Panel that edits the scene: people, objects, cameras, light, world; undo, save, and the same as a file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from humansim_ros.errors import HumansimError
+from humansim_ros.io.yaml_edit import YamlKey
+from humansim_ros.types import Array
+from humansim_ros.view.document import SceneDocument, SectionName
+from humansim_ros.view.page_interface import Page
+from humansim_ros.view.panels.controls import SectionControls, choices_of, plain_markdown
+from humansim_ros.view.scene_source import SceneViewSource
+
+#: What can be selected besides people, objects, cameras and the rig: sections of the file.
+_SECTIONS = ("scene", "room", "light", "world", "randomise", "variety", "time")
+#: Keys of the top of the file.
+_TOP = ("rate", "renderer")
+_SINGULAR = {"humans": "person", "objects": "object", "cameras": "camera"}
+_PLURAL = {value: key for key, value in _SINGULAR.items()}
+_UNDO, _REDO = "Undo", "Redo"
+_COPY, _REMOVE = "Duplicate", "Remove"
+#: Movements below these are the gizmo's own rounding: metres, and sine of half an angle.
+_MOVED, _TURNED = 5e-5, 4e-5
+
+
+class EditorPanel:
+    """The tab ``Edit`` of a page, and the gizmo of what is selected.
+
+    Args:
+        app: The page. All methods run in its thread.
+        document: The scene.
+    """
+
+    def __init__(self, app: Page, document: SceneDocument) -> None:
+        self.document = document
+        self.selected = "scene"
+        self._app = app
+        self._shown_text = document.text()
+        self._gizmo: Any = None
+        self._seconds = 0.0
+        self._controls: SectionControls | None = None
+        gui = app.gui
+        self._tab = app.tabs["Edit"]
+        with self._tab:
+            self._status = gui.add_markdown("")
+            self._history = gui.add_button_group("Steps", (_UNDO, _REDO))
+            self._adding = gui.add_button_group("Add", tuple(_PLURAL))
+            self._choice = gui.add_dropdown("Selected", (self.selected,))
+            self._actions = gui.add_button_group("Selected", (_COPY, _REMOVE))
+            self._name = gui.add_text("Name", "")
+            self._keys = gui.add_folder("Keys")
+            self._command = gui.add_markdown("")
+            path = "" if document.path is None else str(document.path)
+            self._path = gui.add_text("File", path, hint="scene file (.yaml) to save")
+            self._overwrite = gui.add_checkbox("Overwrite", False, visible=False)
+            self._save = gui.add_button("Save")
+        self._on(
+            self._history, "on_click", lambda: self.undo() if self._history.value == _UNDO else self.redo()
+        )
+        self._on(self._adding, "on_click", lambda: self.add(_PLURAL[self._adding.value]))
+        self._on(self._choice, "on_update", lambda: self.select(self._choice.value))
+        self._on(
+            self._actions,
+            "on_click",
+            lambda: self.duplicate() if self._actions.value == _COPY else self.remove_selected(),
+        )
+        self._on(self._save, "on_click", lambda: self.save(self._path.value, self._overwrite.value))
+        self._on(self._name, "on_update", lambda: self.rename(self._name.value))
+        self.refresh()
+
+    # --- edits
+
+    def edit(self, action: Callable[[], Any]) -> bool:
+        """Edit the document, and show the scene that it is now; an error is shown, and nothing changes."""
+        try:
+            action()
+        except HumansimError as error:
+            self._app.notify("This cannot be done", str(error))
+            self.place_gizmo()
+            return False
+        self.refresh()
+        return True
+
+    def add(self, kind: str) -> None:
+        """Add a person, an object or a camera, and select it."""
+        adders: dict[str, Callable[[], str]] = {
+            "humans": self.document.add_person,
+            "objects": self.document.add_object,
+            "cameras": self.document.add_camera,
+        }
+        added: list[str] = []
+        if self.edit(lambda: added.append(adders[kind]())):
+            self.select(f"{_SINGULAR[kind]} {added[0]}")
+
+    def duplicate(self) -> None:
+        """Duplicate what is selected, and select the copy."""
+        kind, name = self.item
+        added: list[str] = []
+        if kind in _SINGULAR and self.edit(lambda: added.append(self.document.duplicate(kind, name))):
+            self.select(f"{_SINGULAR[kind]} {added[0]}")
+
+    def remove_selected(self) -> None:
+        """Remove what is selected from the file."""
+        kind, name = self.item
+        keys = [kind, name] if kind in _SINGULAR else [self.selected]
+        if self.selected != "scene":
+            self.edit(lambda: self.document.remove(keys))
+
+    def rename(self, name: str) -> None:
+        """Rename what is selected."""
+        kind, old = self.item
+        if kind not in _SINGULAR or not name or name == old:
+            return
+        if self.edit(lambda: self.document.rename(kind, old, name)):
+            self.select(f"{_SINGULAR[kind]} {name}")
+
+    def undo(self) -> None:
+        """Take the last step back."""
+        self.edit(self.document.undo)
+
+    def redo(self) -> None:
+        """Do the step again that was taken back last."""
+        self.edit(self.document.redo)
+
+    def set(self, keys: tuple[YamlKey, ...], value: Any) -> None:
+        """Set a key of the file, or remove it if the value is None. Raises HumansimError."""
+        if value is not None:
+            self.document.set(keys, value, continues=True)
+        elif self.document.has(keys):
+            self.document.remove(keys)
+        self.refresh()
+
+    def move(self, position: Array, quaternion: Array) -> None:
+        """Place what is selected where its gizmo is.
+
+        Args:
+            position: (3,) in ``map``, metres.
+            quaternion: (4,) xyzw.
+        """
+        kind, name = self.item
+
+        def place() -> None:
+            old = self.document.pose(kind, name, self._seconds)
+            moved = bool(np.abs(position - old.position).max() > _MOVED)
+            turned = 1 - abs(float(quaternion @ old.quaternion)) > _TURNED**2
+            if moved or turned:
+                self.document.place(
+                    kind,
+                    name,
+                    position if moved else None,
+                    quaternion=quaternion if turned else None,
+                    seconds=self._seconds,
+                )
+
+        self.edit(place)
+
+    def save(self, path: str, overwrite: bool = False) -> None:
+        """Save the scene as a file."""
+        try:
+            saved = self.document.save(Path(path) if path else None, overwrite=overwrite)
+        except HumansimError as error:
+            self._app.notify("Not saved", str(error))
+            self._overwrite.visible = "overwrite" in error.message
+            return
+        self._overwrite.visible = self._overwrite.value = False
+        self._path.value = str(saved)
+        self._app.saved(saved)
+        self.refresh()
+
+    # --- what is shown
+
+    @property
+    def item(self) -> tuple[SectionName, str]:
+        """Section and name of what is selected."""
+        word, _, name = self.selected.partition(" ")
+        if word in _PLURAL and name:
+            return cast("SectionName", _PLURAL[word]), name
+        return cast("SectionName", self.selected), self.selected
+
+    def select(self, choice: str) -> None:
+        """Select a person, an object, a camera or a section, such as ``person anna`` or ``light``."""
+        self.selected = choice if choice in self.choices() else "scene"
+        self._show_names()
+        self._build_controls()
+        self.place_gizmo()
+        self._show_status()
+
+    def refresh(self) -> None:
+        """Show the document: its scene if it is right, its errors if not."""
+        faults = self.document.errors()
+        text = self.document.text()
+        if text != self._shown_text and not faults:
+            self._shown_text = text
+            self._app.replace_source(self.make_source())
+        if self.selected not in self.choices():
+            self.selected = "scene"
+            self._controls = None
+        self._show_names()
+        if self._controls is None or self._controls.keys != self._path_of_selected():
+            self._build_controls()
+        self.controls_now().refresh()
+        self._show_status()
+        self.place_gizmo()
+
+    def make_source(self) -> SceneViewSource:
+        """The scene of the document for the page. Raises SceneError with the first error."""
+        return SceneViewSource(self.document.scene(), self._app.source.title)
+
+    def stage_made(self) -> None:
+        """The 3D scene has been made again, without the gizmo."""
+        self._gizmo = None
+        self.place_gizmo()
+
+    def place_gizmo(self) -> None:
+        """Put the gizmo where the selected item is."""
+        if self._gizmo is not None:
+            self._gizmo.remove()
+            self._gizmo = None
+        kind, name = self.item
+        if kind not in (*_SINGULAR, "rig") or not self.document.has(
+            [kind] if kind == "rig" else [kind, name]
+        ):
+            return
+        self._seconds = self._app.scene_seconds
+        try:
+            pose = self.document.pose(kind, name, self._seconds)
+        except HumansimError:  # it is wrong; the status says so
+            return
+        x, y, z, w = pose.quaternion
+        gizmo = self._app.server.viser.scene.add_transform_controls(
+            "/editor",
+            scale=0.6,
+            depth_test=False,
+            # people stand on the floor: they move along x and y, and turn about z
+            active_axes=(True, True, kind != "humans"),
+            position=tuple(pose.position.tolist()),
+            wxyz=(w, x, y, z),
+        )
+        gizmo.on_update(self._dragged)
+        self._gizmo = gizmo
+
+    def file_changed(self) -> bool:
+        """Take the text of the file after another program changed it; False if there are unsaved edits."""
+        if not self.document.changed_on_disk():
+            return True
+        if self.document.changed:
+            self._app.notify(
+                "The file has changed",
+                "Another program has changed the file. Undo your edits, or overwrite it.",
+            )
+            return False
+        self.document.reload()
+        self._shown_text = self.document.text()
+        return True
+
+    def _dragged(self, event: Any) -> None:
+        if event.phase != "end":
+            return
+        position = np.array(event.target.position, dtype=float)
+        w, x, y, z = np.array(event.target.wxyz, dtype=float)
+        self._app.post(lambda: self.move(position, np.array([x, y, z, w])))
+
+    def choices(self) -> list[str]:
+        """What can be selected."""
+        try:
+            named = [
+                f"{_SINGULAR[kind]} {name}"
+                for kind in _SINGULAR
+                for name in self.document.names(cast(Any, kind))
+            ]
+            return [*named, *(["rig"] if self.document.has(["rig"]) else []), *_SECTIONS]
+        except HumansimError:  # the text is not valid
+            return ["scene"]
+
+    def _path_of_selected(self) -> tuple[YamlKey, ...]:
+        kind, name = self.item
+        if kind in _SINGULAR:
+            return (kind, name)
+        return () if self.selected == "scene" else (self.selected,)
+
+    def _build_controls(self) -> None:
+        self._keys.remove()
+        gui = self._app.gui
+        with self._tab:
+            self._keys = gui.add_folder(f"Keys of {self.selected}", order=self._name.order + 0.5)
+        kind, name = self.item
+        choices: dict[str, Sequence[str]] = dict(choices_of(kind))
+        if kind == "humans" and name in self._app.source.people:
+            choices["outfit"] = self._app.source.people[name].outfits
+        with self._keys:
+            self._controls = SectionControls(
+                gui,
+                self.document,
+                self._path_of_selected(),
+                lambda keys, value: self.set(keys, value),
+                _TOP if self.selected == "scene" else (),
+                choices,
+                self._app.post,
+            )
+
+    def controls_now(self) -> SectionControls:
+        """Controls of what is selected."""
+        assert self._controls is not None
+        return self._controls
+
+    def _show_names(self) -> None:
+        choices = tuple(self.choices())
+        if tuple(self._choice.options) != choices:
+            self._choice.options = choices
+        if self._choice.value != self.selected:
+            self._choice.value = self.selected
+        kind, name = self.item
+        self._name.visible = kind in _SINGULAR
+        self._name.value = name
+
+    def _show_status(self) -> None:
+        faults = self.controls_now().show_errors(self.document.errors())
+        lines = ["*not saved*" if self.document.changed else "saved"]
+        for key, line, message in faults[:5]:
+            where = " ".join(part for part in (key, f"line {line}" if line else "") if part)
+            lines.append(f"⚠ **{plain_markdown(where)}**: {plain_markdown(message)}")
+        self._status.content = "\n\n".join(lines)
+        command = self.document.command()
+        self._command.content = (
+            f"The same without the page:\n\n```yaml\n{command[:2000]}\n```" if command else ""
+        )
+
+    def _on(self, handle: Any, event: str, action: Callable[[], Any]) -> None:
+        """Run an action in the thread of the page when a user uses a control."""
+
+        def called(given: Any) -> None:
+            if given.client_id is not None:
+                self._app.post(action)
+
+        getattr(handle, event)(called)

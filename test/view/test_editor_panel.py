@@ -1,0 +1,218 @@
+"""The panel that edits the scene of a page: what its controls do to the file and to the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from conftest import ROOT
+from scipy.spatial.transform import Rotation
+from waiting import wait_until
+
+from humansim_ros.scene import Scene
+from humansim_ros.view.document import SceneDocument
+from humansim_ros.view.panels.editor import EditorPanel
+
+pytest.importorskip("viser")
+
+from humansim_ros.view.app import ViewApp
+from humansim_ros.view.inputs import open_source
+
+#: The demo scene without its room, which takes time.
+DEMO = (ROOT / "config/scenes/demo.yaml").read_text().replace("room:\n  size: [7.0, 6.4, 2.8]", "room: null")
+
+
+class Page:
+    """A page on a copy of the demo scene, without a browser; what users do is called directly."""
+
+    def __init__(self, path: Path) -> None:
+        opened = open_source(path)
+        self.path = path
+        self.app = ViewApp(opened.source, 0, opened.reload, opened.path, opened.problem, opened.document)
+        self.told: list[str] = []
+        self.app.notify = lambda title, text: self.told.append(text)  # type: ignore[method-assign]
+        assert self.app.editor is not None
+        self.editor: EditorPanel = self.app.editor
+        self.document: SceneDocument = self.editor.document
+
+    def control(self, key: str) -> Any:
+        return self.editor.controls_now().control(key)
+
+    def type(self, key: str, value: Any) -> None:
+        """What a user types into a control."""
+        control = self.control(key)
+        control.handle.value = value
+        self.editor.controls_now().changed(control)
+
+
+@pytest.fixture
+def page(tmp_path: Path) -> Iterator[Page]:
+    path = tmp_path / "scene.yaml"
+    path.write_text(DEMO)
+    page = Page(path)
+    yield page
+    page.app.close()
+
+
+def test_people_objects_and_cameras_are_added_duplicated_renamed_and_removed(page: Page) -> None:
+    editor = page.editor
+    editor.add("humans")
+    assert editor.selected == "person person" and "person" in page.app.source.people
+    editor.add("objects")
+    editor.add("cameras")
+    assert "camera_5" in page.app.source.cameras
+    editor.duplicate()
+    assert editor.item == ("cameras", "camera_6")
+    editor.rename("top")
+    assert editor.item == ("cameras", "top") and "top" in page.app.source.cameras
+    editor.rename("two words")
+    assert "letters, digits" in page.told[-1] and editor.item == ("cameras", "top")
+    editor.remove_selected()
+    assert "top" not in page.app.source.cameras and editor.selected == "scene"
+    for _ in range(6):
+        editor.undo()
+    assert page.document.text() == DEMO
+    assert list(page.app.source.people) == ["walker"]
+    editor.redo()
+    assert "person" in page.app.source.people
+
+
+def test_a_drag_of_the_gizmo_places_the_item(page: Page) -> None:
+    page.editor.select("person walker")
+    gizmo = page.app.server.viser.scene._handle_from_node_name["/editor"]
+    np.testing.assert_allclose(gizmo.position, [0, -1.59, 0])
+    turned = Rotation.from_euler("z", 90, degrees=True).as_quat()
+    page.editor.move(np.array([1.0, 0.5, 0.0]), turned)
+    assert page.document.value("humans.walker.motion.position") == [1, 0.5]
+    assert page.document.value("humans.walker.motion.yaw_deg") == 90
+    assert page.document.steps() == (["Move walker"], [])
+    page.editor.move(np.array([1.0, 0.5, 0.0]), -turned)
+    assert len(page.document.steps()[0]) == 1  # it was not moved
+    page.editor.select("camera camera_1")
+    pose = page.document.pose("cameras", "camera_1")
+    page.editor.move(np.array([2.0, 2.0, 2.0]), pose.quaternion)
+    assert page.document.value("cameras.camera_1.look_at") == [0, 0, 0.8]
+    np.testing.assert_allclose(page.app.source.cameras["camera_1"].center, [2, 2, 2])
+
+
+def test_controls_of_all_sections_change_their_keys_and_show_what_is_wrong_in_place(page: Page) -> None:
+    page.editor.select("camera camera_1")
+    page.type("fov_deg", "75")
+    assert page.document.value("cameras.camera_1.fov_deg") == 75
+    page.type("sensor.exposure_time", 0.01)
+    page.type("sensor.noise", True)
+    page.type("sensor.noise.full_well", 5000.0)
+    assert page.document.value("cameras.camera_1.sensor.noise") == {"full_well": 5000}
+    page.type("fov_deg", "200")
+    assert "below 180" in page.control("fov_deg").error
+    assert page.app.source.cameras["camera_1"].K[0, 0] == pytest.approx(
+        319.5 / np.tan(np.radians(37.5)), rel=0.01
+    )
+    page.type("fov_deg", "75: [")
+    assert "not valid YAML" in page.control("fov_deg").error
+    page.type("fov_deg", "60")
+    assert page.control("fov_deg").error is None
+    page.type("sensor.noise", False)
+    assert page.document.value("cameras.camera_1.sensor.noise") is None
+    page.editor.select("person walker")
+    page.type("body", "child")
+    page.type("motion.file", "wave")
+    page.type("motion.loop", "repeat")
+    page.type("motion.mirror", True)
+    assert page.app.source.people["walker"].name == "child"
+    page.editor.select("light")
+    page.type("shadows", "soft")
+    page.type("sun", "[0, 0, 1]")
+    assert page.document.errors() == []
+    assert Scene.load(page.path).config.light.shadows == "contact"  # not saved
+
+
+def test_every_selection_shows_its_keys_with_the_values_of_the_file(page: Page) -> None:
+    page.editor.add("objects")
+    for choice in page.editor.choices():
+        page.editor.select(choice)
+        assert page.editor.selected == choice
+        for keys, control in page.editor.controls_now().controls.items():
+            value = page.document.value(keys)
+            if isinstance(value, (bool, int, float)) and not isinstance(control.handle.value, str):
+                assert control.handle.value == value, keys
+    page.editor.select("scene")
+    page.type("rate", 12)
+    assert page.app.source.period == round(1e9 / 12)
+
+
+def test_a_saved_scene_is_what_the_page_shows(page: Page) -> None:
+    page.editor.add("humans")
+    page.editor.save(str(page.path))
+    assert list(Scene.load(page.path).actors) == ["walker", "person"]
+    assert not page.document.changed
+    page.path.write_text(page.path.read_text() + "# theirs\n")
+    page.editor.add("humans")
+    page.editor.save(str(page.path))
+    assert "another program has changed this file" in page.told[-1]
+    page.editor.save(str(page.path), overwrite=True)
+    assert "# theirs" not in page.path.read_text()
+
+
+def test_commands_run_on_the_saved_scene_with_their_progress_and_can_be_stopped(page: Page) -> None:
+    commands = page.app.commands
+    assert commands is not None
+    page.editor.add("humans")
+    commands.choose("record")
+    commands.toggle()
+    assert "save it first" in page.told[-1] and commands.job is None
+    page.editor.undo()
+    commands.start("humansim export scene.yaml -o out --format no_such_format --frames 0:2")
+    job = commands.job
+    assert job is not None
+    assert wait_until(lambda: job.code is not None)
+    commands.update()
+    assert job.code == 2 and job.state == "has failed with exit code 2"
+    assert any("no_such_format" in line for line in job.lines)
+    commands.start("humansim record scene.yaml -o bag --frames 1000000")
+    running = commands.job
+    assert running is not None and running is not job and running.code is None
+    running.take_line("250000 of 1000000 frames, 30 camera-frames/s\x1b[2J")
+    assert running.progress == 0.25 and "\x1b" not in running.lines[-1]
+    commands.toggle()
+    assert wait_until(lambda: running.code is not None)
+    assert running.state == "was stopped"
+
+
+@pytest.mark.parametrize(
+    "line", ["", "rm -rf /", "humansim", "humansim clear", "humansim run 'x", "humansim run a\0b"]
+)
+def test_only_commands_of_the_scene_are_started(line: str, page: Page) -> None:
+    assert page.app.commands is not None
+    page.app.commands.start(line)
+    assert page.app.commands.job is None
+    assert "humansim" in page.told[-1] or "cannot be read" in page.told[-1]
+
+
+def test_a_file_that_others_change_is_shown_unless_there_are_edits(page: Page) -> None:
+    page.path.write_text(page.path.read_text().replace("walker", "runner"))
+    assert page.editor.file_changed()
+    page.editor.refresh()
+    assert page.document.names("humans") == ["runner"]
+    page.editor.add("humans")
+    page.path.write_text(page.path.read_text().replace("runner", "jogger"))
+    assert not page.editor.file_changed()
+    assert "Another program has changed the file" in page.told[-1]
+    assert page.document.names("humans") == ["runner", "person"]
+
+
+def test_a_file_that_is_broken_while_it_is_shown_keeps_the_panel_alive(page: Page) -> None:
+    good = page.path.read_text()
+    page.path.write_text(good.replace("rate: 30", "rate: ["))
+    assert page.editor.file_changed()
+    page.editor.refresh()
+    assert page.document.errors() and list(page.app.source.people) == ["walker"]
+    page.editor.add("humans")
+    assert "not valid YAML" in page.told[-1]
+    page.path.write_text(good)
+    assert page.editor.file_changed()
+    page.editor.refresh()
+    assert page.document.errors() == []

@@ -24,11 +24,17 @@ def view(
         int, typer.Option(help="Port on this machine; the next free one if it is in use.", min=0, max=65535)
     ] = 8080,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
+    ros: Annotated[
+        bool, typer.Option("--ros", help="Show the ROS graph that runs, whoever publishes.")
+    ] = False,
+    namespace: Annotated[
+        str, typer.Option(help="With --ros: show only topics below this namespace.", metavar="NAME")
+    ] = "",
     estimate: Annotated[
         str | None,
         typer.Option(
-            help="Topic of a tracker's estimate in a bag, shown beside the truth with its error; * stands "
-            "for the name of a person.",
+            help="Topic of a tracker's estimate in the graph or bag, shown beside the truth with its error; "
+            "* stands for the name of a person.",
             metavar="TOPIC",
         ),
     ] = None,
@@ -37,10 +43,13 @@ def view(
     ] = None,
     body: Annotated[
         list[Path] | None,
-        typer.Option(help="File of a body that people of a bag have; may be repeated.", metavar="FILE"),
+        typer.Option(
+            help="Name or file of a body that people of the graph or bag have; may be repeated.",
+            metavar="FILE",
+        ),
     ] = None,
 ) -> None:
-    """Show a scene, a bag, a motion, a human or a calibration in the browser, live and in 3D."""
+    """Show a scene, a bag, a running ROS graph, a motion, a human or a calibration in the browser, in 3D."""
     try:
         from humansim_ros.view.app import ViewApp
     except ImportError as error:
@@ -50,13 +59,17 @@ def view(
         ) from None
     from humansim_ros.evaluate.evaluation import DEFAULT_GATE
     from humansim_ros.evaluate.live import LiveOptions
-    from humansim_ros.view.inputs import TopicOptions, open_source
+    from humansim_ros.view.inputs import TopicOptions, open_graph, open_source
 
     topics = None
     if estimate is not None or keypoints is not None or body:
         reading = LiveOptions.of(keypoints or "", "", 1.0, "", DEFAULT_GATE)
         topics = TopicOptions(estimate, reading, tuple(body or ()))
-    opened = open_source(what, topics)
+    if ros and what is not None:
+        raise HumansimError("a graph is shown, or a file: leave out one of --ros and the path", key="--ros")
+    if namespace and not ros:
+        raise HumansimError("is for graphs: give --ros as well", key="--namespace")
+    opened = open_graph(topics, namespace) if ros else open_source(what, topics)
     app = ViewApp(opened.source, port, opened.reload, opened.path, opened.problem, opened.document)
     try:
         if port not in (0, app.server.port):

@@ -24,6 +24,8 @@ from humansim_ros.ros.stop_signals import Stopped, StopRequest, end_process, end
 from humansim_ros.ros.transport import Transport, choose_transport
 
 if TYPE_CHECKING:
+    from rclpy.context import Context
+
     from humansim_ros.ros.guarded_node import GuardedNode
 
 #: Seconds after which an idle node notices a stop signal.
@@ -98,8 +100,10 @@ def prepare_logs() -> None:
     )
 
 
-def make_executor() -> Any:
+def make_executor(context: Context | None = None) -> Any:
     """Create rclpy's EventsExecutor if there is one, else the default executor.
+
+    ``context``: rclpy's default one if None.
 
     The default one polls every service, timer and topic for each callback, which takes a fifth of all CPU
     time.
@@ -109,16 +113,24 @@ def make_executor() -> Any:
     except ImportError:  # before rclpy 7.1.4
         from rclpy.executors import SingleThreadedExecutor
 
-        return SingleThreadedExecutor()
-    return EventsExecutor()
+        return SingleThreadedExecutor(context=context)
+    return EventsExecutor(context=context)
 
 
-def spin(node: GuardedNode, executor: Any, stopped: Callable[[], bool]) -> None:
+def spin(
+    node: GuardedNode, executor: Any, stopped: Callable[[], bool], context: Context | None = None
+) -> None:
     """Spin until ``stopped()`` is true, or the ROS context is shut down.
 
     Errors outside callbacks, such as a message that the middleware cannot take, are reported by the node.
     After each, spinning waits a little longer, so that an error that comes back at once does not fill the
     log or a core.
+
+    Args:
+        node: The node that reports errors.
+        executor: Executor with the node.
+        stopped: Called after each callback.
+        context: Context of the executor; rclpy's default one if None.
 
     Raises:
         RosError: Nothing but errors for ten seconds.
@@ -128,7 +140,7 @@ def spin(node: GuardedNode, executor: Any, stopped: Callable[[], bool]) -> None:
 
     last_success, pause = time.monotonic(), _FIRST_PAUSE
     # not executor.spin(), which never sleeps where libstdc++ is old
-    while not stopped() and rclpy.ok():
+    while not stopped() and rclpy.ok(context=context):
         with node.guard("executor", "it goes on") as fault:
             try:
                 executor.spin_once(_SPIN_TIMEOUT)

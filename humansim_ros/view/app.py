@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import queue
+import re
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -224,11 +225,23 @@ class ViewApp:
         self._through = ThroughPanel(self)
         self._numbers = NumbersPanel(self)
         self._images = ImagesPanel(self)
-        self._messages = self.gui.add_markdown(
-            "\n\n".join(self.source.messages), visible=bool(self.source.messages), order=-1
-        )
+        self._messages = self.gui.add_markdown("", visible=False, order=-1)
+        self._tell(self.source.messages)
+        self._built_of = self._content()
         if self.editor is not None:
             self.editor.stage_made()
+
+    def _content(self) -> object:
+        """What the panels and the 3D scene are made for."""
+        source = self.source
+        people = {name: id(human) for name, human in source.people.items()}
+        return people, tuple(source.cameras), tuple(source.objects), source.channels
+
+    def _tell(self, messages: Sequence[str]) -> None:
+        """Show what the user should know about the source."""
+        text = "\n\n".join(_plain(message) for message in messages)
+        if text != self._messages.content:
+            self._messages.content, self._messages.visible = text, bool(text)
 
     def _remove_panels(self) -> None:
         for panel in (self._timeline, self._show, self._through, self._numbers, self._images):
@@ -257,7 +270,11 @@ class ViewApp:
         still = not self.player.playing
         channels = self.shown_channels if self.shown_cameras else ()
         frame = self.source.frame(index, self.shown_cameras, channels, wait=still)
+        if self._content() != self._built_of:  # people and cameras of a graph come and go
+            self._remove_panels()
+            self._build()
         self._frame = frame
+        self._tell(self.source.messages)
         self._stage.show(frame)
         self._timeline.update(frame)
         self._images.update(frame)
@@ -320,6 +337,11 @@ class ViewApp:
                 f"**This cannot be shown.** The page shows the last state that could.\n\n```\n{problem}\n```"
             )
             self._notice = self.gui.add_markdown(text, order=-2)
+
+
+def _plain(text: str) -> str:
+    """A text for Markdown whose characters mean nothing: it may come from other programs."""
+    return re.sub(r"([\\`*_{}\[\]()#+!|<>~&])", r"\\\1", text)
 
 
 def _signature(path: Path | None) -> tuple[int, int] | None:

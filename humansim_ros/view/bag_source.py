@@ -23,9 +23,8 @@ from humansim_ros.view.seen_topics import SeenTopics, seen_topics
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
 from humansim_ros.view.topic_source import PERIOD, TopicSource
+from humansim_ros.view.topic_store import place_at
 
-#: Nanoseconds after which a message that is not replaced is shown no longer: images, and people.
-_OLDEST = 10**9
 #: Nanoseconds between log times of messages that are read together.
 _TOGETHER = 250_000_000
 #: Bytes of messages that are kept.
@@ -42,24 +41,6 @@ class _Times:
     stamps: Indices
     logs: Indices
     lasts: bool
-
-    def at(self, stamp: int, half: int) -> int | None:
-        """Number of the message of a frame: that of its stamp, the nearest within half a period, or the last
-        one before it. The first one of a topic that lasts.
-
-        ``half``: half a period, nanoseconds.
-        """
-        after = int(np.searchsorted(self.stamps, stamp, "right"))
-        before = after - 1
-        if before >= 0 and self.stamps[before] == stamp:
-            return before
-        near = [n for n in (before, after) if 0 <= n < len(self.stamps) and not self.lasts]
-        nearest = min(near, key=lambda n: abs(int(self.stamps[n]) - stamp), default=None)
-        if nearest is not None and abs(int(self.stamps[nearest]) - stamp) <= half:
-            return nearest
-        if before >= 0 and (self.lasts or stamp - int(self.stamps[before]) <= _OLDEST):
-            return before
-        return 0 if self.lasts and len(self.stamps) else None
 
 
 class BagViewSource(TopicSource):
@@ -190,15 +171,8 @@ class BagViewSource(TopicSource):
             stamps, logs = found.setdefault(name, ([], []))
             stamps.append(stamp)
             logs.append(message.stamp)
-        lasting = self._lasting()
+        lasting = self._topics.lasting
         return {name: _times(*both, name in lasting) for name, both in found.items()}
-
-    def _lasting(self) -> set[str]:
-        """Topics whose messages hold until the next one."""
-        topics = {topics["mesh"] for topics in self._topics.people.values() if "mesh" in topics}
-        for camera in self._topics.cameras.values():
-            topics |= {camera.info, *camera.poses, *camera.legends.values()}
-        return topics
 
     def _frame_stamps(self) -> Indices:
         """Stamps of the frames; one frame at least."""
@@ -224,7 +198,8 @@ class BagViewSource(TopicSource):
         places = {
             topic: place
             for topic, times in self._times.items()
-            if topic not in left_out and (place := times.at(stamp, half)) is not None
+            if topic not in left_out
+            and (place := place_at(times.stamps, stamp, half, times.lasts)) is not None
         }
         data = self._read({topic: int(self._times[topic].logs[place]) for topic, place in places.items()})
         return TopicFrame(index, stamp, int(self._stamps[0]), data)

@@ -102,6 +102,25 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         return Opened(EmptySource(what.stem), what, make, str(error), document)
 
 
+def open_graph(topics: TopicOptions | None = None, namespace: str = "") -> Opened:
+    """Show a running ROS graph.
+
+    Args:
+        topics: How its topics are shown; None: as they are.
+        namespace: Show only topics below it.
+
+    Raises:
+        HumansimError: ROS is not installed, or a name is no name of a topic.
+    """
+    from humansim_ros.ros.runtime import prepare_transport, require_ros
+
+    require_ros()
+    prepare_transport()
+    from humansim_ros.view.ros_source import RosViewSource
+
+    return Opened(RosViewSource(namespace=namespace, **(topics or TopicOptions()).arguments()))
+
+
 def _maker(what: Path) -> Callable[[], ViewSource]:
     """Function that makes the source of a path."""
     if not exists(what):

@@ -28,8 +28,8 @@ _PICTURES = ("image_color", "image", "image_rect_color", "image_rect", "image_mo
 _HUMAN = re.compile(r"/(?:(?P<space>.+)/)?humans/(?P<name>[^/]+)/(?P<kind>joints|mesh)")
 _OBJECT = re.compile(r"/(?:(?P<space>.+)/)?objects/(?P<name>[^/]+)/marker")
 _KINDS = {"joints": _JOINTS, "mesh": _MESH}
-#: Most cameras, people and objects: a page with more is of no use, and names come from other programs.
-MAX_CAMERAS, MAX_PEOPLE, MAX_OBJECTS = 64, 64, 256
+#: Most cameras, people, objects and topics of an estimate: names come from other programs.
+MAX_CAMERAS, MAX_PEOPLE, MAX_OBJECTS, MAX_ESTIMATES = 64, 64, 256, 100
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,14 @@ class SeenTopics:
         return tuple(name for name in CHANNEL_TABLE if name in found)
 
     @property
+    def lasting(self) -> set[str]:
+        """Topics whose messages hold until the next one, however long that takes."""
+        found = {topics["mesh"] for topics in self.people.values() if "mesh" in topics}
+        for camera in self.cameras.values():
+            found |= {camera.info, *camera.poses, *camera.legends.values()}
+        return found
+
+    @property
     def topics(self) -> list[str]:
         """All topics that have a place."""
         found = [self.scene_time, *self.transforms, *self.estimate, *self.objects.values()]
@@ -110,21 +118,22 @@ def seen_topics(
     images = {name for name, kind in types.items() if kind in (IMAGE, COMPRESSED_IMAGE)}
     shown = [f"{camera.info.rpartition('/')[0]}/" for camera in cameras.values()]
     pattern = topic_pattern(estimate) if estimate else None
-    found = {} if pattern is None else {name: pattern.fullmatch(name) for name in types}
+    poses = [name for name, kind in types.items() if kind in MESSAGE_TYPES] if pattern is not None else []
+    found = {name: match for name in poses if pattern is not None and (match := pattern.fullmatch(name))}
     return SeenTopics(
         cameras=cameras,
         people=_people(types, keypoints),
         objects=_objects(types),
-        scene_time="/scene_time" if types.get("/scene_time") == "sensor_msgs/msg/TimeReference" else "",
+        scene_time=next((name for name, kind in types.items() if _is_scene_time(name, kind)), ""),
         transforms=[name for name in ("/tf_static", "/tf") if types.get(name) == TF],
-        estimate={
-            name: topic_person(match)
-            for name, match in found.items()
-            if match and types[name] in MESSAGE_TYPES
-        },
+        estimate={name: topic_person(match) for name, match in list(found.items())[:MAX_ESTIMATES]},
         others=sorted(name for name in images if not name.startswith(tuple(shown))),
         types=dict(types),
     )
+
+
+def _is_scene_time(name: str, kind: str) -> bool:
+    return name.endswith("/scene_time") and kind == "sensor_msgs/msg/TimeReference"
 
 
 def _cameras(types: Mapping[str, str]) -> dict[str, SeenCamera]:

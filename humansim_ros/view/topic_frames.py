@@ -113,6 +113,7 @@ class TopicFrames:
         #: By topic and reader: the message that was read last, and what it says.
         self._read_last: dict[tuple[str, Any], tuple[bytes, Any]] = {}
         self._messages: dict[str, None] = {}
+        self._has_changed = False
 
     @property
     def messages(self) -> list[str]:
@@ -124,6 +125,14 @@ class TopicFrames:
         if len(self._messages) < _MAX_MESSAGES:
             self._messages.setdefault(printable(text, 400))
 
+    @property
+    def is_lacking(self) -> bool:
+        """Whether a person or object of the topics is not known yet, or a person has got other joints."""
+        topics = self.topics
+        return self._has_changed or not (topics.people.keys() | topics.objects.keys()) <= (
+            self.people.keys() | self.objects.keys()
+        )
+
     # --- what there is
 
     def see(self, topics: SeenTopics, data: Mapping[str, bytes]) -> None:
@@ -133,7 +142,16 @@ class TopicFrames:
             topics: The topics.
             data: Newest serialised message by topic.
         """
-        self.topics = topics
+        self.topics, self._has_changed = topics, False
+        known: tuple[tuple[dict[str, Any], Collection[str]], ...] = (
+            (self.people, topics.people),
+            (self._known, topics.people),
+            (self.cameras, topics.cameras),
+            (self.objects, topics.objects),
+        )
+        for found, names in known:
+            for name in found.keys() - set(names):
+                del found[name]
         for name, of_person in topics.people.items():
             self._see_person(name, of_person, data)
         for name in topics.cameras:
@@ -233,7 +251,10 @@ class TopicFrames:
         sizes: dict[str, float] = {}
         for name, found in poses.items():
             person = self._known.get(name)
-            if found is None or person is None or person.names != found.names:
+            if found is None or person is None:
+                continue
+            if person.names != found.names:
+                self._has_changed = True
                 continue
             skeleton = person.human.skeleton
             joints[name] = posed_joints(person.human, found)

@@ -1,0 +1,488 @@
+"""A running graph as the source of a page: what its topics say, whoever publishes them."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections import deque
+from collections.abc import Collection, Iterator, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import rclpy
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.context import Context
+from rclpy.qos import QoSProfile
+from rclpy.signals import SignalHandlerOptions
+
+from humansim_ros.errors import HumansimError, RosError, printable
+from humansim_ros.evaluate.live import LiveOptions
+from humansim_ros.evaluate.readers.bag_topics import topic_pattern
+from humansim_ros.evaluate.readers.messages import read_message
+from humansim_ros.humans import Human
+from humansim_ros.ros import messages
+from humansim_ros.ros.bag_qos import subscription_profile
+from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
+from humansim_ros.ros.limits import check_serialised, deserialised
+from humansim_ros.ros.message_types import begins_with_stamp, message_type
+from humansim_ros.ros.runtime import make_executor, spin
+from humansim_ros.ros.topic_choice import absolute
+from humansim_ros.view.pictures import IMAGE_WIDTH
+from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF, SeenTopics, seen_topics
+from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
+from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
+from humansim_ros.view.topic_source import PERIOD, TopicSource
+from humansim_ros.view.topic_store import TopicStore
+
+#: Seconds between two looks at what is wanted, and at the graph.
+_LOOK_EVERY, _DISCOVER_EVERY = 0.05, 0.5
+#: Seconds after which images that are not wanted any more are not received any more.
+_UNWANTED = 3.0
+#: Nanoseconds that a frame is held back until all its messages are there, without and with an estimate.
+_PATIENCE, _ESTIMATE_PATIENCE = 500_000_000, 1_500_000_000
+#: Seconds that numbers of a pixel wait for images that nobody wanted before.
+_PIXEL_PATIENCE = 1.5
+#: Seconds without a publisher after which people and cameras are gone.
+_LEFT_AFTER = 5.0
+#: Seconds without a frame after which the page says so.
+_SILENT = 3.0
+#: Messages of a subscription that wait: of images, and of others.
+_IMAGE_DEPTH, _DEPTH = 5, 100
+#: Longest messages by type, and of all other types, bytes.
+_MAX_BYTES = {
+    IMAGE: 256 << 20,
+    COMPRESSED_IMAGE: 64 << 20,
+    "sensor_msgs/msg/PointCloud2": 64 << 20,
+    "shape_msgs/msg/Mesh": 32 << 20,
+    TF: 1 << 20,
+}
+_MAX_OTHER = 256 << 10
+#: Most topics whose problems are told.
+_MAX_PROBLEMS = 5
+_MARKERS = "visualization_msgs/msg/MarkerArray"
+#: Messages of tf that wait for the page.
+_MAX_TRANSFORMS = 2000
+
+
+class RosViewSource(TopicSource):
+    """A graph that is shown while it runs.
+
+    A thread receives; the thread of the page takes what is there, and never waits for it. Of each frame all
+    topics are shown that have its stamp. Images are received while they are shown: cameras of this package
+    render nothing that nobody receives.
+
+    Args:
+        estimate: Topic of a tracker's estimate; ``*`` stands for the name of a person.
+        options: How the estimate is read and compared.
+        humans: Bodies that people may have, beside the built-in ones.
+        namespace: Show only topics below it, and those of tf and of the estimate.
+        image_width: Width to which wider images are scaled down, pixels.
+        patience: Seconds that the first people and cameras are waited for.
+
+    Raises:
+        RosError: A name is no name of a topic.
+    """
+
+    def __init__(
+        self,
+        estimate: str | None = None,
+        options: LiveOptions | None = None,
+        humans: Sequence[Human] = (),
+        namespace: str = "",
+        image_width: int = IMAGE_WIDTH,
+        patience: float = 5.0,
+    ) -> None:
+        super().__init__(TopicFrames(humans, options, image_width))
+        self._reading = options or LiveOptions()
+        self._receiver = _Receiver(_checked(estimate, namespace), namespace, self._reading)
+        self._seen_of: tuple[SeenTopics, int] | None = None
+        self._topics = SeenTopics()
+        self._number = -1
+        self._first: int | None = None
+        #: The frame that was given last: its messages, what was wanted, and itself.
+        self._last: tuple[TopicFrame, Any, ViewFrame] | None = None
+        try:
+            self._wait_for_first(patience)
+        except BaseException:
+            self.close()
+            raise
+
+    def _wait_for_first(self, patience: float) -> None:
+        """Wait until there are people or cameras, and nothing new comes for a moment."""
+        end, quiet, known = time.monotonic() + patience, time.monotonic(), 0
+        while time.monotonic() < end:
+            self._see()
+            now = len(self._shown.people) + len(self._shown.cameras)
+            if now != known:
+                quiet, known = time.monotonic(), now
+            if known and time.monotonic() - quiet > 2 * _DISCOVER_EVERY:
+                return
+            time.sleep(_LOOK_EVERY)
+
+    # --- what is shown
+
+    @property
+    def title(self) -> str:
+        return f"ROS domain {self._receiver.domain}"
+
+    @property
+    def topics(self) -> SeenTopics:
+        return self._topics
+
+    @property
+    def period(self) -> int:
+        steps = np.diff(self._receiver.store.stamps(self._clock()))
+        return max(1, int(np.median(steps))) if len(steps) else PERIOD
+
+    @property
+    def frames(self) -> None:
+        return None
+
+    @property
+    def messages(self) -> Sequence[str]:
+        return [*self._state(), *self._shown.messages]
+
+    def _state(self) -> Iterator[str]:
+        """What the graph lacks now."""
+        topics, store = self._topics, self._receiver.store
+        if not topics.cameras and not topics.people:
+            domain = self._receiver.domain
+            yield f"Nothing in ROS domain {domain} can be shown yet: start humansim run, or cameras."
+        elif not topics.people:
+            yield "The graph has no people: no topic is humans/<name>/joints."
+        elif not topics.cameras:
+            yield "The graph has no cameras: no topic is a camera_info."
+        if self._receiver.estimate is not None:
+            silence = store.silence(list(topics.estimate))
+            if not topics.estimate:
+                yield f"Nothing publishes the estimate, {self._receiver.estimate}."
+            elif silence is None or silence > _SILENT:
+                yield f"No estimate arrives on {self._receiver.estimate}."
+        silence = store.silence(self._clock())
+        if silence is not None and silence > _SILENT:
+            yield f"No frame has arrived for {silence:.0f} s."
+        yield from self._receiver.problems
+
+    def frame(
+        self,
+        index: int,
+        cameras: Collection[str] = (),
+        channels: Collection[str] = (),
+        wait: bool = False,
+    ) -> ViewFrame:
+        self._see()
+        images = self._images(cameras, channels)
+        self._receiver.want(images)
+        found = self._frame(images)
+        if found is None:
+            return ViewFrame(index=0, stamp=0, scene_time=0, cameras=dict(self._shown.cameras))
+        wanted = tuple(cameras), tuple(channels)
+        if self._last is not None and self._last[1] == wanted and _is_same(self._last[0], found):
+            return self._last[2]
+        frame = self._shown.frame(found, cameras, channels)
+        self._last = found, wanted, frame
+        return frame
+
+    def describe(self, camera: str, x: int, y: int) -> PixelInfo:
+        """Numbers of a pixel of the newest frame, as the topics say them.
+
+        Images that are not received yet are waited for.
+
+        Raises:
+            RosError: There is no such camera, or the pixel is not in the image.
+        """
+        images = self._images([camera], PIXEL_CHANNELS, joints=True)
+        self._receiver.want(images)
+        end = time.monotonic() + _PIXEL_PATIENCE
+        while True:
+            self._see()
+            found = self._frame(images)
+            whole = found is not None and set(images) <= found.data.keys()
+            if whole or time.monotonic() > end:
+                break
+            time.sleep(_LOOK_EVERY)
+        if found is None:
+            raise RosError("no frame has arrived yet")
+        return self._shown.describe(found, camera, x, y)
+
+    def close(self) -> None:
+        self._receiver.close()
+
+    # --- frames
+
+    def _see(self) -> None:
+        """Take over what the receiver has found."""
+        receiver = self._receiver
+        receiver.move_transforms(self._shown)
+        topics, changes = receiver.topics, receiver.changes
+        if self._seen_of != (topics, changes) or self._shown.is_lacking:
+            self._seen_of = topics, changes
+            self._topics = topics
+            self._shown.see(topics, receiver.store.newest())
+
+    def _images(self, cameras: Collection[str], channels: Collection[str], joints: bool = False) -> list[str]:
+        """Topics of images that are wanted; with those of the joints in them if they are drawn, or wanted."""
+        found = []
+        own = {"rgb" if channel == JOINTS else channel for channel in channels}
+        for name in cameras:
+            camera = self._topics.cameras.get(name)
+            if camera is not None:
+                found += [topic for channel, topic in camera.images.items() if channel in own]
+                if camera.joints and (joints or JOINTS in channels):
+                    found.append(camera.joints)
+        return found
+
+    def _clock(self) -> list[str]:
+        """Topics whose stamps are frames: joints of people, or else images, or else calibrations."""
+        store, topics = self._receiver.store, self._topics
+        people = [of_person["joints"] for of_person in topics.people.values()]
+        images = [topic for camera in topics.cameras.values() for topic in camera.images.values()]
+        infos = [camera.info for camera in topics.cameras.values()]
+        choices = (people, images, infos, list(topics.estimate))
+        return next((choice for choice in choices if store.stamps(choice)), [])
+
+    def _frame(self, images: Collection[str]) -> TopicFrame | None:
+        store, topics = self._receiver.store, self._topics
+        clock = self._clock()
+        people = [of_person["joints"] for of_person in topics.people.values()]
+        needed = [*people, *images, *topics.estimate]
+        patience = _ESTIMATE_PATIENCE if topics.estimate else _PATIENCE
+        stamp = store.whole_frame(clock, needed, patience)
+        if stamp is None:
+            return None
+        wanted = dict.fromkeys(set(topics.topics) - _pictures(topics) | set(images), False)
+        wanted |= dict.fromkeys(topics.lasting, True)
+        data = store.messages_of(stamp, wanted, self.period // 2)
+        if self._first is None or stamp < self._first:
+            self._first = stamp
+        if self._last is None or self._last[0].stamp != stamp:
+            self._number += 1
+        return TopicFrame(max(self._number, 0), stamp, self._first, data)
+
+
+class _Receiver:
+    """Node, thread and subscriptions of a source.
+
+    Args:
+        estimate: Absolute topic of the estimate; None without.
+        namespace: Namespace of the topics that are shown.
+        reading: How an estimate is read.
+
+    Attributes:
+        store: Messages that have arrived.
+        topics: Topics that there are.
+        changes: Number of messages that have changed what there is, such as surfaces.
+    """
+
+    def __init__(self, estimate: str | None, namespace: str, reading: LiveOptions) -> None:
+        self.estimate, self._reading = estimate, reading
+        self._below = f"/{namespace.strip('/')}/" if namespace.strip("/") else "/"
+        self._pattern = topic_pattern(estimate) if estimate is not None else None
+        self.store = TopicStore()
+        self.topics = SeenTopics()
+        self.changes = 0
+        self._problems: dict[str, str] = {}
+        self._first_of: set[str] = set()
+        self._transforms: deque[bytes] = deque(maxlen=_MAX_TRANSFORMS)
+        #: Monotonic time at which each topic of images was wanted last.
+        self._wanted: dict[str, float] = {}
+        #: By topic: type, profile and subscription.
+        self._subscriptions: dict[str, tuple[str, QoSProfile, Any]] = {}
+        self._offers: dict[str, list[tuple[str, QoSProfile]]] = {}
+        #: Monotonic time since which a topic has had no publisher.
+        self._left: dict[str, float] = {}
+        self._lasting: set[str] = set()
+        self._discover_at = 0.0
+        self._stopped = threading.Event()
+        self._context = Context()
+        rclpy.init(context=self._context, signal_handler_options=SignalHandlerOptions.NO)
+        self._node = GuardedNode(
+            f"_humansim_view_{os.getpid()}",
+            context=self._context,
+            start_parameter_services=False,
+            enable_rosout=False,
+        )
+        self.domain = int(self._context.get_domain_id())
+        self._node.create_timer(_LOOK_EVERY, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self._thread = threading.Thread(target=self._run, name="humansim view ROS", daemon=True)
+        self._thread.start()
+
+    # --- for the thread of the page
+
+    def want(self, images: Collection[str]) -> None:
+        """Receive images for some time from now on."""
+        now = time.monotonic()
+        self._wanted |= dict.fromkeys(images, now)
+
+    def move_transforms(self, shown: TopicFrames) -> None:
+        """Give the transforms that have arrived to the frames."""
+        while self._transforms:
+            try:
+                shown.transforms.add(self._transforms.popleft())
+            except HumansimError as error:
+                shown.note(f"tf: {error.message}")
+
+    def close(self) -> None:
+        """End the thread and leave the graph."""
+        self._stopped.set()
+        self._thread.join(10)
+
+    # --- the thread
+
+    def _run(self) -> None:
+        executor = make_executor(self._context)
+        executor.add_node(self._node)
+        try:
+            spin(self._node, executor, self._stopped.is_set, self._context)
+        except RosError as error:
+            self._problems = {"": f"Nothing is received any more: {error.message}"}
+        finally:
+            executor.remove_node(self._node)
+            executor.shutdown()
+            self._node.destroy_node()
+            rclpy.try_shutdown(context=self._context)
+
+    def _look(self) -> None:
+        """Follow the graph, and what is wanted."""
+        now = time.monotonic()
+        if now >= self._discover_at:
+            self._discover_at = now + _DISCOVER_EVERY
+            self._discover()
+        pictures = _pictures(self.topics)
+        wanted = {topic for topic, last in self._wanted.copy().items() if now - last < _UNWANTED}
+        for topic in self.topics.topics:
+            if topic not in pictures or topic in wanted:
+                self._follow(topic)
+        for topic in list(self._subscriptions):
+            if topic in pictures - wanted or topic not in self.topics.types:
+                self._node.destroy_subscription(self._subscriptions.pop(topic)[2])
+                self._wanted.pop(topic, None)
+                self.store.forget(topic)
+
+    def _discover(self) -> None:
+        types = {
+            name: kinds[0]
+            for name, kinds in self._node.get_topic_names_and_types()
+            if self._is_shown(name) and not self._has_left(name)
+        }
+        if types != self.topics.types:
+            self.topics = seen_topics(types, self.estimate, self._reading.keypoints)
+            self._lasting = self.topics.lasting
+        self._offers = {
+            topic: [
+                (each.topic_type, each.qos_profile) for each in self._node.get_publishers_info_by_topic(topic)
+            ]
+            for topic in self.topics.topics
+        }
+
+    def _has_left(self, topic: str) -> bool:
+        """Whether a topic that was received has had no publisher for a while; one may start again."""
+        if topic not in self._subscriptions or self._node.count_publishers(topic):
+            self._left.pop(topic, None)
+            return False
+        return time.monotonic() - self._left.setdefault(topic, time.monotonic()) > _LEFT_AFTER
+
+    def _is_shown(self, topic: str) -> bool:
+        if topic.startswith(self._below) or topic in ("/tf", "/tf_static"):
+            return True
+        return self._pattern is not None and self._pattern.fullmatch(topic) is not None
+
+    def _follow(self, topic: str) -> None:
+        """Subscribe to a topic, again if its publishers offer something else."""
+        kind = self.topics.types[topic]
+        offers = [offer for each, offer in self._offers.get(topic, ()) if each == kind]
+        if not offers:
+            return
+        profile = subscription_profile(offers)
+        profile.depth = _IMAGE_DEPTH if kind in (IMAGE, COMPRESSED_IMAGE) else _DEPTH
+        before = self._subscriptions.get(topic)
+        if before is not None and before[:2] == (kind, profile):
+            return
+        try:
+            found = message_type(kind)
+        except RosError as error:
+            self._note(topic, error)
+            return
+        stamped = begins_with_stamp(found)
+        new = self._node.create_subscription(
+            found,
+            topic,
+            partial(self._on_message, topic, kind, found, stamped),
+            profile,
+            raw=True,
+            max_bytes=ANY_SIZE,
+        )
+        if before is not None:
+            self._node.destroy_subscription(before[2])
+        self._subscriptions[topic] = kind, profile, new
+
+    def _note(self, topic: str, error: HumansimError) -> None:
+        """Tell the user what is wrong with a topic, once."""
+        self._problems.setdefault(topic, f"{printable(topic, 100)}: {error.message}")
+
+    @property
+    def problems(self) -> Sequence[str]:
+        """What could not be received."""
+        return list(self._problems.values())[:_MAX_PROBLEMS]
+
+    def _on_message(self, topic: str, kind: str, found: Any, stamped: bool, data: bytes) -> None:
+        try:
+            self._take(topic, kind, found, stamped, data)
+        except HumansimError as error:
+            self._note(topic, error)
+
+    def _take(self, topic: str, kind: str, found: Any, stamped: bool, data: bytes) -> None:
+        """Keep a message. Raises HumansimError if it is too long, or its stamp cannot be read."""
+        limit = _MAX_BYTES.get(kind, _MAX_OTHER)
+        check_serialised(data, found, limit)
+        if kind == TF:
+            self._transforms.append(data)
+            self._note_first(topic)
+            return
+        stamp = messages.serialised_stamp(data) if stamped else None
+        if kind == _MARKERS:  # the stamp is in the markers
+            stamp = read_message(kind, deserialised(data, found, limit), self._reading.reading).stamp
+            if stamp is None:
+                return
+        if topic not in self.topics.types:
+            return
+        self.store.add(topic, stamp, data, topic in self._lasting)
+        self._note_first(topic, again=not stamped)
+
+    def _note_first(self, topic: str, again: bool = False) -> None:
+        """Note that there may be new people, cameras or objects."""
+        if again or topic not in self._first_of:
+            self._first_of.add(topic)
+            self.changes += 1
+
+
+def _checked(estimate: str | None, namespace: str) -> str | None:
+    """Absolute topic of an estimate. Raises RosError if it is no name."""
+    for name in (estimate, namespace):
+        if name is not None and any(letter.isspace() for letter in name):
+            raise RosError(f"{printable(name, 80)!r} is no name of a topic or namespace")
+    if estimate is None:
+        return None
+    if not estimate.strip("/"):
+        raise RosError(f"{printable(estimate, 80)!r} is no topic: give a name such as /tracker/poses")
+    return absolute(estimate, f"/{namespace.strip('/')}")
+
+
+def _pictures(topics: SeenTopics) -> set[str]:
+    """Topics that are received only while they are wanted."""
+    found: set[str] = set()
+    for camera in topics.cameras.values():
+        found |= {*camera.images.values(), camera.joints}
+    return found
+
+
+def _is_same(one: TopicFrame, other: TopicFrame) -> bool:
+    """Whether two frames have the same messages."""
+    return (
+        one.stamp == other.stamp
+        and one.data.keys() == other.data.keys()
+        and all(one.data[topic] is content for topic, content in other.data.items())
+    )

@@ -263,8 +263,9 @@ class ViewApp:
         index = self.player.advance(time.monotonic())
         shown = self._frame
         late = shown is not None and shown.image_index is not None and shown.image_index != shown.index
-        is_shown = shown is not None and index == shown.index and not self._needs_frame and not late
-        if is_shown and self.player.frames is not None:
+        live = self.player.frames is None
+        same = shown is not None and (index == shown.index if not live else not self.player.playing)
+        if same and not self._needs_frame and not late:
             return
         self._needs_frame = False
         still = not self.player.playing

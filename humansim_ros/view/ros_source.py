@@ -104,6 +104,8 @@ class RosViewSource(TopicSource):
         self._first: int | None = None
         #: The frame that was given last: its messages, what was wanted, and itself.
         self._last: tuple[TopicFrame, Any, ViewFrame] | None = None
+        #: Stamp of the frame whose numbers were asked for; it is shown while the page is paused.
+        self._pinned: int | None = None
         try:
             self._wait_for_first(patience)
         except BaseException:
@@ -176,7 +178,9 @@ class RosViewSource(TopicSource):
         self._see()
         images = self._images(cameras, channels)
         self._receiver.want(images)
-        found = self._frame(images)
+        if not wait:
+            self._pinned = None
+        found = self._frame(images, self._pinned)
         if found is None:
             return ViewFrame(index=0, stamp=0, scene_time=0, cameras=dict(self._shown.cameras))
         wanted = tuple(cameras), tuple(channels)
@@ -187,9 +191,10 @@ class RosViewSource(TopicSource):
         return frame
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
-        """Numbers of a pixel of the newest frame, as the topics say them.
+        """Numbers of a pixel of the frame that was given last, as the topics say them.
 
-        Images that are not received yet are waited for.
+        Images that are not received yet are waited for, with a newer frame; :meth:`frame` gives that one as
+        long as it is called with ``wait``.
 
         Raises:
             RosError: There is no such camera, or the pixel is not in the image.
@@ -197,15 +202,15 @@ class RosViewSource(TopicSource):
         images = self._images([camera], PIXEL_CHANNELS, joints=True)
         self._receiver.want(images)
         end = time.monotonic() + _PIXEL_PATIENCE
-        while True:
+        shown = None if self._last is None else self._last[0].stamp
+        found = self._frame(images, shown)
+        while (found is None or not set(images) <= found.data.keys()) and time.monotonic() < end:
+            time.sleep(_LOOK_EVERY)
             self._see()
             found = self._frame(images)
-            whole = found is not None and set(images) <= found.data.keys()
-            if whole or time.monotonic() > end:
-                break
-            time.sleep(_LOOK_EVERY)
         if found is None:
             raise RosError("no frame has arrived yet")
+        self._pinned = found.stamp
         return self._shown.describe(found, camera, x, y)
 
     def close(self) -> None:
@@ -244,13 +249,15 @@ class RosViewSource(TopicSource):
         choices = (people, images, infos, list(topics.estimate))
         return next((choice for choice in choices if store.stamps(choice)), [])
 
-    def _frame(self, images: Collection[str]) -> TopicFrame | None:
+    def _frame(self, images: Collection[str], stamp: int | None = None) -> TopicFrame | None:
+        """Messages of the frame of a stamp, or of the newest whole one; None without frames."""
         store, topics = self._receiver.store, self._topics
         clock = self._clock()
         people = [of_person["joints"] for of_person in topics.people.values()]
         needed = [*people, *images, *topics.estimate]
         patience = _ESTIMATE_PATIENCE if topics.estimate else _PATIENCE
-        stamp = store.whole_frame(clock, needed, patience)
+        if stamp is None:
+            stamp = store.whole_frame(clock, needed, patience)
         if stamp is None:
             return None
         wanted = dict.fromkeys(set(topics.topics) - _pictures(topics) | set(images), False)

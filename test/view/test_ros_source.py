@@ -145,12 +145,18 @@ def test_pixels_have_the_numbers_of_the_simulation(shown: Any) -> None:
         rows, columns = np.nonzero((labels > 0) & (labels < 3))  # people
         middle = len(rows) // 2
         pixel = int(columns[middle]), int(rows[middle])
+        source.frame(0)
         expected = pixel_info(shown.scene, truth, "fixed", *pixel)
         found.append((source.describe("fixed", *pixel), expected))
 
     assert wait_until(lambda: found and found[-1][0].values == found[-1][1].values, step=step), found[-1]
     assert {"world", "normal", "instance", "part", "face"} <= found[-1][0].values.keys()
     np.testing.assert_allclose(found[-1][0].world, found[-1][1].world, atol=1e-6)
+    described = source.frame(0, wait=True)
+    shown.graph.play(2)
+    assert wait_until(lambda: source._receiver.store.stamps(["/humans/anna/joints"])[-1] > described.stamp)
+    assert source.frame(0, wait=True).stamp == described.stamp  # while the page is paused
+    assert wait_until(lambda: source.frame(0).stamp > described.stamp)
     with pytest.raises(RosError, match="there is no camera"):
         source.describe("nowhere", 0, 0)
 

@@ -41,6 +41,7 @@ PARSED |= {
     ("record",),
     ("export",),
     ("play",),
+    ("view",),
 }
 OWN_FILE = re.compile(r"[A-Z][A-Z_0-9]*(\.\w+)?/?")
 #: Options before a file that the command writes.

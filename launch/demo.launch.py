@@ -10,6 +10,7 @@ from pathlib import Path
 from launch import LaunchContext, LaunchDescription
 from launch.actions import DeclareLaunchArgument, LogInfo, OpaqueFunction, Shutdown
 from launch.events.process import ProcessExited
+from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
@@ -29,10 +30,13 @@ from humansim_ros.ros.processes import (
     render_threads,
     scene_processes,
     time_options,
+    true_or_false,
     whole_number,
 )
 from humansim_ros.ros.shared_memory import remove_dead_files
 from humansim_ros.ros.transport import choose_transport
+from humansim_ros.ros.viewer_layouts import rviz_layout
+from humansim_ros.scene.names import read_names
 
 # launch/ and config/ are in one folder, in the checkout and in share/humansim_ros
 DEMO_SCENE = Path(__file__).resolve().parents[1] / "config" / "scenes" / "demo.yaml"
@@ -43,6 +47,7 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
     number = whole_number("processes", LaunchConfiguration("processes").perform(context))
     frame_prefix = LaunchConfiguration("frame_prefix").perform(context)
     only = LaunchConfiguration("only").perform(context)
+    namespace = LaunchConfiguration("namespace").perform(context)
     time = time_options({name: LaunchConfiguration(name).perform(context) for name in TIME_ARGUMENTS})
     record = record_options({name: LaunchConfiguration(name).perform(context) for name in RECORD_ARGUMENTS})
     evaluate = evaluate_options(
@@ -51,6 +56,7 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
     processes = scene_processes(
         scene, number, frame_prefix=frame_prefix, only=only, time=time, record=record, evaluate=evaluate
     )
+    rviz = true_or_false("rviz", LaunchConfiguration("rviz").perform(context))
     remove_dead_files()
     transport = choose_transport(len(processes))
     warnings = [LogInfo(msg=f"warning: {transport.warning}")] if transport.warning else []
@@ -58,7 +64,7 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
         Node(
             package="humansim_ros",
             executable=process.executable,
-            namespace=relative_namespace(LaunchConfiguration("namespace").perform(context)),
+            namespace=relative_namespace(namespace),
             # name and parameters; with `parameters`, a camera named off would become a boolean
             arguments=process.ros_arguments,
             additional_env={**render_threads(processes), **transport.environment},
@@ -71,7 +77,18 @@ def scene_nodes(context: LaunchContext) -> list[Node | LogInfo]:
         )
         for process in processes
     ]
+    if rviz:
+        nodes.append(rviz_node(scene, relative_namespace(namespace), processes))
     return [*warnings, *nodes]
+
+
+def rviz_node(scene: str, namespace: str, processes: list[NodeProcess]) -> Node:
+    """RViz with the topics of the scene; the others go on when its window is closed."""
+    layout = Path(launch_config.log_dir) / "humansim.rviz"
+    layout.write_text(rviz_layout(read_names(scene), namespace))
+    sim_time = any(process.parameters.get("use_sim_time") for process in processes)
+    parameters = ["--ros-args", "-p", "use_sim_time:=true"] if sim_time else []
+    return Node(package="rviz2", executable="rviz2", arguments=["-d", str(layout), *parameters])
 
 
 def on_exit(process: NodeProcess) -> Callable[[ProcessExited, LaunchContext], list[Shutdown]]:
@@ -127,6 +144,11 @@ def generate_launch_description() -> LaunchDescription:
             ),
             DeclareLaunchArgument(
                 "respawn", default_value="true", description="Start a node again that has died: true or false"
+            ),
+            DeclareLaunchArgument(
+                "rviz",
+                default_value="false",
+                description="Start RViz with the topics of the scene: true or false",
             ),
             *(
                 DeclareLaunchArgument(name, default_value="", description=description)

@@ -386,7 +386,9 @@ class FakeConfiguration:
         return context[self.name]
 
 
-def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_launch_file_starts_the_processes_of_the_scene(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """launch is not on PyPI: the names that the file uses are replaced."""
 
     def record(*args: object, **kwargs: object) -> types.SimpleNamespace:
@@ -402,6 +404,7 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
         },
         "launch.events": {},
         "launch.events.process": {"ProcessExited": types.SimpleNamespace},
+        "launch.logging": {"launch_config": types.SimpleNamespace(log_dir=str(tmp_path))},
         "launch.substitutions": {"LaunchConfiguration": FakeConfiguration},
         "launch_ros": {},
         "launch_ros.actions": {"Node": record},
@@ -415,7 +418,7 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     spec.loader.exec_module(launch_file)
 
     *arguments, opaque = launch_file.generate_launch_description()
-    names = ["scene", "processes", "only", "namespace", "frame_prefix", "respawn"]
+    names = ["scene", "processes", "only", "namespace", "frame_prefix", "respawn", "rviz"]
     names += ["lockstep", "frames", "wait_for", "timeout", "on_timeout", "pace"]
     names += ["record", "record_topics", "record_compression"]
     names += ["evaluate", "evaluate_keypoints", "evaluate_output"]
@@ -448,6 +451,15 @@ def test_launch_file_starts_the_processes_of_the_scene(monkeypatch: pytest.Monke
     assert not [word for node in nodes for word in node.arguments if "__ns" in word]
     prefixed = ['frame_prefix:="lab/"' in node.arguments for node in nodes]
     assert prefixed == [node.executable == "camera_rig" for node in nodes] and sum(prefixed) == 2
+
+    *nodes, rviz = opaque.function({**defaults, "rviz": "true", "namespace": "lab", "lockstep": "true"})
+    assert (rviz.package, rviz.executable) == ("rviz2", "rviz2") and len(nodes) > 2
+    option, layout, *parameters = rviz.arguments
+    assert option == "-d" and "/lab/humans/walker/markers" in Path(layout).read_text()
+    assert parameters == ["--ros-args", "-p", "use_sim_time:=true"]
+    assert opaque.function({**defaults, "rviz": "True"})[-1].arguments[2:] == []
+    with pytest.raises(RosError, match="launch argument rviz must be true or false, not 'yes'"):
+        opaque.function({**defaults, "rviz": "yes"})
 
     lockstep = {"lockstep": "true", "frames": "9", "wait_for": "tracker, topic:/poses", "timeout": "2"}
     player, *others = opaque.function({**defaults, **lockstep})

@@ -168,6 +168,14 @@ def whole_number(name: str, text: str) -> int | None:
     return int(text)
 
 
+def true_or_false(name: str, text: str) -> bool:
+    """Read an argument of the launch file that is true or false. Raises RosError naming it."""
+    word = text.strip().lower()
+    if word not in ("true", "false"):
+        raise RosError(f"launch argument {name} must be true or false, not {text!r}")
+    return word == "true"
+
+
 #: Launch arguments of :class:`TimeOptions`; empty: as the scene says.
 TIME_ARGUMENTS = {
     "lockstep": "true: send the next frame when all nodes have finished this one; false: real time",
@@ -182,11 +190,8 @@ TIME_ARGUMENTS = {
 def time_options(arguments: Mapping[str, str]) -> TimeOptions:
     """Options of launch arguments. Raises RosError naming a wrong one."""
     given = {name: text.strip() for name, text in arguments.items() if text.strip()}
-    lockstep = given.get("lockstep", "").lower()
-    if lockstep not in ("", "true", "false"):
-        raise RosError(f"launch argument lockstep must be true or false, not {given['lockstep']!r}")
     return TimeOptions(
-        lockstep=None if not lockstep else lockstep == "true",
+        lockstep=true_or_false("lockstep", given["lockstep"]) if "lockstep" in given else None,
         wait_for=[each.strip() for each in given["wait_for"].split(",")] if "wait_for" in given else None,
         timeout=_number("timeout", given),
         on_timeout=given.get("on_timeout"),

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+import ast
+import json
 import os
 import re
 import signal
 import subprocess
 import sys
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+import yaml
 from conftest import ROOT
 from waiting import PATIENCE, wait_until
 
@@ -17,6 +23,8 @@ from humansim_ros.render.channels import CHANNEL_TABLE
 README = (ROOT / "README.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
+#: Folders with pages besides docs/.
+OTHER_PARTS = ("assets", "examples", "test/data", "benchmarks", "config")
 #: The cameras that the README's tracker listens to, small.
 SCENE = """
 room: null
@@ -51,11 +59,61 @@ def test_the_tracker_of_the_readme_hears_the_cameras(tmp_path: Path) -> None:
     assert re.search(r"camera_1_optical_frame .*sec=\d+.* 64 48", heard()), heard()[:500]
 
 
-def test_every_file_the_documents_link_to_exists() -> None:
-    for document in (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))):
-        for target in re.findall(r"\]\(([^)#]+)\)", document.read_text()):
-            if "://" not in target:
-                assert (document.parent / target).exists(), f"{document.name} links to {target}"
+def without_code(text: str) -> str:
+    """A page without its blocks and spans of code, which may look like links."""
+    return re.sub(r"```.*?```|`[^`\n]*`", "", text, flags=re.DOTALL)
+
+
+def anchors(text: str) -> set[str]:
+    """Anchors of the headings of a page, as GitHub makes them."""
+    found: set[str] = set()
+    for heading in re.findall(r"^#+ (.*)$", re.sub(r"```.*?```", "", text, flags=re.DOTALL), re.MULTILINE):
+        words = re.sub(r"\[(.*?)\]\(.*?\)", r"\1", heading).lower()
+        slug = re.sub(r"[^\w\- ]", "", words).replace(" ", "-")
+        again = [slug, *(f"{slug}-{number}" for number in range(1, 100))]
+        found.add(next(name for name in again if name not in found))
+    return found
+
+
+def documents() -> list[Path]:
+    pages = [*ROOT.glob("*.md"), *(ROOT / "docs").rglob("*.md")]
+    return sorted([*pages, *(page for part in OTHER_PARTS for page in (ROOT / part).rglob("*.md"))])
+
+
+@pytest.mark.parametrize("document", documents(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_link_of_a_document_leads_to_a_file_and_to_a_heading(document: Path) -> None:
+    for target in re.findall(r"\]\(([^)\s]+)\)", without_code(document.read_text())):
+        if re.match(r"\w+:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        path = document.parent / name if name else document
+        assert path.exists(), f"{document.name} links to {target}"
+        if anchor:
+            assert anchor in anchors(path.read_text()), f"{document.name} links to {target}"
+
+
+def test_anchors_are_those_of_github() -> None:
+    text = "# A `code`: b/c\n## Same\n## Same\n```\n# no heading\n```\n## humans.*.motion_x\n"
+    assert anchors(text) == {"a-code-bc", "same", "same-1", "humansmotion_x"}
+
+
+PARSERS: dict[str, Callable[[str], object]] = {
+    "json": json.loads,
+    "python": ast.parse,
+    "xml": ElementTree.fromstring,
+    "yaml": yaml.safe_load,
+}
+#: Blocks that no parser checks: output and shell sessions.
+PLAIN = {"text", "bash", "console"}
+
+
+@pytest.mark.parametrize("document", documents(), ids=lambda path: str(path.relative_to(ROOT)))
+def test_every_block_of_a_document_names_its_language_and_parses(document: Path) -> None:
+    for language, block in re.findall(
+        r"^```(.*?)\n(.*?)^```", document.read_text(), re.DOTALL | re.MULTILINE
+    ):
+        assert language in PARSERS or language in PLAIN, f"{document.name}: a block of {language!r}"
+        PARSERS.get(language, str)(block)
 
 
 def test_the_readme_lists_the_topics_that_the_nodes_have() -> None:

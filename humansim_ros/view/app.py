@@ -72,6 +72,7 @@ class ViewApp:
         self.dark = False
         self.shown_cameras: tuple[str, ...] = tuple(source.cameras)
         self.shown_channels: tuple[str, ...] = source.channels[:1]
+        self.through: str | None = None
         self.player = Player(source.frames, source.period)
         self.frames_shown = 0
         self._posted: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
@@ -269,8 +270,9 @@ class ViewApp:
             return
         self._needs_frame = False
         still = not self.player.playing
-        channels = self.shown_channels if self.shown_cameras else ()
-        frame = self.source.frame(index, self.shown_cameras, channels, wait=still)
+        cameras = self.shown_cameras if self.through is None else (self.through,)
+        channels = self.shown_channels or (self.source.channels[:1] if self.through else ())
+        frame = self.source.frame(index, cameras, channels, wait=still)
         if self._content() != self._built_of:  # people and cameras of a graph come and go
             self._remove_panels()
             self._build()

@@ -25,6 +25,7 @@ class Page(Protocol):
         dark: Whether the page is dark.
         shown_cameras: Cameras whose images are shown.
         shown_channels: Channels that are shown.
+        through: Camera that is looked through, whose image alone is shown; None: all are shown.
         chosen_camera: Camera that was chosen, or ``all``; it stays when the source is replaced.
         options: What is drawn in 3D; it stays, too.
     """
@@ -38,6 +39,7 @@ class Page(Protocol):
     dark: bool
     shown_cameras: tuple[str, ...]
     shown_channels: tuple[str, ...]
+    through: str | None
     chosen_camera: str
     options: Options
 

@@ -33,6 +33,8 @@ _FRUSTUM_IMAGE = 160
 #: Cells of the coverage along its longer side, and the margin around the cameras, metres.
 _CELLS, _MARGIN = 96, 1.0
 _GREEN, _RED = (70, 200, 110), (235, 80, 80)
+#: Opacity of bodies whose joints are shown.
+_SEE_THROUGH = 0.4
 #: Change of size at which a body is built again.
 _SIZE_STEP = 1e-3
 
@@ -127,6 +129,8 @@ class Stage:
         self._room.visible = options.room
         self._floor.visible = not options.room or not self._source.static
         self._axes.visible = options.axes
+        for _, handle in self._bodies.values():
+            handle.opacity = _SEE_THROUGH if options.joints or options.joint_names else None
         for handle, label in self._frusta.values():
             handle.visible = options.cameras
             label.visible = options.cameras and options.names
@@ -152,6 +156,7 @@ class Stage:
             bone_positions=rest[:, :3, 3],
             skin_weights=body.weights,
             color=keyed_color(body.color, self._numbers[name]),
+            opacity=_SEE_THROUGH if self.options.joints or self.options.joint_names else None,
         )
         handle.on_click(lambda event: self._clicked(name, event))
         return body, handle

@@ -14,6 +14,8 @@ from humansim_ros.types import Image
 from humansim_ros.view.page_interface import Page
 from humansim_ros.view.source import ViewFrame
 
+#: Distance of the panel from the edge, and its width, pixels; in narrow pages a share of theirs.
+_EDGE, _PANEL_WIDTH, _PANEL_SHARE = 12, 640, 0.9
 #: Greatest width of the mosaic in pixels, and the gap between its tiles.
 _WIDTH, _GAP = 1280, 4
 _BACKGROUND = 32
@@ -97,13 +99,18 @@ class ImagesPanel:
         with self._tab:
             self._handle: Any = None
             self._hint = app.gui.add_markdown("The first images are being rendered.")
-        self._panel.float(x=12, y=-12, width=700)
+        self._panel.float(x=_EDGE, y=-_EDGE, width=_PANEL_WIDTH)
+        self._placed = False
         self._mosaic: Mosaic | None = None
         self._version: object = None
         app.server.on_request("pick", self._picked)
 
     def update(self, frame: ViewFrame) -> None:
         """Show the images of a frame."""
+        self._fit()
+        visible = self._app.through is None  # else the image fills the page
+        if self._panel.visible != visible:
+            self._panel.visible = visible
         if frame.images is self._version:
             return
         self._version = frame.images
@@ -117,6 +124,16 @@ class ImagesPanel:
             self._hint.content = "Click an image for the numbers of a pixel."
         else:
             self._handle.image = made.image
+
+    def _fit(self) -> None:
+        """Make the panel narrow in the first page that is narrow."""
+        if self._placed:
+            return
+        for client in self._app.server.viser.get_clients().values():
+            width = min(_PANEL_WIDTH, round(_PANEL_SHARE * client.camera.image_width))
+            self._panel.set_width(max(width, 200))
+            self._placed = True
+            return
 
     def remove(self) -> None:
         """Remove the panel."""

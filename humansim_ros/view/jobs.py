@@ -14,6 +14,7 @@ from collections import deque
 from pathlib import Path
 
 from humansim_ros.errors import HumansimError, printable
+from humansim_ros.view.server import check_value
 
 #: Commands that the page starts.
 COMMANDS = ("run", "record", "export", "evaluate")
@@ -23,11 +24,13 @@ _LINES, _WIDTH, _PATIENCE = 12, 200, 10.0
 _PROGRESS = re.compile(r"(\d+) of (\d+) ")
 
 
-def command_words(text: str) -> list[str]:
+def command_words(text: str, folder: Path) -> list[str]:
     """Words of a command line such as ``humansim record scene.yaml -o bag``.
 
+    ``folder``: files that it names must be below it.
+
     Raises:
-        HumansimError: It is not one of the commands that the page starts.
+        HumansimError: It is not one of the commands that the page starts, or names another file.
     """
     try:
         words = shlex.split(text)
@@ -36,6 +39,8 @@ def command_words(text: str) -> list[str]:
     if words[:1] != ["humansim"] or len(words) < 2 or words[1] not in COMMANDS or "\0" in text:
         known = ", ".join(COMMANDS)
         raise HumansimError(f"give 'humansim' with one of {known}; found {printable(text, 60)!r}")
+    for word in words[2:]:
+        check_value(folder, re.sub(r"^--?[\w-]*=?", "", word))
     return words
 
 
@@ -51,7 +56,7 @@ class Job:
     """
 
     def __init__(self, text: str, folder: Path) -> None:
-        words = command_words(text)
+        words = command_words(text, folder)
         self.text = text
         self._lines: deque[str] = deque(maxlen=_LINES)
         self._progress = 0.0

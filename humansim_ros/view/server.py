@@ -233,6 +233,25 @@ def inside(folder: Path, name: str) -> Path:
     return path
 
 
+def check_value(folder: Path, value: object) -> None:
+    """Check a value that a page gives to a key of a scene: files that it names are below ``folder``.
+
+    Raises:
+        HumansimError: A text in it is a path or URL of a file elsewhere.
+    """
+    if isinstance(value, str):
+        if "://" in value or value.startswith("~"):
+            raise HumansimError(f"{printable(value)}: the page takes names of files below {folder} only")
+        if re.search(r"[/\\\0]", value) or ".." in value:
+            inside(folder, value)
+    elif isinstance(value, dict):
+        for part in value.values():
+            check_value(folder, part)
+    elif isinstance(value, (list, tuple)):
+        for part in value:
+            check_value(folder, part)
+
+
 def _is_plain(value: object, depth: int = 0) -> bool:
     """Whether a value is shallow, short and finite."""
     if depth > 4:

@@ -12,6 +12,7 @@ from conftest import ROOT
 from scipy.spatial.transform import Rotation
 from waiting import wait_until
 
+from humansim_ros.errors import HumansimError
 from humansim_ros.scene import Scene
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.panels.editor import EditorPanel
@@ -190,6 +191,31 @@ def test_only_commands_of_the_scene_are_started(line: str, page: Page) -> None:
     page.app.commands.start(line)
     assert page.app.commands.job is None
     assert "humansim" in page.told[-1] or "cannot be read" in page.told[-1]
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "humansim export scene.yaml -o /tmp/elsewhere",
+        "humansim export scene.yaml -o/tmp/elsewhere",
+        "humansim export scene.yaml --output=../elsewhere",
+        "humansim run ../scene.yaml",
+        "humansim record scene.yaml -o s3://bucket/bag",
+        "humansim evaluate --truth scene.yaml --estimate ~/estimate.csv",
+    ],
+)
+def test_commands_name_files_below_the_folder_of_the_scene_only(line: str, page: Page) -> None:
+    assert page.app.commands is not None
+    page.app.commands.start(line)
+    assert page.app.commands.job is None
+    assert "below" in page.told[-1]
+
+
+def test_the_page_saves_and_names_files_below_the_folder_of_the_scene_only(page: Page) -> None:
+    page.editor.save(str(page.path.parent.parent / "elsewhere.yaml"))
+    assert "below" in page.told[-1] and not (page.path.parent.parent / "elsewhere.yaml").exists()
+    with pytest.raises(HumansimError, match="below"):
+        page.editor.set(("humans", "walker", "body"), "/etc/passwd")
 
 
 def test_a_file_that_others_change_is_shown_unless_there_are_edits(page: Page) -> None:

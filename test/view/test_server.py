@@ -19,7 +19,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.view.server import HOST, PageServer, inside, is_acceptable
+from humansim_ros.view.server import HOST, PageServer, check_value, inside, is_acceptable
 
 CAMERA = {
     "type": "ViewerCameraMessage",
@@ -200,6 +200,15 @@ def test_a_huge_message_ends_only_its_connection(server: PageServer) -> None:
 def test_the_page_names_files_below_its_folder_only(tmp_path: Path, name: str) -> None:
     with pytest.raises(HumansimError, match="below"):
         inside(tmp_path, name)
+
+
+@pytest.mark.parametrize(
+    "value", ["/etc/passwd", "~/secret.npz", "file:///etc/passwd", {"file": "../x.bvh"}, [["a", "/b/c.obj"]]]
+)
+def test_values_of_the_page_name_files_below_its_folder_only(tmp_path: Path, value: object) -> None:
+    with pytest.raises(HumansimError, match="below"):
+        check_value(tmp_path, value)
+    check_value(tmp_path, {"file": "walks/mine.bvh", "speed": 2.0, "body": "child", "parts": [1, None]})
 
 
 def test_files_below_the_folder_are_found(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -15,6 +14,7 @@ from humansim_ros.view.document import SceneDocument, SectionName
 from humansim_ros.view.page_interface import Page
 from humansim_ros.view.panels.controls import SectionControls, choices_of, plain_markdown
 from humansim_ros.view.scene_source import SceneViewSource
+from humansim_ros.view.server import check_value, inside
 
 #: What can be selected besides people, objects, cameras and the rig: sections of the file.
 _SECTIONS = ("scene", "room", "light", "world", "randomise", "variety", "time")
@@ -130,6 +130,7 @@ class EditorPanel:
     def set(self, keys: tuple[YamlKey, ...], value: Any) -> None:
         """Set a key of the file, or remove it if the value is None. Raises HumansimError."""
         if value is not None:
+            check_value(self.document.folder, value)
             self.document.set(keys, value, continues=True)
         elif self.document.has(keys):
             self.document.remove(keys)
@@ -162,7 +163,8 @@ class EditorPanel:
     def save(self, path: str, overwrite: bool = False) -> None:
         """Save the scene as a file."""
         try:
-            saved = self.document.save(Path(path) if path else None, overwrite=overwrite)
+            target = inside(self.document.folder, path) if path else None
+            saved = self.document.save(target, overwrite=overwrite)
         except HumansimError as error:
             self._app.notify("Not saved", str(error))
             self._overwrite.visible = "overwrite" in error.message

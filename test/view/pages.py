@@ -20,8 +20,6 @@ import pytest
 from conftest import ROOT
 from waiting import PATIENCE, end_process, wait_until
 
-from humansim_ros.testing.waiting import patience
-
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 #: WebGL in software, as on a machine without GPU.
 _SOFTWARE = ("--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
@@ -72,7 +70,7 @@ def browser() -> Iterator[Any]:
 def opened_page(chromium: Any, url: str, people: int = 1, size: tuple[int, int] = (1280, 800)) -> Any:
     """A tab that shows its people with their textures."""
     page = chromium.new_page(viewport={"width": size[0], "height": size[1]})
-    page.set_default_timeout(1000 * patience(60.0))
+    page.set_default_timeout(1000 * PATIENCE)
     page.goto(url)
     page.wait_for_function(
         f"window.humansim && window.humansim.textured >= {people} && window.humansim.frame !== null"

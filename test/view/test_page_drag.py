@@ -1,0 +1,109 @@
+"""A drag in the page of humansim view, in a headless Chromium, and the scene that is saved after it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("viser")
+pytest.importorskip("playwright")
+
+from pages import browser, mosaic_of, needs_browser, opened_page, pause, scrub, until
+from scipy.spatial.transform import Rotation
+
+from humansim_ros import Scene, Simulation
+from humansim_ros.types import Array
+from humansim_ros.view.app import ViewApp
+from humansim_ros.view.inputs import open_source
+from humansim_ros.view.panels.images import mosaic
+
+pytestmark = [needs_browser, pytest.mark.slow, pytest.mark.process]
+
+SCENE = """\
+# the lab
+room: null
+humans:
+  anna: {body: adult_woman, motion: {file: walk, position: [0.2, 0.4]}}  # our guest
+cameras:
+  left: {position: [3, 2, 1.6], look_at: [0, 0, 1], size: [320, 240]}
+  right: {position: [3, -2, 1.6], look_at: [0, 0, 1], size: [320, 240]}
+"""
+
+
+@pytest.fixture
+def app(tmp_path: Path) -> Iterator[ViewApp]:
+    path = tmp_path / "lab.yaml"
+    path.write_text(SCENE)
+    opened = open_source(path)
+    made = ViewApp(opened.source, 0, opened.reload, opened.path, opened.problem, opened.document)
+    thread = threading.Thread(target=made.run)
+    thread.start()
+    yield made
+    made.stop()
+    thread.join()
+    made.close()
+
+
+def on_screen(app: ViewApp, page: Any, point: Array) -> Array:
+    """Pixel (2,) of the page at which a point (3,) in ``map`` is drawn."""
+    (client,) = app.server.viser.get_clients().values()
+    camera = client.camera
+    w, x, y, z = camera.wxyz
+    seen = Rotation.from_quat([x, y, z, w]).inv().apply(point - camera.position)
+    box = page.locator("canvas").first.bounding_box()
+    focal = box["height"] / 2 / np.tan(camera.fov / 2)
+    middle = np.array([box["x"] + box["width"] / 2, box["y"] + box["height"] / 2])
+    return np.asarray(middle + focal * seen[:2] / seen[2])
+
+
+def test_a_drag_moves_a_person_and_the_saved_scene_gives_the_picture_of_the_page(app: ViewApp) -> None:
+    editor = app.editor
+    assert editor is not None
+    with browser() as chromium:
+        page = opened_page(chromium, app.server.url)
+        pause(page)
+        scrub(page, 12)
+        page.get_by_role("tab", name="Edit").click()
+        app.post(lambda: editor.select("person anna"))
+        until(lambda: editor._gizmo is not None)
+        page.wait_for_timeout(2000)  # the gizmo is drawn
+        start = np.array(editor._gizmo.position)
+        along = np.array([1.0, 0.0, 0.0])
+        grip, goal = (on_screen(app, page, start + reach * along) for reach in (0.45, 0.95))
+        page.mouse.move(*grip)
+        page.wait_for_timeout(500)
+        page.mouse.down()
+        for share in np.linspace(0, 1, 12):
+            page.mouse.move(*(grip + share * (goal - grip)))
+            page.wait_for_timeout(60)
+        page.mouse.up()
+        until(lambda: app.editor is not None and app.editor.document.changed)
+        moved = editor.document.pose("humans", "anna", 12 / 30).position
+        assert moved[0] - start[0] == pytest.approx(0.5, abs=0.15)
+        assert np.abs(moved[1:] - start[1:]).max() < 1e-3
+
+        page.get_by_role("button", name="Save").click()
+        until(lambda: not editor.document.changed)
+        assert editor.document.path is not None
+        text = editor.document.path.read_text()
+        kept = [line for line in SCENE.splitlines() if "anna" not in line]
+        assert [line for line in text.splitlines() if line in kept] == kept
+        assert "# our guest" in text
+
+        with Simulation(Scene.load(editor.document.path), channels=("rgb",)) as simulation:
+            views = simulation.frame(12).views
+        expected = mosaic({name: {"rgb": view.rgb} for name, view in views.items()})
+        assert expected is not None
+
+        def same_picture() -> bool:
+            shown = mosaic_of(page)
+            if shown is None or shown.shape != expected.image.shape:
+                return False
+            return float(np.abs(shown.astype(float) - expected.image).mean()) < 2.0
+
+        until(same_picture)

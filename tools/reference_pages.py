@@ -236,20 +236,20 @@ def topics_page() -> str:
         sent = "each frame" if topic.per_frame else "once"
         if topic.latched and topic.per_frame:
             sent = "each frame, if the camera moves"
-        recorded = "on request" if topic.optional else "yes" if topic.recorded else ""
-        what = (f"`{topic.type_name}`", sent, recorded, images.get(name, known[place][1]))
+        recorded = "; recorded on request" if topic.optional else "; recorded" if topic.recorded else ""
+        what = (topic.type_name.replace("/msg/", "/"), sent + recorded, images.get(name, known[place][1]))
         groups[titles.get(name.split("/")[0], "Scene")].setdefault(what, []).append(f"`{name}`")
     lines = [_TOPICS_HEAD.format(depth=DATA.depth)]
     for title, group in groups.items():
-        rows = [(", ".join(names), *what) for what, names in group.items()]
-        lines += [f"## {title}\n", *table(("topic", "type", "sent", "recorded", "meaning"), rows), ""]
+        rows = [("<br>".join([*names, kind]), *rest) for (kind, *rest), names in group.items()]
+        lines += [f"## {title}\n", *table(("topic, type", "sent", "meaning"), rows), ""]
     others = [
-        (f"`{name}`", f"`{kind.replace('/', '/msg/')}`", meaning)
+        (f"`{name}`<br>{kind}", meaning)
         for name, (kind, meaning) in known.items()
         if name not in shown and not name.endswith("camera_info")
     ]
     lines += ["## Of the nodes themselves\n", "They are about the run, not about the scene.\n"]
-    lines += [*table(("topic", "type", "meaning"), others), "", *_clouds()]
+    lines += [*table(("topic, type", "meaning"), others), "", *_clouds()]
     return "\n".join(lines)
 
 

@@ -22,7 +22,7 @@ from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.seen_topics import SeenTopics, seen_topics
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
-from humansim_ros.view.topic_source import PERIOD, TopicSource
+from humansim_ros.view.topic_source import PERIOD, SAMPLES, TopicSource
 from humansim_ros.view.topic_store import place_at
 
 #: Nanoseconds between log times of messages that are read together.
@@ -91,6 +91,8 @@ class BagViewSource(TopicSource):
             self._last = 0
             data = {topic: self._message(topic, 0) for topic in self._times}
             self._shown.see(self._topics, {topic: content for topic, content in data.items() if content})
+            for name in self._shown.skinless:
+                self._shown.add_skin(name, self._samples(name))
             self._note_missing()
         except BaseException:
             self._reader.close()
@@ -185,10 +187,8 @@ class BagViewSource(TopicSource):
     def _frame(self, index: int, cameras: Collection[str], channels: Collection[str]) -> TopicFrame:
         """Messages of a frame, with the images of some channels and cameras."""
         topics, stamp = self._topics, int(self._stamps[index])
-        images = {topic for camera in topics.cameras.values() for topic in camera.images.values()}
-        joints = {camera.joints for camera in topics.cameras.values()}
         wanted = {"rgb" if channel == JOINTS else channel for channel in channels}
-        left_out = images | joints
+        left_out = topics.on_demand
         for name in cameras:
             if name in topics.cameras:
                 camera = topics.cameras[name]
@@ -203,6 +203,23 @@ class BagViewSource(TopicSource):
         }
         data = self._read({topic: int(self._times[topic].logs[place]) for topic, place in places.items()})
         return TopicFrame(index, stamp, int(self._stamps[0]), data)
+
+    def _samples(self, name: str) -> list[tuple[bytes, bytes]]:
+        """Joints and vertices of a person in some frames."""
+        topics = self._topics.people[name]
+        pair = [topics["joints"], topics["vertices"]]
+        joints, vertices = (self._times[topic] for topic in pair)
+        common = np.intersect1d(joints.stamps, vertices.stamps)
+        found = []
+        for stamp in np.unique(common[np.linspace(0, len(common) - 1, SAMPLES).astype(int)]):
+            logs = {
+                topic: int(times.logs[np.searchsorted(times.stamps, stamp)])
+                for topic, times in zip(pair, (joints, vertices), strict=True)
+            }
+            data = self._read(logs)
+            if data.keys() == set(pair):
+                found.append((data[pair[0]], data[pair[1]]))
+        return found
 
     def _message(self, topic: str, number: int) -> bytes | None:
         return self._read({topic: int(self._times[topic].logs[number])}).get(topic)

@@ -34,7 +34,7 @@ from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF, SeenTopics, seen_topics
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
-from humansim_ros.view.topic_source import PERIOD, TopicSource
+from humansim_ros.view.topic_source import PERIOD, SAMPLES, TopicSource
 from humansim_ros.view.topic_store import TopicStore
 
 #: Seconds between two looks at what is wanted, and at the graph.
@@ -49,6 +49,8 @@ _PIXEL_PATIENCE = 1.5
 _LEFT_AFTER = 5.0
 #: Seconds without a frame after which the page says so.
 _SILENT = 3.0
+#: Nanoseconds between frames from which the skin of a person is found.
+_SAMPLE_EVERY = 300_000_000
 #: Messages of a subscription that wait: of images, and of others.
 _IMAGE_DEPTH, _DEPTH = 5, 100
 #: Longest messages by type, and of all other types, bytes.
@@ -106,6 +108,8 @@ class RosViewSource(TopicSource):
         self._last: tuple[TopicFrame, Any, ViewFrame] | None = None
         #: Stamp of the frame whose numbers were asked for; it is shown while the page is paused.
         self._pinned: int | None = None
+        #: Joints and vertices by person and stamp.
+        self._samples: dict[str, dict[int, tuple[bytes, bytes]]] = {}
         try:
             self._wait_for_first(patience)
         except BaseException:
@@ -227,6 +231,24 @@ class RosViewSource(TopicSource):
             self._seen_of = topics, changes
             self._topics = topics
             self._shown.see(topics, receiver.store.newest())
+        for name in self._shown.skinless:
+            self._take_sample(name)
+
+    def _take_sample(self, name: str) -> None:
+        """Take joints and vertices of a person; find the skin when there are enough."""
+        store, topics = self._receiver.store, self._topics.people[name]
+        pair = [topics["joints"], topics["vertices"]]
+        self._receiver.want(pair[1:])
+        samples = self._samples.setdefault(name, {})
+        common = set(store.stamps(pair[:1])) & set(store.stamps(pair[1:]))
+        stamp = max(common, default=None)
+        if stamp is None or any(abs(stamp - other) < _SAMPLE_EVERY for other in samples):
+            return
+        data = store.messages_of(stamp, dict.fromkeys(pair, False), 0)
+        if data.keys() == set(pair):
+            samples[stamp] = data[pair[0]], data[pair[1]]
+        if len(samples) >= SAMPLES:
+            self._shown.add_skin(name, list(self._samples.pop(name).values()))
 
     def _images(self, cameras: Collection[str], channels: Collection[str], joints: bool = False) -> list[str]:
         """Topics of images that are wanted; with those of the joints in them if they are drawn, or wanted."""
@@ -260,7 +282,7 @@ class RosViewSource(TopicSource):
             stamp = store.whole_frame(clock, needed, patience)
         if stamp is None:
             return None
-        wanted = dict.fromkeys(set(topics.topics) - _pictures(topics) | set(images), False)
+        wanted = dict.fromkeys(set(topics.topics) - topics.on_demand | set(images), False)
         wanted |= dict.fromkeys(topics.lasting, True)
         data = store.messages_of(stamp, wanted, self.period // 2)
         if self._first is None or stamp < self._first:
@@ -358,7 +380,7 @@ class _Receiver:
         if now >= self._discover_at:
             self._discover_at = now + _DISCOVER_EVERY
             self._discover()
-        pictures = _pictures(self.topics)
+        pictures = self.topics.on_demand
         wanted = {topic for topic, last in self._wanted.copy().items() if now - last < _UNWANTED}
         for topic in self.topics.topics:
             if topic not in pictures or topic in wanted:
@@ -476,14 +498,6 @@ def _checked(estimate: str | None, namespace: str) -> str | None:
     if not estimate.strip("/"):
         raise RosError(f"{printable(estimate, 80)!r} is no topic: give a name such as /tracker/poses")
     return absolute(estimate, f"/{namespace.strip('/')}")
-
-
-def _pictures(topics: SeenTopics) -> set[str]:
-    """Topics that are received only while they are wanted."""
-    found: set[str] = set()
-    for camera in topics.cameras.values():
-        found |= {*camera.images.values(), camera.joints}
-    return found
 
 
 def _is_same(one: TopicFrame, other: TopicFrame) -> bool:

@@ -25,9 +25,9 @@ _CHANNELS = {row.topic: name for name, row in CHANNEL_TABLE.items() if not row.p
 _BELOW = frozenset(topic.rpartition("/")[0] for topic in _CHANNELS) - {""}
 #: Topics of other programs that are the image of a camera if it has no ``image_raw``, the best first.
 _PICTURES = ("image_color", "image", "image_rect_color", "image_rect", "image_mono", "image_rect_raw")
-_HUMAN = re.compile(r"/(?:(?P<space>.+)/)?humans/(?P<name>[^/]+)/(?P<kind>joints|mesh)")
+_HUMAN = re.compile(r"/(?:(?P<space>.+)/)?humans/(?P<name>[^/]+)/(?P<kind>joints|mesh|vertices)")
 _OBJECT = re.compile(r"/(?:(?P<space>.+)/)?objects/(?P<name>[^/]+)/marker")
-_KINDS = {"joints": _JOINTS, "mesh": _MESH}
+_KINDS = {"joints": _JOINTS, "mesh": _MESH, "vertices": _CLOUD}
 #: Most cameras, people, objects and topics of an estimate: names come from other programs.
 MAX_CAMERAS, MAX_PEOPLE, MAX_OBJECTS, MAX_ESTIMATES = 64, 64, 256, 100
 
@@ -59,8 +59,8 @@ class SeenTopics:
 
     Attributes:
         cameras: By name of the camera.
-        people: Topics ``joints``, ``mesh``, and ``points`` (keypoints) by name of the person; those that
-            there are.
+        people: Topics ``joints``, ``mesh``, ``vertices``, and ``points`` (keypoints) by name of the person;
+            those that there are.
         objects: Topic of the marker by name of the object.
         scene_time: Topic with the scene time; empty without.
         transforms: Topics of tf.
@@ -83,6 +83,14 @@ class SeenTopics:
         """Channels of all cameras, in the order of the table of channels."""
         found = {channel for camera in self.cameras.values() for channel in camera.images}
         return tuple(name for name in CHANNEL_TABLE if name in found)
+
+    @property
+    def on_demand(self) -> set[str]:
+        """Large topics, which are read only when they are needed: images, joints in them, and vertices."""
+        found = {topics["vertices"] for topics in self.people.values() if "vertices" in topics}
+        for camera in self.cameras.values():
+            found |= {*camera.images.values(), camera.joints}
+        return found
 
     @property
     def lasting(self) -> set[str]:

@@ -28,12 +28,13 @@ from humansim_ros.ros.limits import deserialised
 from humansim_ros.ros.message_types import message_type
 from humansim_ros.scene.objects import SHAPES
 from humansim_ros.truth import OUTSIDE, VISIBLE
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Float32Array
 from humansim_ros.types import Image as Picture
 from humansim_ros.view.estimates import TruePoints, beside_truth, people_of
 from humansim_ros.view.pictures import IMAGE_WIDTH, fitted
 from humansim_ros.view.pixel_info import JointsInImage, near_joint_values, surface_values
 from humansim_ros.view.seen_topics import IMAGE, SeenCamera, SeenTopics, spaced
+from humansim_ros.view.skin_fit import fitted_skin
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
 from humansim_ros.view.topic_bodies import bone_figure, known_body, posed_joints
 from humansim_ros.view.transforms import WORLD, Transforms
@@ -55,11 +56,19 @@ _MAX_POINTS = 30_000
 
 @dataclass
 class _Person:
-    """What is known of a person. ``mesh``, ``names``: surface and joints from which ``human`` was made."""
+    """What is known of a person.
+
+    Attributes:
+        human: The body.
+        mesh: Serialised surface from which it was made; None without one.
+        names: Names of the joints from which it was made.
+        surface: The surface that the body lacks: its bones at rest are not known.
+    """
 
     human: Human
     mesh: bytes | None
     names: tuple[str, ...]
+    surface: Mesh | None = None
 
 
 @dataclass(frozen=True)
@@ -171,21 +180,55 @@ class TopicFrames:
         mesh = data.get(topic)
         if known is not None and known.mesh == mesh and known.names == poses.names:
             return
-        human = None
+        human = surface = None
         if mesh is not None:
             surface = self._guarded(topic, lambda: messages.read_mesh(mesh))
             human = known_body(surface, poses.names, self._humans) if surface is not None else None
             if human is None:
                 self.note(
-                    f"{name} has a body that is not built in, and is shown as bones: give the file of the "
-                    "body with --body"
+                    f"{name} has a body that is not built in: give its file with --body for its clothes"
                 )
+            else:
+                surface = None
         human = human or bone_figure(name, poses)
         if human is None:
             self.note(f"{name} is not shown: {len(poses.names)} joints are no body")
             return
-        self._known[name] = _Person(human, mesh, poses.names)
+        self._known[name] = _Person(human, mesh, poses.names, surface)
         self.people[name] = human
+
+    @property
+    def skinless(self) -> list[str]:
+        """People whose surface is known, but not how bones move it: :meth:`add_skin` finds it."""
+        people = self.topics.people
+        return [name for name, person in self._known.items() if person.surface and "vertices" in people[name]]
+
+    def add_skin(self, name: str, samples: Sequence[tuple[bytes, bytes]]) -> None:
+        """Find out how the bones of a person move its surface; it stays a figure of bones if they do not.
+
+        Args:
+            name: Name of the person.
+            samples: Serialised joints and vertices of some frames in which the pose differs.
+        """
+        person, topics = self._known[name], self.topics.people[name]
+        surface, person.surface = person.surface, None
+        assert surface is not None
+        joints, vertices = [], []
+        for of_joints, of_vertices in samples:
+            poses = self._guarded(topics["joints"], partial(_joints, of_joints))
+            points = self._guarded(topics["vertices"], partial(_vertices, of_vertices))
+            if poses is not None and points is not None and poses.names == person.names:
+                joints.append(posed_joints(person.human, poses)[: len(person.human.skeleton)])
+                vertices.append(points.astype(float))
+        if any(points.shape != surface.vertices.shape for points in vertices) or not joints:
+            self.note(f"{topics['vertices']} does not have the vertices of {topics['mesh']}")
+            return
+        human = self._guarded(
+            topics["vertices"],
+            lambda: fitted_skin(person.human, surface, np.array(joints), np.array(vertices)),
+        )
+        if human is not None:
+            person.human = self.people[name] = human
 
     def _camera(self, name: str, data: Mapping[str, bytes], stamp: int) -> Camera | None:
         """A camera at its pose in a frame."""
@@ -479,6 +522,14 @@ class TopicFrames:
         except Exception as reason:  # contents come from other programs
             self.note(f"{topic}: a message cannot be read: {type(reason).__name__}: {reason}")
         return None
+
+
+def _joints(data: bytes) -> JointPoses:
+    return messages.read_joints(deserialised(data, MultiDOFJointState))
+
+
+def _vertices(data: bytes) -> Float32Array:
+    return messages.read_vertices(deserialised(data, PointCloud2))
 
 
 def _read_calibration(message: CameraInfo) -> tuple[Camera | None, tuple[str, Camera]]:

@@ -14,6 +14,8 @@ from humansim_ros.view.topic_frames import TopicFrames
 
 #: Period of a source with a single frame, nanoseconds.
 PERIOD = 33_333_333
+#: Frames from which the skin of a body that is not known is found.
+SAMPLES = 4
 
 
 class TopicSource(ABC):

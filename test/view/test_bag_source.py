@@ -65,8 +65,10 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Scene:
     return Scene.load(write_scene(folder, SCENE))
 
 
-def recorded(folder: Path, scene: Scene, patterns: Sequence[str] = TOPICS, **options: Any) -> Path:
-    record(SceneRecording(scene, RecordingPlan.of(scene, FRAMES, list(patterns), **options)), folder)
+def recorded(
+    folder: Path, scene: Scene, patterns: Sequence[str] = TOPICS, frames: int = FRAMES, **options: Any
+) -> Path:
+    record(SceneRecording(scene, RecordingPlan.of(scene, frames, list(patterns), **options)), folder)
     return folder
 
 
@@ -446,6 +448,28 @@ def test_an_estimate_is_beside_the_truth_with_its_error(tmp_path: Path, scene: S
     source.close()
 
 
+def test_the_skin_of_an_unknown_body_is_found_from_its_vertices(tmp_path: Path) -> None:
+    """Between the frames it is found from, it is where the person has it."""
+    child = load_human("child")
+    skeleton = replace(child.skeleton, heads=1.1 * child.skeleton.heads, tails=1.1 * child.skeleton.tails)
+    mesh = replace(child.mesh, vertices=1.1 * child.mesh.vertices)
+    write_human(tmp_path / "tall.npz", replace(child, mesh=mesh, skeleton=skeleton))
+    cameras = "cameras: {left: {size: [8, 6], position: [3, 0, 1], look_at: [0, 0, 1]}}"
+    text = f"rate: 20\nroom: null\nhumans: {{anna: {{body: tall.npz, motion: walk}}}}\n{cameras}\n"
+    scene = Scene.load(write_scene(tmp_path, text))
+    patterns = ["humans/anna/joints", "humans/anna/mesh", "humans/anna/vertices"]
+    path = recorded(tmp_path / "bag", scene, patterns, frames=25)
+    source = BagViewSource(path)
+    human = source.people["anna"]
+    assert len(human.mesh.vertices) == len(child.mesh.vertices)
+    for index in (4, 11, 20):
+        vertices = human.pose(source.frame(index).joints["anna"][: len(human.skeleton)])
+        truth = scene.actors["anna"].at(index / 20).vertices
+        errors = np.linalg.norm(vertices - truth, axis=1)
+        assert errors.mean() < 0.001 and np.percentile(errors, 99) < 0.02
+    source.close()
+
+
 # --- humansim view
 
 
@@ -461,7 +485,7 @@ def test_the_command_opens_a_bag_and_its_bodies(tmp_path: Path, scene: Scene, ba
     write_human(tmp_path / "tall.npz", tall)
     known = scene.actors["anna"]
     actors = {**scene.actors, "anna": replace(known, human=load_human(tmp_path / "tall.npz"))}
-    other = recorded(tmp_path / "other", replace(scene, actors=actors), ["humans/anna/*"])
+    other = recorded(tmp_path / "other", replace(scene, actors=actors), ["humans/anna/joints", "*/mesh"])
     unknown = open_source(other).source
     assert "anna has a body that is not built in" in unknown.messages[0] and "--body" in unknown.messages[0]
     assert len(unknown.people["anna"].mesh.vertices) == 6 * len(child.skeleton)

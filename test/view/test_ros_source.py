@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -230,6 +232,45 @@ def test_an_empty_graph_says_so_and_takes_what_comes(client: Client) -> None:
         np.testing.assert_allclose(
             np.sort(found[-1].joints["lab/x"][:, 2, 3]), np.sort(state.positions[:, 2]), atol=1e-9
         )
+
+
+def test_the_skin_of_an_unknown_body_is_found_while_it_moves(client: Client) -> None:
+    """Vertices are received until then."""
+    from sensor_msgs.msg import MultiDOFJointState, PointCloud2
+    from shape_msgs.msg import Mesh as MeshMessage
+
+    from humansim_ros.ros.messages import joints_message, mesh_message, vertices_message
+    from humansim_ros.ros.qos import LATCHED
+
+    actor = Scene.load().actors["walker"]
+    mesh = replace(actor.human.mesh, vertices=actor.human.mesh.vertices + np.array([0, 0, 0.01]))
+    name = "/skin/humans/x"
+    client.node.create_publisher(MeshMessage, f"{name}/mesh", LATCHED).publish(mesh_message(mesh))
+    joints = client.node.create_publisher(MultiDOFJointState, f"{name}/joints", 5)
+    vertices = client.node.create_publisher(PointCloud2, f"{name}/vertices", 5)
+    frames = itertools.count()
+    with closing(RosViewSource(namespace="skin", patience=0.1)) as source:
+
+        def publish() -> None:
+            number = next(frames)
+            state, stamp = actor.at(0.1 * number), 10**9 + 10**8 * number
+            joints.publish(joints_message(state, stamp))
+            vertices.publish(vertices_message(state.vertices, stamp))
+            client.executor.spin_once(timeout_sec=0.01)
+            source.frame(0)
+
+        def has_skin() -> bool:
+            return "skin/x" in source.people and len(source.people["skin/x"].mesh.vertices) == len(
+                mesh.vertices
+            )
+
+        assert wait_until(has_skin, step=publish)
+        human = source.people["skin/x"]
+        frame = source.frame(0)
+        truth = actor.at((frame.stamp - 10**9) * 1e-9)
+        posed = human.pose(frame.joints["skin/x"][: len(human.skeleton)])
+        assert np.linalg.norm(posed - truth.vertices, axis=1).mean() < 0.002
+        assert "built in" in " ".join(source.messages)
 
 
 def test_hostile_messages_do_not_end_the_source(client: Client) -> None:

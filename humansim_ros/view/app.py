@@ -34,6 +34,8 @@ _RATE = 30.0
 _LOOK = 0.5
 #: Seconds that a page without browsers waits between looks for one.
 _IDLE = 0.2
+#: Seconds in which the first images of another source arrive.
+_FIRST_IMAGES = 60.0
 
 
 class ViewApp:
@@ -63,6 +65,7 @@ class ViewApp:
         document: SceneDocument | None = None,
     ) -> None:
         self.editor: EditorPanel | None = None
+        self._unseen_since: float | None = None  # when another source has replaced the first
         self.commands: CommandsPanel | None = None
         self.chosen_camera = ALL
         self.options = Options()
@@ -141,6 +144,7 @@ class ViewApp:
     def seek(self, index: int) -> None:
         """Pause, and show a frame."""
         self.player.playing = False
+        self._unseen_since = None
         self.player.seek(index)
         self.refresh()
 
@@ -166,6 +170,7 @@ class ViewApp:
             source.frames, source.period, playing, speed=self.player.speed, loop=self.player.loop
         )
         self.player.seek(index)
+        self._unseen_since = time.monotonic()
         self._build()
         self._say_broken(None)
 
@@ -197,7 +202,7 @@ class ViewApp:
     @property
     def scene_seconds(self) -> float:
         """Scene time that is shown, seconds."""
-        return 0.0 if self._frame is None else self._frame.scene_time * 1e-9
+        return self.player.index * self.source.period * 1e-9
 
     def saved(self, path: Path) -> None:
         """The scene has been saved as a file, which is watched from now on."""
@@ -266,13 +271,14 @@ class ViewApp:
         late = shown is not None and shown.image_index is not None and shown.image_index != shown.index
         live = self.player.frames is None
         same = shown is not None and (index == shown.index if not live else not self.player.playing)
-        if same and not self._needs_frame and not late:
+        pending = self._images_are_pending()
+        if same and not self._needs_frame and not late and not pending:
             return
         self._needs_frame = False
         still = not self.player.playing
         cameras = self.shown_cameras if self.through is None else (self.through,)
         channels = self.shown_channels or (self.source.channels[:1] if self.through else ())
-        frame = self.source.frame(index, cameras, channels, wait=still)
+        frame = self.source.frame(index, cameras, channels, wait=still and not pending)
         if self._content() != self._built_of:  # people and cameras of a graph come and go
             self._remove_panels()
             self._build()
@@ -283,6 +289,15 @@ class ViewApp:
         self._images.update(frame)
         self._through.update(frame)
         self.frames_shown += 1
+
+    def _images_are_pending(self) -> bool:
+        """Whether the first images of another source are on their way: nobody waits for them."""
+        shown, since = self._frame, self._unseen_since
+        if since is None:
+            return False
+        if (shown is not None and shown.image_index is not None) or time.monotonic() - since > _FIRST_IMAGES:
+            self._unseen_since = None
+        return self._unseen_since is not None
 
     def _run_posted(self) -> None:
         self._wanted.clear()

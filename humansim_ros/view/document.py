@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import os
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from collections.abc import Set as AbstractSet
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -70,6 +70,8 @@ cameras:
 _SINGULAR = {"humans": "person", "objects": "object", "cameras": "camera"}
 #: Height of new cameras, and of the point at which they look, metres.
 _EYE, _CHEST = 1.8, 0.9
+#: Largest other file that a step writes, bytes.
+_MOST = 64 << 20
 
 
 class SceneFault(NamedTuple):
@@ -85,6 +87,8 @@ class SceneDocument:
 
     Each edit changes the lines of its key only: comments, order, anchors and quotes of all other lines stay.
     An edit may leave the scene wrong: :meth:`errors` says where. Methods may be called from several threads.
+
+    ``version`` grows with each change.
 
     Args:
         text: Content of the scene file.
@@ -116,6 +120,7 @@ class SceneDocument:
         self._saved = text if path is not None else ""
         self._on_disk: bytes | None = None
         self._encoding = "utf-8"
+        self.version = 0
         self._history = History()
         self._lock = threading.RLock()
         self._files: dict[Path, tuple[bytes | None, bytes | None]] | None = None
@@ -253,7 +258,7 @@ class SceneDocument:
         section: SectionKeys = {"body": body, "motion": {"file": motion, "position": self._free(near)}}
         if motion.startswith("walk"):
             section["motion"]["loop"] = "continue"
-        return self._add("humans", name, section)
+        return self.add_section("humans", name, section)
 
     def add_object(self, name: str = "object", near: ArrayLike = (0.0, 0.0), mesh: str = "box") -> str:
         """Add an object on the floor; parameters and result as of :meth:`add_person`. ``mesh``: its shape."""
@@ -262,7 +267,7 @@ class SceneDocument:
         if mesh in ("box", "sphere", "cylinder"):
             section["size"], height = [0.5, 0.5, 0.5], 0.25
         section["position"] = [*self._free(near), height]
-        return self._add("objects", name, section)
+        return self.add_section("objects", name, section)
 
     def add_camera(
         self, name: str = "camera_1", near: ArrayLike = (3.0, 0.0, _EYE), look_at: ArrayLike | None = None
@@ -289,7 +294,7 @@ class SceneDocument:
             "look_at": metres(target),
             "fov_deg": 60,
         }
-        return self._add("cameras", name, section)
+        return self.add_section("cameras", name, section)
 
     def duplicate(self, kind: SectionName, name: str) -> str:
         """Add a copy of a person, an object or a camera half a metre beside it; returns the name."""
@@ -297,7 +302,7 @@ class SceneDocument:
         with self.step(f"Duplicate {name}"):
             short = find_key([kind, name]).short_key
             section = {short: section} if isinstance(section, str) and short else section
-            copied = self._add(kind, name, section)
+            copied = self.add_section(kind, name, section)
             with suppress(SceneError):  # a trajectory moves it
                 self.place(kind, copied, self.pose(kind, name).position + np.array([0.5, 0.5, 0.0]))
         return copied
@@ -336,15 +341,15 @@ class SceneDocument:
         at: list[str] = ["rig"] if kind == "rig" else [kind, name]
         with in_section(".".join(at)):
             if kind == "humans":
-                keys = human_keys(pose, self._track(kind, name), seconds)
+                keys = human_keys(pose, self.track(kind, name), seconds)
                 keys = {part: keys[part] for part in self._asked(keys, position, yaw_deg, quaternion)}
                 at.append("motion")
             elif kind == "objects":
-                keys = object_keys(pose, self._track(kind, name), seconds)
+                keys = object_keys(pose, self.track(kind, name), seconds)
                 keys = {part: keys[part] for part in self._asked(keys, position, yaw_deg, quaternion)}
             elif kind == "cameras":
                 turned = quaternion is not None or yaw_deg is not None
-                keys = camera_keys(self._config(kind, name), self._camera(name), pose, turned)
+                keys = camera_keys(self.config(kind, name), self.camera(name), pose, turned)
             else:
                 keys = rig_keys(pose)
         with self.step(f"Move {name}", continues=continues):
@@ -365,14 +370,14 @@ class SceneDocument:
         Raises:
             HumansimError: It is not in the file, or it is wrong.
         """
-        config = self._config(kind, name)
+        config = self.config(kind, name)
         if kind == "humans":
-            return human_pose(config, self._track(kind, name), seconds)
+            return human_pose(config, self.track(kind, name), seconds)
         if kind == "objects":
-            return object_pose(config, self._track(kind, name), seconds)
+            return object_pose(config, self.track(kind, name), seconds)
         if kind == "cameras":
-            return camera_pose(self._camera(name))
-        placement = rig_placement(config, self._source)
+            return camera_pose(self.camera(name))
+        placement = rig_placement(config, self.source)
         return ItemPose(placement.position, placement.rotation)
 
     # --- undo
@@ -397,12 +402,18 @@ class SceneDocument:
                     done = command or changed_lines(before, self._text)
                     step = Step(label, before, self._text, done, dict(self._files))
                     self._history.add(step, continues=continues)
+                    self._touch()
             except BaseException:
                 self._text = before
                 self._restore({path: pair[0] for path, pair in self._files.items()})
                 raise
             finally:
                 self._files = None
+
+    def own_pose(self, kind: SectionName, name: str) -> ItemPose:
+        """Pose of a person or an object in the space that its keyframes move; see :meth:`pose`."""
+        config = self.config(kind, name)
+        return human_pose(config) if kind == "humans" else object_pose(config)
 
     def undo(self) -> str | None:
         """Take the last step back; returns its label, None if there is none."""
@@ -471,7 +482,7 @@ class SceneDocument:
             if not isinstance(data, dict):
                 raise SceneError("a scene is a mapping with 'humans' and 'cameras'", line=1)
             config = SceneConfig.model_validate(data)
-            return [], Scene.from_config(config, self._source)
+            return [], Scene.from_config(config, self.source)
         except ValidationError as reason:
             found = schema_errors(reason, SceneConfig, SceneError, None, tree)
             return [SceneFault(error.key or "", error.line, error.message) for error in found], None
@@ -573,7 +584,8 @@ class SceneDocument:
         return "scene" if self.path is None else str(self.path)
 
     @property
-    def _source(self) -> SceneSource:
+    def source(self) -> SceneSource:
+        """Finds the files of the scene."""
         return SceneSource(self.path, self.folder, text=self._text)
 
     def _edit(self, text: str) -> None:
@@ -585,13 +597,20 @@ class SceneDocument:
             )
         self._text = text
 
-    def _write_file(self, path: Path, data: bytes) -> None:
-        """Write another file; within a step, which takes it back with it."""
-        assert self._files is not None
-        before = read_bytes(path, SceneError, "keyframe", MAX_BYTES) if exists(path) else None
-        with atomic_path(path) as temporary:
-            temporary.write_bytes(data)
-        self._files[path] = self._files.get(path, (before, data))[0], data
+    def write_file(self, path: Path, write: Callable[[Path], None]) -> None:
+        """Write another file of the scene within a step, which takes it back with it.
+
+        Args:
+            path: The file.
+            write: Writes it.
+        """
+        if self._files is None:
+            raise SceneError("files are written within a step", path=path)
+        before = read_bytes(path, SceneError, "keyframe", _MOST) if exists(path) else None
+        write(path)
+        after = read_bytes(path, SceneError, "keyframe", _MOST)
+        self._files[path] = self._files.get(path, (before, after))[0], after
+        self._touch()
 
     def _restore(self, files: Mapping[Path, bytes | None]) -> None:
         for path, data in files.items():
@@ -600,6 +619,12 @@ class SceneDocument:
             else:
                 with atomic_path(path) as temporary:
                     temporary.write_bytes(data)
+        self._touch()
+
+    def _touch(self) -> None:
+        """The scene is another one now."""
+        self.version += 1
+        self._built = None
 
     def _expand(self, keys: Sequence[YamlKey]) -> None:
         """Write sections on a path that are a text alone as mappings."""
@@ -637,7 +662,8 @@ class SceneDocument:
             return "this is a camera of the rig: place the rig, or its cameras one by one in `cameras`"
         return f"not in the file; there are {', '.join(self.names(kind)[:20]) or 'none'}"
 
-    def _config(self, kind: SectionName, name: str) -> Any:
+    def config(self, kind: SectionName, name: str) -> Any:
+        """Checked section of a person, an object, a camera or the rig. Raises SceneError if it is wrong."""
         models: dict[str, type[Section]] = {
             "humans": HumanConfig,
             "objects": ObjectConfig,
@@ -651,16 +677,18 @@ class SceneDocument:
             error = schema_errors(reason, models[kind], SceneError)[0]
             raise error.within(kind if kind == "rig" else f"{kind}.{name}") from None
 
-    def _camera(self, name: str) -> Camera:
-        with self._source.locating_errors(), in_section("cameras"):
-            return SceneCamera.build(name, self._config("cameras", name), self._source).whole
+    def camera(self, name: str) -> Camera:
+        """A camera of the file, with its whole sensor. Raises HumansimError if it is wrong."""
+        with self.source.locating_errors(), in_section("cameras"):
+            return SceneCamera.build(name, self.config("cameras", name), self.source).whole
 
-    def _track(self, kind: SectionName, name: str) -> KeyframeTrack | None:
-        keyframes: KeyframesConfig | None = self._config(kind, name).keyframes
+    def track(self, kind: SectionName, name: str) -> KeyframeTrack | None:
+        """Keyframes of a person or an object; None if it has none. Raises HumansimError if they are wrong."""
+        keyframes: KeyframesConfig | None = self.config(kind, name).keyframes
         if keyframes is None:
             return None
         with in_section(f"{kind}.{name}.keyframes.file"):
-            return read_keyframes(self._source.find(keyframes.file)).track(keyframes.object or name)
+            return read_keyframes(self.source.find(keyframes.file)).track(keyframes.object or name)
 
     @staticmethod
     def _asked(
@@ -677,7 +705,17 @@ class SceneDocument:
         rig = frozenset[str]() if built is None else frozenset(built.cameras)
         return rig.union(self.names("humans"), self.names("objects"), self.names("cameras"))
 
-    def _add(self, kind: SectionName, name: str, section: Any) -> str:
+    def add_section(self, kind: SectionName, name: str, section: Any) -> str:
+        """Add a person, an object or a camera with its keys.
+
+        Args:
+            kind: Section.
+            name: Its name; if it is taken, with a number.
+            section: Its keys and values.
+
+        Returns:
+            Its name.
+        """
         find_key([kind, name])
         taken = self._names()
         free, number = name, 2

@@ -81,7 +81,11 @@ class SceneViewSource:
     @property
     def frames(self) -> int:
         """Number of frames."""
-        longest = max((actor.motion.duration for actor in self.scene.actors.values()), default=0.0)
+        tracks = [actor.keyframes for actor in self.scene.actors.values()]
+        tracks += [item.keyframes for item in self.scene.moving_objects.values()]
+        lasting = [track.timeline.duration for track in tracks if track is not None]
+        lasting += [actor.motion.duration for actor in self.scene.actors.values()]
+        longest = max(lasting, default=0.0)
         return max(2, round(min(max(longest, _SHORTEST), _LONGEST) * self.scene.config.rate))
 
     def frame(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from waiting import wait_until
 from humansim_ros.errors import HumansimError
 from humansim_ros.scene import Scene
 from humansim_ros.view.document import SceneDocument
+from humansim_ros.view.keyframe_edit import keyframe_times
 from humansim_ros.view.panels.editor import EditorPanel
 
 pytest.importorskip("viser")
@@ -143,6 +145,51 @@ def test_every_selection_shows_its_keys_with_the_values_of_the_file(page: Page) 
     page.editor.select("scene")
     page.type("rate", 12)
     assert page.app.source.period == round(1e9 / 12)
+
+
+def test_keys_are_added_where_the_gizmo_is_dragged_at_the_time_shown(page: Page) -> None:
+    page.editor.select("person walker")
+    keyframes = page.editor.keyframes
+    keyframes.use("Add")
+    page.app.seek(45)
+    page.editor.place_gizmo()
+    keyframes._dragging.value = True
+    assert keyframes.dragging
+    page.editor.move(np.array([1.0, 0.0, 0.0]), np.array([0, 0, 0, 1.0]))
+    assert keyframe_times(page.document, "humans", "walker") == [0, 1.5]
+    np.testing.assert_allclose(page.document.pose("humans", "walker", 1.5).position, [1, 0, 0], atol=2e-4)
+    assert keyframes._times.content == "keys at 0, 1.5 s"
+    page.app.seek(45)
+    keyframes.use("Remove")
+    assert keyframe_times(page.document, "humans", "walker") == [0]
+
+
+def test_a_calibration_is_loaded_and_idealised_with_its_command(page: Page) -> None:
+    shutil.copy(page.path, page.path.parent / "cameras.yaml")
+    page.editor.calibration.load("cameras.yaml", as_file=True)
+    assert "already" in page.document.errors()[0].message  # of the same names
+    page.document.remove("cameras")
+    page.editor.refresh()
+    assert page.document.errors() == [] and page.app.source.cameras["camera_1"].center[2] == pytest.approx(
+        2.2
+    )
+    page.editor.select("rig")
+    page.editor.calibration.idealize(True)
+    assert page.document.value("rig.file") == "ideal/cameras.yaml"
+    assert "humansim camera idealize" in page.editor._command.content
+    page.editor.calibration.load("/etc/passwd")
+    assert "/etc/passwd" in page.told[-1]
+    page.editor.calibration.load("missing.toml")
+    assert "missing.toml" in page.told[-1]
+
+
+def test_the_motion_of_a_person_is_shown_as_a_picture(page: Page) -> None:
+    page.editor.select("person walker")
+    walking = page.editor.picture._image
+    page.type("motion.file", "wave")
+    assert page.editor.picture._image is not walking
+    page.editor.select("light")
+    assert not page.editor.picture._folder.visible
 
 
 def test_a_saved_scene_is_what_the_page_shows(page: Page) -> None:

@@ -13,6 +13,7 @@ from humansim_ros.types import Array
 from humansim_ros.view.document import SceneDocument, SectionName
 from humansim_ros.view.page_interface import Page
 from humansim_ros.view.panels.controls import SectionControls, choices_of, plain_markdown
+from humansim_ros.view.panels.item_tools import CalibrationTools, KeyframeTools, MotionPicture
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.server import check_value, inside
 
@@ -40,7 +41,7 @@ class EditorPanel:
         self.document = document
         self.selected = "scene"
         self._app = app
-        self._shown_text = document.text()
+        self._shown = document.version
         self._gizmo: Any = None
         self._seconds = 0.0
         self._controls: SectionControls | None = None
@@ -50,10 +51,14 @@ class EditorPanel:
             self._status = gui.add_markdown("")
             self._history = gui.add_button_group("Steps", (_UNDO, _REDO))
             self._adding = gui.add_button_group("Add", tuple(_PLURAL))
-            self._choice = gui.add_dropdown("Selected", (self.selected,))
+            self._choice = gui.add_dropdown("Item", (self.selected,))
             self._actions = gui.add_button_group("Selected", (_COPY, _REMOVE))
             self._name = gui.add_text("Name", "")
+            self._rename = gui.add_button("Rename")
             self._keys = gui.add_folder("Keys")
+            self.picture = MotionPicture(app)
+            self.keyframes = KeyframeTools(app, document, self.edit)
+            self.calibration = CalibrationTools(app, document, self.edit)
             self._command = gui.add_markdown("")
             path = "" if document.path is None else str(document.path)
             self._path = gui.add_text("File", path, hint="scene file (.yaml) to save")
@@ -70,7 +75,7 @@ class EditorPanel:
             lambda: self.duplicate() if self._actions.value == _COPY else self.remove_selected(),
         )
         self._on(self._save, "on_click", lambda: self.save(self._path.value, self._overwrite.value))
-        self._on(self._name, "on_update", lambda: self.rename(self._name.value))
+        self._on(self._rename, "on_click", lambda: self.rename(self._name.value))
         self.refresh()
 
     # --- edits
@@ -149,7 +154,11 @@ class EditorPanel:
             old = self.document.pose(kind, name, self._seconds)
             moved = bool(np.abs(position - old.position).max() > _MOVED)
             turned = 1 - abs(float(quaternion @ old.quaternion)) > _TURNED**2
-            if moved or turned:
+            if not (moved or turned):
+                return
+            if self.keyframes.dragging:
+                self.keyframes.drag(position if moved else None, quaternion if turned else None)
+            else:
                 self.document.place(
                     kind,
                     name,
@@ -195,9 +204,8 @@ class EditorPanel:
     def refresh(self) -> None:
         """Show the document: its scene if it is right, its errors if not."""
         faults = self.document.errors()
-        text = self.document.text()
-        if text != self._shown_text and not faults:
-            self._shown_text = text
+        if self.document.version != self._shown and not faults:
+            self._shown = self.document.version
             self._app.replace_source(self.make_source())
         if self.selected not in self.choices():
             self.selected = "scene"
@@ -257,7 +265,7 @@ class EditorPanel:
             )
             return False
         self.document.reload()
-        self._shown_text = self.document.text()
+        self._shown = self.document.version
         return True
 
     def _dragged(self, event: Any) -> None:
@@ -289,7 +297,7 @@ class EditorPanel:
         self._keys.remove()
         gui = self._app.gui
         with self._tab:
-            self._keys = gui.add_folder(f"Keys of {self.selected}", order=self._name.order + 0.5)
+            self._keys = gui.add_folder(f"Keys of {self.selected}", order=self._rename.order + 0.5)
         kind, name = self.item
         choices: dict[str, Sequence[str]] = dict(choices_of(kind))
         if kind == "humans" and name in self._app.source.people:
@@ -317,8 +325,13 @@ class EditorPanel:
         if self._choice.value != self.selected:
             self._choice.value = self.selected
         kind, name = self.item
-        self._name.visible = kind in _SINGULAR
+        self._name.visible = self._rename.visible = kind in _SINGULAR
         self._name.value = name
+        self.keyframes.show(kind, name)
+        self.calibration.show(kind, name)
+        source = self._app.source
+        actors = source.scene.actors if isinstance(source, SceneViewSource) and kind == "humans" else {}
+        self.picture.show(actors.get(name))
 
     def _show_status(self) -> None:
         faults = self.controls_now().show_errors(self.document.errors())

@@ -1,0 +1,203 @@
+"""Calibration files in an edited scene: add their cameras with a place in ``map``; real and ideal cameras."""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.camera import Camera, idealize, load_calibration, write_calibration
+from humansim_ros.camera.calibration import Z_UP_FROM_FILE, Calibration
+from humansim_ros.camera.floor_points import read_floor_points
+from humansim_ros.camera.placement import RigPlacement
+from humansim_ros.camera.placing import place_by_floor, place_by_level
+from humansim_ros.errors import CameraError, SceneError
+from humansim_ros.io.files import exists, expand_user
+from humansim_ros.scene.camera import read_cameras
+from humansim_ros.view.document import SceneDocument, SectionName
+from humansim_ros.view.scene_keys import metres
+
+#: Folder beside a calibration file for its ideal cameras.
+_IDEAL = "ideal"
+#: Keys of a rig that belong to its file; the others stay when another file is loaded.
+_OF_FILE = ("cameras", "size", "unit", "up_axis", "position", "rotation_deg", "look_at")
+#: Decimals of the angles of a placed rig: cameras are metres from the origin of their file.
+_DIGITS = 4
+#: Places of cameras without poses: distance, height and target, metres.
+_RADIUS, _HEIGHT, _TARGET = 3.5, 1.8, [0, 0, 0.9]
+
+
+def add_calibration(
+    document: SceneDocument,
+    path: str | os.PathLike[str],
+    floor_points: str | os.PathLike[str] | None = None,
+    as_file: bool = False,
+) -> list[str]:
+    """Add the cameras of a calibration file: as the rig, in place of another one; those without poses singly.
+
+    Args:
+        document: The scene.
+        path: Calibration file; relative to the folder of the scene.
+        floor_points: File of floor points (docs/rigs.md) that place the rig; without it, the cameras are
+            taken to stand upright.
+        as_file: The world of the file is ``map``.
+
+    Returns:
+        Names of the cameras in the file.
+
+    Raises:
+        HumansimError: A file cannot be read, or the rig cannot be placed.
+    """
+    file = document.folder / expand_user(os.fspath(path))
+    read = load_calibration(file, all_cameras=True)
+    name = os.path.relpath(file, document.folder) if file.is_relative_to(document.folder) else str(file)
+    posed = {key: camera for key, camera in read.cameras.items() if key in read.posed}
+    command = f"humansim camera place {shlex.quote(str(file))} -o lab.yaml"
+    with document.step(f"Load {file.name}", command if posed and not as_file else ""):
+        if not posed:
+            _add_singly(document, name, read)
+            return list(read.cameras)
+        section: dict[str, Any] = {"file": name}
+        if read.format is not None and read.format.find_unit is not None:
+            section["unit"] = float(f"{read.unit:g}")
+        if not as_file:
+            placement = _placement(document, read, posed, floor_points)
+            section["rotation_deg"] = np.round(placement.rotation_deg, _DIGITS) + 0.0
+            section["position"] = metres(placement.position)
+        if not document.has("rig"):
+            document.set("rig", section)
+        else:
+            for key in (key for key in _OF_FILE if key not in section and document.has(["rig", key])):
+                document.remove(["rig", key])
+            for key, value in section.items():
+                document.set(["rig", key], value)
+    return list(posed)
+
+
+def is_ideal(document: SceneDocument, kind: SectionName, name: str) -> bool:
+    """Whether a camera or the rig has no distortion, or its file is in the folder ``ideal``."""
+    key = _file_key(document, kind, name)
+    if key is not None:
+        return Path(document.value(key)).parent.name == _IDEAL
+    return not document.value(["cameras", name, "distortion"])
+
+
+def set_ideal(document: SceneDocument, kind: SectionName, name: str, ideal: bool) -> None:
+    """Take the ideal cameras [thesis §9.8] of a camera or of the rig, or the real ones again.
+
+    The ideal cameras of a calibration file are written as a file of the same name in the folder ``ideal``
+    beside it. A camera with K in the scene loses its distortion; undo takes it back.
+
+    Args:
+        document: The scene.
+        kind: ``cameras`` or ``rig``.
+        name: Name in the section.
+        ideal: Ideal cameras, or real ones.
+
+    Raises:
+        HumansimError: There is no such camera, its file cannot be written in its format, or the real lens is
+            not known any more.
+    """
+    if is_ideal(document, kind, name) == ideal:
+        return
+    key = _file_key(document, kind, name)
+    label = f"{'Idealise' if ideal else 'Take the real lens of'} {name}"
+    if key is None:
+        if not ideal:
+            raise SceneError("the real lens of this camera is not in the file: undo, or write its distortion")
+        with document.step(label):
+            _idealize_keys(document, name)
+        return
+    file = document.folder / expand_user(document.value(key))
+    if not ideal:
+        original = file.parent.parent / file.name
+        if not exists(original):
+            raise SceneError(f"there is no real calibration {str(original)!r}", key=".".join(map(str, key)))
+        with document.step(label):
+            document.set(key, _named_as(document.value(key), original, document.folder))
+        return
+    target = file.parent / _IDEAL / file.name
+    command = f"humansim camera idealize {shlex.quote(str(file))} -o {shlex.quote(str(target.parent))}"
+    with document.step(label, command):
+        config = document.config(kind, name)
+        real = read_cameras(document.value(key), str(key[-1]), config, document.source)
+        cameras = {one: idealize(camera).camera for one, camera in real.cameras.items()}
+        target.parent.mkdir(exist_ok=True)
+        write_calibration(target, cameras, real.format.name if real.format else "scene")
+        document.set(key, _named_as(document.value(key), target, document.folder))
+        _check_same(document, kind, name, key, cameras)
+
+
+def _placement(
+    document: SceneDocument,
+    read: Calibration,
+    posed: Mapping[str, Camera],
+    floor_points: str | os.PathLike[str] | None,
+) -> RigPlacement:
+    if floor_points is None:
+        return place_by_level(posed).placement
+    points = document.folder / expand_user(os.fspath(floor_points))
+    in_metres = read.unit * Z_UP_FROM_FILE[read.up]
+    return place_by_floor(posed, read_floor_points(points, in_metres)).placement
+
+
+def _add_singly(document: SceneDocument, file: str, read: Calibration) -> None:
+    """Add cameras without poses, on a circle around the middle."""
+    for number, name in enumerate(read.cameras):
+        angle = 2 * np.pi * number / len(read.cameras)
+        plain = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_")
+        plain = plain if plain[:1].isalpha() else f"camera_{plain}".rstrip("_")
+        at = (_RADIUS * np.cos(angle), _RADIUS * np.sin(angle), _HEIGHT)
+        section: dict[str, Any] = {"calibration": file}
+        if len(read.cameras) > 1:
+            section["camera"] = name
+        document.add_section("cameras", plain, section | {"position": metres(at), "look_at": _TARGET})
+
+
+def _file_key(document: SceneDocument, kind: SectionName, name: str) -> list[str] | None:
+    """Key of the calibration file of a camera or of the rig; None for a camera without one."""
+    if kind == "rig":
+        return ["rig", "file"]
+    key = [kind, name, "calibration"]
+    return key if document.value(key) is not None else None
+
+
+def _named_as(old: str, path: Path, folder: Path) -> str:
+    """Name of a file in the scene: relative if the old one was."""
+    return str(path) if Path(old).is_absolute() else os.path.relpath(path, folder)
+
+
+def _idealize_keys(document: SceneDocument, name: str) -> None:
+    ideal = idealize(document.camera(name)).camera
+    if document.value(["cameras", name, "K"]) is not None:
+        document.set(["cameras", name, "K"], np.round(ideal.K, 4) + 0.0)
+    for key in ("distortion", "distortion_model", "rectification", "rectified"):
+        if document.has(["cameras", name, key]):
+            document.remove(["cameras", name, key])
+
+
+def _check_same(
+    document: SceneDocument, kind: SectionName, name: str, key: list[str], cameras: Mapping[str, Camera]
+) -> None:
+    """Remove the unit and up axis of the real file where that of the ideal one is known; check the rest."""
+    for attempt in range(2):
+        config = document.config(kind, name)
+        read = read_cameras(document.value(key), key[-1], config, document.source).cameras
+        if all(
+            one in read
+            and np.allclose(read[one].K, camera.K, atol=1e-3)
+            and np.allclose(read[one].center, camera.center, atol=1e-4)
+            and np.allclose(read[one].R, camera.R, atol=1e-5)
+            for one, camera in cameras.items()
+        ):
+            return
+        if attempt == 0:
+            for part in ("unit", "up_axis"):
+                if document.has([*key[:-1], part]):
+                    document.remove([*key[:-1], part])
+    raise CameraError("the format of this file does not hold the ideal cameras: convert it first")

@@ -65,6 +65,7 @@ EXTRAS = {
         "ezc3d>=1.5",
         "fsspec>=2023.1",
         "hypothesis",
+        "ipython>=8",
         "lxml>=4.9",
         "matplotlib>=3.8",
         "mcap>=1.1",

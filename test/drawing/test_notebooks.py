@@ -10,7 +10,6 @@ from collections.abc import Iterator
 import cv2
 import numpy as np
 import pytest
-from IPython.core.formatters import DisplayFormatter
 
 from humansim_ros import (
     Camera,
@@ -28,6 +27,9 @@ from humansim_ros.drawing.frames import plot_frame
 from humansim_ros.drawing.views import joint_colors
 from humansim_ros.errors import ChannelError, HumansimError, RenderError
 from humansim_ros.pictures import Pictured
+
+formatters = pytest.importorskip("IPython.core.formatters")
+pytest.importorskip("matplotlib")
 
 CAMERA = {"size": [320, 240], "look_at": [0, 0, 0.8]}
 SCENE = {
@@ -58,7 +60,7 @@ def frame(scene: Scene) -> Iterator[Frame]:
 
 def shown(item: object) -> np.ndarray:
     """The picture that a notebook shows of an object, (H, W, 3)."""
-    data, _ = DisplayFormatter().format(item)
+    data, _ = formatters.DisplayFormatter().format(item)
     assert data["text/plain"] == repr(item)
     return cv2.imdecode(np.frombuffer(data["image/png"], np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
 
@@ -123,12 +125,12 @@ def test_an_object_without_picture_is_shown_as_text(monkeypatch: pytest.MonkeyPa
     with pytest.warns(
         HumansimWarning, match="Camera has no picture: CameraError: a camera is more than 100 km"
     ):
-        data, _ = DisplayFormatter().format(camera)
+        data, _ = formatters.DisplayFormatter().format(camera)
     assert data == {"text/plain": repr(camera)}
     # whatever goes wrong: no OpenGL, no memory, a broken library
     monkeypatch.setitem(sys.modules, "humansim_ros.drawing.notebooks", None)
     with pytest.warns(HumansimWarning, match="no picture"):
-        assert DisplayFormatter().format(read_motion("walk"))[0].keys() == {"text/plain"}
+        assert formatters.DisplayFormatter().format(read_motion("walk"))[0].keys() == {"text/plain"}
 
 
 def test_a_new_class_without_a_picture_is_shown_as_text() -> None:

@@ -18,7 +18,7 @@ from humansim_ros.scene import Scene
 from humansim_ros.scene.names import SceneNames, read_names
 
 DEMO = ROOT / "config" / "scenes" / "demo.yaml"
-#: Displays of rviz_default_plugins of Jazzy (plugins_description.xml) that layouts use, with their types.
+#: Displays of rviz_default_plugins of Jazzy that layouts use, with their types.
 DISPLAYS = {
     "Camera": "sensor_msgs/msg/Image",
     "CameraInfo": "sensor_msgs/msg/CameraInfo",

@@ -104,7 +104,7 @@ PARSERS: dict[str, Callable[[str], object]] = {
     "yaml": yaml.safe_load,
 }
 #: Blocks that no parser checks: output and shell sessions.
-PLAIN = {"text", "bash", "console"}
+PLAIN = {"diff", "toml", "text", "bash", "console"}
 
 
 @pytest.mark.parametrize("document", documents(), ids=lambda path: str(path.relative_to(ROOT)))

@@ -12,6 +12,7 @@ import sys
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any, get_args
 
 import pytest
 import yaml
@@ -141,3 +142,39 @@ def test_the_scene_of_the_documents_loads_and_every_key_is_described(tmp_path: P
     for section in (*sections, *cameras, config.RoomConfig, config.TimeConfig):
         for key in section.model_fields:
             assert f"`{key}`" in text or f".{key}`" in text, key
+
+
+#: Words for defaults that stand for no value, or for one that another key or file gives.
+NO_DEFAULT = re.compile(
+    r"–|\d+, |(none|all|detected|computed|as of|as in|the first|by|its only|built-in|middle|see|that of"
+    r"|without|ideal|as fast)\b"
+)
+
+
+def test_the_defaults_of_the_page_of_scenes_are_those_of_the_schema() -> None:
+    from humansim_ros.scene.config import SceneConfig
+
+    compared, section = 0, ""
+    for row in re.findall(r"^\|(.*)\|$", (ROOT / "docs" / "scene.md").read_text(), re.MULTILINE):
+        first, keys, default, *_ = [*(cell.strip() for cell in row.split("|")), "", ""]
+        if name := re.match(r"`(….)?([\w.<>]+)`", first):
+            section = f"{section.partition('.<name>')[0]}.{name[2]}" if name[1] else name[2]
+        model: Any = SceneConfig
+        for part in section.replace(".<name>", "").split(".") if section else ():
+            model = section_of(model.model_fields[part].annotation)
+        for key in re.findall(r"`(\w+)`", keys):
+            field = model.model_fields.get(key)
+            value = None if field is None else field.get_default(call_default_factory=True)
+            if value is None or not default or NO_DEFAULT.match(default):
+                continue  # a section, or a default that depends on something else
+            shown = yaml.safe_load(default)
+            compared += 1
+            assert shown in (value, list(value) if isinstance(value, tuple) else value), (section, key)
+    assert compared > 40
+
+
+def section_of(annotation: Any) -> Any:
+    """The model in the annotation of a key."""
+    if hasattr(annotation, "model_fields"):
+        return annotation
+    return next((found for part in get_args(annotation) if (found := section_of(part))), None)

@@ -43,6 +43,25 @@ stands for a name that you choose.
 """
 
 
+#: Pages that explain sections.
+_GUIDES = {
+    "humans.*": "humans.md",
+    "humans.*.motion": "motion.md",
+    "humans.*.keyframes": "keyframes.md",
+    "variety": "humans.md#many-humans",
+    "objects.*": "scene.md#furniture",
+    "cameras.*": "cameras.md",
+    "cameras.*.trajectory": "rigs.md#cameras-that-move",
+    "cameras.*.sensor": "sensors.md",
+    "cameras.*.faults": "faults.md",
+    "world": "look.md#environments",
+    "light": "look.md#light",
+    "randomise": "look.md#random-variation",
+    "time": "lockstep.md",
+    "rig": "rigs.md",
+}
+
+
 def scene_keys_page() -> str:
     """docs/reference/scene_keys.md."""
     from humansim_ros.scene.config import SceneConfig
@@ -94,6 +113,8 @@ def _section(path: str, model: type[Any], others: Sequence[str], first: Mapping[
     if short := getattr(model, "short_key", None) or getattr(model, "number_key", None):
         kind = "A text" if hasattr(model, "short_key") else "A number"
         yield f"{kind} alone stands for its key `{short}`.\n"
+    if path in _GUIDES:
+        yield f"More in [{_GUIDES[path].partition('#')[0]}](../{_GUIDES[path]}).\n"
     if others:
         yield f"The same keys as {_and(f'`{other}`' for other in others)}.\n"
     rows = []

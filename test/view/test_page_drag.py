@@ -95,6 +95,8 @@ def test_a_drag_moves_a_person_and_the_saved_scene_gives_the_picture_of_the_page
         assert [line for line in text.splitlines() if line in kept] == kept
         assert "# our guest" in text
 
+        # without the picture of the motion: the only large image is that of the cameras
+        app.post(lambda: editor.select("scene"))
         with Simulation(Scene.load(editor.document.path), channels=("rgb",)) as simulation:
             views = simulation.frame(12).views
         expected = mosaic({name: {"rgb": view.rgb} for name, view in views.items()})

@@ -66,6 +66,7 @@ EXTRAS = {
         "fsspec>=2023.1",
         "hypothesis",
         "ipython>=8",
+        "jsonschema>=4.17",
         "lxml>=4.9",
         "matplotlib>=3.8",
         "mcap>=1.1",

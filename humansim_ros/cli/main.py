@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import sys
 import time
@@ -14,9 +15,11 @@ from typing import Annotated, Any
 import typer
 
 from humansim_ros.bounds import MAX_FRAMES
+from humansim_ros.cli import completion
 from humansim_ros.cli.bench import bench
 from humansim_ros.cli.challenge import challenge
 from humansim_ros.cli.check import check, warn_about_mistakes
+from humansim_ros.cli.doctor import doctor, schema
 from humansim_ros.cli.evaluate import evaluate
 from humansim_ros.cli.export import export
 from humansim_ros.cli.options import join_numbers
@@ -44,11 +47,18 @@ def _root(
 def run(
     scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
     motion: Annotated[
-        str | None, typer.Option(help="Motion file or built-in motion in place of that of the scene.")
+        str | None,
+        typer.Option(
+            help="Motion file or built-in motion in place of that of the scene.",
+            autocompletion=completion.motions,
+        ),
     ] = None,
     mesh: Annotated[
         str | None,
-        typer.Option(help="Body (.obj, .glb, .stl, .npz or built-in) in place of that of the scene."),
+        typer.Option(
+            help="Body (.obj, .glb, .stl, .npz or built-in) in place of that of the scene.",
+            autocompletion=completion.humans,
+        ),
     ] = None,
     joint_names: Annotated[
         str | None, typer.Option(help="Joint table for the motion (name or YAML file).")
@@ -292,6 +302,8 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "check": check,
     "snapshot": snapshot,
     "view": view,
+    "doctor": doctor,
+    "schema": schema,
     "demo": demo,
     "bench": bench,
     "record": record,
@@ -323,6 +335,10 @@ _GROUPS = {
 _SETTINGS = {"help_option_names": ["-h", "--help"]}
 
 
+#: Variable by which a shell asks for completions.
+_COMPLETION = "_HUMANSIM_COMPLETE"
+
+
 def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
     """The command with its subcommands.
 
@@ -334,7 +350,6 @@ def make_app(arguments: Sequence[str] | None = None) -> typer.Typer:
         context_settings=_SETTINGS,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
-        add_completion=False,
         rich_markup_mode=None,  # rich takes longer to import than all the rest
     )
     app.callback(invoke_without_command=True)(_root)
@@ -375,7 +390,9 @@ def main() -> int:
     show_warnings()
     arguments = join_numbers(sys.argv[1:])
     try:
-        result = make_app(arguments)(arguments, prog_name="humansim", standalone_mode=False)
+        # a shell that asks for completions gives the words in variables
+        app = make_app(None if _COMPLETION in os.environ else arguments)
+        result = app(arguments, prog_name="humansim", standalone_mode=False)
         flush_output()
     except HumansimError as error:
         print_error(f"error: {error}")

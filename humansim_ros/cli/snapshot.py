@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from humansim_ros.cli import completion
 from humansim_ros.cli.output import check_output, print_text
 from humansim_ros.errors import HumansimError
 
@@ -17,7 +18,11 @@ def snapshot(
     scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
     time: Annotated[float, typer.Option(help="Scene time, seconds.", min=0.0, max=1e6)] = 0.0,
     channels: Annotated[
-        str, typer.Option(help="Channels to draw, a row each, such as rgb,depth,part; or all.")
+        str,
+        typer.Option(
+            help="Channels to draw, a row each, such as rgb,depth,part; or all.",
+            autocompletion=completion.channels,
+        ),
     ] = "rgb",
     width: Annotated[
         int, typer.Option(help="Greatest width of the sheet in pixels.", min=160, max=8192)

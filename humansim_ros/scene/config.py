@@ -10,10 +10,13 @@ from pydantic import (
     AfterValidator,
     ConfigDict,
     Field,
+    GetJsonSchemaHandler,
     StringConstraints,
     ValidationError,
     model_validator,
 )
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.errors import SceneError
@@ -79,6 +82,13 @@ class _ShortSection(Section):
     @classmethod
     def _text_alone(cls, value: Any) -> Any:
         return {cls.short_key: value} if isinstance(value, str) else value
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        section = handler.resolve_ref_schema(handler(core_schema))
+        return {"anyOf": [{"type": "string"}, section]}
 
 
 class MotionConfig(_ShortSection):

@@ -1,0 +1,305 @@
+"""Checks of ``humansim doctor``: what this machine has, what is wrong with it, and the line that mends it."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+#: Result of a check: usable, usable with a drawback, or not usable.
+State = Literal["ok", "warning", "wrong"]
+#: Seconds that a check in a process of its own may take.
+_PATIENCE = 90.0
+_MB = 1 << 20
+#: Free shared memory for the images of a process of nodes; free memory; free disk.
+_SHARED_MEMORY, _MEMORY, _DISK = 70 * _MB, 1500 * _MB, 500 * _MB
+_JAZZY = "jazzy"
+#: Modules of each extra.
+EXTRAS = {
+    "evaluate": ("ezc3d", "mcap", "pycocotools", "rosbags"),
+    "export": ("OpenEXR", "c3d", "pycocotools"),
+    "meshes": ("DracoPy", "lxml", "networkx", "collada"),
+    "ray": ("fsspec", "ray"),
+    "record": ("mcap", "rosbags"),
+    "view": ("ruamel.yaml", "viser"),
+}
+
+_IMPORTS = """
+import numpy, scipy, cv2, moderngl, trimesh, pydantic, yaml
+print(numpy.__version__, cv2.__version__)
+"""
+_RENDER = """
+import json, time
+import humansim_ros
+from humansim_ros.render import GLRenderer
+from humansim_ros import Camera, load_human
+from humansim_ros.render import Body
+from humansim_ros.resources import resource_path
+child = load_human(resource_path("assets/humans/child.npz"))
+camera = Camera.look_at((0, 1.0, 3.0), (0, 0.6, 0), size=(640, 480), up=(0, 1, 0))
+renderer = GLRenderer()
+bodies = [Body(child.mesh, child.mesh.vertices.astype("float32"), child.triangle_parts, 1)]
+renderer.render(bodies, camera, ("rgb",))
+start = time.perf_counter()
+for _ in range(5):
+    renderer.render(bodies, camera, ("rgb",))
+print(json.dumps({"device": renderer.device, "ms": 200 * (time.perf_counter() - start)}))
+"""
+_EXCHANGE = """
+import time
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from std_msgs.msg import String
+got, nodes, contexts = [], [], []
+executor = None
+for name in ("doctor_1", "doctor_2"):
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    contexts.append(context)
+    nodes.append(rclpy.create_node(name, context=context))
+executor = SingleThreadedExecutor(context=contexts[1])
+executor.add_node(nodes[1])
+nodes[1].create_subscription(String, "/humansim_doctor", lambda message: got.append(message.data), 1)
+publisher = nodes[0].create_publisher(String, "/humansim_doctor", 1)
+start = time.monotonic()
+while not got and time.monotonic() - start < 20:
+    publisher.publish(String(data="hello"))
+    executor.spin_once(timeout_sec=0.1)
+import os, sys
+print("arrived" if got else "lost", flush=True)
+os._exit(0 if got else 1)
+"""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Result of a check.
+
+    Attributes:
+        name: What was checked.
+        state: Result.
+        text: What was found.
+        fix: Line to type, or what to do; empty if nothing is to do.
+    """
+
+    name: str
+    state: State
+    text: str
+    fix: str = ""
+
+
+def check_python() -> Diagnosis:
+    """Version of Python, and whether the packages that are always needed can be imported."""
+    version = ".".join(map(str, sys.version_info[:3]))
+    if not (3, 10) <= sys.version_info[:2] <= (3, 13):
+        return Diagnosis("Python", "wrong", version, "use Python 3.10 to 3.13")
+    done = run_python(_IMPORTS)
+    if done.returncode != 0:
+        return Diagnosis(
+            "Python", "wrong", f"{version}; {last_line(done.stderr)}", "pip install --upgrade humansim_ros"
+        )
+    numpy, opencv = done.stdout.split()
+    return Diagnosis("Python", "ok", f"{version}, NumPy {numpy}, OpenCV {opencv}")
+
+
+def check_opengl() -> Diagnosis:
+    """The device that renders, and how fast it is."""
+    done = run_python(_RENDER)
+    if done.returncode != 0:
+        return Diagnosis(
+            "OpenGL",
+            "wrong",
+            last_line(done.stderr) or f"the renderer ended with exit code {done.returncode}",
+            "sudo apt-get install -y libegl1 libgl1 libgl1-mesa-dri",
+        )
+    found = json.loads(last_line(done.stdout))
+    text = f"{found['device']}; 640x480 in {found['ms']:.0f} ms"
+    if "llvmpipe" in found["device"] and list(Path("/dev").glob("nvidia[0-9]*")):
+        return Diagnosis(
+            "OpenGL",
+            "warning",
+            f"{text}; there is an NVIDIA GPU, but EGL does not offer it",
+            "install libnvidia-gl of the driver; in Docker: --gpus all -e NVIDIA_DRIVER_CAPABILITIES=all",
+        )
+    return Diagnosis("OpenGL", "ok", text)
+
+
+def check_ros(environment: Mapping[str, str] = os.environ) -> Diagnosis:
+    """Which ROS 2 is used."""
+    distribution = environment.get("ROS_DISTRO")
+    if distribution not in (None, "", _JAZZY):
+        return Diagnosis(
+            "ROS",
+            "wrong",
+            f"ROS {distribution} is sourced; this package is for Jazzy",
+            "open a new shell and: source /opt/ros/jazzy/setup.bash",
+        )
+    code = "import rclpy, sensor_msgs.msg, visualization_msgs.msg; print(rclpy.__file__)"
+    done = run_python(code, environment)
+    if done.returncode != 0:
+        fix = (
+            "source /opt/ros/jazzy/setup.bash"
+            if Path("/opt/ros/jazzy").exists()
+            else ("pip install 'humansim_ros[ros]'")
+        )
+        text = f"cannot be imported ({last_line(done.stderr)}); all that needs no ROS works"
+        return Diagnosis("ROS", "warning", text, fix)
+    path = last_line(done.stdout)
+    if distribution and "site-packages" in path and "/opt/ros" not in path:
+        text = f"/opt/ros/{distribution} is sourced, but Python uses the wheels in {Path(path).parents[1]}"
+        return Diagnosis(
+            "ROS", "warning", text, "unset PYTHONPATH AMENT_PREFIX_PATH ROS_DISTRO, or leave the venv"
+        )
+    return Diagnosis("ROS", "ok", f"Jazzy, {Path(path).parents[1]}")
+
+
+def check_variables(environment: Mapping[str, str] = os.environ) -> Diagnosis:
+    """Variables that decide which nodes see each other."""
+    name = "ROS variables"
+    domain = environment.get("ROS_DOMAIN_ID", "")
+    if domain and not (domain.isdecimal() and int(domain) <= 232):
+        return Diagnosis(name, "wrong", f"ROS_DOMAIN_ID is {domain!r}, not 0 to 232", "export ROS_DOMAIN_ID=0")
+    reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
+    if reach and reach not in ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"):
+        text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is {reach!r}"
+        return Diagnosis(name, "wrong", text, "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET   # or LOCALHOST")
+    if reach == "OFF":
+        text = "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: nodes do not find each other"
+        return Diagnosis(name, "wrong", text, "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET   # or LOCALHOST")
+    middleware = environment.get("RMW_IMPLEMENTATION", "")
+    if middleware not in ("", "rmw_fastrtps_cpp"):
+        text = f"RMW_IMPLEMENTATION is {middleware}; only rmw_fastrtps_cpp is tested"
+        return Diagnosis(name, "warning", text, "unset RMW_IMPLEMENTATION")
+    if environment.get("ROS_LOCALHOST_ONLY", "0") not in ("", "0"):
+        text = "ROS_LOCALHOST_ONLY is deprecated in Jazzy, and wins over the discovery range"
+        fix = "unset ROS_LOCALHOST_ONLY; export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
+        return Diagnosis(name, "warning", text, fix)
+    return Diagnosis(name, "ok", f"domain {domain or 0}, discovery {reach or 'SUBNET'}")
+
+
+def check_exchange() -> Diagnosis:
+    """Whether a message of one participant reaches another on this machine."""
+    name = "DDS"
+    if importlib.util.find_spec("rclpy") is None:
+        return Diagnosis(name, "ok", "not tried without ROS")
+    done = run_python(_EXCHANGE)
+    if "arrived" in done.stdout:
+        return Diagnosis(name, "ok", "a message went from one participant to another")
+    text = "a message did not arrive" if "lost" in done.stdout else last_line(done.stderr) or "no answer"
+    fix = "export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST; allow UDP multicast on lo, or see docs/live.md"
+    return Diagnosis(name, "wrong", text, fix)
+
+
+def check_shared_memory(folder: Path = Path("/dev/shm")) -> Diagnosis:
+    """Space and rights of the folder through which images go."""
+    name = "shared memory"
+    if not os.access(folder, os.W_OK):
+        return Diagnosis(name, "wrong", f"{folder} cannot be written to", f"sudo chmod 1777 {folder}")
+    free = shutil.disk_usage(folder).free
+    left = sum(1 for _ in folder.glob("fastrtps_*"))
+    text = f"{free // _MB} MB free in {folder}"
+    if left:
+        text += f", {left} files of Fast DDS"
+    if free < _SHARED_MEMORY:
+        fix = "sudo mount -o remount,size=1G /dev/shm; in Docker: --shm-size=1g; or: fastdds shm clean"
+        return Diagnosis(name, "warning", f"{text}: large images go through UDP", fix)
+    return Diagnosis(name, "ok", text)
+
+
+def check_ffmpeg() -> Diagnosis:
+    """The program that writes videos."""
+    code = "import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())"
+    done = run_python(code)
+    if done.returncode != 0:
+        return Diagnosis(
+            "ffmpeg", "warning", "no videos can be written", "pip install --upgrade imageio-ffmpeg"
+        )
+    return Diagnosis("ffmpeg", "ok", last_line(done.stdout))
+
+
+def check_extras() -> Diagnosis:
+    """Optional parts that are not installed."""
+    missing = [name for name, modules in EXTRAS.items() if not all(map(_is_there, modules))]
+    if not missing:
+        return Diagnosis("extras", "ok", "all are installed")
+    fix = f"pip install 'humansim_ros[{','.join(missing)}]'"
+    return Diagnosis("extras", "ok", f"not installed: {', '.join(missing)}", fix)
+
+
+def check_machine(folder: Path | None = None) -> Diagnosis:
+    """Cores, memory and disk. ``folder``: the disk of which is checked; the current folder if None."""
+    name = "machine"
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    free = shutil.disk_usage(folder or Path.cwd()).free
+    memory = available_memory()
+    text = f"{cores} cores, {memory // _MB} MB of memory and {free // _MB} MB of disk free"
+    if memory < _MEMORY:
+        return Diagnosis(name, "warning", text, "close other programs: a scene with four cameras takes 1.5 GB")
+    if free < _DISK:
+        return Diagnosis(name, "warning", text, "free some disk: bags and data sets take gigabytes")
+    return Diagnosis(name, "ok", text)
+
+
+#: All checks, in the order in which they are shown.
+CHECKS: tuple[Callable[[], Diagnosis], ...] = (
+    check_python,
+    check_machine,
+    check_opengl,
+    check_ros,
+    check_variables,
+    check_shared_memory,
+    check_exchange,
+    check_ffmpeg,
+    check_extras,
+)
+
+
+def diagnoses(checks: tuple[Callable[[], Diagnosis], ...] = CHECKS) -> Iterator[Diagnosis]:
+    """Results of checks; one that fails itself is told as wrong."""
+    for check in checks:
+        try:
+            yield check()
+        except subprocess.TimeoutExpired:
+            yield Diagnosis(check.__name__[6:], "wrong", f"no answer within {_PATIENCE:.0f} s", "try again")
+        except Exception as error:  # a check must never end the others
+            yield Diagnosis(check.__name__[6:], "wrong", f"could not be checked: {error}", "tell us about it")
+
+
+def run_python(code: str, environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    """Run code in a process of its own: it may crash or hang. Raises subprocess.TimeoutExpired."""
+    return subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=_PATIENCE,
+        env=dict(environment) if environment is not None else None,
+        stdin=subprocess.DEVNULL,
+    )
+
+
+def last_line(text: str) -> str:
+    """Last line of an output that is not empty."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    return lines[-1].strip() if lines else ""
+
+
+def available_memory(path: Path = Path("/proc/meminfo")) -> int:
+    """Memory that programs can take, bytes."""
+    for line in path.read_text().splitlines():
+        if line.startswith("MemAvailable:"):
+            return int(line.split()[1]) * 1024
+    return 0
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ImportError:
+        return False

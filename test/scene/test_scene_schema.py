@@ -1,0 +1,55 @@
+"""The JSON schema of scene files, for editors."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from conftest import ROOT
+
+from humansim_ros.scene.schema import schema_text
+
+jsonschema = pytest.importorskip("jsonschema")
+SCENES = sorted((ROOT / "config" / "scenes").glob("*.yaml"))
+CAMERA = {"position": [3, 0, 2], "look_at": [0, 0, 1]}
+
+
+def validator() -> Any:
+    return jsonschema.Draft202012Validator(json.loads(schema_text()))
+
+
+def test_the_committed_schema_is_that_of_the_code() -> None:
+    """Write it again with: humansim schema -o config/scene.schema.json"""
+    assert (ROOT / "config" / "scene.schema.json").read_text(encoding="utf-8") == schema_text()
+
+
+@pytest.mark.parametrize("path", SCENES, ids=lambda path: path.stem)
+def test_built_in_scenes_fit_and_name_the_schema(path: Path) -> None:
+    text = path.read_text()
+    assert list(validator().iter_errors(yaml.safe_load(text))) == []
+    line = text.splitlines()[0]
+    name = line.removeprefix("# yaml-language-server: $schema=")
+    assert (path.parent / name).resolve() == ROOT / "config" / "scene.schema.json"
+
+
+def test_short_forms_fit() -> None:
+    scene = {"humans": {"anna": {"body": "child", "motion": "walk"}}, "cameras": {"c": CAMERA}}
+    assert list(validator().iter_errors(scene)) == []
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        {"rate": "fast", "cameras": {"c": CAMERA}},
+        {"humen": {}, "cameras": {"c": CAMERA}},
+        {"humans": {"anna": {"bodyy": "child"}}, "cameras": {"c": CAMERA}},
+        {"humans": {"anna": {"motion": {"speed": -1}}}, "cameras": {"c": CAMERA}},
+        {"cameras": {"c": CAMERA | {"size": [640]}}},
+        {"cameras": {"c": CAMERA}, "renderer": "blender"},
+    ],
+)
+def test_mistakes_do_not_fit(scene: dict[str, Any]) -> None:
+    assert list(validator().iter_errors(scene))

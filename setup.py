@@ -53,7 +53,7 @@ EXTRAS = {
     # estimates in C3D files, in bags, and in images
     "evaluate": ["ezc3d>=1.5", "mcap>=1.1", "pycocotools>=2.0.7", "rosbags>=0.10.6"],
     # the page of humansim view; 1.1.1 is tested
-    "view": ["ruamel.yaml>=0.18", "viser>=1.1,<1.2"],
+    "view": ["viser>=1.1,<1.2"],
     # recording on a cluster, and to URLs; client is for addresses such as ray://host:10001
     "ray": ["fsspec>=2023.1", "mcap>=1.1", "ray[client]>=2.9", "rosbags>=0.10.6"],
     "test": [

@@ -45,6 +45,7 @@ PARSED |= {
     ("export",),
     ("play",),
     ("view",),
+    ("doctor",),
 }
 OWN_FILE = re.compile(r"[A-Z][A-Z_0-9]*(\.\w+)?/?")
 #: Options before a file that the command writes.

@@ -28,7 +28,7 @@ EXTRAS = {
     "meshes": ("DracoPy", "lxml", "networkx", "collada"),
     "ray": ("fsspec", "ray"),
     "record": ("mcap", "rosbags"),
-    "view": ("ruamel.yaml", "viser"),
+    "view": ("viser",),
 }
 
 _IMPORTS = """
@@ -165,7 +165,9 @@ def check_variables(environment: Mapping[str, str] = os.environ) -> Diagnosis:
     name = "ROS variables"
     domain = environment.get("ROS_DOMAIN_ID", "")
     if domain and not (domain.isdecimal() and int(domain) <= 232):
-        return Diagnosis(name, "wrong", f"ROS_DOMAIN_ID is {domain!r}, not 0 to 232", "export ROS_DOMAIN_ID=0")
+        return Diagnosis(
+            name, "wrong", f"ROS_DOMAIN_ID is {domain!r}, not 0 to 232", "export ROS_DOMAIN_ID=0"
+        )
     reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
     if reach and reach not in ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"):
         text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is {reach!r}"
@@ -241,7 +243,9 @@ def check_machine(folder: Path | None = None) -> Diagnosis:
     memory = available_memory()
     text = f"{cores} cores, {memory // _MB} MB of memory and {free // _MB} MB of disk free"
     if memory < _MEMORY:
-        return Diagnosis(name, "warning", text, "close other programs: a scene with four cameras takes 1.5 GB")
+        return Diagnosis(
+            name, "warning", text, "close other programs: a scene with four cameras takes 1.5 GB"
+        )
     if free < _DISK:
         return Diagnosis(name, "warning", text, "free some disk: bags and data sets take gigabytes")
     return Diagnosis(name, "ok", text)

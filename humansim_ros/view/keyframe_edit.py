@@ -78,7 +78,17 @@ def set_keyframe(
 
 
 def remove_keyframe(document: SceneDocument, kind: SectionName, name: str, seconds: float) -> None:
-    """Remove the key nearest to a time; with the last one, the keyframes. Raises SceneError without keys."""
+    """Remove the key nearest to a time; with the last one, the keyframes.
+
+    Args:
+        document: The scene.
+        kind: Section of the item.
+        name: Name of the item.
+        seconds: Scene time.
+
+    Raises:
+        SceneError: There are no keys.
+    """
     track = document.track(kind, name)
     if track is None:
         raise SceneError("there are no keyframes", key=f"{kind}.{name}")

@@ -27,6 +27,7 @@ from websockets.datastructures import Headers
 from websockets.http11 import Request, Response
 
 from humansim_ros.errors import HumansimError, printable
+from humansim_ros.io.files import read_bytes, read_text
 
 #: The only address that the page is served on.
 HOST = "127.0.0.1"
@@ -50,6 +51,8 @@ _TAKEN = {
     "TransformControlsUpdateMessage",
     "ViewerCameraMessage",
 }
+#: Largest file of the page itself, bytes.
+_MOST_OWN = 1 << 26
 #: Longest text and longest list in a message.
 _LONGEST_TEXT, _LONGEST_LIST = 20_000, 64
 _LARGEST = 1e12
@@ -75,9 +78,8 @@ class PageServer:
         self.files: dict[str, tuple[str, bytes]] = {}
         self.requests: dict[str, Callable[[Mapping[str, str]], None]] = {}
         self._page = _index_page(title)
-        self.add_file(
-            "page.js", "text/javascript", Path(__file__).with_name("page").joinpath("page.js").read_bytes()
-        )
+        script = read_bytes(Path(__file__).with_name("page") / "page.js", HumansimError, "script", _MOST_OWN)
+        self.add_file("page.js", "text/javascript", script)
         self._compressed: dict[str, bytes] = {}
         self._streams: set[asyncio.Event] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -324,12 +326,7 @@ def _free_port(port: int) -> int:
 def _index_page(title: str) -> bytes:
     """Viser's page, with our script before its own."""
     root = Path(viser.__file__).parent / "client" / "build" / "index.html"
-    try:
-        text = root.read_text(encoding="utf-8")
-    except OSError as error:
-        raise HumansimError(
-            f"viser has no page ({error}): install it again, pip install 'viser>=1.0'"
-        ) from None
+    text = read_text(root, HumansimError, "page of viser", _MOST_OWN)
     safe = title.replace("&", "&amp;").replace("<", "&lt;")
     text = re.sub(r"<title>.*?</title>", lambda _: f"<title>{safe}</title>", text, count=1, flags=re.DOTALL)
     script = f'<script src="{PREFIX}page.js"></script>'

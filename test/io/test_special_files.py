@@ -343,6 +343,7 @@ def test_every_reader_opens_files_in_one_place() -> None:
         "bags/topics.py",
         "ros/lockstep_summary.py",
         "ros/cpu_time.py",
+        "cli/doctor_checks.py",
         "ros/shared_memory.py",
         "render/programs.py",
         "body/landmarks.py",

@@ -75,6 +75,8 @@ class ImageWorkers:
         self._connections: list[Connection] = []
         self._free: list[Connection] = []
         self._wanted: dict[Connection, Request] = {}
+        self._numbers: dict[Connection, int] = {}
+        self._asked = self._shown = 0
         self._answers: queue.SimpleQueue[tuple[Connection, _Answer]] = queue.SimpleQueue()
         self._processes = []
         for _ in range(count):
@@ -122,6 +124,8 @@ class ImageWorkers:
     def _ask(self, request: Request) -> None:
         connection = self._free.pop()
         self._wanted[connection] = request
+        self._asked += 1
+        self._numbers[connection] = self._asked
         with contextlib.suppress(OSError):  # the thread that receives tells that the process died
             connection.send(request)
 
@@ -141,7 +145,7 @@ class ImageWorkers:
             connection, answer = self._answers.get(block=timeout > 0, timeout=timeout or None)
         except queue.Empty:
             return False
-        request = self._wanted.pop(connection, None)
+        self._wanted.pop(connection, None)
         if answer is None:
             raise HumansimError("a process that renders images died; open the scene again")
         self._free.append(connection)
@@ -149,18 +153,9 @@ class ImageWorkers:
             return True
         if isinstance(answer, HumansimError):
             raise answer
-        if self._latest is None or request is None or not self._is_stale(request):
-            self._latest = answer
+        if self._numbers[connection] > self._shown:  # else images that were asked for later came before
+            self._shown, self._latest = self._numbers[connection], answer
         return True
-
-    def _is_stale(self, request: Request) -> bool:
-        """Whether newer images of the same kind arrived before; after a jump back in time they are not."""
-        assert self._latest is not None
-        shown = self._latest.request
-        return (
-            shown.index - len(self._processes) <= request.index < shown.index
-            and shown.channels == request.channels
-        )
 
 
 def _work(connection: Connection) -> None:

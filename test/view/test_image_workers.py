@@ -1,0 +1,80 @@
+"""Processes that render the images of a page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from waiting import wait_until
+
+from humansim_ros import Scene, Simulation
+from humansim_ros.errors import HumansimError
+from humansim_ros.view.image_workers import ImageWorkers, Request
+from humansim_ros.view.source import JOINTS
+
+pytestmark = pytest.mark.process
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return Scene.from_dict(
+        {
+            "room": None,
+            "humans": {"anna": {"body": "child", "motion": "walk"}},
+            "cameras": {"front": {"position": [3, 0, 1.2], "look_at": [0, 0, 0.6], "size": [160, 120]}},
+        }
+    )
+
+
+@pytest.fixture
+def workers(scene: Scene) -> Iterator[ImageWorkers]:
+    made = ImageWorkers(scene, 2)
+    yield made
+    made.close()
+
+
+def request(index: int, *channels: str) -> Request:
+    return Request(index, ("front",), channels or ("rgb",), 160)
+
+
+def test_images_are_those_of_the_simulation(workers: ImageWorkers, scene: Scene) -> None:
+    images = workers.exact(request(7, "rgb", "depth", JOINTS)).images["front"]
+    with Simulation(scene, channels=("rgb",)) as simulation:
+        np.testing.assert_array_equal(images["rgb"], simulation.frame(7).views["front"].rgb)
+    assert images["depth"].shape == images[JOINTS].shape == (120, 160, 3)
+    assert (images[JOINTS] != images["rgb"]).any()
+
+
+def test_steps_back_give_their_images(workers: ImageWorkers) -> None:
+    """Also while images of later frames are on their way."""
+    for index in range(4, 9):
+        workers.latest(request(index))
+    assert wait_until(lambda: workers.latest(request(9)) is not None)
+    for index in (8, 7, 6, 7, 2):
+        assert workers.exact(request(index)).request.index == index
+
+
+def test_while_it_plays_images_never_go_back(workers: ImageWorkers) -> None:
+    shown = []
+    index = 0
+
+    def play() -> bool:
+        nonlocal index
+        index += 1
+        images = workers.latest(request(index))
+        if images is not None:
+            shown.append(images.request.index)
+        return len(set(shown)) >= 6
+
+    assert wait_until(play)
+    assert shown == sorted(shown)
+
+
+def test_a_process_that_dies_is_told(workers: ImageWorkers) -> None:
+    workers.exact(request(1))
+    for process in workers._processes:
+        process.kill()
+        process.join()
+    with pytest.raises(HumansimError, match="died"):
+        workers.exact(request(2))

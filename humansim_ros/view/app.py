@@ -259,7 +259,7 @@ class ViewApp:
         centers = [camera.center for camera in self.source.cameras.values()]
         reach = max([3.0, *(float(np.linalg.norm(center[:2])) for center in centers)])
         start = self.server.viser.initial_camera
-        start.position = (1.5 * reach, -1.1 * reach, 1.1 * reach)
+        start.position = (1.3 * reach, -0.95 * reach, 1.0 * reach)
         start.look_at = (0.0, 0.0, 0.8)
 
     def _show_next(self) -> None:

@@ -24,6 +24,7 @@ from humansim_ros.view.panels.through import ThroughPanel
 from humansim_ros.view.panels.timeline import TimelinePanel
 from humansim_ros.view.picking import hit_person, person_info
 from humansim_ros.view.player import Player
+from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.server import PageServer
 from humansim_ros.view.source import ViewFrame, ViewSource
 from humansim_ros.view.stage import Options, Stage
@@ -165,6 +166,8 @@ class ViewApp:
         playing = self.player.playing
         self._remove_panels()
         self.source = source
+        if isinstance(source, SceneViewSource):
+            source.take_over(previous)
         previous.close()
         self.player = Player(
             source.frames, source.period, playing, speed=self.player.speed, loop=self.player.loop

@@ -70,7 +70,9 @@ class ImageWorkers:
     def __init__(self, scene: Scene, count: int | None = None) -> None:
         context = multiprocessing.get_context("spawn")
         count = count or min(_MOST, os.cpu_count() or 1)
-        data = pickle.dumps(scene)
+        self._scene = pickle.dumps(scene)
+        self._first = 0
+        self._outdated: set[Connection] = set()
         self._latest: Images | None = None
         self._connections: list[Connection] = []
         self._free: list[Connection] = []
@@ -85,9 +87,15 @@ class ImageWorkers:
             process.start()
             other.close()
             # images are larger than the buffer of a pipe: a thread waits for them, not the page
-            threading.Thread(target=self._receive, args=(ours, data), daemon=True).start()
+            threading.Thread(target=self._receive, args=(ours, self._scene), daemon=True).start()
             self._processes.append(process)
             self._connections.append(ours)
+
+    def use(self, scene: Scene) -> None:
+        """Render another scene from now on; processes are not started again."""
+        self._scene = pickle.dumps(scene)
+        self._outdated = set(self._connections)
+        self._latest, self._first = None, self._asked
 
     def latest(self, request: Request) -> Images | None:
         """The newest images that are ready; ask for those of ``request`` if a process has time."""
@@ -127,6 +135,9 @@ class ImageWorkers:
         self._asked += 1
         self._numbers[connection] = self._asked
         with contextlib.suppress(OSError):  # the thread that receives tells that the process died
+            if connection in self._outdated:
+                self._outdated.remove(connection)
+                connection.send(self._scene)
             connection.send(request)
 
     def _receive(self, connection: Connection, scene: bytes) -> None:
@@ -151,6 +162,8 @@ class ImageWorkers:
         self._free.append(connection)
         if answer == "ready":
             return True
+        if self._numbers[connection] <= self._first:  # of a scene that is not shown any more
+            return True
         if isinstance(answer, HumansimError):
             raise answer
         if self._numbers[connection] > self._shown:  # else images that were asked for later came before
@@ -166,9 +179,14 @@ def _work(connection: Connection) -> None:
         scene: Scene = pickle.loads(connection.recv_bytes())
         painter: _Painter | None = None
         while True:
-            request: Request | None = connection.recv()
+            request: Request | bytes | None = connection.recv()
             if request is None:
                 return
+            if isinstance(request, bytes):
+                if painter is not None:
+                    painter.close()
+                scene, painter = pickle.loads(request), None
+                continue
             try:
                 painter = painter or _Painter(scene)
                 answer: Any = Images(request, painter.images(request))
@@ -184,6 +202,10 @@ class _Painter:
         self._scene = scene
         self._renderer = scene.make_renderer()
         self._simulations: dict[tuple[str, ...], Simulation] = {}
+
+    def close(self) -> None:
+        """Free the renderer."""
+        self._renderer.close()
 
     def images(self, request: Request) -> dict[str, dict[str, Image]]:
         wanted = set(request.channels)

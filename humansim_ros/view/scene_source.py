@@ -15,7 +15,7 @@ from humansim_ros.types import Array
 from humansim_ros.view.image_workers import Images, ImageWorkers, Request
 from humansim_ros.view.pixel_info import CHANNELS as PIXEL_CHANNELS
 from humansim_ros.view.pixel_info import pixel_info
-from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
+from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, ViewSource
 
 #: Channels that the page can show.
 _CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
@@ -134,6 +134,13 @@ class SceneViewSource:
         if self._exact is None or self._exact.index != self._shown or camera not in self._exact.views:
             self._exact = self._truth.frame(self._shown, cameras=[camera])
         return pixel_info(self.scene, self._exact, camera, x, y)
+
+    def take_over(self, previous: ViewSource) -> None:
+        """Let the processes of another scene render this one: starting them takes seconds."""
+        if isinstance(previous, SceneViewSource) and "_workers" in previous.__dict__:
+            workers: ImageWorkers = previous.__dict__.pop("_workers")
+            workers.use(self.scene)
+            self.__dict__["_workers"] = workers
 
     def close(self) -> None:
         """Free processes and renderers."""

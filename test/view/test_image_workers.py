@@ -71,6 +71,29 @@ def test_while_it_plays_images_never_go_back(workers: ImageWorkers) -> None:
     assert shown == sorted(shown)
 
 
+def test_another_scene_is_rendered_by_the_same_processes(workers: ImageWorkers, scene: Scene) -> None:
+    other = Scene.from_dict(
+        {
+            "room": None,
+            "humans": {"ben": {"body": "adult_man", "motion": "wave"}},
+            "cameras": {"front": {"position": [3, 0, 1.2], "look_at": [0, 0, 1.0], "size": [160, 120]}},
+        }
+    )
+    before = workers.exact(request(3))
+    for index in (10, 11):  # answers of the old scene that are on their way
+        workers.latest(request(index))
+    started = list(workers._processes)
+    workers.use(other)
+    after = workers.exact(request(3))
+    with Simulation(other, channels=("rgb",)) as simulation:
+        expected = simulation.frame(3).views["front"].rgb
+    np.testing.assert_array_equal(after.images["front"]["rgb"], expected)
+    assert (after.images["front"]["rgb"] != before.images["front"]["rgb"]).any()
+    for index in range(12, 18):
+        workers.exact(request(index))
+    assert workers._processes == started and all(process.is_alive() for process in started)
+
+
 def test_a_process_that_dies_is_told(workers: ImageWorkers) -> None:
     workers.exact(request(1))
     for process in workers._processes:

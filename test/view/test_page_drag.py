@@ -65,7 +65,7 @@ def test_a_drag_moves_a_person_and_the_saved_scene_gives_the_picture_of_the_page
     editor = app.editor
     assert editor is not None
     with browser() as chromium:
-        page = opened_page(chromium, app.server.url)
+        page = opened_page(chromium, app.server.url, size=(1400, 1100))  # the images leave the person free
         pause(page)
         scrub(page, 12)
         page.get_by_role("tab", name="Edit").click()

@@ -56,6 +56,7 @@ _EXCHANGE = """
 import time
 import rclpy
 from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
 from std_msgs.msg import String
 got, nodes, contexts = [], [], []
 executor = None
@@ -63,7 +64,8 @@ for name in ("doctor_1", "doctor_2"):
     context = rclpy.Context()
     rclpy.init(context=context)
     contexts.append(context)
-    nodes.append(rclpy.create_node(name, context=context))
+    node = Node(name, context=context)
+    nodes.append(node)
 executor = SingleThreadedExecutor(context=contexts[1])
 executor.add_node(nodes[1])
 nodes[1].create_subscription(String, "/humansim_doctor", lambda message: got.append(message.data), 1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,16 +10,16 @@ from typing import Any
 
 from humansim_ros.camera import read_calibration
 from humansim_ros.camera.rigs import Optics, ring
-from humansim_ros.errors import HumansimError, SceneError
+from humansim_ros.errors import HumansimError, SceneError, did_you_mean
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.evaluate.readers.estimates import is_bag
 from humansim_ros.humans import load_human
-from humansim_ros.io.assets import find_asset
+from humansim_ros.io.assets import built_in_names, find_asset
 from humansim_ros.io.files import exists, missing_file
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.motion.files import find_motion
 from humansim_ros.resources import resource_path
-from humansim_ros.scene.config import SceneConfig
+from humansim_ros.scene.config import check_config
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.empty_source import EmptySource
@@ -29,6 +30,8 @@ from humansim_ros.view.source import ViewSource
 _COUNT, _RADIUS, _HEIGHT, _TARGET = 4, 3.5, 1.8, (0.0, 0.0, 0.9)
 _BODY = "adult_woman"
 _MOTION = "walk"
+#: Sections that only scenes have.
+_SECTIONS = {"humans", "objects", "world", "variety", "randomise", "room", "rate", "rig"}
 
 
 @dataclass(frozen=True)
@@ -159,23 +162,38 @@ def _built_in(what: Path) -> Callable[[], ViewSource]:
     try:
         find_asset(name, "humans", Path.cwd(), SceneError)
     except HumansimError:
-        raise HumansimError(
-            missing_file(what, "a scene, bag, motion, human or calibration"), path=what
-        ) from None
+        known = [*built_in_names("motions"), *built_in_names("humans")]
+        hint = f"give a scene, bag, motion, human or calibration{did_you_mean(name, known)}"
+        raise HumansimError(missing_file(what, hint)) from None
     return lambda: _around({"body": name, "motion": _MOTION}, name)
 
 
 def _is_scene(path: Path) -> bool:
-    """Whether a YAML file has a section of scenes at its top."""
+    """Whether a YAML file is a scene, if it may be one with a mistake."""
     if path.suffix.lower() not in (".yaml", ".yml"):
         return False
     try:
         value, _ = read_yaml(path, SceneError, "scene")
     except HumansimError:
-        return True  # let the reader of scenes say with its line what is wrong
-    sections = {"humans", "objects", "world", "variety", "randomise", "room", "rate"}
-    known = set(SceneConfig.model_fields)
-    return isinstance(value, Mapping) and bool(value.keys() & sections) and bool(value.keys() & known)
+        return not _is_calibration(path)  # the reader of scenes says with its line what is wrong
+    if not isinstance(value, Mapping):
+        return False
+    if value.keys() & _SECTIONS:
+        return True
+    try:
+        check_config(value)
+    except HumansimError:
+        return False
+    return True
+
+
+def _is_calibration(path: Path) -> bool:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            return bool(read_calibration(path))
+        except HumansimError:
+            return False
 
 
 def _around(human: Mapping[str, Any], title: str) -> ViewSource:
@@ -186,8 +204,12 @@ def _around(human: Mapping[str, Any], title: str) -> ViewSource:
 
 
 def _cameras(path: Path) -> ViewSource:
-    """The cameras of a calibration in the world of its file."""
-    cameras = read_calibration(path)
-    if not cameras:
-        raise HumansimError("has no cameras", path=path)
-    return SceneViewSource(Scene.build(cameras=dict(cameras), room=None), path.stem)
+    """The cameras of a calibration in the world of its file; those without poses at its origin."""
+    try:
+        scene = Scene.from_dict({"room": None, "rig": {"file": str(path.resolve())}})
+    except HumansimError:
+        cameras = read_calibration(path)
+        if not cameras:
+            raise
+        scene = Scene.build(cameras=dict(cameras), room=None)
+    return SceneViewSource(scene, path.stem)

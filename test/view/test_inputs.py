@@ -1,0 +1,116 @@
+"""What humansim view opens, told by its content."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from conftest import SHARED_DATA, needs_shared_data
+
+from humansim_ros.errors import HumansimError
+from humansim_ros.resources import resource_path
+from humansim_ros.view.inputs import open_source
+
+pytest.importorskip("viser")
+
+SCENE = """\
+room: null
+humans:
+  anna: {body: child}
+cameras:
+  front: {position: [3, 0, 1], look_at: [0, 0, 0.6]}
+"""
+CALIBRATION = """\
+%YAML:1.0
+---
+cam0:
+  camera_model: pinhole
+  distortion_coeffs: [0.0, 0.0, 0.0, 0.0]
+  distortion_model: radtan
+  intrinsics: [458.0, 457.0, 367.0, 248.0]
+  resolution: [752, 480]
+"""
+
+
+@pytest.mark.parametrize("name", ["walk", "wave", "child", "adult_man"])
+def test_names_of_built_ins_are_opened(name: str) -> None:
+    opened = open_source(Path(name))
+    assert list(opened.source.people) == ["person"] and len(opened.source.cameras) == 4
+    assert opened.document is None and opened.path is None
+    opened.source.close()
+
+
+def test_files_of_motions_and_humans_are_opened(tmp_path: Path) -> None:
+    for source in ("assets/motions/walk.bvh", "assets/humans/child.npz"):
+        path = resource_path(source)
+        opened = open_source(path)
+        assert list(opened.source.people) == ["person"] and opened.path == path
+        opened.source.close()
+
+
+def test_a_scene_is_opened_with_its_document(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(SCENE)
+    opened = open_source(path)
+    assert list(opened.source.people) == ["anna"] and opened.document is not None
+    opened.source.close()
+
+
+def test_a_scene_of_cameras_alone_is_a_scene(tmp_path: Path) -> None:
+    path = tmp_path / "rig.yaml"
+    path.write_text("cameras:\n  front: {position: [3, 0, 1], look_at: [0, 0, 0.6]}\n")
+    opened = open_source(path)
+    assert list(opened.source.cameras) == ["front"] and opened.document is not None
+    opened.source.close()
+
+
+def test_a_calibration_in_a_dialect_of_yaml_is_a_calibration(tmp_path: Path) -> None:
+    path = tmp_path / "camchain.yaml"
+    path.write_text(CALIBRATION)
+    opened = open_source(path)
+    assert list(opened.source.cameras) == ["cam0"] and opened.problem is None
+    opened.source.close()
+
+
+def test_a_broken_scene_is_opened_with_its_problem(tmp_path: Path) -> None:
+    path = tmp_path / "lab.yaml"
+    path.write_text(SCENE.replace("child", "chlid"))
+    opened = open_source(path)
+    assert opened.problem is not None and "lab.yaml:3" in opened.problem and "'child'" in opened.problem
+    assert opened.source.frame(0).joints == {}
+    path.write_text(SCENE)
+    assert opened.reload is not None
+    mended = opened.reload()
+    assert list(mended.people) == ["anna"]
+
+
+@pytest.mark.parametrize("name", ["no_such_thing", "walkk"])
+def test_an_unknown_name_is_told(name: str) -> None:
+    with pytest.raises(HumansimError, match=name) as told:
+        open_source(Path(name))
+    assert ("did you mean 'walk'" in str(told.value)) == (name == "walkk")
+
+
+def test_a_file_of_no_kind_is_told_with_what_was_tried(tmp_path: Path) -> None:
+    path = tmp_path / "notes.txt"
+    path.write_text("milk, bread")
+    with pytest.raises(HumansimError, match="as a calibration") as told:
+        open_source(path)
+    assert "as a human" in str(told.value) and "as a motion" in str(told.value)
+
+
+@needs_shared_data
+@pytest.mark.parametrize(
+    ("name", "first"),
+    [
+        ("shelf_voxelpose.json", "camera_0"),
+        ("openvins_euroc_radtan_kalibr.yaml", "cam0"),
+        ("usb_cam_camera_info.yaml", None),
+        ("templeSR_par.txt", None),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::humansim_ros.errors.HumansimWarning")
+def test_calibrations_of_others_are_opened(name: str, first: str | None) -> None:
+    opened = open_source(SHARED_DATA / "calib" / name)
+    assert opened.source.cameras and first in (None, next(iter(opened.source.cameras)))
+    opened.source.close()

@@ -314,9 +314,7 @@ def _contact_sheet(scene: Scene, recorder: _Recorder) -> Image:
         for actor in scene.actors.values():
             own = points[points["human"] == actor.instance]
             skeleton = actor.human.skeleton
-            names = skeleton.joint_names
-            parents = [None if p < 0 else skeleton.names[p] for p in skeleton.parents]
-            parents += [skeleton.names[bone] for bone in skeleton.leaves]
+            names, parents = skeleton.joint_names, skeleton.joint_parents
             pixels = np.stack([own["u"], own["v"]], axis=-1)
             pixels[np.abs(pixels) > _FAR_OUTSIDE] = np.nan
             overlay = views.draw_joints(overlay, pixels, own["visible"], names, parents)

@@ -58,10 +58,10 @@ def test_words_are_completed(line: str, expected: list[str]) -> None:
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_the_script_of_each_shell_is_printed(shell: str) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "humansim_ros", "--show-completion", shell],
+        [sys.executable, "-m", "humansim_ros"],
         capture_output=True,
         text=True,
         timeout=PATIENCE,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
+        env=os.environ | {"PYTHONPATH": str(ROOT), "_HUMANSIM_COMPLETE": f"source_{shell}"},
     )
     assert done.returncode == 0 and "_HUMANSIM_COMPLETE" in done.stdout

@@ -13,6 +13,7 @@ from pydantic import (
     GetJsonSchemaHandler,
     StringConstraints,
     ValidationError,
+    WithJsonSchema,
     model_validator,
 )
 from pydantic.json_schema import JsonSchemaValue
@@ -58,6 +59,8 @@ _Name = Annotated[
 ]
 
 
+#: Name of a camera in a calibration file, which may be a number (``coerce_numbers_to_str``).
+_CameraOfFile = Annotated[str, WithJsonSchema({"type": ["string", "number"]})]
 #: Name of a ROS topic, absolute or relative.
 _Topic = Annotated[
     str,
@@ -279,7 +282,7 @@ class CameraConfig(Section):
     calibration: FileName | None = Field(
         default=None, description="a calibration file, or a file:// or package:// URL"
     )
-    camera: str | None = Field(
+    camera: _CameraOfFile | None = Field(
         default=None, description="name of a camera in that file; its only camera if absent"
     )
     unit: float | None = Field(
@@ -370,7 +373,7 @@ class RigConfig(_ShortSection):
     model_config = ConfigDict(coerce_numbers_to_str=True)
 
     file: FileName = Field(description="a calibration file, or a file:// or package:// URL")
-    cameras: tuple[str, ...] | None = Field(
+    cameras: tuple[_CameraOfFile, ...] | None = Field(
         default=None, min_length=1, description="names of cameras in the file; all if absent"
     )
     size: tuple[int, int] | None = Field(

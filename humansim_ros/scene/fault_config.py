@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated, Any, ClassVar
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, GetJsonSchemaHandler, field_validator, model_validator
+from pydantic.json_schema import JsonSchemaValue
+from pydantic_core import CoreSchema
 
 from humansim_ros.io.schema import Section, Share
 
@@ -18,6 +20,8 @@ _Count = Annotated[int, Field(ge=1, le=1000)]
 _Time = Annotated[float, Field(ge=0, le=1e6)]
 _Stops = Annotated[float, Field(ge=-10, le=10)]
 _SpotSize = Annotated[float, Field(gt=0, le=2)]
+#: Parts of the JSON schema of a key that say nothing about its values.
+_OF_KEYS = ("default", "description", "title")
 
 
 def _ordered(value: tuple[float, float]) -> tuple[float, float]:
@@ -36,6 +40,16 @@ class _NumberSection(Section):
     def _number_alone(cls, value: Any) -> Any:
         is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
         return {cls.number_key: value} if is_number else value
+
+    @classmethod
+    def __get_pydantic_json_schema__(
+        cls, core_schema: CoreSchema, handler: GetJsonSchemaHandler
+    ) -> JsonSchemaValue:
+        section = handler.resolve_ref_schema(handler(core_schema))
+        number = {
+            key: value for key, value in section["properties"][cls.number_key].items() if key not in _OF_KEYS
+        }
+        return {"anyOf": [number, section]}
 
 
 class DropFault(_NumberSection):

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,8 @@ import pytest
 import yaml
 from conftest import ROOT
 
+from humansim_ros import HumansimError
+from humansim_ros.scene.config import SceneConfig, check_config
 from humansim_ros.scene.schema import schema_text
 
 jsonschema = pytest.importorskip("jsonschema")
@@ -35,8 +39,36 @@ def test_built_in_scenes_fit_and_name_the_schema(path: Path) -> None:
     assert (path.parent / name).resolve() == ROOT / "config" / "scene.schema.json"
 
 
-def test_short_forms_fit() -> None:
-    scene = {"humans": {"anna": {"body": "child", "motion": "walk"}}, "cameras": {"c": CAMERA}}
+def example_scenes() -> list[Any]:
+    """Scenes of the documents."""
+    found = []
+    for page in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
+        for number, block in enumerate(re.findall(r"```yaml\n(.*?)```", page.read_text(), re.DOTALL)):
+            scene = yaml.safe_load(block)
+            if not (isinstance(scene, dict) and set(scene) <= set(SceneConfig.model_fields)):
+                continue
+            with suppress(HumansimError):  # a tutorial adds a key of its own
+                check_config({"cameras": {"c": CAMERA}} | scene)
+                found.append(pytest.param(scene, id=f"{page.stem}-{number}"))
+    return found
+
+
+@pytest.mark.parametrize("scene", example_scenes())
+def test_scenes_of_the_documents_fit(scene: dict[str, Any]) -> None:
+    assert list(validator().iter_errors(scene)) == []
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        {"humans": {"anna": {"body": "child", "motion": "walk"}}, "cameras": {"c": CAMERA}},
+        {"humans": {"anna": "child"}, "cameras": {"c": CAMERA | {"faults": {"drop": 0.05, "clock": 0.01}}}},
+        {"rig": {"file": "cams.json", "cameras": [54138969, "left"]}},
+        {"cameras": {"c": {"calibration": "cams.json", "camera": 0}}},
+    ],
+)
+def test_short_forms_and_numbers_as_names_fit(scene: dict[str, Any]) -> None:
+    check_config(scene)
     assert list(validator().iter_errors(scene)) == []
 
 
@@ -48,6 +80,8 @@ def test_short_forms_fit() -> None:
         {"humans": {"anna": {"bodyy": "child"}}, "cameras": {"c": CAMERA}},
         {"humans": {"anna": {"motion": {"speed": -1}}}, "cameras": {"c": CAMERA}},
         {"cameras": {"c": CAMERA | {"size": [640]}}},
+        {"cameras": {"c": CAMERA | {"faults": {"drop": 1.5}}}},
+        {"cameras": {"c": CAMERA | {"faults": {"drop": "often"}}}},
         {"cameras": {"c": CAMERA}, "renderer": "blender"},
     ],
 )

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -13,20 +15,32 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from humansim_ros.ros.shared_memory import free_memory
+
 #: Result of a check: usable, usable with a drawback, or not usable.
 State = Literal["ok", "warning", "wrong"]
 #: Seconds that a check in a process of its own may take.
 _PATIENCE = 90.0
+#: Its exit code then.
+_TIMED_OUT = 124
 _MB = 1 << 20
 #: Free shared memory for the images of a process of nodes; free memory; free disk.
 _SHARED_MEMORY, _MEMORY, _DISK = 70 * _MB, 1500 * _MB, 500 * _MB
 _JAZZY = "jazzy"
+#: Oldest versions that work, as setup.py has them.
+OLDEST = {"numpy": (1, 26), "opencv-python-headless": (4, 6)}
+#: Largest number of a ROS domain, and those whose UDP ports Linux gives to other programs, too.
+_LAST_DOMAIN, _RISKY_DOMAINS = 232, range(102, 215)
+#: What killed processes have left stops new ones.
+_CLEAN_SHARED_MEMORY = "stop all ROS programs, then: rm -f /dev/shm/fastrtps_* /dev/shm/sem.fastrtps_*"
 #: Modules of each extra.
 EXTRAS = {
     "evaluate": ("ezc3d", "mcap", "pycocotools", "rosbags"),
     "export": ("OpenEXR", "c3d", "pycocotools"),
+    "exr": ("OpenEXR",),
     "meshes": ("DracoPy", "lxml", "networkx", "collada"),
-    "ray": ("fsspec", "ray"),
+    "plot": ("matplotlib",),
+    "ray": ("fsspec", "mcap", "ray", "rosbags"),
     "record": ("mcap", "rosbags"),
     "view": ("viser",),
 }
@@ -43,12 +57,13 @@ from humansim_ros import Camera, load_human
 from humansim_ros.render import Body
 from humansim_ros.resources import resource_path
 child = load_human(resource_path("assets/humans/child.npz"))
-camera = Camera.look_at((0, 1.0, 3.0), (0, 0.6, 0), size=(640, 480), up=(0, 1, 0))
+# another camera for each picture: the renderer keeps pictures
+cameras = [Camera.look_at((0.1 * n, 1, 3), (0, 0.6, 0), size=(640, 480), up=(0, 1, 0)) for n in range(6)]
 renderer = GLRenderer()
 bodies = [Body(child.mesh, child.mesh.vertices.astype("float32"), child.triangle_parts, 1)]
-renderer.render(bodies, camera, ("rgb",))
+renderer.render(bodies, cameras[0], ("rgb",))
 start = time.perf_counter()
-for _ in range(5):
+for camera in cameras[1:]:
     renderer.render(bodies, camera, ("rgb",))
 print(json.dumps({"device": renderer.device, "ms": 200 * (time.perf_counter() - start)}))
 """
@@ -105,10 +120,24 @@ def check_python() -> Diagnosis:
     done = run_python(_IMPORTS)
     if done.returncode != 0:
         return Diagnosis(
-            "Python", "wrong", f"{version}; {last_line(done.stderr)}", "pip install --upgrade humansim_ros"
+            "Python", "wrong", f"{version}; {last_line(done.stderr)}", _mending_packages(done.stderr)
         )
-    numpy, opencv = done.stdout.split()
-    return Diagnosis("Python", "ok", f"{version}, NumPy {numpy}, OpenCV {opencv}")
+    found = done.stdout.split()
+    text = f"{version}, NumPy {found[0]}, OpenCV {found[1]}"
+    for (package, oldest), number in zip(OLDEST.items(), found, strict=True):
+        if tuple(map(int, re.findall(r"\d+", number)[:2])) < oldest:
+            at_least = ".".join(map(str, oldest))
+            return Diagnosis(
+                "Python", "wrong", f"{text}: too old", f"pip install --upgrade '{package}>={at_least}'"
+            )
+    return Diagnosis("Python", "ok", text)
+
+
+def _mending_packages(error: str) -> str:
+    """Line for packages that cannot be imported."""
+    if "compiled using NumPy 1" in error or "numpy.core.multiarray" in error:
+        return "pip install 'numpy<2'   # SciPy or OpenCV of the system are made for NumPy 1"
+    return "pip install --upgrade humansim_ros"
 
 
 def check_opengl() -> Diagnosis:
@@ -166,10 +195,9 @@ def check_variables(environment: Mapping[str, str] = os.environ) -> Diagnosis:
     """Variables that decide which nodes see each other."""
     name = "ROS variables"
     domain = environment.get("ROS_DOMAIN_ID", "")
-    if domain and not (domain.isdecimal() and int(domain) <= 232):
-        return Diagnosis(
-            name, "wrong", f"ROS_DOMAIN_ID is {domain!r}, not 0 to 232", "export ROS_DOMAIN_ID=0"
-        )
+    if domain and not (domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
+        text = f"ROS_DOMAIN_ID is {domain!r}, not 0 to {_LAST_DOMAIN}"
+        return Diagnosis(name, "wrong", text, "export ROS_DOMAIN_ID=0")
     reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
     if reach and reach not in ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"):
         text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is {reach!r}"
@@ -185,17 +213,22 @@ def check_variables(environment: Mapping[str, str] = os.environ) -> Diagnosis:
         text = "ROS_LOCALHOST_ONLY is deprecated in Jazzy, and wins over the discovery range"
         fix = "unset ROS_LOCALHOST_ONLY; export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
         return Diagnosis(name, "warning", text, fix)
+    if int(domain or 0) in _RISKY_DOMAINS:
+        text = f"ROS_DOMAIN_ID is {domain}: other programs may have taken its UDP ports"
+        return Diagnosis(name, "warning", text, "export ROS_DOMAIN_ID=42   # 0 to 101")
     return Diagnosis(name, "ok", f"domain {domain or 0}, discovery {reach or 'SUBNET'}")
 
 
 def check_exchange() -> Diagnosis:
     """Whether a message of one participant reaches another on this machine."""
     name = "DDS"
-    if importlib.util.find_spec("rclpy") is None:
+    if not _is_there("rclpy"):
         return Diagnosis(name, "ok", "not tried without ROS")
     done = run_python(_EXCHANGE)
     if "arrived" in done.stdout:
         return Diagnosis(name, "ok", "a message went from one participant to another")
+    if done.returncode == _TIMED_OUT:
+        return Diagnosis(name, "wrong", last_line(done.stderr), _CLEAN_SHARED_MEMORY)
     text = "a message did not arrive" if "lost" in done.stdout else last_line(done.stderr) or "no answer"
     fix = "export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST; allow UDP multicast on lo, or see docs/live.md"
     return Diagnosis(name, "wrong", text, fix)
@@ -206,13 +239,15 @@ def check_shared_memory(folder: Path = Path("/dev/shm")) -> Diagnosis:
     name = "shared memory"
     if not os.access(folder, os.W_OK):
         return Diagnosis(name, "wrong", f"{folder} cannot be written to", f"sudo chmod 1777 {folder}")
-    free = shutil.disk_usage(folder).free
+    free = free_memory(folder)
     left = sum(1 for _ in folder.glob("fastrtps_*"))
-    text = f"{free // _MB} MB free in {folder}"
+    text = f"{folder} has no limit" if math.isinf(free) else f"{free // _MB:.0f} MB free in {folder}"
     if left:
         text += f", {left} files of Fast DDS"
     if free < _SHARED_MEMORY:
-        fix = "sudo mount -o remount,size=1G /dev/shm; in Docker: --shm-size=1g; or: fastdds shm clean"
+        fix = "sudo mount -o remount,size=1G /dev/shm; in Docker: --shm-size=1g"
+        if left:
+            fix += f"; or {_CLEAN_SHARED_MEMORY}"
         return Diagnosis(name, "warning", f"{text}: large images go through UDP", fix)
     return Diagnosis(name, "ok", text)
 
@@ -272,22 +307,24 @@ def diagnoses(checks: tuple[Callable[[], Diagnosis], ...] = CHECKS) -> Iterator[
     for check in checks:
         try:
             yield check()
-        except subprocess.TimeoutExpired:
-            yield Diagnosis(check.__name__[6:], "wrong", f"no answer within {_PATIENCE:.0f} s", "try again")
         except Exception as error:  # a check must never end the others
             yield Diagnosis(check.__name__[6:], "wrong", f"could not be checked: {error}", "tell us about it")
 
 
 def run_python(code: str, environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
-    """Run code in a process of its own: it may crash or hang. Raises subprocess.TimeoutExpired."""
-    return subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        text=True,
-        timeout=_PATIENCE,
-        env=dict(environment) if environment is not None else None,
-        stdin=subprocess.DEVNULL,
-    )
+    """Run code in a process of its own: it may crash or hang. Without an answer, the exit code is 124."""
+    command = [sys.executable, "-c", code]
+    try:
+        return subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            timeout=_PATIENCE,
+            env=dict(environment) if environment is not None else None,
+            stdin=subprocess.DEVNULL,
+        )
+    except subprocess.TimeoutExpired:
+        return subprocess.CompletedProcess(command, _TIMED_OUT, "", f"no answer within {_PATIENCE:g} s")
 
 
 def last_line(text: str) -> str:

@@ -34,13 +34,17 @@ _MAKING = 3.0
 _INTERVAL = 1.0
 
 
-def free_memory() -> float:
-    """Free bytes of /dev/shm: 0 if there is none or it is not writable, infinity without a limit."""
+def free_memory(folder: Path | None = None) -> float:
+    """Free bytes of /dev/shm: 0 if there is none or it is not writable, infinity without a limit.
+
+    ``folder``: another folder in its place.
+    """
+    folder = folder or _FOLDER
     try:
-        found = os.statvfs(_FOLDER)
+        found = os.statvfs(folder)
     except OSError:
         return 0
-    if not os.access(_FOLDER, os.W_OK):
+    if not os.access(folder, os.W_OK):
         return 0
     return found.f_bavail * found.f_frsize if found.f_blocks else math.inf
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from humansim_ros.cli import completion
 from humansim_ros.cli.check import warn_about_mistakes
 from humansim_ros.cli.frame_progress import frame_progress, rate_text
 from humansim_ros.cli.output import print_error, print_text
@@ -45,7 +46,11 @@ def export(
     ],
     formats: Annotated[
         list[str],
-        typer.Option("--format", help="Formats with commas between them, such as coco,mot; may be repeated."),
+        typer.Option(
+            "--format",
+            help="Formats with commas between them, such as coco,mot; may be repeated.",
+            autocompletion=completion.export_formats,
+        ),
     ],
     scene: Annotated[
         Path | None, typer.Argument(help="Scene file (YAML) or bag; the demo scene if absent.")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from humansim_ros.cli import completion
 from humansim_ros.cli.options import JsonOption
 from humansim_ros.cli.output import check_output, print_text, to_json
 from humansim_ros.errors import HumansimError, MeshError
@@ -46,7 +47,10 @@ class SkinningChoice(Enum):
 
 HumanArgument = Annotated[
     str,
-    typer.Argument(help="Built-in human (`humansim human list`), or a file: .npz, .yaml, .obj, .glb …"),
+    typer.Argument(
+        help="Built-in human (`humansim human list`), or a file: .npz, .yaml, .obj, .glb …",
+        autocompletion=completion.humans,
+    ),
 ]
 PreviewOption = Annotated[Path | None, typer.Option(help="Also draw the human (.png).")]
 

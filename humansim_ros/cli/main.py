@@ -61,7 +61,10 @@ def run(
         ),
     ] = None,
     joint_names: Annotated[
-        str | None, typer.Option(help="Joint table for the motion (name or YAML file).")
+        str | None,
+        typer.Option(
+            help="Joint table for the motion (name or YAML file).", autocompletion=completion.joint_tables
+        ),
     ] = None,
     live: Annotated[
         list[str] | None,

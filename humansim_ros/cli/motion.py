@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from humansim_ros.cli import completion
 from humansim_ros.cli.options import JsonOption, parse_size
 from humansim_ros.cli.output import (
     check_output,
@@ -52,10 +53,18 @@ class ViewpointChoice(Enum):
 
 
 MotionArgument = Annotated[
-    str, typer.Argument(help="Motion file (BVH), or a built-in motion (`humansim motion list`).")
+    str,
+    typer.Argument(
+        help="Motion file (BVH), or a built-in motion (`humansim motion list`).",
+        autocompletion=completion.motions,
+    ),
 ]
 JointTableOption = Annotated[
-    str | None, typer.Option(help="Joint table: built-in name or YAML file; detected if absent.")
+    str | None,
+    typer.Option(
+        help="Joint table: built-in name or YAML file; detected if absent.",
+        autocompletion=completion.joint_tables,
+    ),
 ]
 MotionUnitOption = Annotated[
     float | None, typer.Option(help="Metres per unit of the file; detected if absent.", min=0.0)

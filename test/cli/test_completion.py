@@ -10,6 +10,9 @@ import pytest
 from conftest import ROOT
 from waiting import PATIENCE
 
+from humansim_ros.cli import completion
+from humansim_ros.export.formats import EXPORT_FORMATS
+
 HEAVY = ("cv2", "moderngl", "scipy")
 
 
@@ -49,19 +52,36 @@ def completed(line: str) -> list[str]:
         ("humansim run --mesh chi", ["child"]),
         ("humansim snapshot --channels rgb,dep", ["rgb,depth"]),
         ("humansim snapshot --wid", ["--width"]),
+        ("humansim export --format coco,web", ["coco,webdataset"]),
+        ("humansim human info chi", ["child"]),
+        ("humansim motion info wav", ["wave"]),
+        ("humansim run --joint-names laf", ["lafan1"]),
     ],
 )
 def test_words_are_completed(line: str, expected: list[str]) -> None:
     assert completed(line) == expected
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_script_of_each_shell_is_printed(shell: str) -> None:
+def test_export_formats_are_those_of_the_table() -> None:
+    assert tuple(EXPORT_FORMATS) == completion.EXPORT_FORMATS
+
+
+@pytest.mark.parametrize(
+    ("shell", "words"),
+    [
+        ("bash", "complete -o default -F"),
+        ("zsh", "#compdef humansim"),
+        ("fish", "complete --command humansim"),
+    ],
+)
+def test_the_script_of_each_shell_is_printed(shell: str, words: str) -> None:
+    # without the variable, the option is for the shell that has started Python, whatever is named here
+    variables = {"PYTHONPATH": str(ROOT), "_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}
     done = subprocess.run(
-        [sys.executable, "-m", "humansim_ros"],
+        [sys.executable, "-m", "humansim_ros", "--show-completion", shell],
         capture_output=True,
         text=True,
         timeout=PATIENCE,
-        env=os.environ | {"PYTHONPATH": str(ROOT), "_HUMANSIM_COMPLETE": f"source_{shell}"},
+        env=os.environ | variables,
     )
-    assert done.returncode == 0 and "_HUMANSIM_COMPLETE" in done.stdout
+    assert done.returncode == 0 and "_HUMANSIM_COMPLETE" in done.stdout and words in done.stdout

@@ -134,6 +134,10 @@ class EvaluationError(HumansimError):
     """A truth and an estimate cannot be read or compared."""
 
 
+class PhotographError(HumansimError):
+    """Photographs, their calibration, points or masks cannot be read or used."""
+
+
 class ChallengeError(HumansimError):
     """A suite of challenges, a tracker or a report is wrong."""
 

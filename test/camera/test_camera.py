@@ -272,3 +272,25 @@ def test_matrices_that_are_not_projections_are_refused(p: Array) -> None:
     with pytest.raises(CameraError) as caught:
         Camera.from_projection_matrix(p, SIZE)
     assert caught.value.key == "P"
+
+
+@pytest.mark.parametrize(
+    ("distortion", "model"),
+    [
+        ((), None),
+        ((-0.2, 0.05, 0.001, -0.002, 0.01), "plumb_bob"),
+        ((0.02, -0.01, 0.003, 0.001), "equidistant"),
+    ],
+)
+def test_jacobian_is_the_slope_of_the_projection(distortion: tuple[float, ...], model: str | None) -> None:
+    skewed = K + np.array([[0, 1.5, 0], [0, 0, 0], [0, 0, 0]])
+    camera = Camera(SIZE, skewed, R, T, distortion, model)
+    points = (np.random.default_rng(0).uniform((-1, -1, 1), (1, 1, 4), (40, 3)) - T) @ R
+    step = 1e-5
+    slopes = [
+        (camera.project(points + step * axis)[0] - camera.project(points - step * axis)[0]) / (2 * step)
+        for axis in np.eye(3)
+    ]
+    np.testing.assert_allclose(
+        camera.project_jacobian(points), np.stack(slopes, axis=-1), rtol=1e-5, atol=1e-4
+    )

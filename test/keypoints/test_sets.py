@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 
@@ -10,6 +12,7 @@ from humansim_ros.body.skeleton import hanim_skeleton, side_of
 from humansim_ros.errors import KeypointError
 from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
 from humansim_ros.keypoints.anatomy import MIXES, skin_points
+from humansim_ros.keypoints.sets import KeypointSet
 
 #: Numbers of some keypoints in the publications of each set, far apart in its order.
 PUBLISHED = {
@@ -95,3 +98,19 @@ def test_an_unknown_set_or_keypoint_is_an_error_with_the_nearest_name() -> None:
     with pytest.raises(KeypointError, match="coco17 has no keypoint 'left_eyes'; did you mean 'left_eye'"):
         keypoint_set("coco17").index("left_eyes")
     assert keypoint_set("coco17").index("left_eye") == 1
+
+
+@pytest.mark.parametrize("keypoints", KEYPOINT_SETS.values(), ids=str)
+def test_the_mirror_image_of_a_keypoint_is_that_of_the_other_side(keypoints: KeypointSet) -> None:
+    order = np.array(keypoints.mirrored)
+    np.testing.assert_array_equal(order[order], np.arange(len(keypoints)))
+    for number, name in enumerate(keypoints.names):
+        point = keypoints.points[number]
+        if order[number] != number:
+            sides = {name[:1].lower(), keypoints.names[order[number]][:1].lower()}
+            assert sides == {"l", "r"} or {name, keypoints.names[order[number]]} == {
+                "mouth_left",
+                "mouth_right",
+            }
+        else:
+            assert point == "right_scapula" or not re.match("left_|right_|l_|r_", point)

@@ -107,11 +107,4 @@ def _run(words: list[str], image: Path, photos: PhotoSet) -> Array:
             )
         if not output.is_file():
             raise PhotographError(f"the detector wrote no file {POINTS}", path=image)
-        frames = read_points(output, photos.keypoints, [image] if _is_of_images(output) else None)
-        return frames[0]
-
-
-def _is_of_images(path: Path) -> bool:
-    """Whether a file of points names images; COCO."""
-    with path.open("rb") as file:
-        return b'"file_name"' in file.read(1 << 16)
+        return read_points(output, photos.keypoints)[0]

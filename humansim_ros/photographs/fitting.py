@@ -1,0 +1,185 @@
+"""Fit a human to calibrated photographs: pose, place, stature and proportions, in one frame or in many."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from humansim_ros.errors import PhotographError
+from humansim_ros.humans.human import Human
+from humansim_ros.humans.loading import load_human
+from humansim_ros.io.assets import find_asset
+from humansim_ros.photographs.person_fit import PersonFit
+from humansim_ros.photographs.pose_fitting import (
+    LEAST_NOISE,
+    Settings,
+    Sight,
+    first_state,
+    fit_places,
+    fit_poses,
+    unwound,
+)
+from humansim_ros.photographs.pose_model import BodyState, PoseModel
+from humansim_ros.photographs.proportions import with_proportions
+from humansim_ros.photographs.triangulation import Triangulation, triangulate_photos
+from humansim_ros.photographs.views import PhotoSet
+from humansim_ros.types import Array
+
+#: Most frames that determine the proportions.
+SHAPE_FRAMES = 12
+#: Weight of points that no other view confirms.
+_UNCONFIRMED = 0.3
+#: A point farther than this number of standard deviations of the noise, and of pixels, is an outlier.
+_FARTHEST, _LEAST_FARTHEST = 6.0, 4.0
+
+Progress = Callable[[str, int, int], None]
+
+
+def fit_person(
+    photos: PhotoSet,
+    human: Human | None = None,
+    start: PersonFit | None = None,
+    silhouettes: bool = True,
+    progress: Progress = lambda step, done, count: None,
+) -> PersonFit:
+    """Fit a human to photographs of one person.
+
+    Keypoints are triangulated (wrong points are found by the other views), then poses, stature and lengths of
+    bones minimise the distances in the photographs. Joints stay within their limits. All frames have the
+    same proportions. Silhouettes then determine the girths.
+
+    Args:
+        photos: Photographs with points.
+        human: Human to start from; that of the views file if None.
+        start: Fit to start from, such as one that points were corrected in.
+        silhouettes: Use the masks, if there are any.
+        progress: Called with the name of a step, finished and all frames.
+
+    Raises:
+        PhotographError: The photographs do not determine the person; the message says why.
+    """
+    if human is None:
+        human = load_human(find_asset(photos.human, "humans"))
+    found = triangulate_photos(photos)
+    model = PoseModel(human, photos.keypoints)
+    sights = [_sight(photos, each) for each in found]
+    noise = _noise(found)
+    states = _initial(model, found, start, progress)
+    shape_frames = _spread(np.array([(sight.weights > 0).sum() for sight in sights]), SHAPE_FRAMES)
+    chosen = fit_poses(
+        model,
+        [states[number] for number in shape_frames],
+        [sights[number] for number in shape_frames],
+        Settings(noise),
+    )
+    progress("shape", len(states), len(states))
+    for number, state in zip(shape_frames, chosen, strict=True):
+        states[number] = state
+    shape = chosen[0]
+    states = [replace(state, stature=shape.stature, lengths=shape.lengths) for state in states]
+    period = photos.period / 1e9 if len(states) > 2 else 0.0
+    if len(states) > 1:
+        states = fit_poses(model, states, sights, Settings(noise, free_shape=False, period=period))
+    progress("poses", len(states), len(states))
+    fit = _result(photos, human, model, states, found, noise)
+    if silhouettes and any(photo.mask_path is not None for frame in photos.frames for photo in frame):
+        from humansim_ros.photographs.silhouettes import fit_silhouettes
+
+        fit = fit_silhouettes(fit, photos, shape_frames[:4])
+    return fit
+
+
+def _sight(photos: PhotoSet, found: Triangulation) -> Sight:
+    """Points of a frame, and how much they count."""
+    points = found.points
+    confirmed = np.isfinite(found.positions[:, 0])
+    weights = points[..., 2] * np.where(confirmed, found.inliers, _UNCONFIRMED)
+    return Sight(photos.cameras, points[..., :2], weights, found.positions)
+
+
+def _noise(found: Sequence[Triangulation]) -> float:
+    """Standard deviation of a coordinate of the points, pixels."""
+    errors = np.concatenate([each.errors[each.inliers] for each in found])
+    if not len(errors):
+        return LEAST_NOISE
+    # a position takes up three of the 2 V numbers of V views; the median is that of a Rayleigh distribution
+    views = np.concatenate(
+        [np.broadcast_to(each.inliers.sum(0), each.inliers.shape)[each.inliers] for each in found]
+    )
+    free = np.sqrt(np.maximum(2 * views - 3, 1) / (2 * views))
+    return float(max(np.median(errors / free) / np.sqrt(2 * np.log(2)), LEAST_NOISE))
+
+
+def _initial(
+    model: PoseModel, found: Sequence[Triangulation], start: PersonFit | None, progress: Progress
+) -> list[BodyState]:
+    """A first guess of all frames, from the triangulated points."""
+    states: list[BodyState] = []
+    if start is not None and len(start.root) == len(found):
+        return [_state_of(model, start, number) for number in range(len(found))]
+    last: BodyState | None = None
+    for number, each in enumerate(found):
+        state = first_state(model, each.positions)
+        if last is not None:  # limbs move little between frames
+            state = replace(state, vectors=last.vectors, stature=last.stature, lengths=last.lengths)
+        known = np.isfinite(each.positions[:, 0]).sum()
+        if known >= 3:
+            state = last = unwound(fit_places(model, state, each.positions))
+        elif last is not None:
+            state = last
+        states.append(state)
+        progress("first guess", number + 1, len(found))
+    return states
+
+
+def _state_of(model: PoseModel, fit: PersonFit, number: int) -> BodyState:
+    """State of a frame of a fit."""
+    return model.state(fit.proportions, fit.root[number], fit.rotations[number], fit.body.skeleton)
+
+
+def _spread(counts: Array, most: int) -> list[int]:
+    """Numbers of at most ``most`` frames over the whole sequence, each the one with most points near it."""
+    edges = np.linspace(0, len(counts), min(most, len(counts)) + 1).astype(int)
+    return [int(low + np.argmax(counts[low:high])) for low, high in itertools.pairwise(edges)]
+
+
+def _result(
+    photos: PhotoSet,
+    human: Human,
+    model: PoseModel,
+    states: Sequence[BodyState],
+    found: Sequence[Triangulation],
+    noise: float,
+) -> PersonFit:
+    proportions = model.proportions(states[0])
+    skeleton = with_proportions(human, proportions).skeleton
+    residuals = np.full(photos.points.shape[:3], np.nan)
+    for number, (state, each) in enumerate(zip(states, found, strict=True)):
+        positions = model.keypoints(state)
+        for view, camera in enumerate(photos.cameras):
+            pixels = camera.project(positions)[0]
+            errors = np.linalg.norm(pixels - each.points[view, :, :2], axis=1)
+            residuals[number, view] = np.where(
+                each.points[view, :, 2] > 0, np.nan_to_num(errors, nan=1e4), np.nan
+            )
+    given = np.isfinite(residuals)
+    if not given.any():
+        raise PhotographError("no view has points: there is nothing to fit", path=photos.path, key="views")
+    farthest = max(_FARTHEST * noise, _LEAST_FARTHEST)
+    wrong = np.array([~each.inliers & np.isfinite(each.positions[:, 0]) for each in found])
+    return PersonFit(
+        photos.human,
+        proportions,
+        human.skeleton.names,
+        np.array([model.root(state, skeleton) for state in states]),
+        np.array([model.rotations(state) for state in states]),
+        photos.period,
+        photos.keypoints.name,
+        photos.names,
+        residuals,
+        given & (wrong | (np.nan_to_num(residuals) > 5 * farthest)),
+        np.array([each.swapped for each in found]),
+    )

@@ -1,0 +1,356 @@
+"""Fit poses and proportions of a body to 2D points: robust nonlinear least squares over all frames at once.
+
+The unknowns are those of :class:`~humansim_ros.photographs.pose_model.PoseModel`: pose numbers of each frame,
+and one set of proportions. Frames are coupled by a prior of small accelerations, so that the normal equations
+are a band, bordered by the proportions: each step of Levenberg-Marquardt takes time linear in the frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.camera.camera import Camera
+from humansim_ros.photographs.pose_model import BodyState, PoseModel, plain_name
+from humansim_ros.rotations import quaternion_to_matrix, unit_vectors
+from humansim_ros.types import Array
+
+#: Points count less and less beyond this number of standard deviations of their noise.
+_ROBUST = 2.5
+#: Least standard deviation of points, pixels.
+LEAST_NOISE = 0.5
+#: Standard deviation of rotations from the rest pose, radians, by bone without its side; others have _USUAL.
+_STIFFNESS = {
+    "HumanoidRoot_to_hip": 0.03,
+    "sacroiliac": 0.15,
+    "vl5": 0.3,
+    "vl5_to_sternoclavicular": 0.1,
+    "sternoclavicular": 0.15,
+    "wrist": 0.3,
+    "ankle": 0.3,
+}
+_USUAL = 1.5
+#: Bones without their side that turn slowly.
+_TRUNK = frozenset(_STIFFNESS) - {"wrist", "ankle"} | {"HumanoidRoot", "vt3"}
+#: Standard deviation of the proportions: logarithms of stature and of lengths relative to it.
+_STATURE_SPREAD, _LENGTH_SPREAD = 0.3, 0.06
+#: Standard deviation of a joint beyond its limit, radians.
+_BEYOND = 0.02
+#: Standard deviations of accelerations: metres per second squared of the place; radians per second squared
+#: of trunk and limbs.
+_ACCELERATION, _TURN, _SWING = 6.0, 15.0, 60.0
+#: Most steps of least squares, and rounds in which joints beyond their limits are pulled back.
+_STEPS, _LIMIT_ROUNDS = 40, 4
+#: Cosine of half an angle, from 1, by which a joint is beyond its limit.
+_SLIGHTLY = 1e-5
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Points of one frame in V views.
+
+    Attributes:
+        cameras: V cameras.
+        pixels: (V, K, 2).
+        weights: (V, K) confidence; 0 for points that do not count.
+        places: (K, 3) triangulated positions in ``map``; NaN where there is none.
+    """
+
+    cameras: Sequence[Camera]
+    pixels: Array
+    weights: Array
+    places: Array
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of a fit.
+
+    Attributes:
+        noise: Standard deviation of the points, pixels.
+        free_shape: The proportions are fitted, too.
+        period: Seconds between frames; 0 without a prior of small accelerations.
+        limited: Joints stay within their limits.
+        tolerance: Relative change of the cost at which the steps end.
+    """
+
+    noise: float
+    free_shape: bool = True
+    period: float = 0.0
+    limited: bool = True
+    tolerance: float = 1e-5
+
+
+def first_state(model: PoseModel, places: Array) -> BodyState:
+    """Rest pose that is turned, moved and scaled onto triangulated keypoints (K, 3) [Umeyama 1991].
+
+    The trunk counts most, because the limbs are not in the rest pose. NaN stands for absent keypoints.
+    """
+    rest = model.keypoints(model.neutral())
+    known = np.isfinite(places[:, 0])
+    weights = np.where(model.on_trunk, 1.0, 0.05) * known
+    if known.sum() < 3:
+        return replace(model.neutral(), position=_mean(np.nan_to_num(places), known))
+    total = weights.sum()
+    target = np.where(known[:, None], places, 0.0)
+    mean_rest, mean = weights @ rest / total, weights @ target / total
+    first, second = rest - mean_rest, np.where(known[:, None], target - mean, 0.0)
+    u, _, v = np.linalg.svd((weights[:, None] * second).T @ first)
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+    # lengths of the trunk: robust against limbs in another pose
+    scale = np.sqrt((weights @ (second**2).sum(1)) / max(weights @ (first**2).sum(1), 1e-12))
+    scale = float(np.clip(scale, 0.4, 2.0))
+    neutral = model.neutral()
+    return replace(
+        neutral,
+        root=turn,
+        position=mean + scale * turn @ (model.skeleton.heads[0] - mean_rest),
+        stature=float(np.log(scale)),
+    )
+
+
+def fit_poses(
+    model: PoseModel, states: Sequence[BodyState], sights: Sequence[Sight], settings: Settings
+) -> list[BodyState]:
+    """Fit the states of F frames to the points of their views; all have the proportions of the first.
+
+    Joints beyond their limits (:mod:`humansim_ros.motion.limits`) are pulled back to them.
+    """
+    problem = _Problem(model, sights, settings)
+    found = problem.solve(list(states))
+    for _ in range(_LIMIT_ROUNDS if settings.limited and model.limits is not None else 0):
+        if not problem.hold_limits(found):
+            break
+        found = problem.solve(found)
+    return found
+
+
+def fit_places(model: PoseModel, state: BodyState, places: Array, free_shape: bool = True) -> BodyState:
+    """Fit the state of one frame to triangulated keypoints (K, 3), NaN where there is none: a first guess."""
+    sight = Sight((), np.zeros((0, len(places), 2)), np.zeros((0, len(places))), places)
+    return fit_poses(model, [state], [sight], Settings(0.0, free_shape, limited=False, tolerance=1e-2))[0]
+
+
+class _Problem:
+    """Cost and steps of one fit."""
+
+    def __init__(self, model: PoseModel, sights: Sequence[Sight], settings: Settings) -> None:
+        self.model, self.sights, self.settings = model, sights, settings
+        spreads = np.array([_STIFFNESS.get(plain_name(name), _USUAL) for name in model.skeleton.names])[1:]
+        # cost of the rotation vectors v of a frame and bone: v^T P v - 2 h^T v + c, with P, h, c:
+        frames, bones = len(sights), len(spreads)
+        self._pulls = np.tile(np.eye(3) / spreads[:, None, None] ** 2, (frames, 1, 1, 1))
+        self._heads = np.zeros((frames, bones, 3))
+        self._constants = np.zeros(frames)
+
+    def hold_limits(self, states: Sequence[BodyState]) -> bool:
+        """Pull joints that are beyond their limits back, in the direction of the limit; False if none is."""
+        assert self.model.limits is not None
+        rotations = np.array([self.model.rotations(state) for state in states])
+        clamped = self.model.limits.clamp(rotations)
+        beyond = 1 - np.abs((clamped * rotations).sum(-1))[:, 1:] > _SLIGHTLY
+        for frame, bone in zip(*np.nonzero(beyond), strict=True):
+            own = states[frame].vectors[bone + 1]
+            goal = _nearest(Rotation.from_quat(clamped[frame, bone + 1]).as_rotvec(), own)
+            direction = unit_vectors(goal - own)
+            at = float(direction @ goal)
+            self._pulls[frame, bone] += np.outer(direction, direction) / _BEYOND**2
+            self._heads[frame, bone] += at * direction / _BEYOND**2
+            self._constants[frame] += at**2 / _BEYOND**2
+        return bool(beyond.any())
+
+    def solve(self, states: list[BodyState]) -> list[BodyState]:
+        """Levenberg-Marquardt from the states."""
+        cost, damping = self._cost(states), 1e-3
+        for _ in range(_STEPS):
+            equations = self._equations(states)
+            for _ in range(8):
+                step = equations.solve(damping)
+                tried = self._moved(states, step)
+                new = self._cost(tried)
+                if new < cost:
+                    break
+                damping = max(damping * 8, 1e-6)
+            else:
+                return states
+            done = cost - new < self.settings.tolerance * cost
+            states, cost, damping = tried, new, damping / 4
+            if done:
+                return states
+        return states
+
+    def _moved(self, states: Sequence[BodyState], step: Array) -> list[BodyState]:
+        size, count = self.model.pose_size, len(states)
+        shape = step[size * count :]
+        if not self.settings.free_shape:
+            shape = np.zeros(self.model.size - size)
+        # no person is a tenth of another one: a wild step must not overflow
+        steps = np.clip(step[: size * count].reshape(count, size), -2.0, 2.0)
+        shape = np.clip(shape, -0.3, 0.3)
+        return [
+            self.model.moved(state, np.concatenate([own, shape]))
+            for state, own in zip(states, steps, strict=True)
+        ]
+
+    def _points(self, sight: Sight, positions: Array) -> tuple[Array, Array]:
+        """Residuals (N, d) of the points of a frame in standard deviations, and their weights (N,)."""
+        if not sight.cameras:
+            known = np.isfinite(sight.places[:, 0])
+            return (positions - sight.places)[known] / 0.02, np.ones(int(known.sum()))
+        seen = np.stack([camera.project(positions)[0] for camera in sight.cameras])
+        used = sight.weights > 0
+        residuals = (seen - sight.pixels)[used] / max(self.settings.noise, LEAST_NOISE)
+        # a point that has no image is far away from its place
+        return np.nan_to_num(residuals, nan=1e3), sight.weights[used]
+
+    def _slopes(self, sight: Sight, positions: Array, slopes: Array) -> Array:
+        """Derivatives (N, d, size) of the residuals of the points."""
+        if not sight.cameras:
+            return slopes[np.isfinite(sight.places[:, 0])] / 0.02
+        used = sight.weights > 0
+        noise = max(self.settings.noise, LEAST_NOISE)
+        parts = []
+        for camera, row in zip(sight.cameras, used, strict=True):
+            if row.any():
+                by_place = np.nan_to_num(camera.project_jacobian(positions[row])) / noise
+                parts.append(by_place @ slopes[row])
+        return np.concatenate(parts) if parts else np.zeros((0, 2, slopes.shape[-1]))
+
+    def _cost(self, states: Sequence[BodyState]) -> float:
+        cost = 0.0
+        for number, (state, sight) in enumerate(zip(states, self.sights, strict=True)):
+            residuals, weights = self._points(sight, self.model.keypoints(state))
+            squares = (residuals**2).sum(axis=1)
+            cost += float(weights @ (2 * _ROBUST**2 * (np.sqrt(1 + squares / _ROBUST**2) - 1)))
+            vectors = state.vectors[1:]
+            cost += float(np.einsum("bi,bij,bj->", vectors, self._pulls[number], vectors))
+            cost += float(self._constants[number] - 2 * (self._heads[number] * vectors).sum())
+        cost += (states[0].stature / _STATURE_SPREAD) ** 2
+        cost += float(((states[0].lengths / _LENGTH_SPREAD) ** 2).sum())
+        if self._smooth(states):
+            cost += float((self._accelerations(states) ** 2).sum())
+        return cost
+
+    def _smooth(self, states: Sequence[BodyState]) -> bool:
+        return self.settings.period > 0 and len(states) > 2
+
+    def _acceleration_spreads(self) -> Array:
+        """Standard deviations (pose_size,) of second differences."""
+        trunk = np.array([plain_name(name) in _TRUNK for name in self.model.skeleton.names])
+        turns = np.repeat(np.where(trunk, _TURN, _SWING), 3)
+        spread = np.r_[np.full(3, _ACCELERATION), turns]
+        return np.asarray(spread * self.settings.period**2)
+
+    def _accelerations(self, states: Sequence[BodyState]) -> Array:
+        """Second differences (F - 2, pose_size) in standard deviations."""
+        places = np.array([state.position for state in states])
+        turns = Rotation.from_matrix([state.root for state in states])
+        between = (turns[:-1].inv() * turns[1:]).as_rotvec()
+        vectors = np.array([state.vectors[1:].ravel() for state in states])
+        differences = np.hstack([np.diff(places, axis=0), between, np.diff(vectors, axis=0)])
+        return np.asarray(np.diff(differences, axis=0) / self._acceleration_spreads())
+
+    def _equations(self, states: Sequence[BodyState]) -> _Equations:
+        """Normal equations at the states."""
+        size, count = self.model.pose_size, len(states)
+        extra = self.model.size - size
+        equations = _Equations(count, size, extra, self._smooth(states), self.settings.free_shape)
+        for number, (state, sight) in enumerate(zip(states, self.sights, strict=True)):
+            positions, slopes = self.model.derivatives(state)
+            residuals, weights = self._points(sight, positions)
+            by_number = self._slopes(sight, positions, slopes)
+            robust = weights / np.sqrt(1 + (residuals**2).sum(axis=1) / _ROBUST**2)
+            rows = by_number.reshape(-1, self.model.size)
+            weighted = rows * np.repeat(robust, residuals.shape[1])[:, None]
+            matrix, right = weighted.T @ rows, weighted.T @ residuals.ravel()
+            pulls, vectors = self._pulls[number], state.vectors[1:]
+            for bone, pull in enumerate(pulls):
+                matrix[6 + 3 * bone : 9 + 3 * bone, 6 + 3 * bone : 9 + 3 * bone] += pull
+            right[6:size] += (np.einsum("bij,bj->bi", pulls, vectors) - self._heads[number]).ravel()
+            equations.add_frame(number, matrix, right)
+        prior = np.full(extra, 1 / _LENGTH_SPREAD**2)
+        prior[0] = 1 / _STATURE_SPREAD**2
+        equations.add_shape(prior, prior * np.r_[states[0].stature, states[0].lengths])
+        if self._smooth(states):
+            spread = self._acceleration_spreads()
+            equations.add_accelerations(self._accelerations(states) / spread, 1 / spread**2)
+        return equations
+
+
+class _Equations:
+    """Symmetric equations of F blocks of pose numbers in a band, bordered by the proportions."""
+
+    def __init__(self, count: int, size: int, extra: int, coupled: bool, free_shape: bool) -> None:
+        self._count, self._size, self._free = count, size, free_shape
+        width = 3 * size if coupled else size
+        self._band = np.zeros((width, count * size))  # lower form of scipy: band[i - j, j] = a[i, j]
+        self._border = np.zeros((count * size, extra))
+        self._corner = np.zeros((extra, extra))
+        self._right = np.zeros(count * size)
+        self._right_shape = np.zeros(extra)
+
+    def add_frame(self, number: int, matrix: NDArray[np.float64], right: NDArray[np.float64]) -> None:
+        """Add equations of one frame: pose numbers, then proportions."""
+        size, start = self._size, number * self._size
+        for diagonal in range(size):
+            values = np.diagonal(matrix[:size, :size], -diagonal)
+            self._band[diagonal, start : start + size - diagonal] += values
+        self._border[start : start + size] += matrix[:size, size:]
+        self._corner += matrix[size:, size:]
+        self._right[start : start + size] += right[:size]
+        self._right_shape += right[size:]
+
+    def add_shape(self, prior: Array, right: Array) -> None:
+        """Add a prior of the proportions."""
+        self._corner[np.diag_indices_from(self._corner)] += prior
+        self._right_shape += right
+
+    def add_accelerations(self, slopes: Array, weights: Array) -> None:
+        """Add the prior of second differences: ``slopes`` (F - 2, size), ``weights`` (size,)."""
+        size = self._size
+        coefficients = (1.0, -2.0, 1.0)
+        for first in range(3):
+            for second in range(first + 1):
+                value = coefficients[first] * coefficients[second] * weights
+                for number in range(self._count - 2):
+                    start = (number + second) * size
+                    self._band[(first - second) * size, start : start + size] += value
+            self._right.reshape(-1, size)[first : first + self._count - 2] += coefficients[first] * slopes
+
+    def solve(self, damping: float) -> Array:
+        """Step of all numbers. ``damping`` of the diagonal, relative to it."""
+        band = self._band.copy()
+        band[0] += damping * band[0] + 1e-9
+        factor = cholesky_banded(band, lower=True)
+        step = -cho_solve_banded((factor, True), self._right)
+        if not self._free:
+            return np.r_[step, np.zeros(len(self._right_shape))]
+        columns = cho_solve_banded((factor, True), self._border)
+        corner = self._corner + damping * np.diag(np.diag(self._corner)) - self._border.T @ columns
+        right = -self._right_shape - self._border.T @ step
+        shape = cho_solve(cho_factor(corner + 1e-9 * np.eye(len(corner))), right)
+        return np.r_[step - columns @ shape, shape]
+
+
+def _nearest(vector: Array, other: Array) -> Array:
+    """Of the rotation vectors (3,) of one rotation, that nearest to another vector."""
+    angle = float(np.linalg.norm(vector))
+    if angle < 1e-9:
+        return vector
+    turned = vector - 2 * np.pi * unit_vectors(vector)
+    return turned if np.linalg.norm(turned - other) < np.linalg.norm(vector - other) else vector
+
+
+def _mean(places: Array, known: NDArray[np.bool_]) -> Array:
+    return np.asarray(places[known].mean(axis=0)) if known.any() else np.zeros(3)
+
+
+def unwound(state: BodyState) -> BodyState:
+    """The same pose with rotation vectors of at most half a turn."""
+    matrices = quaternion_to_matrix(Rotation.from_rotvec(state.vectors).as_quat())
+    return replace(state, vectors=Rotation.from_matrix(matrices).as_rotvec())

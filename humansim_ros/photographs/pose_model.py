@@ -1,0 +1,295 @@
+"""Keypoints of a body as a function of its pose and proportions, with derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from humansim_ros.body.skeleton import Skeleton, side_of
+from humansim_ros.errors import MotionError
+from humansim_ros.humans.human import Human
+from humansim_ros.keypoints.locator import KeypointLocator
+from humansim_ros.keypoints.sets import KeypointSet
+from humansim_ros.motion.limits import JointLimits, load_limits
+from humansim_ros.photographs.proportions import Proportions
+from humansim_ros.rotations import (
+    matrix_to_quaternion,
+    quaternion_to_matrix,
+    rotation_vector_to_matrix,
+    transform,
+)
+from humansim_ros.types import Array
+
+#: Bones that have one factor of length together, by their names without the side.
+_GROUPS = {
+    "HumanoidRoot": "pelvis",
+    "HumanoidRoot_to_hip": "pelvis",
+    "sacroiliac": "spine",
+    "vl5": "spine",
+    "vl5_to_sternoclavicular": "collar",
+    "sternoclavicular": "collar",
+}
+
+
+@dataclass(frozen=True)
+class BodyState:
+    """Pose and proportions as the numbers that are fitted.
+
+    Attributes:
+        position: (3,) place of the head of the first bone in ``map``, metres.
+        root: (3, 3) rotation of body space in ``map``.
+        vectors: (B, 3) rotation vectors of the bones; zero for the first one.
+        stature: Logarithm of the factor of the whole body.
+        lengths: (G,) logarithms of the factors of the length groups.
+    """
+
+    position: Array
+    root: Array
+    vectors: Array
+    stature: float
+    lengths: Array
+
+
+class PoseModel:
+    """Keypoints of a human with 6 + 3 (B - 1) pose numbers and 1 + G numbers of proportions.
+
+    The order of the numbers is: position (3), rotation of the root as a rotation vector in its own axes (3),
+    rotation vectors of the other bones (3 (B - 1)), stature (1), lengths (G).
+
+    Attributes:
+        skeleton: Skeleton of the human.
+        groups: Names of the G groups of bones that have one factor of length.
+        group_of: (B,) number of the group of each bone.
+    """
+
+    def __init__(self, human: Human, keypoints: KeypointSet) -> None:
+        self.skeleton = human.skeleton
+        names = [_group(name) for name in self.skeleton.names]
+        self.groups = tuple(dict.fromkeys(names))
+        self.group_of = np.array([self.groups.index(name) for name in names])
+        self._mass, self._local = _attachments(human, keypoints)
+        self._rest = self.skeleton.rest_in_parent
+
+    @cached_property
+    def limits(self) -> JointLimits | None:
+        """Joint limits of the skeleton; None if it has none of the bones of the table."""
+        try:
+            return load_limits(None, self.skeleton)
+        except MotionError:
+            return None
+
+    @cached_property
+    def on_trunk(self) -> NDArray[np.bool_]:
+        """(K,) the keypoint keeps its place on the trunk when limbs move; all keypoints if there are none."""
+        names, parents = self.skeleton.names, self.skeleton.parents
+        trunk = np.array([side_of(name) == 0 or _group(name) in _GROUPS.values() for name in names])
+        # the head of a limb is a point of the trunk
+        fixed = trunk | (trunk[np.maximum(parents, 0)] & (np.abs(self._local).max(axis=2) < 1e-9))
+        found = (fixed | (np.abs(self._mass) < 1e-9)).all(axis=1)
+        return found if found.sum() >= 3 else np.ones(len(found), bool)
+
+    @property
+    def pose_size(self) -> int:
+        """Number of the pose numbers."""
+        return 3 + 3 * len(self.skeleton)
+
+    @property
+    def size(self) -> int:
+        """Number of all numbers."""
+        return self.pose_size + 1 + len(self.groups)
+
+    def neutral(self) -> BodyState:
+        """The rest pose at the origin of ``map``."""
+        bones = len(self.skeleton)
+        return BodyState(np.zeros(3), np.eye(3), np.zeros((bones, 3)), 0.0, np.zeros(len(self.groups)))
+
+    def moved(self, state: BodyState, step: Array) -> BodyState:
+        """State after a step of the numbers (size,)."""
+        bones = 3 * len(self.skeleton)
+        vectors = state.vectors.copy()
+        vectors[1:] += step[6 : 3 + bones].reshape(-1, 3)
+        return BodyState(
+            state.position + step[:3],
+            state.root @ rotation_vector_to_matrix(step[3:6]),
+            vectors,
+            state.stature + float(step[self.pose_size]),
+            state.lengths + step[self.pose_size + 1 :],
+        )
+
+    def keypoints(self, state: BodyState) -> Array:
+        """Positions (K, 3) of the keypoints in ``map``."""
+        return self._evaluate(state).positions
+
+    def derivatives(self, state: BodyState) -> tuple[Array, Array]:
+        """Positions (K, 3) of the keypoints, and their derivatives (K, 3, size) by a step of the numbers."""
+        body = self._evaluate(state)
+        count = len(body.positions)
+        slopes = np.zeros((count, 3, self.size))
+        slopes[:, :, :3] = np.eye(3)
+        # sums over the bones of the subtree of each bone, of the parts of the keypoints that they carry
+        mass, moment = self._mass.copy(), body.parts.copy()
+        scaled = np.einsum("bij,bj,kbj->kbi", body.axes, body.scales, self._local)  # without the origin
+        stretched = scaled.copy()
+        along = np.einsum("bi,b,kb->kbi", body.axes[:, :, 1], body.scales[:, 1], self._local[..., 1])
+        parents = self.skeleton.parents
+        for bone in range(len(parents) - 1, 0, -1):
+            parent = parents[bone]
+            mass[:, parent] += mass[:, bone]
+            moment[:, parent] += moment[:, bone]
+        for bone in range(1, len(parents)):
+            parent = parents[bone]
+            offset = self._rest[bone, :3, 3]
+            arm = body.axes[parent] @ (body.scales[parent] * offset)
+            stretched[:, parent] += mass[:, bone, None] * arm
+            along_arm = body.axes[parent][:, 1] * (body.scales[parent, 1] * offset[1])
+            along[:, parent] += mass[:, bone, None] * along_arm
+        levers = moment - mass[..., None] * body.origins
+        turns = body.turns
+        turning = -np.einsum("kbij,bjl->kbil", _skew(levers), turns)  # e x v = -[v] e
+        slopes[:, :, 3:6] = turning[:, 0]
+        bones = len(parents)
+        slopes[:, :, 6 : 3 + 3 * bones] = np.moveaxis(turning[:, 1:], 1, 2).reshape(count, 3, -1)
+        slopes[:, :, self.pose_size] = stretched.sum(axis=1)
+        for group in range(len(self.groups)):
+            slopes[:, :, self.pose_size + 1 + group] = along[:, self.group_of == group].sum(axis=1)
+        return body.positions, slopes
+
+    def state(self, proportions: Proportions, root: Array, rotations: Array, body: Skeleton) -> BodyState:
+        """State of a body in a pose.
+
+        Args:
+            proportions: Proportions of the body; lengths of a group are averaged.
+            root: (4, 4) transform from body space to ``map``.
+            rotations: (B, 4) quaternions xyzw of the bones.
+            body: Skeleton in these proportions.
+        """
+        lengths = np.log([proportions.lengths.get(name, 1.0) for name in self.skeleton.names])
+        groups = [float(lengths[self.group_of == group].mean()) for group in range(len(self.groups))]
+        first = quaternion_to_matrix(rotations[0])
+        rest = self._rest[0, :3, :3]
+        return BodyState(
+            root[:3, :3] @ body.heads[0] + root[:3, 3],
+            root[:3, :3] @ rest @ first @ rest.T,
+            np.vstack([np.zeros(3), Rotation.from_quat(rotations[1:]).as_rotvec()]),
+            float(np.log(proportions.stature)),
+            np.array(groups),
+        )
+
+    def proportions(self, state: BodyState) -> Proportions:
+        """Proportions of a state."""
+        lengths = np.exp(state.lengths)[self.group_of]
+        names = self.skeleton.names
+        return Proportions(
+            float(np.exp(state.stature)),
+            {name: float(each) for name, each in zip(names, lengths, strict=True) if abs(each - 1) > 1e-6},
+        )
+
+    def rotations(self, state: BodyState) -> Array:
+        """Quaternions (B, 4) xyzw of the bones."""
+        return matrix_to_quaternion(rotation_vector_to_matrix(state.vectors))
+
+    def root(self, state: BodyState, body: Skeleton) -> Array:
+        """Transform (4, 4) from the space of ``body``, the skeleton in these proportions, to ``map``."""
+        return transform(state.root, state.position - state.root @ body.heads[0])
+
+    def _evaluate(self, state: BodyState) -> _Body:
+        bones = len(self.skeleton)
+        scales = np.full((bones, 3), np.exp(state.stature))
+        scales[:, 1] *= np.exp(state.lengths)[self.group_of]
+        own = rotation_vector_to_matrix(state.vectors)
+        axes, origins = np.empty((bones, 3, 3)), np.empty((bones, 3))
+        axes[0] = state.root @ self._rest[0, :3, :3]
+        origins[0] = state.position
+        for bone, parent in enumerate(self.skeleton.parents.tolist()):
+            if bone:
+                axes[bone] = axes[parent] @ self._rest[bone, :3, :3] @ own[bone]
+                origins[bone] = origins[parent] + axes[parent] @ (scales[parent] * self._rest[bone, :3, 3])
+        turns = axes @ _right_jacobians(state.vectors)
+        turns[0] = state.root  # the step of the root turns about the axes of body space
+        parts = self._mass[..., None] * origins + np.einsum("bij,bj,kbj->kbi", axes, scales, self._local)
+        return _Body(axes, origins, scales, turns, parts)
+
+
+@dataclass(frozen=True)
+class _Body:
+    """Posed bones.
+
+    ``axes``: (B, 3, 3) in ``map``; ``origins``: (B, 3); ``scales``: (B, 3); ``turns``: (B, 3, 3) rotation of
+    the subtree of each bone in ``map`` by a step of its numbers; ``parts``: (K, B, 3) parts of the keypoints.
+    """
+
+    axes: Array
+    origins: Array
+    scales: Array
+    turns: Array
+    parts: Array
+
+    @cached_property
+    def positions(self) -> Array:
+        """(K, 3)."""
+        return np.asarray(self.parts.sum(axis=1))
+
+
+def plain_name(bone: str) -> str:
+    """Name of a bone without its side."""
+    return bone.replace("_l_", "_").replace("_r_", "_").removeprefix("l_").removeprefix("r_")
+
+
+def _group(bone: str) -> str:
+    """Group of a bone: left and right together."""
+    return _GROUPS.get(plain_name(bone), plain_name(bone))
+
+
+def _attachments(human: Human, keypoints: KeypointSet) -> tuple[Array, Array]:
+    """Parts of the keypoints that the bones carry: shares (K, B), and points times share (K, B, 3) in the
+    frames of the bones.
+    """
+    skeleton = human.skeleton
+    locator = KeypointLocator.of(human, keypoints)
+    bones, joints = len(skeleton), len(skeleton.joint_names)
+    vertices = len(human.mesh.vertices)
+    rest = skeleton.rest_inverse
+    mass, local = np.zeros((len(keypoints), bones)), np.zeros((len(keypoints), bones, 3))
+    # positions are linear in joints and vertices: their shares follow from unit vectors
+    joint_shares = np.stack(
+        [
+            locator.positions(np.tile(unit[:, None], 3), np.zeros((vertices, 3)))[:, 0]
+            for unit in np.eye(joints)
+        ],
+        axis=1,
+    )
+    ends = skeleton.joint_transforms(skeleton.rest)[:, :3, 3]
+    for joint, bone in enumerate(skeleton.joint_bones):
+        at = rest[bone, :3, :3] @ ends[joint] + rest[bone, :3, 3]
+        mass[:, bone] += joint_shares[:, joint]
+        local[:, bone] += joint_shares[:, joint, None] * at
+    zeros = np.zeros((joints, 3))
+    for bone in range(bones):
+        weights = human.weights[:, bone].toarray().ravel()
+        at = human.mesh.vertices @ rest[bone, :3, :3].T + rest[bone, :3, 3]
+        mass[:, bone] += locator.positions(zeros, np.tile(weights[:, None], 3))[:, 0]
+        local[:, bone] += locator.positions(zeros, weights[:, None] * at)
+    return mass, local
+
+
+def _skew(vectors: Array) -> Array:
+    """Matrices (..., 3, 3) of the cross product with vectors (..., 3)."""
+    out = np.zeros((*vectors.shape, 3))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., i, j], out[..., j, i] = -vectors[..., k], vectors[..., k]
+    return out
+
+
+def _right_jacobians(vectors: NDArray[np.float64]) -> Array:
+    """Right Jacobians (..., 3, 3) of the exponential map: exp(v + d) = exp(v) exp(J d) [Sola 2018]."""
+    angle = np.linalg.norm(vectors, axis=-1)[..., None, None]
+    skew = _skew(vectors)
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, angle)
+    first = np.where(small, 0.5, (1 - np.cos(safe)) / safe**2)
+    second = np.where(small, 1 / 6, (safe - np.sin(safe)) / safe**3)
+    return np.asarray(np.eye(3) - first * skew + second * (skew @ skew))

@@ -330,7 +330,7 @@ _GROUPS = {
         "Read, convert, place and draw calibrations; arrange cameras to rigs.",
         ("camera", "camera_rig", "camera_place"),
     ),
-    "human": _Group("List, draw, build and rig humans.", ("human",)),
+    "human": _Group("List, draw, build, rig, fit and texture humans.", ("human", "photographs")),
     "mesh": _Group("List the built-in meshes for objects.", ("mesh",)),
     "motion": _Group("Describe, match, retarget and draw motions.", ("motion",)),
 }

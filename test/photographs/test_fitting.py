@@ -10,12 +10,16 @@ from numpy.typing import NDArray
 from photographs.studio import Studio, change_views, make_studio
 
 from humansim_ros.errors import HumansimWarning, PhotographError
+from humansim_ros.humans.human import write_human
 from humansim_ros.keypoints import keypoint_set
+from humansim_ros.motion import write_bvh
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.photographs import read_views
 from humansim_ros.photographs.fitting import fit_person
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.points import read_points, write_points
+from humansim_ros.photographs.sequence import fit_motion
+from humansim_ros.scene import Scene
 
 
 def errors_of(fit: PersonFit, studio: Studio) -> NDArray[np.float64]:
@@ -148,3 +152,28 @@ def test_a_person_who_is_cut_off_in_all_views_is_fitted_in_parts(tmp_path: Path)
     above = [names.index(name) for name in ("l_shoulder", "r_elbow", "r_hip", "vt3")]
     assert errors_of(fit, studio)[:, above].max() < 0.04
     assert np.isnan(fit.residuals[:, :, legs]).all()
+
+
+def test_a_sequence_becomes_a_motion_that_a_scene_plays(tmp_path: Path) -> None:
+    studio = make_studio(
+        tmp_path, "adult_woman", "walk", "shelf", frames=6, images=False, keypoints="halpe26"
+    )
+    fit = fit_person(read_views(studio.path), silhouettes=False)
+    write_bvh(tmp_path / "walk.bvh", fit_motion(fit))
+    write_human(tmp_path / "person.npz", fit.body)
+    scene = Scene.from_dict(
+        {
+            "rate": 25,
+            "room": None,
+            "humans": {"a": {"body": "person.npz", "motion": {"file": "walk.bvh", "anchor": "file"}}},
+            "cameras": {"c": {"position": [3, 0, 1], "look_at": [0, 0, 1]}},
+        },
+        tmp_path,
+    )
+    joints = np.array([scene.actors["a"].at(number / 25).positions for number in range(5)])
+    fitted = np.array([fit.joints(number) for number in range(5)])
+    # the person walks where it was photographed; the scene only puts its soles on the floor
+    assert np.linalg.norm(joints - fitted, axis=2)[:5].max() < 0.03
+    heights = (joints - fitted)[:5, :, 2]
+    assert np.ptp(heights, axis=1).max() < 0.005
+    assert np.linalg.norm((joints - fitted)[:5, :, :2], axis=2).max() < 0.005

@@ -217,6 +217,20 @@ class PosedBody:
             expanded.attributes(self.posed).astype(float), expanded.corners.astype(np.intp)
         )
 
+    @property
+    def whole(self) -> TessellatedMesh:
+        """All triangles as they are, not tessellated."""
+        expanded = self._buffers.mesh.expanded
+        corners = expanded.corners.astype(np.intp)
+        return TessellatedMesh(
+            expanded.attributes(self.posed).astype(float), corners, np.arange(len(corners))
+        )
+
+    @property
+    def material(self) -> MaterialBuffers:
+        """Texture and material of the mesh."""
+        return self._buffers.mesh.material
+
     def draw_tessellated(self, program: moderngl.Program, tessellated: TessellatedMesh) -> None:
         """Draw tessellated triangles."""
         mesh = self._buffers.mesh

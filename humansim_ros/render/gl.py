@@ -22,6 +22,7 @@ from humansim_ros.render.caches import LruCache
 from humansim_ros.render.channels import ADJACENT_NAMES, ALL_CHANNELS, CHANNEL_TABLE, View, comparing_with
 from humansim_ros.render.contact_shadow_pass import ContactShadowPass
 from humansim_ros.render.context import OpenGLContext
+from humansim_ros.render.coverage import CoveragePass
 from humansim_ros.render.edge_antialiasing import edge_crossings
 from humansim_ros.render.frame_cache import FrameCache
 from humansim_ros.render.lighting import Lighting
@@ -40,6 +41,7 @@ from humansim_ros.render.renderer import Body, Renderer, RenderRequest, check_bo
 from humansim_ros.render.static_layers import StaticLayers, camera_key
 from humansim_ros.render.target import Rectangle, RenderTarget
 from humansim_ros.render.uniforms import set_uniform
+from humansim_ros.types import Indices
 
 #: Image sizes whose render targets are cached.
 _MAX_SIZES = 32
@@ -85,6 +87,7 @@ class GLRenderer(Renderer):
                 self._ctx, static_meshes, self._static_bodies, light, self._ids, self._lit
             )
             self._contact_shadows = ContactShadowPass(self._ctx)
+            self._coverage = CoveragePass(self._ctx)
         self._bodies = BodyCache(self._ctx, self._lit, self._ids)
         self._frames = FrameCache()
         self._targets: LruCache[tuple[int, int], RenderTarget] = LruCache(
@@ -123,6 +126,27 @@ class GLRenderer(Renderer):
                     rendered = self._frame(other.bodies, other.camera, passes, request)
                 adjacent = {**adjacent, name: (other, rendered)}
             return frame.view(bodies, request.channels, adjacent)
+
+    def coverage(self, body: Body, camera: Camera) -> Indices:
+        """Count the pixels that each triangle of a body covers, also where another surface hides it.
+
+        The same pixel centres count as in ``face``: the counts of a triangle that nothing hides are equal.
+
+        Returns:
+            (N,) pixels within the image of each triangle of the mesh.
+
+        Raises:
+            RenderError: The body is not valid, or OpenGL failed.
+        """
+        check_bodies([body])
+        with self._context.current():
+            self._bodies.release_unused()
+            posed = self._bodies.pose(body)
+            rectangle = image_bounds([ProjectedPoints(posed.posed.points, camera)], camera)
+            tessellated = None
+            if camera.distorted and not rectangle.empty:
+                tessellated = posed.tessellated(camera, straight_angle(camera, rectangle))
+            return self._coverage.count(posed, tessellated or posed.whole, camera, rectangle)
 
     def _moving(self, bodies: Sequence[Body]) -> Sequence[Body]:
         """Bodies that are not part of the static scene."""

@@ -44,7 +44,7 @@ def atlas_mesh(
     used = np.unique(face_material)
     if len(used) == 1 and (uv_faces[:, :3] >= 0).all():
         return Mesh(vertices, faces, uv, uv_faces, texture=tiles[int(used[0])])
-    atlas, boxes = _pack([tiles[int(n)] for n in used])
+    atlas, boxes = pack_images([tiles[int(n)] for n in used])
     height, width = atlas.shape[:2]
     x, y, w, h = np.array(boxes, dtype=float)[np.searchsorted(used, face_material)].T[:, :, None]
     has = (uv_faces >= 0).all(axis=1) | ((faces[:, 3] < 0) & (uv_faces[:, :3] >= 0).all(axis=1))
@@ -60,10 +60,17 @@ def atlas_mesh(
     return Mesh(vertices, faces, corners, np.where(faces < 0, -1, numbers).astype(np.int32), texture=atlas)
 
 
-def _pack(
+def pack_images(
     tiles: Sequence[NDArray[np.uint8]],
 ) -> tuple[NDArray[np.uint8], list[tuple[int, int, int, int]]]:
-    """Image with all tiles in rows, and the box (x, y, width, height) of each tile."""
+    """Put images into one, in rows, smaller if they are too large for one texture.
+
+    Args:
+        tiles: Images (H, W, 3), at least one.
+
+    Returns:
+        Image with all tiles, and the box (x, y, width, height) of each tile.
+    """
     limit = int(_MAX_SIDE / max(1.0, np.ceil(np.sqrt(len(tiles)))))
     scaled = []
     for tile in tiles:

@@ -28,11 +28,14 @@ _FOV = np.radians(24.0)
 
 
 class HumanArtist:
-    """Draws one human in its rest pose from any side, in images of ``size`` (width, height)."""
+    """Draws one human in its rest pose from any side, in images of ``size`` (width, height).
 
-    def __init__(self, human: Human, size: tuple[int, int] = (260, 300)) -> None:
+    ``shaded``: light the human; otherwise its texture is shown as it is.
+    """
+
+    def __init__(self, human: Human, size: tuple[int, int] = (260, 300), shaded: bool = True) -> None:
         self._size = size
-        self._renderer = GLRenderer([], Lighting(background=PAPER))
+        self._renderer = GLRenderer([], Lighting(background=PAPER, mode="lit" if shaded else "shadeless"))
         rest = human.skeleton.rest
         self._vertices = human.pose(transform(WORLD_FROM_BODY, np.zeros(3)) @ rest)
         low, high = self._vertices.min(0), self._vertices.max(0)
@@ -98,27 +101,33 @@ def human_sheet(human: Human) -> Image:
             *(artist.draw_weights(human, angle) for angle in (0, 45, 90, 180)),
         ]
         inside_labels = ["bones", "", "", "", "weights", "", "", ""]
-        rows = [_row(turntable, [f"{angle} degrees" for angle in azimuths]), _row(inside, inside_labels)]
+        rows = [row(turntable, [f"{angle} degrees" for angle in azimuths]), row(inside, inside_labels)]
         outfits = list(human.outfits)
         for start in range(0, len(outfits) if len(outfits) > 1 else 0, 4):
             some = outfits[start : start + 4]
             images = [artist.draw(human.wearing(name), angle) for name in some for angle in (0, 180)]
-            rows.append(_row(images, [text for name in some for text in (name, "")]))
+            rows.append(row(images, [text for name in some for text in (name, "")]))
     finally:
         artist.close()
-    width = max(row.shape[1] for row in rows)
-    for number, row in enumerate(rows):
-        rows[number] = np.full((row.shape[0], width, 3), PAPER, np.uint8)
-        rows[number][:, : row.shape[1]] = row
     stature = float(np.ptp(human.mesh.vertices[:, 1]))
     title = (
         f"{human.name}: {stature:.2f} m, {len(human.mesh.vertices)} vertices, {len(human.skeleton)} bones, "
         f"{human.skinning.replace('_', ' ')} skinning"
     )
-    return np.concatenate([title_bar(title, width), *rows])
+    return titled_rows(title, rows)
 
 
-def _row(images: Sequence[Image], labels: Sequence[str]) -> Image:
+def titled_rows(title: str, rows: Sequence[Image]) -> Image:
+    """Rows of images below each other under a title; short ones end in the colour of paper."""
+    width = max(each.shape[1] for each in rows)
+    wide = [np.full((each.shape[0], width, 3), PAPER, np.uint8) for each in rows]
+    for whole, each in zip(wide, rows, strict=True):
+        whole[:, : each.shape[1]] = each
+    return np.concatenate([title_bar(title, width), *wide])
+
+
+def row(images: Sequence[Image], labels: Sequence[str]) -> Image:
+    """Images side by side, each with a label in its corner."""
     for image, label in zip(images, labels, strict=True):
         draw_text(image, label, (8, 18), 0.42)
     return np.concatenate(list(images), axis=1)

@@ -63,6 +63,7 @@ class TexturedPerson:
         seen: (N,) some view shows the triangle; the colour of the others is a guess.
         gains: (C, 3) factors of red, green and blue of each view, of sRGB values, that were removed; None if
             colours were not aligned.
+        views: Names of the C views.
         notes: What else should be known about the result: a sentence by a keyword.
     """
 
@@ -70,6 +71,7 @@ class TexturedPerson:
     cameras: NDArray[np.int32]
     seen: NDArray[np.bool_]
     gains: Array | None = None
+    views: tuple[str, ...] = ()
     notes: Mapping[str, str] = field(default_factory=dict)
 
 

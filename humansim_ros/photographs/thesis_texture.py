@@ -1,6 +1,8 @@
 """Texture a person from photographs as the thesis does: each face takes one photograph [thesis §6.2-6.4].
 
 The texture is the photographs side by side, and the texture coordinates are the projections of the vertices.
+The share of visible pixels is that of all pixels that the face covers; the pseudo-code of the thesis divides
+by the hidden pixels, which is another choice for one in a thousand faces.
 """
 
 from __future__ import annotations
@@ -98,7 +100,8 @@ def texture_thesis(
     )
     mesh = replace(human.mesh, faces=faces, uv=uv, uv_faces=uv_faces, texture=texture, colors=None, skin=None)
     dressed = replace(human, mesh=mesh, looks={OUTFIT: encode_image(texture)}, outfit=OUTFIT)
-    return TexturedPerson(dressed, cameras, np.asarray(counts.visible.any(axis=0)))
+    names = tuple(view.name for view in views)
+    return TexturedPerson(dressed, cameras, np.asarray(counts.visible.any(axis=0)), views=names)
 
 
 def _photographs(

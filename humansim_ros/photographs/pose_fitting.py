@@ -16,9 +16,9 @@ from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_bande
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.photographs.pose_model import BodyState, PoseModel, plain_name
+from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel, plain_name
 from humansim_ros.rotations import quaternion_to_matrix, unit_vectors
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Indices
 
 #: Points count less and less beyond this number of standard deviations of their noise.
 _ROBUST = 2.5
@@ -39,6 +39,8 @@ _USUAL = 1.5
 _TRUNK = frozenset(_STIFFNESS) - {"wrist", "ankle"} | {"HumanoidRoot", "vt3"}
 #: Standard deviation of the proportions: logarithms of stature and of lengths relative to it.
 _STATURE_SPREAD, _LENGTH_SPREAD = 0.3, 0.06
+#: Standard deviation of logarithms of girths. Only outlines tell them.
+_GIRTH_SPREAD = 0.2
 #: Standard deviation of a joint beyond its limit, radians.
 _BEYOND = 0.02
 #: Standard deviations of accelerations: metres per second squared of the place; radians per second squared
@@ -59,12 +61,33 @@ class Sight:
         pixels: (V, K, 2).
         weights: (V, K) confidence; 0 for points that do not count.
         places: (K, 3) triangulated positions in ``map``; NaN where there is none.
+        edges: Points of the skin that should move to the outlines of masks, if there are any.
     """
 
     cameras: Sequence[Camera]
     pixels: Array
     weights: Array
     places: Array
+    edges: EdgePoints | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class EdgePoints:
+    """Points of the skin whose images should reach lines.
+
+    Attributes:
+        points: N points.
+        views: (N,) number of the view of each.
+        normals: (N, 2) unit vectors across the lines.
+        offsets: (N,) places of the lines: ``normals @ pixel``.
+        noise: (N,) their standard deviation, pixels.
+    """
+
+    points: Attachments
+    views: Indices
+    normals: Array
+    offsets: Array
+    noise: Array
 
 
 @dataclass(frozen=True)
@@ -82,6 +105,7 @@ class Settings:
     noise: float
     free_shape: bool = True
     period: float = 0.0
+    steps: int = _STEPS
     limited: bool = True
     tolerance: float = 1e-5
 
@@ -142,6 +166,7 @@ class _Problem:
     def __init__(self, model: PoseModel, sights: Sequence[Sight], settings: Settings) -> None:
         self.model, self.sights, self.settings = model, sights, settings
         spreads = np.array([_STIFFNESS.get(plain_name(name), _USUAL) for name in model.skeleton.names])[1:]
+        self._has_edges = any(sight.edges is not None for sight in sights)
         # cost of the rotation vectors v of a frame and bone: v^T P v - 2 h^T v + c, with P, h, c:
         frames, bones = len(sights), len(spreads)
         self._pulls = np.tile(np.eye(3) / spreads[:, None, None] ** 2, (frames, 1, 1, 1))
@@ -167,7 +192,7 @@ class _Problem:
     def solve(self, states: list[BodyState]) -> list[BodyState]:
         """Levenberg-Marquardt from the states."""
         cost, damping = self._cost(states), 1e-3
-        for _ in range(_STEPS):
+        for _ in range(self.settings.steps):
             equations = self._equations(states)
             for _ in range(8):
                 step = equations.solve(damping)
@@ -186,12 +211,9 @@ class _Problem:
 
     def _moved(self, states: Sequence[BodyState], step: Array) -> list[BodyState]:
         size, count = self.model.pose_size, len(states)
-        shape = step[size * count :]
-        if not self.settings.free_shape:
-            shape = np.zeros(self.model.size - size)
         # no person is a tenth of another one: a wild step must not overflow
         steps = np.clip(step[: size * count].reshape(count, size), -2.0, 2.0)
-        shape = np.clip(shape, -0.3, 0.3)
+        shape = np.clip(step[size * count :], -0.3, 0.3)
         return [
             self.model.moved(state, np.concatenate([own, shape]))
             for state, own in zip(states, steps, strict=True)
@@ -227,14 +249,47 @@ class _Problem:
             residuals, weights = self._points(sight, self.model.keypoints(state))
             squares = (residuals**2).sum(axis=1)
             cost += float(weights @ (2 * _ROBUST**2 * (np.sqrt(1 + squares / _ROBUST**2) - 1)))
+            if sight.edges is not None:
+                squares = self._edge_distances(sight, self.model.positions(state, sight.edges.points))[0] ** 2
+                cost += float((2 * _ROBUST**2 * (np.sqrt(1 + squares / _ROBUST**2) - 1)).sum())
             vectors = state.vectors[1:]
             cost += float(np.einsum("bi,bij,bj->", vectors, self._pulls[number], vectors))
             cost += float(self._constants[number] - 2 * (self._heads[number] * vectors).sum())
         cost += (states[0].stature / _STATURE_SPREAD) ** 2
         cost += float(((states[0].lengths / _LENGTH_SPREAD) ** 2).sum())
+        if self._has_edges:
+            cost += float(((states[0].girths / _GIRTH_SPREAD) ** 2).sum())
         if self._smooth(states):
             cost += float((self._accelerations(states) ** 2).sum())
         return cost
+
+    @staticmethod
+    def _edge_distances(sight: Sight, positions: Array) -> tuple[Array, Array]:
+        """Distances (N,) of points from their lines in standard deviations, and their derivatives (N, 3) by
+        the positions; 0 for points without an image.
+        """
+        edges = sight.edges
+        assert edges is not None
+        distances, slopes = np.zeros(len(positions)), np.zeros((len(positions), 3))
+        for view, camera in enumerate(sight.cameras):
+            own = edges.views == view
+            seen = np.einsum("ni,ni->n", edges.normals[own], camera.project(positions[own])[0])
+            distances[own] = seen - edges.offsets[own]
+            by_place = camera.project_jacobian(positions[own])
+            slopes[own] = np.einsum("ni,nij->nj", edges.normals[own], by_place)
+        distances, slopes = distances / edges.noise, slopes / edges.noise[:, None]
+        unseen = ~np.isfinite(distances)
+        distances[unseen], slopes[unseen] = 0.0, 0.0
+        return distances, slopes
+
+    def _edge_equations(self, state: BodyState, sight: Sight) -> tuple[Array, Array]:
+        """Normal equations (size, size), (size,) of points that should reach lines."""
+        assert sight.edges is not None
+        positions, by_number = self.model.derivatives(state, sight.edges.points)
+        distances, by_place = self._edge_distances(sight, positions)
+        rows = np.einsum("nj,njs->ns", by_place, by_number)
+        weighted = rows / np.sqrt(1 + distances**2 / _ROBUST**2)[:, None]
+        return weighted.T @ rows, weighted.T @ distances
 
     def _smooth(self, states: Sequence[BodyState]) -> bool:
         return self.settings.period > 0 and len(states) > 2
@@ -259,7 +314,10 @@ class _Problem:
         """Normal equations at the states."""
         size, count = self.model.pose_size, len(states)
         extra = self.model.size - size
-        equations = _Equations(count, size, extra, self._smooth(states), self.settings.free_shape)
+        groups = len(self.model.groups)
+        free = np.full(extra, self.settings.free_shape)
+        free[1 + groups :] &= self._has_edges
+        equations = _Equations(count, size, free, self._smooth(states))
         for number, (state, sight) in enumerate(zip(states, self.sights, strict=True)):
             positions, slopes = self.model.derivatives(state)
             residuals, weights = self._points(sight, positions)
@@ -268,6 +326,9 @@ class _Problem:
             rows = by_number.reshape(-1, self.model.size)
             weighted = rows * np.repeat(robust, residuals.shape[1])[:, None]
             matrix, right = weighted.T @ rows, weighted.T @ residuals.ravel()
+            if sight.edges is not None:
+                own_matrix, own_right = self._edge_equations(state, sight)
+                matrix, right = matrix + own_matrix, right + own_right
             pulls, vectors = self._pulls[number], state.vectors[1:]
             for bone, pull in enumerate(pulls):
                 matrix[6 + 3 * bone : 9 + 3 * bone, 6 + 3 * bone : 9 + 3 * bone] += pull
@@ -275,7 +336,9 @@ class _Problem:
             equations.add_frame(number, matrix, right)
         prior = np.full(extra, 1 / _LENGTH_SPREAD**2)
         prior[0] = 1 / _STATURE_SPREAD**2
-        equations.add_shape(prior, prior * np.r_[states[0].stature, states[0].lengths])
+        prior[1 + groups :] = 1 / _GIRTH_SPREAD**2
+        first = states[0]
+        equations.add_shape(prior, prior * np.r_[first.stature, first.lengths, first.girths])
         if self._smooth(states):
             spread = self._acceleration_spreads()
             equations.add_accelerations(self._accelerations(states) / spread, 1 / spread**2)
@@ -285,8 +348,10 @@ class _Problem:
 class _Equations:
     """Symmetric equations of F blocks of pose numbers in a band, bordered by the proportions."""
 
-    def __init__(self, count: int, size: int, extra: int, coupled: bool, free_shape: bool) -> None:
-        self._count, self._size, self._free = count, size, free_shape
+    def __init__(self, count: int, size: int, free: NDArray[np.bool_], coupled: bool) -> None:
+        """``free``: (E,) the number of the proportions is unknown."""
+        self._count, self._size, self._free = count, size, free
+        extra = len(free)
         width = 3 * size if coupled else size
         self._band = np.zeros((width, count * size))  # lower form of scipy: band[i - j, j] = a[i, j]
         self._border = np.zeros((count * size, extra))
@@ -328,13 +393,16 @@ class _Equations:
         band[0] += damping * band[0] + 1e-9
         factor = cholesky_banded(band, lower=True)
         step = -cho_solve_banded((factor, True), self._right)
-        if not self._free:
-            return np.r_[step, np.zeros(len(self._right_shape))]
-        columns = cho_solve_banded((factor, True), self._border)
-        corner = self._corner + damping * np.diag(np.diag(self._corner)) - self._border.T @ columns
-        right = -self._right_shape - self._border.T @ step
-        shape = cho_solve(cho_factor(corner + 1e-9 * np.eye(len(corner))), right)
-        return np.r_[step - columns @ shape, shape]
+        shape = np.zeros(len(self._free))
+        if not self._free.any():
+            return np.r_[step, shape]
+        border = self._border[:, self._free]
+        columns = cho_solve_banded((factor, True), border)
+        corner = self._corner[np.ix_(self._free, self._free)]
+        corner = corner + damping * np.diag(np.diag(corner)) - border.T @ columns
+        right = -self._right_shape[self._free] - border.T @ step
+        shape[self._free] = cho_solve(cho_factor(corner + 1e-9 * np.eye(len(corner))), right)
+        return np.r_[step - columns @ shape[self._free], shape]
 
 
 def _nearest(vector: Array, other: Array) -> Array:

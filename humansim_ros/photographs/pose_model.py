@@ -22,7 +22,7 @@ from humansim_ros.rotations import (
     rotation_vector_to_matrix,
     transform,
 )
-from humansim_ros.types import Array
+from humansim_ros.types import Array, Indices
 
 #: Bones that have one factor of length together, by their names without the side.
 _GROUPS = {
@@ -44,7 +44,8 @@ class BodyState:
         root: (3, 3) rotation of body space in ``map``.
         vectors: (B, 3) rotation vectors of the bones; zero for the first one.
         stature: Logarithm of the factor of the whole body.
-        lengths: (G,) logarithms of the factors of the length groups.
+        lengths: (G,) logarithms of the factors along the bones, by length group.
+        girths: (D,) logarithms of the factors across the bones, by girth group.
     """
 
     position: Array
@@ -52,18 +53,41 @@ class BodyState:
     vectors: Array
     stature: float
     lengths: Array
+    girths: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Attachments:
+    """N points that bones carry.
+
+    ``shares``: (N, B), rows sum to one. ``local``: (N, B, 3), points times their share, in the frames of the
+    bones at rest.
+    """
+
+    shares: Array
+    local: Array
+
+    @classmethod
+    def of_vertices(cls, human: Human, vertices: Indices) -> Attachments:
+        """Vertices (N,) of the mesh of a human."""
+        rest = human.skeleton.rest_inverse
+        shares = human.weights[vertices].toarray()
+        at = np.einsum("bij,nj->nbi", rest[:, :3, :3], human.mesh.vertices[vertices]) + rest[:, :3, 3]
+        return cls(shares, shares[..., None] * at)
 
 
 class PoseModel:
-    """Keypoints of a human with 6 + 3 (B - 1) pose numbers and 1 + G numbers of proportions.
+    """Keypoints of a human with 6 + 3 (B - 1) pose numbers and 1 + G + D numbers of proportions.
 
     The order of the numbers is: position (3), rotation of the root as a rotation vector in its own axes (3),
-    rotation vectors of the other bones (3 (B - 1)), stature (1), lengths (G).
+    rotation vectors of the other bones (3 (B - 1)), stature (1), lengths (G), girths (D).
 
     Attributes:
         skeleton: Skeleton of the human.
         groups: Names of the G groups of bones that have one factor of length.
         group_of: (B,) number of the group of each bone.
+        girths: Names of the D groups of bones that have one factor of girth: left and right.
+        girth_of: (B,) number of the girth group of each bone.
     """
 
     def __init__(self, human: Human, keypoints: KeypointSet) -> None:
@@ -71,7 +95,10 @@ class PoseModel:
         names = [_group(name) for name in self.skeleton.names]
         self.groups = tuple(dict.fromkeys(names))
         self.group_of = np.array([self.groups.index(name) for name in names])
-        self._mass, self._local = _attachments(human, keypoints)
+        plain = [plain_name(name) for name in self.skeleton.names]
+        self.girths = tuple(dict.fromkeys(plain))
+        self.girth_of = np.array([self.girths.index(name) for name in plain])
+        self._points = _attachments(human, keypoints)
         self._rest = self.skeleton.rest_in_parent
 
     @cached_property
@@ -88,8 +115,8 @@ class PoseModel:
         names, parents = self.skeleton.names, self.skeleton.parents
         trunk = np.array([side_of(name) == 0 or _group(name) in _GROUPS.values() for name in names])
         # the head of a limb is a point of the trunk
-        fixed = trunk | (trunk[np.maximum(parents, 0)] & (np.abs(self._local).max(axis=2) < 1e-9))
-        found = (fixed | (np.abs(self._mass) < 1e-9)).all(axis=1)
+        fixed = trunk | (trunk[np.maximum(parents, 0)] & (np.abs(self._points.local).max(axis=2) < 1e-9))
+        found = (fixed | (np.abs(self._points.shares) < 1e-9)).all(axis=1)
         return found if found.sum() >= 3 else np.ones(len(found), bool)
 
     @property
@@ -100,41 +127,57 @@ class PoseModel:
     @property
     def size(self) -> int:
         """Number of all numbers."""
-        return self.pose_size + 1 + len(self.groups)
+        return self.pose_size + 1 + len(self.groups) + len(self.girths)
 
     def neutral(self) -> BodyState:
         """The rest pose at the origin of ``map``."""
         bones = len(self.skeleton)
-        return BodyState(np.zeros(3), np.eye(3), np.zeros((bones, 3)), 0.0, np.zeros(len(self.groups)))
+        return BodyState(
+            np.zeros(3),
+            np.eye(3),
+            np.zeros((bones, 3)),
+            0.0,
+            np.zeros(len(self.groups)),
+            np.zeros(len(self.girths)),
+        )
 
     def moved(self, state: BodyState, step: Array) -> BodyState:
         """State after a step of the numbers (size,)."""
         bones = 3 * len(self.skeleton)
         vectors = state.vectors.copy()
         vectors[1:] += step[6 : 3 + bones].reshape(-1, 3)
+        lengths, girths = np.split(step[self.pose_size + 1 :], [len(self.groups)])
         return BodyState(
             state.position + step[:3],
             state.root @ rotation_vector_to_matrix(step[3:6]),
             vectors,
             state.stature + float(step[self.pose_size]),
-            state.lengths + step[self.pose_size + 1 :],
+            state.lengths + lengths,
+            state.girths + girths,
         )
 
     def keypoints(self, state: BodyState) -> Array:
         """Positions (K, 3) of the keypoints in ``map``."""
-        return self._evaluate(state).positions
+        return self.positions(state, self._points)
 
-    def derivatives(self, state: BodyState) -> tuple[Array, Array]:
-        """Positions (K, 3) of the keypoints, and their derivatives (K, 3, size) by a step of the numbers."""
-        body = self._evaluate(state)
+    def positions(self, state: BodyState, points: Attachments) -> Array:
+        """Positions (N, 3) of points in ``map``."""
+        return self._evaluate(state, points).positions
+
+    def derivatives(self, state: BodyState, points: Attachments | None = None) -> tuple[Array, Array]:
+        """Positions (N, 3) of points, and their derivatives (N, 3, size) by a step of the numbers.
+
+        ``points``: the keypoints if None.
+        """
+        points = self._points if points is None else points
+        body = self._evaluate(state, points)
         count = len(body.positions)
         slopes = np.zeros((count, 3, self.size))
         slopes[:, :, :3] = np.eye(3)
         # sums over the bones of the subtree of each bone, of the parts of the keypoints that they carry
-        mass, moment = self._mass.copy(), body.parts.copy()
-        scaled = np.einsum("bij,bj,kbj->kbi", body.axes, body.scales, self._local)  # without the origin
-        stretched = scaled.copy()
-        along = np.einsum("bi,b,kb->kbi", body.axes[:, :, 1], body.scales[:, 1], self._local[..., 1])
+        mass, moment = points.shares.copy(), body.parts.copy()
+        stretched = body.parts - mass[..., None] * body.origins
+        along = points.local[..., 1, None] * (body.axes[:, :, 1] * body.scales[:, 1, None])
         parents = self.skeleton.parents
         for bone in range(len(parents) - 1, 0, -1):
             parent = parents[bone]
@@ -149,26 +192,31 @@ class PoseModel:
             along[:, parent] += mass[:, bone, None] * along_arm
         levers = moment - mass[..., None] * body.origins
         turns = body.turns
-        turning = -np.einsum("kbij,bjl->kbil", _skew(levers), turns)  # e x v = -[v] e
+        turning = -np.matmul(_skew(levers), turns)  # e x v = -[v] e
         slopes[:, :, 3:6] = turning[:, 0]
         bones = len(parents)
         slopes[:, :, 6 : 3 + 3 * bones] = np.moveaxis(turning[:, 1:], 1, 2).reshape(count, 3, -1)
         slopes[:, :, self.pose_size] = stretched.sum(axis=1)
+        first = self.pose_size + 1
         for group in range(len(self.groups)):
-            slopes[:, :, self.pose_size + 1 + group] = along[:, self.group_of == group].sum(axis=1)
+            slopes[:, :, first + group] = along[:, self.group_of == group].sum(axis=1)
+        across, first = stretched - along, first + len(self.groups)
+        for group in range(len(self.girths)):
+            slopes[:, :, first + group] = across[:, self.girth_of == group].sum(axis=1)
         return body.positions, slopes
 
     def state(self, proportions: Proportions, root: Array, rotations: Array, body: Skeleton) -> BodyState:
         """State of a body in a pose.
 
         Args:
-            proportions: Proportions of the body; lengths of a group are averaged.
+            proportions: Proportions of the body; lengths and girths of a group are averaged.
             root: (4, 4) transform from body space to ``map``.
             rotations: (B, 4) quaternions xyzw of the bones.
             body: Skeleton in these proportions.
         """
-        lengths = np.log([proportions.lengths.get(name, 1.0) for name in self.skeleton.names])
-        groups = [float(lengths[self.group_of == group].mean()) for group in range(len(self.groups))]
+        names = self.skeleton.names
+        lengths = np.log([proportions.lengths.get(name, 1.0) for name in names])
+        girths = np.log([proportions.girths.get(name, 1.0) for name in names])
         first = quaternion_to_matrix(rotations[0])
         rest = self._rest[0, :3, :3]
         return BodyState(
@@ -176,17 +224,19 @@ class PoseModel:
             root[:3, :3] @ rest @ first @ rest.T,
             np.vstack([np.zeros(3), Rotation.from_quat(rotations[1:]).as_rotvec()]),
             float(np.log(proportions.stature)),
-            np.array(groups),
+            np.bincount(self.group_of, lengths) / np.bincount(self.group_of),
+            np.bincount(self.girth_of, girths) / np.bincount(self.girth_of),
         )
 
     def proportions(self, state: BodyState) -> Proportions:
         """Proportions of a state."""
-        lengths = np.exp(state.lengths)[self.group_of]
+        factors = (np.exp(state.lengths)[self.group_of], np.exp(state.girths)[self.girth_of])
         names = self.skeleton.names
-        return Proportions(
-            float(np.exp(state.stature)),
-            {name: float(each) for name, each in zip(names, lengths, strict=True) if abs(each - 1) > 1e-6},
+        lengths, girths = (
+            {name: float(each) for name, each in zip(names, own, strict=True) if abs(each - 1) > 1e-6}
+            for own in factors
         )
+        return Proportions(float(np.exp(state.stature)), lengths, girths)
 
     def rotations(self, state: BodyState) -> Array:
         """Quaternions (B, 4) xyzw of the bones."""
@@ -196,10 +246,11 @@ class PoseModel:
         """Transform (4, 4) from the space of ``body``, the skeleton in these proportions, to ``map``."""
         return transform(state.root, state.position - state.root @ body.heads[0])
 
-    def _evaluate(self, state: BodyState) -> _Body:
+    def _evaluate(self, state: BodyState, points: Attachments) -> _Body:
         bones = len(self.skeleton)
         scales = np.full((bones, 3), np.exp(state.stature))
         scales[:, 1] *= np.exp(state.lengths)[self.group_of]
+        scales[:, [0, 2]] *= np.exp(state.girths)[self.girth_of, None]
         own = rotation_vector_to_matrix(state.vectors)
         axes, origins = np.empty((bones, 3, 3)), np.empty((bones, 3))
         axes[0] = state.root @ self._rest[0, :3, :3]
@@ -210,7 +261,8 @@ class PoseModel:
                 origins[bone] = origins[parent] + axes[parent] @ (scales[parent] * self._rest[bone, :3, 3])
         turns = axes @ _right_jacobians(state.vectors)
         turns[0] = state.root  # the step of the root turns about the axes of body space
-        parts = self._mass[..., None] * origins + np.einsum("bij,bj,kbj->kbi", axes, scales, self._local)
+        parts = points.shares[..., None] * origins
+        parts += np.einsum("bij,kbj->kbi", axes * scales[:, None], points.local)
         return _Body(axes, origins, scales, turns, parts)
 
 
@@ -244,10 +296,8 @@ def _group(bone: str) -> str:
     return _GROUPS.get(plain_name(bone), plain_name(bone))
 
 
-def _attachments(human: Human, keypoints: KeypointSet) -> tuple[Array, Array]:
-    """Parts of the keypoints that the bones carry: shares (K, B), and points times share (K, B, 3) in the
-    frames of the bones.
-    """
+def _attachments(human: Human, keypoints: KeypointSet) -> Attachments:
+    """Keypoints (K) as points that bones carry."""
     skeleton = human.skeleton
     locator = KeypointLocator.of(human, keypoints)
     bones, joints = len(skeleton), len(skeleton.joint_names)
@@ -273,7 +323,7 @@ def _attachments(human: Human, keypoints: KeypointSet) -> tuple[Array, Array]:
         at = human.mesh.vertices @ rest[bone, :3, :3].T + rest[bone, :3, 3]
         mass[:, bone] += locator.positions(zeros, np.tile(weights[:, None], 3))[:, 0]
         local[:, bone] += locator.positions(zeros, weights[:, None] * at)
-    return mass, local
+    return Attachments(mass, local)
 
 
 def _skew(vectors: Array) -> Array:

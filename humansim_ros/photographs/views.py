@@ -36,6 +36,10 @@ MAX_FRAMES = 100_000
 _MASK_THRESHOLD = 128
 
 
+class EmptyMaskError(PhotographError):
+    """A silhouette has no pixel of the person."""
+
+
 class ViewConfig(Section):
     """Section ``views.<name>`` of a views file. Paths are relative to the file; ``*`` stands for any text."""
 
@@ -93,14 +97,15 @@ class Photo:
         """Silhouette (H, W) of the person, if there is one.
 
         Raises:
-            PhotographError: It cannot be read, has another size than the camera's images, or is empty.
+            PhotographError: It cannot be read, or has another size than the camera's images.
+            EmptyMaskError: It is empty.
         """
         if self.mask_path is None:
             return None
         grey = _read_image(self.mask_path, "mask", self.camera)
         mask = np.asarray(grey.max(axis=2) >= _MASK_THRESHOLD)
         if not mask.any():
-            raise PhotographError(
+            raise EmptyMaskError(
                 "the silhouette is empty: no pixel is white; leave out the key mask where the person is "
                 "not seen",
                 path=self.mask_path,

@@ -31,8 +31,8 @@ def test_keypoints_are_those_of_the_posed_body(name: str) -> None:
     expected = locator.positions(joints, body.pose(posed))
     errors = np.linalg.norm(model.keypoints(state) - expected, axis=1)
     # skin between bones blends their scales, and then their poses
-    assert (errors < np.where(locator.on_surface, 2e-3, 1e-6)).all(), errors
-    same = replace(state, stature=0.0, lengths=np.zeros(len(model.groups)))
+    assert (errors < np.where(locator.on_surface, 5e-3, 1e-6)).all(), errors
+    same = replace(state, stature=0.0, lengths=0 * state.lengths, girths=0 * state.girths)
     posed = human.skeleton.pose(model.rotations(same), model.root(same, human.skeleton))
     joints = human.skeleton.joint_transforms(posed)[:, :3, 3]
     np.testing.assert_allclose(model.keypoints(same), locator.positions(joints, human.pose(posed)), atol=2e-6)

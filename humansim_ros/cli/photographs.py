@@ -81,7 +81,10 @@ def fit(
         from humansim_ros.drawing.canvas import write_png
         from humansim_ros.photographs.fit_report import draw_report
 
-        write_png(report, draw_report(found, photos, None))
+        # of a sequence, another fit would take long
+        compared = silhouettes and len(photos.frames) == 1 and photos.frames[0][0].mask_path is not None
+        before = fit_person(photos, start, silhouettes=False) if compared else None
+        write_png(report, draw_report(found, photos, before))
         print_text(f"wrote {report}")
     if bvh is not None:
         write_bvh(bvh, fit_motion(found))

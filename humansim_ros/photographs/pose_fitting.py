@@ -144,6 +144,12 @@ def fit_poses(
     """Fit the states of F frames to the points of their views; all have the proportions of the first.
 
     Joints beyond their limits (:mod:`humansim_ros.motion.limits`) are pulled back to them.
+
+    Args:
+        model: Model of the body.
+        states: A first guess of each frame.
+        sights: Points of each frame.
+        settings: Settings of the fit.
     """
     problem = _Problem(model, sights, settings)
     found = problem.solve(list(states))
@@ -155,7 +161,14 @@ def fit_poses(
 
 
 def fit_places(model: PoseModel, state: BodyState, places: Array, free_shape: bool = True) -> BodyState:
-    """Fit the state of one frame to triangulated keypoints (K, 3), NaN where there is none: a first guess."""
+    """Fit the state of one frame to triangulated keypoints: a first guess.
+
+    Args:
+        model: Model of the body.
+        state: State to start from.
+        places: Positions (K, 3) of the keypoints, NaN where there is none.
+        free_shape: The proportions are fitted, too.
+    """
     sight = Sight((), np.zeros((0, len(places), 2)), np.zeros((0, len(places))), places)
     return fit_poses(model, [state], [sight], Settings(0.0, free_shape, limited=False, tolerance=1e-2))[0]
 

@@ -1,0 +1,296 @@
+"""Picture of a fit: photographs with the body before and after, and the distances of the keypoints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.drawing.canvas import (
+    GRID,
+    INK,
+    PAPER,
+    draw_disc,
+    draw_line,
+    draw_text,
+    text_size,
+    title_bar,
+)
+from humansim_ros.drawing.views import joint_colors
+from humansim_ros.photographs.outlines import intersection_over_union
+from humansim_ros.photographs.person_fit import PersonFit
+from humansim_ros.photographs.silhouettes import Faces, render_faces
+from humansim_ros.photographs.views import Photo, PhotoSet
+from humansim_ros.types import Array, Color, Image
+
+#: Colours of the body before and after, of given points, and of points that are left out.
+_BEFORE: Color = (255, 150, 40)
+_AFTER: Color = (0, 225, 255)
+_POINT: Color = (255, 255, 255)
+_WRONG: Color = (235, 40, 50)
+#: Colours of the bars, on paper.
+_BAR_BEFORE: Color = (240, 170, 90)
+_BAR_AFTER: Color = (30, 130, 185)
+#: Width and height of a photograph in the picture, pixels; distance between them.
+_TILE, _GAP = (318, 470), 8
+#: Most photographs in a row, and frames of a sequence.
+_COLUMNS, _FRAMES = 5, 3
+#: Margin around the person, as a share of its size.
+_MARGIN = 0.08
+#: Share of the colour and of the brightness of a photograph that is drawn over.
+_COLOUR, _BRIGHTNESS = 0.5, 0.8
+#: Height of the row of a keypoint; rows of one column; width of the names.
+_ROW, _ROWS, _NAMES = 21, 13, 175
+_CAPTION = 28
+#: Least width of the picture, so that titles and two columns of bars have room, pixels.
+_LEAST_WIDTH = 1080
+
+
+def draw_report(fit: PersonFit, photos: PhotoSet, before: PersonFit | None = None) -> Image:
+    """Draw a fit over its photographs, and the distances between given and fitted keypoints.
+
+    Args:
+        fit: Person fitted to the photographs.
+        photos: The photographs. A view without an image is drawn on grey.
+        before: The same person before a step of the fit, to compare.
+
+    Returns:
+        Image (H, W, 3): rows of views (for a sequence of its first, middle and last frame), then bars.
+
+    Raises:
+        PhotographError: An image or mask cannot be read, or has another size than its camera's images.
+    """
+    count = len(photos.frames)
+    frames = sorted({0, (count - 1) // 2, count - 1})[:_FRAMES]
+    overlaps = list[tuple[float, float]]()
+    rows = []
+    for frame in frames:
+        tiles, own = _frame_tiles(fit, photos, before, frame)
+        overlaps += own
+        columns = -(-len(tiles) // -(-len(tiles) // _COLUMNS))
+        rows += [_join(tiles[first : first + columns], columns) for first in range(0, len(tiles), columns)]
+    width = max(rows[0].shape[1], _LEAST_WIDTH)
+    bars = _residual_bars(fit, before, photos, width)
+    parts = [title_bar(_title(fit, overlaps, before is not None), width), _legend(width, before is not None)]
+    parts += [_note(text, width) for text in _notes(fit)]
+    parts += [*rows, title_bar("Distance of the given from the fitted keypoints, pixels (median)", width)]
+    parts.append(bars)
+    return np.concatenate([_widened(part, width) for part in parts])
+
+
+@dataclass(frozen=True, eq=False)
+class _Tile:
+    """Cut of a photograph around the person. ``pixels(points)`` are places (N, 2) in it."""
+
+    image: Image
+    corner: Array
+    scale: float
+
+    def pixels(self, points: NDArray[np.floating]) -> Array:
+        """Pixels (N, 2) of the tile of pixels (N, 2) of the photograph."""
+        return np.asarray((points - self.corner + 0.5) * self.scale - 0.5)
+
+
+def _frame_tiles(
+    fit: PersonFit, photos: PhotoSet, before: PersonFit | None, frame: int
+) -> tuple[list[Image], list[tuple[float, float]]]:
+    """Tiles of the views of a frame, and IoU before and after of the views with a mask."""
+    after_faces = render_faces(fit, photos, frame)
+    before_faces = None if before is None else render_faces(before, photos, frame)
+    tiles, overlaps = [], []
+    for view, photo in enumerate(photos.frames[frame]):
+        faces = [after_faces[view]] if before_faces is None else [before_faces[view], after_faces[view]]
+        points = _points(fit, photos, frame, view)
+        tile = _cut(photo, faces, points[(points[:, 2] > 0) & ~fit.outliers[frame, view], :2])
+        if before is not None and before_faces is not None:
+            _draw_body(tile, before, frame, photo, before_faces[view], first=True)
+        _draw_body(tile, fit, frame, photo, after_faces[view], first=False)
+        _draw_points(tile, points, fit.outliers[frame, view])
+        caption = photo.name if len(photos.frames) == 1 else f"{photo.name}, frame {frame}"
+        used = fit.residuals[frame, view, ~fit.outliers[frame, view]]
+        if np.isfinite(used).any():
+            caption += f"   {np.nanmedian(used):.1f} px"
+        mask = None if photo.mask_path is None else photo.mask()
+        if mask is not None:
+            own = [intersection_over_union(mask, face > 0) for face in faces]
+            overlaps.append((own[0], own[-1]))
+            caption += "   IoU " + " -> ".join(f"{value:.2f}" for value in own)
+        tiles.append(np.concatenate([_caption(caption), tile.image]))
+    return tiles, overlaps
+
+
+def _points(fit: PersonFit, photos: PhotoSet, frame: int, view: int) -> Array:
+    """Given points (K, 3) with left and right as they should be."""
+    points = photos.frames[frame][view].points
+    return points[list(photos.keypoints.mirrored)] if fit.swapped[frame, view] else points
+
+
+def _cut(photo: Photo, faces: list[Faces], points: Array) -> _Tile:
+    """Tile around the body and its points; a dull copy of the photograph, so that lines are seen."""
+    width, height = photo.camera.size
+    image = np.full((height, width, 3), 128, np.uint8) if photo.image_path is None else photo.image()
+    found = [np.argwhere(face > 0)[:, ::-1] for face in faces]
+    around = np.concatenate([*found, points])
+    around = around[((around >= 0) & (around < (width, height))).all(axis=1)]
+    if not len(around):
+        around = np.array([[0, 0], [width - 1, height - 1]])
+    low, high = around.min(axis=0).astype(float), around.max(axis=0).astype(float)
+    margin = _MARGIN * (high - low).max() + 4
+    size = np.array(_TILE, dtype=float)
+    scale = float((size / (high - low + 2 * margin)).min())
+    corner = (low + high) / 2 - size / scale / 2
+    matrix = np.array([[scale, 0, -scale * corner[0]], [0, scale, -scale * corner[1]]])
+    grey = image.mean(axis=2, keepdims=True)
+    dull = _BRIGHTNESS * (_COLOUR * image + (1 - _COLOUR) * grey)
+    method = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    cut = cv2.warpAffine(dull.astype(np.uint8), matrix, _TILE, flags=method, borderValue=(70, 70, 70))
+    return _Tile(np.ascontiguousarray(cut, dtype=np.uint8), corner, scale)
+
+
+def _draw_body(tile: _Tile, fit: PersonFit, frame: int, photo: Photo, face: Faces, first: bool) -> None:
+    """Outline and joints of a body: in one colour before, with the colours of the sides after."""
+    outlines, _ = cv2.findContours((face > 0).astype(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_NONE)
+    skeleton = fit.body.skeleton
+    seen = dict(
+        zip(
+            skeleton.joint_names,
+            tile.pixels(photo.camera.project(fit.joints(frame))[0]),
+            strict=True,
+        )
+    )
+    colors, _, _ = joint_colors(skeleton.joint_names)
+    for outline in outlines:
+        closed = tile.pixels(np.concatenate([outline[:, 0], outline[:1, 0]]))
+        draw_line(tile.image, closed, _BEFORE if first else _AFTER, 2)
+    for name, parent, color in zip(skeleton.joint_names, skeleton.joint_parents, colors, strict=True):
+        ends = [seen[name]] if parent is None else [seen[parent], seen[name]]
+        if np.isfinite(ends).all():
+            draw_line(tile.image, ends, _BEFORE if first else color, 1 if first else 2)
+            if not first:
+                draw_disc(tile.image, seen[name], 3, color)
+
+
+def _draw_points(tile: _Tile, points: Array, wrong: NDArray[np.bool_]) -> None:
+    """Given points: white crosses; red ones are left out."""
+    for place, bad in zip(tile.pixels(points[:, :2])[points[:, 2] > 0], wrong[points[:, 2] > 0], strict=True):
+        for turn in ((4, 4), (4, -4)) if bad else ((5, 0), (0, 5)):
+            ends = [place - turn, place + turn]
+            draw_line(tile.image, ends, INK, 3)
+            draw_line(tile.image, ends, _WRONG if bad else _POINT, 2 if bad else 1)
+
+
+def _title(fit: PersonFit, overlaps: list[tuple[float, float]], compared: bool) -> str:
+    stature = float(np.ptp(fit.body.mesh.vertices[:, 1]))
+    used = fit.residuals[~fit.outliers & np.isfinite(fit.residuals)]
+    given = int(np.isfinite(fit.residuals).sum())
+    frames = f", {len(fit.root)} frames" if len(fit.root) > 1 else ""
+    title = f"{stature:.2f} m tall   {len(fit.views)} views{frames}"
+    if len(used):
+        title += f"   keypoints {np.median(used):.1f} px, {int(fit.outliers.sum())} of {given} left out"
+    if overlaps:
+        first, last = np.mean(overlaps, axis=0)
+        title += "   silhouettes IoU " + (f"{first:.3f} -> {last:.3f}" if compared else f"{last:.3f}")
+    return title
+
+
+def _notes(fit: PersonFit) -> list[str]:
+    """Facts that people must know."""
+    notes = []
+    if fit.swapped.any():
+        names = [fit.views[view] for view in np.flatnonzero(fit.swapped.any(axis=0))]
+        notes.append("left and right of the points were exchanged in " + ", ".join(names))
+    if lost := int((~np.isfinite(fit.residuals)).all(axis=(0, 1)).sum()):
+        notes.append(f"{lost} keypoints are seen by no view: these parts follow from the body")
+    return notes
+
+
+def _legend(width: int, compared: bool) -> Image:
+    """Colours and their meaning."""
+    bar = np.full((_CAPTION, width, 3), 255, np.uint8)
+    entries: list[tuple[Color, str]] = [(_AFTER, "body"), (GRID, "given point (white)"), (_WRONG, "left out")]
+    if compared:
+        entries[:1] = [(_BEFORE, "before"), (_AFTER, "after")]
+    x = 12
+    for color, text in entries:
+        draw_line(bar, [(x, 13), (x + 26, 13)], color, 4)
+        draw_text(bar, text, (x + 34, 18), 0.48)
+        x += 34 + text_size(text, 0.48)[0] + 28
+    return bar
+
+
+def _note(text: str, width: int) -> Image:
+    bar = np.full((_CAPTION, width, 3), 255, np.uint8)
+    draw_text(bar, text, (12, 19), 0.5, _WRONG)
+    return bar
+
+
+def _caption(text: str) -> Image:
+    bar = np.full((_CAPTION, _TILE[0], 3), PAPER, np.uint8)
+    draw_text(bar, text, (8, 19), 0.48)
+    return bar
+
+
+def _join(tiles: list[Image], columns: int) -> Image:
+    """A row of tiles with gaps; empty places where it is not full."""
+    height = tiles[0].shape[0]
+    gap = np.full((height, _GAP, 3), PAPER, np.uint8)
+    empty = np.full((height, _TILE[0], 3), PAPER, np.uint8)
+    parts = [tiles[0]]
+    for number in range(1, columns):
+        parts += [gap, tiles[number] if number < len(tiles) else empty]
+    below = np.full((_GAP, sum(part.shape[1] for part in parts), 3), PAPER, np.uint8)
+    return np.concatenate([np.concatenate(parts, axis=1), below])
+
+
+def _widened(image: Image, width: int) -> Image:
+    """The image with paper on its right."""
+    missing = width - image.shape[1]
+    return image if missing <= 0 else np.pad(image, ((0, 0), (0, missing), (0, 0)), constant_values=PAPER[0])
+
+
+def _residual_bars(fit: PersonFit, before: PersonFit | None, photos: PhotoSet, width: int) -> Image:
+    """A bar for each keypoint: its median distance over views and frames, without points left out."""
+    names = photos.keypoints.names
+    after = _medians(fit)
+    earlier = None if before is None else _medians(before)
+    known = np.concatenate([after, *([] if earlier is None else [earlier])])
+    longest = float(np.nanmax(known, initial=1.0))
+    blocks = -(-len(names) // _ROWS)
+    rows = -(-len(names) // blocks)
+    column = width // max(blocks, 2)
+    image = np.full((rows * _ROW + 16, width, 3), PAPER, np.uint8)
+    given, wrong = np.isfinite(fit.residuals).sum(axis=(0, 1)), fit.outliers.sum(axis=(0, 1))
+    room = column - _NAMES - 190
+    for number, name in enumerate(names):
+        left, top = number // rows * column, 8 + number % rows * _ROW
+        text = name.replace("_", " ")
+        draw_text(image, text, (left + _NAMES - 8 - text_size(text, 0.46)[0], top + 14), 0.46)
+        start = left + _NAMES
+        if not np.isfinite(after[number]):
+            reason = "all left out" if given[number] else "no view sees it"
+            draw_text(image, reason, (start + 4, top + 14), 0.46, _WRONG)
+            continue
+        end = round(start + room * after[number] / longest)
+        image[top + 3 : top + 13, start : max(end, start + 1)] = _BAR_AFTER
+        label = f"{after[number]:.1f}"
+        if earlier is not None and np.isfinite(earlier[number]):
+            stop = round(start + room * earlier[number] / longest)
+            image[top + 14 : top + 18, start : max(stop, start + 1)] = _BAR_BEFORE
+            label, end = f"{label} (before {earlier[number]:.1f})", max(end, stop)
+        draw_text(image, label, (end + 6, top + 14), 0.44)
+        if wrong[number]:
+            x = end + 14 + text_size(label, 0.44)[0]
+            draw_text(image, f"{wrong[number]} of {given[number]} out", (x, top + 14), 0.44, _WRONG)
+    return image
+
+
+def _medians(fit: PersonFit) -> Array:
+    """Median distance (K,) of the points that are not left out; NaN where there is none."""
+    medians = np.full(fit.residuals.shape[2], np.nan)
+    for keypoint in range(len(medians)):
+        own = fit.residuals[:, :, keypoint][~fit.outliers[:, :, keypoint]]
+        if np.isfinite(own).any():
+            medians[keypoint] = np.nanmedian(own)
+    return medians

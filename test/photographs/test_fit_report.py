@@ -1,0 +1,116 @@
+"""The picture of a fit: bodies of all views, points that are left out, bars as long as the distances."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from photographs.studio import Studio, make_studio
+
+from humansim_ros.cli.photographs import fit as fit_command
+from humansim_ros.photographs import PhotoSet, read_views
+from humansim_ros.photographs.fit_report import draw_report
+from humansim_ros.photographs.fitting import fit_person
+from humansim_ros.photographs.person_fit import PersonFit
+from humansim_ros.types import Color, Image
+
+BEFORE, AFTER = (255, 150, 40), (0, 225, 255)
+LEFT_OUT = (235, 40, 50)
+BARS = (30, 130, 185)
+
+
+@pytest.fixture(scope="module")
+def studio(tmp_path_factory: pytest.TempPathFactory) -> Studio:
+    return make_studio(tmp_path_factory.mktemp("report"), cameras=4, noise=2.0, outliers=0.1, frames=2)
+
+
+@pytest.fixture(scope="module")
+def photos(studio: Studio) -> PhotoSet:
+    return read_views(studio.path)
+
+
+@pytest.fixture(scope="module")
+def fit(photos: PhotoSet) -> PersonFit:
+    return fit_person(photos, silhouettes=False)
+
+
+def places(image: Image, color: Color) -> NDArray[np.intp]:
+    """Rows and columns (N, 2) of the pixels of a colour."""
+    return np.argwhere((image == color).all(axis=2))
+
+
+def bar_lengths(image: Image) -> list[int]:
+    """Lengths of the bars from the top, of the left column and then of the right one."""
+    found = places(image, BARS)
+    lengths = []
+    for left in (True, False):
+        own = found[(found[:, 1] < image.shape[1] // 2) == left]
+        rows = np.unique(own[:, 0])
+        starts = rows[np.diff(rows, prepend=-9) > 1]
+        lengths += [int((own[:, 0] == row).sum()) for row in starts]
+    return lengths
+
+
+@pytest.mark.slow
+def test_each_view_of_each_frame_shows_the_body_before_and_after(fit: PersonFit, photos: PhotoSet) -> None:
+    aside = np.zeros((4, 4))
+    aside[0, 3] = 0.15
+    moved = replace(fit, root=fit.root + aside)
+    alone, compared = draw_report(fit, photos), draw_report(fit, photos, moved)
+    assert len(places(alone, BEFORE)) == 0 and len(places(compared, BEFORE)) > 1000
+    for image in (alone, compared):
+        parts, _ = cv2.connectedComponents(
+            cv2.dilate((image == AFTER).all(axis=2).astype(np.uint8), np.ones((25, 25)))
+        )
+        assert parts - 1 >= 2 * len(photos.names)
+
+
+@pytest.mark.slow
+def test_bars_are_as_long_as_the_distances(fit: PersonFit, photos: PhotoSet) -> None:
+    known = np.where(fit.outliers, np.nan, fit.residuals)
+    expected = np.nanmedian(known, axis=(0, 1))
+    lengths = bar_lengths(draw_report(fit, photos))
+    assert len(lengths) == len(photos.keypoints)
+    np.testing.assert_allclose(np.array(lengths) / max(lengths), expected / expected.max(), atol=0.02)
+
+
+@pytest.mark.slow
+def test_a_point_that_is_left_out_is_red(fit: PersonFit, photos: PhotoSet) -> None:
+    right = replace(fit, outliers=np.zeros_like(fit.outliers))
+    wrong = replace(right, outliers=np.isfinite(fit.residuals))
+    assert len(places(draw_report(wrong, photos), LEFT_OUT)) > 20 * np.isfinite(fit.residuals).sum()
+    assert len(places(draw_report(right, photos), LEFT_OUT)) < 200  # the legend
+
+
+@pytest.mark.slow
+def test_views_without_images_points_and_masks_are_drawn(fit: PersonFit, photos: PhotoSet) -> None:
+    bare = replace(
+        photos,
+        frames=tuple(
+            tuple(replace(photo, image_path=None, mask_path=None, points=0 * photo.points) for photo in frame)
+            for frame in photos.frames
+        ),
+    )
+    nothing = replace(
+        fit,
+        residuals=np.full_like(fit.residuals, np.nan),
+        outliers=np.zeros_like(fit.outliers),
+        swapped=np.ones_like(fit.swapped),
+    )
+    image = draw_report(nothing, bare)
+    assert len(places(image, AFTER)) > 1000 and not bar_lengths(image)
+
+
+@pytest.mark.slow
+def test_the_command_draws_the_body_before_and_after_the_silhouettes(tmp_path: Path) -> None:
+    studio = make_studio(tmp_path, cameras=4)
+    report = tmp_path / "fit.png"
+    for silhouettes in (True, False):
+        fit_command(studio.path, tmp_path / "fit.yaml", report=report, silhouettes=silhouettes)
+        image = cv2.imread(str(report))[..., ::-1]
+        assert (len(places(image, BEFORE)) > 200) == silhouettes
+        assert len(places(image, AFTER)) > 1000

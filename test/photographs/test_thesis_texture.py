@@ -8,17 +8,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from render_scenes import RENDERERS, renderer_or_skip
 from studio import ring
 from texture_scenes import photograph, psnr, texture_views, undressed
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import PhotographError
+from humansim_ros.export.glb import glb_bytes
+from humansim_ros.export.poses import AnimatedHuman
 from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.human import read_human, write_human
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.photographs.face_visibility import FaceCounts, count_faces, triangle_neighbours
 from humansim_ros.photographs.texture_view import TexturedPerson, TextureView
 from humansim_ros.photographs.thesis_texture import choose_cameras, texture_thesis
+from humansim_ros.render import Body, Lighting
+from humansim_ros.rotations import WORLD_FROM_BODY, transform
 from humansim_ros.scene import Scene, Simulation
 
 
@@ -211,6 +216,33 @@ def test_it_is_a_human_like_any_other(textured: TexturedPerson, tmp_path: Path) 
     shown = view.rgb[view.instance == frame.labels["me"]]
     assert len(shown) > 5000
     assert shown.std(axis=0).min() > 15
+
+
+def test_exported_and_by_another_renderer_it_looks_the_same(textured: TexturedPerson, tmp_path: Path) -> None:
+    human = textured.human
+    path = tmp_path / "me.glb"
+    path.write_bytes(glb_bytes({"me": AnimatedHuman(human, human.skeleton.rest[None], np.ones(1))}, 25.0))
+    loaded = load_human(path)
+    camera = Camera.look_at((2.5, 1, 1.2), (0, 0, 0.9))
+    upright = transform(WORLD_FROM_BODY, np.zeros(3))
+    pictures = []
+    for each in (human, loaded):
+        low, high = each.mesh.vertices.min(axis=0), each.mesh.vertices.max(axis=0)
+        vertices = each.mesh.vertices - np.array([low[0] + high[0], 2 * low[1], low[2] + high[2]]) / 2
+        posed = (vertices @ upright[:3, :3].T).astype(np.float32)
+        pictures.append(photograph(each, posed, [camera]))
+    first, second = pictures
+    both = (first.faces[0] > 0) & (second.faces[0] > 0)
+    assert both.sum() > 0.99 * (first.faces[0] > 0).sum()
+    assert psnr(first.images[0], second.images[0], both) > 30
+
+    body = Body(human.mesh, human.pose(upright @ human.skeleton.rest), human.triangle_parts, 1)
+    images = []
+    for name in RENDERERS:
+        with renderer_or_skip((), Lighting(mode="shadeless"), name) as renderer:
+            images.append(renderer.render([body], camera, ("rgb", "instance")))
+    inside = (images[0].instance > 0) & (images[1].instance > 0)
+    assert psnr(images[0].rgb, images[1].rgb, inside) > 28
 
 
 def test_a_hidden_part_takes_the_view_of_its_neighbours(woman: Human, views: list[TextureView]) -> None:

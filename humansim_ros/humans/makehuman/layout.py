@@ -11,6 +11,7 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from humansim_ros.humans.makehuman.data import VertexIndices
+from humansim_ros.mesh.texels import rasterise_uv
 from humansim_ros.types import Array
 
 TEXTURE_SIZE = 1024
@@ -84,27 +85,10 @@ def rasterise(faces: VertexIndices, uv: Array, uv_faces: VertexIndices, size: in
     fan = ([0, 1, 2], [0, 2, 3])
     triangles = np.concatenate([faces[:, c] for c in fan])
     uv_triangles = np.concatenate([uv_faces[:, c] for c in fan])
-    corners = uv[uv_triangles] * [size, -size] + [-0.5, size - 0.5]  # texel centres at integers
-    owner = np.full((size, size), -1)
-    bary = np.zeros((size, size, 3))
-    low = np.maximum(np.ceil(corners.min(axis=1) - 1e-6).astype(int), 0)
-    high = np.minimum(np.floor(corners.max(axis=1) + 1e-6).astype(int), size - 1)
-    for t, ((a, b, c), (c0, r0), (c1, r1)) in enumerate(zip(corners, low, high, strict=True)):
-        if c1 < c0 or r1 < r0:
-            continue
-        area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if area == 0:
-            continue
-        x, y = np.arange(c0, c1 + 1)[None, :], np.arange(r0, r1 + 1)[:, None]
-        wb = ((x - a[0]) * (c[1] - a[1]) - (y - a[1]) * (c[0] - a[0])) / area
-        wc = ((b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])) / area
-        inside = (wb >= -1e-9) & (wc >= -1e-9) & (wb + wc <= 1 + 1e-9)
-        owner[r0 : r1 + 1, c0 : c1 + 1][inside] = t
-        bary[r0 : r1 + 1, c0 : c1 + 1][inside] = np.stack([1 - wb - wc, wb, wc], axis=-1)[inside]
-    row, column = np.nonzero(owner >= 0)
-    number = owner[row, column]
+    found = rasterise_uv(uv, uv_triangles, size)
+    number = found.triangle
     corners, uv_corners = triangles[number], uv_triangles[number]
-    return Texels(row, column, number % len(faces), corners, uv_corners, bary[row, column])
+    return Texels(found.row, found.column, number % len(faces), corners, uv_corners, found.weights)
 
 
 def downsample(texels: Texels, colour: Array) -> NDArray[np.uint8]:

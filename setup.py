@@ -52,6 +52,8 @@ EXTRAS = {
     "record": ["mcap>=1.1", "rosbags>=0.10.6"],
     # estimates in C3D files, in bags, and in images
     "evaluate": ["ezc3d>=1.5", "mcap>=1.1", "pycocotools>=2.0.7", "rosbags>=0.10.6"],
+    # texture coordinates for bodies without any
+    "photographs": ["xatlas>=0.0.9"],
     # the page of humansim view; 1.1.1 is tested
     "view": ["viser>=1.1,<1.2"],
     # recording on a cluster, and to URLs; client is for addresses such as ray://host:10001
@@ -90,6 +92,7 @@ EXTRAS = {
         "types-PyYAML",
         "types-defusedxml",
         "webdataset>=0.2",
+        "xatlas>=0.0.9",
     ],
     # mesh files in COLLADA and 3MF, and glTF files with Draco compression
     "meshes": ["DracoPy>=1.5", "lxml>=4.9", "networkx>=2.8", "pycollada>=0.8"],

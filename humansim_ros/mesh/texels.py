@@ -31,6 +31,13 @@ class SurfaceTexels:
     triangle: NDArray[np.intp]
     weights: Array
 
+    def part(self, start: int, stop: int) -> SurfaceTexels:
+        """Texels from ``start`` to before ``stop``."""
+        chosen = slice(start, stop)
+        return SurfaceTexels(
+            self.row[chosen], self.column[chosen], self.triangle[chosen], self.weights[chosen]
+        )
+
     def mix(self, values: NDArray[np.floating], triangles: NDArray[np.integer]) -> NDArray[np.floating]:
         """Values of corners (T, ...) at the texels (M, ...). ``triangles``: (N, 3), indices of corners."""
         corners = triangles[self.triangle]

@@ -35,7 +35,7 @@ _UNCONFIRMED = 0.3
 #: A point farther than this number of standard deviations of the noise, and of pixels, is an outlier.
 _FARTHEST, _LEAST_FARTHEST = 6.0, 4.0
 
-Progress = Callable[[str, int, int], None]
+FitProgress = Callable[[str, int, int], None]
 
 
 def fit_person(
@@ -43,7 +43,7 @@ def fit_person(
     human: Human | None = None,
     start: PersonFit | None = None,
     silhouettes: bool = True,
-    progress: Progress = lambda step, done, count: None,
+    progress: FitProgress = lambda step, done, count: None,
 ) -> PersonFit:
     """Fit a human to photographs of one person.
 
@@ -114,7 +114,7 @@ def _noise(found: Sequence[Triangulation]) -> float:
 
 
 def _initial(
-    model: PoseModel, found: Sequence[Triangulation], start: PersonFit | None, progress: Progress
+    model: PoseModel, found: Sequence[Triangulation], start: PersonFit | None, progress: FitProgress
 ) -> list[BodyState]:
     """A first guess of all frames, from the triangulated points."""
     states: list[BodyState] = []

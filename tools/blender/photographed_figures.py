@@ -205,9 +205,9 @@ def fitted(folder: Path, start: str, human, posed, vertices, cameras, faces):
 def evaluate(path: Path, blender: str, renders: Path, output: Path | None) -> None:
     """Print the rows of one figure. ``renders``: folder of the images of Blender."""
     import cv2
-    from humansim_ros.photographs.atlas_texture import texture_atlas
 
     from humansim_ros.humans import load_human
+    from humansim_ros.photographs.atlas_texture import texture_atlas
     from humansim_ros.photographs.texture_view import TextureView
     from humansim_ros.photographs.thesis_texture import texture_thesis
     from humansim_ros.rotations import matrix_to_quaternion, rotation_vector_to_matrix

@@ -1,0 +1,303 @@
+"""One texture of a person from several photographs: blended, with aligned colours and filled gaps."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.errors import HumansimWarning, PhotographError
+from humansim_ros.humans.human import Human
+from humansim_ros.io.images import encode_image
+from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.texels import SurfaceTexels, rasterise_uv
+from humansim_ros.photographs.colour_alignment import Alignment, align_colours, without_gains
+from humansim_ros.photographs.surface_fill import Surface, fill_colours
+from humansim_ros.photographs.surface_sight import SurfaceSight, lookup, see_surface
+from humansim_ros.photographs.texture_view import TexturedPerson, TextureView, check_views
+from humansim_ros.render.gl import GLRenderer
+from humansim_ros.types import Array, Float32Array, Image
+
+#: Name of the outfit from photographs.
+OUTFIT = "photographs"
+#: Sides of textures that are chosen, texels, and texels for each pixel of the photographs along a line.
+SMALLEST, LARGEST, _DENSITY = 256, 8192, 2.0
+#: Bands of spatial frequency: radius of the low-pass filter in metres, and sharpness of the choice of views.
+#: The finest details come from one view, shades from all of them [Burt 1983].
+_BANDS = ((0.0, 8.0), (0.012, 3.0), (0.05, 1.0))
+#: sRGB values from which on colours may be clipped, and by how much less such pixels count.
+_CLIPPED, _DOUBT = (3, 252), 0.98
+#: Weight at which a texel is as much as possible as it is seen.
+_CERTAIN = 0.02
+#: Share of a texel below which a view is left out; and texels that are blended at once.
+_LEAST_SHARE, _CHUNK = 1e-3, 1 << 20
+
+
+def texture_atlas(
+    human: Human,
+    views: Sequence[TextureView],
+    size: int | None = None,
+    outfit: str = OUTFIT,
+    symmetry: bool = True,
+    renderer: GLRenderer | None = None,
+) -> TexturedPerson:
+    """Texture a person from photographs.
+
+    Each texel takes its colour from the views that see it, those with more pixels for it counting more.
+    Gains and biases between the cameras are removed first. Three bands of spatial frequency are blended with
+    different sharpness, so that neither seams nor blur appear. Hidden parts continue what is seen beside
+    them, or on the other side of the body.
+
+    Args:
+        human: The person, with texture coordinates, or with the package xatlas installed.
+        views: Photographs with the pose of the person in each.
+        size: Side of the texture, texels; as fine as the photographs if None.
+        outfit: Name of the new outfit.
+        symmetry: Hidden parts look like the other side of the body.
+        renderer: Renderer of an empty scene; a new one if None.
+
+    Raises:
+        PhotographError: No view shows anything of the person, a view does not fit it, or it has no texture
+            coordinates.
+        RenderError: OpenGL is missing or failed.
+    """
+    check_views(human, views)
+    if renderer is None:
+        with GLRenderer() as own:
+            return texture_atlas(human, views, size, outfit, symmetry, own)
+    human = with_coordinates(human)
+    mesh = human.mesh
+    assert mesh.uv is not None and mesh.uv_triangles is not None
+    surface = Surface.of(mesh)
+    sights, notes = _useful(see_surface(human, surface, views, renderer))
+    side = size if size is not None else _side(mesh, max(sight.resolution for sight in sights))
+    texels = rasterise_uv(mesh.uv, mesh.uv_triangles, side)
+    alignment = _align(sights, notes)
+    blended = _blend(surface, texels, sights, alignment)
+    image = _filled_image(surface, texels, blended, side, symmetry)
+    best, seen = _chosen(surface, sights, [views.index(sight.view) for sight in sights])
+    gains = np.ones((len(views), 3))
+    gains[[views.index(sight.view) for sight in sights]] = alignment.gains
+    names = tuple(view.name for view in views)
+    return TexturedPerson(_dressed(human, image, outfit), best, seen, gains, names, notes)
+
+
+def with_coordinates(human: Human) -> Human:
+    """The human with texture coordinates that do not overlap: its own, or those of the package xatlas.
+
+    Raises:
+        PhotographError: It has none, and xatlas is not installed.
+    """
+    mesh = human.mesh
+    if mesh.uv is not None and mesh.uv_triangles is not None and not _overlaps(mesh):
+        return human
+    try:
+        import xatlas
+    except ImportError:
+        raise PhotographError(
+            f"{human.name} has no texture coordinates of its own (or some that overlap): install xatlas, "
+            "which makes them (pip install 'humansim_ros[photographs]'), or use --method thesis"
+        ) from None
+    points, corners = mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32)
+    mapping, triangles, uv = xatlas.parametrize(points, corners)
+    uv_faces = np.pad(triangles.astype(np.int32), ((0, 0), (0, 1)), constant_values=-1)
+    faces = np.where(uv_faces < 0, -1, mapping.astype(np.int32)[np.maximum(uv_faces, 0)]).astype(np.int32)
+    new = Mesh(mesh.vertices, faces, uv=uv.astype(float), uv_faces=uv_faces)
+    return replace(human, mesh=new, looks={}, outfit=OUTFIT)
+
+
+def _overlaps(mesh: Mesh) -> bool:
+    """Whether much of the texture belongs to several triangles, or lies outside of it."""
+    assert mesh.uv is not None and mesh.uv_triangles is not None
+    a, b, c = (mesh.uv[mesh.uv_triangles[:, corner]] for corner in range(3))
+    area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
+    covered = len(rasterise_uv(mesh.uv, mesh.uv_triangles, 512).row) / 512**2
+    return bool(covered < 0.8 * area or area == 0)
+
+
+def _useful(sights: Sequence[SurfaceSight]) -> tuple[list[SurfaceSight], dict[str, str]]:
+    """Views that show some of the person, and notes about the others."""
+    useful = [sight for sight in sights if (sight.weights > 0).any()]
+    if not useful:
+        raise PhotographError(
+            "no view shows anything of the person: do the fit and the masks belong to these photographs?"
+        )
+    blind = [sight.view.name for sight in sights if not (sight.weights > 0).any()]
+    if not blind:
+        return useful, {}
+    said = f"the views {', '.join(blind)} show nothing of the person: they are left out"
+    warnings.warn(said, HumansimWarning, stacklevel=4)
+    return useful, {"blind": said}
+
+
+def _side(mesh: Mesh, resolution: float) -> int:
+    """Side of a texture that is finer than photographs with ``resolution`` pixels for each metre."""
+    assert mesh.uv is not None and mesh.uv_triangles is not None
+    a, b, c = (mesh.vertices[mesh.triangles[:, corner]] for corner in range(3))
+    area = float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()) / 2
+    a, b, c = (mesh.uv[mesh.uv_triangles[:, corner]] for corner in range(3))
+    share = float(np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum()) / 2
+    needed = _DENSITY * resolution * np.sqrt(area / max(share, 1e-3))
+    return int(np.clip(2 ** np.ceil(np.log2(max(needed, 1))), SMALLEST, LARGEST))
+
+
+def _align(sights: Sequence[SurfaceSight], notes: dict[str, str]) -> Alignment:
+    """Gains and biases of the views, from the places that two of them see well."""
+    colours = [lookup(_low_pass(sight, _BANDS[1][0]), sight.pixels) for sight in sights]
+    weights = [np.where(lookup(_clipped(sight), sight.pixels) > 1e-3, 0.0, sight.weights) for sight in sights]
+    alignment = align_colours(np.stack(colours).astype(float), np.stack(weights))
+    if len(sights) > 1 and alignment.group.max() > 0:
+        parts = [
+            ", ".join(sights[int(view)].view.name for view in np.flatnonzero(alignment.group == number))
+            for number in np.unique(alignment.group)
+        ]
+        notes["overlap"] = (
+            f"the views {' / '.join(parts)} do not overlap: their colours cannot be aligned with each other, "
+            "and keep their gains"
+        )
+        warnings.warn(notes["overlap"], HumansimWarning, stacklevel=4)
+    return alignment
+
+
+def _clipped(sight: SurfaceSight) -> Float32Array:
+    """Share (H, W) of pixels nearby whose colour may be clipped."""
+    image = sight.view.image
+    clipped = ((image >= _CLIPPED[1]) | (image <= _CLIPPED[0])).any(axis=2).astype(np.float32)
+    sigma = max(_BANDS[1][0] * sight.resolution, 0.5)
+    return np.asarray(cv2.GaussianBlur(np.ascontiguousarray(clipped), (0, 0), sigma), np.float32)
+
+
+def _low_pass(sight: SurfaceSight, radius: float) -> Float32Array:
+    """Image (H, W, 3) without details smaller than ``radius`` metres; only the person counts."""
+    image = sight.view.image.astype(np.float32)
+    sigma = radius * sight.resolution
+    if sigma < 0.3:
+        return image
+    inside = np.isfinite(sight.depth_image).astype(np.float32)
+    total = cv2.GaussianBlur(image * inside[..., None], (0, 0), sigma)
+    share = cv2.GaussianBlur(inside, (0, 0), sigma)[..., None]
+    return np.where(share > 1e-3, total / np.maximum(share, 1e-3), image).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class _Blended:
+    """Colours of texels (M, 3) and places (P, 3), and how certain they are: (M,) and (P,), 0 where hidden."""
+
+    colours: Float32Array
+    certainty: Float32Array
+    places: Array
+    places_seen: NDArray[np.bool_]
+
+
+def _blend(
+    surface: Surface, texels: SurfaceTexels, sights: Sequence[SurfaceSight], alignment: Alignment
+) -> _Blended:
+    views = list(zip(sights, alignment.gains, alignment.biases, strict=True))
+    images = [
+        [without_gains(_low_pass(sight, radius), gains, biases) for radius, _ in _BANDS]
+        for sight, gains, biases in views
+    ]
+    nothing = np.zeros(3, np.float32)
+    bands = [[first - second for first, second in pairwise([*own, nothing])] for own in images]
+    parts = [
+        _blend_texels(surface, texels.part(start, start + _CHUNK), sights, bands)
+        for start in range(0, len(texels.row), _CHUNK)
+    ]
+    places, total = np.zeros((len(surface.points), 3)), np.zeros(len(surface.points))
+    for sight, own in zip(sights, images, strict=True):
+        places += lookup(own[1], sight.pixels) * sight.weights[:, None]
+        total += sight.weights
+    places /= np.maximum(total, 1e-12)[:, None]
+    colours, certainty = (np.concatenate(each) for each in zip(*parts, strict=True))
+    return _Blended(colours, certainty, places, total > _CERTAIN / 4)
+
+
+def _blend_texels(
+    surface: Surface,
+    texels: SurfaceTexels,
+    sights: Sequence[SurfaceSight],
+    bands: Sequence[Sequence[Float32Array]],
+) -> tuple[Float32Array, Float32Array]:
+    """Colours (M, 3) and certainty (M,) of texels. ``bands``: images (H, W, 3) by view and band."""
+    pixels, weights = zip(*(sight.texel_weights(surface, texels) for sight in sights), strict=True)
+    shares = np.stack(
+        [
+            own * (1 - _DOUBT * lookup(_clipped(sight), at))
+            for sight, at, own in zip(sights, pixels, weights, strict=True)
+        ]
+    )
+    shares /= np.maximum(shares.max(axis=0), 1e-12)
+    colours = np.zeros((len(texels.row), 3), np.float32)
+    for band, (_, sharpness) in enumerate(_BANDS):
+        own = shares**sharpness
+        own /= np.maximum(own.sum(axis=0), 1e-12)
+        for view, images in enumerate(bands):
+            used = np.flatnonzero(own[view] > _LEAST_SHARE)
+            colours[used] += lookup(images[band], pixels[view][used], cv2.INTER_CUBIC) * own[view][used, None]
+    return colours, np.clip(np.sum(weights, axis=0) / _CERTAIN, 0, 1).astype(np.float32)
+
+
+def _filled_image(
+    surface: Surface, texels: SurfaceTexels, blended: _Blended, side: int, symmetry: bool
+) -> Image:
+    """Texture (side, side, 3) with filled gaps, continued beyond the islands."""
+    places = fill_colours(surface, blended.places, blended.places_seen, symmetry)
+    certainty = blended.certainty[:, None]
+    hidden = blended.certainty < 1
+    fill = texels.mix(places.astype(np.float32), surface.triangles)
+    if symmetry and hidden.any():
+        fill[hidden] += _mirrored_details(surface, texels, blended, places, hidden, side)
+    colours = np.clip(certainty * blended.colours + (1 - certainty) * fill, 0, 255)
+    empty = np.ones((side, side), np.uint8)
+    empty[texels.row, texels.column] = 0
+    _, labels = cv2.distanceTransformWithLabels(empty, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
+    nearest = np.zeros((int(labels.max()) + 1, 3), np.uint8)
+    nearest[labels[texels.row, texels.column]] = np.rint(colours)
+    return np.asarray(nearest[labels])
+
+
+def _mirrored_details(
+    surface: Surface,
+    texels: SurfaceTexels,
+    blended: _Blended,
+    places: Array,
+    hidden: NDArray[np.bool_],
+    side: int,
+) -> Float32Array:
+    """Details (M', 3) of hidden texels: differences of the other side of the body from its smooth colours."""
+    mesh = surface.mesh
+    assert mesh.uv is not None and mesh.uv_triangles is not None
+    smooth = texels.mix(places.astype(np.float32), surface.triangles)
+    details = np.zeros((side, side, 3), np.float32)
+    known = np.zeros((side, side), np.float32)
+    details[texels.row, texels.column] = (blended.colours - smooth) * blended.certainty[:, None]
+    known[texels.row, texels.column] = blended.certainty
+    other, corner = surface.mirrored_triangles
+    triangle = texels.triangle[hidden]
+    opposite = other[triangle]
+    weights = np.take_along_axis(texels.weights[hidden], corner[triangle], axis=1)
+    uv = np.einsum("mk,mkd->md", weights, mesh.uv[mesh.uv_triangles[np.maximum(opposite, 0)]])
+    pixels = (uv * [side, -side] + [-0.5, side - 0.5]).astype(np.float32)
+    share = lookup(known, pixels)
+    return np.where((opposite >= 0)[:, None] & (share > 0.5)[:, None], lookup(details, pixels), 0)
+
+
+def _chosen(
+    surface: Surface, sights: Sequence[SurfaceSight], numbers: Sequence[int]
+) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
+    """View (N,) that each triangle takes most of its colour from, and whether any sees it."""
+    weights = np.stack([sight.weights[surface.triangles].mean(axis=1) for sight in sights])
+    seen = weights.max(axis=0) > 0
+    best = np.asarray(numbers, np.int32)[weights.argmax(axis=0)]
+    return best, seen
+
+
+def _dressed(human: Human, image: Image, outfit: str) -> Human:
+    looks = {outfit: encode_image(image), **{n: v for n, v in human.looks.items() if n != outfit}}
+    mesh = replace(human.mesh, texture=image, colors=None)
+    return replace(human, mesh=mesh, looks=looks, outfit=outfit)

@@ -1,0 +1,175 @@
+"""What each view of a person shows of the surface, how well, and in which colours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from humansim_ros.humans.human import Human
+from humansim_ros.mesh.texels import SurfaceTexels
+from humansim_ros.photographs.surface_fill import Surface
+from humansim_ros.photographs.texture_view import TextureView
+from humansim_ros.render.gl import GLRenderer
+from humansim_ros.render.renderer import Body
+from humansim_ros.rotations import unit_vectors
+from humansim_ros.types import Array, Float32Array
+
+#: Tolerance of depths, metres; and greatest tangent of the angle of sight that adds to it.
+_DEPTH, _STEEPEST = 0.006, 6.0
+#: Least cosine of the angle of sight of a place that counts.
+_LEAST_COSINE = 0.12
+#: Pixels from the border of the person in which colours mix with those behind, and in which weights grow.
+_BORDER, _RAMP = 1.0, 4.0
+#: Jump of depth between neighbouring pixels that is a border, metres.
+_JUMP = 0.04
+#: Rounds of averaging over neighbours that make weights fade before a border of what is seen.
+_FADE = 4
+#: Columns of tables of texels: OpenCV looks up images, not lists.
+_COLUMNS = 4096
+
+
+@dataclass(frozen=True, eq=False)
+class SurfaceSight:
+    """One view of a surface.
+
+    Attributes:
+        view: The view.
+        pixels: (P, 2) float32 of the places.
+        depths: (P,) metres along the axis of the camera.
+        tolerance: (P,) of depths, metres.
+        weights: (P,) float32 how well the places are seen: 0 hidden, larger for more pixels for each metre;
+            it fades out towards borders of what is seen.
+        depth_image: (H, W) float32 metres; infinite where the person is not, or the mask says so.
+    """
+
+    view: TextureView
+    pixels: Float32Array
+    depths: Float32Array
+    tolerance: Float32Array
+    weights: Float32Array
+    depth_image: Float32Array
+
+    @cached_property
+    def resolution(self) -> float:
+        """Pixels for each metre of the surface that is seen, at right angles; 0 if nothing is seen."""
+        seen = self.weights > 0
+        if not seen.any():
+            return 0.0
+        focal = float(np.sqrt(abs(np.linalg.det(self.view.camera.K[:2, :2]))))
+        return focal / float(np.median(self.depths[seen]))
+
+    def texel_weights(self, surface: Surface, texels: SurfaceTexels) -> tuple[Float32Array, Float32Array]:
+        """Pixels (M, 2) of texels, and weights (M,): those of the corners; 0 where the texel is hidden."""
+        triangles = surface.triangles
+        values = np.column_stack([self.pixels, self.depths, self.tolerance, self.weights])
+        mixed = texels.mix(np.nan_to_num(values).astype(np.float32), triangles)
+        projected = np.isfinite(self.pixels).sum(axis=1) == 2
+        visible = projected[triangles].sum(axis=1)[texels.triangle] == 3
+        nearest = lookup(self.depth_image, mixed[:, :2], cv2.INTER_NEAREST, np.inf)
+        visible &= mixed[:, 2] <= nearest + mixed[:, 3]
+        visible &= np.isfinite(nearest)
+        return mixed[:, :2], np.where(visible, mixed[:, 4], 0).astype(np.float32)
+
+
+def lookup(
+    image: NDArray[np.floating], pixels: Float32Array, how: int = cv2.INTER_LINEAR, outside: float = 0.0
+) -> NDArray[np.float32]:
+    """Values (M, ...) of an image at pixels.
+
+    Args:
+        image: (H, W, ...).
+        pixels: (M, 2) x, y; may be outside of the image.
+        how: Interpolation of OpenCV.
+        outside: Value outside of the image.
+    """
+    count = len(pixels)
+    rows = -(-count // _COLUMNS)
+    flat = np.full((rows * _COLUMNS, 2), -1e6, np.float32)
+    flat[:count] = pixels
+    table = flat.reshape(rows, _COLUMNS, 2)
+    found = [
+        cv2.remap(
+            np.asarray(image, np.float32),
+            part[..., 0],
+            part[..., 1],
+            how,
+            borderMode=cv2.BORDER_CONSTANT,
+            borderValue=(outside,) * 4,
+        )
+        for part in np.array_split(table, max(1, rows // 16384 + 1))
+    ]
+    whole = np.concatenate(found).reshape(rows * _COLUMNS, *image.shape[2:])
+    return np.asarray(whole[:count], np.float32)
+
+
+def see_surface(
+    human: Human, surface: Surface, views: Sequence[TextureView], renderer: GLRenderer
+) -> list[SurfaceSight]:
+    """What the views show of the surface of a person.
+
+    Args:
+        human: The person.
+        surface: Its surface.
+        views: Photographs, with the pose of the person in each.
+        renderer: Renderer of an empty scene.
+    """
+    return [_sight(human, surface, view, renderer) for view in views]
+
+
+def _sight(human: Human, surface: Surface, view: TextureView, renderer: GLRenderer) -> SurfaceSight:
+    camera = view.camera
+    body = Body(human.mesh, view.vertices, human.triangle_parts, 1)
+    depth = np.array(renderer.render([body], camera, ("depth",)).depth, np.float32)
+    if view.mask is not None:
+        depth[~view.mask] = np.inf
+    points = np.zeros((len(surface.points), 3))
+    points[surface.place] = view.vertices
+    normals = _normals(points, surface)
+    pixels, depths = camera.project(points)
+    toward = unit_vectors(camera.center - points)
+    cosine = np.einsum("ij,ij->i", normals, toward)
+    focal = float(np.sqrt(abs(np.linalg.det(camera.K[:2, :2]))))
+    tangent = np.sqrt(np.maximum(1 - cosine**2, 0)) / np.maximum(cosine, 1e-3)
+    tolerance = _DEPTH + np.minimum(tangent, _STEEPEST) * np.maximum(depths, 0) / focal
+    at = np.nan_to_num(pixels, nan=-1e6).astype(np.float32)
+    behind = lookup(depth, at, cv2.INTER_NEAREST, np.inf)
+    visible = np.isfinite(behind) & (depths <= behind + tolerance) & (cosine > _LEAST_COSINE) & (depths > 0)
+    border = lookup(_border_distance(depth), at, cv2.INTER_LINEAR, 0.0)
+    ramp = np.clip((border - _BORDER) / _RAMP, 0, 1)
+    faded = np.clip(2 * surface.smoothed(visible.astype(float), _FADE) - 1, 0, 1)
+    density = np.where(visible, focal / np.maximum(depths, 1e-3), 0.0) / 100  # about 1 for usual images
+    weights = visible * ramp * faded * np.maximum(cosine, 0) ** 2 * density**2
+    return SurfaceSight(
+        view,
+        pixels.astype(np.float32),
+        depths.astype(np.float32),
+        tolerance.astype(np.float32),
+        weights.astype(np.float32),
+        depth,
+    )
+
+
+def _border_distance(depth: Float32Array) -> Float32Array:
+    """Distance (H, W) in pixels from where the person is not, and from jumps of its depth."""
+    seen = np.isfinite(depth)
+    filled = np.where(seen, depth, 0).astype(np.float32)
+    kernel = np.ones((3, 3), np.uint8)
+    highest = cv2.dilate(filled, kernel)
+    lowest = cv2.erode(np.where(seen, depth, 1e6).astype(np.float32), kernel)
+    smooth = seen & (highest - lowest < _JUMP + 0.01 * filled)
+    return np.asarray(cv2.distanceTransform(smooth.astype(np.uint8), cv2.DIST_L2, 3), np.float32)
+
+
+def _normals(points: Array, surface: Surface) -> Array:
+    """Unit normals (P, 3) of the places, weighted by area."""
+    a, b, c = (points[surface.triangles[:, corner]] for corner in range(3))
+    normals = np.cross(b - a, c - a)
+    out = np.zeros_like(points)
+    for corner in range(3):
+        np.add.at(out, surface.triangles[:, corner], normals)
+    return unit_vectors(out)

@@ -147,7 +147,7 @@ def _lines(fit: PersonFit, photos: PhotoSet) -> list[str]:
     used = fit.residuals[~fit.outliers & np.isfinite(fit.residuals)]
     stature = float(np.ptp(fit.body.mesh.vertices[:, 1]))
     lines = [
-        f"{len(fit.root)} frames, {len(fit.views)} views; {stature:.2f} m tall",
+        f"{len(fit.root)} frame{'s' if len(fit.root) > 1 else ''}, {len(fit.views)} views; {stature:.2f} m tall",
         f"points: {np.median(used):.1f} px from the photographs (median), 95% within "
         f"{np.percentile(used, 95):.1f} px; {int(fit.outliers.sum())} left out"
         if len(used)

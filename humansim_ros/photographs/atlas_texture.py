@@ -298,6 +298,9 @@ def _chosen(
 
 
 def _dressed(human: Human, image: Image, outfit: str) -> Human:
-    looks = {outfit: encode_image(image), **{n: v for n, v in human.looks.items() if n != outfit}}
-    mesh = replace(human.mesh, texture=image, colors=None)
+    looks = {outfit: encode_image(image)}  # the other outfits may have another size, and another person
+    skin = human.mesh.skin
+    if skin is not None:
+        skin = np.asarray(cv2.resize(skin, image.shape[1::-1], interpolation=cv2.INTER_AREA), np.uint8)
+    mesh = replace(human.mesh, texture=image, colors=None, skin=skin)
     return replace(human, mesh=mesh, looks=looks, outfit=outfit)

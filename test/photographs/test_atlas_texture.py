@@ -79,9 +79,12 @@ def test_new_views_of_a_textured_person_are_those_of_the_person(name: str, camer
 
 def test_the_result_is_the_same_every_time(man: Human) -> None:
     views = texture_views(man, list(studio_cameras(4).values()))
-    first, second = (texture_atlas(undressed(man), views, size=256) for _ in range(2))
+    first, second = (texture_atlas(man, views, size=256) for _ in range(2))
     np.testing.assert_array_equal(first.human.mesh.texture, second.human.mesh.texture)
     assert first.human.mesh.texture is not None and first.human.mesh.texture.shape == (256, 256, 3)
+    assert man.mesh.skin is not None and first.human.mesh.skin is not None  # where there is skin
+    assert first.human.mesh.skin.shape == (256, 256)
+    assert first.human.mesh.skin.mean() == pytest.approx(man.mesh.skin.mean(), rel=0.05)
 
 
 def test_hidden_parts_look_like_the_other_side(man: Human) -> None:

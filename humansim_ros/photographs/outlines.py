@@ -19,6 +19,12 @@ _COUNT = 160
 _SPECK = 30
 #: Standard deviation in pixels of the smoothing of distances before their slopes are computed.
 _SMOOTH = 1.5
+#: Least length of a smoothed slope that has a direction.
+_LEAST_SLOPE = 0.3
+#: Outlines that are farther apart than this share of the size of the person are those of different things.
+_FARTHEST = 0.5
+#: Pixels around two masks, so that slopes at their outlines are known.
+_MARGIN = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,21 +89,22 @@ def find_edges(
     mask that the body does not cover attracts the nearest part of the body.
 
     Args:
-        given: MaskOutline of the given mask.
+        given: Outline of the given mask.
         camera: Camera of the image.
         vertices: Vertices (V, 3) of the body in ``map``.
         mesh: Mesh of the body.
         face: 1 + number of the triangle at each pixel of the rendered body, (H, W).
     """
-    rendered = MaskOutline(face > 0)
-    own, other, size = rendered.pixels, given.pixels, float(np.sqrt(given.mask.sum()))
+    corner, cut = _cut_around(given.mask, face)
+    rendered = MaskOutline(cut > 0)
+    own, other, size = rendered.pixels + corner, given.pixels, float(np.sqrt(given.mask.sum()))
     if not len(own) or not len(other):
         return Edges(np.zeros(0, np.intp), np.zeros((0, 2)), np.zeros(0), size)
-    nearest = _nearest(own, other)
+    nearest, there = _nearest(own, other), _at(other - corner)
     rows = [
         # the pixel of the mask at an outline is half a pixel inside of it
         (own, given.slopes[_at(own)], -given.distances[_at(own)] - 0.5),
-        (own[nearest], rendered.slopes[_at(other)], rendered.distances[_at(other)] + 0.5),
+        (own[nearest], rendered.slopes[there], rendered.distances[there] + 0.5),
     ]
     pixels, normals, distances = (np.concatenate([row[part] for row in rows]) for part in range(3))
     corners = mesh.triangles[face[_at(pixels)] - 1]
@@ -105,7 +112,8 @@ def find_edges(
     gaps = np.nan_to_num(np.linalg.norm(seen - pixels[:, None], axis=2), nan=np.inf)
     vertex = corners[np.arange(len(corners)), np.argmin(gaps, axis=1)]
     lengths = np.linalg.norm(normals, axis=1)
-    clear = lengths > 0.3  # else at a crease: between two outlines, the direction is not known
+    # at a crease, between two outlines, the direction is not known
+    clear = (lengths > _LEAST_SLOPE) & (np.abs(distances) < _FARTHEST * size)
     unit = normals[clear] / lengths[clear, None]
     own_distances = distances[clear].astype(float)
     return Edges(vertex[clear].astype(np.intp), unit.astype(float), own_distances, size)
@@ -115,6 +123,19 @@ def intersection_over_union(first: NDArray[np.bool_], second: NDArray[np.bool_])
     """Share of the pixels of either mask that both have; 0 if both are empty."""
     union = int((first | second).sum())
     return float((first & second).sum() / union) if union else 0.0
+
+
+def _cut_around(
+    mask: NDArray[np.bool_], face: NDArray[np.int32]
+) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
+    """Cut of a face image around two masks, which saves time, and its corner (2,) x, y."""
+    both = (face > 0) | mask
+    ranges = [np.flatnonzero(both.any(axis=axis)) for axis in (0, 1)]
+    if not len(ranges[0]):
+        return np.zeros(2, np.intp), face
+    low = [max(int(each[0]) - _MARGIN, 0) for each in ranges]
+    high = [int(each[-1]) + _MARGIN + 1 for each in ranges]
+    return np.array(low, np.intp), face[low[1] : high[1], low[0] : high[0]]
 
 
 def _at(pixels: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -78,12 +78,13 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
             for number, state, sight in zip(chosen, states, sights, strict=True):
                 posed = body.skeleton.pose(model.rotations(state), model.root(state, body.skeleton))
                 vertices = body.pose(posed)
-                surface = Body(body.mesh, vertices, body.triangle_parts, 1)
+                # one mesh in all rounds: a renderer prepares its topology once
+                surface = Body(human.mesh, vertices, human.triangle_parts, 1)
                 found = {}
                 for view, outline in outlines[number].items():
                     camera = photos.frames[number][view].camera
                     face = renderer.render([surface], camera, ["face"]).face
-                    found[view] = find_edges(outline, camera, vertices, body.mesh, face)
+                    found[view] = find_edges(outline, camera, vertices, human.mesh, face)
                 with_edges.append(replace(sight, edges=_points(human, model, state, photos, found)))
             states = fit_poses(model, states, with_edges, Settings(noise, steps=_STEPS))
     finally:

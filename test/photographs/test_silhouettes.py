@@ -177,6 +177,19 @@ def test_a_wrong_mask_of_one_view_does_not_spoil_the_fit(
 
 
 @pytest.mark.slow
+def test_another_person_in_a_mask_does_not_attract_the_body(
+    rough: PersonFit, photos: PhotoSet, shelf: Studio, tmp_path: Path
+) -> None:
+    mask = photos.frames[0][1].mask()
+    assert mask is not None
+    shift = 350 if np.nonzero(mask)[1].mean() < mask.shape[1] / 2 else -350
+    both = mask | np.roll(mask, shift, axis=1)
+    fine = fit_silhouettes(rough, with_mask(photos, 1, both, tmp_path))
+    assert joint_errors(fine, shelf).mean() < 14
+    assert mean_iou(fine, photos) > 0.93
+
+
+@pytest.mark.slow
 def test_a_person_who_is_cut_off_by_the_image_is_fitted(tmp_path: Path) -> None:
     """The border of the image is no outline: legs that are outside of all images keep their girth."""
     studio = make_studio(tmp_path, cameras=4, images=False, position=(1.2, 0.0))

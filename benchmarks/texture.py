@@ -3,7 +3,7 @@
     python benchmarks/texture.py [--rounds N] [--human NAME] [--size W H]
 
 A built-in human is photographed without shading by 4 and by 8 cameras with a lens, as JPEG, with and without
-differences of colour between the cameras. Each method textures the human without its texture in the known
+differences of colour between the cameras. Both methods texture the human without its texture in the known
 pose. The pictures from new views are compared with those of the human itself: all pixels of the person, and
 those of triangles that some camera has seen.
 """
@@ -26,6 +26,7 @@ sys.path.insert(0, str(ROOT))
 
 from humansim_ros.camera import Camera  # noqa: E402
 from humansim_ros.humans import Human, load_human  # noqa: E402
+from humansim_ros.photographs.atlas_texture import texture_atlas  # noqa: E402
 from humansim_ros.photographs.texture_view import TexturedPerson, TextureView  # noqa: E402
 from humansim_ros.photographs.thesis_texture import texture_thesis  # noqa: E402
 from humansim_ros.render import Body, GLRenderer, Lighting  # noqa: E402
@@ -36,6 +37,7 @@ LENS = (-0.12, 0.04, 0.001, -0.0008, 0.0)
 QUALITY = 92
 METHODS: dict[str, Callable[[Human, Sequence[TextureView]], TexturedPerson]] = {
     "thesis": texture_thesis,
+    "atlas": texture_atlas,
 }
 
 

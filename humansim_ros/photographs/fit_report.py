@@ -41,8 +41,8 @@ _COLUMNS, _FRAMES = 5, 3
 _MARGIN = 0.08
 #: Share of the colour and of the brightness of a photograph that is drawn over.
 _COLOUR, _BRIGHTNESS = 0.5, 0.8
-#: Height of the row of a keypoint; rows of one column; width of the names.
-_ROW, _ROWS, _NAMES = 21, 13, 175
+#: Height of the row of a keypoint; rows of one column.
+_ROW, _ROWS = 21, 13
 _CAPTION = 28
 #: Least width of the picture, so that titles and two columns of bars have room, pixels.
 _LEAST_WIDTH = 1080
@@ -262,12 +262,13 @@ def _residual_bars(fit: PersonFit, before: PersonFit | None, photos: PhotoSet, w
     column = width // max(blocks, 2)
     image = np.full((rows * _ROW + 16, width, 3), PAPER, np.uint8)
     given, wrong = np.isfinite(fit.residuals).sum(axis=(0, 1)), fit.outliers.sum(axis=(0, 1))
-    room = column - _NAMES - 190
-    for number, name in enumerate(names):
+    texts = [name.replace("_", " ") for name in names]
+    room_for_name = max(text_size(text, 0.46)[0] for text in texts) + 24
+    room = column - room_for_name - (120 if earlier is None else 210)
+    for number, text in enumerate(texts):
         left, top = number // rows * column, 8 + number % rows * _ROW
-        text = name.replace("_", " ")
-        draw_text(image, text, (left + _NAMES - 8 - text_size(text, 0.46)[0], top + 14), 0.46)
-        start = left + _NAMES
+        draw_text(image, text, (left + room_for_name - 8 - text_size(text, 0.46)[0], top + 14), 0.46)
+        start = left + room_for_name
         if not np.isfinite(after[number]):
             reason = "all left out" if given[number] else "no view sees it"
             draw_text(image, reason, (start + 4, top + 14), 0.46, _WRONG)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +12,7 @@ from humansim_ros.export.glb import split_seams
 from humansim_ros.humans import Human
 from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.types import Array, Color
+from humansim_ros.view.pictures import texture_jpeg
 
 #: Bones per vertex of the page; the largest weights stay.
 _INFLUENCES = 4
@@ -83,13 +83,7 @@ class PageBody:
     def texture(self) -> bytes | None:
         """JPEG of the texture; None without one."""
         image = self.human.mesh.texture
-        if image is None:
-            return None
-        scale = _TEXTURE_SIDE / max(image.shape[:2])
-        if scale < 1:
-            smaller = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-            image = np.asarray(smaller, dtype=np.uint8)
-        return bytes(cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1])
+        return None if image is None else texture_jpeg(image, _TEXTURE_SIDE)
 
     @property
     def color(self) -> Color:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable
 
-import cv2
 import numpy as np
 import trimesh
 from PIL import Image as PillowImage
@@ -14,7 +13,7 @@ from trimesh.visual.texture import TextureVisuals
 
 from humansim_ros.export.glb import split_seams
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.types import Image
+from humansim_ros.view.pictures import texture_jpeg
 
 #: Longest side of a texture on the page, pixels.
 _TEXTURE_SIDE = 512
@@ -52,16 +51,7 @@ def _textured(meshes: list[Mesh]) -> trimesh.Trimesh:
         count += len(original)
     texture = meshes[0].texture
     assert texture is not None
-    material = PBRMaterial(
-        baseColorTexture=_jpeg(texture), metallicFactor=0.0, roughnessFactor=0.9, doubleSided=False
-    )
+    image = PillowImage.open(io.BytesIO(texture_jpeg(texture, _TEXTURE_SIDE)))
+    material = PBRMaterial(baseColorTexture=image, metallicFactor=0.0, roughnessFactor=0.9, doubleSided=False)
     visual = TextureVisuals(uv=np.concatenate(uvs), material=material)
     return trimesh.Trimesh(np.concatenate(vertices), np.concatenate(faces), visual=visual, process=False)
-
-
-def _jpeg(image: Image) -> PillowImage.Image:
-    scale = _TEXTURE_SIDE / max(image.shape[:2])
-    if scale < 1:
-        image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
-    data = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 90])[1]
-    return PillowImage.open(io.BytesIO(bytes(data)))

@@ -97,6 +97,12 @@ class PageServer:
         """Serve ``data`` as ``/humansim/<name>``, with its MIME type."""
         self.files[PREFIX + name] = (kind, data)
 
+    def replace_files(self, folder: str, files: Mapping[str, tuple[str, bytes]]) -> None:
+        """Serve files, by name in ``folder`` (``people/``), as MIME type and content; none else in it."""
+        kept = {path: file for path, file in self.files.items() if not path.startswith(PREFIX + folder)}
+        # one assignment: the thread of the server reads it meanwhile
+        self.files = kept | {f"{PREFIX}{folder}{name}": file for name, file in files.items()}
+
     def add_json(self, name: str, value: Any) -> None:
         """Serve a value as JSON."""
         self.add_file(name, "application/json", json.dumps(value).encode())
@@ -192,8 +198,9 @@ class PageServer:
             query = {name: values[0] for name, values in parse_qs(parts.query).items()}
             self.requests[path](query)
             return _response(http.HTTPStatus.NO_CONTENT, "text/plain", b"")
-        if path in self.files:
-            kind, data = self.files[path]
+        file = self.files.get(path)
+        if file is not None:
+            kind, data = file
             return _response(http.HTTPStatus.OK, kind, data)
         return None
 

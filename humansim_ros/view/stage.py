@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
@@ -18,7 +19,7 @@ from humansim_ros.errors import CameraError
 from humansim_ros.rotations import matrix_to_quaternion
 from humansim_ros.types import Array, Color, Image
 from humansim_ros.view.bodies import PageBody, keyed_color
-from humansim_ros.view.server import PageServer
+from humansim_ros.view.server import PREFIX, PageServer
 from humansim_ros.view.source import JOINTS, ViewFrame, ViewSource
 from humansim_ros.view.static_model import glb_of
 
@@ -32,7 +33,9 @@ _FRUSTUM = 0.45
 _FRUSTUM_IMAGE = 160
 #: Cells of the coverage along its longer side, and the margin around the cameras, metres.
 _CELLS, _MARGIN = 96, 1.0
-_GREEN, _RED = (70, 200, 110), (235, 80, 80)
+_RED = (235, 80, 80)
+#: Folder of the files of people.
+_PEOPLE = "people/"
 #: Opacity of bodies whose joints are shown.
 _SEE_THROUGH = 0.4
 #: Change of size at which a body is built again.
@@ -58,12 +61,16 @@ class Options:
 class Stage:
     """The 3D scene of a page; made again for each source.
 
+    Each has its number in the names of the files of its people, so that no page mixes those of two stages.
+
     Args:
         server: The server.
         source: What is shown.
         on_click: Called with a name of a person or camera and a ray (origin (3,), direction (3,)) when it is
             clicked.
     """
+
+    _numbers_of_stages = itertools.count()
 
     def __init__(
         self,
@@ -101,7 +108,6 @@ class Stage:
             for trail in self._trails.values():
                 trail.clear()
         self._last_index = frame.index
-        rebuilt = False
         for name in frame.joints:
             if (
                 name in self._bodies
@@ -109,9 +115,6 @@ class Stage:
             ):
                 self._bodies[name][1].remove()
                 self._bodies[name] = self._add_body(name, frame.sizes[name])
-                rebuilt = True
-        if rebuilt:
-            self._serve_bodies()
         with self._server.viser.atomic():
             self._pose_bodies(frame)
             for name, matrix in frame.objects.items():
@@ -166,23 +169,27 @@ class Stage:
             self._on_click(name, np.array(event.ray_origin), np.array(event.ray_direction))
 
     def _serve_bodies(self) -> None:
-        """Serve textures and normals of the bodies, by the colour of their meshes."""
-        table = {}
+        """Serve textures and normals of the bodies, by the colour of their meshes, instead of earlier ones.
+
+        They do not depend on the sizes of the bodies.
+        """
+        stage = next(self._numbers_of_stages)
+        table: dict[str, dict[str, Any]] = {}
+        files: dict[str, tuple[str, bytes]] = {}
         for name, (body, _) in self._bodies.items():
             number = self._numbers[name]
             key = "{:02x}{:02x}{:02x}".format(*keyed_color(body.color, number))
-            person = f"people/{number}-{id(body):x}"
-            self._server.add_file(f"{person}.surface", "application/octet-stream", body.surface)
-            entry: dict[str, Any] = {
-                "vertices": len(body.vertices),
-                "surface": f"/humansim/{person}.surface",
-                "texture": None,
-            }
+            person = f"{stage}-{number}"
+            files[f"{person}.surface"] = "application/octet-stream", body.surface
             texture = body.texture
             if texture is not None:
-                self._server.add_file(f"{person}.jpg", "image/jpeg", texture)
-                entry["texture"] = f"/humansim/{person}.jpg"
-            table[key] = entry
+                files[f"{person}.jpg"] = "image/jpeg", texture
+            table[key] = {
+                "vertices": len(body.vertices),
+                "surface": f"{PREFIX}{_PEOPLE}{person}.surface",
+                "texture": None if texture is None else f"{PREFIX}{_PEOPLE}{person}.jpg",
+            }
+        self._server.replace_files(_PEOPLE, files)
         self._server.add_json("people.json", table)
 
     def _pose_bodies(self, frame: ViewFrame) -> None:

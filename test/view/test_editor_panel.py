@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -181,6 +183,27 @@ def test_a_calibration_is_loaded_and_idealised_with_its_command(page: Page) -> N
     assert "/etc/passwd" in page.told[-1]
     page.editor.calibration.load("missing.toml")
     assert "missing.toml" in page.told[-1]
+
+
+def test_files_of_people_do_not_grow_over_edits(page: Page) -> None:
+    def served() -> list[str]:
+        files = page.app.server.files
+        people = sorted(path for path in files if path.startswith("/humansim/people/"))
+        named = json.loads(files["/humansim/people.json"][1]).values()
+        assert people == sorted(entry[key] for entry in named for key in ("surface", "texture"))
+        return people
+
+    at_first = served()
+    assert [path.rsplit(".", 1)[1] for path in at_first] == ["jpg", "surface"]
+    page.editor.select("person walker")
+    for x in (1.0, 2.0):
+        page.editor.move(np.array([x, 0.5, 0.0]), np.array([0, 0, 0, 1.0]))
+        assert len(served()) == 2 and served() != at_first
+    frame, before = page.app.source.frame(0), dict(page.app.server.files)
+    for size in (1.1, 0.9):
+        page.app._stage.show(replace(frame, sizes={"walker": size}))
+        assert page.app._stage._bodies["walker"][0].size == size
+    assert page.app.server.files == before
 
 
 def test_the_motion_of_a_person_is_shown_as_a_picture(page: Page) -> None:

@@ -37,7 +37,9 @@
   }
 
   async function surfaceOf(url) {
-    const data = await (await fetch(url)).arrayBuffer();
+    const answer = await fetch(url);
+    if (!answer.ok) throw new Error(url); // of an earlier stage
+    const data = await answer.arrayBuffer();
     const count = new Uint32Array(data, 0, 1)[0];
     return {
       normals: new Float32Array(data, 4, 3 * count),
@@ -63,7 +65,8 @@
 
   function dress(mesh) {
     const material = mesh.material;
-    if (mesh.userData.humansimVersion === version && mesh.userData.humansimMaterial === material.uuid) return;
+    const dressed = `${version} ${material.uuid} ${mesh.geometry.uuid}`;
+    if (mesh.userData.humansimDressed === dressed) return;
     const key = mesh.userData.humansimKey || material.color.getHexString();
     const person = people[key];
     const attributes = mesh.geometry.attributes;
@@ -86,8 +89,7 @@
     }
     material.needsUpdate = true;
     mesh.userData.humansimKey = key;
-    mesh.userData.humansimVersion = version;
-    mesh.userData.humansimMaterial = material.uuid;
+    mesh.userData.humansimDressed = dressed;
     state.textured += 1;
   }
 

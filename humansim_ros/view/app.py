@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import queue
 import re
 import threading
@@ -29,6 +30,7 @@ from humansim_ros.view.server import PageServer
 from humansim_ros.view.source import ViewFrame, ViewSource
 from humansim_ros.view.stage import Options, Stage
 
+_LOG = logging.getLogger(__name__)
 #: Frames per second of the page.
 _RATE = 30.0
 #: Seconds between looks at the file of the scene.
@@ -131,7 +133,10 @@ class ViewApp:
         self.server.close()
 
     def post(self, function: Callable[[], None]) -> None:
-        """Run a function in the thread of the page; its errors are shown as a notification."""
+        """Run a function in the thread of the page.
+
+        Its errors are shown as a notification; those that are no HumansimError are also logged.
+        """
         self._posted.put(function)
         self._wanted.set()
 
@@ -313,13 +318,13 @@ class ViewApp:
                 function()
             except HumansimError as error:
                 self.notify("This does not work", str(error))
+            except Exception:  # browsers send anything: the page goes on for all others
+                _LOG.exception("the page could not do what a browser asked for")
+                self.notify("This does not work", "The terminal of humansim view has the details.")
 
     def _sleep(self, due: float) -> None:
         """Wait for the next frame, or for a wish while paused."""
-        clients = self.server.viser.get_clients()
-        if not clients:
-            self._wanted.wait(_IDLE)
-        elif self.player.playing:
+        if self.player.playing and self.server.viser.get_clients():
             time.sleep(max(0.0, due - time.monotonic()))
         else:
             self._wanted.wait(_IDLE)

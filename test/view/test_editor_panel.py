@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +23,9 @@ from humansim_ros.view.keyframe_edit import keyframe_times
 from humansim_ros.view.panels.editor import EditorPanel
 
 pytest.importorskip("viser")
+
+from msgspec.msgpack import encode
+from test_server import CAMERA, connected
 
 from humansim_ros.view.app import ViewApp
 from humansim_ros.view.inputs import open_source
@@ -204,6 +208,47 @@ def test_files_of_people_do_not_grow_over_edits(page: Page) -> None:
         page.app._stage.show(replace(frame, sizes={"walker": size}))
         assert page.app._stage._bodies["walker"][0].size == size
     assert page.app.server.files == before
+
+
+def test_messages_that_posted_functions_cannot_use_do_not_end_the_page(
+    page: Page, caplog: pytest.LogCaptureFixture
+) -> None:
+    page.editor.select("person walker")
+    thread = threading.Thread(target=page.app.run)
+    thread.start()
+    click = {
+        "type": "SceneNodeClickMessage",
+        "name": "/people/walker",
+        "instance_index": None,
+        "ray_origin": [3.0, -1.59, 1.0],
+        "ray_direction": [-1.0, 0.0, 0.0],
+        "screen_pos": [0.5, 0.5],
+        "modifier": None,
+    }
+    drag = {"type": "TransformControlsUpdateMessage", "name": "/editor"}
+    at_first: list[float] = page.document.pose("humans", "walker", 0.0).position.tolist()
+    good = {"wxyz": [1.0, 0.0, 0.0, 0.0], "position": [at_first[0] + 1, *at_first[1:]]}
+    try:
+        with connected(page.app.server) as browser:
+            browser.send(encode(CAMERA))
+            assert wait_until(lambda: page.app._frame is not None)
+            for wrong in ({"ray_origin": [0.0, 1.0]}, {"ray_direction": [1.0] * 5}):
+                told = len(page.told)
+                browser.send(encode(click | wrong))
+                assert wait_until(lambda told=told: len(page.told) > told)
+            assert "could not do what a browser asked for" in caplog.text
+            for wrong in ({"position": [1.0]}, {"wxyz": [1.0] * 3}):
+                told = len(page.told)
+                browser.send(encode(drag | good | wrong))
+                browser.send(encode({"type": "TransformControlsDragEndMessage", "name": "/editor"}))
+                assert wait_until(lambda told=told: len(page.told) > told)
+            assert page.document.steps() == ([], [])
+            browser.send(encode(drag | good))
+            browser.send(encode({"type": "TransformControlsDragEndMessage", "name": "/editor"}))
+            assert wait_until(lambda: page.document.steps()[0] == ["Move walker"])
+    finally:
+        page.app.stop()
+        thread.join()
 
 
 def test_the_motion_of_a_person_is_shown_as_a_picture(page: Page) -> None:

@@ -271,9 +271,8 @@ class EditorPanel:
     def _dragged(self, event: Any) -> None:
         if event.phase != "end":
             return
-        position = np.array(event.target.position, dtype=float)
-        w, x, y, z = np.array(event.target.wxyz, dtype=float)
-        self._app.post(lambda: self.move(position, np.array([x, y, z, w])))
+        position, wxyz = np.array(event.target.position), np.array(event.target.wxyz)
+        self._app.post(lambda: self.move(position, np.roll(wxyz, -1)))
 
     def choices(self) -> list[str]:
         """What can be selected."""

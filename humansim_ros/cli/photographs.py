@@ -82,7 +82,8 @@ def fit(
         from humansim_ros.photographs.fit_report import draw_report
 
         # of a sequence, another fit would take long
-        compared = silhouettes and len(photos.frames) == 1 and photos.frames[0][0].mask_path is not None
+        masks = any(photo.mask_path is not None for photo in photos.frames[0])
+        compared = silhouettes and masks and len(photos.frames) == 1
         before = fit_person(photos, start, silhouettes=False) if compared else None
         write_png(report, draw_report(found, photos, before))
         print_text(f"wrote {report}")
@@ -145,9 +146,9 @@ def _lines(fit: PersonFit, photos: PhotoSet) -> list[str]:
     import numpy as np
 
     used = fit.residuals[~fit.outliers & np.isfinite(fit.residuals)]
-    stature = float(np.ptp(fit.body.mesh.vertices[:, 1]))
+    stature, count = float(np.ptp(fit.body.mesh.vertices[:, 1])), len(fit.root)
     lines = [
-        f"{len(fit.root)} frame{'s' if len(fit.root) > 1 else ''}, {len(fit.views)} views; {stature:.2f} m tall",
+        f"{count} frame{'s' if count > 1 else ''}, {len(fit.views)} views; {stature:.2f} m tall",
         f"points: {np.median(used):.1f} px from the photographs (median), 95% within "
         f"{np.percentile(used, 95):.1f} px; {int(fit.outliers.sum())} left out"
         if len(used)

@@ -56,8 +56,6 @@ def fit(
 ) -> None:
     """Fit a human to calibrated photographs: pose, place, stature, proportions."""
     from humansim_ros.humans.human import write_human
-    from humansim_ros.humans.loading import load_human
-    from humansim_ros.io.assets import find_asset
     from humansim_ros.motion.bvh import write_bvh
     from humansim_ros.photographs.detector import detect_points
     from humansim_ros.photographs.fit_file import write_fit
@@ -72,8 +70,7 @@ def fit(
     photos = read_views(views)
     if detector is not None:
         photos = detect_points(photos, detector, _print_progress)
-    start = load_human(find_asset(human if human is not None else photos.human, "humans"))
-    found = fit_person(photos, start, silhouettes=silhouettes)
+    found = fit_person(photos, human, silhouettes=silhouettes)
     write_fit(output, found)
     print_text("\n".join(_lines(found, photos)))
     print_text(f"wrote {output}")
@@ -84,7 +81,7 @@ def fit(
         # of a sequence, another fit would take long
         masks = any(photo.mask_path is not None for photo in photos.frames[0])
         compared = silhouettes and masks and len(photos.frames) == 1
-        before = fit_person(photos, start, silhouettes=False) if compared else None
+        before = fit_person(photos, human, silhouettes=False) if compared else None
         write_png(report, draw_report(found, photos, before))
         print_text(f"wrote {report}")
     if bvh is not None:

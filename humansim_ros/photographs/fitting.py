@@ -11,7 +11,7 @@ import numpy as np
 from humansim_ros.errors import PhotographError
 from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
-from humansim_ros.io.assets import find_asset
+from humansim_ros.io.assets import built_in_names, find_asset
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.pose_fitting import (
     LEAST_NOISE,
@@ -24,12 +24,15 @@ from humansim_ros.photographs.pose_fitting import (
 )
 from humansim_ros.photographs.pose_model import BodyState, PoseModel
 from humansim_ros.photographs.proportions import with_proportions
+from humansim_ros.photographs.silhouettes import fit_silhouettes
 from humansim_ros.photographs.triangulation import Triangulation, triangulate_photos
 from humansim_ros.photographs.views import PhotoSet
 from humansim_ros.types import Array
 
 #: Most frames that determine the proportions.
 SHAPE_FRAMES = 12
+#: Most frames whose silhouettes determine the girths.
+SILHOUETTE_FRAMES = 4
 #: Weight of points that no other view confirms.
 _UNCONFIRMED = 0.3
 #: A point farther than this number of standard deviations of the noise, and of pixels, is an outlier.
@@ -40,7 +43,7 @@ FitProgress = Callable[[str, int, int], None]
 
 def fit_person(
     photos: PhotoSet,
-    human: Human | None = None,
+    human: str | None = None,
     start: PersonFit | None = None,
     silhouettes: bool = True,
     progress: FitProgress = lambda step, done, count: None,
@@ -49,25 +52,29 @@ def fit_person(
 
     Keypoints are triangulated (wrong points are found by the other views), then poses, stature and lengths of
     bones minimise the distances in the photographs. Joints stay within their limits. All frames have the
-    same proportions. Silhouettes then determine the girths.
+    same proportions. Silhouettes of some frames then determine the girths, and refine the lengths.
 
     Args:
         photos: Photographs with points.
-        human: Human to start from; that of the views file if None.
-        start: Fit to start from, such as one that points were corrected in.
+        human: Name or file of the human to start from; that of ``start`` or of the views file if None.
+        start: Fit of the same human to start from, such as one that points were corrected in.
         silhouettes: Use the masks, if there are any.
         progress: Called with the name of a step, finished and all frames.
 
     Raises:
         PhotographError: The photographs do not determine the person; the message says why.
     """
-    if human is None:
-        human = load_human(find_asset(photos.human, "humans"))
+    name = _stored_name(human or (photos.human if start is None else start.human))
+    body = load_human(find_asset(name, "humans"))
     found = triangulate_photos(photos)
-    model = PoseModel(human, photos.keypoints)
-    sights = [_sight(photos, each) for each in found]
+    model = PoseModel(body, photos.keypoints)
+    sights = [_sight(photos, model, each) for each in found]
     noise = _noise(found)
     states = _initial(model, found, start, progress)
+
+    def result() -> PersonFit:
+        return _result(photos, name, body, model, states, found, noise)
+
     shape_frames = _spread(np.array([(sight.weights > 0).sum() for sight in sights]), SHAPE_FRAMES)
     chosen = fit_poses(
         model,
@@ -80,23 +87,34 @@ def fit_person(
         states[number] = state
     shape = chosen[0]
     states = [replace(state, stature=shape.stature, lengths=shape.lengths) for state in states]
-    period = photos.period / 1e9 if len(states) > 2 else 0.0
-    if len(states) > 1:
+    refined: list[int] = []
+    if silhouettes and any(photo.mask_path is not None for frame in photos.frames for photo in frame):
+        refined = [shape_frames[row] for row in _spread(np.zeros(len(shape_frames)), SILHOUETTE_FRAMES)]
+        states = _refined(result(), photos, model, refined)
+        progress("silhouettes", len(states), len(states))
+    if len(states) > max(len(refined), 1):
+        period = photos.period / 1e9 if len(states) > 2 else 0.0
         states = fit_poses(model, states, sights, Settings(noise, free_shape=False, period=period))
     progress("poses", len(states), len(states))
-    fit = _result(photos, human, model, states, found, noise)
-    if silhouettes and any(photo.mask_path is not None for frame in photos.frames for photo in frame):
-        from humansim_ros.photographs.silhouettes import fit_silhouettes
-
-        fit = fit_silhouettes(fit, photos, shape_frames[:4])
-    return fit
+    return result()
 
 
-def _sight(photos: PhotoSet, found: Triangulation) -> Sight:
+def _refined(fit: PersonFit, photos: PhotoSet, model: PoseModel, frames: Sequence[int]) -> list[BodyState]:
+    """States of all frames, with proportions by the silhouettes of some."""
+    found = fit_silhouettes(fit, photos, frames)
+    return [_state_of(model, found, number) for number in range(len(fit.root))]
+
+
+def _stored_name(human: str) -> str:
+    """Name of a built-in human, or the absolute path of a file: a fit is read in any folder."""
+    return human if human in built_in_names("humans") else str(find_asset(human, "humans").absolute())
+
+
+def _sight(photos: PhotoSet, model: PoseModel, found: Triangulation) -> Sight:
     """Points of a frame, and how much they count."""
     points = found.points
     confirmed = np.isfinite(found.positions[:, 0])
-    weights = points[..., 2] * np.where(confirmed, found.inliers, _UNCONFIRMED)
+    weights = points[..., 2] * model.trust * np.where(confirmed, found.inliers, _UNCONFIRMED)
     return Sight(photos.cameras, points[..., :2], weights, found.positions)
 
 
@@ -148,12 +166,24 @@ def _spread(counts: Array, most: int) -> list[int]:
 
 def _result(
     photos: PhotoSet,
+    name: str,
     human: Human,
     model: PoseModel,
     states: Sequence[BodyState],
     found: Sequence[Triangulation],
     noise: float,
 ) -> PersonFit:
+    """Fit of a human with a name.
+
+    Args:
+        photos: Photographs.
+        name: Name of the human.
+        human: The human before it took proportions.
+        model: Its model.
+        states: States of all frames.
+        found: Triangulated points of all frames.
+        noise: Standard deviation of the points, pixels.
+    """
     proportions = model.proportions(states[0])
     skeleton = with_proportions(human, proportions).skeleton
     residuals = np.full(photos.points.shape[:3], np.nan)
@@ -171,7 +201,7 @@ def _result(
     farthest = max(_FARTHEST * noise, _LEAST_FARTHEST)
     wrong = np.array([~each.inliers & np.isfinite(each.positions[:, 0]) for each in found])
     return PersonFit(
-        photos.human,
+        name,
         proportions,
         human.skeleton.names,
         np.array([model.root(state, skeleton) for state in states]),

@@ -38,16 +38,20 @@ _USUAL = 1.5
 #: Bones without their side that turn slowly.
 _TRUNK = frozenset(_STIFFNESS) - {"wrist", "ankle"} | {"HumanoidRoot", "vt3"}
 #: Standard deviation of the proportions: logarithms of stature and of lengths relative to it.
-_STATURE_SPREAD, _LENGTH_SPREAD = 0.3, 0.06
+_STATURE_SPREAD, _LENGTH_SPREAD = 0.3, 0.1
 #: Standard deviation of logarithms of girths. Only outlines tell them.
 _GIRTH_SPREAD = 0.2
 #: Standard deviation of a joint beyond its limit, radians.
 _BEYOND = 0.02
 #: Standard deviations of accelerations: metres per second squared of the place; radians per second squared
 #: of trunk and limbs.
-_ACCELERATION, _TURN, _SWING = 6.0, 15.0, 60.0
+_ACCELERATION, _TURN, _SWING = 3.0, 8.0, 30.0
 #: Most steps of least squares, and rounds in which joints beyond their limits are pulled back.
 _STEPS, _LIMIT_ROUNDS = 40, 4
+#: Longest step of a number of a pose, metres or radians: a wild step ends in another minimum.
+_LONGEST_STEP = 0.5
+#: Factors of the standard deviations of accelerations in the first solutions of a sequence.
+_SLACKS = (30.0, 5.0)
 #: Cosine of half an angle, from 1, by which a joint is beyond its limit.
 _SLIGHTLY = 1e-5
 
@@ -151,8 +155,13 @@ def fit_poses(
         sights: Points of each frame.
         settings: Settings of the fit.
     """
-    problem = _Problem(model, sights, settings)
-    found = problem.solve(list(states))
+    problem, found = _Problem(model, sights, settings), list(states)
+    if settings.period > 0:  # equal poses of neighbours may start with unequal twists: align these gently
+        for slack in _SLACKS:
+            problem.slack = slack
+            found = problem.solve(found, 1e-3)
+        problem.slack = 1.0
+    found = problem.solve(found)
     for _ in range(_LIMIT_ROUNDS if settings.limited and model.limits is not None else 0):
         if not problem.hold_limits(found):
             break
@@ -178,6 +187,7 @@ class _Problem:
 
     def __init__(self, model: PoseModel, sights: Sequence[Sight], settings: Settings) -> None:
         self.model, self.sights, self.settings = model, sights, settings
+        self.slack = 1.0  # factor of the standard deviations of accelerations
         spreads = np.array([_STIFFNESS.get(plain_name(name), _USUAL) for name in model.skeleton.names])[1:]
         self._has_edges = any(sight.edges is not None for sight in sights)
         # cost of the rotation vectors v of a frame and bone: v^T P v - 2 h^T v + c, with P, h, c:
@@ -202,8 +212,9 @@ class _Problem:
             self._constants[frame] += at**2 / _BEYOND**2
         return bool(beyond.any())
 
-    def solve(self, states: list[BodyState]) -> list[BodyState]:
-        """Levenberg-Marquardt from the states."""
+    def solve(self, states: list[BodyState], tolerance: float | None = None) -> list[BodyState]:
+        """Levenberg-Marquardt from the states; ``tolerance``: that of the settings if None."""
+        tolerance = self.settings.tolerance if tolerance is None else tolerance
         cost, damping = self._cost(states), 1e-3
         for _ in range(self.settings.steps):
             equations = self._equations(states)
@@ -216,7 +227,7 @@ class _Problem:
                 damping = max(damping * 8, 1e-6)
             else:
                 return states
-            done = cost - new < self.settings.tolerance * cost
+            done = cost - new < tolerance * cost
             states, cost, damping = tried, new, damping / 4
             if done:
                 return states
@@ -225,7 +236,7 @@ class _Problem:
     def _moved(self, states: Sequence[BodyState], step: Array) -> list[BodyState]:
         size, count = self.model.pose_size, len(states)
         # no person is a tenth of another one: a wild step must not overflow
-        steps = np.clip(step[: size * count].reshape(count, size), -2.0, 2.0)
+        steps = np.clip(step[: size * count].reshape(count, size), -_LONGEST_STEP, _LONGEST_STEP)
         shape = np.clip(step[size * count :], -0.3, 0.3)
         return [
             self.model.moved(state, np.concatenate([own, shape]))
@@ -312,7 +323,7 @@ class _Problem:
         trunk = np.array([plain_name(name) in _TRUNK for name in self.model.skeleton.names])
         turns = np.repeat(np.where(trunk, _TURN, _SWING), 3)
         spread = np.r_[np.full(3, _ACCELERATION), turns]
-        return np.asarray(spread * self.settings.period**2)
+        return np.asarray(spread * self.settings.period**2 * self.slack)
 
     def _accelerations(self, states: Sequence[BodyState]) -> Array:
         """Second differences (F - 2, pose_size) in standard deviations."""

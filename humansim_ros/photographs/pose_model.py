@@ -34,6 +34,9 @@ _GROUPS = {
     "sternoclavicular": "collar",
 }
 
+#: Share that points of the skin count: bodies differ there by more than the usual noise of points.
+_SKIN = 0.25
+
 
 @dataclass(frozen=True)
 class BodyState:
@@ -88,6 +91,7 @@ class PoseModel:
         group_of: (B,) number of the group of each bone.
         girths: Names of the D groups of bones that have one factor of girth: left and right.
         girth_of: (B,) number of the girth group of each bone.
+        trust: (K,) how much each keypoint counts; those of the skin count less.
     """
 
     def __init__(self, human: Human, keypoints: KeypointSet) -> None:
@@ -99,6 +103,7 @@ class PoseModel:
         self.girths = tuple(dict.fromkeys(plain))
         self.girth_of = np.array([self.girths.index(name) for name in plain])
         self._points = _attachments(human, keypoints)
+        self.trust = np.where(KeypointLocator.of(human, keypoints).on_surface, _SKIN, 1.0)
         self._rest = self.skeleton.rest_in_parent
 
     @cached_property

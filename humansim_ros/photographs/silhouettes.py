@@ -69,7 +69,7 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
     ]
     states = [all_states[number] for number in chosen]
     noise = _noise(fit)
-    sights = [_sight(fit, photos, number) for number in chosen]
+    sights = [_sight(fit, photos, model, number) for number in chosen]
     renderer = make_renderer()
     try:
         for _ in range(_ROUNDS):
@@ -164,10 +164,10 @@ def _points(
     return EdgePoints(points, views, normals, offsets, noise)
 
 
-def _sight(fit: PersonFit, photos: PhotoSet, number: int) -> Sight:
+def _sight(fit: PersonFit, photos: PhotoSet, model: PoseModel, number: int) -> Sight:
     """Keypoints of a frame: those that are right, with left and right as they should be."""
     points = _corrected(fit, photos, number)
-    weights = np.where(fit.outliers[number], 0.0, points[..., 2])
+    weights = np.where(fit.outliers[number], 0.0, points[..., 2] * model.trust)
     nowhere = np.full((points.shape[1], 3), np.nan)
     return Sight(photos.cameras, points[..., :2], weights, nowhere)
 

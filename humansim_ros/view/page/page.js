@@ -149,13 +149,13 @@
   function pose() {
     for (const [key, values] of poses)
       for (const mesh of meshes.get(key) || []) {
-        if (mesh.userData.humansimPose === values || mesh.skeleton.bones.length !== values.length / 7) continue;
+        // always, as viser puts the bones of a new mesh at rest at a time of its own
+        if (mesh.skeleton.bones.length !== values.length / 7) continue;
         mesh.skeleton.bones.forEach((bone, number) => {
           const i = 7 * number;
           bone.quaternion.set(values[i], values[i + 1], values[i + 2], values[i + 3]);
           bone.position.set(values[i + 4], values[i + 5], values[i + 6]);
         });
-        mesh.userData.humansimPose = values;
       }
     requestAnimationFrame(pose);
   }

@@ -17,7 +17,8 @@ def view(
     what: Annotated[
         Path | None,
         typer.Argument(
-            help="Scene, bag, motion, human or calibration; the demo scene if absent.", metavar="[PATH]"
+            help="Scene, bag, motion, human, calibration or views file; the demo scene if absent.",
+            metavar="[PATH]",
         ),
     ] = None,
     port: Annotated[
@@ -49,7 +50,7 @@ def view(
         ),
     ] = None,
 ) -> None:
-    """Show a scene, a bag, a running ROS graph, a motion, a human or a calibration in the browser, in 3D."""
+    """Show a scene, bag, ROS graph, motion, human, calibration or photographs in the browser, in 3D."""
     try:
         from humansim_ros.view.app import ViewApp
     except ImportError as error:

@@ -20,9 +20,11 @@ from humansim_ros.view.panels.commands import CommandsPanel
 from humansim_ros.view.panels.editor import EditorPanel
 from humansim_ros.view.panels.images import ImagesPanel
 from humansim_ros.view.panels.numbers import NumbersPanel
+from humansim_ros.view.panels.photographs import PhotographsPanel
 from humansim_ros.view.panels.show import ALL, ShowPanel
 from humansim_ros.view.panels.through import ThroughPanel
 from humansim_ros.view.panels.timeline import TimelinePanel
+from humansim_ros.view.photo_source import PhotoSource
 from humansim_ros.view.picking import hit_person, person_info
 from humansim_ros.view.player import Player
 from humansim_ros.view.scene_source import SceneViewSource
@@ -79,7 +81,8 @@ class ViewApp:
         self.shown_cameras: tuple[str, ...] = tuple(source.cameras)
         self.shown_channels: tuple[str, ...] = source.channels[:1]
         self.through: str | None = None
-        self.player = Player(source.frames, source.period)
+        photographs = isinstance(source, PhotoSource)
+        self.player = Player(source.frames, source.period, playing=not photographs)
         self.frames_shown = 0
         self._posted: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self._wanted = threading.Event()
@@ -93,7 +96,10 @@ class ViewApp:
         self.set_dark(False)
         self.head = self.gui.add_folder("Time", order=0)
         tabs = self.gui.add_tab_group(order=1)
-        names = ("Show", "Numbers") if document is None else ("Show", "Numbers", "Edit", "Run")
+        names = ["Show", "Numbers"] if document is None else ["Show", "Numbers", "Edit", "Run"]
+        if photographs:
+            names.insert(0, "Photographs")
+            self.server.add_script("photographs.js")
         self.tabs = {name: tabs.add_tab(name) for name in names}
         self._place_view()
         self._build()
@@ -238,7 +244,9 @@ class ViewApp:
         self._show = ShowPanel(self)
         self._through = ThroughPanel(self)
         self._numbers = NumbersPanel(self)
-        self._images = ImagesPanel(self)
+        self._images: ImagesPanel | PhotographsPanel = (
+            PhotographsPanel(self, self.source) if isinstance(self.source, PhotoSource) else ImagesPanel(self)
+        )
         self._messages = self.gui.add_markdown("", visible=False, order=-1)
         self._tell(self.source.messages)
         self._built_of = self._content()

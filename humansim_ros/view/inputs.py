@@ -1,4 +1,4 @@
-"""What ``humansim view`` opens: a scene, a bag, a motion, a human or a calibration, told by its content."""
+"""What ``humansim view`` opens, told by its content: scene, bag, motion, human, calibration, photographs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 from humansim_ros.camera import read_calibration
 from humansim_ros.camera.rigs import Optics, ring
-from humansim_ros.errors import HumansimError, SceneError, did_you_mean
+from humansim_ros.errors import HumansimError, PhotographError, SceneError, did_you_mean
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.evaluate.readers.estimates import is_bag
 from humansim_ros.humans import load_human
@@ -23,6 +23,8 @@ from humansim_ros.scene.config import check_config
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
 from humansim_ros.view.document import SceneDocument
 from humansim_ros.view.empty_source import EmptySource
+from humansim_ros.view.photo_document import PhotoDocument
+from humansim_ros.view.photo_source import PhotoSource
 from humansim_ros.view.scene_source import SceneViewSource
 from humansim_ros.view.source import ViewSource
 
@@ -88,6 +90,8 @@ def open_source(what: Path | None, topics: TopicOptions | None = None) -> Opened
         from humansim_ros.view.bag_source import BagViewSource
 
         return Opened(BagViewSource(what, **(topics or TopicOptions()).arguments()))
+    if what is not None and is_views_file(what):
+        return Opened(PhotoSource(PhotoDocument.load(what)))
     if topics is not None:
         raise HumansimError("only bags and graphs have estimates and bodies: use these options with a bag")
     if what is None:
@@ -185,6 +189,17 @@ def _is_scene(path: Path) -> bool:
     except HumansimError:
         return False
     return True
+
+
+def is_views_file(path: Path) -> bool:
+    """Whether a file has the key ``views``: photographs of a person (docs/from_photographs.md)."""
+    if path.suffix.lower() not in (".yaml", ".yml") or not exists(path):
+        return False
+    try:
+        value, _ = read_yaml(path, PhotographError, "views file")
+    except HumansimError:
+        return False  # the reader of scenes says with its line what is wrong
+    return isinstance(value, Mapping) and "views" in value
 
 
 def _is_calibration(path: Path) -> bool:

@@ -78,8 +78,7 @@ class PageServer:
         self.files: dict[str, tuple[str, bytes]] = {}
         self.requests: dict[str, Callable[[Mapping[str, str]], None]] = {}
         self._page = _index_page(title)
-        script = read_bytes(Path(__file__).with_name("page") / "page.js", HumansimError, "script", _MOST_OWN)
-        self.add_file("page.js", "text/javascript", script)
+        self._add_script("page.js")
         self._compressed: dict[str, bytes] = {}
         self._streams: set[asyncio.Event] = set()
         self._loop: asyncio.AbstractEventLoop | None = None
@@ -102,6 +101,17 @@ class PageServer:
         kept = {path: file for path, file in self.files.items() if not path.startswith(PREFIX + folder)}
         # one assignment: the thread of the server reads it meanwhile
         self.files = kept | {f"{PREFIX}{folder}{name}": file for name, file in files.items()}
+
+    def add_script(self, name: str) -> None:
+        """Add a script of the folder ``page`` to the page; browsers that open it later run it."""
+        self._add_script(name)
+        tag = f'<script src="{PREFIX}{name}"></script>'.encode()
+        self._page = self._page.replace(b"</head>", tag + b"</head>", 1)
+        self._compressed.pop("index", None)
+
+    def _add_script(self, name: str) -> None:
+        script = read_bytes(Path(__file__).with_name("page") / name, HumansimError, "script", _MOST_OWN)
+        self.add_file(name, "text/javascript", script)
 
     def add_json(self, name: str, value: Any) -> None:
         """Serve a value as JSON."""

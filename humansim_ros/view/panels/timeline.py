@@ -20,16 +20,18 @@ class TimelinePanel:
         self._app = app
         self._live = player.frames is None
         self._last = last = max((player.frames or 2) - 1, 1)
+        still = player.frames == 1
+        recorded = not (self._live or still)
         with app.head:
             self._slider: Any = gui.add_slider(
-                "Frame", min=0, max=last, step=1, initial_value=0, visible=not self._live
+                "Frame", min=0, max=last, step=1, initial_value=0, visible=recorded
             )
-            self._play = gui.add_button(_PAUSE if player.playing else _PLAY)
-            self._steps = gui.add_button_group("Step", (_BACK, _ON), visible=not self._live)
+            self._play = gui.add_button(_PAUSE if player.playing else _PLAY, visible=not still)
+            self._steps = gui.add_button_group("Step", (_BACK, _ON), visible=recorded)
             self._speed = gui.add_dropdown(
-                "Speed", SPEEDS, initial_value=f"{player.speed:g}", visible=not self._live
+                "Speed", SPEEDS, initial_value=f"{player.speed:g}", visible=recorded
             )
-            self._loop = gui.add_checkbox("Loop", player.loop, visible=not self._live)
+            self._loop = gui.add_checkbox("Loop", player.loop, visible=recorded)
             self._text = gui.add_markdown("")
         self._shown = ""
 

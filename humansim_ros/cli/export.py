@@ -73,7 +73,8 @@ def export(
         typer.Option(help="Number of processes that render or read; all cores if absent.", min=1, max=1024),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Continue an interrupted export; give the same options.")
+        bool,
+        typer.Option("--resume", help="Continue an interrupted export, or start it; give the same options."),
     ] = False,
     ray: Annotated[
         str | None,

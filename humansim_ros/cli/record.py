@@ -96,7 +96,10 @@ def record(
         float, typer.Option(help="Seconds after which a new file begins; 0: one file.", min=0)
     ] = 0.0,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Continue an interrupted recording; give the same options.")
+        bool,
+        typer.Option(
+            "--resume", help="Continue an interrupted recording, or start it; give the same options."
+        ),
     ] = False,
     ray: Annotated[
         str | None,

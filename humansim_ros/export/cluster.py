@@ -81,7 +81,7 @@ def export_on_cluster(
             cluster.
         workers: Number of workers of ``local``; one for each core if None.
         shard_frames: Frames of a task.
-        resume: Continue an interrupted export.
+        resume: Continue the export if it has begun.
         on_progress: Called after each task; its argument is also the result.
 
     Raises:
@@ -96,7 +96,7 @@ def export_on_cluster(
         tasks = [_Frames(tuple(pending[start : start + shard_frames])) for start in parts]
         left = {str(task): task for task in tasks}
         with connected(address, workers) as ray:
-            if not resume:
+            if not job.root.exists():
                 job.begin()
             start = time.monotonic()
 

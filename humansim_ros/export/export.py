@@ -73,17 +73,17 @@ class Export:
     def pending(self, resume: bool) -> tuple[Sequence[int] | None, FrameProgress]:
         """Numbers of the frames that are not written, None if the export is complete; and its progress.
 
-        ``resume``: the export has begun.
+        ``resume``: continue the export if it has begun.
 
         Raises:
             ExportError: The folder exists, or has another export.
         """
         frames, total = self.plan.frames, len(self.plan.frames)
-        if not resume:
-            if self.root.exists() or self.root.is_symlink():
-                text = "this path exists; choose another one, or continue with --resume"
-                raise ExportError(text, path=self.root)
+        if not (self.root.exists() or self.root.is_symlink()):
             return frames, FrameProgress(0, total, 0)
+        if not resume:
+            text = "this path exists; choose another one, or continue with --resume"
+            raise ExportError(text, path=self.root)
         if self.plan.check_continues(self.root):
             return None, FrameProgress(total, total, total)
         left = [index for index in frames if not self.finished(index)]
@@ -215,7 +215,7 @@ def export(
     Args:
         job: Source, plan and folder. The folder must not exist unless ``resume``.
         jobs: Number of processes that render; with 1, this process does.
-        resume: Continue an interrupted export; nothing happens if it is complete.
+        resume: Continue the export if it has begun; nothing happens if it is complete.
         on_progress: Called after each frame; its argument is also the result.
 
     Raises:
@@ -226,7 +226,7 @@ def export(
     pending, progress = job.pending(resume)
     if pending:
         with FrameEncoding(job, min(jobs, len(pending))) as encoding:
-            if not resume:  # after the start of the encoder: without OpenGL no folder is made
+            if not job.root.exists():  # after the start of the encoder: without OpenGL no folder is made
                 job.begin()
             _write(job, encoding, pending, progress, on_progress)
     if pending is not None:

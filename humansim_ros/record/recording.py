@@ -33,7 +33,7 @@ def record(
         recording: Scene and plan.
         folder: Folder of the bag, which must not exist unless ``resume``.
         jobs: Number of processes that render; with 1, this process does.
-        resume: Continue an interrupted recording; nothing happens if it is complete.
+        resume: Continue the recording if it has begun; nothing happens if it is complete.
         on_progress: Called after each frame; its argument is also the result.
 
     Raises:
@@ -42,13 +42,14 @@ def record(
         HumansimError: A frame cannot be rendered.
     """
     plan = recording.plan
-    if resume:
+    begun = folder.exists() or folder.is_symlink()
+    if resume and begun:
         check_plan(plan, folder)
-    elif folder.exists() or folder.is_symlink():
+    elif begun:
         raise BagError("this path exists; choose another one, or continue with --resume", path=folder)
     with ExitStack() as stack:
         progress = FrameProgress(0, recording.frames, 0)
-        if resume:
+        if begun:
             writer = BagWriter.resume(folder, max_size=plan.max_size, max_duration=plan.max_duration)
             stack.enter_context(writer)
             progress.first = progress.done = writer.groups
@@ -56,7 +57,7 @@ def record(
                 return progress
         encoder = FrameEncoding(recording, min(jobs, progress.frames - progress.first))
         stack.enter_context(encoder)
-        if not resume:  # after the start of the encoder: without OpenGL no folder is made
+        if not begun:  # after the start of the encoder: without OpenGL no folder is made
             writer = BagWriter(
                 folder,
                 recording.topics,

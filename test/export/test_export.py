@@ -144,9 +144,15 @@ def test_another_export_is_not_continued(scene: Scene, whole: Path) -> None:
         export(job(whole, FORMATS, scene, frames="2:6"))
 
 
+def test_resume_starts_an_export_that_has_not_begun(tmp_path: Path, scene: Scene, whole: Path) -> None:
+    """A script gives the same command always."""
+    assert export(job(tmp_path / "out", FORMATS, scene, frames="2:6"), resume=True).new == 4
+    assert content(tmp_path / "out") == content(whole)
+
+
 def test_a_folder_without_an_export_is_not_continued(tmp_path: Path, scene: Scene) -> None:
     with pytest.raises(ExportError, match="there is no export here"):
-        export(job(tmp_path / "none", FORMATS, scene), resume=True)
+        export(job(tmp_path, FORMATS, scene), resume=True)
     (tmp_path / "index.json").write_text("[]")
     with pytest.raises(ExportError, match="not the index of an export"):
         export(job(tmp_path, FORMATS, scene), resume=True)

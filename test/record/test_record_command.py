@@ -40,7 +40,6 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
         (("--frames", 3, "--storage", "sqlite3", "--compression", "zstd"), "choose the storage mcap"),
         (("--frames", 3, "--max-bag-size", 10), "must be 0 (never split) or at least"),
         (("--frames", 3, "--storage", "bag"), "'bag' is not one of"),
-        (("--frames", 3, "--resume"), "there is no bag to continue here"),
     ],
     ids=lambda value: " ".join(map(str, value)) if isinstance(value, tuple) else "",
 )
@@ -79,6 +78,16 @@ def test_a_target_that_cannot_be_written_is_reported(scene: Path, tmp_path: Path
     code, _, err = run(scene, Path("/proc/bag"), "--frames", 2, "--jobs", 1)
     assert code == 2
     assert "/proc/bag: cannot be written" in err
+
+
+def test_resume_starts_a_recording_that_has_not_begun(scene: Path, tmp_path: Path) -> None:
+    options = ("--frames", 1, "--jobs", 1, "--topics", "/humans/*/joints", "--resume")
+    for _ in range(2):
+        code, _, err = run(scene, tmp_path / "bag", *options)
+        assert code == 0, err
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    code, _, err = run(scene, tmp_path / "link", *options)
+    assert code == 2 and "there is no bag to continue here" in err
 
 
 def test_the_summary_says_rate_size_and_cost_of_each_step(scene: Path, tmp_path: Path) -> None:

@@ -44,7 +44,7 @@ def show(
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        calibration = load(file, size, image, unit, up)
+        calibration = load_or_scene(file, size, image, unit, up)
     cameras = select_cameras(calibration.cameras, camera, file)
     described = [describe_camera(name, cam) for name, cam in cameras.items()]
     of_cameras = tuple(f"{cam['name']}: {text}" for cam in described for text in cam["warnings"])
@@ -99,7 +99,7 @@ def read_cameras(
     """Read the cameras of calibration files.
 
     Args:
-        files: Files, folders or URLs.
+        files: Files, folders or URLs; also scenes with a rig.
         size: Option ``--size``.
         image: Option ``--image``.
         unit: Option ``--unit``.
@@ -107,7 +107,7 @@ def read_cameras(
     """
     from humansim_ros.camera.calibration import join_calibrations
 
-    return join_calibrations({file: load(file, size, image, unit, up).cameras for file in files})
+    return join_calibrations({file: load_or_scene(file, size, image, unit, up).cameras for file in files})
 
 
 def select_cameras(cameras: dict[str, Camera], patterns: list[str] | None, file: str) -> dict[str, Camera]:
@@ -213,6 +213,49 @@ def load(file: str, size: str | None, image: Path | None, unit: float | None, up
 
     given = None if size is None else parse_size(size)
     return load_calibration(file, size=given, unit=unit, up=up, image=image)
+
+
+def load_or_scene(
+    file: str, size: str | None, image: Path | None, unit: float | None, up: str | None
+) -> Calibration:
+    """Load a calibration file, or the cameras of a scene with a ``rig``, as ``humansim camera place`` writes.
+
+    Args:
+        file: File, folder or URL.
+        size: Option ``--size``.
+        image: Option ``--image``.
+        unit: Option ``--unit``.
+        up: Option ``--up``.
+    """
+    if not _has_rig(file):
+        return load(file, size, image, unit, up)
+    from humansim_ros.camera.calibration import Calibration
+    from humansim_ros.camera.formats.scene import SCENE
+    from humansim_ros.scene.config import load_config
+    from humansim_ros.scene.rig import build_cameras
+    from humansim_ros.scene.source import SceneSource
+
+    if any(option is not None for option in (size, image, unit, up)):
+        message = "a scene has size, unit and up axis in its section 'rig': leave these options out"
+        raise CameraError(message, path=file)
+    config, source = load_config(file), SceneSource.of_file(file)
+    with source.locating_errors():
+        cameras = {name: camera.camera for name, camera in build_cameras(config, source).items()}
+    sizes = {name: camera.size for name, camera in cameras.items()}
+    return Calibration(cameras, SCENE, 1.0, "z", sizes, frozenset(cameras))
+
+
+def _has_rig(file: str) -> bool:
+    """Whether a file is a scene with a ``rig``, whose cameras are in another file."""
+    from humansim_ros.io.yaml import read_yaml
+
+    if "://" in file or Path(file).suffix.lower() not in (".yaml", ".yml") or not Path(file).is_file():
+        return False
+    try:
+        document, _ = read_yaml(file, CameraError, "scene")
+    except CameraError:
+        return False  # such as YAML of OpenCV
+    return isinstance(document, dict) and isinstance(document.get("rig"), dict)
 
 
 #: Commands of this module by name.

@@ -15,7 +15,7 @@ import yaml
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from humansim_ros import Scene, Simulation, write_calibration
+from humansim_ros import Scene, Simulation, read_calibration, write_calibration
 from humansim_ros.camera import Camera
 from humansim_ros.camera.rigs import Optics, ring
 from humansim_ros.cli.main import main
@@ -88,6 +88,36 @@ def test_floor_points_place_the_rig_where_it_stands(
     scene = Scene.load(out)
     for name, camera in RIG.items():
         assert np.linalg.norm(scene.cameras[name].center - camera.center) < 0.03
+
+
+def test_other_camera_commands_take_the_scene(
+    tmp_path: Path, in_file: Any, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "lab" / "scene.yaml"
+    out.parent.mkdir()
+    assert (
+        run(capsys, monkeypatch, in_file[0], "--floor-points", floor_file(tmp_path, True), "-o", out)[0] == 0
+    )
+
+    def camera(*arguments: Any) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["humansim", "camera", *map(str, arguments)])
+        code = main()
+        said = capsys.readouterr()
+        return code, said.out + said.err
+
+    assert camera("plot", out, "-o", tmp_path / "rig.png")[0] == 0
+    assert cv2.imread(str(tmp_path / "rig.png")) is not None
+    assert camera("convert", out, "-o", tmp_path / "placed.toml")[0] == 0
+    placed = read_calibration(tmp_path / "placed.toml")
+    for name, expected in Scene.load(out).cameras.items():
+        assert_allclose(placed[name].P, expected.P, atol=1e-6 * abs(expected.P).max())
+    code, said = camera("show", out)
+    assert code == 0 and "cameras of a scene file, 4 cameras" in said
+    code, said = camera("convert", out, "--unit", 0.001, "-o", tmp_path / "other.toml")
+    assert code == 2 and "leave these options out" in said
+    Path(tmp_path / "rig.toml").unlink()
+    code, said = camera("plot", out, "-o", tmp_path / "rig.png")
+    assert code == 2 and "scene.yaml" in said and "rig.file" in said
 
 
 def options_of(method: str, tmp_path: Path) -> list[Any]:

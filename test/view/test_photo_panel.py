@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 pytest.importorskip("viser")
@@ -152,3 +154,36 @@ def test_the_page_writes_what_read_points_reads(page: Opened) -> None:
     page.panel.accept()
     path = page.document.photos.points_files["view_1"]
     assert read_points(path, page.document.keypoints)[0][0].tolist() == [10, 20, 1]
+
+
+def test_each_frame_has_its_photographs_and_points(tmp_path: Path) -> None:
+    made = make_studio(tmp_path, frames=2)
+    (tmp_path / "view_3" / "000001.jpg").write_bytes(b"no picture")
+    page = Opened(made.path)
+    try:
+        server = page.app.server
+        page.show()
+        assert {name for name in server.files if name.endswith(".jpg")} == {
+            f"/humansim/photographs/0/{number}.jpg" for number in range(4)
+        }
+        page.app.seek(1)
+        page.show()
+        shown = json.loads(server.files["/humansim/photographs.json"][1])
+        assert shown["frame"] == 1
+        assert [view["image"] for view in shown["views"]] == [
+            "/humansim/photographs/1/0.jpg",
+            "/humansim/photographs/1/1.jpg",
+            None,
+            "/humansim/photographs/1/3.jpg",
+        ]
+        assert not any(name.startswith("/humansim/photographs/0/") for name in server.files)
+        (told,) = page.source.messages
+        assert "000001.jpg" in told
+        np.testing.assert_allclose(
+            shown["views"][0]["points"][0], page.document.photos.points[1, 0, 0, :2], atol=0.006
+        )
+        page.panel.act(SET | {"frame": "1"})
+        page.show()
+        assert json.loads(server.files["/humansim/photographs.json"][1])["views"][0]["points"][0] == [10, 20]
+    finally:
+        page.app.close()

@@ -82,10 +82,16 @@ def test_frames_of_a_sequence_have_the_proportions_of_the_silhouettes(tmp_path: 
     fit = fit_person(photos)
     assert fit.proportions.girths
     assert np.mean(list(silhouette_iou(fit, photos, 2).values())) > 0.88
-    # unequal twists of the limbs at the start lead no frame to another minimum
-    assert errors_of(fit, studio).mean() < 0.015 and errors_of(fit, studio).max() < 0.12
+    assert errors_of(fit, studio).mean() < 0.015
     paths = np.array([fit.joints(number) for number in range(6)]) - studio.joints
     assert np.linalg.norm(np.diff(paths, 2, axis=0), axis=-1).mean() < 0.014
+
+
+def test_unequal_twists_at_the_start_lead_no_sequence_to_another_minimum(tmp_path: Path) -> None:
+    """Arms of frames that are fitted alone are twisted by chance: the smooth pass has to undo that."""
+    studio = make_studio(tmp_path, "child", "wave", 4, frames=6, begin=20, noise=2.0, images=False)
+    errors = errors_of(fit_person(read_views(studio.path), silhouettes=False), studio)
+    assert errors.mean() < 0.018 and errors.max() < 0.15, errors.round(3)
 
 
 def test_a_fit_tells_the_human_that_it_started_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -33,6 +33,7 @@ TUTORIALS = [page for page in PAGES if page.parent.name == "tutorials"]
 SINGLE_COMMANDS = [page for page in PAGES if page not in TUTORIALS]
 #: Commands that are slow, or run until they are stopped: their options are parsed and their files must exist.
 PARSED = {("run",), ("demo",), ("human", "rig"), ("human", "build"), ("human", "show"), ("human", "info")}
+PARSED |= {("human", "fit"), ("human", "texture")}
 PARSED |= {
     ("camera", "place"),
     ("camera", "idealize"),
@@ -49,7 +50,7 @@ PARSED |= {
 }
 OWN_FILE = re.compile(r"[A-Z][A-Z_0-9]*(\.\w+)?/?")
 #: Options before a file that the command writes.
-WRITES = ("-o", "--output", "--preview", "--json", "--report")
+WRITES = ("-o", "--output", "--preview", "--json", "--report", "--bvh", "--npz")
 
 
 def commands(text: str) -> list[list[str]]:

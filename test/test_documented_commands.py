@@ -30,7 +30,9 @@ from humansim_ros.scene.config import SceneConfig, check_config
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 #: Pages whose steps depend on each other: test/test_tutorials.py follows them.
 TUTORIALS = [page for page in PAGES if page.parent.name == "tutorials"]
-SINGLE_COMMANDS = [page for page in PAGES if page not in TUTORIALS]
+#: test/test_from_photographs.py follows that page.
+FOLLOWED = [*TUTORIALS, ROOT / "docs" / "from_photographs.md"]
+SINGLE_COMMANDS = [page for page in PAGES if page not in FOLLOWED]
 #: Commands that are slow, or run until they are stopped: their options are parsed and their files must exist.
 PARSED = {("run",), ("demo",), ("human", "rig"), ("human", "build"), ("human", "show"), ("human", "info")}
 PARSED |= {("human", "fit"), ("human", "texture")}

@@ -41,8 +41,21 @@ def example(name: str, *arguments: object, cwd: Path = ROOT) -> str:
 def test_every_example_is_tested() -> None:
     source = Path(__file__).read_text()
     examples = {path.stem for path in EXAMPLES.glob("*.py")}
-    assert len(examples) == 8
+    assert len(examples) == 9
     assert {name for name in examples if f'"{name}"' not in source and f'"{name}.py"' not in source} == set()
+
+
+def test_phones_without_pictures_of_a_board_are_told(tmp_path: Path) -> None:
+    """test_from_photographs.py calibrates phones with this example."""
+    (tmp_path / "phones" / "anna" / "board").mkdir(parents=True)
+    (tmp_path / "phones" / "anna" / "board" / "IMG_1.jpg").write_text("not a picture")
+    script = [sys.executable, str(EXAMPLES / "calibrate_phones.py"), "phones", "--square", "0.06"]
+    for extra, said in (
+        ((), "IMG_1.jpg: this is not a picture"),
+        (("--rows", "8"), "one has to be even and the other odd"),
+    ):
+        done = subprocess.run([*script, *extra], cwd=tmp_path, capture_output=True, text=True, check=False)
+        assert done.returncode == 1 and said in done.stderr and "Traceback" not in done.stderr
 
 
 @pytest.mark.gl

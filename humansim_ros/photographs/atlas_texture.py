@@ -178,7 +178,7 @@ def _low_pass(sight: SurfaceSight, radius: float) -> Float32Array:
     sigma = radius * sight.resolution
     if sigma < 0.3:
         return image
-    inside = np.isfinite(sight.depth_image).astype(np.float32)
+    inside = (sight.inside > 0).astype(np.float32)  # colours at borders are mixed with those behind
     total = cv2.GaussianBlur(image * inside[..., None], (0, 0), sigma)
     share = cv2.GaussianBlur(inside, (0, 0), sigma)[..., None]
     return np.where(share > 1e-3, total / np.maximum(share, 1e-3), image).astype(np.float32)

@@ -45,6 +45,7 @@ class SurfaceSight:
         weights: (P,) float32 how well the places are seen: 0 hidden, larger for more pixels for each metre;
             it fades out towards borders of what is seen.
         depth_image: (H, W) float32 metres; infinite where the person is not, or the mask says so.
+        inside: (H, W) float32 0 to 1: 0 where colours mix with those behind, growing away from borders.
     """
 
     view: TextureView
@@ -53,6 +54,7 @@ class SurfaceSight:
     tolerance: Float32Array
     weights: Float32Array
     depth_image: Float32Array
+    inside: Float32Array
 
     @cached_property
     def resolution(self) -> float:
@@ -73,7 +75,8 @@ class SurfaceSight:
         nearest = lookup(self.depth_image, mixed[:, :2], cv2.INTER_NEAREST, np.inf)
         visible &= mixed[:, 2] <= nearest + mixed[:, 3]
         visible &= np.isfinite(nearest)
-        return mixed[:, :2], np.where(visible, mixed[:, 4], 0).astype(np.float32)
+        inside = lookup(self.inside, mixed[:, :2])  # large triangles reach borders between their corners
+        return mixed[:, :2], np.where(visible, mixed[:, 4] * inside, 0).astype(np.float32)
 
 
 def lookup(
@@ -139,11 +142,10 @@ def _sight(human: Human, surface: Surface, view: TextureView, renderer: GLRender
     at = np.nan_to_num(pixels, nan=-1e6).astype(np.float32)
     behind = lookup(depth, at, cv2.INTER_NEAREST, np.inf)
     visible = np.isfinite(behind) & (depths <= behind + tolerance) & (cosine > _LEAST_COSINE) & (depths > 0)
-    border = lookup(_border_distance(depth), at, cv2.INTER_LINEAR, 0.0)
-    ramp = np.clip((border - _BORDER) / _RAMP, 0, 1)
+    inside = np.clip((_border_distance(depth) - _BORDER) / _RAMP, 0, 1)
     faded = np.clip(2 * surface.smoothed(visible.astype(float), _FADE) - 1, 0, 1)
     density = np.where(visible, focal / np.maximum(depths, 1e-3), 0.0) / 100  # about 1 for usual images
-    weights = visible * ramp * faded * np.maximum(cosine, 0) ** 2 * density**2
+    weights = visible * lookup(inside, at) * faded * np.maximum(cosine, 0) ** 2 * density**2
     return SurfaceSight(
         view,
         pixels.astype(np.float32),
@@ -151,6 +153,7 @@ def _sight(human: Human, surface: Surface, view: TextureView, renderer: GLRender
         tolerance.astype(np.float32),
         weights.astype(np.float32),
         depth,
+        inside,
     )
 
 

@@ -15,13 +15,14 @@ from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans.human import Human
 from humansim_ros.io.images import encode_image
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.mesh.subdivision import subdivide
 from humansim_ros.mesh.texels import SurfaceTexels, rasterise_uv
 from humansim_ros.photographs.colour_alignment import Alignment, align_colours, without_gains
 from humansim_ros.photographs.surface_fill import Surface, fill_colours
 from humansim_ros.photographs.surface_sight import SurfaceSight, lookup, see_surface
 from humansim_ros.photographs.texture_view import TexturedPerson, TextureView, check_views
 from humansim_ros.render.gl import GLRenderer
-from humansim_ros.types import Array, Float32Array, Image
+from humansim_ros.types import Array, Float32Array, Image, Indices
 
 #: Name of the outfit from photographs.
 OUTFIT = "photographs"
@@ -32,6 +33,8 @@ SMALLEST, LARGEST, _DENSITY = 256, 8192, 2.0
 _BANDS = ((0.0, 8.0), (0.012, 3.0), (0.05, 1.0))
 #: sRGB values from which on colours may be clipped, and by how much less such pixels count.
 _CLIPPED, _DOUBT = (3, 252), 0.98
+#: Longest usual edge, as a share of the height, and most triangles of a mesh that is divided.
+_EDGE, _MOST_TRIANGLES = 0.03, 400_000
 #: Weight at which a texel is as much as possible as it is seen.
 _CERTAIN = 0.02
 #: Share of a texel below which a view is left out; and texels that are blended at once.
@@ -71,16 +74,18 @@ def texture_atlas(
         with GLRenderer() as own:
             return texture_atlas(human, views, size, outfit, symmetry, own)
     human = with_coordinates(human)
-    mesh = human.mesh
+    finer = subdivide(human.mesh, _rounds(human.mesh))
+    mesh = finer.mesh
     assert mesh.uv is not None and mesh.uv_triangles is not None
     surface = Surface.of(mesh)
-    sights, notes = _useful(see_surface(human, surface, views, renderer))
+    points = [surface.places(finer.points(view.vertices.astype(float))) for view in views]
+    sights, notes = _useful(see_surface(human, surface, list(zip(views, points, strict=True)), renderer))
     side = size if size is not None else _side(mesh, max(sight.resolution for sight in sights))
     texels = rasterise_uv(mesh.uv, mesh.uv_triangles, side)
     alignment = _align(sights, notes)
     blended = _blend(surface, texels, sights, alignment)
     image = _filled_image(surface, texels, blended, side, symmetry)
-    best, seen = _chosen(surface, sights, [views.index(sight.view) for sight in sights])
+    best, seen = _chosen(surface, finer.owner, sights, [views.index(sight.view) for sight in sights])
     gains = np.ones((len(views), 3))
     gains[[views.index(sight.view) for sight in sights]] = alignment.gains
     names = tuple(view.name for view in views)
@@ -287,11 +292,27 @@ def _mirrored_details(
     return np.where((opposite >= 0)[:, None] & (share > 0.5)[:, None], lookup(details, pixels), 0)
 
 
+def _rounds(mesh: Mesh) -> int:
+    """Divisions of the triangles after which few edges are longer than _EDGE of the height: what the views
+    show is found at vertices.
+    """
+    corners = mesh.vertices[mesh.triangles]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    longest = float(np.quantile(edges, 0.9)) / max(float(np.ptp(mesh.vertices[:, 1])), 1e-9)
+    rounds = int(np.ceil(np.log2(max(longest / _EDGE, 1.0))))
+    most = int(np.log(_MOST_TRIANGLES / max(len(corners), 1)) / np.log(4)) if len(corners) else 0
+    return max(0, min(rounds, most))
+
+
 def _chosen(
-    surface: Surface, sights: Sequence[SurfaceSight], numbers: Sequence[int]
+    surface: Surface, owner: Indices, sights: Sequence[SurfaceSight], numbers: Sequence[int]
 ) -> tuple[NDArray[np.int32], NDArray[np.bool_]]:
-    """View (N,) that each triangle takes most of its colour from, and whether any sees it."""
-    weights = np.stack([sight.weights[surface.triangles].mean(axis=1) for sight in sights])
+    """View (N,) that each triangle takes most of its colour from, and whether any sees it.
+
+    ``owner``: triangle of the human of each triangle of the surface.
+    """
+    fine = [sight.weights[surface.triangles].mean(axis=1) for sight in sights]
+    weights = np.stack([np.bincount(owner, own) for own in fine])
     seen = weights.max(axis=0) > 0
     best = np.asarray(numbers, np.int32)[weights.argmax(axis=0)]
     return best, seen

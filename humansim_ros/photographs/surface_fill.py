@@ -39,6 +39,12 @@ class Surface:
         points, place = np.unique(mesh.vertices, axis=0, return_inverse=True)
         return cls(mesh, place.reshape(-1), points)
 
+    def places(self, vertices: NDArray[np.floating]) -> Array:
+        """Places (P, 3) from vertices (V, 3) of the mesh in a pose."""
+        points = np.zeros((len(self.points), 3))
+        points[self.place] = vertices
+        return points
+
     @cached_property
     def triangles(self) -> Indices:
         """(N, 3) places of the corners of the triangles."""

@@ -111,27 +111,27 @@ def lookup(
 
 
 def see_surface(
-    human: Human, surface: Surface, views: Sequence[TextureView], renderer: GLRenderer
+    human: Human, surface: Surface, views: Sequence[tuple[TextureView, Array]], renderer: GLRenderer
 ) -> list[SurfaceSight]:
     """What the views show of the surface of a person.
 
     Args:
         human: The person.
         surface: Its surface.
-        views: Photographs, with the pose of the person in each.
+        views: Photographs, and the places (P, 3) of the surface in each, in ``map``.
         renderer: Renderer of an empty scene.
     """
-    return [_sight(human, surface, view, renderer) for view in views]
+    return [_sight(human, surface, view, points, renderer) for view, points in views]
 
 
-def _sight(human: Human, surface: Surface, view: TextureView, renderer: GLRenderer) -> SurfaceSight:
+def _sight(
+    human: Human, surface: Surface, view: TextureView, points: Array, renderer: GLRenderer
+) -> SurfaceSight:
     camera = view.camera
     body = Body(human.mesh, view.vertices, human.triangle_parts, 1)
     depth = np.array(renderer.render([body], camera, ("depth",)).depth, np.float32)
     if view.mask is not None:
         depth[~view.mask] = np.inf
-    points = np.zeros((len(surface.points), 3))
-    points[surface.place] = view.vertices
     normals = _normals(points, surface)
     pixels, depths = camera.project(points)
     toward = unit_vectors(camera.center - points)

@@ -9,13 +9,16 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+import trimesh
 from numpy.typing import NDArray
 from photographs.studio import studio_cameras
 from photographs.texture_scenes import in_a_pose, photograph, psnr, texture_views, undressed
+from scipy.sparse import csr_matrix
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans import Human, load_human
+from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.photographs.atlas_texture import texture_atlas
 from humansim_ros.photographs.colour_alignment import align_colours
 from humansim_ros.photographs.surface_fill import Surface, fill_colours
@@ -184,3 +187,36 @@ def test_hidden_places_continue_the_colours_beside_them(man: Human) -> None:
     mirrored = surface.points[surface.triangles[other[found]]]
     own = np.take_along_axis(surface.points[surface.triangles[found]], corner[found][..., None], axis=1)
     assert np.abs(mirrored * [-1, 1, 1] - own).max() < 0.03
+
+
+def test_large_triangles_are_seen_in_part() -> None:
+    """A body of few triangles: what the views show is found within them, too."""
+    sphere = trimesh.creation.icosphere(1, 0.9)
+    points = sphere.vertices * [0.4, 1, 0.4] + [0, 0.9, 0]
+    cells = 8
+    rows, columns = np.divmod(np.arange(len(sphere.faces)), 10)
+    corners = np.array([(0.1, 0.1), (0.9, 0.1), (0.1, 0.9)])
+    uv = (np.stack([columns, rows], axis=1)[:, None] + corners).reshape(-1, 2) / 10
+    faces = np.pad(sphere.faces, ((0, 0), (0, 1)), constant_values=-1).astype(np.int32)
+    uv_faces = np.pad(np.arange(len(uv)).reshape(-1, 3), ((0, 0), (0, 1)), constant_values=-1).astype(
+        np.int32
+    )
+    texture = np.kron(
+        np.random.default_rng(0).integers(60, 200, (10 * cells, 10 * cells, 3)), np.ones((8, 8, 1))
+    )
+    man = load_human("adult_man")
+    weights = csr_matrix(np.eye(len(man.skeleton))[np.zeros(len(points), int)])
+    mesh = Mesh(points, faces, uv, uv_faces, texture=texture.astype(np.uint8))
+    ball = Human("ball", mesh, man.skeleton, weights)
+    vertices = points[:, [2, 0, 1]].astype(np.float32)
+    cameras = list(studio_cameras(8).values())
+    images = photograph(ball, vertices, cameras).images
+    views = [
+        TextureView(str(number), camera, image, vertices)
+        for number, (camera, image) in enumerate(zip(cameras, images, strict=True))
+    ]
+    textured = texture_atlas(replace(ball, mesh=replace(mesh, texture=None)), views)
+    truth, found = (photograph(person, vertices, NEW) for person in (ball, textured.human))
+    for face, image, again in zip(truth.faces, truth.images, found.images, strict=True):
+        assert psnr(image, again, face > 0) > 18  # noise; nothing seen gives 13
+    assert textured.seen.mean() > 0.9 and len(textured.cameras) == len(faces)

@@ -20,7 +20,7 @@ from humansim_ros.ros.message_types import begins_with_stamp, message_type
 from humansim_ros.types import Indices
 from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.seen_topics import SeenTopics, seen_topics
-from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
+from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, Wanted
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
 from humansim_ros.view.topic_source import PERIOD, SAMPLES, TopicSource
 from humansim_ros.view.topic_store import place_at
@@ -133,15 +133,10 @@ class BagViewSource(TopicSource):
     def frames(self) -> int:
         return len(self._stamps)
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-    ) -> ViewFrame:
-        self._last = min(max(index, 0), self.frames - 1)
-        return self._shown.frame(self._frame(self._last, cameras, channels), cameras, channels)
+    def show(self, wanted: Wanted) -> ViewFrame:
+        self._last = min(max(wanted.index, 0), self.frames - 1)
+        found = self._frame(self._last, wanted.cameras, wanted.channels)
+        return self._shown.frame(found, wanted.cameras, wanted.channels)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         return self._shown.describe(self._frame(self._last, [camera], PIXEL_CHANNELS), camera, x, y)

@@ -2,49 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from humansim_ros.camera import Camera
 from humansim_ros.errors import SceneError
 from humansim_ros.humans import Human
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.view.source import PixelInfo, ViewFrame
+from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource, Wanted
 
 
-class EmptySource:
+class EmptySource(ViewSource):
     """Nothing, until the file of the page is mended.
 
     Args:
         title: Title of the page.
     """
 
+    title: str = ""
     people: Mapping[str, Human] = {}
     objects: Mapping[str, Mesh] = {}
     static: Mapping[str, Mesh] = {}
     cameras: Mapping[str, Camera] = {}
-    period = 33_333_333
-    frames = 2
+    period: int = 33_333_333
+    frames: int | None = 2
     channels: tuple[str, ...] = ("rgb",)
     messages: Sequence[str] = ()
 
     def __init__(self, title: str) -> None:
         self.title = title
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-    ) -> ViewFrame:
-        """A frame.
-
-        Args:
-            index: Number of the frame.
-            cameras: Cameras whose images are wanted.
-            channels: Channels that are wanted.
-            wait: The images must be those of this frame.
-        """
+    def show(self, wanted: Wanted) -> ViewFrame:
         return ViewFrame(index=0, stamp=0, scene_time=0)
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:

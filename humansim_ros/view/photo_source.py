@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from humansim_ros.types import Image
 from humansim_ros.view.photo_document import PhotoDocument
 from humansim_ros.view.photo_solver import PhotoSolver
 from humansim_ros.view.pictures import fitted
-from humansim_ros.view.source import PixelInfo, ViewFrame
+from humansim_ros.view.source import PixelInfo, ViewFrame, ViewSource, Wanted
 
 #: The only channel, and the name of the person.
 PHOTOGRAPH, PERSON = "photograph", "person"
@@ -22,7 +22,7 @@ PHOTOGRAPH, PERSON = "photograph", "person"
 _WIDTH = 2048
 
 
-class PhotoSource:
+class PhotoSource(ViewSource):
     """Photographs that are edited by hand, with the person who was fitted to them.
 
     Attributes:
@@ -70,21 +70,8 @@ class PhotoSource:
         """Photographs that cannot be shown."""
         return list(self._problems.values())
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-    ) -> ViewFrame:
-        """A frame; its images are always there.
-
-        Args:
-            index: Number of the frame.
-            cameras: Cameras whose images are wanted: all are given.
-            channels: Channels that are wanted: there is one.
-            wait: The images are always those of this frame.
-        """
+    def show(self, wanted: Wanted) -> ViewFrame:
+        index = wanted.index
         fit = self.document.state.fit
         joints = {}
         if fit is not None:

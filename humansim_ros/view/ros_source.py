@@ -32,7 +32,7 @@ from humansim_ros.ros.runtime import make_executor, spin
 from humansim_ros.ros.topic_choice import absolute
 from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF, SeenTopics, seen_topics
-from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame
+from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, Wanted
 from humansim_ros.view.topic_frames import PIXEL_CHANNELS, TopicFrame, TopicFrames
 from humansim_ros.view.topic_source import PERIOD, SAMPLES, TopicSource
 from humansim_ros.view.topic_store import TopicStore
@@ -172,26 +172,20 @@ class RosViewSource(TopicSource):
             yield f"No frame has arrived for {silence:.0f} s."
         yield from self._receiver.problems
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-    ) -> ViewFrame:
+    def show(self, wanted: Wanted) -> ViewFrame:
         self._see()
-        images = self._images(cameras, channels)
+        images = self._images(wanted.cameras, wanted.channels)
         self._receiver.want(images)
-        if not wait:
+        if not wanted.wait:
             self._pinned = None
         found = self._frame(images, self._pinned)
         if found is None:
             return ViewFrame(index=0, stamp=0, scene_time=0, cameras=dict(self._shown.cameras))
-        wanted = tuple(cameras), tuple(channels)
-        if self._last is not None and self._last[1] == wanted and _is_same(self._last[0], found):
+        asked = tuple(wanted.cameras), tuple(wanted.channels)
+        if self._last is not None and self._last[1] == asked and _is_same(self._last[0], found):
             return self._last[2]
-        frame = self._shown.frame(found, cameras, channels)
-        self._last = found, wanted, frame
+        frame = self._shown.frame(found, wanted.cameras, wanted.channels)
+        self._last = found, asked, frame
         return frame
 
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 from humansim_ros.camera import Camera
@@ -15,7 +15,7 @@ from humansim_ros.types import Array
 from humansim_ros.view.image_workers import Images, ImageWorkers, Request
 from humansim_ros.view.pixel_info import CHANNELS as PIXEL_CHANNELS
 from humansim_ros.view.pixel_info import pixel_info
-from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, ViewSource
+from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, ViewSource, Wanted
 
 #: Channels that the page can show.
 _CHANNELS = ("rgb", JOINTS, "depth", "part", "instance", "normal", "flow")
@@ -25,7 +25,7 @@ _SHORTEST, _LONGEST = 2.0, 600.0
 _PAGE_WIDTH, _BESIDE = 1280, 4
 
 
-class SceneViewSource:
+class SceneViewSource(ViewSource):
     """A scene that plays in the page.
 
     Args:
@@ -34,6 +34,8 @@ class SceneViewSource:
         workers: Number of processes that render; as many as the machine has cores if None.
     """
 
+    title: str = ""
+    messages: Sequence[str] = ()
     channels: tuple[str, ...] = _CHANNELS
 
     def __init__(
@@ -44,7 +46,7 @@ class SceneViewSource:
     ) -> None:
         self.scene = scene
         self.title = title or (scene.path.stem if scene.path else "scene")
-        self.messages: Sequence[str] = [] if scene.actors else ["The scene has no people."]
+        self.messages = [] if scene.actors else ["The scene has no people."]
         self._playback = Playback(scene)
         self._count = workers
         self._shown = 0
@@ -88,21 +90,8 @@ class SceneViewSource:
         longest = max(lasting, default=0.0)
         return max(2, round(min(max(longest, _SHORTEST), _LONGEST) * self.scene.config.rate))
 
-    def frame(
-        self,
-        index: int,
-        cameras: Collection[str] = (),
-        channels: Collection[str] = (),
-        wait: bool = False,
-    ) -> ViewFrame:
-        """A frame.
-
-        Args:
-            index: Number of the frame.
-            cameras: Cameras whose images are wanted.
-            channels: Channels that are wanted.
-            wait: The images must be those of this frame.
-        """
+    def show(self, wanted: Wanted) -> ViewFrame:
+        index = wanted.index
         elapsed = self.scene.frame_time(index)
         poses = self._playback.show(elapsed)
         joints: dict[str, Array] = {}
@@ -111,7 +100,7 @@ class SceneViewSource:
             (joints[name],), (size,) = actor.joints_of(poses.poses[name].contiguous())
             sizes[name] = float(size)
         self._shown = index
-        images = self._images(index, cameras, channels, wait)
+        images = self._images(wanted)
         return ViewFrame(
             index=index,
             stamp=1 + elapsed,
@@ -153,12 +142,10 @@ class SceneViewSource:
     def _workers(self) -> ImageWorkers:
         return ImageWorkers(self.scene, self._count)
 
-    def _images(
-        self, index: int, cameras: Collection[str], channels: Collection[str], wait: bool
-    ) -> Images | None:
-        known = tuple(name for name in self.scene.scene_cameras if name in cameras)
-        shown = tuple(name for name in _CHANNELS if name in channels)
+    def _images(self, wanted: Wanted) -> Images | None:
+        known = tuple(name for name in self.scene.scene_cameras if name in wanted.cameras)
+        shown = tuple(name for name in _CHANNELS if name in wanted.channels)
         if not known or not shown:
             return None
-        request = Request(index, known, shown, _PAGE_WIDTH // min(len(known), _BESIDE))
-        return self._workers.exact(request) if wait else self._workers.latest(request)
+        request = Request(wanted.index, known, shown, _PAGE_WIDTH // min(len(known), _BESIDE))
+        return self._workers.exact(request) if wanted.wait else self._workers.latest(request)

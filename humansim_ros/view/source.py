@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
 
 from humansim_ros.camera import Camera
 from humansim_ros.humans import Human
@@ -61,53 +61,70 @@ class PixelInfo:
     world: Array | None = None
 
 
-class ViewSource(Protocol):
+@dataclass(frozen=True)
+class Wanted:
+    """What is wanted of a frame.
+
+    Attributes:
+        index: Number of the frame; a live source gives its latest one instead.
+        cameras: Cameras whose images are wanted.
+        channels: Channels that are wanted.
+        wait: The images must be those of this frame; else the latest ones that are ready are given.
+    """
+
+    index: int
+    cameras: Collection[str] = ()
+    channels: Collection[str] = ()
+    wait: bool = False
+
+
+class ViewSource(ABC):
     """Source of a page; all methods are called in one thread."""
 
     @property
+    @abstractmethod
     def title(self) -> str:
         """Title of the page."""
-        ...
 
     @property
+    @abstractmethod
     def people(self) -> Mapping[str, Human]:
         """Bodies without pose by name, in their outfit."""
-        ...
 
     @property
+    @abstractmethod
     def objects(self) -> Mapping[str, Mesh]:
         """Meshes of moving objects by name, in their own frame."""
-        ...
 
     @property
+    @abstractmethod
     def static(self) -> Mapping[str, Mesh]:
         """Meshes by name in ``map``: room, static objects."""
-        ...
 
     @property
+    @abstractmethod
     def cameras(self) -> Mapping[str, Camera]:
-        """Cameras at the start."""
-        ...
+        """Cameras at the start, or where they were last."""
 
     @property
+    @abstractmethod
     def period(self) -> int:
         """Nanoseconds between frames."""
-        ...
 
     @property
+    @abstractmethod
     def frames(self) -> int | None:
         """Number of frames; None for a live source, whose latest frame is shown."""
-        ...
 
     @property
+    @abstractmethod
     def channels(self) -> tuple[str, ...]:
         """Channels that can be shown."""
-        ...
 
     @property
+    @abstractmethod
     def messages(self) -> Sequence[str]:
         """What the user should know, such as "the bag has no images"."""
-        ...
 
     def frame(
         self,
@@ -124,12 +141,16 @@ class ViewSource(Protocol):
             channels: Channels that are wanted.
             wait: The images must be those of this frame; else the latest ones that are ready are given.
         """
-        ...
+        return self.show(Wanted(index, cameras, channels, wait))
 
+    @abstractmethod
+    def show(self, wanted: Wanted) -> ViewFrame:
+        """A frame, as :meth:`frame` gives it."""
+
+    @abstractmethod
     def describe(self, camera: str, x: int, y: int) -> PixelInfo:
         """Numbers of a pixel of the frame that was given last, as the topics say them."""
-        ...
 
+    @abstractmethod
     def close(self) -> None:
         """Free processes, renderers and subscriptions."""
-        ...

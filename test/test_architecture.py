@@ -56,7 +56,8 @@ PUBLIC = {
     "mesh": "Material Mesh read_mesh",
     "motion": """JointMatch JointPoses JointTable Motion Placement Retargeter Velocity
         WorldMotion match_motion read_bvh read_motion write_bvh""",
-    "photographs": "PhotoSet Photo read_views",
+    "photographs": """PersonFit Photo PhotoSet Proportions TexturedPerson fit_motion fit_person read_fit
+        read_views texture_person with_proportions write_fit""",
     "render": """ALL_CHANNELS AdjacentFrame Backdrop Body CHANNELS GLRenderer ImageBackdrop Lighting
         Panorama PyrenderRenderer Renderer RendererName View make_renderer""",
     "scene": """Actor CameraPose Environment Finding Frame HumanState ObjectPose Playback Scene SceneCamera

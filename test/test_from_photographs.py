@@ -19,7 +19,7 @@ from photographs.studio import make_studio
 from waiting import PATIENCE
 
 from humansim_ros.camera import read_calibration
-from humansim_ros.humans import load_human
+from humansim_ros.humans import Human, load_human
 from humansim_ros.photographs.fit_file import read_fit
 from humansim_ros.scene import Scene
 
@@ -49,7 +49,9 @@ def run(text: str, folder: Path) -> str:
 @pytest.mark.gl
 @pytest.mark.process
 @pytest.mark.slow
-def test_phones_and_a_chessboard_give_a_walking_textured_person(tmp_path: Path) -> None:
+def test_phones_and_a_chessboard_give_a_walking_textured_person(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     truth = write_phone_pictures(tmp_path)
     said = run("calibrate_phones.py", tmp_path)
     assert said.count("above the floor") == 4
@@ -72,6 +74,12 @@ def test_phones_and_a_chessboard_give_a_walking_textured_person(tmp_path: Path) 
     assert cv2.imread(str(tmp_path / "sheet.png")) is not None
     me = load_human(tmp_path / "me.npz")
     assert me.outfits == ("photographs",) and me.mesh.texture is not None
+
+    (code,) = re.findall(r"```python\n(.*?)```", PAGE, re.S)
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {}
+    exec(code, names)
+    assert isinstance(names["person"], Human)
 
     (scene,) = re.findall(r"```yaml\n(# me.yaml\n.*?)```", PAGE, re.S)
     (tmp_path / "me.yaml").write_text(scene)

@@ -21,6 +21,7 @@ from humansim_ros.photographs.pose_fitting import (
     fit_places,
     fit_poses,
     unwound,
+    with_possible_hinges,
 )
 from humansim_ros.photographs.pose_model import BodyState, PoseModel
 from humansim_ros.photographs.proportions import with_proportions
@@ -145,7 +146,7 @@ def _initial(
             state = replace(state, vectors=last.vectors, stature=last.stature, lengths=last.lengths)
         known = np.isfinite(each.positions[:, 0]).sum()
         if known >= 3:
-            state = last = unwound(fit_places(model, state, each.positions))
+            state = last = with_possible_hinges(model, unwound(fit_places(model, state, each.positions)))
         elif last is not None:
             state = last
         states.append(state)

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel, plain_name
-from humansim_ros.rotations import quaternion_to_matrix, unit_vectors
+from humansim_ros.rotations import from_y_axis, quaternion_to_matrix, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: Points count less and less beyond this number of standard deviations of their noise.
@@ -52,6 +52,14 @@ _STEPS, _LIMIT_ROUNDS = 40, 4
 _LONGEST_STEP = 0.5
 #: Factors of the standard deviations of accelerations in the first solutions of a sequence.
 _SLACKS = (30.0, 5.0)
+#: Limbs whose joint is a hinge, with the limb above; turns of that limb that are tried; and the angle beyond
+#: limits, radians, that a turn has to save.
+_HINGES = tuple(
+    (f"{s}_{upper}", f"{s}_{lower}")
+    for s in "lr"
+    for upper, lower in (("shoulder", "elbow"), ("hip", "knee"))
+)
+_TURNS, _BETTER = 24, 0.1
 #: Cosine of half an angle, from 1, by which a joint is beyond its limit.
 _SLIGHTLY = 1e-5
 
@@ -446,3 +454,38 @@ def unwound(state: BodyState) -> BodyState:
     """The same pose with rotation vectors of at most half a turn."""
     matrices = quaternion_to_matrix(Rotation.from_rotvec(state.vectors).as_quat())
     return replace(state, vectors=Rotation.from_matrix(matrices).as_rotvec())
+
+
+def with_possible_hinges(model: PoseModel, state: BodyState) -> BodyState:
+    """The same directions of limbs, with upper arms and thighs turned about themselves.
+
+    Elbows and knees then bend as they can.
+
+    Points do not show this turn where the limb below is nearly straight, and least squares does not find it
+    where the elbow would have to bend backwards on the way.
+    """
+    if model.limits is None:
+        return state
+    for upper, lower in _HINGES:
+        if upper not in model.skeleton.names or lower not in model.skeleton.names:
+            continue
+        bones = [model.skeleton.bone(name) for name in (upper, lower)]
+        turns = Rotation.from_rotvec(
+            np.linspace(0, 2 * np.pi, _TURNS, endpoint=False)[:, None] * [0.0, 1.0, 0.0]
+        )
+        above, below = (Rotation.from_rotvec(state.vectors[bone]) for bone in bones)
+        rest = Rotation.from_matrix(model.skeleton.rest_in_parent[bones[1], :3, :3])
+        # the limb below keeps its direction: the y axis of its bone
+        direction = (rest.inv() * turns.inv() * rest * below).apply([0.0, 1.0, 0.0])
+        rotations = np.tile(model.rotations(state), (_TURNS, 1, 1))
+        rotations[:, bones[0]] = (above * turns).as_quat()
+        rotations[1:, bones[1]] = from_y_axis(direction[1:])
+        clamped = model.limits.clamp(rotations)
+        cosine = np.abs((clamped * rotations).sum(-1))[:, bones].clip(0, 1)
+        beyond = 2 * np.arccos(cosine).sum(axis=1)
+        best = int(np.argmin(beyond + np.where(np.arange(_TURNS) > 0, _BETTER, 0.0)))
+        if best:
+            vectors = state.vectors.copy()
+            vectors[bones] = Rotation.from_quat(rotations[best, bones]).as_rotvec()
+            state = replace(state, vectors=vectors)
+    return state

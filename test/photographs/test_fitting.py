@@ -108,6 +108,15 @@ def test_a_fit_tells_the_human_that_it_started_from(tmp_path: Path, monkeypatch:
     np.testing.assert_allclose(read_fit(tmp_path / "fit.yaml").joints(), own.joints(), atol=1e-4)
 
 
+def test_a_raised_arm_does_not_stick_at_the_limit_of_its_elbow(tmp_path: Path) -> None:
+    """The upper arm has to turn about itself, so that the elbow can bend that way."""
+    studio = make_studio(
+        tmp_path, "adult_woman", "wave", 4, begin=40, noise=2.0, outliers=0.1, images=False, seed=40
+    )
+    errors = errors_of(fit_person(read_views(studio.path), silhouettes=False), studio)
+    assert errors.mean() < 0.02 and errors.max() < 0.04, errors.round(3)
+
+
 def test_exact_points_of_the_same_person_give_its_pose(tmp_path: Path) -> None:
     studio = make_studio(
         tmp_path, "adult_man", "walk", 4, keypoints="halpe26", images=False, start_human="adult_man"

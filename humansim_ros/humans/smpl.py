@@ -46,6 +46,21 @@ def is_smpl(names: Sequence[str]) -> bool:
     return {"v_template", "kintree_table", "weights"} <= set(names)
 
 
+def count_betas(path: str | os.PathLike[str]) -> int:
+    """Number of betas that a model takes; 0 for other files, and for models whose joints do not follow them.
+
+    Raises:
+        MeshError: The file cannot be read.
+    """
+    if Path(path).suffix.lower() != ".npz":
+        return 0
+    arrays = read_npz(path, MeshError, "human", ("v_template", "shapedirs", "J_regressor"))
+    directions, regressor = arrays.get("shapedirs"), arrays.get("J_regressor")
+    if "v_template" not in arrays or directions is None or regressor is None or regressor.ndim != 2:
+        return 0
+    return int(directions.shape[2]) if directions.ndim == 3 else 0
+
+
 def read_smpl(path: str | os.PathLike[str], betas: Sequence[float] = ()) -> SkinnedMesh:
     """Read a model at rest with the shape ``betas``. Raises MeshError with the file and the array."""
     arrays = read_npz(path, MeshError, "SMPL", _ARRAYS)

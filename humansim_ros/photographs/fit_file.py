@@ -33,6 +33,7 @@ class _ProportionsSection(Section):
     stature: _Factor = 1.0
     lengths: dict[str, _Factor] = Field(default_factory=dict)
     girths: dict[str, _Factor] = Field(default_factory=dict)
+    shape: tuple[_Number, ...] = Field((), max_length=400)
 
 
 class _FrameSection(Section):
@@ -72,6 +73,7 @@ def write_fit(path: str | os.PathLike[str], fit: PersonFit) -> None:
             "stature": round(float(shape.stature), 6),
             "lengths": {name: round(float(value), 6) for name, value in shape.lengths.items()},
             "girths": {name: round(float(value), 6) for name, value in shape.girths.items()},
+            "shape": list(shape.shape),
         },
         "frames": [_frame(fit, number, names) for number in range(len(fit.root))],
     }
@@ -160,7 +162,7 @@ def read_fit(path: str | os.PathLike[str]) -> PersonFit:
     own = section.proportions
     return PersonFit(
         section.human,
-        Proportions(own.stature, own.lengths, own.girths),
+        Proportions(own.stature, own.lengths, own.girths, own.shape),
         section.bones,
         root,
         rotations,

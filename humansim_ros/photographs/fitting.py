@@ -10,8 +10,8 @@ import numpy as np
 
 from humansim_ros.errors import PhotographError
 from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
 from humansim_ros.io.assets import built_in_names, find_asset
+from humansim_ros.photographs.body_shape import can_be_shaped, fit_shape, shaped_human
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.pose_fitting import (
     LEAST_NOISE,
@@ -24,7 +24,7 @@ from humansim_ros.photographs.pose_fitting import (
     with_possible_hinges,
 )
 from humansim_ros.photographs.pose_model import BodyState, PoseModel
-from humansim_ros.photographs.proportions import with_proportions
+from humansim_ros.photographs.proportions import Proportions, with_proportions
 from humansim_ros.photographs.silhouettes import fit_silhouettes
 from humansim_ros.photographs.triangulation import Triangulation, triangulate_photos
 from humansim_ros.photographs.views import PhotoSet
@@ -53,7 +53,8 @@ def fit_person(
 
     Keypoints are triangulated (wrong points are found by the other views), then poses, stature and lengths of
     bones minimise the distances in the photographs. Joints stay within their limits. All frames have the
-    same proportions. Silhouettes of some frames then determine the girths, and refine the lengths.
+    same proportions. Silhouettes of some frames then determine the girths, and refine the lengths. An SMPL
+    model then takes the betas that are most like this body, and is fitted again.
 
     Args:
         photos: Photographs with points.
@@ -66,9 +67,36 @@ def fit_person(
         PhotographError: The photographs do not determine the person; the message says why.
     """
     name = _stored_name(human or (photos.human if start is None else start.human))
-    body = load_human(find_asset(name, "humans"))
     found = triangulate_photos(photos)
-    model = PoseModel(body, photos.keypoints)
+    fit = _fit(photos, name, found, start, silhouettes, progress)
+    if fit.proportions.shape or not can_be_shaped(name):
+        return fit
+    shape = fit_shape(name, fit.body.mesh.vertices)
+    begun = replace(fit, proportions=Proportions(shape=shape))
+    return _fit(photos, name, found, begun, silhouettes, progress)
+
+
+def _fit(
+    photos: PhotoSet,
+    name: str,
+    found: Sequence[Triangulation],
+    start: PersonFit | None,
+    silhouettes: bool,
+    progress: FitProgress,
+) -> PersonFit:
+    """Fit a human with the betas of the start.
+
+    Args:
+        photos: Photographs.
+        name: Name or file of the human.
+        found: Triangulated points of all frames.
+        start: Fit to start from.
+        silhouettes: Use the masks, if there are any.
+        progress: Called with the name of a step, finished and all frames.
+    """
+    betas = () if start is None else start.proportions.shape
+    body = shaped_human(name, betas)
+    model = PoseModel(body, photos.keypoints, betas)
     sights = [_sight(photos, model, each) for each in found]
     noise = _noise(found)
     states = _initial(model, found, start, progress)

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.io.assets import find_asset
+from humansim_ros.photographs.body_shape import shaped_human
 from humansim_ros.photographs.proportions import Proportions, with_proportions
 from humansim_ros.types import Array, Float32Array
 
@@ -52,7 +51,7 @@ class PersonFit:
     @cached_property
     def body(self) -> Human:
         """The human in the proportions of the person. Raises MeshError if it cannot be loaded."""
-        return with_proportions(load_human(find_asset(self.human, "humans")), self.proportions)
+        return with_proportions(shaped_human(self.human, self.proportions.shape), self.proportions)
 
     def posed(self, frame: int = 0) -> Array:
         """Frames of the bones (B, 4, 4) in ``map``."""

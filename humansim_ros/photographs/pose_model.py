@@ -94,7 +94,8 @@ class PoseModel:
         trust: (K,) how much each keypoint counts; those of the skin count less.
     """
 
-    def __init__(self, human: Human, keypoints: KeypointSet) -> None:
+    def __init__(self, human: Human, keypoints: KeypointSet, shape: tuple[float, ...] = ()) -> None:
+        self.shape = shape
         self.skeleton = human.skeleton
         names = [_group(name) for name in self.skeleton.names]
         self.groups = tuple(dict.fromkeys(names))
@@ -241,7 +242,7 @@ class PoseModel:
             {name: float(each) for name, each in zip(names, own, strict=True) if abs(each - 1) > 1e-6}
             for own in factors
         )
-        return Proportions(float(np.exp(state.stature)), lengths, girths)
+        return Proportions(float(np.exp(state.stature)), lengths, girths, self.shape)
 
     def rotations(self, state: BodyState) -> Array:
         """Quaternions (B, 4) xyzw of the bones."""

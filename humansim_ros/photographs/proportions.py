@@ -24,11 +24,13 @@ class Proportions:
         stature: Factor of the whole body.
         lengths: Factor along each bone, by name of the bone; 1 if absent.
         girths: Factor across each bone, by name of the bone; 1 if absent.
+        shape: Betas of the human, if it is an SMPL model.
     """
 
     stature: float = 1.0
     lengths: Mapping[str, float] = field(default_factory=dict)
     girths: Mapping[str, float] = field(default_factory=dict)
+    shape: tuple[float, ...] = ()
 
     def scales(self, skeleton: Skeleton) -> Array:
         """Factors (B, 3) along the axes of the frames of the bones; y is along the bone.
@@ -47,7 +49,7 @@ class Proportions:
 
 
 def with_proportions(human: Human, proportions: Proportions) -> Human:
-    """Return a human in other proportions; its soles stay where they are.
+    """Return a human, which has the betas ``shape``, in other proportions; its soles stay where they are.
 
     A bone scales the vertices near it about its head, v' = sum_b w_b (h'_b + R_b S_b R_b^T (v - h_b)): the
     skin stays smooth where it stretches.

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from humansim_ros.errors import HumansimWarning
 from humansim_ros.humans.human import Human
-from humansim_ros.humans.loading import load_human
-from humansim_ros.io.assets import find_asset
 from humansim_ros.keypoints.sets import keypoint_set
+from humansim_ros.photographs.body_shape import shaped_human
 from humansim_ros.photographs.outlines import (
     Edges,
     MaskOutline,
@@ -61,8 +60,8 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
     chosen = [number for number, own in outlines.items() if own]
     if not chosen:
         return fit
-    human = load_human(find_asset(fit.human, "humans"))
-    model = PoseModel(human, keypoint_set(fit.keypoints))
+    human = shaped_human(fit.human, fit.proportions.shape)
+    model = PoseModel(human, keypoint_set(fit.keypoints), fit.proportions.shape)
     all_states = [
         model.state(fit.proportions, root, rotations, fit.body.skeleton)
         for root, rotations in zip(fit.root, fit.rotations, strict=True)

@@ -24,6 +24,8 @@ from humansim_ros import Camera, write_calibration
 
 #: Least number of pictures in which the board is found.
 LEAST = 8
+#: Suffixes of pictures.
+PICTURES = (".jpg", ".jpeg", ".png")
 
 
 def find_corners(path: Path, columns: int, rows: int) -> tuple[np.ndarray | None, tuple[int, int]]:
@@ -51,7 +53,7 @@ def calibrate(folder: Path, columns: int, rows: int, square: float) -> Camera:
     # y points up in the print, so that z points up on the floor
     board = np.column_stack([x.ravel(), -y.ravel(), np.zeros(x.size)]).astype(np.float32) * square
     seen, size = [], None
-    for path in sorted((folder / "board").iterdir()):
+    for path in sorted(path for path in (folder / "board").iterdir() if path.suffix.lower() in PICTURES):
         corners, own = find_corners(path, columns, rows)
         if size not in (None, own):
             sys.exit(f"{path}: another size than the pictures before; do not turn or zoom the phone")
@@ -83,6 +85,8 @@ def main() -> None:
     given = parser.parse_args()
     if (given.columns - given.rows) % 2 == 0:
         sys.exit("of --columns and --rows, one has to be even and the other odd")
+    if not given.phones.is_dir():
+        sys.exit(f"{given.phones}: no such folder")
     folders = sorted(path for path in given.phones.iterdir() if (path / "board").is_dir())
     if not folders:
         sys.exit(f"{given.phones}: no folder of a phone with a folder 'board' in it")

@@ -49,10 +49,12 @@ def test_phones_without_pictures_of_a_board_are_told(tmp_path: Path) -> None:
     """test_from_photographs.py calibrates phones with this example."""
     (tmp_path / "phones" / "anna" / "board").mkdir(parents=True)
     (tmp_path / "phones" / "anna" / "board" / "IMG_1.jpg").write_text("not a picture")
-    script = [sys.executable, str(EXAMPLES / "calibrate_phones.py"), "phones", "--square", "0.06"]
+    (tmp_path / "phones" / "anna" / "board" / ".DS_Store").write_text("not a picture")
+    script = [sys.executable, str(EXAMPLES / "calibrate_phones.py"), "--square", "0.06"]
     for extra, said in (
-        ((), "IMG_1.jpg: this is not a picture"),
-        (("--rows", "8"), "one has to be even and the other odd"),
+        (("phones",), "IMG_1.jpg: this is not a picture"),
+        (("phones", "--rows", "8"), "one has to be even and the other odd"),
+        (("gone",), "gone: no such folder"),
     ):
         done = subprocess.run([*script, *extra], cwd=tmp_path, capture_output=True, text=True, check=False)
         assert done.returncode == 1 and said in done.stderr and "Traceback" not in done.stderr

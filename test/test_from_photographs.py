@@ -16,6 +16,7 @@ import yaml
 from conftest import ROOT
 from photographs.phone_pictures import to_map, write_phone_pictures
 from photographs.studio import make_studio
+from test_documented_commands import run_as_printed
 from waiting import PATIENCE
 
 from humansim_ros.camera import read_calibration
@@ -85,6 +86,10 @@ def test_phones_and_a_chessboard_give_a_walking_textured_person(
     (tmp_path / "me.yaml").write_text(scene)
     run("snapshot me.yaml", tmp_path)
     assert cv2.imread(str(tmp_path / "me.png")) is not None
+    shown = re.findall(r"humansim ((?:view|run) \S+\.yaml)`?", PAGE)
+    assert len(set(shown)) == 3
+    for line in shown:  # a page and nodes run until they are stopped: options and files only
+        run_as_printed(line.split(), tmp_path, monkeypatch)
     for made, name in (("fit", "fit"), ("sheet", "sheet"), ("me", "walk")):
         keep_picture(tmp_path / f"{made}.png", f"from_photographs_{name}.png")
 

@@ -109,7 +109,7 @@ def keep_picture(path: Path, name: str) -> None:
 def test_a_sequence_becomes_a_motion(tmp_path: Path) -> None:
     studio = make_studio(tmp_path, frames=5, keypoints="halpe26", noise=1.0, images=False, cameras=3)
     studio.path.rename(tmp_path / "walk_views.yaml")
-    run("human fit walk_views.yaml", tmp_path)
+    assert "poses: 5 of 5 frames" in run("human fit walk_views.yaml", tmp_path)
     (motion,) = re.findall(r"^    motion: (\{.*\})", PAGE, re.M)
     scene = {
         "rate": 25,

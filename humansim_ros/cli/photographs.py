@@ -70,7 +70,7 @@ def fit(
     photos = read_views(views)
     if detector is not None:
         photos = detect_points(photos, detector, _print_progress)
-    found = fit_person(photos, human, silhouettes=silhouettes)
+    found = fit_person(photos, human, silhouettes=silhouettes, progress=_print_step)
     write_fit(output, found)
     print_text("\n".join(_lines(found, photos)))
     print_text(f"wrote {output}")
@@ -157,6 +157,12 @@ def _lines(fit: PersonFit, photos: PhotoSet) -> list[str]:
         overlap = silhouette_iou(fit, photos, 0)
         lines.append("silhouettes: " + ", ".join(f"{name} {value:.3f}" for name, value in overlap.items()))
     return lines
+
+
+def _print_step(step: str, done: int, count: int) -> None:
+    """Progress of a sequence; a single frame is quick."""
+    if count > 1 and (done == count or done % 25 == 0):
+        print_text(f"{step}: {done} of {count} frames")
 
 
 def _print_progress(done: int, count: int) -> None:

@@ -191,14 +191,19 @@ mount -t tmpfs -o size={size} tmpfs /dev/shm
 {sys.executable} {tmp_path}/subscriber.py /front/image_raw 20 60
 wait
 """
-    done = subprocess.run(
-        ["unshare", "-m", "sh", "-c", script],
-        env=default_environment(PYTHONPATH=str(ROOT)),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE,
-        check=True,
-    )
+    for _ in range(
+        3
+    ):  # a loaded machine may lose an image once; without a fitting segment most are lost, always
+        done = subprocess.run(
+            ["unshare", "-m", "sh", "-c", script],
+            env=default_environment(PYTHONPATH=str(ROOT)),
+            capture_output=True,
+            text=True,
+            timeout=PATIENCE,
+            check=True,
+        )
+        if done.stdout == "20\n":
+            break
     assert done.stdout == "20\n", done.stderr
     (warning,) = (tmp_path / "errors").read_text().splitlines()
     assert warning.startswith("warning: /dev/shm has ") and "--shm-size=1g" in warning

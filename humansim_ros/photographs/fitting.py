@@ -20,6 +20,8 @@ from humansim_ros.photographs.pose_fitting import (
     first_state,
     fit_places,
     fit_poses,
+    fitted_states,
+    point_errors,
     unwound,
     with_possible_hinges,
 )
@@ -119,19 +121,13 @@ def _fit(
     refined: list[int] = []
     if silhouettes and any(photo.mask_path is not None for frame in photos.frames for photo in frame):
         refined = [shape_frames[row] for row in _spread(np.zeros(len(shape_frames)), SILHOUETTE_FRAMES)]
-        states = _refined(result(), photos, model, refined)
+        states = fitted_states(model, fit_silhouettes(result(), photos, refined))
         progress("silhouettes", len(states), len(states))
     if len(states) > max(len(refined), 1):
         period = photos.period / 1e9 if len(states) > 2 else 0.0
         states = fit_poses(model, states, sights, Settings(noise, free_shape=False, period=period))
     progress("poses", len(states), len(states))
     return result()
-
-
-def _refined(fit: PersonFit, photos: PhotoSet, model: PoseModel, frames: Sequence[int]) -> list[BodyState]:
-    """States of all frames, with proportions by the silhouettes of some."""
-    found = fit_silhouettes(fit, photos, frames)
-    return [_state_of(model, found, number) for number in range(len(fit.root))]
 
 
 def _stored_name(human: str) -> str:
@@ -166,7 +162,7 @@ def _initial(
     """A first guess of all frames, from the triangulated points."""
     states: list[BodyState] = []
     if start is not None and len(start.root) == len(found):
-        return [_state_of(model, start, number) for number in range(len(found))]
+        return fitted_states(model, start)
     last: BodyState | None = None
     for number, each in enumerate(found):
         state = first_state(model, each.positions)
@@ -180,11 +176,6 @@ def _initial(
         states.append(state)
         progress("first guess", number + 1, len(found))
     return states
-
-
-def _state_of(model: PoseModel, fit: PersonFit, number: int) -> BodyState:
-    """State of a frame of a fit."""
-    return model.state(fit.proportions, fit.root[number], fit.rotations[number], fit.body.skeleton)
 
 
 def _spread(counts: Array, most: int) -> list[int]:
@@ -215,15 +206,12 @@ def _result(
     """
     proportions = model.proportions(states[0])
     skeleton = with_proportions(human, proportions).skeleton
-    residuals = np.full(photos.points.shape[:3], np.nan)
-    for number, (state, each) in enumerate(zip(states, found, strict=True)):
-        positions = model.keypoints(state)
-        for view, camera in enumerate(photos.cameras):
-            pixels = camera.project(positions)[0]
-            errors = np.linalg.norm(pixels - each.points[view, :, :2], axis=1)
-            residuals[number, view] = np.where(
-                each.points[view, :, 2] > 0, np.nan_to_num(errors, nan=1e4), np.nan
-            )
+    residuals = np.array(
+        [
+            point_errors(model, state, photos.cameras, each.points)
+            for state, each in zip(states, found, strict=True)
+        ]
+    )
     given = np.isfinite(residuals)
     if not given.any():
         raise PhotographError("no view has points: there is nothing to fit", path=photos.path, key="views")

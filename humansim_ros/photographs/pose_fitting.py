@@ -16,6 +16,7 @@ from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_bande
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera
+from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel, plain_name
 from humansim_ros.rotations import from_y_axis, quaternion_to_matrix, unit_vectors
 from humansim_ros.types import Array, Indices
@@ -448,6 +449,32 @@ def _nearest(vector: Array, other: Array) -> Array:
 
 def _mean(places: Array, known: NDArray[np.bool_]) -> Array:
     return np.asarray(places[known].mean(axis=0)) if known.any() else np.zeros(3)
+
+
+def fitted_states(model: PoseModel, fit: PersonFit) -> list[BodyState]:
+    """States of all frames of a fit of the human of the model."""
+    skeleton = fit.body.skeleton
+    return [
+        model.state(fit.proportions, root, rotations, skeleton)
+        for root, rotations in zip(fit.root, fit.rotations, strict=True)
+    ]
+
+
+def point_errors(model: PoseModel, state: BodyState, cameras: Sequence[Camera], points: Array) -> Array:
+    """Distances (V, K) in pixels between given points and the keypoints of a body.
+
+    NaN where no point is given, and a great distance where the keypoint has no image.
+
+    Args:
+        model: The body.
+        state: Its state.
+        cameras: V cameras.
+        points: (V, K, 3) x, y and confidence.
+    """
+    positions = model.keypoints(state)
+    seen = np.stack([camera.project(positions)[0] for camera in cameras])
+    errors = np.nan_to_num(np.linalg.norm(seen - points[..., :2], axis=-1), nan=1e4)
+    return np.where(points[..., 2] > 0, errors, np.nan)
 
 
 def unwound(state: BodyState) -> BodyState:

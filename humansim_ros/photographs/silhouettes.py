@@ -20,7 +20,15 @@ from humansim_ros.photographs.outlines import (
     intersection_over_union,
 )
 from humansim_ros.photographs.person_fit import PersonFit
-from humansim_ros.photographs.pose_fitting import LEAST_NOISE, EdgePoints, Settings, Sight, fit_poses
+from humansim_ros.photographs.pose_fitting import (
+    LEAST_NOISE,
+    EdgePoints,
+    Settings,
+    Sight,
+    fit_poses,
+    fitted_states,
+    point_errors,
+)
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel
 from humansim_ros.photographs.proportions import with_proportions
 from humansim_ros.photographs.views import EmptyMaskError, PhotoSet
@@ -62,10 +70,7 @@ def fit_silhouettes(fit: PersonFit, photos: PhotoSet, frames: Sequence[int] = (0
         return fit
     human = shaped_human(fit.human, fit.proportions.shape)
     model = PoseModel(human, keypoint_set(fit.keypoints), fit.proportions.shape)
-    all_states = [
-        model.state(fit.proportions, root, rotations, fit.body.skeleton)
-        for root, rotations in zip(fit.root, fit.rotations, strict=True)
-    ]
+    all_states = fitted_states(model, fit)
     states = [all_states[number] for number in chosen]
     noise = _noise(fit)
     sights = [_sight(fit, photos, model, number) for number in chosen]
@@ -190,16 +195,14 @@ def _with_states(
     """The fit with other states, and the residuals of its points there."""
     proportions = model.proportions(states[0])
     skeleton = with_proportions(human, proportions).skeleton
-    residuals = np.array(fit.residuals)
-    for number, state in enumerate(states):
-        positions, points = model.keypoints(state), _corrected(fit, photos, number)
-        seen = np.stack([camera.project(positions)[0] for camera in photos.cameras])
-        errors = np.nan_to_num(np.linalg.norm(seen - points[..., :2], axis=-1), nan=1e4)
-        residuals[number] = np.where(points[..., 2] > 0, errors, np.nan)
+    residuals = [
+        point_errors(model, state, photos.cameras, _corrected(fit, photos, number))
+        for number, state in enumerate(states)
+    ]
     return replace(
         fit,
         proportions=proportions,
         root=np.array([model.root(state, skeleton) for state in states]),
         rotations=np.array([model.rotations(state) for state in states]),
-        residuals=residuals,
+        residuals=np.array(residuals),
     )

@@ -30,6 +30,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
+from humansim_ros.mesh import Mesh
 from humansim_ros.render import ALL_CHANNELS, CHANNELS, AdjacentFrame, Body, GLRenderer
 from humansim_ros.render.contact_shadow import contact_shadow
 from humansim_ros.render.context import OpenGLContext
@@ -39,6 +40,7 @@ from humansim_ros.render.projected_points import ProjectedPoints, contour
 from humansim_ros.render.pyrender import import_pyrender
 from humansim_ros.scene import Scene
 from humansim_ros.scene.objects import SHAPES, ObjectPose
+from humansim_ros.types import Array
 
 _NEAR, _FAR = 0.05, 200.0
 #: Renderers in processes of their own. They are slow: they take part in one round of several.
@@ -99,12 +101,17 @@ class BareDraw:
         void main() { rgb = texture(surface, v_uv); label = uint(gl_PrimitiveID + 1); depth = v_z; }"""
 
     def __init__(self, shot: Shot) -> None:
-        mesh, size = shot.body.mesh, shot.camera.size
+        mesh = shot.body.mesh
         assert mesh.uv is not None and mesh.uv_triangles is not None and mesh.texture is not None
         pairs = np.stack([mesh.triangles.ravel(), mesh.uv_triangles.ravel()], axis=1)
         unique, corners = np.unique(pairs, axis=0, return_inverse=True)
         self.source = unique[:, 0]
         self.context = OpenGLContext()
+        with self.context.current():
+            self._prepare(shot.camera.size, mesh, unique, corners)
+
+    def _prepare(self, size: tuple[int, int], mesh: Mesh, unique: Array, corners: Array) -> None:
+        assert mesh.uv is not None and mesh.texture is not None
         ctx = self.ctx = self.context.gl
         self.program = ctx.program(self.VERTEX, self.FRAGMENT)
         self.positions = ctx.buffer(reserve=len(unique) * 12, dynamic=True)
@@ -119,7 +126,7 @@ class BareDraw:
         self.target = ctx.framebuffer(targets, ctx.depth_renderbuffer(size))
 
     def __call__(self, shot: Shot) -> None:
-        with self.ctx:
+        with self.context.current():
             self._draw(shot)
 
     def _draw(self, shot: Shot) -> None:

@@ -57,8 +57,8 @@ def choose_cameras(
         voting = (chosen[ends[:, 0]] < 0) & (known >= 0)
         if not voting.any():
             break
-        votes = np.bincount(ends[voting, 0] * views + known[voting], minlength=count * views)
-        votes = votes.reshape(count, views)
+        ballots = np.bincount(ends[voting, 0] * views + known[voting], minlength=count * views)
+        votes = ballots.reshape(count, views)
         chosen = np.where(votes.max(axis=1) > 0, votes.argmax(axis=1), chosen)
     if not (chosen >= 0).any():
         return np.full(count, -1, np.int32)

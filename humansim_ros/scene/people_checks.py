@@ -74,9 +74,8 @@ def _beyond(samples: SceneSamples, joints: Array) -> Array:
     if room is None:
         return np.full(len(joints), -np.inf)
     x, y, z = room.size
-    return np.max(
-        [np.abs(joints[..., 0]) - x / 2, np.abs(joints[..., 1]) - y / 2, joints[..., 2] - z], axis=(0, 2)
-    )
+    beyond = np.stack([np.abs(joints[..., 0]) - x / 2, np.abs(joints[..., 1]) - y / 2, joints[..., 2] - z])
+    return beyond.max(axis=(0, 2))
 
 
 def _outside(name: str, samples: SceneSamples) -> str | None:

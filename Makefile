@@ -1,7 +1,8 @@
 # make demo    install everything into .venv, run the nodes, write pictures to demo/
-# make check   format, lint, types and quick tests: all but those that need ROS, start processes or are slow
-# make test    format, lint, types and all tests, as CI runs them
+# make test    the tests, as CI runs them
 # make lint    format, lint and types
+# make check   lint, and the quick tests: all but those that need ROS, start processes or are slow
+# make test-all  the tests and the nightly ones: browser, cluster, hosts, packages, fuzzers, benchmarks, tools
 # make bench   every benchmark, one after the other
 # make docs    the documentation as a site in site/
 # make dist    wheel and sdist in dist/, checked, installed and run in fresh environments (docs/releasing.md)
@@ -15,19 +16,20 @@ ifdef ROS_DISTRO
 unexport PYTHONPATH LD_LIBRARY_PATH AMENT_PREFIX_PATH
 endif
 
-.PHONY: demo check test lint bench docs dist clean env env-test env-bench env-docs
+.PHONY: demo check test test-all lint bench docs dist clean env env-test env-bench env-docs
 
 demo: env
 	$(BIN)/humansim demo
 
 check: lint
-	$(BIN)/python -m pytest -n auto -m "not ros and not process and not slow"
+	$(BIN)/python -m pytest -n auto -m "not ros and not process and not slow and not nightly"
 
 # Tests of nodes and processes share the machine's network and clock: two files at a time, each in a ROS
 # domain of its own, because they wait most of the time.
-test: lint
-	$(BIN)/python -m pytest -n auto -m "not ros and not process"
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "ros or process"
+test: TIER = and not nightly
+test test-all: env-test
+	$(BIN)/python -m pytest -n auto -m "not ros and not process $(TIER)"
+	$(BIN)/python -m pytest -n 2 --dist loadfile -m "(ros or process) $(TIER)"
 
 lint: env-test
 	$(BIN)/ruff format --check .

@@ -1,15 +1,13 @@
-"""The structure in docs/architecture.md: layers, light imports, public names, a line for each module."""
+"""The structure in docs/architecture.md: layers, light imports, public names."""
 
 from __future__ import annotations
 
 import ast
-import importlib.util
 import re
 import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 from conftest import ROOT
@@ -207,26 +205,8 @@ def test_no_class_or_alias_name_has_two_meanings() -> None:
     assert {name: where for name, where in places.items() if len(where) > 1} == {}
 
 
-def doc_pages() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("doc_pages", ROOT / "tools" / "doc_pages.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_the_architecture_page_has_a_line_for_every_module() -> None:
-    page = (ROOT / "docs" / "architecture.md").read_text()
-    for path in modules():
-        if path.stem != "__init__":
-            assert f"| `{path.relative_to(PACKAGE).as_posix()}` | " in page, path
-        assert ast.get_docstring(ast.parse(path.read_text())), f"{path} has no docstring"
-    assert page == doc_pages().with_module_map(page), "run python tools/doc_pages.py"
-
-
-def test_the_api_page_is_made_of_todays_docstrings() -> None:
-    page = (ROOT / "docs" / "api.md").read_text()
-    assert page == doc_pages().api_page(), "run python tools/doc_pages.py"
+def test_every_module_has_a_docstring() -> None:
+    assert [path for path in modules() if not ast.get_docstring(ast.parse(path.read_text()))] == []
 
 
 def test_the_picture_of_the_layers_shows_every_folder_in_order() -> None:

@@ -22,9 +22,13 @@ from mkdocs.structure.pages import Page
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
-sys.path.insert(0, str(ROOT / "tools"))
+sys.path.insert(0, str(ROOT))
 
-import doc_pages  # noqa: E402
+#: Folders with public names, in the order of docs/api.md.
+FOLDERS = (
+    "", "scene", "camera", "motion", "humans", "keypoints", "body", "mesh", "render", "sensor", "truth",
+    "photographs",
+)  # fmt: skip
 
 #: Target of a link or of an image, outside code.
 _LINK = re.compile(r"(?P<code>```.*?```|`[^`\n]+`)|(?P<before>\]\()(?P<target>[^)\s#]+)", re.DOTALL)
@@ -45,18 +49,17 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
         elif path.suffix == ".md":
             pending += _outside(path)
         files.append(File.generated(config, _uri(path), content=_source_page(path)))
-    for folder in doc_pages.FOLDERS:
+    for folder in FOLDERS:
         files.append(File.generated(config, _api_uri(folder), content=_api_page(folder)))
     return files
 
 
 def on_page_markdown(markdown: str, page: Page, config: MkDocsConfig, files: Files) -> str:
-    """Lead links to files outside docs/ to their pages; docs/api.md leads to the pages of the folders."""
+    """Lead links to files outside docs/ to their pages; docs/api.md also to docstrings."""
     if page.file.src_uri == "api.md":
-        rows = [
-            f"- [`{_module(folder)}`]({_api_uri(folder)}): {_summary(folder)}" for folder in doc_pages.FOLDERS
-        ]
-        return doc_pages.HEAD + "\n" + "\n".join(rows) + "\n"
+        for folder in FOLDERS:
+            heading = f"## {_module(folder)}\n"
+            markdown = markdown.replace(heading, f"{heading}\n[Docstrings]({_api_uri(folder)}). ")
     if page.file.generated_by:
         return markdown
     return _with_links(markdown, DOCS / page.file.src_uri)
@@ -162,5 +165,5 @@ def _documented_path(value: Any) -> str:
 
 def _home(value: Any, folder: str) -> str:
     """The folder whose page documents a value: the first that exports it; the package itself comes last."""
-    folders = (*doc_pages.FOLDERS[1:], doc_pages.FOLDERS[0])
+    folders = (*FOLDERS[1:], FOLDERS[0])
     return next((each for each in folders if any(item is value for _, item in _public(each))), folder)

@@ -384,14 +384,16 @@ def _parser_message(error: Any) -> str:
     )
 
 
-def main() -> int:
-    """Entry point: errors of the package are one line on standard error and exit code 2.
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command and return its exit code: 2 for errors of the package, 1 for errors of the system.
 
-    So are errors of the system, with exit code 1. HUMANSIM_TRACEBACK=1 shows where an error came from. A stop
-    signal ends a command in order with exit code 128 + its number, and a run of all nodes with 0.
+    An error is one line on standard error; HUMANSIM_TRACEBACK=1 shows where it came from. A stop signal ends
+    a command in order with exit code 128 + its number, and a run of all nodes with 0.
+
+    ``arguments``: words after ``humansim``; the words of this process if None.
     """
     show_warnings()
-    arguments = join_numbers(sys.argv[1:])
+    arguments = join_numbers(sys.argv[1:] if arguments is None else arguments)
     try:
         # a shell that asks for completions gives the words in variables
         app = make_app(None if _COMPLETION in os.environ else arguments)

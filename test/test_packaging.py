@@ -184,6 +184,23 @@ def test_workflow_runs_the_versions_of_the_noxfile() -> None:
     assert matrix["exclude"] == [{"python": "3.13", "numpy": "1.26"}]
 
 
+@pytest.mark.parametrize("python", ["3.10.12", "3.11.9", "3.12.3", "3.13.0"])
+def test_every_requirement_has_one_exact_version_on_each_python(python: str) -> None:
+    requirements = pytest.importorskip("packaging.requirements")
+    here = {"python_version": python.rpartition(".")[0], "python_full_version": python}
+    pins: dict[str, list[str]] = {}
+    for line in (ROOT / "constraints.txt").read_text().splitlines():
+        pin = requirements.Requirement(line.partition("#")[0] or "none; python_version < '3'")
+        if pin.marker is None or pin.marker.evaluate(here):
+            pins.setdefault(pin.name.lower(), []).append(str(pin.specifier).removeprefix("=="))
+    constants = setup_constants()
+    for text in {*constants["REQUIRES"], *(line for lines in constants["EXTRAS"].values() for line in lines)}:
+        wanted = requirements.Requirement(text)
+        if wanted.marker is None or wanted.marker.evaluate(here):
+            (version,) = pins[wanted.name.lower()]
+            assert wanted.specifier.contains(version), f"{text}: run tools/constraints.sh"
+
+
 def test_colcon_requirements_agree_with_setup() -> None:
     lines = (ROOT / "requirements-colcon.txt").read_text().splitlines()
     requirements = {line for line in lines if line and not line.startswith("#")}

@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # Make a virtual environment with this package in it: tools/setup_env.sh EXTRAS (such as ros or ros,test).
 # Does nothing, at once, if that was done before and nothing it depends on has changed.
+# Every package has the version in constraints.txt: a release of tomorrow changes nothing here.
 # PYTHON chooses the interpreter (default: the first of 3.10 to 3.13 found), VENV the folder (default: .venv).
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -8,6 +9,8 @@ cd "$(dirname "$0")/.."
 extras=$1
 venv=${VENV:-.venv}
 log="$venv/pip.log"
+# as variables also for the environments in which pip builds packages; the second one is for pip 25.3 and later
+export PIP_CONSTRAINT=$PWD/constraints.txt PIP_BUILD_CONSTRAINT=$PWD/constraints.txt
 
 say() { printf '%s\n' "$*" >&2; }
 die() { say "error: $*"; exit 1; }
@@ -49,7 +52,7 @@ install_system_packages() {
 
 # What the installed state follows from: the description of the package, the interpreter, and where the checkout is.
 fingerprint() {
-    { cat setup.py setup.cfg pyproject.toml; "$python" -V; pwd; } | sha256sum
+    { cat setup.py setup.cfg pyproject.toml constraints.txt; "$python" -V; pwd; } | sha256sum
 }
 
 is_installed() {

@@ -156,6 +156,36 @@ def invert_rigid(matrix: Array) -> Array:
     return transform(rotation, -np.einsum("...ij,...j->...i", rotation, matrix[..., :3, 3]))
 
 
+def fit_similarity(
+    source: Array, target: Array, weights: NDArray[Any] | None = None, scale: float | None = None
+) -> tuple[Array, Array, Array]:
+    """Fit ``target = scale * rotation @ source + translation`` by least squares, without reflections.
+
+    [Umeyama 1991]
+
+    Args:
+        source: Points (..., N, 3).
+        target: Points (..., N, 3).
+        weights: Weight of each pair of points, (..., N); 1 if None.
+        scale: Fixed scale; None: the scale is fitted, too. It is 0 if all source points are the same.
+
+    Returns:
+        Scale (...), rotation (..., 3, 3) and translation (..., 3).
+    """
+    weight = np.ones(source.shape[:-1]) if weights is None else np.asarray(weights, dtype=float)
+    share = (weight / weight.sum(axis=-1, keepdims=True))[..., None]
+    middle, goal = (np.sum(share * points, axis=-2, keepdims=True) for points in (source, target))
+    away = share * (source - middle)
+    u, spread, vt = np.linalg.svd(np.swapaxes(target - goal, -1, -2) @ away)
+    spread[..., 2] *= (sign := np.sign(np.linalg.det(u @ vt)))
+    u[..., 2] *= sign[..., None]
+    rotation: Array = u @ vt
+    size = np.sum(away * (source - middle), axis=(-2, -1))
+    fitted = np.divide(spread.sum(axis=-1), size, out=np.zeros_like(size), where=size > 0)
+    factor = fitted if scale is None else np.full_like(size, scale)
+    return factor, rotation, goal[..., 0, :] - factor[..., None] * rotate(rotation, middle[..., 0, :])
+
+
 def angle_between(a: Array, b: Array) -> Array:
     """Angle (...,) between vectors (..., 3), radians; a quarter turn where one has no length."""
     dot = np.einsum("...i,...i->...", a, b)

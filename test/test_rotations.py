@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from humansim_ros.rotations import (
     WORLD_FROM_BODY,
     cross,
+    fit_similarity,
     from_y_axis,
     invert_rigid,
     matrix_to_quaternion,
@@ -154,3 +155,23 @@ def test_vectors_are_rotated_normalised_and_crossed() -> None:
     np.testing.assert_allclose(np.linalg.norm(unit_vectors(a), axis=1), 1.0)
     np.testing.assert_array_equal(unit_vectors(np.zeros((2, 3))), np.zeros((2, 3)))
     np.testing.assert_allclose(cross(a.T, b.T).T, np.cross(a, b), atol=1e-12)
+
+
+@pytest.mark.parametrize("depth", [1.0, 0.0], ids=["in space", "in a plane"])
+def test_a_similarity_is_found_in_weighted_and_mirrored_points(depth: float) -> None:
+    """SciPy finds the same rotation; exact pairs give the similarity that made them."""
+    random = np.random.default_rng(1)
+    source = random.normal(size=(4, 7, 3)) * [1, 1, depth]
+    turns, shift = Rotation.random(4, random_state=2), random.normal(size=(4, 3))
+    exact = 1.7 * np.einsum("nij,nkj->nki", turns.as_matrix(), source) + shift[:, None]
+    scale, rotation, translation = fit_similarity(source, exact)
+    np.testing.assert_allclose(scale, 1.7)
+    np.testing.assert_allclose(rotation, turns.as_matrix(), atol=1e-12)
+    np.testing.assert_allclose(translation, shift, atol=1e-12)
+    weights, other = random.uniform(0, 1, (4, 7)), random.normal(size=(4, 7, 3)) * [1, 1, -1]
+    _, rotation, translation = fit_similarity(source, other, weights, scale=1.0)
+    for row in range(4):
+        middle, goal = (np.average(points[row], 0, weights[row]) for points in (source, other))
+        expected, _ = Rotation.align_vectors(other[row] - goal, source[row] - middle, weights[row])
+        np.testing.assert_allclose(rotation[row], expected.as_matrix(), atol=1e-9)
+        np.testing.assert_allclose(translation[row], goal - expected.apply(middle), atol=1e-9)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.evaluate.limbs import LimbEnd
+from humansim_ros.rotations import fit_similarity
 from humansim_ros.types import Array, Indices
 
 #: Thresholds of the AUC [Mehta 2017]: 0 to 150 mm in steps of 5 mm.
@@ -40,23 +41,13 @@ def procrustes_aligned(truth: Array, estimate: Array) -> Array:
     reflections. NaN where fewer than three joints are common.
     """
     both = np.asarray(np.isfinite(truth + estimate).all(axis=2))
-    count = np.maximum(both.sum(axis=1), 1)[:, None, None]
-    weight = both[..., None]
-
-    def centred(poses: Array) -> tuple[Array, Array]:
-        known = np.where(weight, poses, 0.0)
-        centre = known.sum(axis=1, keepdims=True) / count
-        return centre, np.where(weight, known - centre, 0.0)
-
-    (centre, points), (own_centre, own) = centred(truth), centred(estimate)
-    u, spread, vt = np.linalg.svd(np.swapaxes(own, 1, 2) @ points)
-    signs = np.ones_like(spread)
-    signs[:, 2] = np.sign(np.linalg.det(u @ vt))
-    rotation = (u * signs[:, None, :]) @ vt
-    size = np.square(own).sum(axis=(1, 2))
-    scale = np.divide((spread * signs).sum(axis=1), size, out=np.zeros_like(size), where=size > 0)
-    aligned: Array = scale[:, None, None] * (estimate - own_centre) @ rotation + centre
-    aligned[both.sum(axis=1) < _LEAST_JOINTS] = np.nan
+    enough = both.sum(axis=1) >= _LEAST_JOINTS
+    known = both[enough, :, None]
+    own, goal = (np.where(known, poses[enough], 0.0) for poses in (estimate, truth))
+    scale, rotation, translation = fit_similarity(own, goal, known[..., 0])
+    aligned = np.full_like(estimate, np.nan)
+    turned = estimate[enough] @ np.swapaxes(rotation, 1, 2)
+    aligned[enough] = scale[:, None, None] * turned + translation[:, None]
     return aligned
 
 

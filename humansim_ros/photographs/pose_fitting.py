@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from humansim_ros.camera.camera import Camera
 from humansim_ros.photographs.person_fit import PersonFit
 from humansim_ros.photographs.pose_model import Attachments, BodyState, PoseModel, plain_name
-from humansim_ros.rotations import from_y_axis, quaternion_to_matrix, unit_vectors
+from humansim_ros.rotations import fit_similarity, from_y_axis, quaternion_to_matrix, unit_vectors
 from humansim_ros.types import Array, Indices
 
 #: Points count less and less beyond this number of standard deviations of their noise.
@@ -133,20 +133,19 @@ def first_state(model: PoseModel, places: Array) -> BodyState:
     weights = np.where(model.on_trunk, 1.0, 0.05) * known
     if known.sum() < 3:
         return replace(model.neutral(), position=_mean(np.nan_to_num(places), known))
-    total = weights.sum()
     target = np.where(known[:, None], places, 0.0)
-    mean_rest, mean = weights @ rest / total, weights @ target / total
-    first, second = rest - mean_rest, np.where(known[:, None], target - mean, 0.0)
-    u, _, v = np.linalg.svd((weights[:, None] * second).T @ first)
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
+
+    def spread(points: Array) -> float:
+        return float(weights @ np.square(points - weights @ points / weights.sum()).sum(axis=1))
+
     # lengths of the trunk: robust against limbs in another pose
-    scale = np.sqrt((weights @ (second**2).sum(1)) / max(weights @ (first**2).sum(1), 1e-12))
-    scale = float(np.clip(scale, 0.4, 2.0))
+    scale = float(np.clip(np.sqrt(spread(target) / max(spread(rest), 1e-12)), 0.4, 2.0))
+    _, turn, shift = fit_similarity(rest, target, weights, scale)
     neutral = model.neutral()
     return replace(
         neutral,
         root=turn,
-        position=mean + scale * turn @ (model.skeleton.heads[0] - mean_rest),
+        position=scale * turn @ model.skeleton.heads[0] + shift,
         stature=float(np.log(scale)),
     )
 

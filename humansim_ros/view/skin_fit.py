@@ -10,7 +10,7 @@ from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.body.weights import limit_bones
 from humansim_ros.humans import Human
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.rotations import from_y_axis, quaternion_to_matrix, transform
+from humansim_ros.rotations import fit_similarity, from_y_axis, quaternion_to_matrix, transform
 from humansim_ros.types import Array
 
 #: Fewest vertices around a bone from which its place at rest is found.
@@ -96,10 +96,7 @@ def _rigid(source: Array, target: Array, middle: float) -> Array:
     count = max(_FEWEST // 2, int(_KEPT * len(source)))
     kept = np.argsort(np.abs(source[:, 1] - middle))[:count]
     for _ in range(_STEPS):
-        a, b = source[kept], target[kept]
-        left, _, right = np.linalg.svd((b - b.mean(0)).T @ (a - a.mean(0)))
-        turn = left @ np.diag([1, 1, np.sign(np.linalg.det(left @ right))]) @ right
-        matrix = transform(turn, b.mean(0) - turn @ a.mean(0))
+        matrix = transform(*fit_similarity(source[kept], target[kept], scale=1.0)[1:])
         best = np.argsort(np.linalg.norm(_moved(matrix, source) - target, axis=1))[:count]
         if set(best) == set(kept):
             break

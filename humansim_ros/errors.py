@@ -86,6 +86,23 @@ def printable(text: str, limit: int = 300) -> str:
     return kept if len(text) <= limit else f"{kept}… ({len(text)} characters)"
 
 
+def some_of(texts: Iterable[object], most: int = 5, between: str = ", ", rest: str = " and {} more") -> str:
+    """The first texts of a list for a message, and the number of the others.
+
+    Args:
+        texts: All texts.
+        most: Number of texts that are shown.
+        between: Text between two of them.
+        rest: Text for the others; ``{}`` is their number.
+
+    Example:
+        >>> some_of("abcd", 2)
+        'a, b and 2 more'
+    """
+    listed = [str(text) for text in texts]
+    return between.join(listed[:most]) + (rest.format(len(listed) - most) if len(listed) > most else "")
+
+
 class ResourceError(HumansimError):
     """A file of the package (configuration, asset) is missing."""
 

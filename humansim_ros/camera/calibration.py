@@ -30,6 +30,7 @@ from humansim_ros.errors import (
     HumansimWarning,
     ResourceError,
     did_you_mean,
+    some_of,
     warn_about,
 )
 from humansim_ros.io.files import atomic_path, exists, read_text
@@ -178,7 +179,7 @@ def _with_poses(path: str, raw: dict[str, RawCamera]) -> dict[str, RawCamera]:
     posed = {name: camera for name, camera in raw.items() if camera.R is not None}
     missing = [name for name in raw if name not in posed]
     if posed and missing:
-        warn_about(path, f"left out, because the file has no extrinsics of them: {_some(missing)}")
+        warn_about(path, f"left out, because the file has no extrinsics of them: {some_of(missing, 4)}")
     elif len(missing) > 1:
         warn_about(path, "the file has no extrinsics: all cameras are at the origin")
     return posed or raw
@@ -500,18 +501,14 @@ def _losses(cameras: Mapping[str, Camera], format: CalibrationFormat) -> Iterato
     if not format.holds_pose:
         posed = [name for name, camera in cameras.items() if has_pose(camera)]
         if posed:
-            yield f"{format.title} does not store camera poses: R and t of {_some(posed)} are left out"
+            yield f"{format.title} does not store camera poses: R and t of {some_of(posed, 4)} are left out"
     if not format.holds_size:
         sizes = sorted({"{}x{}".format(*camera.size) for camera in cameras.values()})
-        yield f"{format.title} does not store the image size: give {_some(sizes)} when it is read"
+        yield f"{format.title} does not store the image size: give {some_of(sizes, 4)} when it is read"
     if not format.holds_rectified:
         stereo = [n for n, c in cameras.items() if c.rectification is not None or c.rectified is not None]
         if stereo:
-            yield f"{format.title} does not store R and P of rectified images: {_some(stereo)} lose them"
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+            yield f"{format.title} does not store R and P of rectified images: {some_of(stereo, 4)} lose them"
 
 
 def _texts(target: Path, cameras: Mapping[str, Camera], format: CalibrationFormat) -> dict[Path, str]:

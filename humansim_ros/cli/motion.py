@@ -20,7 +20,7 @@ from humansim_ros.cli.output import (
     progress_bar,
     to_json,
 )
-from humansim_ros.errors import HumansimError, MotionError
+from humansim_ros.errors import HumansimError, MotionError, some_of
 from humansim_ros.resources import resource_path
 
 if TYPE_CHECKING:
@@ -381,14 +381,14 @@ def _info_lines(facts: dict[str, Any]) -> Iterator[str]:
     yield f"{facts['path']}"
     yield (
         f"  {facts['joints']} joints and {facts['end_sites']} end sites, {facts['channels']} channels, "
-        f"root {_some(facts['roots'])}"
+        f"root {some_of(facts['roots'], 4)}"
     )
     yield f"  {facts['frames']} frames, {facts['seconds']:.2f} s, {facts['rate']:.4g} frames per second"
     layouts = [f"{count} x {_short(names)}" for names, count in facts["channel_layouts"].items()]
-    yield f"  channels: {_some(layouts, '; ')}"
+    yield f"  channels: {some_of(layouts, 4, '; ')}"
     moved = facts["position_joints"]
     effect = "are added to the OFFSET" if facts["positions"] == "add" else "replace the OFFSET"
-    yield f"  position channels of {_some(moved)} {effect}" if moved else "  no position channels"
+    yield f"  position channels of {some_of(moved, 4)} {effect}" if moved else "  no position channels"
     low, high = ("(" + ", ".join(f"{value:.4g}" for value in point) + ")" for point in facts["bounds"])
     yield f"  joints are between {low} and {high}, x y z"
     yield from _person_lines(facts) if facts["unknown"] is None else [f"  no person: {facts['unknown']}"]
@@ -425,10 +425,6 @@ def _person_lines(facts: dict[str, Any]) -> Iterator[str]:
             f"  {' and '.join(depth['pair'])} penetrate each other by {depth['depth_mm']:.0f} mm "
             f"(frame {depth['frame']})"
         )
-
-
-def _some(texts: Sequence[str], between: str = ", ") -> str:
-    return between.join(texts[:4]) + (f" and {len(texts) - 4} more" if len(texts) > 4 else "")
 
 
 def _short(channels: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from functools import cache
 
 from humansim_ros.body.joint_names import JOINT_NAMES, SETS
-from humansim_ros.errors import EvaluationError, did_you_mean
+from humansim_ros.errors import EvaluationError, did_you_mean, some_of
 
 #: Other spellings of joints, beside those of :mod:`humansim_ros.body.joint_names`.
 _SPELLINGS = {
@@ -71,8 +71,8 @@ def pair_joints(
         pairs = _pairs_by_name(truth, estimate)
     if not pairs:
         raise EvaluationError(
-            f"no joint is common: the truth has {_some(truth)}, the estimate has {_some(estimate)}. Choose "
-            "a keypoint set with --keypoints, or give a table with --names"
+            f"no joint is common: the truth has {some_of(truth, 6)}, the estimate has "
+            f"{some_of(estimate, 6)}. Choose a keypoint set with --keypoints, or give a table with --names"
         )
     return sorted(pairs)
 
@@ -97,8 +97,3 @@ def _check_table(table: Mapping[str, str], truth: Sequence[str], estimate: Seque
                 raise EvaluationError(
                     f"the {kind} has no joint {name!r}{did_you_mean(name, known)}", key="--names"
                 )
-
-
-def _some(names: Sequence[str]) -> str:
-    listed = ", ".join(names[:6])
-    return listed if len(names) <= 6 else f"{listed} and {len(names) - 6} more"

@@ -31,7 +31,7 @@ from std_msgs.msg import String
 
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.camera import Camera
-from humansim_ros.errors import BagError, ExportError, HumansimError, warn_about
+from humansim_ros.errors import BagError, ExportError, HumansimError, some_of, warn_about
 from humansim_ros.export.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, ExportFormat
 from humansim_ros.export.scene import ExportCamera, ExportScene
 from humansim_ros.export.source import versions
@@ -333,9 +333,8 @@ class _Survey:
         if len(whole) < len(found):
             lacking = {topic: sum(topic not in times for times in found.values()) for topic in topics}
             listed = [topic for topic, count in lacking.items() if count]
-            more = f" and {len(listed) - _MAX_LISTED} more" * (len(listed) > _MAX_LISTED)
             text = f"{len(found) - len(whole)} of {len(found)} frames lack a message on "
-            text += ", ".join(listed[:_MAX_LISTED]) + more
+            text += some_of(listed, _MAX_LISTED)
             if not whole:
                 raise ExportError(f"no frame is whole: {text}", path=self._reader.path)
             warn_about(self._reader.path, f"{text}: they are left out")

@@ -9,14 +9,14 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from humansim_ros.errors import MotionError, warn_about
+from humansim_ros.errors import MotionError, some_of, warn_about
 from humansim_ros.io.files import atomic_path, open_file, reading_errors
 from humansim_ros.motion.bvh_parser import FRAME_TIMES, LARGEST, LONGEST_NAME, Parser
 from humansim_ros.motion.kinematics import CHANNEL_NAMES, Motion
@@ -73,15 +73,10 @@ def read_bvh(path: str | os.PathLike[str], positions: PositionChannels = "auto")
         return motion
     warn_about(
         motion.path,
-        f"the positions of {_some(motion.joint_names[joint] for joint in added)} stay near 0 "
+        f"the positions of {some_of((motion.joint_names[joint] for joint in added), 4)} stay near 0 "
         "beside large OFFSETs: added to them (positions='replace' takes them as they are)",
     )
     return replace(motion, positions="add")
-
-
-def _some(names: Iterable[str]) -> str:
-    first, *others = [str(name) for name in names]
-    return ", ".join([first, *others[:3]]) + (f" and {len(others) - 3} more" if len(others) > 3 else "")
 
 
 def _joints_with_added_positions(motion: Motion) -> list[int]:
@@ -135,7 +130,7 @@ def write_bvh(path: str | os.PathLike[str], motion: Motion) -> None:
     if added := _joints_with_added_positions(motion):
         warn_about(
             path,
-            f"the positions of {_some(motion.joint_names[j] for j in added)} stay near 0 "
+            f"the positions of {some_of((motion.joint_names[j] for j in added), 4)} stay near 0 "
             "beside large OFFSETs: read it with positions='replace'",
         )
     with atomic_path(Path(path)) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from humansim_ros.errors import some_of
 from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.motion.jumps import leading_rest
 from humansim_ros.motion.world_motion import WorldMotion
@@ -31,9 +32,9 @@ def playing_warnings(world: WorldMotion) -> list[str]:
         remedy = f": start: {rest * frame_time:.9g} leaves it out" if rest < world.motion.n_frames - 1 else ""
         warnings.append(f"{frames}, {_metres(first.distance)} away from frame {rest}{remedy}")
     if jumps:
-        listed = ", ".join(f"{_metres(j.distance)} to frame {j.frame}" for j in jumps[:_MAX_LISTED])
-        more = f", and {len(jumps) - _MAX_LISTED} more times" if len(jumps) > _MAX_LISTED else ""
-        warnings.append(f"the person jumps {listed}{more}: play a part without jumps (start, end)")
+        texts = (f"{_metres(jump.distance)} to frame {jump.frame}" for jump in jumps)
+        listed = some_of(texts, _MAX_LISTED, rest=", and {} more times")
+        warnings.append(f"the person jumps {listed}: play a part without jumps (start, end)")
     return warnings
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera.camera import Camera
-from humansim_ros.errors import HumansimWarning, PhotographError
+from humansim_ros.errors import HumansimWarning, PhotographError, some_of
 from humansim_ros.keypoints.sets import KeypointSet
 from humansim_ros.photographs.edge_lengths import EdgeLengths, edge_lengths
 from humansim_ros.photographs.sides import find_exchanged
@@ -158,9 +158,7 @@ def _frames(numbers: Sequence[int], count: int) -> str:
     """Frames in words: ``frame 3``, ``frames 1, 2, 5``, ``all 7 frames``."""
     if len(numbers) == count > 1:
         return f"all {count} frames"
-    shown = ", ".join(map(str, numbers[:_LISTED]))
-    more = f" and {len(numbers) - _LISTED} more" if len(numbers) > _LISTED else ""
-    return f"frame{'s' if len(numbers) > 1 else ''} {shown}{more}"
+    return f"frame{'s' if len(numbers) > 1 else ''} {some_of(numbers, _LISTED)}"
 
 
 def _plausible(

@@ -26,7 +26,7 @@ from humansim_ros.bags.metadata import NAME as METADATA
 from humansim_ros.bags.metadata import Content, metadata_text
 from humansim_ros.bags.topics import BagTopic
 from humansim_ros.bags.writer import BagWriter
-from humansim_ros.errors import BagError, HumansimError, RenderError
+from humansim_ros.errors import BagError, HumansimError, RenderError, some_of
 from humansim_ros.io.temporary import temporary_folder
 from humansim_ros.record.output import OutputFolder
 from humansim_ros.record.progress import FrameProgress
@@ -399,12 +399,10 @@ def missing_text(missing: Sequence[str], failures: Sequence[str], what: str, doe
         what: Kind of the parts, such as ``shards``.
         does: What ``--resume`` does with them, such as ``records``.
     """
-    names = ", ".join(missing[:_MAX_LISTED])
-    more = f" and {len(missing) - _MAX_LISTED} more" if len(missing) > _MAX_LISTED else ""
     reasons = "; ".join(failures[:_MAX_LISTED])
     return (
-        f"{len(missing)} {what} are missing ({names}{more}), after {1 + _RETRIES} attempts: {reasons}. "
-        f"--resume {does} them, and keeps the others"
+        f"{len(missing)} {what} are missing ({some_of(missing, _MAX_LISTED)}), after {1 + _RETRIES} "
+        f"attempts: {reasons}. --resume {does} them, and keeps the others"
     )
 
 

@@ -19,7 +19,7 @@ from rosgraph_msgs.msg import Clock
 from humansim_ros.bags.chunks import BagMessage
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.topics import BagTopic
-from humansim_ros.errors import HumansimWarning, RosError
+from humansim_ros.errors import HumansimWarning, RosError, some_of
 from humansim_ros.ros.bag_qos import publisher_profile
 from humansim_ros.ros.clock_owner import ClockOwner
 from humansim_ros.ros.graph_watch import GraphWatch
@@ -213,7 +213,7 @@ class BagPlayer:
         others = [topic for topic in topics if self._node.count_publishers(topic) > 1]
         if others:
             text = "other nodes publish topics of the bag, and their messages mix"
-            warnings.warn(f"{text}: {_named(others)}", HumansimWarning, stacklevel=2)
+            warnings.warn(f"{text}: {some_of(others, _MAX_NAMED)}", HumansimWarning, stacklevel=2)
 
     def _all(self) -> Iterator[Any]:
         yield from self._publishers.values()
@@ -323,7 +323,7 @@ class BagPlayer:
         ]
         time.sleep(_LINGER)
         if missing:
-            text = f"subscribers have not confirmed the last messages of {_named(missing)}"
+            text = f"subscribers have not confirmed the last messages of {some_of(missing, _MAX_NAMED)}"
             warnings.warn(text, HumansimWarning, stacklevel=2)
 
     def close(self) -> None:
@@ -342,10 +342,5 @@ def _wait_until_acknowledged(publisher: Any, seconds: float) -> bool:
     return True
 
 
-def _named(topics: Sequence[str]) -> str:
-    more = f" and {len(topics) - _MAX_NAMED} more" if len(topics) > _MAX_NAMED else ""
-    return ", ".join(topics[:_MAX_NAMED]) + more
-
-
 def _listed(names: Sequence[str]) -> str:
-    return f"; it has {_named(names)}" if names else ""
+    return f"; it has {some_of(names, _MAX_NAMED)}" if names else ""

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from humansim_ros.errors import some_of
 from humansim_ros.ros.parent import end_with_parent
 from humansim_ros.ros.stop_signals import end_process_on_stop
 
@@ -52,7 +53,8 @@ class FirstImages:
         done = len(self.cameras) - len(waiting)
         return (
             f"{done} of {len(self.cameras)} cameras deliver after {seconds:.0f} s; waiting for "
-            f"{some_of(waiting)} (the nodes load the scene; each camera draws its lens and room once)"
+            f"{some_of(waiting, _MAX_NAMES)} (the nodes load the scene; each camera draws its lens and room "
+            "once)"
         )
 
     def report(self, seconds: float, checkout: Path | None = None) -> str:
@@ -66,8 +68,8 @@ class FirstImages:
         truth = [self._topic(f"humans/{human}/joints") for human in self.humans]
         lines = [
             f"{cameras}, after {seconds:.1f} s",
-            f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: images on {some_of(topics)}"
-            + (f"; truth on {some_of(truth)}" if truth else ""),
+            f"ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: images on {some_of(topics, _MAX_NAMES)}"
+            + (f"; truth on {some_of(truth, _MAX_NAMES)}" if truth else ""),
             "next, in another terminal:",
             *(f"    {command}" for command in self._commands(checkout)),
         ]
@@ -128,12 +130,6 @@ class FirstImages:
         executor.shutdown()
         node.destroy_node()
         rclpy.try_shutdown()
-
-
-def some_of(names: Sequence[str]) -> str:
-    """The first names of a list, and how many more there are."""
-    more = len(names) - _MAX_NAMES
-    return ", ".join(names[:_MAX_NAMES]) + (f" and {more} more" if more > 0 else "")
 
 
 def _checkout() -> Path | None:

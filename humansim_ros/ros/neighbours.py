@@ -6,6 +6,7 @@ import time
 from collections import Counter
 from typing import Any
 
+from humansim_ros.errors import some_of
 from humansim_ros.ros.qos import CAMERA_ALIVE
 
 #: Topics that many nodes publish, and names of topics that all camera processes publish.
@@ -92,9 +93,7 @@ def _joined(name: str, namespace: str) -> str:
 
 
 def _text(name: str, is_namesake: bool, topics: list[str]) -> str:
-    named = ", ".join(sorted(topics)[:_MAX_NAMED])
-    if len(topics) > _MAX_NAMED:
-        named += f" and {len(topics) - _MAX_NAMED} more topics"
+    named = some_of(sorted(topics), _MAX_NAMED, rest=" and {} more topics")
     subject = f"another node is called {name}" if is_namesake else f"another node, {name},"
     action = f"{' and' if is_namesake else ''} publishes {named}" if topics else ""
     return (

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from humansim_ros.errors import some_of
 from humansim_ros.scene.camera import SceneCamera
-from humansim_ros.scene.findings import Finding, SceneSamples, joined
+from humansim_ros.scene.findings import Finding, SceneSamples
 from humansim_ros.scene.scene import Scene
 
 #: Slowest change of the light from frame to frame that is seen, Hz: a period of a minute.
@@ -29,7 +30,7 @@ def check_faults(samples: SceneSamples) -> Iterator[Finding]:
             else:
                 yield finding
     for finding, names in of_rig.values():
-        yield replace(finding, text=f"{finding.text} ({joined(names)})")
+        yield replace(finding, text=f"{finding.text} ({some_of(names)})")
 
 
 def _check_camera(camera: SceneCamera, samples: SceneSamples) -> Iterator[Finding]:
@@ -80,7 +81,7 @@ def _late_members(camera: SceneCamera, scene: Scene) -> Iterator[tuple[str, str]
     if clock.offset < 0 or clock.drift_ppm < 0 or clock.jitter > 0:
         key = "offset" if clock.offset < 0 else "drift_ppm" if clock.drift_ppm < 0 else "jitter"
         text = (
-            f"the clock falls behind, and frames in lockstep wait for stamps on {joined(topics)}: results "
+            f"the clock falls behind, and frames in lockstep wait for stamps on {some_of(topics)}: results "
             "with the stamps of these images never finish a frame. Let the tracker report by name instead"
         )
         yield f"clock.{key}", text

@@ -117,13 +117,6 @@ class SceneSamples:
         return np.asarray(np.mean([joints.mean(axis=(0, 1)) for joints in self.joints.values()], axis=0))
 
 
-def joined(names: Iterable[str], most: int = 5) -> str:
-    """Names as text; the number of those beyond ``most``."""
-    listed = list(names)
-    more = len(listed) - most
-    return ", ".join(listed[:most]) + (f" and {more} more" if more > 0 else "")
-
-
 def numbers(values: Iterable[float], digits: int = 2) -> str:
     """Numbers as a list in a scene file, such as ``[3.1, 0, 2.2]``."""
     return "[" + ", ".join(f"{round(float(value), digits) + 0.0:g}" for value in values) + "]"

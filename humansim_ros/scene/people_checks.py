@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from humansim_ros.scene.findings import Finding, SceneSamples, joined
+from humansim_ros.errors import some_of
+from humansim_ros.scene.findings import Finding, SceneSamples
 from humansim_ros.scene.obstacles import Obstacle
 from humansim_ros.types import Array
 
@@ -190,7 +191,7 @@ def _pair_findings(
         yield Finding(
             "warning",
             "variety",
-            f"random people pass through each other: {joined(among_random)}; give fewer people (count), a "
+            f"random people pass through each other: {some_of(among_random)}; give fewer people (count), a "
             "larger area or spacing, or another seed",
         )
 

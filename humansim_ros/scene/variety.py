@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from humansim_ros.errors import HumansimError, HumansimWarning, SceneError, in_section
+from humansim_ros.errors import HumansimError, HumansimWarning, SceneError, in_section, some_of
 from humansim_ros.humans.human import Human
 from humansim_ros.io.assets import built_in_names
 from humansim_ros.motion.kinematics import Motion
@@ -33,7 +33,6 @@ _MARGIN = 1.0
 _HEADINGS, _POSITIONS, _THOROUGHLY, _TRIES = 12, 24, 10, 2000
 #: Built-in motions that stay in place, and humans that a warning names.
 _IN_PLACE = ("wave", "turn_in_place")
-_LISTED = 5
 Item = TypeVar("Item")
 
 
@@ -62,11 +61,9 @@ def with_variety(config: SceneConfig, source: SceneSource) -> SceneConfig:
         crowd = _Crowd.of_scene(config, variety, source)
         humans |= {name: crowd.draw(name) for name in names}
     if crowd.crossing:
-        listed = ", ".join(crowd.crossing[:_LISTED])
-        more = len(crowd.crossing) - _LISTED
         source.warn(
             "variety",
-            f"no free place for {listed}{f' and {more} more' if more > 0 else ''}: they walk through other "
+            f"no free place for {some_of(crowd.crossing)}: they walk through other "
             "people, furniture or walls. Give fewer people (count), a larger area or room, or motions that "
             f"stay in place, such as {' and '.join(_IN_PLACE)} (motions)",
         )

@@ -32,7 +32,7 @@ from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.storages import Storage
 from humansim_ros.bags.topics import BagTopic, check_topics
 from humansim_ros.bags.writer import BagWriter
-from humansim_ros.errors import HumansimError, HumansimWarning, RosError, did_you_mean, printable
+from humansim_ros.errors import HumansimError, HumansimWarning, RosError, did_you_mean, printable, some_of
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.bag_qos import recorded_qos, subscription_profile
 from humansim_ros.ros.bag_thread import BagThread
@@ -404,8 +404,7 @@ def _copies(scene: Scene, topics: Mapping[str, Topic[Any]]) -> ImageCopies:
 
 
 def _listed(texts: Sequence[str], separator: str) -> str:
-    more = f"{separator}and {len(texts) - _MAX_NAMED} more topics" if len(texts) > _MAX_NAMED else ""
-    return separator.join(texts[:_MAX_NAMED]) + more
+    return some_of(texts, _MAX_NAMED, separator, f"{separator}and {{}} more topics")
 
 
 def _stamp(data: bytes) -> int | None:

@@ -13,6 +13,8 @@ from pathlib import Path
 import pytest
 from conftest import ROOT
 
+from humansim_ros.cli.main import COMMANDS
+
 PACKAGE = ROOT / "humansim_ros"
 MODULES = sorted(PACKAGE.rglob("*.py"))
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -41,12 +43,9 @@ def public_functions(path: Path) -> Iterator[tuple[str, Function]]:
 
 
 def command_functions(path: Path) -> set[str]:
-    """Functions in the table ``COMMANDS`` of a module, whose options have help texts."""
-    for node in ast.parse(path.read_text()).body:
-        if isinstance(node, ast.AnnAssign) and ast.unparse(node.target) == "COMMANDS":
-            assert isinstance(node.value, ast.Dict)
-            return {ast.unparse(function) for function in node.value.values}
-    return set()
+    """Functions of a module that are commands: their options have help texts."""
+    named = (command.partition(":") for command in COMMANDS.values())
+    return {function for module, _, function in named if path == PACKAGE / "cli" / f"{module}.py"}
 
 
 def is_inherited(path: Path, name: str) -> bool:

@@ -11,7 +11,6 @@ import json
 import re
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -318,38 +317,25 @@ wrong command, with a message that names file, line and key. Commands with `--js
 
 def commands_page() -> str:
     """docs/reference/commands.md."""
-    from humansim_ros.cli.main import _GROUPS, COMMANDS
+    from humansim_ros.cli.main import COMMANDS, GROUPS, load_command
 
-    groups: dict[str, tuple[str, Mapping[str, Any]]] = {
-        name: (
-            group.help,
-            {
-                word: function
-                for module in group.modules
-                for word, function in import_module(f"humansim_ros.cli.{module}").COMMANDS.items()
-            },
-        )
-        for name, group in _GROUPS.items()
-    }
-    lines = [_COMMANDS_HEAD, *_overview("humansim", COMMANDS), ""]
-    for name, (_, functions) in groups.items():
-        lines += [*_overview(f"humansim {name}", functions), ""]
-    for word, function in COMMANDS.items():
-        lines += _command(f"humansim {word}", function, 2)
-    for name, (text, functions) in groups.items():
-        lines += [f"## humansim {name}\n", f"{text}\n"]
-        for word, function in functions.items():
-            lines += _command(f"humansim {name} {word}", function, 3)
+    groups: dict[str, dict[str, Any]] = {"": {}} | {group: {} for group in GROUPS}
+    for name in COMMANDS:
+        groups[name.rpartition(" ")[0]][f"humansim {name}"] = load_command(name)
+    lines = [_COMMANDS_HEAD]
+    for functions in groups.values():
+        lines += [*_overview(functions), ""]
+    for group, functions in groups.items():
+        lines += [f"## humansim {group}\n", f"{GROUPS[group]}\n"] if group else []
+        for name, function in functions.items():
+            lines += _command(name, function, 3 if group else 2)
     return "\n".join(lines)
 
 
-def _overview(name: str, functions: Mapping[str, Any]) -> list[str]:
+def _overview(functions: Mapping[str, Any]) -> list[str]:
     rows = [
-        (
-            f"[`{name} {word}`]({_anchor(f'{name} {word}')})",
-            re.split(r"[.:] ", _summary(function))[0].rstrip("."),
-        )
-        for word, function in functions.items()
+        (f"[`{name}`]({_anchor(name)})", re.split(r"[.:] ", _summary(function))[0].rstrip("."))
+        for name, function in functions.items()
     ]
     return table(("command", "does"), rows)
 

@@ -1,11 +1,14 @@
-"""``humansim camera show`` and ``convert``: the content of calibration files, and other formats."""
+"""The ``humansim camera`` commands: read, convert and draw calibrations, ideal cameras, new rigs."""
 
 from __future__ import annotations
 
 import fnmatch
 import math
+import re
+import sys
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,17 +20,19 @@ from humansim_ros.cli.options import (
     CameraOption,
     ImageOption,
     JsonOption,
+    OutputFolderOption,
     SizeOption,
     UnitOption,
     UpOption,
     parse_size,
 )
-from humansim_ros.cli.output import print_text, to_json
-from humansim_ros.errors import CameraError, HumansimWarning
+from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
+from humansim_ros.errors import CameraError, HumansimError, HumansimWarning
 
 if TYPE_CHECKING:
     from humansim_ros.camera import Camera
     from humansim_ros.camera.calibration import Calibration
+    from humansim_ros.camera.idealize import Ideal
 
 
 def show(
@@ -258,5 +263,309 @@ def _has_rig(file: str) -> bool:
     return isinstance(document, dict) and isinstance(document.get("rig"), dict)
 
 
-#: Commands of this module by name.
-COMMANDS: dict[str, Callable[..., None]] = {"show": show, "convert": convert}
+_JPEG = (".jpg", ".jpeg")
+#: Distance of cameras from the walls, metres; furniture is less deep.
+_WALL_DISTANCE = 1.3
+#: Smallest room and longest side of a room, metres.
+_ROOM, _LARGEST_ROOM = (7.0, 6.4, 2.8), 100.0
+#: Radius of the circle of the built-in motion ``walk``, and radius of the smallest rig for it, metres.
+_WALK_RADIUS, _WALK_RIG_RADIUS = 1.59, 3.0
+
+
+class FitChoice(Enum):
+    """Choices of ``idealize --fit``."""
+
+    focal = "focal"
+    all = "all"
+    no_black = "no_black"
+
+
+class LensChoice(Enum):
+    """Choices of ``rig --model``."""
+
+    plumb_bob = "plumb_bob"
+    rational_polynomial = "rational_polynomial"
+    equidistant = "equidistant"
+
+
+def idealize(
+    file: CalibrationArgument,
+    output: OutputFolderOption,
+    images: Annotated[
+        list[Path] | None, typer.Argument(help="Images of the camera (.png, .jpg) to convert.")
+    ] = None,
+    square: Annotated[bool, typer.Option("--square", help="Make pixels square.")] = False,
+    keep_center: Annotated[bool, typer.Option("--keep-center", help="Keep the principal point.")] = False,
+    fit: Annotated[
+        FitChoice,
+        typer.Option(
+            help="focal: keep the focal lengths; all: show the whole image; no_black: without black pixels."
+        ),
+    ] = FitChoice.focal,
+    nearest: Annotated[
+        bool, typer.Option("--nearest", help="Do not interpolate: for images of labels or depth.")
+    ] = False,
+    size: SizeOption = None,
+    image: ImageOption = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    camera: CameraOption = None,
+) -> None:
+    """Convert cameras and images to ideal cameras: no distortion, no skew, a centred principal point."""
+    from humansim_ros.camera.idealize import idealize as make_ideal
+
+    calibration = load(file, size, image, unit, up)
+    real = select_cameras(calibration.cameras, camera, file)
+    if images and len(real) != 1:
+        names = ", ".join(list(real)[:8])
+        raise CameraError(f"choose the camera of the images with --camera: one of {names}", path=file)
+    ideals = {name: make_ideal(one, square, not keep_center, fit.value) for name, one in real.items()}
+    _make_folder(output)
+    _write_ideal(file, output, calibration, {name: ideal.camera for name, ideal in ideals.items()})
+    _convert_images(next(iter(ideals.values())), images or [], output, nearest)
+
+
+def rig(
+    output: OutputFolderOption,
+    ring: Annotated[int | None, typer.Option(help="Number of cameras on a circle.")] = None,
+    grid: Annotated[str | None, typer.Option(help="Rows and columns of a wall of cameras, as 2x4.")] = None,
+    dome: Annotated[int | None, typer.Option(help="Number of cameras on a half sphere.")] = None,
+    stereo: Annotated[float | None, typer.Option(help="Baseline of a stereo pair, metres.")] = None,
+    radius: Annotated[float, typer.Option(help="Distance from the target, metres.")] = 4.0,
+    height: Annotated[
+        float | None,
+        typer.Option(help="Height above the floor, metres (1.8); not for a dome.", show_default=False),
+    ] = None,
+    look_at: Annotated[
+        tuple[float, float, float], typer.Option(help="Target of all cameras: x y z in map, metres.")
+    ] = (0.0, 0.0, 1.0),
+    start_deg: Annotated[
+        float, typer.Option(help="Azimuth of the first camera, degrees from +x towards +y.")
+    ] = 0.0,
+    spacing: Annotated[float, typer.Option(help="Distance of the cameras of a grid, metres.")] = 0.5,
+    size: Annotated[str, typer.Option(help="Image size, as 640x480 or 640 480.")] = "640x480",
+    fov_deg: Annotated[float, typer.Option(help="Horizontal field of view through the lens.")] = 60.0,
+    distortion: Annotated[
+        str | None, typer.Option(help="Distortion coefficients, such as -0.3 0.1 0 0.")
+    ] = None,
+    model: Annotated[
+        LensChoice | None,
+        typer.Option(
+            help="Distortion model; the number of coefficients decides if absent.", show_default=False
+        ),
+    ] = None,
+) -> None:
+    """Arrange cameras around a target. Writes a scene for `humansim run`, and camera_info files."""
+    from humansim_ros.camera import rigs
+
+    layouts = {"--ring": ring, "--grid": grid, "--dome": dome, "--stereo": stereo}
+    given = [option for option, value in layouts.items() if value is not None]
+    if len(given) != 1:
+        raise HumansimError(
+            f"give one of {', '.join(layouts)}" + (f", not {' and '.join(given)}" if given else "")
+        )
+    if dome is not None and height is not None:
+        raise HumansimError("--height: a dome starts at the height of its target (--look-at)")
+    if not all(map(math.isfinite, (*look_at, start_deg, fov_deg, spacing, radius, height or 0.0))):
+        raise HumansimError("the options must be finite numbers")
+    lens = (_coefficients(distortion), model.value if model else None)
+    optics = rigs.Optics(parse_size(size), math.radians(fov_deg), *lens)
+    start, up = math.radians(start_deg), 1.8 if height is None else height
+    if ring is not None:
+        cameras = rigs.ring(ring, radius, up, look_at, optics, start)
+    elif grid is not None:
+        rows, columns = _rows_columns(grid)
+        cameras = rigs.grid(rows, columns, spacing, radius, up, look_at, optics, start)
+    elif dome is not None:
+        cameras = rigs.dome(dome, radius, look_at, optics, start)
+    else:
+        assert stereo is not None
+        cameras = rigs.stereo(stereo, radius, up, look_at, optics, start)
+    _write_rig(output, cameras, look_at, radius)
+
+
+def plot(
+    files: CalibrationsArgument,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Output image (.png).")],
+    coverage: Annotated[
+        bool, typer.Option("--coverage", help="Draw the number of cameras that see each position.")
+    ] = False,
+    at: Annotated[float, typer.Option(help="Coverage: height of a point above the floor, metres.")] = 1.2,
+    stature: Annotated[float, typer.Option(help="Coverage: height of a person, metres.")] = 1.8,
+    area: Annotated[
+        tuple[float, float, float, float] | None,
+        typer.Option(help="Coverage: x y of two corners, metres; the surroundings of the rig if absent."),
+    ] = None,
+    size: SizeOption = None,
+    image: ImageOption = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
+    camera: CameraOption = None,
+) -> None:
+    """Draw the cameras of calibrations from above and from the side, or their coverage of the floor."""
+    from humansim_ros.drawing.canvas import write_png
+    from humansim_ros.drawing.rigs import coverage_image, rig_image
+
+    if output.suffix.lower() != ".png":
+        raise HumansimError("the image is a .png file: give it this suffix", path=output)
+    check_output(output)
+    cameras = select_cameras(read_cameras(files, size, image, unit, up), camera, files[0])
+    _warn_of_one_position(cameras)
+    drawing = coverage_image(cameras, at, stature, area) if coverage else rig_image(cameras)
+    write_png(output, drawing)
+    print_text(f"wrote {output}")
+
+
+def _make_folder(folder: Path) -> None:
+    with report_write_errors(folder):
+        if folder.exists() and not folder.is_dir():
+            raise HumansimError("this is a file: give a folder", path=folder)
+        folder.mkdir(parents=True, exist_ok=True)
+
+
+# -- idealize
+
+
+def _write_ideal(file: str, output: Path, read: Calibration, cameras: Mapping[str, Camera]) -> None:
+    """Write ideal cameras in the format of the real ones."""
+    from humansim_ros.camera.calibration import resolve_url, write_calibration
+
+    source = resolve_url(file) if "://" in file else Path(file)
+    several = source.is_dir() or (read.format is not None and read.format.name == "colmap")
+    target = output / (source.name if read.format is not None else "cameras.yaml")
+    if several and read.format is not None:
+        target = output
+    _refuse_to_overwrite(source, target)
+    for path in write_calibration(target, cameras, read.format.name if read.format else "scene"):
+        print_text(f"wrote {path}")
+
+
+def _convert_images(ideal: Ideal, images: list[Path], output: Path, nearest: bool) -> None:
+    """Convert images into a folder. Images that fail are reported, and the others are converted."""
+    names: set[str] = set()
+    failed = False
+    for path in images:
+        try:
+            if path.name in names:
+                raise CameraError("another image of this name has already been written", path=path)
+            _refuse_to_overwrite(path, output / path.name)
+            _convert_image(ideal, path, output / path.name, nearest)
+        except HumansimError as error:
+            failed = True
+            print(f"error: {error}", file=sys.stderr)
+        else:
+            names.add(path.name)
+            print_text(f"wrote {output / path.name}")
+    if failed:
+        raise typer.Exit(2)
+
+
+def _convert_image(ideal: Ideal, path: Path, target: Path, nearest: bool) -> None:
+    import cv2
+    import numpy as np
+
+    from humansim_ros.camera.image_size import image_size
+    from humansim_ros.io.files import atomic_path, read_bytes
+    from humansim_ros.io.images import MAX_IMAGE_BYTES
+
+    if path.suffix.lower() not in (".png", *_JPEG):
+        raise CameraError("images are .png or .jpg", path=path)
+    size, expected = image_size(path), ideal.real.size
+    if size != expected:
+        message = f"the image is {size[0]}x{size[1]} pixels, but the camera has {expected[0]}x{expected[1]}"
+        raise CameraError(message, path=path, key="size")
+    data = np.frombuffer(read_bytes(path, CameraError, "image", MAX_IMAGE_BYTES), np.uint8)
+    try:
+        image: Any = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None or image.shape[:2] != expected[::-1]:
+        raise CameraError("the image cannot be decoded: it is damaged", path=path)
+    converted = ideal.to_ideal(image, cv2.INTER_NEAREST if nearest else cv2.INTER_LINEAR)
+    quality = [cv2.IMWRITE_JPEG_QUALITY, 95] if path.suffix.lower() in _JPEG else []
+    encoded, content = cv2.imencode(path.suffix, converted, quality)
+    if not encoded:
+        raise CameraError("the converted image cannot be encoded", path=path)
+    with atomic_path(target) as temporary:
+        temporary.write_bytes(content.tobytes())
+
+
+def _refuse_to_overwrite(source: Path, target: Path) -> None:
+    if source.resolve() == target.resolve():
+        raise HumansimError("would be overwritten: give another folder with --output", path=source)
+
+
+# -- rig
+
+
+def _coefficients(text: str | None) -> tuple[float, ...]:
+    try:
+        return tuple(float(word) for word in (text or "").replace(",", " ").split())
+    except ValueError:
+        raise HumansimError(f"--distortion: needs numbers, such as '-0.3 0.1 0 0', not {text!r}") from None
+
+
+def _rows_columns(text: str) -> tuple[int, int]:
+    matched = re.fullmatch(r"([0-9]{1,4})\s*[x×,]\s*([0-9]{1,4})", text.strip(), re.ASCII)
+    if matched is None:
+        raise HumansimError(f"--grid: needs rows and columns, such as 2x4, not {text!r}")
+    return int(matched[1]), int(matched[2])
+
+
+def _write_rig(
+    output: Path, cameras: Mapping[str, Camera], look_at: tuple[float, float, float], radius: float
+) -> None:
+    """Write scene.yaml with the cameras, and camera_info files without their poses."""
+    from humansim_ros.camera.calibration import write_calibration
+    from humansim_ros.camera.formats.scene import SCENE
+    from humansim_ros.io.files import atomic_path
+
+    folder = output / "camera_info"
+    _make_folder(folder)
+    low = min(camera.center[2] for camera in cameras.values())
+    if low <= 0:
+        print_warning(f"the lowest camera is {-low:.2f} m below the floor")
+    scene = output / "scene.yaml"
+    text = _scene_text(cameras, look_at, radius) + SCENE.write(cameras)[""]
+    with atomic_path(scene) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    print_text(f"wrote {scene}; try: humansim run {scene}")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # camera_info does not store poses; the scene does
+        for path in write_calibration(folder, cameras, "camera_info"):
+            print_text(f"wrote {path}")
+
+
+def _scene_text(cameras: Mapping[str, Camera], look_at: tuple[float, float, float], radius: float) -> str:
+    """Text of a scene with a room around all cameras, and a human."""
+    x, y, _ = look_at
+    if radius >= _WALK_RIG_RADIUS:
+        motion = f"{{file: walk, position: [{x:g}, {y - _WALK_RADIUS:g}], loop: continue}}"
+    else:
+        motion = f"{{file: wave, position: [{x:g}, {y:g}], anchor: center}}"
+    room = room_around(cameras, (x, y))
+    return f"rate: 30\nroom: {room}\nhumans:\n  walker: {{motion: {motion}}}\n"
+
+
+def room_around(cameras: Mapping[str, Camera], target: tuple[float, float]) -> str:
+    """Value of a scene's ``room``: all cameras and a person who walks around x, y are inside it."""
+    x, y = target
+    centers = [camera.center.tolist() for camera in cameras.values()]
+    within = [
+        *centers,
+        (x - _WALK_RADIUS, y - _WALK_RADIUS),
+        (x + _WALK_RADIUS, y + _WALK_RADIUS),
+    ]
+    sides = [2 * (max(abs(position[axis]) for position in within) + _WALL_DISTANCE) for axis in (0, 1)]
+    needed = (*sides, max(center[2] for center in centers) + 0.3)
+    size = [round(max(pair), 1) for pair in zip(_ROOM, needed, strict=True)]
+    return "null" if max(size) > _LARGEST_ROOM else f"{{size: {size}}}"
+
+
+# -- plot
+
+
+def _warn_of_one_position(cameras: Mapping[str, Camera]) -> None:
+    centers = {tuple(camera.center.tolist()) for camera in cameras.values()}
+    if len(cameras) > 1 and len(centers) == 1:
+        print_warning("all cameras are at one position: do the files have extrinsics?")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from humansim_ros.cli.camera import load
-from humansim_ros.cli.camera_rig import room_around
+from humansim_ros.cli.camera import load, room_around
 from humansim_ros.cli.options import (
     CalibrationArgument,
     ImageOption,
@@ -393,7 +392,3 @@ def _write(path: Path, text: str) -> None:
 
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
-
-
-#: Commands of this module by name.
-COMMANDS: dict[str, Callable[..., None]] = {"place": place}

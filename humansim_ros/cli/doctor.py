@@ -1,15 +1,355 @@
-"""``humansim doctor``: what is wrong with this machine; ``humansim schema``: the schema of scene files."""
+"""``humansim doctor``: what this machine has, what is wrong with it, and the line that mends it."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict
+import importlib.util
+import json
+import math
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
-from humansim_ros.cli.output import check_output, print_text, report_write_errors, to_json
+from humansim_ros.cli.output import print_text, to_json
+from humansim_ros.ros.shared_memory import free_memory
+
+#: Result of a check: usable, usable with a drawback, or not usable.
+State = Literal["ok", "warning", "wrong"]
+#: Seconds that a check in a process of its own may take.
+_PATIENCE = 90.0
+#: Its exit code then.
+_TIMED_OUT = 124
+_MB = 1 << 20
+#: Free shared memory for the images of a process of nodes; free memory; free disk.
+_SHARED_MEMORY, _MEMORY, _DISK = 70 * _MB, 1500 * _MB, 500 * _MB
+_JAZZY = "jazzy"
+#: Oldest versions that work, as setup.py has them.
+OLDEST = {"numpy": (1, 26), "opencv-python-headless": (4, 6)}
+#: Largest number of a ROS domain, and those whose UDP ports Linux gives to other programs, too.
+_LAST_DOMAIN, _RISKY_DOMAINS = 232, range(102, 215)
+#: What killed processes have left stops new ones.
+_CLEAN_SHARED_MEMORY = "stop all ROS programs, then: rm -f /dev/shm/fastrtps_* /dev/shm/sem.fastrtps_*"
+#: Modules of each extra.
+EXTRAS = {
+    "evaluate": ("ezc3d", "mcap", "pycocotools", "rosbags"),
+    "export": ("OpenEXR", "c3d", "pycocotools"),
+    "exr": ("OpenEXR",),
+    "meshes": ("DracoPy", "lxml", "networkx", "collada"),
+    "plot": ("matplotlib",),
+    "ray": ("fsspec", "mcap", "ray", "rosbags"),
+    "record": ("mcap", "rosbags"),
+    "view": ("viser",),
+}
+
+_IMPORTS = """
+import numpy, scipy, cv2, moderngl, trimesh, pydantic, yaml
+print(numpy.__version__, cv2.__version__)
+"""
+_RENDER = """
+import json, time
+import humansim_ros
+from humansim_ros.render import GLRenderer
+from humansim_ros import Camera, load_human
+from humansim_ros.render import Body
+from humansim_ros.resources import resource_path
+child = load_human(resource_path("assets/humans/child.npz"))
+# another camera for each picture: the renderer keeps pictures
+cameras = [Camera.look_at((0.1 * n, 1, 3), (0, 0.6, 0), size=(640, 480), up=(0, 1, 0)) for n in range(6)]
+renderer = GLRenderer()
+bodies = [Body(child.mesh, child.mesh.vertices.astype("float32"), child.triangle_parts, 1)]
+renderer.render(bodies, cameras[0], ("rgb",))
+start = time.perf_counter()
+for camera in cameras[1:]:
+    renderer.render(bodies, camera, ("rgb",))
+print(json.dumps({"device": renderer.device, "ms": 200 * (time.perf_counter() - start)}))
+"""
+_EXCHANGE = """
+import time
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from std_msgs.msg import String
+got, nodes, contexts = [], [], []
+executor = None
+for name in ("doctor_1", "doctor_2"):
+    context = rclpy.Context()
+    rclpy.init(context=context)
+    contexts.append(context)
+    node = Node(name, context=context)
+    nodes.append(node)
+executor = SingleThreadedExecutor(context=contexts[1])
+executor.add_node(nodes[1])
+nodes[1].create_subscription(String, "/humansim_doctor", lambda message: got.append(message.data), 1)
+publisher = nodes[0].create_publisher(String, "/humansim_doctor", 1)
+start = time.monotonic()
+while not got and time.monotonic() - start < 20:
+    publisher.publish(String(data="hello"))
+    executor.spin_once(timeout_sec=0.1)
+import os, sys
+print("arrived" if got else "lost", flush=True)
+os._exit(0 if got else 1)
+"""
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """Result of a check.
+
+    Attributes:
+        name: What was checked.
+        state: Result.
+        text: What was found.
+        fix: Line to type, or what to do; empty if nothing is to do.
+    """
+
+    name: str
+    state: State
+    text: str
+    fix: str = ""
+
+
+def check_python() -> Diagnosis:
+    """Version of Python, and whether the packages that are always needed can be imported."""
+    version = ".".join(map(str, sys.version_info[:3]))
+    if not (3, 10) <= sys.version_info[:2] <= (3, 13):
+        return Diagnosis("Python", "wrong", version, "use Python 3.10 to 3.13")
+    done = run_python(_IMPORTS)
+    if done.returncode != 0:
+        return Diagnosis(
+            "Python", "wrong", f"{version}; {last_line(done.stderr)}", _mending_packages(done.stderr)
+        )
+    found = done.stdout.split()
+    text = f"{version}, NumPy {found[0]}, OpenCV {found[1]}"
+    for (package, oldest), number in zip(OLDEST.items(), found, strict=True):
+        if tuple(map(int, re.findall(r"\d+", number)[:2])) < oldest:
+            at_least = ".".join(map(str, oldest))
+            return Diagnosis(
+                "Python", "wrong", f"{text}: too old", f"pip install --upgrade '{package}>={at_least}'"
+            )
+    return Diagnosis("Python", "ok", text)
+
+
+def _mending_packages(error: str) -> str:
+    """Line for packages that cannot be imported."""
+    if "compiled using NumPy 1" in error or "numpy.core.multiarray" in error:
+        return "pip install 'numpy<2'   # SciPy or OpenCV of the system are made for NumPy 1"
+    return "pip install --upgrade humansim_ros"
+
+
+def check_opengl() -> Diagnosis:
+    """The device that renders, and how fast it is."""
+    done = run_python(_RENDER)
+    if done.returncode != 0:
+        return Diagnosis(
+            "OpenGL",
+            "wrong",
+            last_line(done.stderr) or f"the renderer ended with exit code {done.returncode}",
+            "sudo apt-get install -y libegl1 libgl1 libgl1-mesa-dri",
+        )
+    found = json.loads(last_line(done.stdout))
+    text = f"{found['device']}; 640x480 in {found['ms']:.0f} ms"
+    if "llvmpipe" in found["device"] and list(Path("/dev").glob("nvidia[0-9]*")):
+        return Diagnosis(
+            "OpenGL",
+            "warning",
+            f"{text}; there is an NVIDIA GPU, but EGL does not offer it",
+            "install libnvidia-gl of the driver; in Docker: --gpus all -e NVIDIA_DRIVER_CAPABILITIES=all",
+        )
+    return Diagnosis("OpenGL", "ok", text)
+
+
+def check_ros(environment: Mapping[str, str] = os.environ) -> Diagnosis:
+    """Which ROS 2 is used."""
+    distribution = environment.get("ROS_DISTRO")
+    if distribution not in (None, "", _JAZZY):
+        return Diagnosis(
+            "ROS",
+            "wrong",
+            f"ROS {distribution} is sourced; this package is for Jazzy",
+            "open a new shell and: source /opt/ros/jazzy/setup.bash",
+        )
+    code = "import rclpy, sensor_msgs.msg, visualization_msgs.msg; print(rclpy.__file__)"
+    done = run_python(code, environment)
+    if done.returncode != 0:
+        fix = (
+            "source /opt/ros/jazzy/setup.bash"
+            if Path("/opt/ros/jazzy").exists()
+            else ("pip install 'humansim_ros[ros]'")
+        )
+        text = f"cannot be imported ({last_line(done.stderr)}); all that needs no ROS works"
+        return Diagnosis("ROS", "warning", text, fix)
+    path = last_line(done.stdout)
+    if distribution and "site-packages" in path and "/opt/ros" not in path:
+        text = f"/opt/ros/{distribution} is sourced, but Python uses the wheels in {Path(path).parents[1]}"
+        return Diagnosis(
+            "ROS", "warning", text, "unset PYTHONPATH AMENT_PREFIX_PATH ROS_DISTRO, or leave the venv"
+        )
+    return Diagnosis("ROS", "ok", f"Jazzy, {Path(path).parents[1]}")
+
+
+def check_variables(environment: Mapping[str, str] = os.environ) -> Diagnosis:
+    """Variables that decide which nodes see each other."""
+    name = "ROS variables"
+    domain = environment.get("ROS_DOMAIN_ID", "")
+    if domain and not (domain.isdecimal() and int(domain) <= _LAST_DOMAIN):
+        text = f"ROS_DOMAIN_ID is {domain!r}, not 0 to {_LAST_DOMAIN}"
+        return Diagnosis(name, "wrong", text, "export ROS_DOMAIN_ID=0")
+    reach = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
+    if reach and reach not in ("SUBNET", "LOCALHOST", "OFF", "SYSTEM_DEFAULT"):
+        text = f"ROS_AUTOMATIC_DISCOVERY_RANGE is {reach!r}"
+        return Diagnosis(name, "wrong", text, "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET   # or LOCALHOST")
+    if reach == "OFF":
+        text = "ROS_AUTOMATIC_DISCOVERY_RANGE is OFF: nodes do not find each other"
+        return Diagnosis(name, "wrong", text, "export ROS_AUTOMATIC_DISCOVERY_RANGE=SUBNET   # or LOCALHOST")
+    middleware = environment.get("RMW_IMPLEMENTATION", "")
+    if middleware not in ("", "rmw_fastrtps_cpp"):
+        text = f"RMW_IMPLEMENTATION is {middleware}; only rmw_fastrtps_cpp is tested"
+        return Diagnosis(name, "warning", text, "unset RMW_IMPLEMENTATION")
+    if environment.get("ROS_LOCALHOST_ONLY", "0") not in ("", "0"):
+        text = "ROS_LOCALHOST_ONLY is deprecated in Jazzy, and wins over the discovery range"
+        fix = "unset ROS_LOCALHOST_ONLY; export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST"
+        return Diagnosis(name, "warning", text, fix)
+    if int(domain or 0) in _RISKY_DOMAINS:
+        text = f"ROS_DOMAIN_ID is {domain}: other programs may have taken its UDP ports"
+        return Diagnosis(name, "warning", text, "export ROS_DOMAIN_ID=42   # 0 to 101")
+    return Diagnosis(name, "ok", f"domain {domain or 0}, discovery {reach or 'SUBNET'}")
+
+
+def check_exchange() -> Diagnosis:
+    """Whether a message of one participant reaches another on this machine."""
+    name = "DDS"
+    if not _is_there("rclpy"):
+        return Diagnosis(name, "ok", "not tried without ROS")
+    done = run_python(_EXCHANGE)
+    if "arrived" in done.stdout:
+        return Diagnosis(name, "ok", "a message went from one participant to another")
+    if done.returncode == _TIMED_OUT:
+        return Diagnosis(name, "wrong", last_line(done.stderr), _CLEAN_SHARED_MEMORY)
+    text = "a message did not arrive" if "lost" in done.stdout else last_line(done.stderr) or "no answer"
+    fix = "export ROS_AUTOMATIC_DISCOVERY_RANGE=LOCALHOST; allow UDP multicast on lo, or see docs/live.md"
+    return Diagnosis(name, "wrong", text, fix)
+
+
+def check_shared_memory(folder: Path = Path("/dev/shm")) -> Diagnosis:
+    """Space and rights of the folder through which images go."""
+    name = "shared memory"
+    if not os.access(folder, os.W_OK):
+        return Diagnosis(name, "wrong", f"{folder} cannot be written to", f"sudo chmod 1777 {folder}")
+    free = free_memory(folder)
+    left = sum(1 for _ in folder.glob("fastrtps_*"))
+    text = f"{folder} has no limit" if math.isinf(free) else f"{free // _MB:.0f} MB free in {folder}"
+    if left:
+        text += f", {left} files of Fast DDS"
+    if free < _SHARED_MEMORY:
+        fix = "sudo mount -o remount,size=1G /dev/shm; in Docker: --shm-size=1g"
+        if left:
+            fix += f"; or {_CLEAN_SHARED_MEMORY}"
+        return Diagnosis(name, "warning", f"{text}: large images go through UDP", fix)
+    return Diagnosis(name, "ok", text)
+
+
+def check_ffmpeg() -> Diagnosis:
+    """The program that writes videos."""
+    code = "import imageio_ffmpeg; print(imageio_ffmpeg.get_ffmpeg_exe())"
+    done = run_python(code)
+    if done.returncode != 0:
+        return Diagnosis(
+            "ffmpeg", "warning", "no videos can be written", "pip install --upgrade imageio-ffmpeg"
+        )
+    return Diagnosis("ffmpeg", "ok", last_line(done.stdout))
+
+
+def check_extras() -> Diagnosis:
+    """Optional parts that are not installed."""
+    missing = [name for name, modules in EXTRAS.items() if not all(map(_is_there, modules))]
+    if not missing:
+        return Diagnosis("extras", "ok", "all are installed")
+    fix = f"pip install 'humansim_ros[{','.join(missing)}]'"
+    return Diagnosis("extras", "ok", f"not installed: {', '.join(missing)}", fix)
+
+
+def check_machine(folder: Path | None = None) -> Diagnosis:
+    """Cores, memory and disk. ``folder``: the disk of which is checked; the current folder if None."""
+    name = "machine"
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    free = shutil.disk_usage(folder or Path.cwd()).free
+    memory = available_memory()
+    text = f"{cores} cores, {memory // _MB} MB of memory and {free // _MB} MB of disk free"
+    if memory < _MEMORY:
+        return Diagnosis(
+            name, "warning", text, "close other programs: a scene with four cameras takes 1.5 GB"
+        )
+    if free < _DISK:
+        return Diagnosis(name, "warning", text, "free some disk: bags and data sets take gigabytes")
+    return Diagnosis(name, "ok", text)
+
+
+#: All checks, in the order in which they are shown.
+CHECKS: tuple[Callable[[], Diagnosis], ...] = (
+    check_python,
+    check_machine,
+    check_opengl,
+    check_ros,
+    check_variables,
+    check_shared_memory,
+    check_exchange,
+    check_ffmpeg,
+    check_extras,
+)
+
+
+def diagnoses(checks: tuple[Callable[[], Diagnosis], ...] = CHECKS) -> Iterator[Diagnosis]:
+    """Results of checks; one that fails itself is told as wrong."""
+    for check in checks:
+        try:
+            yield check()
+        except Exception as error:  # a check must never end the others
+            yield Diagnosis(check.__name__[6:], "wrong", f"could not be checked: {error}", "tell us about it")
+
+
+def run_python(code: str, environment: Mapping[str, str] | None = None) -> subprocess.CompletedProcess[str]:
+    """Run code in a process of its own: it may crash or hang. Without an answer, the exit code is 124."""
+    command = [sys.executable, "-c", code]
+    try:
+        return subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            timeout=_PATIENCE,
+            env=dict(environment) if environment is not None else None,
+            stdin=subprocess.DEVNULL,
+        )
+    except subprocess.TimeoutExpired:
+        return subprocess.CompletedProcess(command, _TIMED_OUT, "", f"no answer within {_PATIENCE:g} s")
+
+
+def last_line(text: str) -> str:
+    """Last line of an output that is not empty."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    return lines[-1].strip() if lines else ""
+
+
+def available_memory(path: Path = Path("/proc/meminfo")) -> int:
+    """Memory that programs can take, bytes."""
+    for line in path.read_text().splitlines():
+        if line.startswith("MemAvailable:"):
+            return int(line.split()[1]) * 1024
+    return 0
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ImportError:
+        return False
+
 
 _MARKS = {"ok": "ok     ", "warning": "warning", "wrong": "WRONG  "}
 
@@ -18,8 +358,6 @@ def doctor(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
 ) -> None:
     """Check this machine (OpenGL, ROS, DDS, shared memory …), and print the line that mends what is wrong."""
-    from humansim_ros.cli.doctor_checks import diagnoses
-
     found = []
     for finding in diagnoses():
         found.append(finding)
@@ -31,23 +369,3 @@ def doctor(
         print_text(to_json([asdict(finding) for finding in found]))
     if any(finding.state == "wrong" for finding in found):
         raise typer.Exit(1)
-
-
-def schema(
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write (.json).")] = None,
-) -> None:
-    """Print the JSON schema of scene files, for editors that complete and check YAML."""
-    from humansim_ros.scene.schema import schema_text
-
-    text = schema_text()
-    if output is None:
-        print_text(text.rstrip())
-        return
-    check_output(output)
-    with report_write_errors(output):
-        output.write_text(text, encoding="utf-8")
-    print_text(f"wrote {output}")
-
-
-#: Commands of this module by name.
-COMMANDS: dict[str, Callable[..., None]] = {"doctor": doctor, "schema": schema}

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from humansim_ros.cli import completion
-from humansim_ros.cli.check import warn_about_mistakes
-from humansim_ros.cli.frame_progress import frame_progress, rate_text
-from humansim_ros.cli.output import print_error, print_text
+from humansim_ros.cli import options
+from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
+from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import ExportError
 from humansim_ros.ros.stop_signals import Stopped
 
@@ -49,7 +47,7 @@ def export(
         typer.Option(
             "--format",
             help="Formats with commas between them, such as coco,mot; may be repeated.",
-            autocompletion=completion.export_formats,
+            autocompletion=options.export_formats,
         ),
     ],
     scene: Annotated[
@@ -183,7 +181,3 @@ def _summary(state: FrameProgress, job: Export) -> str:
     costs = ", ".join(f"{step} {1e3 * seconds / units:.1f}" for step, seconds in state.costs.items())
     unit = "camera-frame" if job.cameras else "frame"
     return f"{text}\nprocessor time in ms per {unit}: {costs}"
-
-
-#: Commands of this module by name.
-COMMANDS: dict[str, Callable[..., None]] = {"export": export}

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from humansim_ros.cli import completion
+from humansim_ros.cli import options
 from humansim_ros.cli.options import JsonOption, parse_size
 from humansim_ros.cli.output import (
     check_output,
@@ -56,14 +56,14 @@ MotionArgument = Annotated[
     str,
     typer.Argument(
         help="Motion file (BVH), or a built-in motion (`humansim motion list`).",
-        autocompletion=completion.motions,
+        autocompletion=options.motions,
     ),
 ]
 JointTableOption = Annotated[
     str | None,
     typer.Option(
         help="Joint table: built-in name or YAML file; detected if absent.",
-        autocompletion=completion.joint_tables,
+        autocompletion=options.joint_tables,
     ),
 ]
 MotionUnitOption = Annotated[
@@ -433,14 +433,3 @@ def _short(channels: str) -> str:
         return "no channels"
     groups = itertools.groupby(channels.split(), key=lambda name: name[1:])
     return ", ".join(f"{''.join(name[0] for name in group)} {kind}" for kind, group in groups)
-
-
-#: Commands of this module by name.
-COMMANDS: dict[str, Callable[..., None]] = {
-    "info": info,
-    "joints": joints,
-    "retarget": retarget,
-    "table": table,
-    "list": list_motions,
-    "render": render,
-}

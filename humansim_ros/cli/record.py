@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from enum import Enum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from humansim_ros.bounds import MAX_FRAMES
-from humansim_ros.cli.check import warn_about_mistakes
-from humansim_ros.cli.frame_progress import frame_progress, rate_text
-from humansim_ros.cli.output import print_error, print_text
+from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
+from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import BagError
 from humansim_ros.ros.stop_signals import Stopped
 
@@ -232,7 +231,3 @@ def _summary(progress: FrameProgress, cameras: int, output: Path) -> str:
         f"{progress.size / units:.0f} bytes per {unit}\n"
         f"processor time in ms per {unit}: {costs}"
     )
-
-
-#: Commands of this module by name.
-COMMANDS: dict[str, Callable[..., None]] = {"record": record}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -91,7 +90,3 @@ def _open_browser(url: str) -> None:
     import webbrowser
 
     webbrowser.open(url)
-
-
-#: Commands of this module by name.
-COMMANDS: dict[str, Callable[..., None]] = {"view": view}

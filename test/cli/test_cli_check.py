@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 
 from humansim_ros.cli import main as cli
-from humansim_ros.cli.check import warn_about_mistakes
-from humansim_ros.cli.scene_options import SceneOptions
+from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
 from humansim_ros.errors import HumansimError
 from humansim_ros.scene import Scene
 

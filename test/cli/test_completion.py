@@ -10,7 +10,7 @@ import pytest
 from conftest import ROOT
 from waiting import PATIENCE
 
-from humansim_ros.cli import completion
+from humansim_ros.cli import options as completion
 from humansim_ros.export.formats import EXPORT_FORMATS
 
 HEAVY = ("cv2", "moderngl", "scipy")

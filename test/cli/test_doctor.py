@@ -16,8 +16,8 @@ import pytest
 from conftest import ROOT
 from waiting import PATIENCE
 
-from humansim_ros.cli import doctor_checks as checks
-from humansim_ros.cli.doctor_checks import Diagnosis
+from humansim_ros.cli import doctor as checks
+from humansim_ros.cli.doctor import Diagnosis
 
 
 def command(*arguments: str, **variables: str) -> subprocess.CompletedProcess[str]:

@@ -12,7 +12,7 @@ import yaml
 from numpy.typing import NDArray
 from photographs.studio import Studio, change_views, make_studio
 
-from humansim_ros.cli.photographs import fit as fit_command
+from humansim_ros.cli.human import fit as fit_command
 from humansim_ros.photographs import PhotoSet, read_views
 from humansim_ros.photographs.fit_report import draw_report
 from humansim_ros.photographs.fitting import fit_person

@@ -10,7 +10,7 @@ import pytest
 import ros_support  # noqa: F401  # skips without ROS
 from record_support import run, write_scene
 
-from humansim_ros.cli import frame_progress
+from humansim_ros.cli import output as frame_progress
 from humansim_ros.record.progress import FrameProgress
 
 pytest.importorskip("rosbags")

@@ -13,7 +13,7 @@ import yaml
 from conftest import ROOT
 
 from humansim_ros import Scene, Simulation
-from humansim_ros.cli.mesh import list_meshes
+from humansim_ros.cli.scene import list_meshes
 from humansim_ros.errors import SceneError
 from humansim_ros.scene.furniture import FURNITURE
 from humansim_ros.scene.objects import BUILT_IN_MESHES, SHAPES

@@ -491,7 +491,7 @@ def edge_width(view: View) -> int:
 
 def test_another_motion_leaves_the_files_of_a_scene_where_they_are(tmp_path: Path) -> None:
     """``humansim run SCENE --motion``: the changed scene is in another folder."""
-    from humansim_ros.cli.scene_options import SceneOptions
+    from humansim_ros.cli.scene import SceneOptions
 
     home, other = tmp_path / "home", tmp_path / "other"
     home.mkdir()

@@ -1,4 +1,7 @@
-"""Options of commands that replace parts of a scene; errors about these parts name the option."""
+"""``humansim check``, ``snapshot``, ``schema`` and ``mesh list``: commands about scenes.
+
+Also the options of other commands that replace parts of a scene.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,13 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
+from humansim_ros.cli import options
+from humansim_ros.cli.options import JsonOption
+from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
 from humansim_ros.errors import HumansimError, did_you_mean
 from humansim_ros.io.files import exists, expand_user
 
@@ -134,3 +142,115 @@ def _absolute(name: str) -> str:
     """Absolute path; the name of a built-in is unchanged."""
     path = expand_user(name)
     return str(path.resolve()) if path.suffix or exists(path) else name
+
+
+def check(
+    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Find probable mistakes in a scene: cameras that see nobody, people in walls … Exit code 1 if any."""
+    from humansim_ros.scene import Scene, check_scene
+
+    loaded = Scene.load(scene)
+    findings = check_scene(loaded)
+    if as_json:
+        data: dict[str, Any] = {"scene": str(loaded.path), "findings": [each.to_dict() for each in findings]}
+        print_text(to_json(data))
+    else:
+        lines = [f"{finding.severity}: {finding}" for finding in findings]
+        counts = f"{_count(len(loaded.cameras), 'camera')}, {_count(len(loaded.actors), 'human')}"
+        problems = _count(len(findings), "problem") if findings else "no problems"
+        print_text("\n".join([*lines, f"{loaded.path}: {problems} found ({counts})"]))
+    if findings:
+        raise typer.Exit(1)
+
+
+def warn_about_mistakes(scene: Scene, options: SceneOptions | None = None) -> None:
+    """Print the findings of a quick check as warnings, for commands that play a scene.
+
+    ``options``: options that have replaced parts of the scene.
+    """
+    from humansim_ros.scene import check_scene
+
+    human = next(iter(scene.actors), "")
+    for finding in check_scene(scene, quick=True):
+        option = None if options is None else options.option(human, finding.key)
+        print_warning(str(finding) if option is None else f"{option}: {finding.text}")
+
+
+def _count(number: int, word: str) -> str:
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def snapshot(
+    output: Annotated[Path, typer.Option("--output", "-o", help="Output image (.png).")],
+    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    time: Annotated[float, typer.Option(help="Scene time, seconds.", min=0.0, max=1e6)] = 0.0,
+    channels: Annotated[
+        str,
+        typer.Option(
+            help="Channels to draw, a row each, such as rgb,depth,part; or all.",
+            autocompletion=options.channels,
+        ),
+    ] = "rgb",
+    width: Annotated[
+        int, typer.Option(help="Greatest width of the sheet in pixels.", min=160, max=8192)
+    ] = 1600,
+    no_joints: Annotated[bool, typer.Option("--no-joints", help="Do not draw the joints.")] = False,
+    no_plan: Annotated[bool, typer.Option("--no-plan", help="Do not draw the scene from above.")] = False,
+) -> None:
+    """Draw on one sheet what every camera of a scene sees, with the joints, and the scene from above."""
+    from humansim_ros.drawing.canvas import write_png
+    from humansim_ros.drawing.snapshot import snapshot as draw
+    from humansim_ros.render import ALL_CHANNELS
+    from humansim_ros.scene import Scene
+
+    if output.suffix.lower() != ".png":
+        raise HumansimError("the image is a .png file: give it this suffix", path=output)
+    check_output(output)
+    words = [word.strip() for word in channels.replace(" ", ",").split(",") if word.strip()]
+    chosen = ALL_CHANNELS if words == ["all"] else tuple(words)
+    image = draw(Scene.load(scene), time, chosen, width, not no_joints, not no_plan)
+    write_png(output, image)
+    print_text(f"wrote {output}: {image.shape[1]}x{image.shape[0]} pixels")
+
+
+def schema(
+    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write (.json).")] = None,
+) -> None:
+    """Print the JSON schema of scene files, for editors that complete and check YAML."""
+    from humansim_ros.scene.schema import schema_text
+
+    text = schema_text()
+    if output is None:
+        print_text(text.rstrip())
+        return
+    check_output(output)
+    with report_write_errors(output):
+        output.write_text(text, encoding="utf-8")
+    print_text(f"wrote {output}")
+
+
+def list_meshes(as_json: JsonOption = False) -> None:
+    """List the built-in meshes, which objects of a scene may use by name."""
+    from humansim_ros.scene.furniture import FURNITURE
+    from humansim_ros.scene.objects import BUILT_IN_MESHES, SHAPES
+
+    if as_json:
+        meshes = {
+            name: FURNITURE[name].mesh() if name in FURNITURE else SHAPES[name]() for name in BUILT_IN_MESHES
+        }
+        facts = [
+            {
+                "name": name,
+                "description": BUILT_IN_MESHES[name],
+                "low": mesh.vertices.min(0).round(6).tolist(),
+                "high": mesh.vertices.max(0).round(6).tolist(),
+            }
+            for name, mesh in meshes.items()
+        ]
+        print_text(to_json(facts))
+        return
+    width = max(map(len, BUILT_IN_MESHES))
+    for name, description in BUILT_IN_MESHES.items():
+        print_text(f"{name:{width}}  {description}")

@@ -1,0 +1,387 @@
+"""``humansim run``, ``demo``, ``bench`` and ``play``: the nodes of a scene, and bags, over ROS 2."""
+
+from __future__ import annotations
+
+import os
+import select
+import shlex
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from humansim_ros.bounds import MAX_FRAMES
+from humansim_ros.cli import options as cli_options
+from humansim_ros.cli.options import JsonOption
+from humansim_ros.cli.output import check_output, print_error, print_text, to_json
+from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
+from humansim_ros.errors import HumansimError
+from humansim_ros.resources import resource_path
+from humansim_ros.ros.stop_signals import Stopped
+
+
+def run(
+    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    motion: Annotated[
+        str | None,
+        typer.Option(
+            help="Motion file or built-in motion in place of that of the scene.",
+            autocompletion=cli_options.motions,
+        ),
+    ] = None,
+    mesh: Annotated[
+        str | None,
+        typer.Option(
+            help="Body (.obj, .glb, .stl, .npz or built-in) in place of that of the scene.",
+            autocompletion=cli_options.humans,
+        ),
+    ] = None,
+    joint_names: Annotated[
+        str | None,
+        typer.Option(
+            help="Joint table for the motion (name or YAML file).", autocompletion=cli_options.joint_tables
+        ),
+    ] = None,
+    live: Annotated[
+        list[str] | None,
+        typer.Option(help="Human that another node moves, such as live motion capture; may be repeated."),
+    ] = None,
+    duration: Annotated[float | None, typer.Option(help="Seconds after which to stop.", min=0.1)] = None,
+    processes: Annotated[
+        int | None,
+        typer.Option(help="Number of processes that share the cameras; one per core if absent.", min=1),
+    ] = None,
+    only: Annotated[
+        str,
+        typer.Option(
+            help="Nodes to start here, such as player,skinners; other hosts start the others, such as "
+            "cameras or camera_1,camera_2. All if absent."
+        ),
+    ] = "",
+    namespace: Annotated[str, typer.Option(help="ROS namespace of all nodes and topics.")] = "",
+    frame_prefix: Annotated[
+        str, typer.Option(help="Text before the optical frames of the cameras, such as lab/.")
+    ] = "",
+    network: Annotated[
+        bool, typer.Option("--network", help="Let other hosts find the nodes, hear them and steer them.")
+    ] = False,
+    respawn: Annotated[
+        bool, typer.Option("--respawn/--no-respawn", help="Start a node again that has died.")
+    ] = True,
+    lockstep: Annotated[
+        bool | None,
+        typer.Option(
+            "--lockstep/--realtime",
+            help="Send the next frame when all nodes have finished this one; as the scene says if absent.",
+            show_default=False,
+        ),
+    ] = None,
+    frames: Annotated[
+        int | None,
+        typer.Option(help="Number of frames in lockstep; without end if absent.", min=1, max=MAX_FRAMES),
+    ] = None,
+    wait_for: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Node that frames in lockstep wait for besides the cameras, or topic:/NAME; may be repeated."
+        ),
+    ] = None,
+    timeout: Annotated[
+        float | None, typer.Option(help="Seconds after which a frame waits no longer.", min=0.1, max=1e6)
+    ] = None,
+    on_timeout: Annotated[
+        str | None, typer.Option(help="Then stop, or continue without the nodes that are late.")
+    ] = None,
+    pace: Annotated[
+        float | None,
+        typer.Option(
+            help="Most frames per second in lockstep; as fast as possible if absent.", min=0.01, max=1e3
+        ),
+    ] = None,
+    record: Annotated[
+        Path | None, typer.Option(metavar="DIR", help="Record the topics of the scene into a new bag.")
+    ] = None,
+    record_topics: Annotated[
+        list[str] | None,
+        typer.Option(help="Topic to record, or pattern such as '/left/*'; may be repeated."),
+    ] = None,
+    record_compression: Annotated[
+        str, typer.Option(help="Compression of the bag: none, zstd or lz4.")
+    ] = "none",
+    evaluate: Annotated[
+        str | None,
+        typer.Option(
+            metavar="TOPIC",
+            help="Evaluate the poses of a tracker on this topic, such as /tracker/poses; * stands for the "
+            "name of a person.",
+        ),
+    ] = None,
+    evaluate_keypoints: Annotated[
+        str, typer.Option(help="Keypoint set of these poses, such as coco17; joints of bodies if absent.")
+    ] = "",
+    evaluate_output: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Write the result to this JSON file.")
+    ] = None,
+) -> None:
+    """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
+    from humansim_ros.io.temporary import temporary_folder
+    from humansim_ros.ros.first_images import FirstImages
+    from humansim_ros.ros.processes import (
+        QUIT,
+        WRONG_INPUT,
+        EvaluateOptions,
+        RecordOptions,
+        TimeOptions,
+        relative_namespace,
+        scene_processes,
+    )
+    from humansim_ros.ros.runtime import prepare_transport
+    from humansim_ros.ros.supervisor import Supervisor
+    from humansim_ros.scene import Scene
+
+    start = time.monotonic()
+    _check_machine()
+    with temporary_folder() as folder:
+        path = scene or resource_path("config/scenes/demo.yaml")
+        options = SceneOptions(motion, mesh, joint_names, live or ())
+        if options:
+            changed = options.write(path, folder)
+            loaded, path = options.load(path, changed), changed
+        else:
+            loaded = Scene.load(path)
+        namespace = relative_namespace(namespace)
+        _describe(loaded, namespace)
+        if not options:
+            _print_ways_to_see(scene)
+        warn_about_mistakes(loaded, options)
+        options_of_time = _time_options(
+            loaded, TimeOptions(lockstep, wait_for, timeout, on_timeout, pace, frames), folder
+        )
+        if record_topics and record is None:
+            raise HumansimError("--record-topics goes with --record only")
+        recorded = RecordOptions(record, record_topics or (), record_compression) if record else None
+        if evaluate_output is not None:
+            check_output(evaluate_output)
+        if (evaluate_keypoints or evaluate_output) and evaluate is None:
+            raise HumansimError("--evaluate-keypoints and --evaluate-output go with --evaluate only")
+        evaluated = EvaluateOptions(evaluate, evaluate_keypoints, evaluate_output) if evaluate else None
+        node_processes = scene_processes(
+            path, processes, namespace, frame_prefix, only, options_of_time, recorded, evaluated
+        )
+        transport = prepare_transport(len(node_processes) + 1, network)
+        with Supervisor(node_processes) as nodes:
+            try:
+                names = [name for process in node_processes for name in process.visible_nodes]
+                print_text(f"starting {', '.join(names)}; Ctrl-C stops")
+                print_text(transport.reach)
+                if cameras := [name for name in loaded.cameras if name in names]:
+                    first = FirstImages(cameras, list(loaded.actors), start, namespace)
+                    nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
+                until = None if duration is None else time.monotonic() + duration
+                dead = nodes.wait(until, respawn, lambda _: _is_complete(options_of_time))
+            except Stopped:
+                dead = None
+                print_text("stopping")
+        summary = _summary(options_of_time)
+    if dead and dead.code == QUIT:
+        dead = None  # ended on request, as by Ctrl-C
+    if summary is not None:
+        print_text(summary.text)
+        if dead and (summary.error or summary.is_complete):
+            if summary.error:
+                print_error(f"error: {summary.error}")
+            raise typer.Exit(dead.code and (2 if dead.code == WRONG_INPUT else 1))
+    if dead:
+        wrong_input = dead.code == WRONG_INPUT  # which the node has reported
+        again = " again and again" if respawn and dead.code not in dead.process.final_codes else ""
+        print_error(f"error: {dead}{again}; the other nodes were stopped")
+        raise typer.Exit(2 if wrong_input else 1)
+
+
+def demo(
+    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", help="Output folder.")] = Path("demo"),
+    duration: Annotated[float, typer.Option(help="Seconds to record.", min=1.0, max=120.0)] = 10.0,
+) -> None:
+    """Run a scene, subscribe to its topics like a client, and draw the received messages."""
+    from humansim_ros.ros.demo import record_demo
+
+    _check_machine()
+    path = scene or resource_path("config/scenes/demo.yaml")
+    video = "walk.mp4" if scene is None else f"{scene.stem}.mp4"
+    if not record_demo(path, output, duration, video):
+        raise typer.Exit(1)
+
+
+def _check_machine() -> None:
+    """Raise an error without ROS or OpenGL, once and before a process starts."""
+    from humansim_ros.render.context import OpenGLContext
+    from humansim_ros.ros.runtime import prepare_logs, require_ros
+
+    require_ros()
+    prepare_logs()
+    OpenGLContext().close()
+
+
+def _time_options(scene: Any, options: Any, folder: Path) -> Any:
+    """Options with a file for the summary of lockstep. Raises RosError for options of lockstep without it."""
+    from humansim_ros.errors import RosError
+    from humansim_ros.scene.names import LOCKSTEP
+
+    if options.lockstep is None and scene.config.time.mode == LOCKSTEP:
+        options = replace(options, lockstep=True)
+    given = [
+        name for name in ("wait_for", "timeout", "on_timeout", "pace", "frames") if getattr(options, name)
+    ]
+    if given and not options.lockstep:
+        raise RosError(f"--{given[0].replace('_', '-')} goes with --lockstep only")
+    return replace(options, summary=str(folder / "lockstep.json")) if options.lockstep else options
+
+
+def _summary(options: Any) -> Any:
+    """Summary of a run in lockstep; None before its end, and in real time."""
+    from humansim_ros.ros.lockstep_summary import LockstepSummary
+
+    return LockstepSummary.read(Path(options.summary)) if options.summary else None
+
+
+def _is_complete(options: Any) -> bool:
+    summary = _summary(options)
+    return summary is not None and summary.is_complete
+
+
+def _describe(scene: Any, namespace: str) -> None:
+    from humansim_ros.scene.config import LIVE
+
+    for actor in scene.actors.values():
+        if actor.motion.motion.path == LIVE:
+            topic = f"{namespace and f'/{namespace}'}/humans/{actor.name}/motion"
+            print_text(f"{actor.name}: {actor.human.name}, live: moved by joints on {topic}")
+            continue
+        frame, motion, match = actor.motion.frame, actor.motion.motion, actor.motion.match
+        print_text(
+            f"{actor.name}: {actor.human.name}, {Path(motion.path).name} "
+            f"({match.table} joints, matched by {match.by}, confidence {match.confidence:.0%}, "
+            f"{frame.up} up, unit {frame.unit_name}, "
+            f"{motion.n_frames} frames, recorded person {frame.stature:.2f} m)"
+        )
+    for name, camera in scene.cameras.items():
+        print_text(f"{name}: {camera.size[0]}x{camera.size[1]}")
+
+
+def _print_ways_to_see(scene: Path | None) -> None:
+    """Print the commands that show a scene; None for the demo scene."""
+    name = "" if scene is None else f" {shlex.quote(str(scene))}"
+    print_text(f"to see it: humansim view{name} (in a browser), or humansim snapshot{name} -o sheet.png")
+
+
+def bench(
+    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    channels: Annotated[
+        str, typer.Option(help="Channels that are subscribed to, such as rgb,depth,part.")
+    ] = "rgb",
+    seconds: Annotated[float, typer.Option(help="Seconds to measure.", min=0.5, max=600.0)] = 5.0,
+    processes: Annotated[
+        int | None,
+        typer.Option(help="Number of processes that share the cameras; one per core if absent.", min=1),
+    ] = None,
+    json_output: JsonOption = False,
+) -> None:
+    """Measure how many cameras at how many frames per second this machine holds.
+
+    Runs the nodes of `humansim run` as fast as they can, with one subscriber to all images.
+    """
+    from humansim_ros.ros.bench import measure
+    from humansim_ros.ros.runtime import require_ros
+
+    require_ros()
+    path = scene or resource_path("config/scenes/demo.yaml")
+    names = list(dict.fromkeys(name.strip() for name in channels.split(",")))
+    result = measure(path, names, seconds, processes, lambda line: print(line, file=sys.stderr, flush=True))
+    print_text(to_json(result.to_dict()) if json_output else result.text())
+
+
+def play(
+    bag: Annotated[Path, typer.Argument(help="Folder of a bag, or one of its files (.mcap, .db3).")],
+    clock: Annotated[
+        float,
+        typer.Option(
+            metavar="[HZ]",
+            help="Publish /clock, with 100 messages per second if no number is given.",
+            min=0.0,
+        ),
+    ] = 0.0,
+    rate: Annotated[
+        float, typer.Option(help="Recorded seconds per second, from 0.001 to 1000.", min=0.001, max=1000.0)
+    ] = 1.0,
+    loop: Annotated[
+        bool, typer.Option("--loop", help="Begin again at the end; stamps go back then.")
+    ] = False,
+    start_offset: Annotated[
+        float, typer.Option(help="Recorded seconds at the beginning that are left out.", min=0.0)
+    ] = 0.0,
+    topics: Annotated[
+        list[str] | None,
+        typer.Option("--topics", help="Topic or pattern such as '/left/*'; may be repeated. All if absent."),
+    ] = None,
+    network: Annotated[bool, typer.Option("--network", help="Let other hosts find the topics.")] = False,
+) -> None:
+    """Publish the messages of a bag again, with recorded stamps, types and quality of service.
+
+    The space bar pauses, Ctrl-C stops.
+    """
+    from humansim_ros.ros.runtime import prepare_transport, require_ros
+
+    require_ros()
+    prepare_transport(network=network)
+    import rclpy
+    from rclpy.signals import SignalHandlerOptions
+
+    from humansim_ros.ros.bag_player import BagPlayer, PlayOptions
+
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    try:
+        player = BagPlayer(bag, PlayOptions(clock, rate, loop, start_offset, topics or ()))
+        try:
+            print_text(f"playing {len(player.topics)} topics of {bag}, {player.seconds:.1f} s")
+            with pressed_keys() as key:
+                player.play(key)
+            print_text(f"{player.played} messages played")
+        finally:
+            player.close()
+    finally:
+        rclpy.try_shutdown()
+
+
+@contextmanager
+def pressed_keys() -> Iterator[Callable[[], str]]:
+    """Context manager with a function that returns the key pressed since its last call, or an empty text.
+
+    It is always empty if standard input is no terminal, or the command runs in the background.
+    """
+    try:
+        import termios
+        import tty
+
+        terminal = sys.stdin.fileno()
+        if not sys.stdin.isatty() or os.tcgetpgrp(terminal) != os.getpgrp():
+            raise OSError("no terminal")
+        settings = termios.tcgetattr(terminal)
+    except (ImportError, OSError, ValueError, AttributeError):  # no terminal
+        yield lambda: ""
+        return
+
+    def key() -> str:
+        ready = select.select([terminal], [], [], 0)[0]
+        return os.read(terminal, 1).decode(errors="replace") if ready else ""
+
+    try:
+        tty.setcbreak(terminal)
+        yield key
+    finally:
+        termios.tcsetattr(terminal, termios.TCSADRAIN, settings)

@@ -25,8 +25,8 @@ import rclpy
 from sensor_msgs.msg import Image
 from slow_tracker import tracked_stamps
 
+from humansim_ros.messages import serialised_stamp
 from humansim_ros.resources import resource_path
-from humansim_ros.ros.messages import serialised_stamp
 from humansim_ros.ros.runtime import make_executor, prepare_transport
 from humansim_ros.scene.scene import DEMO_SCENE, Scene
 
@@ -93,7 +93,7 @@ class Receiver:
             )
 
     def _add(self, camera: str, data: bytes) -> None:
-        from humansim_ros.ros.messages import header
+        from humansim_ros.messages import header
 
         stamp = serialised_stamp(data)
         self._arrived[stamp].add(camera)

@@ -24,7 +24,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from std_msgs.msg import Float64MultiArray, String
 
-from humansim_ros.ros.messages import read_joint_view
+from humansim_ros.messages import read_joint_view
 
 VISIBLE = 2
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -65,7 +65,7 @@ class Client:
 
     def _callback(self, topic: str) -> Callable[[Any], None]:
         def on_message(message: Any) -> None:
-            from humansim_ros.ros.messages import to_nanoseconds
+            from humansim_ros.messages import to_nanoseconds
 
             stamp = to_nanoseconds(message.header.stamp) if hasattr(message, "header") else 0
             self.received[topic][stamp] = message

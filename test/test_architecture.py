@@ -25,6 +25,7 @@ LAYERS = (
     ("record",),
     ("ros",),
     ("evaluate",),
+    ("messages",),
     ("photographs",),
     ("drawing",),
     ("scene",),

@@ -60,7 +60,7 @@ from std_msgs.msg import Header, String  # noqa: E402
 from std_srvs.srv import SetBool, Trigger  # noqa: E402
 from visualization_msgs.msg import MarkerArray  # noqa: E402
 
-from humansim_ros.ros import messages  # noqa: E402
+from humansim_ros import messages  # noqa: E402
 from humansim_ros.ros.guarded_node import GuardedNode  # noqa: E402
 from humansim_ros.ros.nodes.camera import CameraNode  # noqa: E402
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode  # noqa: E402

@@ -156,7 +156,7 @@ def _and(words: Iterable[str]) -> str:
 _TOPICS_HEAD = """# Topics and messages
 
 All topics of a scene, from the table by which nodes publish and recordings are written
-(`humansim_ros/ros/topics.py`). `tools/doc_pages.py` makes this page; the meanings are those of the
+(`humansim_ros/messages/topics.py`). `tools/doc_pages.py` makes this page; the meanings are those of the
 [README](../../README.md#topics) and of [ground truth](../ground_truth.md), which defines every number. Names
 are relative to the namespace of the nodes.
 
@@ -188,7 +188,7 @@ def _all_topics() -> list[Any]:
     """Topics of a scene that has some of everything."""
     import yaml
 
-    from humansim_ros.ros.topics import scene_topics
+    from humansim_ros.messages.topics import scene_topics
     from humansim_ros.scene import Scene
 
     with tempfile.TemporaryDirectory() as folder:
@@ -275,12 +275,12 @@ def topics_page() -> str:
 
 def _clouds() -> Iterator[str]:
     """Fields of the point clouds."""
-    from humansim_ros.ros import messages
+    from humansim_ros import messages
 
     yield "## Fields of the point clouds\n"
     yield (
         "Points are NumPy structured arrays with padding between fields; all numbers are little-endian.\n"
-        "`humansim_ros.ros.messages` has a reader for each; see [ground truth](../ground_truth.md).\n"
+        "`humansim_ros.messages` has a reader for each; see [ground truth](../ground_truth.md).\n"
     )
     clouds = {
         "<camera>/joints": (messages.JOINT_POINT, messages.read_joint_view),

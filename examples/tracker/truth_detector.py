@@ -13,7 +13,7 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import String
 
 from humansim_ros import HumansimError
-from humansim_ros.ros.messages import read_joint_view, to_nanoseconds
+from humansim_ros.messages import read_joint_view, to_nanoseconds
 from humansim_ros.truth import VISIBLE
 
 LATCHED = QoSProfile(depth=1, durability=QoSDurabilityPolicy.TRANSIENT_LOCAL)

@@ -12,12 +12,12 @@ from humansim_ros.evaluate.alignment import axes_matrix, seconds
 from humansim_ros.evaluate.evaluation import DEFAULT_GATE, Evaluation, evaluate_poses
 from humansim_ros.evaluate.names import read_names
 from humansim_ros.evaluate.readers.estimates import in_map
-from humansim_ros.evaluate.readers.messages import Pose, PoseFrame
 from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.evaluate.report import to_data
 from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.evaluate.truth import SceneTruth
 from humansim_ros.keypoints import KeypointSet, keypoint_set
+from humansim_ros.messages.people import Pose, PoseFrame
 
 #: Most frames and joint positions of the truth, and of the estimate, that are kept: some 500 MB in all.
 MAX_FRAMES, MAX_POINTS = 100_000, 5_000_000

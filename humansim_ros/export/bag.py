@@ -29,6 +29,7 @@ from sensor_msgs.msg import (
 )
 from std_msgs.msg import String
 
+from humansim_ros import messages
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.camera import Camera
 from humansim_ros.errors import BagError, ExportError, HumansimError, some_of, warn_about
@@ -36,10 +37,9 @@ from humansim_ros.export.formats import BODIES, BOXES, KEYPOINTS, POSITIONS, Exp
 from humansim_ros.export.scene import ExportCamera, ExportScene
 from humansim_ros.export.source import versions
 from humansim_ros.keypoints.sets import keypoint_set
+from humansim_ros.messages.cdr import deserialised
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
-from humansim_ros.ros import messages
-from humansim_ros.ros.limits import deserialised
 from humansim_ros.scene import CameraPose, Frame
 from humansim_ros.truth import BodyBox, CameraTruth, KeypointView
 from humansim_ros.types import Array

@@ -15,9 +15,9 @@ from sensor_msgs.msg import CompressedImage
 from humansim_ros.bags.chunks import BagMessage, Chunk, encode_chunk
 from humansim_ros.bags.topics import BagTopic, Qos, described
 from humansim_ros.errors import RenderError
+from humansim_ros.messages.cdr import serialised
+from humansim_ros.messages.topics import Topic
 from humansim_ros.record.plan import PLAN, RecordingPlan
-from humansim_ros.ros.cdr import serialised
-from humansim_ros.ros.topics import Topic
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.simulation import Frame
 
@@ -86,7 +86,7 @@ class SceneRecording:
 
 
 def _bag_topic(topic: Topic[Any]) -> BagTopic:
-    qos = Qos(transient_local=topic.latched, depth=topic.qos.depth)
+    qos = Qos(transient_local=topic.latched, depth=topic.depth)
     return BagTopic(f"/{topic.name}", topic.type_name, (qos,))
 
 

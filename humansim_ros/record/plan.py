@@ -14,9 +14,9 @@ from humansim_ros.bags.chunks import Compression
 from humansim_ros.bags.metadata import read_metadata
 from humansim_ros.bags.storages import Storage
 from humansim_ros.errors import BagError, near_names
+from humansim_ros.messages import ImageCompression
+from humansim_ros.messages.topics import Topic, scene_topics
 from humansim_ros.render.context import OpenGLContext
-from humansim_ros.ros.messages import ImageCompression
-from humansim_ros.ros.topics import Topic, scene_topics
 from humansim_ros.scene import Scene
 from humansim_ros.scene.scene_hash import scene_hash
 

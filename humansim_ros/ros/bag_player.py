@@ -20,12 +20,12 @@ from humansim_ros.bags.chunks import BagMessage
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.topics import BagTopic
 from humansim_ros.errors import HumansimWarning, RosError, some_of
+from humansim_ros.messages import to_time
+from humansim_ros.messages.types import message_type
 from humansim_ros.ros.bag_qos import publisher_profile
 from humansim_ros.ros.clock_owner import ClockOwner
 from humansim_ros.ros.graph_watch import GraphWatch
 from humansim_ros.ros.guarded_node import GuardedNode
-from humansim_ros.ros.message_types import message_type
-from humansim_ros.ros.messages import to_time
 from humansim_ros.ros.runtime import make_executor
 from humansim_ros.ros.topic_choice import TopicChoice, similar
 

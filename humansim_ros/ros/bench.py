@@ -194,8 +194,8 @@ class _Subscriber:
         from rclpy.signals import SignalHandlerOptions
         from sensor_msgs.msg import Image
 
+        from humansim_ros.messages import serialised_stamp
         from humansim_ros.ros.guarded_node import GuardedNode
-        from humansim_ros.ros.messages import serialised_stamp
 
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = GuardedNode("humansim_bench")

@@ -16,7 +16,7 @@ from sensor_msgs.srv import SetCameraInfo
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration, resolve_url, write_calibration
 from humansim_ros.errors import CameraError, HumansimError, printable
-from humansim_ros.ros.messages import read_camera_info
+from humansim_ros.messages import read_camera_info
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.scene.camera import SceneCamera
 

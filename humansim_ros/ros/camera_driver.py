@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 from rclpy.duration import Duration
 
+from humansim_ros.messages.topics import Content, Topic
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.topics import Content, Topic
 from humansim_ros.scene.faults import FOLLOWING, NO_FAULTS, FrameFaults
 
 #: Seconds in which subscribers take what is sent at the end of a run.

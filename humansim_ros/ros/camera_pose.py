@@ -7,11 +7,11 @@ from dataclasses import replace
 
 from geometry_msgs.msg import PoseStamped, TransformStamped
 
+from humansim_ros import messages
 from humansim_ros.errors import HumansimError, printable
-from humansim_ros.ros import messages
+from humansim_ros.messages.topics import CameraTopics
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.qos import DATA, LATCHED, NEWEST
-from humansim_ros.ros.topics import CameraTopics
+from humansim_ros.ros.qos import DATA, LATCHED, NEWEST, offered_profile
 from humansim_ros.scene.camera import CameraPose, SceneCamera
 from humansim_ros.scene.capture import Exposure
 from humansim_ros.scene.state import SceneState
@@ -47,13 +47,13 @@ class CameraPosePublisher:
         self._start = self._last = CameraPose.of(camera.camera)
         self._last_stamp = self._last_motion = 0
         self._extrinsics, self._projection = (
-            node.create_publisher(topic.type, topic.name, topic.qos)
+            node.create_publisher(topic.type, topic.name, offered_profile(topic))
             for topic in (topics.extrinsics, topics.projection)
         )
         self._true_extrinsics = topics.true_extrinsics
         if self._true_extrinsics is not None:
             topic = self._true_extrinsics
-            self._true_publisher = node.create_publisher(topic.type, topic.name, topic.qos)
+            self._true_publisher = node.create_publisher(topic.type, topic.name, offered_profile(topic))
             self._publish_true(CameraPose.of(camera.camera), node.now())
         self._tf = self._tf_static = None
         if TFMessage is not None:

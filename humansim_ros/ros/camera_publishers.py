@@ -7,19 +7,20 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from humansim_ros.messages.topics import CameraTopics, Topic
 from humansim_ros.render import View
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.camera_calibration import PublishedCalibration
 from humansim_ros.ros.camera_driver import CameraDriver
 from humansim_ros.ros.compressed import CompressedDepthPublisher, CompressedImagePublisher
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.topics import CameraTopics, Topic
+from humansim_ros.ros.qos import offered_profile
 from humansim_ros.scene.faults import FrameFaults
 from humansim_ros.truth import CameraTruth
 
 
 def _publisher(node: SceneNode, topic: Topic[Any]) -> Any:
-    return node.create_publisher(topic.type, topic.name, topic.qos)
+    return node.create_publisher(topic.type, topic.name, offered_profile(topic))
 
 
 class ImagePublishers:

@@ -23,11 +23,11 @@ import numpy as np
 from humansim_ros.errors import EvaluationError, HumansimError, show_warnings
 from humansim_ros.evaluate.evaluation import evaluate_poses
 from humansim_ros.evaluate.names import set_of_names
-from humansim_ros.evaluate.readers.messages import PoseFrame
 from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.evaluate.truth import truth_at
 from humansim_ros.keypoints import keypoint_set
+from humansim_ros.messages.people import PoseFrame
 from humansim_ros.scene import Scene
 
 #: Most messages of a tracker for each frame, and for a case besides: more are a flood.
@@ -107,7 +107,7 @@ class _Collector:
         node.create_subscription(TimeReference, SCENE_TIME, self._on_time, DATA)
 
     def _on_time(self, message: Any) -> None:
-        from humansim_ros.ros.messages import read_scene_time, to_nanoseconds
+        from humansim_ros.messages import read_scene_time, to_nanoseconds
 
         stamp = to_nanoseconds(message.header.stamp)
         self.frames[stamp] = read_scene_time(message)

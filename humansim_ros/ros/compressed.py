@@ -12,11 +12,12 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 
 from humansim_ros.errors import RosError
+from humansim_ros.messages import DepthCompression, ImageCompression
+from humansim_ros.messages.topics import CameraTopics, Topic
 from humansim_ros.render import View
 from humansim_ros.ros.camera_driver import CameraDriver
-from humansim_ros.ros.messages import DepthCompression, ImageCompression
 from humansim_ros.ros.node import SceneNode
-from humansim_ros.ros.topics import CameraTopics, Topic
+from humansim_ros.ros.qos import offered_profile
 
 
 class _CompressedPublisher:
@@ -28,7 +29,7 @@ class _CompressedPublisher:
     def __init__(self, node: SceneNode, topic: Topic[View]) -> None:
         self._node = node
         self._parameters = topic.name.replace("/", ".") + "."
-        self._publisher = node.create_publisher(topic.type, topic.name, topic.qos)
+        self._publisher = node.create_publisher(topic.type, topic.name, offered_profile(topic))
 
     @property
     def subscribed(self) -> bool:

@@ -149,8 +149,8 @@ class _Recorder:
         from rclpy.qos import qos_profile_sensor_data
         from rclpy.signals import SignalHandlerOptions
 
+        from humansim_ros.messages.topics import scene_topics
         from humansim_ros.ros.guarded_node import GuardedNode
-        from humansim_ros.ros.topics import scene_topics
 
         self.scene = scene
         rclpy.init(signal_handler_options=SignalHandlerOptions.NO)
@@ -224,7 +224,7 @@ class _Recorder:
         """Create the callback for serialised messages of a topic; few of them are deserialised."""
         camera = topic.split("/")[1]
 
-        from humansim_ros.ros.messages import serialised_stamp
+        from humansim_ros.messages import serialised_stamp
 
         def on_message(data: bytes) -> None:
             stamp: int | None = serialised_stamp(data)
@@ -246,8 +246,8 @@ class _Recorder:
 
     def _note_clock(self, camera: str, data: bytes) -> None:
         """Note which stamp the image of a frame has."""
-        from humansim_ros.ros.limits import deserialised
-        from humansim_ros.ros.messages import read_faults, to_nanoseconds
+        from humansim_ros.messages import read_faults, to_nanoseconds
+        from humansim_ros.messages.cdr import deserialised
 
         message = deserialised(data, self._message_types[f"/{camera}/faults"])
         stamp, known = to_nanoseconds(message.header.stamp), self._frame_stamps[camera]
@@ -257,7 +257,7 @@ class _Recorder:
 
     def _image(self, topic: str, data: bytes) -> NDArray[Any]:
         """Pixels of a serialised image. Raises RosError unless it is as the camera of the topic sends it."""
-        from humansim_ros.ros.limits import deserialised
+        from humansim_ros.messages.cdr import deserialised
 
         message = deserialised(data, self._message_types[topic])
         camera, kind = topic[1:].split("/", 1)
@@ -274,8 +274,8 @@ class _Recorder:
 
     def _joints(self, topic: str, data: bytes) -> NDArray[Any]:
         """Joints of a serialised message. Raises RosError unless they are those of the scene's humans."""
-        from humansim_ros.ros.limits import deserialised
-        from humansim_ros.ros.messages import read_joint_view
+        from humansim_ros.messages import read_joint_view
+        from humansim_ros.messages.cdr import deserialised
 
         points = read_joint_view(deserialised(data, self._message_types[topic]))
         actors = self.scene.actors.values()

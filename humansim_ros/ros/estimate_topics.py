@@ -12,12 +12,12 @@ from rclpy.qos import QoSProfile
 
 from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.evaluate.readers.bag_topics import topic_pattern, topic_person
-from humansim_ros.evaluate.readers.messages import MESSAGE_TYPES, PoseFrame, read_message
 from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.messages.cdr import deserialised
+from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, read_people
+from humansim_ros.messages.types import message_type
 from humansim_ros.ros.bag_qos import subscription_profile
 from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
-from humansim_ros.ros.limits import deserialised
-from humansim_ros.ros.message_types import message_type
 from humansim_ros.ros.topic_choice import absolute
 
 #: Seconds between two looks for topics and publishers.
@@ -115,7 +115,7 @@ class PoseTopics:
         try:
             limit = None if kind.endswith("PointCloud2") else _MAX_BYTES
             message = deserialised(data, message_type(kind), limit)
-            self._on_frame(read_message(kind, message, self._options), name, person)
+            self._on_frame(read_people(kind, message, self._options.names), name, person)
         except HumansimError:
             self.ignored += 1
             raise

@@ -14,10 +14,10 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2, TimeReference
 from std_msgs.msg import Header
 from visualization_msgs.msg import Marker
 
+from humansim_ros import messages
 from humansim_ros.errors import HumansimError, RosError
-from humansim_ros.ros import messages
+from humansim_ros.messages.cdr import deserialised
 from humansim_ros.ros.frame_buffer import FrameBuffer, GivenUpFrame
-from humansim_ros.ros.limits import deserialised
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, DONE, FRAME_DONE, NEWEST, SCENE_TIME
 from humansim_ros.scene.camera import CameraPose

@@ -12,15 +12,18 @@ from typing import Any
 from rcl_interfaces.msg import SetParametersResult
 from rclpy.logging import LoggingSeverity
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 from rclpy.task import Future
 
-from humansim_ros.errors import HumansimError, printable
-from humansim_ros.ros.limits import check_request, check_serialised, deserialised
+from humansim_ros.errors import HumansimError, RosError, printable
+from humansim_ros.messages.cdr import check_serialised, deserialised
 
 #: ``max_bytes`` of subscriptions that take serialised messages of any size, and do not read them.
 ANY_SIZE = -1
 #: Seconds between two log lines about errors of one callback.
 _LINE_EVERY = 1.0
+#: Most elements of a sequence in a request: of parameters to set, each of which is checked alone, and others.
+_MAX_PARAMETERS, _MAX_REQUESTED = 300, 1000
 
 
 @dataclass
@@ -166,7 +169,7 @@ class GuardedNode(Node):
 
         def on_request(request: Any, response: Any) -> Any:
             with self.guard(source, "the request is refused") as fault:
-                check_request(request)
+                _check_request(request)
                 return callback(request, response)
             return _refusal(request, srv_type.Response(), fault.reason)
 
@@ -243,3 +246,15 @@ def _refusal(request: Any, response: Any, reason: str) -> Any:
         response.result.result = response.result.RESULT_OPERATION_FAILED
         response.result.error_message = reason
     return response
+
+
+def _check_request(request: Any) -> None:
+    """Raise RosError for a service request that rclpy cannot read, or not in a short time."""
+    for name in request.get_fields_and_field_types():
+        value = getattr(request, name)
+        limit = _MAX_PARAMETERS if name == "parameters" else _MAX_REQUESTED
+        if isinstance(value, list) and len(value) > limit:
+            raise RosError(f"{len(value)} {name}; at most {limit} are read in one request")
+    for parameter in getattr(request, "parameters", ()):
+        if parameter.value.type not in {each.value for each in Parameter.Type}:
+            raise RosError(f"{parameter.value.type} is no type of a parameter")

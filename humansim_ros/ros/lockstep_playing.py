@@ -16,12 +16,12 @@ from rosgraph_msgs.msg import Clock
 from std_msgs.msg import Header
 
 from humansim_ros.errors import RosError, printable
+from humansim_ros.messages import to_nanoseconds, to_time
 from humansim_ros.ros.clock_owner import ClockOwner
 from humansim_ros.ros.graph_watch import GraphWatch
 from humansim_ros.ros.lockstep import Lockstep, Member
 from humansim_ros.ros.lockstep_settings import LockstepSettings
 from humansim_ros.ros.lockstep_summary import LockstepSummary
-from humansim_ros.ros.messages import to_nanoseconds, to_time
 from humansim_ros.ros.playing import FramePlayer, Playing
 from humansim_ros.ros.processes import TIMED_OUT, WRONG_INPUT
 from humansim_ros.ros.progress_file import ProgressFile

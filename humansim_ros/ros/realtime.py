@@ -9,9 +9,9 @@ from collections.abc import Callable
 from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
 from std_msgs.msg import Header
 
+from humansim_ros.messages import to_nanoseconds
 from humansim_ros.ros.clock_steps import ClockSteps
 from humansim_ros.ros.frame_pacing import FramePacing
-from humansim_ros.ros.messages import to_nanoseconds
 from humansim_ros.ros.playing import MAX_WAITING, FramePlayer, Playing
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
 from humansim_ros.scene.playback import ScenePoses, Tick

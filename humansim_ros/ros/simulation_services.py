@@ -21,8 +21,8 @@ from rclpy.task import Future
 
 from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import HumansimError, printable
+from humansim_ros.messages import WORLD_FRAME, header, pose_message, read_pose, twist_message
 from humansim_ros.motion.joint_poses import Velocity
-from humansim_ros.ros.messages import WORLD_FRAME, header, pose_message, read_pose, twist_message
 from humansim_ros.ros.name_patterns import NamePattern
 from humansim_ros.ros.playing import MAX_WAITING, FramePlayer
 from humansim_ros.ros.processes import QUIT

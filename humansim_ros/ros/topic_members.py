@@ -8,10 +8,10 @@ from typing import Any
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 
 from humansim_ros.errors import RosError, printable
+from humansim_ros.messages import serialised_stamp
+from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.ros.graph_watch import Endpoint, GraphWatch
 from humansim_ros.ros.guarded_node import GuardedNode
-from humansim_ros.ros.message_types import begins_with_stamp, message_type
-from humansim_ros.ros.messages import serialised_stamp
 
 #: Queue of a subscription, messages.
 _DEPTH = 50

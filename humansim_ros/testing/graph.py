@@ -15,13 +15,13 @@ from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
 
 from humansim_ros.errors import RosError
+from humansim_ros.messages import header, to_nanoseconds
+from humansim_ros.messages.topics import scene_topics
+from humansim_ros.messages.types import message_type
 from humansim_ros.ros.bag_qos import subscription_profile
 from humansim_ros.ros.in_process import InProcessNodes
-from humansim_ros.ros.message_types import message_type
-from humansim_ros.ros.messages import header, to_nanoseconds
 from humansim_ros.ros.processes import relative_namespace
-from humansim_ros.ros.qos import DATA, FRAME_DONE, REPORTS, SCENE_TIME
-from humansim_ros.ros.topics import scene_topics
+from humansim_ros.ros.qos import DATA, FRAME_DONE, REPORTS, SCENE_TIME, offered_profile
 from humansim_ros.scene import Scene
 from humansim_ros.testing.domain import running_rclpy
 from humansim_ros.testing.received import ReceivedMessages, stamp_of
@@ -348,7 +348,7 @@ class SceneGraph:
         """Type and quality of service of a subscription that gets all messages of a topic."""
         for topic in scene_topics(self.scene):
             if self.node.resolve_topic_name(topic.name) == name:
-                return kind or topic.type, subscription_profile([topic.qos])
+                return kind or topic.type, subscription_profile([offered_profile(topic)])
         if kind is None:
             self._spin_until(lambda: self._publishers(name), lambda: self._silence(name))
         found = self._publishers(name)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, overload
 
 from humansim_ros.errors import RosError
-from humansim_ros.ros.messages import to_nanoseconds
+from humansim_ros.messages import to_nanoseconds
 
 
 def stamp_of(message: Any) -> int | None:

@@ -11,12 +11,12 @@ from pathlib import Path
 
 import numpy as np
 
+from humansim_ros import messages
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.errors import HumansimError, HumansimWarning
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.humans import Human
-from humansim_ros.ros import messages
-from humansim_ros.ros.message_types import begins_with_stamp, message_type
+from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.types import Indices
 from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.seen_topics import SeenTopics, seen_topics

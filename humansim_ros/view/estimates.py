@@ -11,7 +11,7 @@ from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.evaluate.joint_pairs import pair_joints
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.evaluate.matching import match_people, pair_distances
-from humansim_ros.evaluate.readers.messages import Pose, PoseFrame
+from humansim_ros.messages.people import Pose, PoseFrame
 from humansim_ros.types import Array
 
 _WORLD = "map"

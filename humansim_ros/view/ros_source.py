@@ -18,16 +18,16 @@ from rclpy.context import Context
 from rclpy.qos import QoSProfile
 from rclpy.signals import SignalHandlerOptions
 
+from humansim_ros import messages
 from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.evaluate.live import LiveOptions
 from humansim_ros.evaluate.readers.bag_topics import topic_pattern
-from humansim_ros.evaluate.readers.messages import read_message
 from humansim_ros.humans import Human
-from humansim_ros.ros import messages
+from humansim_ros.messages.cdr import check_serialised, deserialised
+from humansim_ros.messages.people import read_people
+from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.ros.bag_qos import subscription_profile
 from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
-from humansim_ros.ros.limits import check_serialised, deserialised
-from humansim_ros.ros.message_types import begins_with_stamp, message_type
 from humansim_ros.ros.runtime import make_executor, spin
 from humansim_ros.ros.topic_choice import absolute
 from humansim_ros.view.pictures import IMAGE_WIDTH
@@ -467,7 +467,7 @@ class _Receiver:
             return
         stamp = messages.serialised_stamp(data) if stamped else None
         if kind == _MARKERS:  # the stamp is in the markers
-            stamp = read_message(kind, deserialised(data, found, limit), self._reading.reading).stamp
+            stamp = read_people(kind, deserialised(data, found, limit), self._reading.names).stamp
             if stamp is None:
                 return
         if topic not in self.topics.types:

@@ -7,8 +7,8 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from humansim_ros.evaluate.readers.bag_topics import topic_pattern, topic_person
-from humansim_ros.evaluate.readers.messages import MESSAGE_TYPES
 from humansim_ros.keypoints import KeypointSet
+from humansim_ros.messages.people import MESSAGE_TYPES
 from humansim_ros.render.channels import CHANNEL_TABLE
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"

@@ -14,18 +14,18 @@ from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointSta
 from std_msgs.msg import String
 from visualization_msgs.msg import Marker
 
+from humansim_ros import messages
 from humansim_ros.camera import Camera
 from humansim_ros.drawing.views import color_channel, color_depth, color_image, draw_joints
 from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.evaluate.live import LiveOptions
-from humansim_ros.evaluate.readers.messages import Pose, read_message
 from humansim_ros.humans import Human
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.messages.cdr import deserialised
+from humansim_ros.messages.people import Pose, read_people
+from humansim_ros.messages.types import message_type
 from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.render.channels import CHANNEL_TABLE
-from humansim_ros.ros import messages
-from humansim_ros.ros.limits import deserialised
-from humansim_ros.ros.message_types import message_type
 from humansim_ros.scene.objects import SHAPES
 from humansim_ros.truth import OUTSIDE, VISIBLE
 from humansim_ros.types import Array, Float32Array
@@ -354,7 +354,7 @@ class TopicFrames:
         """People of a message of the estimate."""
         kind = self.topics.types[topic]
         message = deserialised(data, message_type(kind), None if kind.endswith("PointCloud2") else _MAX_POSES)
-        return people_of(read_message(kind, message, self._options.reading), person, self._options)
+        return people_of(read_people(kind, message, self._options.names), person, self._options)
 
     def _images(
         self,

@@ -16,7 +16,7 @@ pytest.importorskip("sensor_msgs", reason="ROS 2 is not installed (pip install '
 from humansim_ros.camera import Camera
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import CameraError, HumansimError
-from humansim_ros.ros.messages import camera_info_message
+from humansim_ros.messages import camera_info_message
 from humansim_ros.scene import Frame, Scene, Simulation
 
 LENSES = {

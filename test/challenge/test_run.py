@@ -26,8 +26,8 @@ from humansim_ros.challenge.run import (
 from humansim_ros.challenge.suite import Case, Suite
 from humansim_ros.challenge.tracker import TrackerProcess, command_words
 from humansim_ros.errors import ChallengeError, HumansimError
-from humansim_ros.evaluate.readers.messages import Pose, PoseFrame
 from humansim_ros.evaluate.stream import EstimateStream
+from humansim_ros.messages.people import Pose, PoseFrame
 from humansim_ros.ros.challenge_case import MAX_MESSAGES, CaseOrder, measured
 from humansim_ros.scene import Scene
 

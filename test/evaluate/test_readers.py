@@ -15,9 +15,9 @@ from evaluate_support import NAMES, PERIOD, pose, walking
 from humansim_ros.errors import EvaluationError
 from humansim_ros.evaluate.names import read_names
 from humansim_ros.evaluate.readers.estimates import read_estimates
-from humansim_ros.evaluate.readers.messages import Pose, read_message
 from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.evaluate.tracks import PoseSequence
+from humansim_ros.messages.people import Pose, read_people
 from humansim_ros.types import Array
 
 OPTIONS = ReadOptions(period=PERIOD, start=1)
@@ -281,7 +281,7 @@ def xyz(point: Array) -> Any:
 
 
 def poses_of(kind: str, message: Any, names: tuple[str, ...] | None = NAMES) -> list[Pose]:
-    frame = read_message(kind, message, ReadOptions(names))
+    frame = read_people(kind, message, names)
     assert (frame.stamp, frame.frame_id) == (5, "map")
     return list(frame.people)
 
@@ -379,29 +379,29 @@ def test_messages_that_no_estimate_can_be() -> None:
         return SimpleNamespace(header=header(stamp), poses=[point])
 
     kind = "geometry_msgs/msg/PoseArray"
-    options = ReadOptions(("head",))
-    assert np.isnan(read_message(kind, poses(np.nan), options).people[0].positions).any()
+    names = ("head",)
+    assert np.isnan(read_people(kind, poses(np.nan), names).people[0].positions).any()
     with pytest.raises(EvaluationError, match="a position is more than 1000 km away"):
-        read_message(kind, poses(1e12), options)
+        read_people(kind, poses(1e12), names)
     with pytest.raises(EvaluationError, match="a stamp of -2 s is not valid"):
-        read_message(kind, poses(stamp=-2 * 10**9), options)
+        read_people(kind, poses(stamp=-2 * 10**9), names)
     crowd = poses()
     crowd.poses *= 1001
     with pytest.raises(EvaluationError, match="a message has more than 1000 people"):
-        read_message(kind, crowd, options)
+        read_people(kind, crowd, names)
     cloud = SimpleNamespace(header=header(5), fields=[], is_bigendian=False, point_step=-1, data=b"")
     with pytest.raises(EvaluationError, match="a message cannot be read: ValueError"):
-        read_message("sensor_msgs/msg/PointCloud2", cloud, options)
+        read_people("sensor_msgs/msg/PointCloud2", cloud, names)
     twins = [
         SimpleNamespace(header=header(5), ns="anna", id=i, type=7, action=0, points=[xyz(np.zeros(3))])
         for i in (1, 2)
     ]
     markers = "visualization_msgs/msg/MarkerArray"
     with pytest.raises(EvaluationError, match="person 'anna' has two poses in a message"):
-        read_message(markers, SimpleNamespace(markers=twins), options)
+        read_people(markers, SimpleNamespace(markers=twins), names)
     clear = SimpleNamespace(header=header(0), ns="", id=0, type=0, action=3)
-    assert read_message(markers, SimpleNamespace(markers=[clear]), options).stamp is None
-    assert read_message(markers, SimpleNamespace(markers=[clear, twins[0]]), options).stamp == 5
+    assert read_people(markers, SimpleNamespace(markers=[clear]), names).stamp is None
+    assert read_people(markers, SimpleNamespace(markers=[clear, twins[0]]), names).stamp == 5
 
 
 def test_a_sequence_says_what_it_is() -> None:

@@ -10,9 +10,9 @@ from evaluate_support import NAMES, PERIOD, pose, walking
 
 from humansim_ros.errors import EvaluationError
 from humansim_ros.evaluate.evaluation import evaluate_poses
-from humansim_ros.evaluate.readers.messages import Pose, PoseFrame
 from humansim_ros.evaluate.report import show, to_data
 from humansim_ros.evaluate.stream import MAX_JOINTS, EstimateStream
+from humansim_ros.messages.people import Pose, PoseFrame
 
 TRUTH = walking(20)
 

@@ -13,9 +13,9 @@ import pytest
 from numpy.typing import NDArray
 from ros_support import Client, rclpy, write_scene
 
+from humansim_ros import messages
 from humansim_ros.errors import RosError
 from humansim_ros.render.channels import CHANNEL_TABLE
-from humansim_ros.ros import messages
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode

@@ -15,10 +15,10 @@ import pytest
 from ros_support import SMALL_SCENE, Client, rclpy, write_scene
 from waiting import PATIENCE
 
+from humansim_ros import messages
 from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.render import GLRenderer
 from humansim_ros.render.posed_mesh import PosedMesh
-from humansim_ros.ros import messages
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
 from humansim_ros.ros.processes import scene_processes
 from humansim_ros.ros.runtime import make_executor

@@ -12,8 +12,8 @@ import pytest
 from ros_support import Client, write_scene
 from waiting import PATIENCE
 
+from humansim_ros import messages
 from humansim_ros.camera import Camera
-from humansim_ros.ros import messages
 from humansim_ros.ros import node as scene_node
 from humansim_ros.ros.clock_steps import ClockSteps
 from humansim_ros.ros.node import SceneNode

@@ -14,7 +14,7 @@ sys.path.append(str(ROOT / "tools"))
 
 import field_hashes
 
-from humansim_ros.ros import messages
+from humansim_ros import messages
 from humansim_ros.truth import BodyBox
 
 

@@ -22,8 +22,8 @@ from ros_support import Client, Lockstep, write_scene
 from std_msgs.msg import Header
 from waiting import wait_until
 
+from humansim_ros.messages import header
 from humansim_ros.ros.frame_pacing import FramePacing
-from humansim_ros.ros.messages import header
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from ros_support import SMALL_SCENE, Client, deliver, write_scene
 
-from humansim_ros.ros import messages
+from humansim_ros import messages
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.scene.state import SceneState

@@ -14,7 +14,7 @@ from conftest import ROOT
 from ros_support import Client, rclpy, write_scene
 from waiting import wait_until
 
-from humansim_ros.ros import messages
+from humansim_ros import messages
 from humansim_ros.ros.bench import _Subscriber
 from humansim_ros.ros.demo import _contact_sheet, _Recorder
 from humansim_ros.scene import Scene

@@ -15,12 +15,13 @@ import numpy as np
 import pytest
 from ros_support import SMALL_SCENE
 
+from humansim_ros import messages
 from humansim_ros.camera import Camera
 from humansim_ros.errors import CameraError, HumansimError, MotionError, RosError
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.messages.cdr import MAX_FIELDS, check_serialised, deserialised
+from humansim_ros.messages.humans import MAX_JOINTS
 from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.ros import messages
-from humansim_ros.ros.limits import MAX_FIELDS, MAX_JOINTS, check_serialised, deserialised
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.live import JointSource, LiveRetargeter

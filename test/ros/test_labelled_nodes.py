@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from ros_support import write_scene
 
+from humansim_ros import messages
 from humansim_ros.keypoints import KEYPOINT_SETS, keypoint_set
-from humansim_ros.ros import messages
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
 from humansim_ros.truth.joints import OCCLUDED, VISIBLE

@@ -18,8 +18,7 @@ from ros_support import Client, write_scene
 from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from waiting import end_process
 
-from humansim_ros import Scene
-from humansim_ros.ros import messages
+from humansim_ros import Scene, messages
 from humansim_ros.ros.first_images import FirstImages
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode

@@ -19,8 +19,8 @@ from std_msgs.msg import Header, String
 from std_srvs.srv import SetBool, Trigger
 from waiting import wait_until
 
+from humansim_ros import messages
 from humansim_ros.errors import RosError
-from humansim_ros.ros import messages
 from humansim_ros.ros.clock_owner import CLOCK_SEARCH
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE

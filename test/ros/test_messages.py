@@ -10,9 +10,9 @@ import pytest
 import ros_support  # noqa: F401  (skips where ROS is missing)
 from scipy.spatial.transform import Rotation
 
+from humansim_ros import messages
 from humansim_ros.camera import Camera
 from humansim_ros.errors import RosError
-from humansim_ros.ros import messages
 from humansim_ros.scene import Scene
 from humansim_ros.truth.boxes import BodyBox
 from humansim_ros.truth.joints import JointView

@@ -13,9 +13,9 @@ import pytest
 from ros_support import Client, Lockstep, deliver, write_scene
 from scipy.spatial.transform import Rotation
 
+from humansim_ros import messages
 from humansim_ros.body.rigging import dominant_bones
 from humansim_ros.errors import SceneError
-from humansim_ros.ros import messages
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode

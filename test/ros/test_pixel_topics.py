@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from ros_support import write_scene
 
+from humansim_ros import messages
 from humansim_ros.render import ALL_CHANNELS, CHANNELS
 from humansim_ros.render.channels import CHANNEL_TABLE, comparing_with
-from humansim_ros.ros import messages
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.testing import SceneGraph
 

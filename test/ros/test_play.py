@@ -370,8 +370,8 @@ def test_a_camera_renders_a_played_bag_as_it_renders_the_live_topics(ros: None, 
     from sensor_msgs.msg import Image
 
     from humansim_ros import Scene, Simulation
+    from humansim_ros.messages import joints_message, scene_time_message, vertices_message
     from humansim_ros.ros.bag_player import BagPlayer, PlayOptions
-    from humansim_ros.ros.messages import joints_message, scene_time_message, vertices_message
     from humansim_ros.ros.nodes.camera import CameraNode
 
     scene = Scene.load(write_scene(tmp_path))

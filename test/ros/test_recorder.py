@@ -494,7 +494,7 @@ def test_a_path_that_exists_is_an_error(
 )
 def test_names_of_types_run_no_code(ros: None, name: str, words: str) -> None:
     from humansim_ros.errors import RosError
-    from humansim_ros.ros.message_types import message_type
+    from humansim_ros.messages.types import message_type
 
     with pytest.raises(RosError, match=words):
         message_type(name)

@@ -15,8 +15,8 @@ import pytest
 from conftest import ROOT
 from ros_support import Client, Lockstep, write_scene
 
+from humansim_ros import messages
 from humansim_ros.camera.trajectory import Trajectory
-from humansim_ros.ros import messages
 from humansim_ros.rotations import unit_quaternions
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.live import JointSource, LiveRetargeter
@@ -201,8 +201,8 @@ def simulated(scene: Path, frames: Sequence[int] = range(FRAMES)) -> field_hashe
     """Hashes of the messages of some frames of a new simulation."""
     from rclpy.serialization import deserialize_message, serialize_message
 
+    from humansim_ros.messages.topics import scene_topics
     from humansim_ros.render.channels import ALL_CHANNELS
-    from humansim_ros.ros.topics import scene_topics
 
     def sent() -> Iterator[tuple[str, Any]]:
         with Simulation(Scene.load(scene), ALL_CHANNELS) as simulation:
@@ -230,7 +230,7 @@ class Listener:
     def __init__(self, scene: Path, namespace: str) -> None:
         from rclpy.qos import QoSDurabilityPolicy, QoSProfile
 
-        from humansim_ros.ros.topics import scene_topics
+        from humansim_ros.messages.topics import scene_topics
 
         self.namespace = namespace
         self.client = Client(f"listener_{namespace}")

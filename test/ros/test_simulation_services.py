@@ -17,7 +17,7 @@ from ros_support import Client, write_scene
 from scipy.spatial.transform import Rotation
 from waiting import PATIENCE
 
-from humansim_ros.ros import messages
+from humansim_ros import messages
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.processes import QUIT
 from humansim_ros.ros.qos import DATA, DONE, LATCHED

@@ -12,8 +12,9 @@ from ros_support import rclpy
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
-from humansim_ros.ros.cdr import serialised
-from humansim_ros.ros.topics import CameraTopics, Topic, scene_topics
+from humansim_ros.messages.cdr import serialised
+from humansim_ros.messages.topics import CameraTopics, Topic, scene_topics
+from humansim_ros.ros.qos import offered_profile
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.scene.simulation import Frame
 
@@ -156,7 +157,7 @@ def test_bytes_of_a_frame_are_the_same_each_time(scene: Scene, frames: list[Fram
 def test_stamps_of_all_messages_with_a_header_are_those_of_the_frame(
     scene: Scene, frames: list[Frame]
 ) -> None:
-    from humansim_ros.ros.messages import to_nanoseconds
+    from humansim_ros.messages import to_nanoseconds
 
     headers = [getattr(topic.message(frames[0]), "header", None) for topic in scene_topics(scene)]
     stamps = {to_nanoseconds(header.stamp) for header in headers if header is not None}
@@ -201,7 +202,7 @@ def test_the_nodes_publish_the_topics_of_the_table(scene: Scene, nodes: list[Any
     assert set(publishers) - OF_NODES - hidden == set(table)
     for name, topic in table.items():
         assert publishers[name].msg_type is topic.type, name
-        assert publishers[name].qos_profile == topic.qos, name
+        assert publishers[name].qos_profile == offered_profile(topic), name
 
 
 def test_a_camera_has_the_optical_frame_that_it_is_given(scene: Scene, frames: list[Frame]) -> None:

@@ -12,7 +12,8 @@ import yaml
 from conftest import ROOT
 from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 
-from humansim_ros.ros.topics import Topic, scene_topics
+from humansim_ros.messages.topics import Topic, scene_topics
+from humansim_ros.ros.qos import offered_profile
 from humansim_ros.ros.viewer_layouts import foxglove_layout, rviz_layout
 from humansim_ros.scene import Scene
 from humansim_ros.scene.names import SceneNames, read_names
@@ -88,7 +89,7 @@ def test_rviz_subscribes_to_topics_of_the_scene_as_they_are_published(
         reliability = wanted["Reliability Policy"].upper().replace(" ", "_")
         durability = wanted["Durability Policy"].upper().replace(" ", "_")
         # a subscriber gets nothing from a publisher that offers less
-        offered = topic.qos
+        offered = offered_profile(topic)
         assert QoSReliabilityPolicy[reliability] in (offered.reliability, QoSReliabilityPolicy.BEST_EFFORT)
         assert QoSDurabilityPolicy[durability] in (offered.durability, QoSDurabilityPolicy.VOLATILE)
         assert wanted["History Policy"] == "Keep Last" and wanted["Depth"] >= 1
@@ -108,7 +109,7 @@ def test_the_camera_display_finds_the_calibration_beside_its_image(topics: Mappi
 
 
 def test_the_fields_that_colour_points_exist(topics: Mapping[str, Topic[Any]]) -> None:
-    from humansim_ros.ros.messages.camera_truth import JOINT_POINT
+    from humansim_ros.messages.camera_truth import JOINT_POINT
 
     rviz = yaml.safe_load((ROOT / "config" / "humansim.rviz").read_text())
     (cloud,) = (display for kind, display in rviz_displays(rviz) if kind == "PointCloud2")

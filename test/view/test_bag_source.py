@@ -285,7 +285,7 @@ def test_joints_of_another_skeleton_without_rotations(tmp_path: Path) -> None:
     from geometry_msgs.msg import Transform, Vector3
     from sensor_msgs.msg import MultiDOFJointState
 
-    from humansim_ros.ros.messages import header
+    from humansim_ros.messages import header
 
     points = {"hip": (0, 0, 1.0), "knee": (0.1, 0, 0.5), "foot": (0, 0, 0.0), "head": (0, 0, 1.7)}
 
@@ -320,7 +320,7 @@ def test_a_robot_with_tf_other_names_and_other_stamps(tmp_path: Path) -> None:
     from rosbags.typesys import Stores, get_typestore
     from sensor_msgs.msg import CameraInfo
 
-    from humansim_ros.ros.messages import header, image_message
+    from humansim_ros.messages import header, image_message
 
     rng = np.random.default_rng(3)
     colors = [rng.integers(0, 255, (6, 8, 3), np.uint8) for _ in range(3)]
@@ -415,7 +415,7 @@ def test_an_estimate_is_beside_the_truth_with_its_error(tmp_path: Path, scene: S
     from geometry_msgs.msg import Transform, Vector3
     from sensor_msgs.msg import MultiDOFJointState
 
-    from humansim_ros.ros.messages import header
+    from humansim_ros.messages import header
 
     shifts = {"p7": ("anna", 0.02), "p8": ("bert", 0.05), "ghost": ("anna", 9.0)}
 

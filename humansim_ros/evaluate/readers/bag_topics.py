@@ -9,9 +9,9 @@ from typing import Any
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.topics import BagTopic, message_types
 from humansim_ros.errors import EvaluationError, did_you_mean, printable, warn_about
-from humansim_ros.evaluate.readers.messages import MESSAGE_TYPES, PoseFrame, read_message
 from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.evaluate.stream import EstimateStream
+from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, read_people
 
 #: Stamp and log time that differ by more, nanoseconds, are of different clocks.
 _SAME_CLOCK = 3600 * 10**9
@@ -75,7 +75,7 @@ def _read(data: Any, kind: str, options: ReadOptions) -> PoseFrame:
         content = message_types().deserialize_cdr(bytes(data), kind)
     except Exception as reason:  # rosbags documents no exceptions for damaged messages
         raise EvaluationError(f"a message cannot be read: {type(reason).__name__}: {reason}") from None
-    return read_message(kind, content, options)
+    return read_people(kind, content, options.names)
 
 
 def _latency(stamp: int | None, logged: int) -> float | None:

@@ -14,10 +14,11 @@ import time
 from dataclasses import replace
 from typing import Any
 
+from humansim_ros import messages
 from humansim_ros.errors import CameraError, RosError, SceneError
+from humansim_ros.messages.topics import CameraTopics
 from humansim_ros.render import View
 from humansim_ros.render.channels import comparing_with
-from humansim_ros.ros import messages
 from humansim_ros.ros.camera_calibration import PublishedCalibration, read_single_camera
 from humansim_ros.ros.camera_driver import CameraDriver
 from humansim_ros.ros.camera_pose import CameraPosePublisher
@@ -30,7 +31,6 @@ from humansim_ros.ros.camera_publishers import (
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.runtime import run_node
-from humansim_ros.ros.topics import CameraTopics
 from humansim_ros.scene import Scene
 from humansim_ros.scene.camera import SceneCamera
 from humansim_ros.scene.capture import Exposure, capture, capture_rectified_depth

@@ -22,14 +22,14 @@ from sensor_msgs.msg import TimeReference
 from humansim_ros.errors import EvaluationError, HumansimError, RosError, printable
 from humansim_ros.evaluate.evaluation import DEFAULT_GATE, Evaluation
 from humansim_ros.evaluate.live import LiveEvaluation, LiveOptions
-from humansim_ros.evaluate.readers.messages import PoseFrame
 from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.evaluate.report import show
 from humansim_ros.evaluate.truth import SceneTruth
 from humansim_ros.io.files import atomic_path
+from humansim_ros.messages import to_nanoseconds
+from humansim_ros.messages.people import PoseFrame
 from humansim_ros.ros.bag_qos import subscription_profile
 from humansim_ros.ros.estimate_topics import PoseTopics
-from humansim_ros.ros.messages import to_nanoseconds
 from humansim_ros.ros.node import SuiteNode, loaded_scene
 from humansim_ros.ros.qos import DATA, SCENE_TIME
 from humansim_ros.ros.runtime import run_node

@@ -27,16 +27,23 @@ from rclpy.parameter import Parameter
 from std_srvs.srv import SetBool, Trigger
 
 from humansim_ros.errors import HumansimError, printable
+from humansim_ros.messages.topics import (
+    SCENE_TIME_TOPIC,
+    HumanTopics,
+    ObjectTopics,
+    Topic,
+    moving_camera_topics,
+)
 from humansim_ros.ros.background import BackgroundWork
 from humansim_ros.ros.lockstep_playing import LockstepPlaying
 from humansim_ros.ros.lockstep_settings import LockstepSettings
 from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
 from humansim_ros.ros.playing import MAX_WAITING, FramePlayer
+from humansim_ros.ros.qos import offered_profile
 from humansim_ros.ros.realtime import RealtimePlaying
 from humansim_ros.ros.requested_motions import MOTION_FOLDERS, RequestedMotions
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.ros.simulation_services import serve_simulation
-from humansim_ros.ros.topics import SCENE_TIME_TOPIC, HumanTopics, ObjectTopics, Topic, moving_camera_topics
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.live import JointSource
@@ -101,7 +108,7 @@ class MotionPlayerNode(FramePlayer):
         self.get_logger().info(f"playing {len(self._motions)} motions at {rate:g} Hz from {place}")
 
     def _publisher(self, topic: Topic[Any]) -> Any:
-        return self.create_publisher(topic.type, topic.name, topic.qos)
+        return self.create_publisher(topic.type, topic.name, offered_profile(topic))
 
     # --- frames
 

@@ -33,20 +33,20 @@ from humansim_ros.bags.storages import Storage
 from humansim_ros.bags.topics import BagTopic, check_topics
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError, did_you_mean, printable, some_of
+from humansim_ros.messages import header, serialised_stamp, to_nanoseconds
+from humansim_ros.messages.topics import Topic, scene_topics
+from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.render.channels import CHANNEL_TABLE
 from humansim_ros.ros.bag_qos import recorded_qos, subscription_profile
 from humansim_ros.ros.bag_thread import BagThread
 from humansim_ros.ros.clock_steps import ClockSteps
 from humansim_ros.ros.guarded_node import ANY_SIZE
 from humansim_ros.ros.image_copies import ImageCopies
-from humansim_ros.ros.message_types import begins_with_stamp, message_type
-from humansim_ros.ros.messages import header, serialised_stamp, to_nanoseconds
 from humansim_ros.ros.node import SuiteNode, loaded_scene
 from humansim_ros.ros.qos import DATA, DONE, FRAME_DONE, SCENE_TIME
 from humansim_ros.ros.received_frames import ReceivedFrames
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.ros.topic_choice import TopicChoice, absolute, similar
-from humansim_ros.ros.topics import Topic, scene_topics
 from humansim_ros.scene import Scene
 
 #: Seconds between two looks for new topics and publishers.

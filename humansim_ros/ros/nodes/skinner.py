@@ -19,14 +19,14 @@ from std_msgs.msg import Header, String
 
 from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import HumansimError, RosError, SceneError, printable
+from humansim_ros.messages import read_joints, read_legend, to_nanoseconds
+from humansim_ros.messages.topics import HumanTopics
 from humansim_ros.motion.joint_tables import built_in_tables, load_table
-from humansim_ros.ros.messages import read_joints, read_legend, to_nanoseconds
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.motion_player import MAX_LEAD
-from humansim_ros.ros.qos import LATCHED, NEWEST
+from humansim_ros.ros.qos import LATCHED, NEWEST, offered_profile
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.ros.source_log import SourceLog
-from humansim_ros.ros.topics import HumanTopics
 from humansim_ros.scene import Scene
 from humansim_ros.scene.actor import HumanState
 from humansim_ros.scene.config import LIVE
@@ -61,11 +61,11 @@ class SkinnerNode(SceneNode):
         self._asked: float | None = None
         self._topics = topics = HumanTopics(self._actor)
         self._joints, self._vertices, self._markers = (
-            self.create_publisher(topic.type, topic.name, topic.qos)
+            self.create_publisher(topic.type, topic.name, offered_profile(topic))
             for topic in (topics.joints, topics.vertices, topics.markers)
         )
         self._keypoints = [
-            (topic, self.create_publisher(topic.type, topic.name, topic.qos))
+            (topic, self.create_publisher(topic.type, topic.name, offered_profile(topic)))
             for topic in topics.keypoints.values()
         ]
         _ = topics.marker_builder  # made now: later it would delay a frame

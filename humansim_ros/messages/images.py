@@ -1,6 +1,4 @@
-"""Messages of compressed images in the formats of image_transport's plugins ``compressed`` and
-``compressedDepth``.
-"""
+"""Messages of images: raw, and as image_transport's ``compressed`` and ``compressedDepth`` have them."""
 
 from __future__ import annotations
 
@@ -12,13 +10,22 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from sensor_msgs.msg import CompressedImage, Image
 
 from humansim_ros.errors import RosError
 from humansim_ros.io.images import MAX_PIXELS, declared_size
-from humansim_ros.ros.messages.headers import header
-from humansim_ros.ros.messages.images import read_image, set_data
+from humansim_ros.messages.headers import header
+from humansim_ros.messages.types import CompressedImage, Image, set_unchecked
 
+#: Element type and number of channels of encodings.
+_PIXELS = {
+    **dict.fromkeys(("rgb8", "bgr8"), ("u1", 3)),
+    **dict.fromkeys(("mono8", "8UC1", "bayer_rggb8"), ("u1", 1)),
+    **dict.fromkeys(("mono16", "16UC1"), ("u2", 1)),
+    "32SC1": ("i4", 1),
+    "32FC1": ("f4", 1),
+    "32FC2": ("f4", 2),
+    "32FC3": ("f4", 3),
+}
 #: Colour encodings, which OpenCV encodes as bgr8; others are encoded as they are.
 _COLOR_ENCODINGS = ("rgb8", "bgr8")
 #: ``INV_DEPTH`` of the plugin, and its header: format, then the two coefficients of the inverse depth.
@@ -57,6 +64,53 @@ class DepthCompression:
     depth_max: float = 10.0
     depth_quantization: float = 100.0
     png_level: int = 3
+
+
+def image_message(image: NDArray[Any], encoding: str, stamp: int, frame: str) -> Image:
+    """Build an Image without a copy of the pixels.
+
+    Args:
+        image: Pixels (H, W) or (H, W, C). The array must not change afterwards.
+        encoding: ROS encoding, such as ``rgb8``.
+        stamp: Nanoseconds.
+        frame: Optical frame of the camera.
+    """
+    message = Image(
+        header=header(stamp, frame), height=image.shape[0], width=image.shape[1], encoding=encoding
+    )
+    message.is_bigendian = 0
+    message.step = image.strides[0]
+    set_data(message, image)
+    return message
+
+
+def read_image(message: Image) -> NDArray[Any]:
+    """Pixels (H, W) or (H, W, C) of an Image. Raises RosError for other encodings, and for damaged ones."""
+    if message.encoding not in _PIXELS:
+        raise RosError(
+            f"images of encoding {message.encoding!r} are not read; known are {', '.join(_PIXELS)}"
+        )
+    kind, channels = _PIXELS[message.encoding]
+    dtype = np.dtype(kind).newbyteorder(">" if message.is_bigendian else "<")
+    used = message.width * channels * dtype.itemsize
+    data = np.frombuffer(message.data, dtype=np.uint8)
+    if not used or message.step < used or len(data) != message.height * message.step:
+        raise RosError(
+            f"{len(data)} bytes are not an image of {message.width}x{message.height} {message.encoding}"
+        )
+    rows = np.ascontiguousarray(data.reshape(message.height, message.step)[:, :used])
+    pixels = rows.view(dtype).astype(kind, copy=False)
+    return pixels.reshape(message.height, message.width, channels) if channels > 1 else pixels
+
+
+def mask_pixels(mask: NDArray[Any]) -> NDArray[np.uint8]:
+    """Pixels (H, W) of a mask of one body: 255 where a mask of truth values is true; coverage as it is."""
+    return mask if mask.dtype == np.uint8 else mask.astype(np.uint8) * np.uint8(255)
+
+
+def set_data(message: Any, data: NDArray[Any]) -> None:
+    """Set ``message.data`` to the bytes of an array."""
+    set_unchecked(message, "data", np.ascontiguousarray(data).reshape(-1).view(np.uint8))
 
 
 def compressed_image_message(
@@ -123,7 +177,7 @@ def read_pixels(message: Image | CompressedImage) -> tuple[NDArray[Any], str]:
     """Pixels and encoding of a raw or compressed image, or of compressed depth. Raises RosError if it is
     damaged, or of an unknown encoding.
     """
-    if isinstance(message, Image):
+    if hasattr(message, "encoding"):
         return read_image(message), str(message.encoding)
     if "compressedDepth" in message.format:
         return read_compressed_depth(message), "32FC1"

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import numpy as np
-from geometry_msgs.msg import Point, Pose, PoseStamped, Quaternion, TransformStamped, Vector3
-from sensor_msgs.msg import CameraInfo
-from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
 from humansim_ros.bounds import within_bounds
 from humansim_ros.camera import Camera
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import CameraError, RosError
-from humansim_ros.ros.messages.headers import WORLD_FRAME, header
+from humansim_ros.messages.headers import WORLD_FRAME, header
+from humansim_ros.messages.types import (
+    CameraInfo,
+    Float64MultiArray,
+    MultiArrayDimension,
+    Point,
+    Pose,
+    PoseStamped,
+    Quaternion,
+    TransformStamped,
+    Vector3,
+)
 from humansim_ros.rotations import matrix_to_quaternion, unit_quaternions
 from humansim_ros.scene.camera import CameraPose
 

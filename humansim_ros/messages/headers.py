@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-from builtin_interfaces.msg import Time
-from sensor_msgs.msg import TimeReference
-from std_msgs.msg import Header
-
 from humansim_ros.errors import RosError
-from humansim_ros.ros.limits import unpack
+from humansim_ros.messages.cdr import unpack
+from humansim_ros.messages.types import Header, Time, TimeReference
 
 WORLD_FRAME = "map"
 _SECOND = 1_000_000_000

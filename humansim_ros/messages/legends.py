@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from std_msgs.msg import String
-
 from humansim_ros.body import Skeleton
 from humansim_ros.errors import RosError
 from humansim_ros.keypoints import KEYPOINT_SETS
+from humansim_ros.messages.types import String
+from humansim_ros.scene.faults import FaultSchedule
 from humansim_ros.scene.live import JointSource
 from humansim_ros.truth import NOTHING, OCCLUDED, OUTSIDE, PERSON, SELF, THING, VISIBLE
 
@@ -77,6 +77,11 @@ def keypoints_legend(
         "skin": {name: "exact" if exact else "fitted" for name, (_, exact) in humans.items()},
     }
     return _view_legend({name: label for name, (label, _) in humans.items()}, objects, named)
+
+
+def faults_legend(schedule: FaultSchedule) -> String:
+    """Build ``<camera>/faults/legend``: the section ``faults`` of the camera as JSON."""
+    return _legend(schedule.config.model_dump(exclude_none=True))
 
 
 def _view_legend(humans: Mapping[str, int], objects: Mapping[str, int], named: Mapping[str, Any]) -> String:

@@ -5,26 +5,37 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from geometry_msgs.msg import Point, Quaternion, Transform, Twist, Vector3
-from sensor_msgs.msg import MultiDOFJointState, PointCloud2, PointField
-from shape_msgs.msg import Mesh as MeshMessage
-from shape_msgs.msg import MeshTriangle
-from std_msgs.msg import ColorRGBA
-from visualization_msgs.msg import Marker, MarkerArray
 
 from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import RosError
 from humansim_ros.humans.human import Human
 from humansim_ros.mesh.mesh import Mesh
+from humansim_ros.messages.cdr import unpack
+from humansim_ros.messages.headers import WORLD_FRAME, header
+from humansim_ros.messages.points import point_cloud
+from humansim_ros.messages.types import (
+    ColorRGBA,
+    Marker,
+    MarkerArray,
+    MeshTriangle,
+    MultiDOFJointState,
+    Point,
+    PointCloud2,
+    PointField,
+    Quaternion,
+    Transform,
+    Twist,
+    Vector3,
+)
+from humansim_ros.messages.types import Mesh as MeshMessage
 from humansim_ros.motion.joint_poses import JointPoses
-from humansim_ros.ros.limits import MAX_JOINTS, MAX_NAME, unpack
-from humansim_ros.ros.messages.headers import WORLD_FRAME, header
-from humansim_ros.ros.messages.points import point_cloud
 from humansim_ros.rotations import quaternion_to_matrix, transform, unit_quaternions
 from humansim_ros.scene import HumanState
 from humansim_ros.scene.state import JointMotion
 from humansim_ros.types import Array, Float32Array, Indices
 
+#: Most joints of a motion, and most characters of the name of a joint.
+MAX_JOINTS, MAX_NAME = 1024, 256
 #: Longest message of a mesh that is read, bytes.
 _MAX_MESH = 32 << 20
 _VERTEX_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4")])

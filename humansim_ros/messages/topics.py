@@ -14,31 +14,36 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Generic, TypeVar
 
-from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseStamped, TransformStamped, TwistStamped
 from numpy.typing import NDArray
-from rclpy.qos import QoSProfile
-from sensor_msgs.msg import (
-    CameraInfo,
-    CompressedImage,
-    Image,
-    MultiDOFJointState,
-    PointCloud2,
-    TimeReference,
-)
-from shape_msgs.msg import Mesh as MeshMessage
-from std_msgs.msg import Float64MultiArray, Header, String
-from visualization_msgs.msg import ImageMarker, Marker, MarkerArray
 
+from humansim_ros import messages
 from humansim_ros.camera import Camera
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, KeypointSet
 from humansim_ros.keypoints.skin import has_exact_skin
+from humansim_ros.messages import DepthCompression, ImageCompression, MarkerBuilder
+from humansim_ros.messages.types import (
+    CameraInfo,
+    CompressedImage,
+    DiagnosticArray,
+    Float64MultiArray,
+    Header,
+    Image,
+    ImageMarker,
+    Marker,
+    MarkerArray,
+    MultiDOFJointState,
+    PointCloud2,
+    PoseStamped,
+    String,
+    TimeReference,
+    TransformStamped,
+    TwistStamped,
+    name_of,
+)
+from humansim_ros.messages.types import Mesh as MeshMessage
 from humansim_ros.motion.joint_poses import JointPoses
 from humansim_ros.render import View
 from humansim_ros.render.channels import ALL_CHANNELS, CHANNEL_TABLE, Channel
-from humansim_ros.ros import messages
-from humansim_ros.ros.messages import DepthCompression, ImageCompression, MarkerBuilder
-from humansim_ros.ros.qos import DATA, LATCHED, SCENE_TIME
 from humansim_ros.scene import HumanState, Scene
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose, SceneCamera
@@ -51,6 +56,11 @@ from humansim_ros.truth import CameraTruth
 from humansim_ros.truth.camera_truth import REQUIRED_CHANNELS
 
 Content = TypeVar("Content")
+
+#: Topic with the scene time of each frame (sensor_msgs/TimeReference).
+SCENE_TIME = "scene_time"
+#: Messages that publishers hold: of frame data, as camera drivers do, and of messages that are sent once.
+DATA_DEPTH, LATCHED_DEPTH = 5, 1
 
 #: Channels whose topics ``humansim demo`` shows.
 _SHOWN_CHANNELS = ("rgb", "depth", "part")
@@ -94,12 +104,12 @@ class Topic(Generic[Content]):
     @property
     def type_name(self) -> str:
         """Name of the message type, such as ``sensor_msgs/msg/Image``."""
-        return f"{self.type.__module__.split('.')[0]}/msg/{self.type.__name__}"
+        return name_of(self.type)
 
     @property
-    def qos(self) -> QoSProfile:
-        """Quality of service of the publisher."""
-        return LATCHED if self.latched else DATA
+    def depth(self) -> int:
+        """Number of messages that the publisher holds."""
+        return LATCHED_DEPTH if self.latched else DATA_DEPTH
 
     @property
     def recorded(self) -> bool:

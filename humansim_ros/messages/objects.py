@@ -6,14 +6,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
-from geometry_msgs.msg import Point, Pose, Quaternion, TwistStamped, Vector3
-from std_msgs.msg import ColorRGBA
-from visualization_msgs.msg import Marker
 
 from humansim_ros.bounds import within_bounds
 from humansim_ros.errors import RosError
+from humansim_ros.messages.headers import WORLD_FRAME, header
+from humansim_ros.messages.types import ColorRGBA, Marker, Point, Pose, Quaternion, TwistStamped, Vector3
 from humansim_ros.motion.joint_poses import Velocity
-from humansim_ros.ros.messages.headers import WORLD_FRAME, header
 from humansim_ros.scene.furniture import FURNITURE
 from humansim_ros.scene.objects import ObjectPose, SceneObject
 

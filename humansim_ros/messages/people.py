@@ -1,4 +1,4 @@
-"""Read the poses of people from messages, of a bag or of a live graph."""
+"""Read the poses of people from messages of any tracker, of a bag or of a live graph."""
 
 from __future__ import annotations
 
@@ -12,19 +12,20 @@ import numpy as np
 
 from humansim_ros.bounds import MAX_COORDINATE
 from humansim_ros.errors import EvaluationError, printable
-from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.messages.points import point_rows
 from humansim_ros.types import Array
 
 #: visualization_msgs/Marker: types with a list of points, a single one, and actions that add nothing.
 _LISTS, _SPHERE, _DELETE = (7, 8), 2, (2, 3)
-#: sensor_msgs/PointField datatypes.
-_DATATYPES = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 #: Fields of a point cloud that number the person, and those that give a confidence.
 _PERSON_FIELDS, _SCORE_FIELDS = ("person", "id", "instance", "label"), ("score", "confidence")
 #: Most people of a message: more are no estimate of a room.
 MAX_PEOPLE = 1000
 #: Greatest coordinate; millimetres are still allowed.
 MAX_POSITION = MAX_COORDINATE * 1000
+
+#: Names of points in their order; None if nobody has given them.
+PointNames = tuple[str, ...] | None
 
 
 class Pose(NamedTuple):
@@ -51,19 +52,19 @@ class PoseFrame:
     people: Sequence[Pose]
 
 
-def read_message(kind: str, message: Any, options: ReadOptions) -> PoseFrame:
+def read_people(kind: str, message: Any, names: PointNames) -> PoseFrame:
     """Read the people of a message.
 
     Args:
-        kind: Its type, one of :data:`MESSAGE_TYPES`.
+        kind: Type of the message, one of :data:`MESSAGE_TYPES`.
         message: A message of rclpy, or of another library with the same attributes.
-        options: Names of points that have none.
+        names: Names of points that have none, in their order.
 
     Raises:
-        EvaluationError: The message contradicts itself or the options, or its numbers are beyond all bounds.
+        EvaluationError: The message contradicts itself or the names, or its numbers are beyond all bounds.
     """
     try:
-        people = list(islice(_READERS[kind](message, options), MAX_PEOPLE + 1))
+        people = list(islice(_READERS[kind](message, names), MAX_PEOPLE + 1))
     except EvaluationError:
         raise
     except Exception as reason:  # contents come from other programs: offsets of a point cloud, types of names
@@ -97,7 +98,7 @@ def _nanoseconds(header: Any) -> int:
     return int(header.stamp.sec) * 1_000_000_000 + int(header.stamp.nanosec)
 
 
-def _multi_dof(message: Any, _: ReadOptions) -> Iterator[Pose]:
+def _multi_dof(message: Any, _: PointNames) -> Iterator[Pose]:
     names = [str(name) for name in message.joint_names]
     if len(names) != len(message.transforms):
         raise EvaluationError(f"{len(names)} joint names but {len(message.transforms)} transforms")
@@ -112,9 +113,9 @@ def _multi_dof(message: Any, _: ReadOptions) -> Iterator[Pose]:
         yield Pose(person, joints, positions[indices])
 
 
-def _of_points(points: Array, options: ReadOptions) -> Iterator[Pose]:
+def _of_points(points: Array, names: PointNames) -> Iterator[Pose]:
     """People of a list of points (N, 3) in the order of the joints, one person after the other."""
-    names = _names(options)
+    names = _required(names)
     if len(points) % len(names):
         raise EvaluationError(
             f"{len(points)} points are not a multiple of the {len(names)} joints {names[0]} to {names[-1]}"
@@ -123,22 +124,22 @@ def _of_points(points: Array, options: ReadOptions) -> Iterator[Pose]:
         yield Pose(None, names, pose)
 
 
-def _names(options: ReadOptions) -> tuple[str, ...]:
-    if options.names is None:
+def _required(names: PointNames) -> tuple[str, ...]:
+    if names is None:
         raise EvaluationError(
             "these points have no names: choose their keypoint set with --keypoints, or give a list of names "
             "with --names (of the node: parameters keypoints and names)"
         )
-    return options.names
+    return names
 
 
-def _pose_array(message: Any, options: ReadOptions) -> Iterator[Pose]:
+def _pose_array(message: Any, names: PointNames) -> Iterator[Pose]:
     points = np.array([(p.position.x, p.position.y, p.position.z) for p in message.poses]).reshape(-1, 3)
-    yield from _of_points(points, options)
+    yield from _of_points(points, names)
 
 
-def _markers(message: Any, options: ReadOptions) -> Iterator[Pose]:
-    names = _names(options)
+def _markers(message: Any, names: PointNames) -> Iterator[Pose]:
+    names = _required(names)
     single: dict[str, dict[str, tuple[float, float, float]]] = {}
     for marker in message.markers:
         if marker.action in _DELETE:
@@ -160,9 +161,9 @@ def _marker_person(marker: Any) -> str:
     return str(marker.ns).partition("/")[0] or str(marker.id)
 
 
-def _point_cloud(message: Any, options: ReadOptions) -> Iterator[Pose]:
-    names = _names(options)
-    points = _cloud_rows(message)
+def _point_cloud(message: Any, names: PointNames) -> Iterator[Pose]:
+    names = _required(names)
+    points = point_rows(message)
     fields = points.dtype.names or ()
     if not {"x", "y", "z"} <= set(fields):
         raise EvaluationError(f"the point cloud has no fields x, y and z, but {', '.join(fields)}")
@@ -171,7 +172,7 @@ def _point_cloud(message: Any, options: ReadOptions) -> Iterator[Pose]:
     joint = next((name for name in ("joint", "keypoint") if name in fields), None)
     score = next((name for name in _SCORE_FIELDS if name in fields), None)
     if person is None:
-        yield from _of_points(positions, options)
+        yield from _of_points(positions, names)
         return
     numbers = np.unique(points[person][np.isfinite(points[person])])
     for number in numbers[: MAX_PEOPLE + 1]:  # each takes a look at all points
@@ -190,28 +191,8 @@ def _point_cloud(message: Any, options: ReadOptions) -> Iterator[Pose]:
         )
 
 
-def _cloud_rows(message: Any) -> Any:
-    """Points of a PointCloud2 as a structured array."""
-    byte_order = ">" if message.is_bigendian else "<"
-    kinds = [
-        (str(f.name), f"{byte_order}{_DATATYPES[f.datatype]}", f.offset)
-        for f in message.fields
-        if f.count == 1
-    ]
-    layout = np.dtype(
-        {
-            "names": [name for name, _, _ in kinds],
-            "formats": [kind for _, kind, _ in kinds],
-            "offsets": [offset for *_, offset in kinds],
-            "itemsize": message.point_step,
-        }
-    )
-    count = message.width * message.height
-    return np.frombuffer(bytes(message.data), dtype=layout, count=count)
-
-
 _MARKERS = "visualization_msgs/msg/MarkerArray"
-_READERS: dict[str, Callable[[Any, ReadOptions], Iterator[Pose]]] = {
+_READERS: dict[str, Callable[[Any, PointNames], Iterator[Pose]]] = {
     "sensor_msgs/msg/MultiDOFJointState": _multi_dof,
     "geometry_msgs/msg/PoseArray": _pose_array,
     _MARKERS: _markers,

@@ -1,4 +1,4 @@
-"""Messages of a camera's ground truth: joints, boxes and visible vertices as point clouds."""
+"""Messages of a camera's ground truth: joints, boxes and visible vertices as point clouds; its faults."""
 
 from __future__ import annotations
 
@@ -6,15 +6,21 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from geometry_msgs.msg import Point
 from numpy.typing import NDArray
-from sensor_msgs.msg import PointCloud2
-from std_msgs.msg import ColorRGBA
-from visualization_msgs.msg import ImageMarker
 
 from humansim_ros.drawing.views import joint_colors
-from humansim_ros.ros.messages.headers import header
-from humansim_ros.ros.messages.points import point_cloud, read_points
+from humansim_ros.messages.headers import header
+from humansim_ros.messages.points import point_cloud, read_points
+from humansim_ros.messages.types import (
+    ColorRGBA,
+    DiagnosticArray,
+    DiagnosticStatus,
+    ImageMarker,
+    KeyValue,
+    Point,
+    PointCloud2,
+)
+from humansim_ros.scene.faults import FrameFaults
 from humansim_ros.truth import OUTSIDE, VISIBLE, BodyBox, JointView
 from humansim_ros.types import Color
 
@@ -132,3 +138,26 @@ def read_visible_vertices(message: PointCloud2) -> NDArray[Any]:
     Raises RosError for another layout.
     """
     return read_points(message, VISIBLE_VERTEX.names or ())
+
+
+def faults_message(faults: FrameFaults, stamp: int, frame: str) -> DiagnosticArray:
+    """Build ``<camera>/faults``: a status for each fault of a frame, with its values.
+
+    Args:
+        faults: Faults of the frame.
+        stamp: Stamp of the frame, nanoseconds; the stamp of its image may be wrong.
+        frame: Optical frame of the camera.
+    """
+    message = DiagnosticArray(header=header(stamp, frame))
+    for kind, values in faults.kinds.items():
+        status = DiagnosticStatus(level=DiagnosticStatus.WARN, name=kind, hardware_id=frame)
+        status.values = [KeyValue(key=key, value=repr(value)) for key, value in values.items()]
+        message.status.append(status)
+    return message
+
+
+def read_faults(message: DiagnosticArray) -> dict[str, dict[str, float]]:
+    """Read the values of the faults of a frame by their kind."""
+    return {
+        status.name: {value.key: float(value.value) for value in status.values} for status in message.status
+    }

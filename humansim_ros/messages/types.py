@@ -1,0 +1,166 @@
+"""Classes of messages: the installed ROS packages have them; without ROS, rosbags' definitions give them.
+
+``from humansim_ros.messages.types import Image`` gives a class from either source. Both kinds have the same
+attributes and constants.
+"""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from importlib import import_module
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from humansim_ros.errors import RosError, printable
+
+_NAME = re.compile(r"([a-z][a-z0-9_]*)/msg/([A-Z][A-Za-z0-9]*)")
+#: Most characters of a name that is looked for.
+_MAX_NAME = 255
+#: Package of each class that this module exports.
+_PACKAGES = {
+    name: package
+    for package, names in {
+        "builtin_interfaces": "Time",
+        "diagnostic_msgs": "DiagnosticArray DiagnosticStatus KeyValue",
+        "geometry_msgs": """Point Pose PoseStamped Quaternion Transform TransformStamped Twist TwistStamped
+            Vector3""",
+        "sensor_msgs": """CameraInfo CompressedImage Image MultiDOFJointState PointCloud2 PointField
+            TimeReference""",
+        "shape_msgs": "Mesh MeshTriangle",
+        "std_msgs": "ColorRGBA Float64MultiArray Header MultiArrayDimension String",
+        "visualization_msgs": "ImageMarker Marker MarkerArray",
+    }.items()
+    for name in names.split()
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PACKAGES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    full_name = f"{_PACKAGES[name]}/msg/{name}"
+    return message_type(full_name) if _is_message_package(_PACKAGES[name]) else made_type(full_name)
+
+
+def message_type(name: str) -> Any:
+    """Return the installed message class of a type such as ``sensor_msgs/msg/Image``.
+
+    Names come from other hosts and from files, and an import runs code: only packages with the library of a
+    message package are imported.
+
+    Raises:
+        RosError: This is no name of a message, or its package is not installed or has no such message.
+    """
+    matched = _NAME.fullmatch(name) if len(name) <= _MAX_NAME else None
+    if matched is None:
+        raise RosError(f"{printable(name, 80)!r} is no name of a message type, such as sensor_msgs/msg/Image")
+    package, message = matched.groups()
+    if not _is_message_package(package):
+        raise RosError(
+            f"the message package {package} is not installed here: install it, or source the workspace that "
+            "has it"
+        )
+    try:
+        return getattr(import_module(f"{package}.msg"), message)
+    except (ImportError, AttributeError):
+        raise RosError(f"the package {package} that is installed here has no message {message}") from None
+
+
+def readable_type(name: str) -> Any:
+    """Return the message class of a type whose messages are read from bytes, installed or not.
+
+    Raises:
+        RosError: The type is neither installed nor known to rosbags.
+    """
+    try:
+        return message_type(name)
+    except RosError:
+        from humansim_ros.bags.topics import message_types
+
+        if name not in message_types().fielddefs:
+            raise
+    return made_type(name)
+
+
+def begins_with_stamp(kind: Any) -> bool:
+    """Return whether a message begins with a stamp: the stamp of a header, or its own as in Header itself."""
+    fields = kind.get_fields_and_field_types()
+    return next(iter(fields.values()), "") in ("std_msgs/Header", "builtin_interfaces/Time")
+
+
+def name_of(kind: Any) -> str:
+    """Return the name of a message class, such as ``sensor_msgs/msg/Image``."""
+    return f"{kind.__module__.split('.')[0]}/msg/{kind.__name__}"
+
+
+def is_made(kind: Any) -> bool:
+    """Return whether a message class is not an installed one, but made from rosbags' definition."""
+    return not hasattr(kind, "_TYPE_SUPPORT")
+
+
+def set_unchecked(message: Any, field: str, value: Any) -> None:
+    """Set a field without the check of each number that rclpy's classes do."""
+    setattr(message, field if is_made(type(message)) else f"_{field}", value)
+
+
+@cache
+def made_type(name: str) -> Any:
+    """Make the class of a message from rosbags' definition.
+
+    Raises:
+        HumansimError: rosbags is not installed.
+    """
+    from humansim_ros.bags.topics import message_types
+
+    constants, fields = message_types().fielddefs[name]
+    package, _, own = name.split("/")
+
+    def create(self: Any, **values: Any) -> None:
+        for field, description in fields:
+            setattr(self, field, values.pop(field) if field in values else _default(*description))
+        if values:
+            raise TypeError(f"{name} has no field {', '.join(values)}")
+
+    types = classmethod(lambda _: {field: _field_type(*description) for field, description in fields})
+    members: dict[str, Any] = {constant: value for constant, _, value in constants}
+    members |= {
+        "__init__": create,
+        "__module__": f"{package}.msg",
+        "__qualname__": own,
+        "get_fields_and_field_types": types,
+    }
+    return type(own, (), members)
+
+
+def _default(node: Any, content: Any) -> Any:
+    """Value of a field that is not given: zero, empty, or a message of such values."""
+    from rosbags.interfaces import Nodetype
+
+    if node == Nodetype.NAME:
+        return made_type(content)()
+    if node == Nodetype.BASE:
+        return {"string": "", "wstring": "", "bool": False}.get(content[0], 0)
+    if node == Nodetype.ARRAY:
+        part, length = content
+        return [_default(*part) for _ in range(length)]
+    return []
+
+
+def _field_type(node: Any, content: Any) -> str:
+    """Type of a field, as installed classes name the types of messages; the others are not needed."""
+    from rosbags.interfaces import Nodetype
+
+    return str(content).replace("/msg/", "/") if node == Nodetype.NAME else ""
+
+
+@cache
+def _is_message_package(package: str) -> bool:
+    try:
+        spec = find_spec(package)  # imports nothing, because the name has no dot
+    except (ImportError, ValueError):
+        return False
+    folders = (spec and spec.submodule_search_locations) or ()
+    return any(
+        next(Path(folder).glob(f"{package}_s__rosidl_typesupport_c*"), None) is not None for folder in folders
+    )

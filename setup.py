@@ -13,12 +13,12 @@ BUILDS_WHEEL = not {"bdist_wheel", "editable_wheel"}.isdisjoint(sys.argv)
 
 COMMANDS = [
     "humansim = humansim_ros.cli.__main__:main",
-    "motion_player = humansim_ros.ros.nodes.executables:motion_player",
-    "skinner = humansim_ros.ros.nodes.executables:skinner",
-    "camera = humansim_ros.ros.nodes.executables:camera",
-    "camera_rig = humansim_ros.ros.nodes.executables:camera_rig",
-    "evaluator = humansim_ros.ros.nodes.executables:evaluator",
-    "recorder = humansim_ros.ros.nodes.executables:recorder",
+    "motion_player = humansim_ros.ros.nodes.__main__:motion_player",
+    "skinner = humansim_ros.ros.nodes.__main__:skinner",
+    "camera = humansim_ros.ros.nodes.__main__:camera",
+    "camera_rig = humansim_ros.ros.nodes.__main__:camera_rig",
+    "evaluator = humansim_ros.ros.nodes.__main__:evaluator",
+    "recorder = humansim_ros.ros.nodes.__main__:recorder",
 ]
 
 # The upper bounds keep Ubuntu 24.04's own NumPy 1.26 in place: from these releases on, SciPy and OpenCV ask

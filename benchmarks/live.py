@@ -45,13 +45,13 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image, MultiDOFJointState
 
+from humansim_ros.apps.bench import CpuTime
 from humansim_ros.messages import serialised_stamp
 from humansim_ros.resources import resource_path
-from humansim_ros.ros.cpu_time import CpuTime
-from humansim_ros.ros.processes import cores, scene_processes
+from humansim_ros.ros.processes.node_processes import cores, scene_processes
+from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import make_executor, prepare_transport
-from humansim_ros.ros.supervisor import Supervisor
 from humansim_ros.scene import Scene
 from humansim_ros.scene.scene import DEMO_SCENE
 

@@ -14,7 +14,8 @@ from launch.logging import launch_config
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from humansim_ros.ros.processes import (
+from humansim_ros.apps.viewer_layouts import rviz_layout
+from humansim_ros.ros.processes.node_processes import (
     CANNOT_WRITE,
     EVALUATE_ARGUMENTS,
     QUIT,
@@ -33,9 +34,7 @@ from humansim_ros.ros.processes import (
     true_or_false,
     whole_number,
 )
-from humansim_ros.ros.shared_memory import remove_dead_files
-from humansim_ros.ros.transport import choose_transport
-from humansim_ros.ros.viewer_layouts import rviz_layout
+from humansim_ros.ros.transport import choose_transport, remove_dead_files
 from humansim_ros.scene.names import read_names
 
 # launch/ and config/ are in one folder, in the checkout and in share/humansim_ros

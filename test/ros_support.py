@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from waiting import PATIENCE, wait_until
 
-from humansim_ros.ros.domain import claim_domain, domain_environment
+from humansim_ros.ros.transport import claim_domain, domain_environment
 
 # before anything imports rclpy
 os.environ.update(domain_environment(claim_domain()))

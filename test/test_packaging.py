@@ -23,8 +23,8 @@ from waiting import PATIENCE
 import humansim_ros
 from humansim_ros.errors import ResourceError, RosError, SceneError
 from humansim_ros.resources import resource_path, resource_root
-from humansim_ros.ros import processes
-from humansim_ros.ros.processes import NodeProcess, TimeOptions, scene_processes
+from humansim_ros.ros.processes.node_processes import NodeProcess, TimeOptions, scene_processes
+from humansim_ros.ros.processes.node_processes import node_processes as processes
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")
@@ -384,7 +384,7 @@ def test_processes_of_a_wrong_scene(tmp_path: Path, content: str, message: str) 
 def test_process_list_needs_no_heavy_library() -> None:
     """`ros2 launch` may run in a Python without the libraries of the nodes."""
     heavy = {"cv2", "numpy", "pydantic", "rclpy", "scipy"}
-    code = f"import sys, humansim_ros.ros.processes; print({heavy} & set(sys.modules))"
+    code = f"import sys, humansim_ros.ros.processes.node_processes; print({heavy} & set(sys.modules))"
     assert run([sys.executable, "-c", code], cwd=ROOT).strip() == "set()"
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from humansim_ros.ros.viewer_layouts import foxglove_layout, rviz_layout  # noqa: E402
+from humansim_ros.apps.viewer_layouts import foxglove_layout, rviz_layout  # noqa: E402
 from humansim_ros.scene.names import read_names  # noqa: E402
 
 if __name__ == "__main__":

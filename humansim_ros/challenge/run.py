@@ -22,7 +22,7 @@ from humansim_ros.challenge.tracker import TrackerProcess, command_words
 from humansim_ros.errors import ChallengeError
 from humansim_ros.io.files import atomic_path
 from humansim_ros.keypoints import keypoint_set
-from humansim_ros.ros.domain import claim_domain, domain_environment
+from humansim_ros.ros.transport import claim_domain, domain_environment
 
 #: Folder of the scenes and of the output of the tracker in a report.
 CASES = "cases"
@@ -178,7 +178,7 @@ class CaseProcess:
             return
         with _writing(self._log), self._log.open("ab") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", "humansim_ros.ros.challenge_case"],
+                [sys.executable, "-m", "humansim_ros.apps.challenge_case"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,

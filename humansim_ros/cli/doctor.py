@@ -18,7 +18,7 @@ from typing import Annotated, Literal
 import typer
 
 from humansim_ros.cli.output import print_text, to_json
-from humansim_ros.ros.shared_memory import free_memory
+from humansim_ros.ros.transport import free_memory
 
 #: Result of a check: usable, usable with a drawback, or not usable.
 State = Literal["ok", "warning", "wrong"]

@@ -12,7 +12,7 @@ from humansim_ros.cli import options
 from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
 from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import ExportError
-from humansim_ros.ros.stop_signals import Stopped
+from humansim_ros.ros.processes.stop_signals import Stopped
 
 if TYPE_CHECKING:
     from humansim_ros.export.export import Export
@@ -95,7 +95,7 @@ def export(
     from humansim_ros.export.plan import ExportPlan, parse_frames
     from humansim_ros.keypoints.sets import keypoint_set
     from humansim_ros.record.output import is_url
-    from humansim_ros.ros.processes import cores
+    from humansim_ros.ros.processes.node_processes import cores
 
     if is_url(output):
         raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")

@@ -13,7 +13,7 @@ from humansim_ros.bounds import MAX_FRAMES
 from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
 from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import BagError
-from humansim_ros.ros.stop_signals import Stopped
+from humansim_ros.ros.processes.stop_signals import Stopped
 
 if TYPE_CHECKING:
     from humansim_ros.record.cluster import ClusterRecording
@@ -128,7 +128,7 @@ def record(
     from humansim_ros.record.frame_chunks import SceneRecording
     from humansim_ros.record.output import is_url
     from humansim_ros.record.plan import RecordingPlan
-    from humansim_ros.ros.processes import cores
+    from humansim_ros.ros.processes.node_processes import cores
     from humansim_ros.ros.runtime import require_ros
     from humansim_ros.scene import Scene
 

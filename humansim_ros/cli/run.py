@@ -22,7 +22,7 @@ from humansim_ros.cli.output import check_output, print_error, print_text, to_js
 from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
 from humansim_ros.errors import HumansimError
 from humansim_ros.resources import resource_path
-from humansim_ros.ros.stop_signals import Stopped
+from humansim_ros.ros.processes.stop_signals import Stopped
 
 
 def run(
@@ -129,9 +129,9 @@ def run(
     ] = None,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
+    from humansim_ros.apps.first_images import FirstImages
     from humansim_ros.io.temporary import temporary_folder
-    from humansim_ros.ros.first_images import FirstImages
-    from humansim_ros.ros.processes import (
+    from humansim_ros.ros.processes.node_processes import (
         QUIT,
         WRONG_INPUT,
         EvaluateOptions,
@@ -140,8 +140,8 @@ def run(
         relative_namespace,
         scene_processes,
     )
+    from humansim_ros.ros.processes.supervisor import Supervisor
     from humansim_ros.ros.runtime import prepare_transport
-    from humansim_ros.ros.supervisor import Supervisor
     from humansim_ros.scene import Scene
 
     start = time.monotonic()
@@ -181,7 +181,7 @@ def run(
                 print_text(transport.reach)
                 if cameras := [name for name in loaded.cameras if name in names]:
                     first = FirstImages(cameras, list(loaded.actors), start, namespace)
-                    nodes.start_helper("humansim_ros.ros.first_images", first.to_argument())
+                    nodes.start_helper("humansim_ros.apps.first_images", first.to_argument())
                 until = None if duration is None else time.monotonic() + duration
                 dead = nodes.wait(until, respawn, lambda _: _is_complete(options_of_time))
             except Stopped:
@@ -209,7 +209,7 @@ def demo(
     duration: Annotated[float, typer.Option(help="Seconds to record.", min=1.0, max=120.0)] = 10.0,
 ) -> None:
     """Run a scene, subscribe to its topics like a client, and draw the received messages."""
-    from humansim_ros.ros.demo import record_demo
+    from humansim_ros.apps.demo import record_demo
 
     _check_machine()
     path = scene or resource_path("config/scenes/demo.yaml")
@@ -245,7 +245,7 @@ def _time_options(scene: Any, options: Any, folder: Path) -> Any:
 
 def _summary(options: Any) -> Any:
     """Summary of a run in lockstep; None before its end, and in real time."""
-    from humansim_ros.ros.lockstep_summary import LockstepSummary
+    from humansim_ros.ros.lockstep.rules import LockstepSummary
 
     return LockstepSummary.read(Path(options.summary)) if options.summary else None
 
@@ -296,7 +296,7 @@ def bench(
 
     Runs the nodes of `humansim run` as fast as they can, with one subscriber to all images.
     """
-    from humansim_ros.ros.bench import measure
+    from humansim_ros.apps.bench import measure
     from humansim_ros.ros.runtime import require_ros
 
     require_ros()
@@ -342,7 +342,7 @@ def play(
     import rclpy
     from rclpy.signals import SignalHandlerOptions
 
-    from humansim_ros.ros.bag_player import BagPlayer, PlayOptions
+    from humansim_ros.apps.bag_player import BagPlayer, PlayOptions
 
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     try:

@@ -21,7 +21,7 @@ from typing import NamedTuple, Protocol
 from humansim_ros.bags.chunks import Chunk
 from humansim_ros.bags.direct_file import BLOCK
 from humansim_ros.errors import HumansimError
-from humansim_ros.ros.parent import end_with_parent
+from humansim_ros.ros.processes.stop_signals import end_with_parent
 
 #: Step of copying chunks into memory that the writing process has, too.
 COPYING = "copying"

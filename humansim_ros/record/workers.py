@@ -21,8 +21,8 @@ import humansim_ros
 from humansim_ros.bags.chunks import Chunk
 from humansim_ros.errors import HumansimError
 from humansim_ros.record.worker import EncodedFrame, FrameJob, positions
-from humansim_ros.ros.parent import PARENT_PID
-from humansim_ros.ros.processes import thread_limits
+from humansim_ros.ros.processes.node_processes import thread_limits
+from humansim_ros.ros.processes.stop_signals import PARENT_PID
 
 #: Frames that a worker may be ahead: it encodes the next one while one is being written.
 _SLOTS = 2

@@ -16,9 +16,9 @@ from humansim_ros.evaluate.readers.options import ReadOptions
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, read_people
 from humansim_ros.messages.types import message_type
-from humansim_ros.ros.bag_qos import subscription_profile
+from humansim_ros.ros.graph import absolute
 from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
-from humansim_ros.ros.topic_choice import absolute
+from humansim_ros.ros.qos import subscription_profile
 
 #: Seconds between two looks for topics and publishers.
 _DISCOVERY_EVERY = 0.25

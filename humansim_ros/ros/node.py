@@ -17,9 +17,9 @@ from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValu
 from rclpy.parameter import Parameter
 
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError, printable
+from humansim_ros.ros.graph import Neighbours
 from humansim_ros.ros.guarded_node import GuardedNode
-from humansim_ros.ros.neighbours import Neighbours
-from humansim_ros.ros.processes import WARNINGS_SHOWN
+from humansim_ros.ros.processes.node_processes import WARNINGS_SHOWN
 from humansim_ros.ros.qos import DATA, LATCHED
 from humansim_ros.scene import Scene
 

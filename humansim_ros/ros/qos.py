@@ -1,7 +1,8 @@
-"""Quality of service profiles (REP-2003)."""
+"""Quality of service: profiles (REP-2003), and profiles of recorded and played topics."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from rclpy.duration import Duration
@@ -13,6 +14,7 @@ from rclpy.qos import (
     QoSReliabilityPolicy,
 )
 
+from humansim_ros.bags.topics import Qos
 from humansim_ros.messages.topics import DATA_DEPTH, LATCHED_DEPTH, Topic
 from humansim_ros.messages.topics import SCENE_TIME as SCENE_TIME
 
@@ -59,3 +61,53 @@ REPORTS = _profile(50, QoSDurabilityPolicy.VOLATILE)
 def offered_profile(topic: Topic[Any]) -> QoSProfile:
     """Return the profile of the publisher of a topic of the scene."""
     return LATCHED if topic.latched else DATA
+
+
+#: Messages that wait until they are recorded. The middleware takes memory only for those that it has.
+RECORDED_DEPTH = 1000
+#: Messages of a player that wait for slow subscribers.
+PLAYED_DEPTH = 1000
+
+
+def subscription_profile(offers: Sequence[QoSProfile]) -> QoSProfile:
+    """Profile of a subscription that gets the messages of all publishers, and as many as they permit.
+
+    ``offers``: profiles of the publishers.
+    """
+    reliable = all(offer.reliability != QoSReliabilityPolicy.BEST_EFFORT for offer in offers)
+    latched = bool(offers) and all(
+        offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL for offer in offers
+    )
+    return _profile_of(reliable, latched, RECORDED_DEPTH)
+
+
+def recorded_qos(offers: Sequence[QoSProfile]) -> tuple[Qos, ...]:
+    """Profiles of publishers for the description of a topic in a bag."""
+    return tuple(
+        Qos(
+            reliable=offer.reliability != QoSReliabilityPolicy.BEST_EFFORT,
+            transient_local=offer.durability == QoSDurabilityPolicy.TRANSIENT_LOCAL,
+            # not known of publishers of other processes
+            **({"depth": offer.depth} if offer.history == QoSHistoryPolicy.KEEP_LAST and offer.depth else {}),
+            keep_all=offer.history == QoSHistoryPolicy.KEEP_ALL,
+        )
+        for offer in offers
+    )
+
+
+def publisher_profile(recorded: Sequence[Qos]) -> QoSProfile:
+    """Profile of a publisher that matches every subscription that one of the recorded publishers matches."""
+    reliable = not recorded or any(qos.reliable for qos in recorded)
+    latched = any(qos.transient_local for qos in recorded)
+    # late subscribers get the last messages of all publishers, which one publisher replaces
+    depth = sum(max(1, qos.depth) for qos in recorded if qos.transient_local)
+    return _profile_of(reliable, latched, min(depth, RECORDED_DEPTH) if latched else PLAYED_DEPTH)
+
+
+def _profile_of(reliable: bool, latched: bool, depth: int) -> QoSProfile:
+    return QoSProfile(
+        depth=depth,
+        history=QoSHistoryPolicy.KEEP_LAST,
+        reliability=QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT,
+        durability=QoSDurabilityPolicy.TRANSIENT_LOCAL if latched else QoSDurabilityPolicy.VOLATILE,
+    )

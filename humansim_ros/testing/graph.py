@@ -18,10 +18,9 @@ from humansim_ros.errors import RosError
 from humansim_ros.messages import header, to_nanoseconds
 from humansim_ros.messages.topics import scene_topics
 from humansim_ros.messages.types import message_type
-from humansim_ros.ros.bag_qos import subscription_profile
-from humansim_ros.ros.in_process import InProcessNodes
-from humansim_ros.ros.processes import relative_namespace
-from humansim_ros.ros.qos import DATA, FRAME_DONE, REPORTS, SCENE_TIME, offered_profile
+from humansim_ros.ros.nodes.in_process import InProcessNodes
+from humansim_ros.ros.processes.node_processes import relative_namespace
+from humansim_ros.ros.qos import DATA, FRAME_DONE, REPORTS, SCENE_TIME, offered_profile, subscription_profile
 from humansim_ros.scene import Scene
 from humansim_ros.testing.domain import running_rclpy
 from humansim_ros.testing.received import ReceivedMessages, stamp_of

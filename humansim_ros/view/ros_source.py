@@ -26,10 +26,10 @@ from humansim_ros.humans import Human
 from humansim_ros.messages.cdr import check_serialised, deserialised
 from humansim_ros.messages.people import read_people
 from humansim_ros.messages.types import begins_with_stamp, message_type
-from humansim_ros.ros.bag_qos import subscription_profile
+from humansim_ros.ros.graph import absolute
 from humansim_ros.ros.guarded_node import ANY_SIZE, GuardedNode
+from humansim_ros.ros.qos import subscription_profile
 from humansim_ros.ros.runtime import make_executor, spin
-from humansim_ros.ros.topic_choice import absolute
 from humansim_ros.view.pictures import IMAGE_WIDTH
 from humansim_ros.view.seen_topics import COMPRESSED_IMAGE, IMAGE, TF, SeenTopics, seen_topics
 from humansim_ros.view.source import JOINTS, PixelInfo, ViewFrame, Wanted

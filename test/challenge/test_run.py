@@ -14,6 +14,7 @@ import ros_support  # noqa: F401  # a ROS domain of this process
 from challenge_support import SUITE, small_suite
 from waiting import wait_until
 
+from humansim_ros.apps.challenge_case import MAX_MESSAGES, CaseOrder, measured
 from humansim_ros.challenge import run
 from humansim_ros.challenge.results import CaseResult, Report
 from humansim_ros.challenge.run import (
@@ -28,7 +29,6 @@ from humansim_ros.challenge.tracker import TrackerProcess, command_words
 from humansim_ros.errors import ChallengeError, HumansimError
 from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.messages.people import Pose, PoseFrame
-from humansim_ros.ros.challenge_case import MAX_MESSAGES, CaseOrder, measured
 from humansim_ros.scene import Scene
 
 FAKE = f"{sys.executable} {Path(__file__).with_name('fake_tracker.py')} {{topic}} {{scene}}"

@@ -353,10 +353,10 @@ def test_every_reader_opens_files_in_one_place() -> None:
         "challenge/tracker.py",  # output that the challenge itself has redirected
         "resources.py",
         "bags/topics.py",
-        "ros/lockstep_summary.py",
-        "ros/cpu_time.py",
+        "ros/lockstep/rules.py",
+        "apps/bench.py",
         "cli/doctor_checks.py",
-        "ros/shared_memory.py",
+        "ros/transport.py",
         "render/programs.py",
         "body/landmarks.py",
     )

@@ -17,7 +17,7 @@ from humansim_ros.io.temporary import temporary_folder
 HOLDER = """
 import signal
 from humansim_ros.io.temporary import temporary_folder
-from humansim_ros.ros.stop_signals import StopRequest
+from humansim_ros.ros.processes.stop_signals import StopRequest
 StopRequest()
 with temporary_folder() as folder:
     (folder / "scene.yaml").write_text("room: null")

@@ -13,7 +13,7 @@ from humansim_ros.errors import HumansimError
 from humansim_ros.humans.description import read_description
 from humansim_ros.motion.joint_tables import load_table
 from humansim_ros.motion.limits import load_limits
-from humansim_ros.ros.processes import scene_processes
+from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene.config import load_config
 
 

@@ -24,12 +24,13 @@ from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration
 from humansim_ros.errors import HumansimError
 from humansim_ros.messages.topics import CameraTopics
-from humansim_ros.ros import camera_pose, messages
+from humansim_ros.ros import messages
+from humansim_ros.ros.camera import pose as camera_pose
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.processes import scene_processes
+from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.ros.qos import LATCHED
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.scene.state import SceneState

@@ -20,9 +20,9 @@ from humansim_ros.errors import RenderError, SceneError
 from humansim_ros.render import GLRenderer
 from humansim_ros.render.posed_mesh import PosedMesh
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode
-from humansim_ros.ros.processes import scene_processes
+from humansim_ros.ros.processes.node_processes import scene_processes
+from humansim_ros.ros.processes.supervisor import Supervisor
 from humansim_ros.ros.runtime import make_executor
-from humansim_ros.ros.supervisor import Supervisor
 from humansim_ros.scene import Scene, Simulation
 
 START = 7_000_000_000

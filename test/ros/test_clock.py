@@ -15,7 +15,7 @@ from waiting import PATIENCE
 from humansim_ros import messages
 from humansim_ros.camera import Camera
 from humansim_ros.ros import node as scene_node
-from humansim_ros.ros.clock_steps import ClockSteps
+from humansim_ros.ros.clock import ClockSteps
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.camera_rig import CameraRigNode

@@ -22,7 +22,7 @@ from humansim_ros.messages.topics import scene_topics
 from humansim_ros.record.frame_chunks import SceneRecording
 from humansim_ros.record.plan import RecordingPlan
 from humansim_ros.record.recording import record
-from humansim_ros.ros.camera_driver import CameraDriver
+from humansim_ros.ros.camera.publishers import CameraDriver
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.recorder import has_message_per_frame

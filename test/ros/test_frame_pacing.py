@@ -23,10 +23,10 @@ from std_msgs.msg import Header
 from waiting import wait_until
 
 from humansim_ros.messages import header
-from humansim_ros.ros.frame_pacing import FramePacing
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode
+from humansim_ros.ros.player.realtime import FramePacing
 from humansim_ros.ros.qos import DATA
 from humansim_ros.ros.runtime import make_executor
 

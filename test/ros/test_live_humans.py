@@ -19,10 +19,9 @@ from sensor_msgs.msg import MultiDOFJointState, PointCloud2
 from waiting import end_process
 
 from humansim_ros import Scene, messages
-from humansim_ros.ros.first_images import FirstImages
+from humansim_ros.apps.first_images import FirstImages
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
-from humansim_ros.ros.nodes.skinner import SkinnerNode
-from humansim_ros.ros.source_log import SourceLog
+from humansim_ros.ros.nodes.skinner import SkinnerNode, SourceLog
 from humansim_ros.scene.live import LiveRetargeter
 
 SECOND = 1_000_000_000

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from humansim_ros.ros.lockstep import MAX_JOINED, START_LIMIT, Lockstep
+from humansim_ros.ros.lockstep.rules import MAX_JOINED, START_LIMIT, Lockstep
 
 CAMERAS = ("left", "right")
 

@@ -21,7 +21,7 @@ from waiting import wait_until
 
 from humansim_ros import messages
 from humansim_ros.errors import RosError
-from humansim_ros.ros.clock_owner import CLOCK_SEARCH
+from humansim_ros.ros.clock import CLOCK_SEARCH
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE
 from humansim_ros.ros.runtime import make_executor
@@ -164,8 +164,8 @@ def test_a_topic_without_a_header_is_refused(stage: Stage, kind: Any) -> None:
     "name", ["nothing_msgs/msg/Pose", "os/msg/path", "antigravity/msg/X", "a/b", "../x/msg/Y", "x" * 9999]
 )
 def test_a_type_of_the_graph_that_is_not_installed_is_refused(name: str) -> None:
-    from humansim_ros.ros.graph_watch import Endpoint
-    from humansim_ros.ros.topic_members import _usable
+    from humansim_ros.ros.graph import Endpoint
+    from humansim_ros.ros.lockstep.topic_members import _usable
 
     with pytest.raises(RosError, match="wait_for /x: "):
         _usable("/x", [Endpoint("/tracker", name, True)])

@@ -8,7 +8,7 @@ import re
 import pytest
 
 from humansim_ros.errors import RosError
-from humansim_ros.ros.name_patterns import MAX_PATTERN, NamePattern
+from humansim_ros.ros.player.name_patterns import MAX_PATTERN, NamePattern
 
 
 def random_pattern(random: random.Random, depth: int = 0) -> str:

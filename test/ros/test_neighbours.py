@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from ros_support import Client, write_scene
 
-from humansim_ros.ros import neighbours
+from humansim_ros.ros import graph as neighbours
 from humansim_ros.ros.nodes.camera import CameraNode
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
 from humansim_ros.ros.nodes.skinner import SkinnerNode

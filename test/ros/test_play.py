@@ -119,7 +119,7 @@ def listen(ros: None) -> Iterator[Callable[..., Listener]]:
 
 def play(folder: Path, key: Callable[[], str] = lambda: "", **options: Any) -> int:
     """Play a bag; returns the number of messages."""
-    from humansim_ros.ros.bag_player import BagPlayer, PlayOptions
+    from humansim_ros.apps.bag_player import BagPlayer, PlayOptions
 
     player = BagPlayer(folder, PlayOptions(**options))
     try:
@@ -207,7 +207,7 @@ def test_a_pause_stops_time_until_the_next_key(listen: Callable[..., Listener], 
 
 
 def test_pace_maps_monotonic_time_to_recorded_time() -> None:
-    from humansim_ros.ros.bag_player import Pace
+    from humansim_ros.apps.bag_player import Pace
 
     pace = Pace(1000, 2.0, 10.0)
     assert pace.recorded(11.0) == 1000 + 2 * 10**9
@@ -370,8 +370,8 @@ def test_a_camera_renders_a_played_bag_as_it_renders_the_live_topics(ros: None, 
     from sensor_msgs.msg import Image
 
     from humansim_ros import Scene, Simulation
+    from humansim_ros.apps.bag_player import BagPlayer, PlayOptions
     from humansim_ros.messages import joints_message, scene_time_message, vertices_message
-    from humansim_ros.ros.bag_player import BagPlayer, PlayOptions
     from humansim_ros.ros.nodes.camera import CameraNode
 
     scene = Scene.load(write_scene(tmp_path))

@@ -248,7 +248,7 @@ def test_all_topics_are_recorded_but_hidden_ones_and_those_of_every_node(
 
 
 def test_names_are_relative_to_the_namespace_and_patterns_mean_no_hidden_topics() -> None:
-    from humansim_ros.ros.topic_choice import TopicChoice
+    from humansim_ros.ros.graph import TopicChoice
 
     choice = TopicChoice.of(["left/image_raw", "/right/*", "/_camera_alive"], "/lab")
     for topic in ("/lab/left/image_raw", "/right/a/b", "/_camera_alive"):
@@ -261,7 +261,7 @@ def test_names_are_relative_to_the_namespace_and_patterns_mean_no_hidden_topics(
 @pytest.mark.parametrize("name", ["", "/", "two words", "a\nb"])
 def test_a_name_that_is_no_topic_is_an_error(name: str) -> None:
     from humansim_ros.errors import RosError
-    from humansim_ros.ros.topic_choice import TopicChoice
+    from humansim_ros.ros.graph import TopicChoice
 
     with pytest.raises(RosError, match="is no topic"):
         TopicChoice.of([name])
@@ -306,7 +306,7 @@ def test_another_topic_may_have_several_messages_of_a_stamp() -> None:
 
 
 def test_copies_that_a_faulty_camera_sends_are_kept_and_those_of_a_frame_that_comes_again_are_not() -> None:
-    from humansim_ros.ros.image_copies import ImageCopies
+    from humansim_ros.ros.nodes.recorder import ImageCopies
     from humansim_ros.ros.received_frames import ReceivedFrames
     from humansim_ros.scene.fault_config import FaultsConfig
     from humansim_ros.scene.faults import FaultSchedule
@@ -381,7 +381,7 @@ def message(size: int, stamp: int = 1) -> Any:
 
 
 def test_a_full_queue_drops_in_real_time_and_waits_in_lockstep() -> None:
-    from humansim_ros.ros.bag_thread import BagThread
+    from humansim_ros.bags.bag_thread import BagThread
 
     bag: Any = SlowBag()
     thread = BagThread(lambda: bag, 1000)
@@ -398,7 +398,7 @@ def test_a_full_queue_drops_in_real_time_and_waits_in_lockstep() -> None:
 
 
 def test_a_message_that_is_longer_than_the_queue_is_taken() -> None:
-    from humansim_ros.ros.bag_thread import BagThread
+    from humansim_ros.bags.bag_thread import BagThread
 
     bag: Any = SlowBag()
     bag.go.set()
@@ -409,7 +409,7 @@ def test_a_message_that_is_longer_than_the_queue_is_taken() -> None:
 
 
 def test_a_frame_is_one_group_and_is_reported_when_it_is_in_the_file() -> None:
-    from humansim_ros.ros.bag_thread import BagThread
+    from humansim_ros.bags.bag_thread import BagThread
 
     bag: Any = SlowBag()
     reports: list[tuple[int, int]] = []
@@ -427,7 +427,7 @@ def test_a_frame_is_one_group_and_is_reported_when_it_is_in_the_file() -> None:
 
 @pytest.mark.parametrize("error", [OSError(errno.ENOSPC, "No space left on device"), MemoryError()])
 def test_an_error_of_the_bag_ends_the_thread_and_frees_who_waits(error: Exception) -> None:
-    from humansim_ros.ros.bag_thread import BagThread
+    from humansim_ros.bags.bag_thread import BagThread
 
     bag: Any = SlowBag(error)
     thread = BagThread(lambda: bag, 100)
@@ -835,7 +835,7 @@ def test_a_run_in_lockstep_records_every_frame_although_the_recorder_is_killed(
 
 def test_a_recorder_is_one_of_the_processes_and_lockstep_waits_for_it(tmp_path: Path) -> None:
     from humansim_ros.errors import RosError
-    from humansim_ros.ros.processes import RecordOptions, TimeOptions, scene_processes
+    from humansim_ros.ros.processes.node_processes import RecordOptions, TimeOptions, scene_processes
 
     scene, bag = write_scene(tmp_path, SCENE), tmp_path / "bag"
     time_options = TimeOptions(lockstep=True, wait_for=["topic:/tracker/poses", "me"])
@@ -855,7 +855,7 @@ def test_a_recorder_is_one_of_the_processes_and_lockstep_waits_for_it(tmp_path: 
 
 def test_launch_arguments_are_options_of_the_recorder() -> None:
     from humansim_ros.errors import RosError
-    from humansim_ros.ros.processes import RECORD_ARGUMENTS, RecordOptions, record_options
+    from humansim_ros.ros.processes.node_processes import RECORD_ARGUMENTS, RecordOptions, record_options
 
     nothing = dict.fromkeys(RECORD_ARGUMENTS, "")
     assert record_options(nothing) is None

@@ -19,7 +19,7 @@ from waiting import PATIENCE
 
 from humansim_ros import messages
 from humansim_ros.ros.nodes.motion_player import MotionPlayerNode
-from humansim_ros.ros.processes import QUIT
+from humansim_ros.ros.processes.node_processes import QUIT
 from humansim_ros.ros.qos import DATA, DONE, LATCHED
 from humansim_ros.ros.runtime import make_executor
 from humansim_ros.scene import Scene

@@ -52,7 +52,7 @@ class Processes:
     def node(self, name: str) -> int | None:
         """Process id of the node of this name; None if it does not run."""
         for pid, line in self.lines().items():
-            # a spare process that has become a node has its name, of which Linux keeps 15 letters
+            # a standby process that has become a node has its name, of which Linux keeps 15 letters
             if f"__node:={name} " in line or name_of(pid) == name[:15]:
                 return pid
         return None
@@ -107,14 +107,14 @@ def handles_hangup(pid: int | None) -> bool:
 
 
 def test_a_node_is_started_again_at_once_then_later_and_later_then_given_up() -> None:
-    from humansim_ros.ros.restart_policy import RestartPolicy
+    from humansim_ros.ros.processes.supervisor import RestartPolicy
 
     policy = RestartPolicy()
     assert [policy.delay(1.0) for _ in range(6)] == [0.0, 0.5, 1.0, 2.0, 4.0, None]
 
 
 def test_a_long_run_ends_a_row_of_deaths() -> None:
-    from humansim_ros.ros.restart_policy import RestartPolicy
+    from humansim_ros.ros.processes.supervisor import RestartPolicy
 
     policy = RestartPolicy()
     assert [policy.delay(ran) for ran in (1.0, 1.0, 60.0, 1.0)] == [0.0, 0.5, 0.0, 0.5]
@@ -141,8 +141,8 @@ def test_a_node_that_dies_again_and_again_is_given_up(
 
 
 def test_a_node_with_wrong_input_is_not_started_again(ros: None, tmp_path: Path) -> None:
-    from humansim_ros.ros.processes import NodeProcess
-    from humansim_ros.ros.supervisor import Supervisor
+    from humansim_ros.ros.processes.node_processes import NodeProcess
+    from humansim_ros.ros.processes.supervisor import Supervisor
 
     scene = str(write_scene(tmp_path, SCENE))
     wrong = NodeProcess("skinner", "wrong", {"scene": scene, "human": "nobody"})
@@ -171,16 +171,16 @@ def test_killed_nodes_are_back_with_their_latched_topics(
     assert "left at the end: nothing" in done.stdout
 
 
-def test_a_spare_process_becomes_the_node_that_has_died(
+def test_a_standby_process_becomes_the_node_that_has_died(
     ros: None, processes: Processes, tmp_path: Path, output: Path
 ) -> None:
     run = processes.start([*HUMANSIM, "run", str(write_scene(tmp_path, SCENE))], output)
 
-    def spare() -> int | None:
-        return next((pid for pid, line in processes.lines().items() if "nodes.spare" in line), None)
+    def standby() -> int | None:
+        return next((pid for pid, line in processes.lines().items() if "processes.standby" in line), None)
 
-    assert wait_until(spare)
-    pid = spare()
+    assert wait_until(standby)
+    pid = standby()
     os.kill(processes.node("skinner_anna"), signal.SIGKILL)
     assert wait_until(lambda: name_of(pid) == "skinner_anna")
     assert wait_until(lambda: output.read_text().count("[skinner_anna]: skinning anna") == 2)
@@ -228,18 +228,18 @@ def test_a_run_goes_on_without_a_reader_of_its_output(
     assert processes.are_gone()
 
 
-SPARE = [sys.executable, "-m", "humansim_ros.ros.nodes.spare"]
+STANDBY = [sys.executable, "-m", "humansim_ros.ros.processes.standby"]
 
 
-def test_a_spare_process_ends_with_its_input(ros: None, tmp_path: Path) -> None:
-    spare = [*SPARE, str(write_scene(tmp_path, SCENE))]
-    assert subprocess.run(spare, stdin=subprocess.DEVNULL, timeout=PATIENCE, check=False).returncode == 0
+def test_a_standby_process_ends_with_its_input(ros: None, tmp_path: Path) -> None:
+    standby = [*STANDBY, str(write_scene(tmp_path, SCENE))]
+    assert subprocess.run(standby, stdin=subprocess.DEVNULL, timeout=PATIENCE, check=False).returncode == 0
 
 
-def test_a_spare_process_leaves_errors_of_the_scene_to_the_node(ros: None, tmp_path: Path) -> None:
+def test_a_standby_process_leaves_errors_of_the_scene_to_the_node(ros: None, tmp_path: Path) -> None:
     scene = str(tmp_path / "gone.yaml")
     done = subprocess.run(
-        [*SPARE, scene],
+        [*STANDBY, scene],
         input=json.dumps(["skinner", "--ros-args", "-p", f"scene:={scene}"]) + "\n",
         capture_output=True,
         text=True,
@@ -339,7 +339,7 @@ def test_nohup_is_respected() -> None:
 import os, signal
 signal.signal(signal.SIGHUP, signal.SIG_IGN)
 signal.signal(signal.SIGINT, signal.SIG_IGN)
-from humansim_ros.ros.stop_signals import StopRequest
+from humansim_ros.ros.processes.stop_signals import StopRequest
 StopRequest()
 os.kill(os.getpid(), signal.SIGHUP)
 print("goes on", flush=True)
@@ -354,7 +354,7 @@ os.kill(os.getpid(), signal.SIGINT)
 def test_a_node_remembers_a_signal_whose_exception_a_library_has_swallowed() -> None:
     code = """
 import os, signal
-from humansim_ros.ros.stop_signals import StopRequest
+from humansim_ros.ros.processes.stop_signals import StopRequest
 request = StopRequest()
 class Swallower:
     def __del__(self):
@@ -390,7 +390,7 @@ def test_ctrl_c_while_a_node_starts_is_quiet(
     assert "Traceback" not in output.read_text()
 
 
-@pytest.mark.parametrize("module", ["humansim_ros.ros.nodes.executables", "humansim_ros.cli.__main__"])
+@pytest.mark.parametrize("module", ["humansim_ros.ros.nodes.__main__", "humansim_ros.cli.__main__"])
 def test_entry_points_import_nothing_before_they_can_be_stopped(module: str) -> None:
     code = f"import sys, {module}; print(sorted({{name.split('.')[0] for name in sys.modules}}))"
     loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
@@ -406,15 +406,15 @@ def test_installed_commands_lead_to_the_light_entry_points() -> None:
     assert len(entries) == 7
     assert {entry.partition(":")[0] for entry in entries} == {
         "humansim_ros.cli.__main__",
-        "humansim_ros.ros.nodes.executables",
+        "humansim_ros.ros.nodes.__main__",
     }
 
 
 def test_a_recorder_is_stopped_when_the_others_have_ended(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from humansim_ros.ros.processes import NodeProcess
-    from humansim_ros.ros.supervisor import Supervisor
+    from humansim_ros.ros.processes.node_processes import NodeProcess
+    from humansim_ros.ros.processes.supervisor import Supervisor
 
     program = """
 import signal, sys, time

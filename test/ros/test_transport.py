@@ -17,9 +17,9 @@ from conftest import ROOT
 from ros_support import write_scene
 from waiting import PATIENCE, wait_until
 
-from humansim_ros.ros import shared_memory, transport
-from humansim_ros.ros.shared_memory import FULL_SEGMENT, free_memory, segment_size
-from humansim_ros.ros.transport import choose_transport
+from humansim_ros.ros import transport
+from humansim_ros.ros import transport as shared_memory
+from humansim_ros.ros.transport import FULL_SEGMENT, choose_transport, free_memory, segment_size
 
 MB = 1 << 20
 SETTINGS = (*transport._DISCOVERY_SETTINGS, transport._SEGMENT_BYTES, "RMW_IMPLEMENTATION")
@@ -154,7 +154,7 @@ def test_fast_dds_accepts_every_profile(
     with_free_memory(monkeypatch, free)
     code = """
 import os, rclpy
-from humansim_ros.ros.shared_memory import owned_names
+from humansim_ros.ros.transport import owned_names
 rclpy.init()
 node = rclpy.create_node("node")
 print(*(os.stat(f"/dev/shm/{name}").st_size for name in owned_names(os.getpid()) if "port" not in name))

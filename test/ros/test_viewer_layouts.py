@@ -12,9 +12,9 @@ import yaml
 from conftest import ROOT
 from rclpy.qos import QoSDurabilityPolicy, QoSReliabilityPolicy
 
+from humansim_ros.apps.viewer_layouts import foxglove_layout, rviz_layout
 from humansim_ros.messages.topics import Topic, scene_topics
 from humansim_ros.ros.qos import offered_profile
-from humansim_ros.ros.viewer_layouts import foxglove_layout, rviz_layout
 from humansim_ros.scene import Scene
 from humansim_ros.scene.names import SceneNames, read_names
 
@@ -161,3 +161,9 @@ def test_layouts_of_other_scenes_name_their_topics_in_the_namespace(names: Scene
     panels = foxglove["configById"]
     assert sorted(leaves(foxglove["layout"])) == sorted(panels)
     assert set(panels["3D!world"]["topics"]) == {name for name in wanted if not name.endswith("image_raw")}
+
+
+def test_the_path_of_earlier_versions_warns() -> None:
+    with pytest.warns(DeprecationWarning, match="humansim_ros.apps.viewer_layouts"):
+        from humansim_ros.ros import viewer_layouts
+    assert viewer_layouts.rviz_layout is rviz_layout

@@ -18,7 +18,7 @@ from pydantic import AfterValidator, BaseModel
 from humansim_ros.camera import Camera, write_calibration
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.images import encode_image
-from humansim_ros.ros.processes import scene_processes
+from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Scene, SceneConfig
 from humansim_ros.scene.config import load_config, map_files
 

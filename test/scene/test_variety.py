@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from humansim_ros.cli.human import built_in_humans
 from humansim_ros.errors import HumansimWarning, SceneError
 from humansim_ros.mesh import Mesh
-from humansim_ros.ros.processes import scene_processes
+from humansim_ros.ros.processes.node_processes import scene_processes
 from humansim_ros.scene import Finding, Scene, Simulation, check_scene
 from humansim_ros.scene.config import HumanConfig, load_config
 from humansim_ros.scene.room import furnished_room, furniture_plan

@@ -19,10 +19,10 @@ from humansim_ros.errors import CameraError, RosError, SceneError
 from humansim_ros.messages.topics import CameraTopics
 from humansim_ros.render import View
 from humansim_ros.render.channels import comparing_with
-from humansim_ros.ros.camera_calibration import PublishedCalibration, read_single_camera
-from humansim_ros.ros.camera_driver import CameraDriver
-from humansim_ros.ros.camera_pose import CameraPosePublisher
-from humansim_ros.ros.camera_publishers import (
+from humansim_ros.ros.camera.calibration import PublishedCalibration, read_single_camera
+from humansim_ros.ros.camera.pose import CameraPosePublisher
+from humansim_ros.ros.camera.publishers import (
+    CameraDriver,
     FaultsPublisher,
     ImagePublishers,
     InfoPublishers,

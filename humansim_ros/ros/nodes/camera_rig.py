@@ -16,7 +16,7 @@ from humansim_ros.errors import SceneError
 from humansim_ros.ros.frame_synchronizer import FrameSynchronizer
 from humansim_ros.ros.node import SceneNode
 from humansim_ros.ros.nodes.camera import CameraNode
-from humansim_ros.ros.processes import RIG_NODE
+from humansim_ros.ros.processes.node_processes import RIG_NODE
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 from humansim_ros.scene.state import SceneState

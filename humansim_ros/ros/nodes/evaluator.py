@@ -28,10 +28,9 @@ from humansim_ros.evaluate.truth import SceneTruth
 from humansim_ros.io.files import atomic_path
 from humansim_ros.messages import to_nanoseconds
 from humansim_ros.messages.people import PoseFrame
-from humansim_ros.ros.bag_qos import subscription_profile
 from humansim_ros.ros.estimate_topics import PoseTopics
 from humansim_ros.ros.node import SuiteNode, loaded_scene
-from humansim_ros.ros.qos import DATA, SCENE_TIME
+from humansim_ros.ros.qos import DATA, SCENE_TIME, subscription_profile
 from humansim_ros.ros.runtime import run_node
 from humansim_ros.scene import Scene
 

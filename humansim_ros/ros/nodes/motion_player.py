@@ -34,16 +34,20 @@ from humansim_ros.messages.topics import (
     Topic,
     moving_camera_topics,
 )
-from humansim_ros.ros.background import BackgroundWork
-from humansim_ros.ros.lockstep_playing import LockstepPlaying
-from humansim_ros.ros.lockstep_settings import LockstepSettings
-from humansim_ros.ros.motion_parameters import MAX_SECONDS, MotionParameters
-from humansim_ros.ros.playing import MAX_WAITING, FramePlayer
+from humansim_ros.ros.lockstep.playing import LockstepPlaying
+from humansim_ros.ros.lockstep.settings import LockstepSettings
+from humansim_ros.ros.player.motions import (
+    MAX_SECONDS,
+    MOTION_FOLDERS,
+    BackgroundWork,
+    MotionParameters,
+    RequestedMotions,
+)
+from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer
+from humansim_ros.ros.player.realtime import RealtimePlaying
+from humansim_ros.ros.player.simulation_services import serve_simulation
 from humansim_ros.ros.qos import offered_profile
-from humansim_ros.ros.realtime import RealtimePlaying
-from humansim_ros.ros.requested_motions import MOTION_FOLDERS, RequestedMotions
 from humansim_ros.ros.runtime import run_node
-from humansim_ros.ros.simulation_services import serve_simulation
 from humansim_ros.scene import Scene
 from humansim_ros.scene.config import LIVE
 from humansim_ros.scene.live import JointSource

@@ -1,19 +1,10 @@
-"""Node ``recorder``: records topics of a live graph into a bag, serialised as they arrive.
-
-The quality of service follows the publishers. Topics that appear later are recorded, too. Messages wait in a
-queue that is bounded in bytes, and a thread writes them.
-
-In real time, messages for which the queue has no space are dropped and counted. In lockstep nothing is
-dropped: the node reports on ``frame_done`` that all messages of a frame are in the file, and the player waits
-for it. A frame that the player sends again is kept once.
-
-Parameter ``resume`` continues a bag in a new file of it, such as after the node was killed.
-"""
+"""How often a faulty camera sends an image: a recorder must tell copies from frames that come again."""
 
 from __future__ import annotations
 
 import time
 import warnings
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -27,6 +18,7 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import TimeReference
 from std_msgs.msg import Header
 
+from humansim_ros.bags.bag_thread import BagThread
 from humansim_ros.bags.chunks import BagMessage, Compression
 from humansim_ros.bags.reader import BagReader
 from humansim_ros.bags.storages import Storage
@@ -37,17 +29,51 @@ from humansim_ros.messages import header, serialised_stamp, to_nanoseconds
 from humansim_ros.messages.topics import Topic, scene_topics
 from humansim_ros.messages.types import begins_with_stamp, message_type
 from humansim_ros.render.channels import CHANNEL_TABLE
-from humansim_ros.ros.bag_qos import recorded_qos, subscription_profile
-from humansim_ros.ros.bag_thread import BagThread
-from humansim_ros.ros.clock_steps import ClockSteps
+from humansim_ros.ros.clock import ClockSteps
+from humansim_ros.ros.graph import TopicChoice, absolute, similar
 from humansim_ros.ros.guarded_node import ANY_SIZE
-from humansim_ros.ros.image_copies import ImageCopies
 from humansim_ros.ros.node import SuiteNode, loaded_scene
-from humansim_ros.ros.qos import DATA, DONE, FRAME_DONE, SCENE_TIME
+from humansim_ros.ros.qos import DATA, DONE, FRAME_DONE, SCENE_TIME, recorded_qos, subscription_profile
 from humansim_ros.ros.received_frames import ReceivedFrames
 from humansim_ros.ros.runtime import run_node
-from humansim_ros.ros.topic_choice import TopicChoice, absolute, similar
 from humansim_ros.scene import Scene
+from humansim_ros.scene.faults import FaultSchedule
+
+#: Frames whose images are remembered: late images come after those of newer frames.
+_REMEMBERED = 1000
+#: Most copies of an image that faults make.
+_MOST = 2
+
+
+class ImageCopies:
+    """Number of copies of the message of a topic and stamp.
+
+    Args:
+        schedules: Faults by topic, of topics whose messages may be sent twice.
+    """
+
+    def __init__(self, schedules: Mapping[str, FaultSchedule]) -> None:
+        self._schedules = schedules
+        self._known: dict[str, dict[int, int]] = defaultdict(dict)
+
+    def __bool__(self) -> bool:
+        """Whether there are such topics."""
+        return bool(self._schedules)
+
+    def note(self, stamp: int, scene_time: int) -> None:
+        """Note that a frame has begun. ``stamp``, ``scene_time``: nanoseconds."""
+        for topic, schedule in self._schedules.items():
+            faults, known = schedule.at_time(scene_time), self._known[topic]
+            known[faults.stamp(stamp)] = len(faults.sent)
+            if len(known) > _REMEMBERED:
+                del known[next(iter(known))]
+
+    def __call__(self, topic: str, stamp: int) -> int:
+        """Copies of the message of a topic with a stamp; the most if its frame has not been noted yet."""
+        if topic not in self._schedules:
+            return 1
+        return self._known[topic].get(stamp, _MOST)
+
 
 #: Seconds between two looks for new topics and publishers.
 _DISCOVERY_EVERY = 0.25

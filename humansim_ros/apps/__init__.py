@@ -1,0 +1,1 @@
+"""Applications of the nodes, as commands of ``humansim`` run them."""

@@ -1,0 +1,293 @@
+"""``humansim bench``: how many cameras of a scene this machine holds, measured with the nodes of a run."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+from humansim_ros.errors import HumansimError, RosError
+from humansim_ros.render.channels import CHANNEL_TABLE
+from humansim_ros.ros.processes.node_processes import TimeOptions, cores, scene_processes
+from humansim_ros.ros.processes.supervisor import Supervisor
+from humansim_ros.ros.runtime import make_executor, prepare_transport
+from humansim_ros.scene import Scene
+
+#: Frames per second of the motion player: more than the cameras can render. They get as many as they can.
+_RATE = 200.0
+#: Share of the measured rate that the machine holds for a long time, beside some other work.
+_SHARE = 0.9
+#: Seconds before a measurement, after the first frame of all cameras.
+_SETTLING = 1.0
+#: Seconds in which another topic must have sent its first message.
+_START_LIMIT = 90.0
+#: Cores that other processes use, from which a measurement means little.
+_BUSY_CORES = 0.25
+
+
+@dataclass(frozen=True)
+class BenchResult:
+    """Rate at which a machine renders the cameras of a scene.
+
+    Attributes:
+        cameras: Milliseconds in which each camera renders and sends a frame, by name.
+        channels: Rendered channels.
+        rate: Frames per second of the scene.
+        measured_hz: Frames per second with all channels of all cameras.
+        frame_ms: CPU milliseconds per frame of all that is not a camera: motions, bodies and subscriber.
+        camera_ms: CPU milliseconds per frame of one camera.
+        processes: Number of camera processes.
+        cores: Number of cores.
+        other_cores: Number of cores that other processes used meanwhile.
+    """
+
+    cameras: dict[str, float]
+    channels: tuple[str, ...]
+    rate: float
+    measured_hz: float
+    frame_ms: float
+    camera_ms: float
+    processes: int
+    cores: int
+    other_cores: float
+
+    @property
+    def max_hz(self) -> float:
+        """Frames per second that the machine holds with these cameras."""
+        return _SHARE * self.measured_hz
+
+    @property
+    def max_cameras(self) -> int:
+        """Number of such cameras that it holds at the rate of the scene; an estimate."""
+        if self.max_hz <= 0 or self.camera_ms <= 0:
+            return 0
+        count = len(self.cameras)
+        # a frame takes a time that is proportional to its CPU time
+        frame = (self.frame_ms + count * self.camera_ms) * self.max_hz / self.rate
+        return max(0, int((frame - self.frame_ms) / self.camera_ms + 1e-9))
+
+    @property
+    def holds(self) -> bool:
+        """Whether the machine holds these cameras at the rate of the scene."""
+        return self.max_hz >= self.rate
+
+    def to_dict(self) -> dict[str, Any]:
+        """Values for JSON."""
+        derived = {name: getattr(self, name) for name in ("holds", "max_hz", "max_cameras")}
+        return {**asdict(self), "channels": list(self.channels), **derived}
+
+    def text(self) -> str:
+        """Lines for people."""
+        count, rate = len(self.cameras), f"{self.rate:g} Hz"
+        holds = "holds" if self.holds else "does not hold"
+        these = f"these {count}" if count > 1 else "this one"
+        names = f"{', '.join(self.channels)} of all cameras"
+        lines = [
+            f"this machine {holds} {_cameras(count)} at {rate}",
+            f"at {rate} up to {_cameras(self.max_cameras)}; {these} at up to {self.max_hz:.0f} Hz",
+            f"measured: {self.measured_hz:.1f} Hz with {names}; a tenth of it is kept free",
+            f"on {self.cores} cores with {self.processes} camera processes; milliseconds per frame: "
+            + ", ".join(f"{name} {ms:.1f}" for name, ms in self.cameras.items()),
+        ]
+        if self.other_cores > _BUSY_CORES:
+            lines.append(
+                f"other processes used {self.other_cores:.1f} of the {self.cores} cores meanwhile: without "
+                "them, the machine holds more"
+            )
+        return "\n".join(lines)
+
+
+def _cameras(count: int) -> str:
+    return f"{count} camera{'' if count == 1 else 's'}"
+
+
+def topics_of(scene: Scene, channels: Sequence[str]) -> list[str]:
+    """Image topics of all cameras for some channels. Raises HumansimError for an unknown channel."""
+    topics = []
+    for channel in channels:
+        if channel not in CHANNEL_TABLE:
+            raise HumansimError(f"no channel {channel!r}; the channels are {', '.join(CHANNEL_TABLE)}")
+        name, bodies = CHANNEL_TABLE[channel].topic, list(scene.labels)
+        of_bodies = [name.format(body=body) for body in bodies] if CHANNEL_TABLE[channel].per_body else [name]
+        topics += [f"/{camera}/{topic}" for camera in scene.cameras for topic in of_bodies]
+    return topics
+
+
+def measure(
+    path: Path,
+    channels: Sequence[str],
+    seconds: float,
+    processes: int | None = None,
+    report: Callable[[str], None] = lambda _: None,
+) -> BenchResult:
+    """Run the nodes of a scene as fast as they can, with one subscriber, for some seconds.
+
+    Args:
+        path: Scene file.
+        channels: Channels to render.
+        seconds: Length of the measurement.
+        processes: Number of camera processes; one per core if None.
+        report: Prints a line of progress.
+
+    Raises:
+        HumansimError: The scene or a channel is wrong, a node ended, or a topic sends nothing.
+    """
+    scene = Scene.load(path)
+    topics = topics_of(scene, channels)
+    started = [
+        replace(
+            process,
+            parameters={
+                **process.parameters,
+                **({"rate": _RATE} if process.executable == "motion_player" else {}),
+            },
+            log_level="error",
+        )
+        for process in scene_processes(path, processes, time=TimeOptions(lockstep=False))
+    ]
+    prepare_transport(len(started) + 1, network=False)
+    with Supervisor(started) as nodes, _Subscriber(topics) as subscriber:
+        report(f"starting {len(started)} nodes, and drawing lens and static scene of each camera")
+        subscriber.wait_for_all(nodes)
+        report(f"measuring for {seconds:g} s")
+        subscriber.spin(_SETTLING)
+        subscriber.reset()
+        pids = {"subscriber": os.getpid(), **nodes.pids}
+        begin, before = time.monotonic(), CpuTime.now(pids)
+        subscriber.spin(seconds)
+        if dead := nodes.dead():
+            raise RosError(str(dead))
+        used, elapsed = CpuTime.now(pids).since(before), time.monotonic() - begin
+    names = {process.node_name for process in started if process.executable in ("camera", "camera_rig")}
+    frames = max(1, subscriber.complete)
+    in_cameras = sum(used.processes[name] for name in names)
+    return BenchResult(
+        cameras={name: subscriber.milliseconds(name) for name in scene.cameras},
+        channels=tuple(channels),
+        rate=scene.config.rate,
+        measured_hz=subscriber.complete / elapsed,
+        frame_ms=1e3 * (used.total - in_cameras) / frames,
+        camera_ms=1e3 * in_cameras / frames / len(scene.cameras),
+        processes=len(names),
+        cores=cores(),
+        other_cores=max(0.0, (used.machine - used.total) / elapsed),
+    )
+
+
+class _Subscriber:
+    """Context manager that subscribes to topics and counts the stamps at which all have a message."""
+
+    def __init__(self, topics: Sequence[str]) -> None:
+        self._topics = list(topics)
+
+    def __enter__(self) -> _Subscriber:
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from rclpy.qos import qos_profile_sensor_data
+        from rclpy.signals import SignalHandlerOptions
+        from sensor_msgs.msg import Image
+
+        from humansim_ros.messages import serialised_stamp
+        from humansim_ros.ros.guarded_node import GuardedNode
+
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = GuardedNode("humansim_bench")
+        self._executor = make_executor()
+        self._executor.add_node(self._node)
+        self._silent = set(self._topics)
+        self._diagnostics: dict[str, list[float]] = defaultdict(list)
+        self.reset()
+
+        def listener(topic: str) -> Callable[[bytes], None]:
+            def on_image(data: bytes) -> None:
+                stamp = serialised_stamp(data)
+                self._silent.discard(topic)
+                self._arrived[stamp] += 1
+                self.complete += self._arrived[stamp] == len(self._topics)
+
+            return on_image
+
+        for topic in self._topics:
+            self._node.create_subscription(Image, topic, listener(topic), qos_profile_sensor_data, raw=True)
+        self._node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 50)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        import rclpy
+
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.try_shutdown()
+
+    def reset(self) -> None:
+        """Forget all messages."""
+        self._arrived: dict[int, int] = defaultdict(int)
+        self._diagnostics.clear()
+        self.complete = 0
+
+    def spin(self, seconds: float) -> None:
+        """Receive messages for some seconds."""
+        end = time.monotonic() + seconds
+        while time.monotonic() < end:
+            self._executor.spin_once(0.05)
+
+    def wait_for_all(self, nodes: Supervisor) -> None:
+        """Wait until every topic has sent a message. Raises RosError if one sends nothing, or a node ends."""
+        silent, limit = len(self._silent), time.monotonic() + _START_LIMIT
+        while self._silent:
+            self.spin(0.1)
+            if dead := nodes.dead():
+                raise RosError(str(dead))
+            if len(self._silent) < silent:
+                silent, limit = len(self._silent), time.monotonic() + _START_LIMIT
+            if time.monotonic() > limit:
+                names = sorted(self._silent)
+                raise RosError(f"nothing arrived within {_START_LIMIT:.0f} s on {', '.join(names[:4])}")
+
+    def milliseconds(self, camera: str) -> float:
+        """Median time in which a camera rendered and sent a frame; 0 if it has not reported it."""
+        times = self._diagnostics[f"/{camera}"]
+        return median(times) if times else 0.0
+
+    def _on_diagnostics(self, message: Any) -> None:
+        for status in message.status:
+            values = {item.key: item.value for item in status.values}
+            milliseconds = float(values.get("render_median_ms", "nan"))
+            if 0 <= milliseconds < math.inf:
+                self._diagnostics[status.name].append(milliseconds)
+
+
+@dataclass(frozen=True)
+class CpuTime:
+    """Used CPU seconds: by process, and of the whole machine."""
+
+    processes: dict[str, float]
+    machine: float
+
+    @classmethod
+    def now(cls, pids: Mapping[str, int]) -> CpuTime:
+        """CPU time until now. ``pids``: process ids by name."""
+        tick = os.sysconf("SC_CLK_TCK")
+        seconds = {}
+        for name, pid in pids.items():
+            fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+            seconds[name] = (int(fields[11]) + int(fields[12])) / tick
+        machine = [int(n) for n in Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:9]]
+        used = sum(machine) - machine[3] - machine[4]  # without idle and waiting for a disk
+        return cls(seconds, used / tick)
+
+    def since(self, before: CpuTime) -> CpuTime:
+        """CPU time since an earlier time, of the same processes."""
+        used = {name: seconds - before.processes[name] for name, seconds in self.processes.items()}
+        return CpuTime(used, self.machine - before.machine)
+
+    @property
+    def total(self) -> float:
+        """CPU seconds of all processes."""
+        return sum(self.processes.values())

@@ -1,0 +1,1 @@
+"""Parts of a camera node: publishers, calibration, pose."""

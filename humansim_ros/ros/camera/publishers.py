@@ -1,0 +1,307 @@
+"""Publishers of a camera's images and ground truth, raw and compressed, as a camera driver sends them."""
+
+from __future__ import annotations
+
+import heapq
+import time
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from numpy.typing import NDArray
+from rcl_interfaces.msg import SetParametersResult
+from rclpy.duration import Duration
+
+from humansim_ros.errors import RosError
+from humansim_ros.messages import DepthCompression, ImageCompression
+from humansim_ros.messages.topics import CameraTopics, Content, Topic
+from humansim_ros.render import View
+from humansim_ros.render.channels import CHANNEL_TABLE
+from humansim_ros.ros.camera.calibration import PublishedCalibration
+from humansim_ros.ros.node import SceneNode
+from humansim_ros.ros.qos import offered_profile
+from humansim_ros.scene.faults import FOLLOWING, NO_FAULTS, FrameFaults
+from humansim_ros.truth import CameraTruth
+
+#: Seconds in which subscribers take what is sent at the end of a run.
+_MAX_WAIT = 1.0
+
+
+class _Held(NamedTuple):
+    """A message that is sent later. ``in_turn``: at the end of a frame, not when its time has come."""
+
+    due: int
+    number: int
+    stamp: int
+    in_turn: bool
+    publisher: Any
+    message: Any
+
+
+class CameraDriver:
+    """Sends the messages of a camera that its faults concern.
+
+    Without faults a message is sent at once. Others are held until a frame has a stamp at which they are due:
+    in lockstep, time stands between frames. In real time a timer sends them meanwhile.
+    """
+
+    def __init__(self, node: SceneNode) -> None:
+        self._node = node
+        self._held: list[_Held] = []
+        self._number = 0
+        self._timer: Any = None
+        self._faults = NO_FAULTS
+
+    @contextmanager
+    def frame(self, stamp: int, faults: FrameFaults) -> Iterator[None]:
+        """Context manager for the messages of one frame. ``stamp``: of the frame, nanoseconds."""
+        self._faults = faults
+        if self._held:  # a frame that is shown again, or the clock was set back: its messages come again
+            self._held = [held for held in self._held if held.stamp < stamp]
+            heapq.heapify(self._held)
+            self._send_due(stamp)
+        try:
+            yield
+        finally:
+            self._send_due(stamp + FOLLOWING)
+            self._set_timer()
+
+    def send(self, topic: Topic[Content], publisher: Any, content: Content, stamp: int) -> None:
+        """Send a message of the frame.
+
+        Args:
+            topic: Its topic.
+            publisher: Publisher of the topic.
+            content: Content of the message.
+            stamp: Stamp of the frame, nanoseconds.
+        """
+        faults = self._faults if topic.faulty else NO_FAULTS
+        if not faults.sent:
+            return
+        message = topic.build(content, faults.stamp(stamp))
+        for after in faults.sent:
+            if after == 0:
+                publisher.publish(message)
+                continue
+            self._number += 1
+            held = _Held(stamp + after, self._number, stamp, faults.follows, publisher, message)
+            heapq.heappush(self._held, held)
+
+    def send_held(self) -> None:
+        """Send all messages that are held at the end of a run, and wait until they have been received."""
+        if not self._held:
+            return
+        publishers = {id(held.publisher): held.publisher for held in self._held}
+        self._send_due(max(held.due for held in self._held))
+        deadline = time.monotonic() + _MAX_WAIT
+        for publisher in publishers.values():
+            left = max(0.0, deadline - time.monotonic())
+            publisher.wait_for_all_acked(Duration(seconds=left))
+
+    def _send_due(self, time: int) -> None:
+        while self._held and self._held[0].due <= time:
+            held = heapq.heappop(self._held)
+            held.publisher.publish(held.message)
+
+    def _set_timer(self) -> None:
+        if not self._held or self._timer is not None or self._node.has_simulated_time():
+            return
+        seconds = max(1e-3, (self._held[0].due - self._node.now()) * 1e-9)
+        self._timer = self._node.create_timer(seconds, self._on_timer)
+
+    def _on_timer(self) -> None:
+        self._node.destroy_timer(self._timer)
+        self._timer = None
+        now = self._node.now()
+        while self._held and self._held[0].due <= now and not self._held[0].in_turn:
+            held = heapq.heappop(self._held)
+            held.publisher.publish(held.message)
+        if self._held and not self._held[0].in_turn:
+            self._set_timer()
+
+
+class _CompressedPublisher:
+    """Publisher of compressed images, with its parameters.
+
+    ``topic``: its name ends with the name of the plugin of image_transport.
+    """
+
+    def __init__(self, node: SceneNode, topic: Topic[View]) -> None:
+        self._node = node
+        self._parameters = topic.name.replace("/", ".") + "."
+        self._publisher = node.create_publisher(topic.type, topic.name, offered_profile(topic))
+
+    @property
+    def subscribed(self) -> bool:
+        """Whether the topic has subscribers."""
+        return bool(self._publisher.get_subscription_count())
+
+    def _declare(self, name: str, default: Any, limits: tuple[float, float] | None, description: str) -> None:
+        self._node.described_parameter(self._parameters + name, default, description, limits)
+
+    def _value(self, name: str) -> Any:
+        return self._node.get_parameter(self._parameters + name).value
+
+    def _restrict(self, name: str, *values: str) -> None:
+        """Reject other values of a parameter, now and later."""
+        full = self._parameters + name
+
+        def check(parameters: Sequence[Any]) -> SetParametersResult:
+            invalid = [p.value for p in parameters if p.name == full and p.value not in values]
+            reason = f"{full}: no such format: {invalid[0]}; there are {', '.join(values)}" if invalid else ""
+            return SetParametersResult(successful=not invalid, reason=reason)
+
+        result = check([self._node.get_parameter(full)])
+        if not result.successful:
+            raise RosError(f"parameter {result.reason}")
+        self._node.add_on_set_parameters_callback(check)
+
+
+class CompressedImagePublisher(_CompressedPublisher):
+    """Publisher of ``<camera>/image_raw/compressed``."""
+
+    def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
+        default = ImageCompression()
+        self._topics = topics
+        self._driver = driver
+        super().__init__(node, topics.compressed(default))
+        self._declare("format", default.format, None, "jpeg or png")
+        self._restrict("format", "jpeg", "png")
+        self._declare("jpeg_quality", default.jpeg_quality, (1, 100), "JPEG quality, 1 to 100")
+        self._declare("png_level", default.png_level, (0, 9), "PNG compression level, 0 to 9; lossless")
+
+    def publish(self, view: View, stamp: int) -> None:
+        """Encode the image of a view and publish it."""
+        settings = ImageCompression(*map(self._value, ("format", "jpeg_quality", "png_level")))
+        self._driver.send(self._topics.compressed(settings), self._publisher, view, stamp)
+
+
+class CompressedDepthPublisher(_CompressedPublisher):
+    """Publisher of ``<camera>/depth/image/compressedDepth``."""
+
+    def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
+        default = DepthCompression()
+        self._topics = topics
+        super().__init__(node, topics.compressed_depth(default))
+        self._declare("format", "png", None, "png")
+        self._restrict("format", "png")
+        self._declare(
+            "depth_max", default.depth_max, (1.0, 100.0), "Metres from which on depth is not encoded"
+        )
+        self._declare(
+            "depth_quantization",
+            default.depth_quantization,
+            (1.0, 150.0),
+            "Metres at which the resolution is one metre",
+        )
+        self._declare("png_level", default.png_level, (0, 9), "PNG compression level, 0 to 9; lossless")
+
+    def publish(self, view: View, stamp: int) -> None:
+        """Encode the depth of a view and publish it."""
+        settings = DepthCompression(*map(self._value, ("depth_max", "depth_quantization", "png_level")))
+        self._publisher.publish(self._topics.compressed_depth(settings).build(view, stamp))
+
+
+def _publisher(node: SceneNode, topic: Topic[Any]) -> Any:
+    return node.create_publisher(topic.type, topic.name, offered_profile(topic))
+
+
+class ImagePublishers:
+    """Publishers of a camera's channels: raw, compressed and rectified."""
+
+    def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
+        self._driver = driver
+        self._images = [(topic, _publisher(node, topic)) for topic in topics.images]
+        self._rectified = {
+            channel: (topic, _publisher(node, topic)) for channel, topic in topics.rectified.items()
+        }
+        self._compressed: dict[str, CompressedImagePublisher | CompressedDepthPublisher] = {
+            "rgb": CompressedImagePublisher(node, topics, driver),
+            "depth": CompressedDepthPublisher(node, topics),
+        }
+
+    def subscribed(self) -> set[str]:
+        """Channels with subscribers."""
+        subscribed = {name for name, publisher in self._compressed.items() if publisher.subscribed}
+        return subscribed.union(*(t.channels for t, publisher in self._images if _has_subscribers(publisher)))
+
+    def rectified_subscribed(self) -> set[str]:
+        """Channels whose rectified images have subscribers."""
+        return {name for name, (_, publisher) in self._rectified.items() if _has_subscribers(publisher)}
+
+    def publish_rectified(self, channel: str, image: NDArray[Any], stamp: int) -> None:
+        """Publish the rectified image of a channel."""
+        topic, publisher = self._rectified[channel]
+        self._driver.send(topic, publisher, image, stamp)
+
+    def publish(self, view: View, channels: Collection[str], stamp: int) -> None:
+        """Publish some channels of a view, colour first."""
+        for channel in (name for name in CHANNEL_TABLE if name in channels):
+            for topic, publisher in self._images:
+                if channel in topic.channels and _has_subscribers(publisher):
+                    self._driver.send(topic, publisher, view, stamp)
+            compressed = self._compressed.get(channel)
+            if compressed is not None and compressed.subscribed:
+                compressed.publish(view, stamp)
+
+
+def _has_subscribers(publisher: Any) -> bool:
+    return bool(publisher.get_subscription_count())
+
+
+class InfoPublishers:
+    """Publishers of a camera's calibration: ``<camera>/camera_info``, and one beside each image."""
+
+    def __init__(self, node: SceneNode, topics: CameraTopics, driver: CameraDriver) -> None:
+        self._driver = driver
+        self._own = topics.info
+        self._publishers = [(topic, _publisher(node, topic)) for topic in (topics.info, *topics.truth_infos)]
+
+    def publish(self, calibration: PublishedCalibration, stamp: int) -> None:
+        """Publish the calibration of the whole sensor on all topics with subscribers."""
+        for topic, publisher in self._publishers:
+            if _has_subscribers(publisher):
+                camera = calibration.published if topic is self._own else calibration.beside_truth
+                self._driver.send(topic, publisher, camera, stamp)
+
+
+class FaultsPublisher:
+    """Publisher of ``<camera>/faults``; counts the faults for the diagnostics."""
+
+    def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
+        self._node = node
+        self._publishers = [(topic, _publisher(node, topic)) for topic in topics.faults]
+
+    def publish(self, faults: FrameFaults, stamp: int) -> None:
+        """Publish what is wrong with a frame."""
+        for kind in faults.kinds:
+            self._node.count(f"fault_{kind}")
+        for topic, publisher in self._publishers:
+            if _has_subscribers(publisher):
+                publisher.publish(topic.build(faults, stamp))
+
+
+class TruthPublishers:
+    """Publishers of a camera's ground truth: joints and keypoints of humans; boxes and visible vertices of
+    humans and labelled objects.
+    """
+
+    def __init__(self, node: SceneNode, topics: CameraTopics) -> None:
+        _ = node.scene.joint_surfaces  # computed now: later it would delay a frame
+        kinds = topics.truth | {f"keypoints/{name}": topic for name, topic in topics.keypoints.items()}
+        kinds["overlay"] = topics.overlay
+        self._publishers = {kind: (topic, _publisher(node, topic)) for kind, topic in kinds.items()}
+
+    def subscribed(self) -> set[str]:
+        """Kinds of ground truth with subscribers."""
+        return {kind for kind, (_, publisher) in self._publishers.items() if _has_subscribers(publisher)}
+
+    def publish(self, kinds: Collection[str], truth: CameraTruth, stamp: int) -> None:
+        """Publish some kinds of the ground truth of one frame."""
+        for kind in kinds:
+            topic, publisher = self._publishers[kind]
+            publisher.publish(topic.build(truth, stamp))
+
+    def needed(self, kinds: Collection[str]) -> set[str]:
+        """Channels that some kinds of the ground truth are computed from."""
+        return {channel for kind in kinds for channel in self._publishers[kind][0].channels}

@@ -1,0 +1,128 @@
+"""Clocks: one publisher of ``/clock``, and steps of a node's clock."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from rosgraph_msgs.msg import Clock
+from std_msgs.msg import Header
+
+from humansim_ros.ros.graph import GraphWatch
+from humansim_ros.ros.guarded_node import GuardedNode
+from humansim_ros.ros.qos import ALIVE
+
+#: Topic without messages: a player in lockstep that lives, also during a pause, has a live publisher of it.
+_LOCKSTEP_ALIVE = "/_lockstep_alive"
+#: Seconds in which nodes find each other.
+CLOCK_SEARCH = 2.0
+#: Most seconds between two calls that count.
+_MAX_STEP = 0.1
+#: Seconds in which a publisher that sends nothing may be a dead node: the middleware forgets it after 20 s.
+_DEAD_FOR = 25.0
+_CLOCK = "/clock"
+
+
+class ClockOwner:
+    """Finds another publisher of ``/clock`` that lives.
+
+    A node that was killed stays in the graph for seconds: it counts only if it sends, or if it is a player
+    whose liveliness the middleware confirms.
+
+    Args:
+        node: Node that wants to publish.
+        graph: Finds publishers.
+        search: Seconds of the search: those in which nodes find each other.
+    """
+
+    def __init__(self, node: GuardedNode, graph: GraphWatch, search: float = CLOCK_SEARCH) -> None:
+        self._node, self._graph, self._search = node, graph, search
+        self._waited, self._last = 0.0, time.monotonic()
+        self._alive = 0
+        self._has_time = False
+        events = SubscriptionEventCallbacks(liveliness=self._on_liveliness)
+        self._others = node.create_subscription(
+            Header, _LOCKSTEP_ALIVE, lambda _: None, ALIVE, event_callbacks=events
+        )
+        self._clock: Any = node.create_subscription(Clock, _CLOCK, self._on_clock, 10)
+        self._own: Any = None
+
+    def _on_liveliness(self, change: QoSLivelinessChangedInfo) -> None:
+        self._alive = change.alive_count
+
+    def _on_clock(self, _: Clock) -> None:
+        self._has_time = True
+
+    def check(self) -> str | None:
+        """Text on another publisher; empty if there is none; None if it is not known yet.
+
+        Call it often: the executor must read messages between two calls.
+        """
+        # not the time in which the executor has read no message
+        now = time.monotonic()
+        self._waited += min(now - self._last, _MAX_STEP)
+        self._last = now
+        if self._waited < self._search:
+            return None
+        publishers = self._graph.publishers(_CLOCK)
+        names = ", ".join(sorted({each.node for each in publishers.values()}))
+        if self._alive or self._has_time:
+            return (
+                f"another node publishes /clock: {names or self._node.get_fully_qualified_name()}. "
+                "Stop it, or give one of the two another ROS_DOMAIN_ID"
+            )
+        if publishers and self._waited < _DEAD_FOR:
+            self._node.get_logger().info(
+                f"{names} publishes /clock, or has been killed: waiting", throttle_duration_sec=5.0
+            )
+            return None
+        if publishers:
+            return f"another node publishes /clock: {names}. Stop it first"
+        return ""
+
+    def close(self) -> None:
+        """Show other players that this one publishes ``/clock`` now."""
+        for subscription in (self._others, self._clock):
+            self._node.destroy_subscription(subscription)
+        self._own = self._node.create_publisher(Header, _LOCKSTEP_ALIVE, ALIVE)
+
+
+#: Smallest step of the system clock that counts, nanoseconds; smaller ones do not disturb the output.
+_SMALLEST = 10_000_000
+
+
+class ClockSteps:
+    """Tells by how much a clock has been set between two readings.
+
+    The system clock is compared with the monotonic clock, which nobody can set. Simulated time may run at any
+    rate, so that only a jump back is a step of it, and its start.
+
+    Args:
+        now: Nanoseconds of the clock.
+        is_simulated: Whether the clock is simulated time at present.
+    """
+
+    def __init__(self, now: Callable[[], int], is_simulated: Callable[[], bool]) -> None:
+        self._now, self._is_simulated = now, is_simulated
+        self._last: int | None = None
+        self._was_simulated = False
+        # system clock minus monotonic clock, and the most by which it may be wrong
+        self._offset = self._doubt = 0
+
+    def read(self) -> tuple[int, int]:
+        """Nanoseconds of the clock, and by how many it has been set since the last call (0: it was not)."""
+        before = time.monotonic_ns()
+        now, simulated = self._now(), self._is_simulated()
+        doubt = time.monotonic_ns() - before  # the process may have waited between the two clocks
+        last, offset = self._last, now - before
+        step = 0
+        if last is None:
+            pass
+        elif simulated != self._was_simulated or (simulated and (now < last or last == 0)):
+            step = now - last
+        elif not simulated and abs(offset - self._offset) > _SMALLEST + doubt + self._doubt:
+            step = offset - self._offset
+        self._last, self._was_simulated, self._offset, self._doubt = now, simulated, offset, doubt
+        return now, step

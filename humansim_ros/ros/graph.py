@@ -1,0 +1,216 @@
+"""The ROS graph: chosen topics, endpoints that join and leave, and other publishers of the same topics."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any
+
+from humansim_ros.errors import RosError, did_you_mean, some_of
+from humansim_ros.ros.qos import CAMERA_ALIVE
+
+#: Topics of every ROS node: no pattern means them, and they carry no data.
+_OF_EVERY_NODE = ("/rosout", "/parameter_events")
+
+
+@dataclass(frozen=True)
+class TopicChoice:
+    """Topics that are asked for.
+
+    Attributes:
+        patterns: Absolute names of topics, or patterns with ``*``, ``?`` and ``[…]``; none: all topics.
+    """
+
+    patterns: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, names: Iterable[str], namespace: str = "/") -> TopicChoice:
+        """Choice of names as users give them: without the first / they are below ``namespace``.
+
+        Raises:
+            RosError: A name is empty or has spaces.
+        """
+        patterns = []
+        for name in (each.strip() for each in names):
+            if not name.strip("/") or any(c.isspace() for c in name):
+                raise RosError(f"{name!r} is no topic: give names such as /left/image_raw, or patterns")
+            patterns.append(absolute(name, namespace))
+        return cls(tuple(dict.fromkeys(patterns)))
+
+    def has(self, topic: str) -> bool:
+        """Whether a topic is chosen. Patterns do not mean hidden topics (``_``), nor those of every node."""
+        if topic in self.patterns:
+            return True
+        if topic in _OF_EVERY_NODE or "/_" in topic:
+            return False
+        return not self.patterns or any(fnmatchcase(topic, pattern) for pattern in self.patterns)
+
+    def unmatched(self, topics: Collection[str]) -> list[str]:
+        """Names and patterns that match none of ``topics``."""
+        return [
+            each for each in self.patterns if not any(TopicChoice((each,)).has(topic) for topic in topics)
+        ]
+
+
+def absolute(name: str, namespace: str) -> str:
+    """Absolute name of a topic; without the first / it is below ``namespace``."""
+    return name if name.startswith("/") else f"{namespace.rstrip('/')}/{name}"
+
+
+def similar(name: str, topics: Sequence[str]) -> str:
+    """End of a message about a topic that does not exist: a name that resembles it, or nothing."""
+    return "" if any(c in name for c in "*?[") else did_you_mean(name, topics)
+
+
+@dataclass(frozen=True)
+class Endpoint:
+    """A publisher of a topic.
+
+    Attributes:
+        node: Full name of its node.
+        type: Message type, such as ``std_msgs/msg/Header``.
+        reliable: Whether it offers reliable transport.
+    """
+
+    node: str
+    type: str
+    reliable: bool
+
+
+class GraphWatch:
+    """Compares the graph with that of the last look.
+
+    ``node``: a node; its own endpoints are among those that it finds.
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self._known = self._endpoints()
+
+    def has_grown(self) -> bool:
+        """Whether endpoints have joined since the last call."""
+        known, self._known = self._known, self._endpoints()
+        return bool(self._known - known)
+
+    def _endpoints(self) -> set[bytes]:
+        found: set[bytes] = set()
+        for topic, _ in self._node.get_topic_names_and_types():
+            if topic in _OF_EVERY_NODE:
+                continue
+            for endpoints in (
+                self._node.get_publishers_info_by_topic(topic),
+                self._node.get_subscriptions_info_by_topic(topic),
+            ):
+                found.update(bytes(each.endpoint_gid) for each in endpoints)
+        return found
+
+    def publishers(self, topic: str) -> dict[bytes, Endpoint]:
+        """Publishers of a topic by their ids, without those of the node itself."""
+        from rclpy.qos import QoSReliabilityPolicy
+
+        own = (self._node.get_name(), self._node.get_namespace())
+        return {
+            bytes(each.endpoint_gid): Endpoint(
+                f"{each.node_namespace.rstrip('/')}/{each.node_name}",
+                each.topic_type,
+                each.qos_profile.reliability == QoSReliabilityPolicy.RELIABLE,
+            )
+            for each in self._node.get_publishers_info_by_topic(topic)
+            if (each.node_name, each.node_namespace) != own
+        }
+
+
+#: Topics that many nodes publish, and names of topics that all camera processes publish.
+_SHARED = ("/rosout", "/parameter_events", "/diagnostics", "/tf", "/tf_static")
+_SHARED_NAMES = ("frame_done", CAMERA_ALIVE)
+#: Seconds for which another node is seen before it is named.
+_SEEN_FOR = 1.5
+#: The same, if it may be a node that was killed and started again: the middleware forgets it after 20 s.
+_DEAD_FOR = 25.0
+#: Topics that a line names.
+_MAX_NAMED = 3
+
+
+class Neighbours:
+    """Warns once of each other node whose messages mix with those of a node.
+
+    It publishes a topic of the node, or has its name, or it is one of several senders of a topic that should
+    have one.
+
+    Args:
+        node: The node.
+    """
+
+    def __init__(self, node: Any) -> None:
+        self._node = node
+        self._inputs: list[str] = []
+        # by name of the other node: monotonic seconds since which it has been there
+        self._since: dict[str, float] = {}
+        self._named: set[str] = set()
+        self._was_alone = False
+
+    def expect_one_sender(self, topic: str) -> None:
+        """Check an input of the node, too: it should have one publisher."""
+        self._inputs.append(topic)
+
+    def check(self) -> None:
+        """Look at the graph; call it about once a second."""
+        now, own = time.monotonic(), self._node.get_fully_qualified_name()
+        found = self._others(own)
+        self._since = {name: self._since.get(name, now) for name in found}
+        for name, topics in found.items():
+            # a dead node has the name of the node that replaces it
+            may_be_dead = (name == own and not self._was_alone) or topics.pop("", 0) > 0
+            seen = now - self._since[name]
+            if name not in self._named and seen >= (_DEAD_FOR if may_be_dead else _SEEN_FOR):
+                self._named.add(name)
+                self._node.get_logger().warn(_text(name, name == own, list(topics)))
+        self._was_alone |= own not in found
+
+    def _others(self, own: str) -> dict[str, Counter[str]]:
+        """Topics of other nodes by node name; the topic "" if it may be a dead node."""
+        others: dict[str, Counter[str]] = {}
+        names = [_joined(name, space) for name, space in self._node.get_node_names_and_namespaces()]
+        if names.count(own) > 1:
+            others[own] = Counter()
+        published = {publisher.topic_name for publisher in self._node.publishers}
+        for topic in published:
+            if topic in _SHARED or topic.rpartition("/")[2] in _SHARED_NAMES:
+                continue
+            senders = self._senders(topic)
+            senders[own] -= 1
+            for name in +senders:
+                others.setdefault(name, Counter())[topic] += 1
+        for topic in self._inputs:
+            senders = self._senders(topic)
+            if senders.total() < 2:
+                continue
+            for name, number in senders.items():
+                others.setdefault(name, Counter())[topic] += 1
+                if number > 1 and len(senders) == 1:
+                    others[name][""] += 1
+        return others
+
+    def _senders(self, topic: str) -> Counter[str]:
+        """Number of publishers by node name; empty if there is only one."""
+        if self._node.handle.get_count_publishers(topic) < 2:
+            return Counter()
+        found = self._node.get_publishers_info_by_topic(topic)
+        return Counter(_joined(each.node_name, each.node_namespace) for each in found)
+
+
+def _joined(name: str, namespace: str) -> str:
+    return f"{namespace.rstrip('/')}/{name}"
+
+
+def _text(name: str, is_namesake: bool, topics: list[str]) -> str:
+    named = some_of(sorted(topics), _MAX_NAMED, rest=" and {} more topics")
+    subject = f"another node is called {name}" if is_namesake else f"another node, {name},"
+    action = f"{' and' if is_namesake else ''} publishes {named}" if topics else ""
+    return (
+        f"{subject}{action}: its messages mix with those of this suite. Stop it, or give one of the two "
+        "another ROS_DOMAIN_ID or namespace"
+    )

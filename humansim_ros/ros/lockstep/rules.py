@@ -1,0 +1,316 @@
+"""Lockstep without ROS: its rules, its progress file and its summary."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from itertools import count
+from pathlib import Path
+from typing import Literal
+
+from humansim_ros.io.files import atomic_path
+
+#: Members that join by their reports: names come from the network.
+MAX_JOINED = 100
+#: Seconds after a node has joined the graph at which the frame is sent again, and seconds between later
+#: times: the endpoints of a node find each other one after the other.
+_AGAIN_AFTER, _AGAIN_EVERY = (0.5, 1.0, 2.0, 4.0), 5.0
+#: Multiple of the longest recent time of a member after which the frame is sent again, besides
+#: ``_AGAIN_EVERY``: a message may have been lost.
+_SLOWER = 3.0
+#: Share of its longest time that a member keeps when it answers sooner.
+_FORGETTING = 0.9
+#: Seconds that the nodes of a scene have for their start.
+START_LIMIT = 60.0
+#: Seconds between two reminders of the members that are missing.
+_REMIND_EVERY = 5.0
+
+
+@dataclass
+class Member:
+    """Somebody that frames wait for.
+
+    Attributes:
+        name: Name of the node, or name of the topic.
+        required: Whether frames wait for it before its first report, and after it has left the graph.
+        since: Time from which it is waited for, seconds.
+        finished: Number of frames that it has finished.
+        newest: Stamp of the newest frame that it has finished or reported.
+        heard: Whether it has reported.
+        absent: Whether it was given up: it is waited for again when it reports.
+        seconds: Its longest recent time for a frame.
+    """
+
+    name: str
+    required: bool
+    since: float
+    finished: int = 0
+    newest: int = 0
+    heard: bool = False
+    absent: bool = False
+    seconds: float = 0.0
+
+
+class Lockstep:
+    """The frame in flight, and the members that have finished it.
+
+    A frame is sent at least once: again while a node joins the graph or has never reported, because a node
+    that was killed and started again has not seen the frame; and when a member is silent for long. So frame
+    k + 1 is sent only when each member has finished frame k, also one that was killed meanwhile.
+
+    Args:
+        required: Names of the members that frames wait for from the start.
+        starting: Those of them that belong to the scene. Until each of them has reported once, or for 60 s,
+            no time-out counts.
+        timeout: Seconds after which a member is overdue.
+        now: Present time. All times are in seconds of one clock that never goes back.
+    """
+
+    def __init__(
+        self, required: Iterable[str], starting: Collection[str], timeout: float, now: float
+    ) -> None:
+        self.members = {name: Member(name, required=True, since=now) for name in required}
+        self._starting = set(starting)
+        self._timeout = timeout
+        self._started, self._ready = now, now
+        #: Members that have left, with the numbers of frames that they had finished.
+        self._left: dict[str, int] = {}
+        #: Stamp of the frame in flight; None before the first one.
+        self.stamp: int | None = None
+        self._first = self._sent = 0
+        self._sent_at = now
+        #: Time at which the frame is sent again, and the times of a row that follow.
+        self._again = float("inf")
+        self._row: list[float] = []
+        #: Whether it is sent again for nodes that have joined.
+        self._for_nodes = False
+        self._next_reminder = now
+
+    @property
+    def sent(self) -> int:
+        """Number of different frames that were sent."""
+        return self._sent
+
+    @property
+    def missing(self) -> list[Member]:
+        """Members that have not finished the frame in flight."""
+        if self.stamp is None:
+            return []
+        return [each for each in self.members.values() if not each.absent and each.newest < self.stamp]
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the next frame may be sent."""
+        return not self.missing
+
+    @property
+    def finished(self) -> dict[str, int]:
+        """Number of frames that each member has finished, also those that have left."""
+        return {**self._left, **{each.name: each.finished for each in self.members.values()}}
+
+    def begin(self, stamp: int, now: float) -> None:
+        """Note that a new frame is sent. Raises ValueError while the frame before is unfinished."""
+        if self.missing or (self.stamp is not None and stamp <= self.stamp):
+            raise ValueError(f"frame {stamp} must not follow {self.stamp} now")
+        if self.stamp is None:
+            self._first = stamp
+        self.stamp, self._sent_at = stamp, now
+        self._sent += 1
+        self._next_reminder = now + _REMIND_EVERY
+        self._row, self._again, self._for_nodes = [], now + self._patience(), False
+        if any(not each.heard and not each.absent for each in self.members.values()):
+            self.add_node(now)
+
+    def withdraw(self) -> None:
+        """Forget the frame in flight, which nobody has finished: a later one follows in its place."""
+        self.stamp = None
+        self._sent -= 1
+
+    def add_repeat(self, now: float) -> None:
+        """Note that the frame is sent again."""
+        self._row = [time for time in self._row if time > now]
+        self._for_nodes = bool(self._row)
+        self._again = self._row.pop(0) if self._row else now + self._patience()
+
+    def _patience(self) -> float:
+        """Seconds after which a frame that nobody has missed is sent again."""
+        return _AGAIN_EVERY + _SLOWER * max((each.seconds for each in self.missing), default=0.0)
+
+    def is_due_again(self, now: float, paused: bool = False) -> bool:
+        """Whether the frame is to be sent again.
+
+        ``paused``: no frame follows, so that nodes that join get this one although it is finished.
+        """
+        wanted = not self.is_finished or (paused and self._for_nodes)
+        return now >= self._again and wanted and self.stamp is not None
+
+    def add_node(self, now: float) -> None:
+        """Note that endpoints have joined the graph: they may have missed the frame."""
+        self._row = [now + seconds for seconds in _AGAIN_AFTER]
+        self._again = self._row[0] if self.is_finished else min(self._again, self._row[0])
+        self._for_nodes = True
+
+    def add_report(self, name: str, stamp: int, now: float, joins: bool = True) -> bool:
+        """Note that somebody has finished the frame of a stamp.
+
+        A stamp that is newer than the frame counts, too. An older one does not finish the frame; it tells
+        that its sender is there.
+
+        Args:
+            name: Who reports.
+            stamp: Stamp of the report.
+            now: Time of the report.
+            joins: Whether an unknown sender becomes a member, if it reports a frame that was sent.
+
+        Returns:
+            Whether the report is of a member.
+        """
+        if self.stamp is None:
+            return name in self.members
+        member = self.members.get(name)
+        if member is None:
+            if not joins or not self._first <= stamp <= self.stamp or self._joined() >= MAX_JOINED:
+                return False
+            finished = self._left.pop(name, 0)
+            member = self.members[name] = Member(name, required=False, since=now, finished=finished)
+            self.add_node(now)  # it has missed the frames until now
+        if not member.heard:
+            member.heard = True
+            if all(self.members[each].heard for each in self._starting):
+                self._ready = now if self._starting else self._started
+                self._starting.clear()
+        if stamp < self.stamp:
+            member.newest = max(member.newest, stamp)
+            return True
+        if member.absent:
+            member.absent, member.since = False, now
+        if member.newest < self.stamp:
+            member.newest = self.stamp  # not the stamp of the report: it may be far ahead
+            member.finished += 1
+            member.seconds = max(_FORGETTING * member.seconds, now - self._sent_at)
+        return True
+
+    def _joined(self) -> int:
+        return sum(not each.required for each in self.members.values())
+
+    def leave(self, name: str) -> bool:
+        """Remove a member that has joined by its reports; whether there was one."""
+        member = self.members.get(name)
+        if member is None or member.required:
+            return False
+        del self.members[name]
+        if len(self._left) < MAX_JOINED:
+            self._left[name] = member.finished
+        return True
+
+    def overdue(self, now: float) -> list[Member]:
+        """Members whose time-out has passed."""
+        if self._starting and now < self._started + max(self._timeout, START_LIMIT):
+            return []
+        since = max(self._sent_at, self._ready)
+        return [each for each in self.missing if now - max(since, each.since) >= self._timeout]
+
+    def give_up(self, overdue: Iterable[Member]) -> bool:
+        """Go on without some members until they report again.
+
+        Returns:
+            False, and nobody is given up, if no member would be left: nobody would see the next frames.
+        """
+        names = {each.name for each in overdue}
+        if all(each.absent or each.name in names for each in self.members.values()):
+            return False
+        for name in names:
+            self.members[name].absent = True
+        return True
+
+    def is_reminder_due(self, now: float) -> bool:
+        """Whether the missing members are to be named now: every five seconds."""
+        if now < self._next_reminder or self.is_finished:
+            return False
+        self._next_reminder = next(
+            t for n in count(1) if (t := self._next_reminder + n * _REMIND_EVERY) > now
+        )
+        return True
+
+    def waited(self, now: float) -> float:
+        """Seconds since the frame in flight was sent first."""
+        return now - self._sent_at
+
+
+#: What happens at a time-out.
+OnTimeout = Literal["stop", "continue"]
+
+
+@dataclass(frozen=True)
+class LockstepSummary:
+    """Frames of a motion player in lockstep.
+
+    Attributes:
+        frames: Number of frames of the run.
+        sent: Number of those that this player has sent; others were sent before it was started again.
+        finished: Number of frames that each member has finished, of those that this player has sent.
+        seconds: Wall-clock time of these.
+        scene_seconds: Simulated time of these.
+        is_complete: Whether these are all the frames that were requested.
+        error: Why it ended early; empty if it did not.
+    """
+
+    frames: int
+    sent: int
+    finished: Mapping[str, int]
+    seconds: float
+    scene_seconds: float
+    is_complete: bool
+    error: str = ""
+
+    @property
+    def text(self) -> str:
+        """Lines for people."""
+        seconds = max(self.seconds, 1e-9)
+        again = (
+            f" ({self.sent} of them since the player was started again)" if self.sent < self.frames else ""
+        )
+        members = ", ".join(f"{name} {count}" for name, count in self.finished.items())
+        return (
+            f"{self.frames} frames in lockstep{again}; {self.sent} in {self.seconds:.1f} s: "
+            f"{self.sent / seconds:.1f} frames/s, {self.scene_seconds / seconds:.2f} times real time\n"
+            f"finished: {members}"
+        )
+
+    def write(self, path: str) -> None:
+        """Write it to a file."""
+        with atomic_path(path) as target:
+            target.write_text(json.dumps(asdict(self)))
+
+    @classmethod
+    def read(cls, path: Path) -> LockstepSummary | None:
+        """Read what :meth:`write` has written; None if there is nothing."""
+        return cls(**json.loads(path.read_text())) if path.is_file() else None
+
+
+class ProgressFile:
+    """Stamp of a frame in a file.
+
+    ``path``: the file; it is created if it is missing.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+
+    @property
+    def stamp(self) -> int:
+        """Stamp that was written last, nanoseconds; 0 if there is none."""
+        text = os.pread(self._file, 20, 0)
+        return int(text) if text.isdigit() else 0
+
+    def write(self, stamp: int) -> None:
+        """Write a stamp. One write of 20 bytes is whole or absent also if the process is killed."""
+        os.pwrite(self._file, b"%020d" % stamp, 0)
+
+    def remove(self) -> None:
+        """Close and remove the file: a later run begins at its start."""
+        os.close(self._file)
+        self._path.unlink(missing_ok=True)

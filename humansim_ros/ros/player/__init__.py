@@ -1,0 +1,1 @@
+"""Parts of the motion player: real time, motions, services."""

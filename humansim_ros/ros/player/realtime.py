@@ -1,0 +1,267 @@
+"""Playing in real time: a frame is sent before its stamp on the wall clock, or skipped."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Callable
+
+from rclpy.event_handler import QoSLivelinessChangedInfo, SubscriptionEventCallbacks
+from std_msgs.msg import Header
+
+from humansim_ros.messages import to_nanoseconds
+from humansim_ros.ros.clock import ClockSteps
+from humansim_ros.ros.player.playing import MAX_WAITING, FramePlayer, Playing
+from humansim_ros.ros.qos import ALIVE, CAMERA_ALIVE, FRAME_DONE, REPORTS
+from humansim_ros.scene.playback import ScenePoses, Tick
+
+#: Newest sent frames that are remembered.
+_MAX_SENT = 128
+#: Periods after the stamp of a frame until which two more may be sent while a camera still works on it: so
+#: that a short delay loses no frame.
+_PERIODS_OF_GRACE = 2.5
+#: Camera processes that are waited for.
+_MAX_CAMERAS = 100
+#: Seconds without a report after which a camera no longer delays the others.
+_GIVE_UP_AFTER = 2.0
+#: Seconds without a report after which a camera is forgotten during a pause.
+_FORGET_AFTER = 10.0
+#: Seconds after which a paused pose is sent again: later images push earlier ones out of the queue to a slow
+#: subscriber.
+_REPEAT_AFTER = 0.5
+
+
+class FramePacing:
+    """Frames that cameras have not finished yet, by the reports of the cameras.
+
+    A camera that is late would have to skip frames. Each camera would skip others, and hardly a frame would
+    be complete. Therefore the sender skips them for all cameras, and a camera renders every frame that it
+    gets.
+
+    Stamps are nanoseconds; ``now`` is in monotonic seconds.
+    """
+
+    def __init__(self) -> None:
+        self._sent: deque[tuple[int, float]] = deque(maxlen=_MAX_SENT)
+        # by camera: the newest stamp that it has finished, and the time of this report
+        self._finished: dict[str, tuple[int, float]] = {}
+
+    def add_sent(self, stamp: int, now: float) -> None:
+        """Record a frame that is sent."""
+        if self._sent and stamp <= self._sent[-1][0]:  # the clock has been set back
+            self._sent.clear()
+            self._finished.clear()
+        self._sent.append((stamp, now))
+
+    def add_finished(self, camera: str, stamp: int, now: float) -> None:
+        """Record the report of a camera that it has finished a frame, and with it all earlier ones.
+
+        Only frames of the last two seconds count: reports of other frames are of the cameras of another
+        player, or of a camera that no longer delays the others.
+        """
+        if not any(sent == stamp and now - at <= _GIVE_UP_AFTER for sent, at in self._sent):
+            return
+        finished, _ = self._finished.get(camera, (None, 0.0))
+        if finished != stamp and (finished is not None or len(self._finished) < _MAX_CAMERAS):
+            self._finished[camera] = (stamp, now)
+
+    def forget_cameras(self) -> None:
+        """Forget all reports, because a camera is gone: each camera counts again when it reports."""
+        self._finished.clear()
+
+    def late_cameras(self, stamp: int, period: float, now: float) -> list[str]:
+        """Names of the cameras that have no time for a frame of this stamp.
+
+        One unfinished frame is allowed, so that a camera has the next one when it finishes; two are if they
+        are recent.
+
+        Args:
+            stamp: Stamp of the frame, nanoseconds.
+            period: Time between frames, nanoseconds.
+            now: Monotonic seconds.
+        """
+        late = []
+        for camera, (finished, heard) in list(self._finished.items()):
+            pending = [sent for sent in self._sent if sent[0] > finished]
+            if len(pending) < 2:
+                continue
+            oldest, sent_at = pending[0]
+            if len(pending) == 2 and stamp - oldest <= _PERIODS_OF_GRACE * period:
+                continue
+            if now - max(heard, sent_at) > _GIVE_UP_AFTER:
+                # it has ended, or waits for something: it counts again when it reports
+                del self._finished[camera]
+            else:
+                late.append(camera)
+        return late
+
+    def may_send_paused(self, unfinished: int, now: float) -> bool:
+        """Whether a frame may be sent during a pause.
+
+        No frame of a pause may be lost, as it may be a step. So it is sent only while no camera has more than
+        ``unfinished`` frames to finish: they must fit into its queue. A camera that does not report delays
+        each frame by two seconds, until it is forgotten.
+        """
+        if not self._sent or now - self._sent[-1][1] > _GIVE_UP_AFTER:
+            return True
+        for camera, (finished, heard) in list(self._finished.items()):
+            pending = [sent_at for stamp, sent_at in self._sent if stamp > finished]
+            if pending and now - max(heard, pending[0]) > _FORGET_AFTER:
+                del self._finished[camera]
+            elif len(pending) > unfinished:
+                return False
+        return True
+
+    def may_repeat(self, now: float) -> bool:
+        """Whether the pose of a pause may be sent again: all cameras have finished it, half a second ago."""
+        return self.may_send_paused(0, now) and (not self._sent or now - self._sent[-1][1] >= _REPEAT_AFTER)
+
+
+class RealtimePlaying(Playing):
+    """Sends frame k at start + round(k * period) on the node's clock.
+
+    A late player skips to the newest frame and counts the drops. Cameras report each finished frame on
+    ``frame_done``; a frame that a camera has no time for is skipped, so that all cameras show the same
+    frames.
+
+    Args:
+        player: The node.
+        lead: Nanoseconds by which frames are sent before their stamps, at most a period.
+    """
+
+    def __init__(self, player: FramePlayer, lead: float) -> None:
+        super().__init__(player)
+        self._requested_lead = lead
+        self._clock_steps = ClockSteps(lambda: player.now(), player.has_simulated_time)
+        self._pacing = FramePacing()
+        #: Frames of a pause (steps, seeks) that wait until the cameras have time for them.
+        self._waiting: deque[tuple[Tick, ScenePoses, Callable[[], object] | None]] = deque()
+        player.create_subscription(Header, FRAME_DONE, self._on_frame_done, REPORTS)
+        events = SubscriptionEventCallbacks(liveliness=self._on_liveliness)
+        player.create_subscription(Header, CAMERA_ALIVE, lambda _: None, ALIVE, event_callbacks=events)
+        self.timer = player.create_timer(self.clock.period * 1e-9, self.work)
+
+    @property
+    def is_paused(self) -> bool:
+        """Whether scene time stands; the pose is sent twice a second."""
+        return self.clock.paused
+
+    @property
+    def waiting(self) -> int:
+        """Number of requested frames that the cameras have no time for yet."""
+        return len(self._waiting)
+
+    def pause(self, paused: bool) -> None:
+        """Pause, or continue."""
+        self.clock.pause(paused)
+
+    def step(self, frames: int = 1, done: Callable[[], object] | None = None) -> Tick:
+        """Send some frames during a pause, as soon as the cameras have time for them.
+
+        ``done``: called when they are sent.
+        """
+        for left in reversed(range(frames)):
+            tick = self.clock.step(self._stamp_now())
+            self._send_at_once(tick, None if left else done)
+        return tick
+
+    def seek(self, seconds: float) -> Tick:
+        """Send a frame of a scene time now; continue from it."""
+        self.clock.seek(seconds)
+        tick = self.clock.cut(self._stamp_now())
+        self._send_at_once(tick)
+        return tick
+
+    def follow_rate(self) -> None:
+        """Send a frame now; later ones are counted from it."""
+        self._send_at_once(self.clock.cut(self._stamp_now()))
+
+    def work(self) -> None:
+        """Send the frame that is due."""
+        self._send_waiting()
+        now = self._stamp_now()
+        tick = self.clock.due(now)
+        if tick is None:
+            return
+        if tick.stamp == now:
+            # frames are counted from here: the timer was late, so it would be early for all later frames,
+            # and each would wait for the next call of the timer
+            self.timer.reset()
+        if self.clock.paused or self._waiting:
+            # the same pose again; a step is not lost among such frames
+            if not self._waiting and self._pacing.may_repeat(time.monotonic()):
+                self.send_tick(tick)
+            return
+        late = self._pacing.late_cameras(tick.stamp, self.clock.period, time.monotonic())
+        if late:
+            self.player.count("drops", 1 + tick.dropped)
+            self.player.drop_reason = f"waiting for {', '.join(late)}"
+            return
+        self.send_tick(tick)
+
+    def send_tick(self, tick: Tick) -> None:
+        """Compute and send a frame."""
+        self._send(tick, self.player.playback.show(tick.elapsed, tick.pace))
+
+    @property
+    def _lead(self) -> int:
+        """Nanoseconds; at most a period, so that motions do not queue up at the skinners."""
+        return round(min(self._requested_lead, self.clock.period))
+
+    def _stamp_now(self) -> int:
+        """Stamp of a frame that is sent now."""
+        now, step = self._clock_steps.read()
+        if step:
+            self._follow_clock(step)
+        return now + self._lead
+
+    def _follow_clock(self, step: int) -> None:
+        """Go on after the clock was set by ``step`` nanoseconds."""
+        started = self.clock.last is not None
+        self.clock.shift(step)
+        if not started:
+            return
+        clock = "simulated time" if self.player.has_simulated_time() else "the system clock"
+        step_text = f"{abs(step) * 1e-9:.2f} s {'ahead' if step > 0 else 'back'}"
+        text = f"{clock} was set {step_text}: stamps jump with it, scene time goes on"
+        self.player.get_logger().warn(text, throttle_duration_sec=5.0)
+        if step < 0:  # no legend may be of a later stamp than its motion
+            self.player.restart_legends()
+
+    def _on_frame_done(self, report: Header) -> None:
+        self._pacing.add_finished(report.frame_id, to_nanoseconds(report.stamp), time.monotonic())
+        self._send_waiting()
+
+    def _on_liveliness(self, change: QoSLivelinessChangedInfo) -> None:
+        if change.alive_count_change < 0:  # a camera process has ended or died
+            self._pacing.forget_cameras()
+
+    def _send_waiting(self) -> None:
+        """Publish the next waiting frames for which the cameras have time."""
+        while self._waiting and self._pacing.may_send_paused(1, time.monotonic()):
+            tick, scene_poses, done = self._waiting.popleft()
+            self._send(tick, scene_poses)
+            if done is not None:
+                done()
+
+    def _send(self, tick: Tick, scene_poses: ScenePoses) -> None:
+        self._pacing.add_sent(tick.stamp, time.monotonic())
+        self.player.send_frame(tick, scene_poses)
+        self.player.count("drops", tick.dropped)
+        self.player.report_lateness(tick.stamp - self._lead)
+
+    def _send_at_once(self, tick: Tick, done: Callable[[], object] | None = None) -> None:
+        """Publish a frame between two calls of the timer; timer and clock go on from here.
+
+        During a pause it waits until the cameras have time for it, so that none loses it.
+        """
+        self.timer.timer_period_ns = round(self.clock.period)
+        self.timer.reset()
+        scene_poses = self.player.playback.show(tick.elapsed, tick.pace)
+        if not (self.clock.paused or self._waiting):
+            self._send(tick, scene_poses)
+            if done is not None:
+                done()
+        elif len(self._waiting) < MAX_WAITING:  # else shown by the next frames of the pause
+            self._waiting.append((tick, scene_poses, done))
+            self._send_waiting()

@@ -1,0 +1,1 @@
+"""Processes of nodes: command lines, supervision, signals."""

@@ -1,0 +1,98 @@
+"""How processes of this package end: on Ctrl-C, ``kill``, a closed terminal, and with their parent."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import time
+from collections.abc import Callable
+from typing import Any, NoReturn
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+#: Seconds in which a signal that comes again is the same request: a terminal that closes sends SIGHUP twice.
+_SAME_REQUEST = 0.5
+
+
+class Stopped(SystemExit):
+    """A stop signal has arrived; uncaught, it ends the process with exit code 128 + number, as in shells.
+
+    Attributes:
+        number: Number of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__(128 + number)
+        self.number = number
+
+
+def raise_stopped(number: int) -> NoReturn:
+    """Raise :class:`Stopped`."""
+    raise Stopped(number)
+
+
+def end_process(number: int) -> NoReturn:
+    """End this process at once, with exit code 128 + number."""
+    os._exit(128 + number)
+
+
+class StopRequest:
+    """Handlers for a process that stops in order: the first stop signal raises :class:`Stopped`.
+
+    Libraries may swallow the exception; ``number`` stays.
+
+    Args:
+        again: Called with the number of a later signal: of users who do not want to wait.
+
+    Attributes:
+        number: Number of the first signal; None before it.
+        raises: Whether the first signal raises. If not, the process looks at ``number``.
+    """
+
+    def __init__(self, again: Callable[[int], object] = raise_stopped) -> None:
+        self.number: int | None = None
+        self.raises = True
+        self._again = again
+        self._last = 0.0
+        _install(self._on_signal)
+
+    def _on_signal(self, number: int, _: Any) -> None:
+        last, self._last = self._last, time.monotonic()
+        if self.number is None:
+            self.number = number
+            if self.raises:
+                raise Stopped(number)
+        elif self._last - last >= _SAME_REQUEST:
+            self._again(number)
+
+
+def end_process_on_stop(code: int | None = None) -> None:
+    """Let a stop signal end this process at once and quietly, while there is nothing to clean up.
+
+    ``code``: exit code; 128 + number of the signal if None.
+    """
+    _install(lambda number, _: end_process(number) if code is None else os._exit(code))
+
+
+def _install(handler: Callable[[int, Any], object]) -> None:
+    for number in STOP_SIGNALS:
+        if number != signal.SIGHUP or signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, handler)
+
+
+#: Environment variable with the process id of the parent.
+PARENT_PID = "HUMANSIM_PARENT_PID"
+_PR_SET_PDEATHSIG = 1
+
+
+def end_with_parent() -> None:
+    """Request SIGTERM for the death of the process that ``PARENT_PID`` names; end now if it is dead already.
+
+    The kernel sends the signal when the parent's thread ends that has started this process.
+    """
+    parent = os.environ.get(PARENT_PID)
+    if parent is None:
+        return
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, int(signal.SIGTERM))
+    if os.getppid() != int(parent):  # it died before the request
+        os._exit(0)

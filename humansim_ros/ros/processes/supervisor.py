@@ -1,0 +1,227 @@
+"""Supervision of node processes: start, watch, start again, and stop them together."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from types import TracebackType
+
+from humansim_ros.ros.processes.node_processes import WARNINGS_SHOWN, NodeProcess, render_threads
+from humansim_ros.ros.processes.stop_signals import PARENT_PID
+from humansim_ros.ros.transport import SharedMemoryFiles, remove_dead_files
+
+#: Seconds that a process that is no node has to stop after SIGTERM.
+_STOP_LIMIT = 6.0
+#: Seconds after the last start of a node from which a standby process may take computing time.
+_STANDBY_AFTER = 4.0
+
+
+@dataclass(frozen=True)
+class EndedProcess:
+    """A node process that has ended unexpectedly.
+
+    Attributes:
+        process: The process.
+        code: Its exit code; the negative number of the signal that ended it.
+    """
+
+    process: NodeProcess
+    code: int
+
+    def __str__(self) -> str:
+        names = self.process.visible_nodes
+        how = (
+            f"exit code {self.code}"
+            if self.code >= 0
+            else f"signal {-self.code}: {signal.strsignal(-self.code)}"
+        )
+        return f"node{'s' * (len(names) > 1)} {', '.join(names)} ended unexpectedly ({how})"
+
+
+class Supervisor:
+    """Context manager that runs node processes and stops them at its end.
+
+    Nodes do not repeat scene warnings; the parent has shown them. They end when the thread ends that has
+    started them.
+    """
+
+    def __init__(
+        self, processes: Sequence[NodeProcess], environment: Mapping[str, str] | None = None
+    ) -> None:
+        self._processes = {process.node_name: process for process in processes}
+        threads = render_threads(processes)
+        own = {WARNINGS_SHOWN: "1", PARENT_PID: str(os.getpid())}
+        self._environment = {**os.environ, **threads, **own, **(environment or {})}
+        self._running: dict[str, subprocess.Popen[bytes]] = {}
+        self._started: dict[str, float] = {}
+        self._helpers: list[subprocess.Popen[bytes]] = []
+        self._standby: subprocess.Popen[bytes] | None = None
+        self._shared_memory = SharedMemoryFiles()
+
+    def __enter__(self) -> Supervisor:
+        try:
+            for name in self._processes:
+                self._start_node(name)
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    @property
+    def pids(self) -> dict[str, int]:
+        """Process ids by node name."""
+        return {name: process.pid for name, process in self._running.items()}
+
+    @property
+    def _all(self) -> list[subprocess.Popen[bytes]]:
+        return [*self._helpers, *self._running.values(), *([self._standby] if self._standby else [])]
+
+    def start_helper(self, module: str, *arguments: str) -> None:
+        """Start a Python module as a process that may end at any time; it is stopped with the nodes."""
+        self._helpers.append(self._start(module, *arguments))
+
+    def dead(self) -> EndedProcess | None:
+        """A process that has ended unexpectedly; None while all run."""
+        self._shared_memory.note(process.pid for process in self._all)
+        for name, process in self._running.items():
+            code = process.poll()
+            if code is not None:
+                return EndedProcess(self._processes[name], code)
+        return None
+
+    def wait(
+        self,
+        until: float | None = None,
+        respawn: bool = False,
+        is_end: Callable[[EndedProcess], bool] = lambda _: False,
+    ) -> EndedProcess | None:
+        """Wait until a process ends unexpectedly, or until the monotonic time ``until``.
+
+        Args:
+            until: Monotonic seconds; without end if None.
+            respawn: Start processes again that have ended, and go on; not after wrong input or a time-out,
+                and not without end (:class:`RestartPolicy`).
+            is_end: Whether a process has ended as it should, and all others are to end with it.
+
+        Returns:
+            The process, or None at ``until``.
+        """
+        policies = {name: RestartPolicy() for name in self._processes}
+        starts: dict[str, float] = {}
+        while until is None or time.monotonic() < until:
+            while dead := self.dead():
+                name, now = dead.process.node_name, time.monotonic()
+                if not respawn or dead.code in dead.process.final_codes or is_end(dead):
+                    return dead
+                delay = policies[name].delay(now - self._started[name])
+                if delay is None:
+                    return dead
+                self._shared_memory.remove([self._running.pop(name).pid])
+                starts[name] = now + delay
+                when = f"in {delay:g} s" if delay else "now"
+                with suppress(OSError):  # of a terminal that is gone, or a full disk
+                    print(f"{dead}; started again {when}", file=sys.stderr)
+            if respawn and not starts and time.monotonic() > max(self._started.values()) + _STANDBY_AFTER:
+                self._start_standby()
+            for name in [name for name, start in starts.items() if start <= time.monotonic()]:
+                del starts[name]
+                self._start_node(name)
+            time.sleep(0.1)
+        return None
+
+    def stop(self) -> None:
+        """Send SIGTERM to all nodes, then SIGKILL to those that still run: at once after a stop signal.
+
+        Nodes that stop last are stopped when the others have ended.
+        """
+        pids = [process.pid for process in self._all]
+        last = {process.pid for name, process in self._running.items() if self._processes[name].stops_last}
+        self._shared_memory.note(pids, now=True)
+        try:
+            if last:
+                self._send(signal.SIGTERM, last)
+            self._send(signal.SIGTERM)
+        finally:
+            self._send(signal.SIGKILL)
+            self._shared_memory.remove(pids)
+            remove_dead_files()  # of nodes that were killed while they started
+
+    def _send(self, number: signal.Signals, but: Collection[int] = ()) -> None:
+        """Send a signal to all processes that run, ``but`` some, and wait for their end."""
+        alive = [each for each in self._all if each.poll() is None and each.pid not in but]
+        for process in alive:
+            process.send_signal(number)
+        limits = {process.pid: self._processes[name].stop_limit for name, process in self._running.items()}
+        sent = time.monotonic()
+        for process in alive:
+            deadline = sent + limits.get(process.pid, _STOP_LIMIT)
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(max(0.0, deadline - time.monotonic()))
+
+    def _start_node(self, name: str) -> None:
+        process = self._processes[name]
+        self._started[name] = time.monotonic()
+        self._running[name] = self._take_standby(process) or self._start(
+            "humansim_ros.ros.nodes", process.executable, *process.ros_arguments
+        )
+
+    def _start_standby(self) -> None:
+        """Start a process that becomes the next node that is started again, in less time."""
+        if self._standby is None and all(helper.poll() is not None for helper in self._helpers):
+            scene = next(iter(self._processes.values())).parameters["scene"]
+            module = "humansim_ros.ros.processes.standby"
+            self._standby = self._start(module, str(scene), stdin=subprocess.PIPE)
+
+    def _take_standby(self, process: NodeProcess) -> subprocess.Popen[bytes] | None:
+        """Let the standby process become a node; None if there is none, or it has ended."""
+        standby, self._standby = self._standby, None
+        if standby is None or standby.stdin is None:
+            return None
+        try:
+            with standby.stdin:
+                standby.stdin.write(json.dumps([process.executable, *process.ros_arguments]).encode() + b"\n")
+        except BrokenPipeError:
+            return None
+        return standby
+
+    def _start(self, module: str, *arguments: str, stdin: int | None = None) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [sys.executable, "-m", module, *arguments],
+            env=self._environment,
+            stdin=stdin,
+            # in a session of its own: Ctrl-C reaches only the parent, which stops the nodes in order
+            start_new_session=True,
+        )
+
+
+#: Seconds before the first start of a row, the second, and so on. After the last one the node is given up.
+_DELAYS = (0.0, 0.5, 1.0, 2.0, 4.0)
+#: Seconds after which a death does not belong to the row of deaths before it.
+_LONG_RUN = 30.0
+
+
+class RestartPolicy:
+    """Counts the deaths in a row of one node."""
+
+    def __init__(self) -> None:
+        self._deaths = 0
+
+    def delay(self, ran: float) -> float | None:
+        """Record a death, and return the seconds until the node is started again; None: it is given up.
+
+        ``ran``: seconds from the start of the process to its death.
+        """
+        self._deaths = 1 if ran >= _LONG_RUN else self._deaths + 1
+        return _DELAYS[self._deaths - 1] if self._deaths <= len(_DELAYS) else None

@@ -54,8 +54,8 @@ EXTRAS = {
     "evaluate": ["ezc3d>=1.5", "mcap>=1.1", "pycocotools>=2.0.7", "rosbags>=0.10.6"],
     # texture coordinates for bodies without any
     "photographs": ["xatlas>=0.0.9"],
-    # the page of humansim view; 1.1.1 is tested
-    "view": ["viser>=1.1,<1.2"],
+    # the page of humansim view, with viser 1.1.1 tested; scene files that it edits
+    "view": ["ruamel.yaml>=0.19", "viser>=1.1,<1.2"],
     # recording on a cluster, and to URLs; client is for addresses such as ray://host:10001
     "ray": ["fsspec>=2023.1", "mcap>=1.1", "ray[client]>=2.9", "rosbags>=0.10.6"],
     "test": [

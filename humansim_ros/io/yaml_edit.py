@@ -1,7 +1,8 @@
-"""Edit a YAML text by keys: only the lines of the key change, comments and all other characters stay.
+"""Edit a YAML text by keys with ruamel.yaml: comments, order, anchors and quotes stay.
 
-The nodes of the text give the characters of each value, and the new value is written in their place. The
-result is read again and compared, so that an edit either does what it says or raises an error.
+ruamel.yaml writes the text before and after an edit, and the lines that differ are changed in the text as it
+was: all other lines keep their characters. The result is read again and compared with the expected data, so
+that an edit either does what it says or raises an error.
 """
 
 from __future__ import annotations
@@ -10,58 +11,31 @@ import copy
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
-from typing import Any, cast
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from difflib import SequenceMatcher
+from io import StringIO
+from typing import TYPE_CHECKING, Any
 
 import yaml
 
 from humansim_ros.errors import SceneError
-from humansim_ros.io.yaml import Loader, compose_yaml, parse_yaml
+from humansim_ros.io.yaml import parse_yaml
+
+if TYPE_CHECKING:
+    from ruamel.yaml import YAML
 
 YamlKey = str | int
 FilePath = str | os.PathLike[str]
 
 #: Longest line that is written; longer mappings get a line for each key.
 _WIDTH = 110
-_INDENT = 2
-_MERGE = "<<"
-#: Anchor and tag before a value.
-_PROPERTIES = re.compile(r"(?:(?P<anchor>&[^\s,\[\]{}]+)|!\S*)\s*")
-
-
-class _Alias(yaml.Node):
-    """``*name`` as it is written."""
-
-    id = "alias"
-
-
-class _WrittenLoader(Loader):
-    """Loader of nodes as they are written: an alias is a node of its own."""
-
-    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
-        """Compose a node; an alias becomes a node with its own place in the text."""
-        event = self.peek_event()
-        node = super().compose_node(parent, index)
-        if isinstance(event, yaml.AliasEvent):
-            return _Alias("alias", node, cast("Any", event.start_mark), cast("Any", event.end_mark))
-        return node
-
-
-class _Dumper(yaml.SafeDumper):
-    """Writes plain data on one line."""
-
-    def ignore_aliases(self, data: Any) -> bool:
-        """No anchors in new values."""
-        return True
-
-
-def _write_text(dumper: yaml.SafeDumper, value: str) -> yaml.Node:
-    """Quote texts that would need several lines."""
-    style = None if value.isprintable() else '"'
-    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style)
-
-
-_Dumper.add_representer(str, _write_text)
+_NO_EDIT = "this cannot be edited where it stands: edit the file"
+_COMMENT = re.compile(r"(?:^|(?<=\s))#[^\r\n]*")
+#: Spaces before a key of a section, and a key with the dash of its first item.
+_INDENT = re.compile(r"^( +)[^\s#-]", re.MULTILINE)
+_LIST = re.compile(r"^( *)[^\s#][^\n]*:[ ]*(?:#.*)?\n(?:[ ]*(?:#.*)?\n)*( *)-[ ]", re.MULTILINE)
 
 
 def set_value(text: str, keys: Sequence[YamlKey], value: Any, path: FilePath) -> str:
@@ -79,10 +53,9 @@ def set_value(text: str, keys: Sequence[YamlKey], value: Any, path: FilePath) ->
     Raises:
         SceneError: The text is not valid, or the key cannot be set.
     """
-    data, _ = parse_yaml(text, SceneError, path)
-    editor = _Editor(text, path)
-    changed = editor.set(keys, value, data)
-    return _checked(changed, _with(data, keys, value), keys, value, editor, path)
+    editor = _Editor(text, keys, path)
+    expected = _with(editor.data, keys, value)
+    return editor.edited(lambda: editor.set(editor.root, 0, editor.data, value), expected)
 
 
 def remove_value(text: str, keys: Sequence[YamlKey], path: FilePath) -> str:
@@ -96,10 +69,15 @@ def remove_value(text: str, keys: Sequence[YamlKey], path: FilePath) -> str:
     Raises:
         SceneError: The text is not valid, or it does not contain the key.
     """
-    data, _ = parse_yaml(text, SceneError, path)
-    editor = _Editor(text, path)
-    changed = editor.remove(keys)
-    return _checked(changed, _without(data, keys), keys, None, editor, path)
+    editor = _Editor(text, keys, path)
+    node, key = editor.find()
+    if len(editor.places(node[key])) > 1:
+        raise SceneError(
+            "cannot be changed: other keys of the file use its anchor", path=path, key=_dotted(keys)
+        )
+    expected = copy.deepcopy(editor.data)
+    del _get(expected, keys[:-1])[key]
+    return editor.edited(lambda: node.__delitem__(key), expected)
 
 
 def rename_key(text: str, keys: Sequence[YamlKey], name: str, path: FilePath) -> str:
@@ -114,364 +92,329 @@ def rename_key(text: str, keys: Sequence[YamlKey], name: str, path: FilePath) ->
     Raises:
         SceneError: The text is not valid, does not contain the key, or contains the new one.
     """
-    data, _ = parse_yaml(text, SceneError, path)
-    editor = _Editor(text, path)
-    changed = editor.rename(keys, name)
-    expected = copy.deepcopy(data)
-    parent = expected
-    for key in keys[:-1]:
-        parent = parent[key]
-    items = [(name if str(key) == str(keys[-1]) else key, value) for key, value in parent.items()]
-    parent.clear()
-    parent.update(items)
-    return _checked(changed, expected, [*keys[:-1], name], None, editor, path)
+    editor = _Editor(text, keys, path)
+    node, key = editor.find()
+    if isinstance(node, list):
+        raise SceneError("items of a list have no names", key=_dotted(keys))
+    if _own_key(node, name) is not None:
+        raise SceneError(f"there is a {name!r} already", key=_dotted(keys))
+
+    def rename() -> None:
+        number = _own_keys(node).index(key) + bool(node.merge)
+        comments = node.ca.items.pop(key, None)
+        node.insert(number, name, node.pop(key))
+        if comments is not None:
+            node.ca.items[name] = comments
+
+    expected = copy.deepcopy(editor.data)
+    parent = _get(expected, keys[:-1])
+    parent[name] = parent.pop(key)
+    return editor.edited(rename, expected)
 
 
-def flow(value: Any, style: str | None = None) -> str:
-    """Plain data as YAML on one line. ``style``: quotes for a text, ``'`` or ``"``."""
+def flow(value: Any) -> str:
+    """Plain data as YAML on one line."""
     written = yaml.dump(
-        [value],
-        Dumper=_Dumper,
-        default_flow_style=True,
-        default_style=style if isinstance(value, str) else None,
-        sort_keys=False,
-        width=math.inf,
-        allow_unicode=True,
+        [value], Dumper=_Dumper, default_flow_style=True, sort_keys=False, width=math.inf, allow_unicode=True
     )
     return written.strip()[1:-1]
 
 
+class _Dumper(yaml.SafeDumper):
+    """Writes plain data on one line, without anchors."""
+
+    def ignore_aliases(self, data: Any) -> bool:
+        return True
+
+
+def _write_text(dumper: yaml.SafeDumper, value: str) -> yaml.Node:
+    """Quote texts that would need several lines."""
+    style = None if value.isprintable() else '"'
+    return dumper.represent_scalar("tag:yaml.org,2002:str", value, style)
+
+
+_Dumper.add_representer(str, _write_text)
+
+
 class _Editor:
-    """The nodes of one text, and the text with one change."""
+    """A text, its data, and the tree of ruamel.yaml that is edited.
 
-    def __init__(self, text: str, path: FilePath) -> None:
-        self.text = text
-        self.root = compose_yaml(text, SceneError, path, _WrittenLoader(text))
-        self.newline = "\r\n" if "\r\n" in text else "\n"
-        self.shares = False  # whether an anchor or alias is in the text
-        pending = [self.root]
-        while pending:
-            node = pending.pop()
-            if isinstance(node, _Alias):
-                self.shares = True
-            elif isinstance(node, yaml.CollectionNode):
-                pending += [
-                    part for item in node.value for part in (item if isinstance(item, tuple) else (item,))
-                ]
+    Args:
+        text: The text.
+        keys: Path of the key that is edited.
+        path: The file, for messages.
+    """
 
-    # --- the three edits
+    def __init__(self, text: str, keys: Sequence[YamlKey], path: FilePath) -> None:
+        if not keys:
+            raise SceneError("give a key")
+        self._text, self._keys, self._path = text, keys, path
+        self.data, _ = parse_yaml(text, SceneError, path)
+        self._end = "\r" if "\r\n" in text else ""
+        self._yaml = _round_trip(text)
+        with self._refusing():
+            self.root: Any = self._yaml.load(text.replace("\r\n", "\n"))
 
-    def set(self, keys: Sequence[YamlKey], value: Any, data: Any) -> str:
-        """Text with a value in place of another, or added."""
-        node = self.root
-        if node is None or _is_null(node):
-            return self._fill_document(_nested(keys, value))
-        for depth, key in enumerate(keys):
-            rest = keys[depth + 1 :]
-            if isinstance(node, _Alias):
-                return self._override(node, keys, depth, value, data)
-            index = _index(node, key)
-            if index is None:
-                inherited = _get(data, keys[: depth + 1])
-                inner = value if not rest else _nested(rest, value)
-                if rest and isinstance(inherited, dict):  # of a merge key
-                    inner = _with(inherited, rest, value)
-                return self._add(node, keys[: depth + 1], inner)
-            assert isinstance(node, yaml.CollectionNode)
-            child = _values(node)[index]
-            if not rest:
-                return self._replace(node, index, value)
-            if _is_null(child):
-                return self._replace(node, index, _nested(rest, value))
-            if not isinstance(child, (yaml.CollectionNode, _Alias)):
-                raise SceneError("this is a single value: it has no keys", key=_dotted(keys[: depth + 1]))
-            node = child
-        raise SceneError("give a key")
+    # --- the tree
 
-    def remove(self, keys: Sequence[YamlKey]) -> str:
-        """Text without a key."""
-        node, index = self._find(keys)
-        spans = self._spans(node)
-        start, end = spans[index]
-        if len(spans) == 1:
-            return self._empty(node, keys)
-        if node.flow_style:
-            if index + 1 < len(spans):
-                return self._splice(start, spans[index + 1][0], "")
-            before = spans[index - 1][1]
-            if "\n" not in self.text[before:start]:
-                return self._splice(before, end, "")
-            return self._splice(start, end, "")  # the comma before it may stay
-        line = self._line_start(start)
-        if isinstance(node, yaml.MappingNode) and self.text[line:start].strip():
-            # the first key after the dash of a list
-            return self._splice(start, spans[index + 1][0], "")
-        return self._splice(line, self._line_end(end), "")
+    def set(self, node: Any, depth: int, data: Any, value: Any) -> None:
+        """Set ``keys[depth:]`` below a node of the tree.
 
-    def rename(self, keys: Sequence[YamlKey], name: str) -> str:
-        """Text with another name of a key."""
-        node, index = self._find(keys)
-        if not isinstance(node, yaml.MappingNode):
-            raise SceneError("items of a list have no names", key=_dotted(keys))
-        if _index(node, name) is not None:
-            raise SceneError(f"there is a {name!r} already", key=_dotted(keys))
-        key = node.value[index][0]
-        return self._splice(key.start_mark.index, key.end_mark.index, flow(name))
-
-    # --- parts of the edits
-
-    def _find(self, keys: Sequence[YamlKey]) -> tuple[yaml.CollectionNode, int]:
-        """Mapping or list that contains a key, and the number of the key in it."""
-        node = self.root
-        for depth, key in enumerate(keys):
-            index = None if node is None else _index(node, key)
-            if index is None:
-                shared = isinstance(node, _Alias) or (node is not None and _index(node, _MERGE) is not None)
-                reason = "it comes from an anchor of the file" if shared else "the file does not have it"
-                raise SceneError(f"cannot be changed: {reason}", key=_dotted(keys[: depth + 1]))
-            assert isinstance(node, yaml.CollectionNode)
-            if depth + 1 == len(keys):
-                return node, index
-            node = _values(node)[index]
-        raise SceneError("give a key")
-
-    def _splice(self, start: int, end: int, new: str) -> str:
-        return self.text[:start] + new + self.text[end:]
-
-    def _fill_document(self, value: Any) -> str:
-        """Text of a document that has comments at most."""
-        lines = self.newline.join(_block_lines(value, 0)) + self.newline
-        if self.root is not None and self.root.start_mark.index < self.root.end_mark.index:
-            return self._splice(self.root.start_mark.index, self.root.end_mark.index, lines)
-        at = len(self.text) if self.root is None else self.root.start_mark.index
-        before = self.newline if self.text[:at] and not self.text[:at].endswith("\n") else ""
-        return self._splice(at, at, before + lines)
-
-    def _add(self, node: yaml.Node, keys: Sequence[YamlKey], value: Any) -> str:
-        """Text with a new last key, or a new last item, of a collection."""
-        if not isinstance(node, yaml.CollectionNode):
-            raise SceneError("this is a single value: it has no keys", key=_dotted(keys[:-1]))
-        is_list = isinstance(node, yaml.SequenceNode)
-        if is_list and keys[-1] != len(node.value):
-            raise SceneError(f"the list has {len(node.value)} items", key=_dotted(keys))
-        spans = self._spans(node)
-        if node.flow_style:
-            item = flow(value) if is_list else f"{flow(keys[-1])}: {flow(value)}"
-            if not spans:
-                inner = node.end_mark.index - 1
-                return self._splice(inner, inner, item)
-            end = spans[-1][1]
-            return self._splice(end, end, f", {item}")
-        column = node.start_mark.column if is_list else node.value[0][0].start_mark.column
-        lines = (
-            [" " * column + "- " + flow(value)] if is_list else _block_lines({str(keys[-1]): value}, column)
-        )
-        if is_list:
-            lines[0] = " " * _dash_column(self.text, spans[0][0]) + "- " + flow(value)
-        at = self._line_end(spans[-1][1])
-        content = self.newline.join(lines)
-        if at == len(self.text) and not self.text.endswith("\n"):
-            return self.text + self.newline + content
-        return self._splice(at, at, content + self.newline)
-
-    def _replace(self, parent: yaml.CollectionNode, index: int, value: Any) -> str:
-        """Text with another value of a key."""
-        node = _values(parent)[index]
-        if isinstance(node, _Alias):
-            return self._splice(node.start_mark.index, node.end_mark.index, flow(value))
-        anchor = self._anchor(node)
-        if isinstance(node, yaml.CollectionNode) and not node.flow_style:
-            return self._replace_block(parent, index, anchor, value)
-        written = flow(value, node.style if isinstance(node, yaml.ScalarNode) else None)
-        end = _end(node)
-        if isinstance(node, yaml.ScalarNode) and node.style in ("|", ">"):
-            written += self.newline if self.text[end - 1 : end] == "\n" else ""
-        before = node.start_mark.index
-        if not parent.flow_style and isinstance(parent, yaml.MappingNode) and isinstance(value, Mapping):
-            key = parent.value[index][0]
-            lines = _block_lines({str(key.value): value}, key.start_mark.column)
-            if len(lines) > 1 and not anchor:
-                colon = self.text.index(":", key.end_mark.index) + 1
-                last = self.newline if self.text[end - 1 : end] == "\n" else ""
-                return self._splice(colon, end, self.newline.join(["", *lines[1:]]) + last)
-        if self.text[before - 1 : before] == ":":
-            written = " " + written
-        elif before == end and isinstance(parent, yaml.MappingNode):
-            # an empty value in a flow mapping: {key} or {key: }
-            between = self.text[parent.value[index][0].end_mark.index : before]
-            written = written if ":" in between else f": {written}"
-        return self._splice(before, end, (f"{anchor} " if anchor else "") + written)
-
-    def _replace_block(self, parent: yaml.CollectionNode, index: int, anchor: str, value: Any) -> str:
-        """Text with a value in place of one that has lines of its own."""
-        node = _values(parent)[index]
-        assert isinstance(node, yaml.CollectionNode)
-        spans = self._spans(node)
-        first, last = self._line_start(spans[0][0]), self._line_end(spans[-1][1])
-        if isinstance(parent, yaml.SequenceNode):  # it begins after the dash
-            end = self.newline if self.text[last - 1 : last] == "\n" else ""
-            return self._splice(node.start_mark.index, last, flow(value) + end)
-        head = parent.value[index][0].end_mark.index
-        at = node.start_mark.index + len(anchor) if anchor else self.text.index(":", head) + 1
-        return self.text[:at] + " " + flow(value) + self.text[at:first] + self.text[last:]
-
-    def _empty(self, node: yaml.CollectionNode, keys: Sequence[YamlKey]) -> str:
-        """Text with an empty mapping or list in place of one whose only key is removed."""
-        empty = "{}" if isinstance(node, yaml.MappingNode) else "[]"
-        start, end = self._spans(node)[0]
-        if node.flow_style:
-            return self._splice(start, end, "")
-        if node is self.root:
-            line = self._line_start(start)
-            return self._splice(line, self._line_end(end), empty + self.newline)
-        parent, index = self._find(keys[:-1])
-        return self._replace_block(parent, index, self._anchor(node), {} if empty == "{}" else [])
-
-    def _override(self, alias: _Alias, keys: Sequence[YamlKey], depth: int, value: Any, data: Any) -> str:
-        """Text with a mapping that merges an alias and overrides a key, in place of the alias alone."""
-        if not isinstance(alias.value, yaml.MappingNode):
-            raise SceneError("this list is that of an anchor: set the whole list", key=_dotted(keys))
-        name = _with(_get(data, keys[: depth + 1]), keys[depth + 1 :], value)
-        start, end = alias.start_mark.index, alias.end_mark.index
-        own = flow({str(keys[depth]): name})[1:]
-        return self._splice(start, end, f"{{{_MERGE}: {self.text[start:end]}, {own}")
-
-    def _anchor(self, node: yaml.Node) -> str:
-        """Anchor of a value, such as ``&left``; empty if it has none."""
-        start = node.start_mark.index
-        while match := _PROPERTIES.match(self.text, start):
-            if match["anchor"]:
-                return match["anchor"]
-            start = match.end()
-        return ""
-
-    def _spans(self, node: yaml.CollectionNode) -> list[tuple[int, int]]:
-        """First character of each key or item, and the end of its value."""
-        if isinstance(node, yaml.MappingNode):
-            return [(key.start_mark.index, max(_end(value), key.end_mark.index)) for key, value in node.value]
-        return [(item.start_mark.index, _end(item)) for item in node.value]
-
-    def _line_start(self, index: int) -> int:
-        return self.text.rfind("\n", 0, index) + 1
-
-    def _line_end(self, index: int) -> int:
-        """Start of the line after a value; a block scalar ends there already."""
-        if index and self.text[index - 1] == "\n":
-            return index
-        found = self.text.find("\n", index)
-        return len(self.text) if found < 0 else found + 1
-
-
-def _dash_column(text: str, item: int) -> int:
-    """Column of the dash before an item of a list."""
-    dash = text.rindex("-", 0, item)
-    return dash - (text.rfind("\n", 0, dash) + 1)
-
-
-def _block_lines(value: Mapping[str, Any], column: int) -> list[str]:
-    """Lines of a mapping; a section that fits has one line."""
-    lines = []
-    for name, part in value.items():
-        line = " " * column + f"{flow(name)}: {flow(part)}"
-        of_sections = (
-            column == 0 and isinstance(part, Mapping) and all(isinstance(x, Mapping) for x in part.values())
-        )
-        if isinstance(part, Mapping) and part and (of_sections or len(line) > _WIDTH):
-            lines += [" " * column + f"{flow(name)}:", *_block_lines(part, column + _INDENT)]
+        Args:
+            node: Mapping or list of the tree.
+            depth: Number of keys above it.
+            data: Its data, with merge keys applied.
+            value: The value.
+        """
+        key, rest = self._keys[depth], self._keys[depth + 1 :]
+        own, inner = _own_key(node, key), _get(data, [key])
+        if own is not None and not rest:
+            self._replace(node, own, value, depth)
+        elif own is not None and isinstance(node[own], (dict, list)) and not self._is_alias(node, own):
+            self.set(node[own], depth + 1, inner, value)
+        elif own is None and isinstance(node, list):
+            node.append(self._new(_with(None, rest, value)))
         else:
-            lines.append(line)
-    return lines
+            name = str(key) if own is None else own
+            given = _with(inner, rest, value)
+            if own is not None:  # ruamel.yaml repeats the comment of the anchor at its aliases
+                node.ca.items.pop(own, None)
+            node[name] = self._new(given, name if isinstance(node, dict) else None, depth)
+
+    def _replace(self, node: Any, key: YamlKey, value: Any, depth: int) -> None:
+        """Replace a value; aliases of it get the new one."""
+        old, new = node[key], self._new(value, key if isinstance(node, dict) else None, depth)
+        places = [] if self._is_alias(node, key) else self.places(old)
+        if len(places) > 1:
+            new = self._yaml.load(f"&{old.anchor.value} {flow(value)}")
+        elif isinstance(value, str) and getattr(old, "style", None) in ("'", '"'):
+            new = type(old)(value)
+        for parent, name in places or [(node, key)]:
+            parent[name] = new
+
+    def _new(self, value: Any, key: YamlKey | None = None, depth: int = 0) -> Any:
+        """Node of a value: on one line, or with a line for each key of a mapping that is too long for it.
+
+        Args:
+            value: Plain data.
+            key: Its key in a mapping; None for an item of a list, which has one line.
+            depth: Number of keys above it.
+        """
+        node = self._yaml.load(flow(value))
+        if key is not None and isinstance(value, Mapping) and value:
+            sections = depth == 0 and all(isinstance(part, Mapping) for part in value.values())
+            if sections or 2 * depth + len(f"{flow(key)}: {flow(value)}") > _WIDTH:
+                node.fa.set_block_style()
+                for name, part in value.items():
+                    node[name] = self._new(part, name, depth + 1)
+        return node
+
+    def places(self, value: Any) -> list[tuple[Any, YamlKey]]:
+        """Where a value with an anchor is in the tree, in the order of the text; nothing without anchor."""
+        if getattr(getattr(value, "anchor", None), "value", None) is None:
+            return []
+        found: list[tuple[Any, YamlKey]] = []
+        seen = set[int]()
+
+        def visit(node: Any) -> None:
+            if id(node) not in seen:
+                seen.add(id(node))
+                for key in _own_keys(node):
+                    if node[key] is value:
+                        found.append((node, key))
+                    visit(node[key])
+
+        visit(self.root)
+        return found
+
+    def _is_alias(self, node: Any, key: YamlKey) -> bool:
+        places = self.places(node[key])
+        return bool(places) and (places[0][0] is not node or places[0][1] != key)
+
+    def find(self) -> tuple[Any, Any]:
+        """Mapping or list of the tree that contains the key, and the key in it."""
+        node, above = self.root, None
+        for depth, key in enumerate(self._keys):
+            own, above = _own_key(node, key), node
+            last = depth + 1 == len(self._keys)
+            if own is None or (not last and self._is_alias(node, own)):
+                shared = own is not None or (isinstance(node, dict) and key in node)
+                reason = "it comes from an anchor of the file" if shared else "the file does not have it"
+                raise SceneError(f"cannot be changed: {reason}", key=_dotted(self._keys[: depth + 1]))
+            node = node[own]
+        return above, own
+
+    # --- the text
+
+    def edited(self, change: Callable[[], None], expected: Any) -> str:
+        """The text after a change of the tree, if it reads as expected and has all comments."""
+        lines = self._text.split("\n")
+        with self._refusing():
+            if self.root is None:  # comments at most
+                self.root = self._yaml.load("{}")
+                self.root.fa.set_block_style()
+                change()
+                before, after = lines, [line for line in lines if line] + self._written()
+            else:
+                before = self._written()
+                change()
+                after = self._written()
+            kept = Counter(_COMMENT.findall(self._text)) - Counter(_COMMENT.findall("\n".join(before)))
+            attempts = [_taken_over(lines, before, after, self._end, form) for form in (_key_in, _bare)]
+            for edited in (*attempts, [line + self._end for line in after[:-1]] + [""]):
+                text = "\n".join(edited)
+                if kept <= Counter(_COMMENT.findall(text)) and self._is(text, expected):
+                    return text
+        raise SceneError(_NO_EDIT, path=self._path, key=_dotted(self._keys))
+
+    def _is(self, text: str, expected: Any) -> bool:
+        """Whether a text reads as expected. With anchors, a change of one key changes others."""
+        try:
+            data, _ = parse_yaml(text, SceneError, self._path)
+        except SceneError:
+            return False
+        shared = re.search(r"[&*]\w", self._text) is not None
+        return data == expected or (shared and _get(data, self._keys) == _get(expected, self._keys))
+
+    def _written(self) -> list[str]:
+        stream = StringIO()
+        self._yaml.dump(self.root, stream)
+        return stream.getvalue().split("\n")
+
+    @contextmanager
+    def _refusing(self) -> Iterator[None]:
+        """Refuse what ruamel.yaml cannot edit; it raises errors of many kinds."""
+        try:
+            yield
+        except SceneError:
+            raise
+        except Exception:
+            raise SceneError(_NO_EDIT, path=self._path, key=_dotted(self._keys)) from None
 
 
-def _values(node: yaml.CollectionNode) -> list[yaml.Node]:
-    return [value for _, value in node.value] if isinstance(node, yaml.MappingNode) else list(node.value)
+def _round_trip(text: str) -> YAML:
+    """Reader and writer of ruamel.yaml with the indentation of a text."""
+    from ruamel.yaml import YAML
+    from ruamel.yaml.representer import RoundTripRepresenter
+
+    class Representer(RoundTripRepresenter):  # a class of our own, because it gets functions
+        pass
+
+    Representer.add_representer(
+        type(None), lambda self, _: self.represent_scalar("tag:yaml.org,2002:null", "null")
+    )
+    editor = YAML()
+    editor.Representer = Representer
+    editor.preserve_quotes = True
+    editor.width = 1 << 30
+    editor.brace_single_entry_mapping_in_flow_sequence = True
+    dash = _LIST.search(text)
+    offset = len(dash[2]) - len(dash[1]) if dash else 0
+    mapping = min((len(spaces) for spaces in _INDENT.findall(text)), default=2)
+    editor.indent(mapping=mapping, sequence=max(offset, 0) + 2, offset=max(offset, 0))
+    return editor
 
 
-def _index(node: yaml.Node, key: YamlKey) -> int | None:
-    """Number of a key in a mapping, or of an item in a list; None if it is not there."""
-    if isinstance(node, yaml.MappingNode):
-        return next((n for n, (name, _) in enumerate(node.value) if name.value == str(key)), None)
-    if isinstance(node, yaml.SequenceNode) and str(key).isdecimal() and int(key) < len(node.value):
-        return int(key)
-    return None
+def _taken_over(
+    text: Sequence[str],
+    before: Sequence[str],
+    after: Sequence[str],
+    end: str,
+    form: Callable[[str], str],
+) -> list[str]:
+    """Lines of a text with the difference of two other texts.
+
+    Args:
+        text: The lines.
+        before: The same content, written by ruamel.yaml.
+        after: The changed content, written by ruamel.yaml.
+        end: What new lines end with.
+        form: What lines of the same content have in common in ``text`` and ``before``.
+    """
+    kept, new = set[int](), dict[int, list[str]]()
+    for kind, a, b, c, d in _differences(before, after):
+        if kind == "equal":
+            kept.update(range(a, b))
+            continue
+        if a == b:  # a new key comes before the comments of the next one
+            a = b = 1 + max((n for n in range(a) if not _is_comment(before[n])), default=a - 1)
+        new[a] = [line + end for line in after[c:d]]
+        while b > a and _is_comment(before[b - 1]):  # those of a removed key belong to the next one
+            b -= 1
+            kept.add(b)
+    found: list[str] = []
+    for _, a, b, c, d in _differences([*map(form, before)], [*map(form, text)]):
+        each = b - a == d - c
+        parts = [(a + n, a + n + 1, c + n, c + n + 1) for n in range(b - a)] if each else [(a, b, c, d)]
+        for first, last, start, stop in parts:
+            found += new.pop(first, [])
+            if kept.issuperset(range(first, last)) and new.keys().isdisjoint(range(first, last)):
+                found += text[start:stop]
+                continue
+            for number in range(first, last):
+                found += new.pop(number, []) + [before[number] + end for _ in kept & {number}]
+    return found + new.pop(len(before), [])
 
 
-def _end(node: yaml.Node) -> int:
-    """End of the characters of a node; PyYAML counts the comments after a block to it."""
-    if isinstance(node, yaml.CollectionNode) and not node.flow_style and node.value:
-        return _end(_values(node)[-1])
-    return cast("int", node.end_mark.index)
+def _differences(a: Sequence[str], b: Sequence[str]) -> Sequence[tuple[str, int, int, int, int]]:
+    return SequenceMatcher(None, a, b, autojunk=False).get_opcodes()
 
 
-def _is_null(node: yaml.Node) -> bool:
-    return isinstance(node, yaml.ScalarNode) and node.tag == "tag:yaml.org,2002:null"
+def _is_comment(line: str) -> bool:
+    return not line.partition("#")[0].strip()
+
+
+def _bare(line: str) -> str:
+    return "".join(line.split())
+
+
+def _key_in(line: str) -> str:
+    return _bare(line.partition(":")[0])
+
+
+# --- plain data
 
 
 def _dotted(keys: Sequence[YamlKey]) -> str:
     return ".".join(str(key)[:100] for key in keys)
 
 
-# --- the same edits of the data, to check those of the text
+def _own_keys(node: Any) -> list[Any]:
+    """Keys of a mapping without those of merge keys, or numbers of the items of a list."""
+    if isinstance(node, list):
+        return list(range(len(node)))
+    return [key for key, _ in node.non_merged_items()] if hasattr(node, "non_merged_items") else []
 
 
-def _nested(keys: Sequence[YamlKey], value: Any) -> Any:
-    for key in reversed(keys):
-        if isinstance(key, int) and key != 0:
-            raise SceneError("the list has 0 items", key=_dotted(keys))
-        value = [value] if isinstance(key, int) else {key: value}
-    return value
+def _own_key(node: Any, key: YamlKey) -> Any:
+    """The key as it is in a mapping or list; None if it is not there."""
+    return next((own for own in _own_keys(node) if str(own) == str(key)), None)
 
 
 def _get(data: Any, keys: Sequence[YamlKey]) -> Any:
     """Value of a key in data; None if it is absent."""
     for key in keys:
-        if isinstance(data, dict):
-            data = next((value for name, value in data.items() if str(name) == str(key)), None)
-        elif isinstance(data, list) and str(key).isdecimal() and int(key) < len(data):
-            data = data[int(key)]
-        else:
+        items = dict(enumerate(data)) if isinstance(data, list) else data
+        if not isinstance(items, dict):
             return None
+        data = next((value for name, value in items.items() if str(name) == str(key)), None)
     return data
 
 
-def _with(data: Any, keys: Sequence[YamlKey], value: Any) -> Any:
-    """Copy of data with a value."""
+def _with(data: Any, keys: Sequence[YamlKey], value: Any, above: Sequence[YamlKey] = ()) -> Any:
+    """Copy of data with a value. Raises SceneError if it cannot have the key. ``above``: keys of the data."""
     if not keys:
         return copy.deepcopy(value)
     key, *rest = keys
+    here = [*above, key]
+    inner = _with(_get(data, [key]), rest, value, here)
     if isinstance(data, list) or (data is None and isinstance(key, int)):
-        data = data or []
-        items = [copy.deepcopy(item) for item in data]
-        items[int(key) : int(key) + 1] = [_with(_get(data, [key]), rest, value)]
+        items = copy.deepcopy(data or [])
+        if not str(key).isdecimal() or int(key) > len(items):
+            raise SceneError(f"the list has {len(items)} items", key=_dotted(here))
+        items[int(key) : int(key) + 1] = [inner]
         return items
-    same = {name: copy.deepcopy(part) for name, part in (data or {}).items()}
-    name = next((name for name in same if str(name) == str(key)), str(key))
-    return same | {name: _with(same.get(name), rest, value)}
-
-
-def _without(data: Any, keys: Sequence[YamlKey]) -> Any:
-    """Copy of data without a key."""
-    changed = copy.deepcopy(data)
-    parent = _get(changed, keys[:-1])
-    if isinstance(parent, list):
-        del parent[int(keys[-1])]
-    else:
-        del parent[next(name for name in parent if str(name) == str(keys[-1]))]
-    return changed
-
-
-def _checked(
-    text: str, expected: Any, keys: Sequence[YamlKey], value: Any, editor: _Editor, path: FilePath
-) -> str:
-    """The edited text, if it reads as expected. With anchors, a value is that of several keys."""
-    try:
-        data, _ = parse_yaml(text, SceneError, path)
-    except SceneError as error:
-        if "undefined alias" not in error.message:
-            raise
-        message = "cannot be changed: other keys of the file use its anchor"
-        raise SceneError(message, path=path, key=_dotted(keys)) from None
-    same = value is None or _get(data, keys) == value if editor.shares else data == expected
-    if not same:
-        raise SceneError("this cannot be edited where it stands: edit the file", path=path, key=_dotted(keys))
-    return text
+    if data is not None and not isinstance(data, dict):
+        raise SceneError("this is a single value: it has no keys", key=_dotted(above))
+    same = copy.deepcopy(data or {})
+    return same | {next((name for name in same if str(name) == str(key)), str(key)): inner}

@@ -71,7 +71,7 @@ def test_edits_give_the_scene_that_run_loads(tmp_path: Path) -> None:
 def test_short_forms_become_sections_when_a_key_of_them_is_set() -> None:
     opened = document(ROOMLESS + "humans:\n  anna: adult_woman  # who\n")
     opened.set("humans.anna.motion.speed", 2)
-    assert opened.text().endswith("  anna: {body: adult_woman, motion: {speed: 2}}  # who\n")
+    assert opened.text().endswith("  anna: {body: adult_woman, motion: {speed: 2}} # who\n")
     opened.set("humans.anna.motion", "wave")
     opened.set("humans.anna.motion.yaw_deg", 45)
     assert opened.value("humans.anna.motion") == {"file": "wave", "yaw_deg": 45}

@@ -33,8 +33,7 @@ from humansim_ros.humans.human import write_human  # noqa: E402
 from humansim_ros.motion import write_bvh  # noqa: E402
 from humansim_ros.photographs import read_views  # noqa: E402
 from humansim_ros.photographs.fitting import fit_person  # noqa: E402
-from humansim_ros.photographs.person_fit import PersonFit  # noqa: E402
-from humansim_ros.photographs.sequence import fit_motion  # noqa: E402
+from humansim_ros.photographs.person_fit import PersonFit, fit_motion  # noqa: E402
 from humansim_ros.scene import Scene  # noqa: E402
 
 #: Human, motion, first frame, keypoints, cameras.

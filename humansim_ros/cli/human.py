@@ -284,7 +284,7 @@ def fit(
     from humansim_ros.photographs.detector import detect_points
     from humansim_ros.photographs.fit_file import write_fit
     from humansim_ros.photographs.fitting import fit_person
-    from humansim_ros.photographs.sequence import fit_motion
+    from humansim_ros.photographs.person_fit import fit_motion
     from humansim_ros.photographs.views import read_views
 
     _check(output, ".yaml", "a fit")
@@ -300,7 +300,7 @@ def fit(
     print_text(f"wrote {output}")
     if report is not None:
         from humansim_ros.drawing.canvas import write_png
-        from humansim_ros.photographs.fit_report import draw_report
+        from humansim_ros.photographs.reports import draw_report
 
         # of a sequence, another fit would take long
         masks = any(photo.mask_path is not None for photo in photos.frames[0])
@@ -356,7 +356,7 @@ def texture(
     print_text(f"wrote {output}")
     if report is not None:
         from humansim_ros.drawing.canvas import write_png
-        from humansim_ros.photographs.texture_sheet import draw_sheet
+        from humansim_ros.photographs.reports import draw_sheet
 
         write_png(report, draw_sheet(textured))
         print_text(f"wrote {report}")

@@ -9,9 +9,9 @@ if TYPE_CHECKING:
     from humansim_ros.photographs.fit_file import write_fit as write_fit
     from humansim_ros.photographs.fitting import fit_person as fit_person
     from humansim_ros.photographs.person_fit import PersonFit as PersonFit
-    from humansim_ros.photographs.proportions import Proportions as Proportions
-    from humansim_ros.photographs.proportions import with_proportions as with_proportions
-    from humansim_ros.photographs.sequence import fit_motion as fit_motion
+    from humansim_ros.photographs.person_fit import Proportions as Proportions
+    from humansim_ros.photographs.person_fit import fit_motion as fit_motion
+    from humansim_ros.photographs.person_fit import with_proportions as with_proportions
     from humansim_ros.photographs.texture_view import TexturedPerson as TexturedPerson
     from humansim_ros.photographs.texturing import texture_person as texture_person
     from humansim_ros.photographs.views import Photo as Photo
@@ -24,14 +24,14 @@ __getattr__, __dir__, __all__ = lazy_exports(
         "PersonFit": "person_fit",
         "Photo": "views",
         "PhotoSet": "views",
-        "Proportions": "proportions",
+        "Proportions": "person_fit",
         "TexturedPerson": "texture_view",
-        "fit_motion": "sequence",
+        "fit_motion": "person_fit",
         "fit_person": "fitting",
         "read_fit": "fit_file",
         "read_views": "views",
         "texture_person": "texturing",
-        "with_proportions": "proportions",
+        "with_proportions": "person_fit",
         "write_fit": "fit_file",
     },
 )

@@ -12,8 +12,7 @@ import numpy as np
 
 from humansim_ros.errors import PhotographError, printable
 from humansim_ros.io.temporary import temporary_folder
-from humansim_ros.photographs.points import read_points, write_points
-from humansim_ros.photographs.views import PhotoSet, default_points, read_views
+from humansim_ros.photographs.views import PhotoSet, default_points, read_points, read_views, write_points
 from humansim_ros.types import Array
 
 #: Words of the command that stand for files.

@@ -16,8 +16,7 @@ from humansim_ros.io.schema import Section
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.io.yaml import read_yaml
 from humansim_ros.keypoints.sets import keypoint_set
-from humansim_ros.photographs.person_fit import PersonFit
-from humansim_ros.photographs.proportions import LARGEST, SMALLEST, Proportions
+from humansim_ros.photographs.person_fit import LARGEST, SMALLEST, PersonFit, Proportions
 from humansim_ros.photographs.views import MAX_FRAMES
 from humansim_ros.rotations import matrix_to_quaternion, quaternion_to_matrix, transform, unit_quaternions
 

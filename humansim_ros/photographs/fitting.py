@@ -11,8 +11,14 @@ import numpy as np
 from humansim_ros.errors import PhotographError
 from humansim_ros.humans.human import Human
 from humansim_ros.io.assets import built_in_names, find_asset
-from humansim_ros.photographs.body_shape import can_be_shaped, fit_shape, shaped_human
-from humansim_ros.photographs.person_fit import PersonFit
+from humansim_ros.photographs.person_fit import (
+    PersonFit,
+    Proportions,
+    can_be_shaped,
+    fit_shape,
+    shaped_human,
+    with_proportions,
+)
 from humansim_ros.photographs.pose_fitting import (
     LEAST_NOISE,
     Settings,
@@ -26,7 +32,6 @@ from humansim_ros.photographs.pose_fitting import (
     with_possible_hinges,
 )
 from humansim_ros.photographs.pose_model import BodyState, PoseModel
-from humansim_ros.photographs.proportions import Proportions, with_proportions
 from humansim_ros.photographs.silhouettes import fit_silhouettes
 from humansim_ros.photographs.triangulation import Triangulation, triangulate_photos
 from humansim_ros.photographs.views import PhotoSet

@@ -1,17 +1,149 @@
-"""The result of fitting: proportions and poses of a person in photographs."""
+"""A person in photographs: its proportions and its fitted poses."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from humansim_ros.body.skeleton import Skeleton
+from humansim_ros.errors import MeshError
+from humansim_ros.humans.description import MeshHuman
 from humansim_ros.humans.human import Human
-from humansim_ros.photographs.body_shape import shaped_human
-from humansim_ros.photographs.proportions import Proportions, with_proportions
+from humansim_ros.humans.loading import load_human, make_human
+from humansim_ros.humans.smpl import count_betas
+from humansim_ros.io.assets import find_asset
+from humansim_ros.motion.export import PosedBones
+from humansim_ros.motion.kinematics import Motion
 from humansim_ros.types import Array, Float32Array
+
+#: Range of each factor.
+SMALLEST, LARGEST = 0.2, 5.0
+#: Most betas that are fitted: the first ones of a model are those that matter.
+MOST = 10
+#: Standard deviation of a vertex about its place in the model, metres; and number of independent vertices.
+_NOISE, _INDEPENDENT = 0.01, 200
+
+
+@dataclass(frozen=True)
+class Proportions:
+    """Proportions relative to a human.
+
+    Attributes:
+        stature: Factor of the whole body.
+        lengths: Factor along each bone, by name of the bone; 1 if absent.
+        girths: Factor across each bone, by name of the bone; 1 if absent.
+        shape: Betas of the human, if it is an SMPL model.
+    """
+
+    stature: float = 1.0
+    lengths: Mapping[str, float] = field(default_factory=dict)
+    girths: Mapping[str, float] = field(default_factory=dict)
+    shape: tuple[float, ...] = ()
+
+    def scales(self, skeleton: Skeleton) -> Array:
+        """Factors (B, 3) along the axes of the frames of the bones; y is along the bone.
+
+        Raises:
+            MeshError: A name is not a bone, or a factor is beyond SMALLEST and LARGEST.
+        """
+        scales = np.ones((len(skeleton), 3))
+        for factors, axes in ((self.lengths, [1]), (self.girths, [0, 2])):
+            for name, factor in factors.items():
+                scales[skeleton.bone(name), axes] = factor
+        scales *= self.stature
+        if not ((scales >= SMALLEST) & (scales <= LARGEST)).all():  # False for NaN, too
+            raise MeshError(f"a factor of the proportions is not between {SMALLEST:g} and {LARGEST:g}")
+        return scales
+
+
+def with_proportions(human: Human, proportions: Proportions) -> Human:
+    """Return a human, which has the betas ``shape``, in other proportions; its soles stay where they are.
+
+    A bone scales the vertices near it about its head, v' = sum_b w_b (h'_b + R_b S_b R_b^T (v - h_b)): the
+    skin stays smooth where it stretches.
+
+    Raises:
+        MeshError: A name is not a bone, or a factor is not plausible.
+    """
+    skeleton = human.skeleton
+    rotations = skeleton.rest[:, :3, :3]
+    stretch = np.einsum("bij,bj,bkj->bik", rotations, proportions.scales(skeleton), rotations)
+    heads, tails = np.array(skeleton.heads), np.array(skeleton.tails)
+    for bone, parent in enumerate(skeleton.parents):
+        if parent < 0:
+            heads[bone] = proportions.stature * skeleton.heads[bone]
+        else:
+            heads[bone] = heads[parent] + stretch[parent] @ (skeleton.heads[bone] - skeleton.heads[parent])
+        tails[bone] = heads[bone] + stretch[bone] @ (skeleton.tails[bone] - skeleton.heads[bone])
+    shift = heads - np.einsum("bij,bj->bi", stretch, skeleton.heads)
+    vertices = np.einsum(
+        "vij,vj->vi",
+        (human.weights @ stretch.reshape(-1, 9)).reshape(-1, 3, 3),
+        human.mesh.vertices,
+    )
+    vertices += human.weights @ shift
+    lift = human.mesh.vertices[:, 1].min() - vertices[:, 1].min()
+    for points in (vertices, heads, tails):
+        points[:, 1] += lift
+    return replace(
+        human,
+        mesh=replace(human.mesh, vertices=vertices),
+        skeleton=replace(skeleton, heads=heads, tails=tails),
+    )
+
+
+def shaped_human(name: str, shape: tuple[float, ...] = ()) -> Human:
+    """A human by its name or file, with the betas ``shape`` if it is an SMPL model.
+
+    Raises:
+        MeshError: It cannot be loaded, or has no such betas.
+    """
+    path = find_asset(name, "humans")
+    return make_human(path, MeshHuman(betas=shape)) if shape else load_human(path)
+
+
+def can_be_shaped(name: str) -> bool:
+    """Whether a human, by its name or file, is an SMPL model with betas."""
+    try:
+        return count_betas(find_asset(name, "humans")) > 0
+    except MeshError:
+        return False
+
+
+def fit_shape(name: str, vertices: Array) -> tuple[float, ...]:
+    """Betas whose body at rest is most like another body of the model at rest, by least squares.
+
+    Betas of people are about as large as 1; that is the prior.
+
+    Args:
+        name: Name or file of an SMPL model.
+        vertices: (V, 3) of the other body.
+    """
+    mean, directions = _directions(str(find_asset(name, "humans")))
+    goal = vertices - vertices.mean(axis=0) - mean
+    weight = _INDEPENDENT / len(vertices) / _NOISE**2
+    flat = directions.reshape(-1, directions.shape[-1])
+    matrix = weight * flat.T @ flat + np.eye(flat.shape[1])
+    return tuple(float(each) for each in np.linalg.solve(matrix, weight * flat.T @ goal.ravel()).round(4))
+
+
+@lru_cache(maxsize=4)
+def _directions(path: str) -> tuple[Array, Array]:
+    """Centred vertices (V, 3) of the mean body, and their changes (V, 3, N) by each beta."""
+    count = min(count_betas(path), MOST)
+
+    def body(number: int | None) -> Array:
+        betas = tuple(float(each == number) for each in range(count))
+        vertices = make_human(Path(path), MeshHuman(betas=betas)).mesh.vertices
+        return np.asarray(vertices - vertices.mean(axis=0))
+
+    mean = body(None)
+    return mean, np.stack([body(number) - mean for number in range(count)], axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,3 +196,12 @@ class PersonFit:
     def vertices(self, frame: int = 0) -> Float32Array:
         """Positions (V, 3) of the vertices in ``map``."""
         return self.body.pose(self.posed(frame))
+
+
+def fit_motion(fit: PersonFit) -> Motion:
+    """Motion of the F frames of a fit, with the skeleton of the person, to write as BVH.
+
+    With ``anchor: file`` in a scene, the person moves where it was photographed.
+    """
+    posed = np.array([fit.posed(frame) for frame in range(len(fit.root))])
+    return PosedBones(fit.body.skeleton, posed, fit.period / 1e9).to_motion()

@@ -15,7 +15,7 @@ from humansim_ros.humans.human import Human
 from humansim_ros.keypoints.locator import KeypointLocator
 from humansim_ros.keypoints.sets import KeypointSet
 from humansim_ros.motion.limits import JointLimits, load_limits
-from humansim_ros.photographs.proportions import Proportions
+from humansim_ros.photographs.person_fit import Proportions
 from humansim_ros.rotations import (
     matrix_to_quaternion,
     quaternion_to_matrix,

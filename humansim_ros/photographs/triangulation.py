@@ -5,20 +5,58 @@ from __future__ import annotations
 import warnings
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import HumansimWarning, PhotographError, some_of
+from humansim_ros.humans.loading import load_human
+from humansim_ros.keypoints.locator import KeypointLocator
 from humansim_ros.keypoints.sets import KeypointSet
-from humansim_ros.photographs.edge_lengths import EdgeLengths, edge_lengths
-from humansim_ros.photographs.sides import find_exchanged
-from humansim_ros.photographs.sightlines import Candidates, Sightlines
 from humansim_ros.photographs.views import PhotoSet
-from humansim_ros.types import Array
+from humansim_ros.rotations import unit_vectors
+from humansim_ros.types import Array, Indices
 
+#: Human whose proportions are the mean ones.
+_HUMAN = "adult_man"
+#: Shares of the mean length that a bone has in other people.
+_BONE = (0.65, 1.45)
+#: Greatest share of its length at rest that a distance between parts that bend has.
+_BENT = 1.6
+#: Sizes of people, as shares of the mean one.
+_SIZES = (0.4, 1.3)
+#: Most pairs of views that are tried for one keypoint; of more views, this number is drawn.
+_MAX_PAIRS = 100
+#: Least square of the sine of the angle between two lines that meet: 0.6 degrees.
+_PARALLEL = 1e-4
+#: An exchange makes at least this number of points agree, and this share of the paired points of the view.
+_POINTS = 2.0
+_SHARE = 0.2
+#: Divisors of the limits: the noise is not known yet, and seen from the side, left and right are near.
+_SCALES = (1, 2, 4)
+#: Anatomical points of which the first is in front of the second.
+_IN_FRONT = (
+    ("nose", "left_ear"),
+    ("nose", "right_ear"),
+    ("left_big_toe", "left_heel"),
+    ("right_big_toe", "right_heel"),
+    ("l_foot_ball", "l_ankle"),
+    ("r_foot_ball", "r_ankle"),
+    ("jugular_notch", "c7"),
+    ("left_asis", "left_psis"),
+    ("right_asis", "right_psis"),
+    ("left_head_front", "left_head_back"),
+)
+_SHOULDERS = (("l_shoulder", "r_shoulder"), ("left_acromion", "right_acromion"))
+_HIPS = (("l_hip", "r_hip"), ("left_asis", "right_asis"))
+#: Metres from which the front of the body decides against the majority of the views.
+_CERTAIN = 0.1
+#: Greatest distance in metres of a point in front from the one behind it.
+_FOOT = 0.4
 #: A point that is farther from its place than this share of the size of the person in the image is wrong.
 _FARTHEST = 0.3
 #: A point is wrong if it is farther than this number of standard deviations of the noise.
@@ -31,6 +69,294 @@ _MEDIAN_SQUARE = 2 * np.log(2)
 _ROUNDS, _STEPS = 4, 8
 #: Names that a warning lists.
 _LISTED = 6
+
+
+@dataclass(frozen=True, eq=False)
+class EdgeLengths:
+    """Limits of the lengths of the E edges of a keypoint set, in metres, for a person of mean size.
+
+    ``edges``: (E, 2) keypoints. ``lengths``: (E,) at rest. ``least``, ``greatest``: (E,) in any pose.
+    """
+
+    edges: Indices
+    lengths: Array
+    least: Array
+    greatest: Array
+
+    def size(self, positions: Array, known: NDArray[np.bool_]) -> float:
+        """Size of a person as a share of the mean one, by positions (K, 3) of known (K,) keypoints."""
+        rigid = (self.least > 0) & known[self.edges].all(axis=1)
+        if not rigid.any():
+            return 1.0
+        first, second = positions[self.edges[rigid]].transpose(1, 0, 2)
+        ratios = np.linalg.norm(first - second, axis=1) / self.lengths[rigid]
+        return float(np.clip(np.median(ratios), *_SIZES))
+
+    def neighbours(self, keypoint: int) -> Indices:
+        """Keypoints that share an edge with one."""
+        rows = self.edges[(self.edges == keypoint).any(axis=1)]
+        return np.asarray(rows.sum(axis=1) - keypoint)
+
+    def fits(
+        self, keypoint: int, candidates: Array, positions: Array, known: NDArray[np.bool_]
+    ) -> NDArray[np.bool_]:
+        """Whether places of a keypoint are at a possible distance from all its known neighbours.
+
+        Args:
+            keypoint: Number of the keypoint.
+            candidates: Places (P, 3).
+            positions: Positions (K, 3).
+            known: (K,) the position is certain.
+
+        Returns:
+            (P,); true for all if no neighbour is known.
+        """
+        size = self.size(positions, known)
+        fits = np.ones(len(candidates), bool)
+        rows = np.flatnonzero((self.edges == keypoint).any(axis=1))
+        for row, neighbour in zip(rows, self.neighbours(keypoint), strict=True):
+            if known[neighbour]:
+                distances = np.linalg.norm(candidates - positions[neighbour], axis=1) / size
+                fits &= (self.least[row] <= distances) & (distances <= self.greatest[row])
+        return fits
+
+
+@cache
+def edge_lengths(keypoints: KeypointSet) -> EdgeLengths:
+    """Limits of the lengths of the edges of a set: bones are rigid, other edges bend."""
+    human = load_human(_HUMAN)
+    skeleton = human.skeleton
+    joints = skeleton.joint_transforms(skeleton.rest)[:, :3, 3]
+    at_rest = KeypointLocator.of(human, keypoints).positions(joints, human.mesh.vertices)
+    edges = np.array(keypoints.edges, np.intp).reshape(-1, 2)
+    lengths = np.linalg.norm(at_rest[edges[:, 0]] - at_rest[edges[:, 1]], axis=1)
+    parent_of = dict(zip(skeleton.joint_names, skeleton.joint_parents, strict=True))
+    rigid = np.array(
+        [
+            keypoints.points[a] == parent_of.get(keypoints.points[b])
+            or keypoints.points[b] == parent_of.get(keypoints.points[a])
+            for a, b in edges
+        ],
+        bool,
+    )
+    least = np.where(rigid, _BONE[0] * lengths, 0.0)
+    return EdgeLengths(edges, lengths, least, np.where(rigid, _BONE[1], _BENT) * lengths)
+
+
+@dataclass(frozen=True, eq=False)
+class Sightlines:
+    """Lines from V cameras through the 2D points of K keypoints.
+
+    Attributes:
+        cameras: V cameras.
+        pixels: (V, K, 2); NaN where a point is absent, or no ray of the lens reaches it.
+        weights: (V, K) confidence of the points; 0 where one is absent.
+        directions: (V, K, 3) unit vectors in ``map``.
+        radii: (V,) median distance of the points of a view from their middle, in pixels: the size of the
+            person in the image. NaN without points.
+    """
+
+    cameras: tuple[Camera, ...]
+    pixels: Array
+    weights: Array
+    directions: Array
+    radii: Array
+
+    @classmethod
+    def of(cls, cameras: Sequence[Camera], points: Array) -> Sightlines:
+        """Lines through points (V, K, 3): x, y and confidence, which is 0 where a point is absent."""
+        present = (points[..., 2] > 0) & np.isfinite(points[..., :2]).all(axis=-1)
+        pixels = np.where(present[..., None], points[..., :2], np.nan)
+        rays = np.array([camera.rays(own) @ camera.R for camera, own in zip(cameras, pixels, strict=True)])
+        directions = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
+        reached = np.isfinite(directions).all(axis=-1)
+        radii = np.full(len(cameras), np.nan)
+        for view in np.flatnonzero(reached.any(axis=1)):
+            own = pixels[view, reached[view]]
+            radii[view] = np.median(np.linalg.norm(own - np.median(own, axis=0), axis=1))
+        return cls(
+            tuple(cameras),
+            np.where(reached[..., None], pixels, np.nan),
+            np.where(reached, points[..., 2], 0.0),
+            directions,
+            radii,
+        )
+
+    def exchanged(self, views: NDArray[np.bool_], partners: Sequence[int]) -> Sightlines:
+        """The lines with left and right exchanged in some views.
+
+        ``views``: (V,). ``partners``: (K,), as :attr:`KeypointSet.mirrored`.
+        """
+        order = np.where(views[:, None], np.asarray(partners), np.arange(len(partners)))
+        pixels, weights, directions = (
+            np.take_along_axis(each, order.reshape(*order.shape, *(1,) * (each.ndim - 2)), axis=1)
+            for each in (self.pixels, self.weights, self.directions)
+        )
+        return Sightlines(self.cameras, pixels, weights, directions, self.radii)
+
+    def pairs(self, seed: int = 0) -> tuple[Indices, Indices]:
+        """Numbers of the views of pairs that see a keypoint, (P, K) and (P, K); both 0 to fill up.
+
+        ``seed``: of the random choice among many pairs.
+        """
+        rng = np.random.default_rng(seed)
+        found = []
+        for seen in (self.weights > 0).T:
+            own = np.array(list(combinations(np.flatnonzero(seen), 2)), np.intp).reshape(-1, 2)
+            if len(own) > _MAX_PAIRS:
+                own = own[np.sort(rng.choice(len(own), _MAX_PAIRS, replace=False))]
+            found.append(own)
+        pairs = np.zeros((max(map(len, found), default=0), len(found), 2), np.intp)
+        for keypoint, own in enumerate(found):
+            pairs[: len(own), keypoint] = own
+        return pairs[..., 0], pairs[..., 1]
+
+    def meet(self, first: Indices, second: Indices) -> Array:
+        """Points (P, K, 3) halfway between the lines of pairs of views (P, K) where these are nearest.
+
+        NaN where the lines are parallel, or nearest behind a camera.
+        """
+        centers = np.array([camera.center for camera in self.cameras])
+        keypoint = np.arange(self.weights.shape[1])
+        a, b = self.directions[first, keypoint], self.directions[second, keypoint]
+        offset = centers[second] - centers[first]
+        along_a, along_b, cosine = (
+            np.einsum("pki,pki->pk", left, right) for left, right in ((offset, a), (offset, b), (a, b))
+        )
+        with np.errstate(all="ignore"):
+            square = 1 - cosine**2
+            far_a, far_b = (along_a - cosine * along_b) / square, (cosine * along_a - along_b) / square
+            meet = (square > _PARALLEL) & (far_a > 0) & (far_b > 0)
+        points = centers[first] + far_a[..., None] * a + centers[second] + far_b[..., None] * b
+        return np.where(meet[..., None], points / 2, np.nan)
+
+    def errors(self, positions: Array) -> Array:
+        """Distances (..., V, K) in pixels of positions (..., K, 3) in the images from the points.
+
+        Infinite where a point is present and the position has no pixel; NaN where the point is absent.
+        """
+        flat = positions.reshape(-1, 3)
+        shape = positions.shape[:-1]
+        seen = np.stack([camera.project(flat)[0].reshape(*shape, 2) for camera in self.cameras], axis=-3)
+        distances = np.linalg.norm(seen - self.pixels, axis=-1)
+        return np.where(self.weights > 0, np.where(np.isfinite(distances), distances, np.inf), np.nan)
+
+    def candidates(self, seed: int = 0) -> Candidates:
+        """Points of all pairs of views. ``seed``: of the random choice among many pairs."""
+        positions = self.meet(*self.pairs(seed))
+        return Candidates(positions, self.errors(positions), self.weights)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Points of P pairs of views for each of K keypoints.
+
+    ``positions``: (P, K, 3), NaN where lines do not meet. ``errors``: (P, V, K) pixels. ``weights``: (V, K).
+    """
+
+    positions: Array
+    errors: Array
+    weights: Array
+
+    def costs(self, limits: Array) -> Array:
+        """Costs (P, K): each point of a view adds its confidence times the square of its error by the limit
+        (V,) of the view in pixels, at most 1.
+        """
+        shares = np.minimum(np.nan_to_num(self.errors, nan=0.0, posinf=1e9) / limits[:, None], 1.0) ** 2
+        return np.asarray(np.einsum("pvk,vk->pk", shares, self.weights))
+
+    def best(self, costs: Array) -> Array:
+        """Positions (K, 3) of least cost (P, K); NaN where no two lines meet, or all costs are infinite."""
+        if not len(costs):
+            return np.full((self.weights.shape[1], 3), np.nan)
+        chosen, keypoint = np.argmin(costs, axis=0), np.arange(costs.shape[1])
+        possible = np.isfinite(costs[chosen, keypoint])
+        return np.where(possible[:, None], self.positions[chosen, keypoint], np.nan)
+
+    def supported(self, costs: Array, limits: Array) -> Array:
+        """The positions of :meth:`best` with which three points agree, or two where three views or fewer are.
+
+        NaN for the other keypoints.
+        """
+        if not len(costs):
+            return self.best(costs)
+        chosen, keypoint = np.argmin(costs, axis=0), np.arange(costs.shape[1])
+        errors = self.errors[chosen, :, keypoint]
+        agree = (np.nan_to_num(errors, nan=np.inf) <= limits).sum(axis=1)
+        enough = agree >= min(3, max(2, len(limits) - 1))
+        return np.where(enough[:, None], self.best(costs), np.nan)
+
+
+def find_exchanged(
+    lines: Sightlines, keypoints: KeypointSet, limits: Array, seed: int = 0
+) -> NDArray[np.bool_]:
+    """Views (V,) whose left and right are exchanged.
+
+    Left and right of a view are exchanged where more points then agree with those of the other views. If
+    that leaves open which views are right, or if all of them agree, the front of the body decides: the nose
+    is in front of the ears, the toes are in front of the heels.
+
+    Args:
+        lines: Lines of sight of all views.
+        keypoints: Set of their points.
+        limits: Distances (V,) in pixels from which a point of a view is wrong.
+        seed: Seed of the random choice among many pairs of views.
+    """
+    partners = keypoints.mirrored
+
+    def cost(views: NDArray[np.bool_]) -> tuple[Array, float]:
+        found = lines.exchanged(views, partners).candidates(seed)
+        costs = np.mean([found.costs(limits / scale) for scale in _SCALES], axis=0)
+        return found.supported(costs, limits / 2), float(costs.min(axis=0, initial=len(limits)).sum())
+
+    exchanged = np.zeros(len(lines.cameras), bool)
+    # without points whose partner is absent: an exchange must not change which views see a keypoint
+    lines = replace(lines, weights=np.where(lines.weights[:, list(partners)] > 0, lines.weights, 0.0))
+    paired = np.asarray(partners) != np.arange(len(partners))
+    weights = lines.weights[:, paired].sum(axis=1)
+    candidates = np.flatnonzero(weights > 0)
+    if not len(candidates):
+        return exchanged
+    positions, present = cost(exchanged)
+    while present > _POINTS:
+        trials = [exchanged ^ (np.arange(len(exchanged)) == view) for view in candidates]
+        results = [cost(trial) for trial in trials]
+        best = int(np.argmin([total for _, total in results]))
+        if present - results[best][1] < max(_POINTS, _SHARE * weights[candidates[best]]):
+            break
+        exchanged, (positions, present) = trials[best], results[best]
+    side = np.sign(len(candidates) / 2 - exchanged[candidates].sum())
+    ahead = front_distance(positions, keypoints)
+    if side == 0 or abs(ahead) > _CERTAIN:
+        side = np.sign(ahead)
+    if side < 0:
+        exchanged[candidates] ^= True
+    return exchanged
+
+
+def front_distance(positions: Array, keypoints: KeypointSet) -> float:
+    """Metres by which the front of the body is in front of its back, by the names of left and right.
+
+    ``positions``: (K, 3), NaN where unknown. The sum of all distances: negative where left and right are
+    exchanged; 0 if the points do not tell, or contradict each other.
+    """
+    by_point = {
+        point: position
+        for point, position in zip(keypoints.points, positions, strict=True)
+        if np.isfinite(position).all()
+    }
+    shoulders, hips = (
+        next(((by_point[a], by_point[b]) for a, b in options if a in by_point and b in by_point), None)
+        for options in (_SHOULDERS, _HIPS)
+    )
+    steps = [by_point[a] - by_point[b] for a, b in _IN_FRONT if a in by_point and b in by_point]
+    if shoulders is None or hips is None:
+        return 0.0
+    left = shoulders[0] - shoulders[1] + hips[0] - hips[1]
+    up = shoulders[0] + shoulders[1] - hips[0] - hips[1]
+    front = unit_vectors(np.cross(left, up))
+    ahead = [float(step @ front) for step in steps if np.linalg.norm(step) < _FOOT]
+    return sum(ahead) if min(ahead, default=0) * max(ahead, default=0) > 0 else 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,8 +15,14 @@ from humansim_ros.io.files import exists, read_text
 from humansim_ros.keypoints import KeypointLocator, KeypointSet
 from humansim_ros.photographs.fit_file import read_fit, write_fit
 from humansim_ros.photographs.person_fit import PersonFit
-from humansim_ros.photographs.points import MAX_BYTES, write_points
-from humansim_ros.photographs.views import Photo, PhotoSet, default_points, read_views
+from humansim_ros.photographs.views import (
+    MAX_BYTES,
+    Photo,
+    PhotoSet,
+    default_points,
+    read_views,
+    write_points,
+)
 from humansim_ros.types import Array
 from humansim_ros.view.body_outlines import outlines
 from humansim_ros.view.history import MAX_STEPS

@@ -36,7 +36,7 @@ from humansim_ros.motion.joint_tables import load_table
 from humansim_ros.motion.keyframes import read_keyframes
 from humansim_ros.motion.limits import load_limits
 from humansim_ros.photographs import Photo, read_views
-from humansim_ros.photographs.points import read_points
+from humansim_ros.photographs.views import read_points
 from humansim_ros.scene import Scene
 from humansim_ros.scene.backdrops import load_backdrop, load_panorama
 from humansim_ros.scene.names import read_names

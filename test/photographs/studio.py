@@ -24,7 +24,7 @@ from humansim_ros.camera import Camera, read_calibration, write_calibration
 from humansim_ros.humans import Human
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.keypoints.sets import KeypointSet
-from humansim_ros.photographs.points import write_points
+from humansim_ros.photographs.views import write_points
 from humansim_ros.scene import Scene, Simulation
 from humansim_ros.truth import OUTSIDE, VISIBLE
 

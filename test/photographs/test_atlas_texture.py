@@ -19,9 +19,8 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.humans import Human, load_human
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.photographs.atlas_texture import texture_atlas
-from humansim_ros.photographs.colour_alignment import align_colours
-from humansim_ros.photographs.surface_fill import Surface, fill_colours
+from humansim_ros.photographs.atlas_texture import align_colours, texture_atlas
+from humansim_ros.photographs.surface import Surface, fill_colours
 from humansim_ros.photographs.texture_view import TexturedPerson, TextureView
 
 #: Cameras that took no photograph.

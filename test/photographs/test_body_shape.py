@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.smpl import count_betas
 from humansim_ros.photographs import fit_person, read_fit, read_views, write_fit
-from humansim_ros.photographs.body_shape import can_be_shaped, fit_shape, shaped_human
+from humansim_ros.photographs.person_fit import can_be_shaped, fit_shape, shaped_human
 
 #: Bones of the built-in people whose heads are the joints of the model.
 _JOINTS = {

@@ -14,9 +14,9 @@ from photographs.studio import Studio, change_views, make_studio
 
 from humansim_ros.cli.human import fit as fit_command
 from humansim_ros.photographs import PhotoSet, read_views
-from humansim_ros.photographs.fit_report import draw_report
 from humansim_ros.photographs.fitting import fit_person
 from humansim_ros.photographs.person_fit import PersonFit
+from humansim_ros.photographs.reports import draw_report
 from humansim_ros.types import Color, Image
 
 BEFORE, AFTER = (255, 150, 40), (0, 225, 255)

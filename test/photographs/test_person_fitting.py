@@ -17,10 +17,9 @@ from humansim_ros.motion.limits import load_limits
 from humansim_ros.photographs import read_views
 from humansim_ros.photographs.fit_file import read_fit, write_fit
 from humansim_ros.photographs.fitting import fit_person
-from humansim_ros.photographs.person_fit import PersonFit
-from humansim_ros.photographs.points import read_points, write_points
-from humansim_ros.photographs.sequence import fit_motion
+from humansim_ros.photographs.person_fit import PersonFit, fit_motion
 from humansim_ros.photographs.silhouettes import silhouette_iou
+from humansim_ros.photographs.views import read_points, write_points
 from humansim_ros.scene import Scene
 
 

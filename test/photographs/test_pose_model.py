@@ -9,8 +9,8 @@ import pytest
 
 from humansim_ros.humans import load_human
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, keypoint_set
+from humansim_ros.photographs.person_fit import with_proportions
 from humansim_ros.photographs.pose_model import BodyState, PoseModel
-from humansim_ros.photographs.proportions import with_proportions
 
 
 def some_state(model: PoseModel, seed: int = 0) -> BodyState:

@@ -16,11 +16,15 @@ from humansim_ros.humans import load_human
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.photographs import PhotoSet, read_views
 from humansim_ros.photographs.fitting import fit_person
-from humansim_ros.photographs.outlines import MaskOutline, intersection_over_union
-from humansim_ros.photographs.person_fit import PersonFit
+from humansim_ros.photographs.person_fit import PersonFit, with_proportions
 from humansim_ros.photographs.pose_model import Attachments, PoseModel
-from humansim_ros.photographs.proportions import with_proportions
-from humansim_ros.photographs.silhouettes import fit_silhouettes, render_faces, silhouette_iou
+from humansim_ros.photographs.silhouettes import (
+    MaskOutline,
+    fit_silhouettes,
+    intersection_over_union,
+    render_faces,
+    silhouette_iou,
+)
 
 
 @pytest.fixture(scope="module")

@@ -19,9 +19,14 @@ from humansim_ros.export.poses import AnimatedHuman
 from humansim_ros.humans import Human, load_human
 from humansim_ros.humans.human import read_human, write_human
 from humansim_ros.mesh.mesh import Mesh
-from humansim_ros.photographs.face_visibility import FaceCounts, count_faces, triangle_neighbours
 from humansim_ros.photographs.texture_view import TexturedPerson, TextureView
-from humansim_ros.photographs.thesis_texture import choose_cameras, texture_thesis
+from humansim_ros.photographs.thesis_texture import (
+    FaceCounts,
+    choose_cameras,
+    count_faces,
+    texture_thesis,
+    triangle_neighbours,
+)
 from humansim_ros.render import Body, Lighting
 from humansim_ros.rotations import WORLD_FROM_BODY, transform
 from humansim_ros.scene import Scene, Simulation

@@ -17,9 +17,8 @@ from humansim_ros.humans import load_human
 from humansim_ros.keypoints import KEYPOINT_SETS, KeypointLocator, keypoint_set
 from humansim_ros.keypoints.sets import KeypointSet
 from humansim_ros.photographs import read_views
-from humansim_ros.photographs.points import write_points
-from humansim_ros.photographs.sides import front_distance
-from humansim_ros.photographs.triangulation import triangulate, triangulate_photos
+from humansim_ros.photographs.triangulation import front_distance, triangulate, triangulate_photos
+from humansim_ros.photographs.views import write_points
 from humansim_ros.rotations import transform
 
 COCO = keypoint_set("coco17")

@@ -16,7 +16,7 @@ from humansim_ros.camera import Camera, write_calibration
 from humansim_ros.errors import HumansimWarning, PhotographError
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.photographs import read_views
-from humansim_ros.photographs.points import read_points, write_points
+from humansim_ros.photographs.views import read_points, write_points
 
 COCO = keypoint_set("coco17")
 

@@ -16,7 +16,7 @@ from photographs.studio import make_studio
 from waiting import wait_until
 
 from humansim_ros.errors import HumansimError
-from humansim_ros.photographs.points import read_points
+from humansim_ros.photographs.views import read_points
 from humansim_ros.view import photo_solver
 from humansim_ros.view.app import ViewApp
 from humansim_ros.view.inputs import open_source

@@ -182,7 +182,7 @@ def fitted(folder: Path, start: str, human, posed, vertices, cameras, faces):
     from humansim_ros.keypoints.locator import KeypointLocator
     from humansim_ros.photographs import read_views
     from humansim_ros.photographs.fitting import fit_person
-    from humansim_ros.photographs.points import write_points
+    from humansim_ros.photographs.views import write_points
 
     keypoints = keypoint_set("coco17")
     joints = human.skeleton.joint_transforms(posed)[:, :3, 3]

@@ -193,7 +193,7 @@ def _poses(truth: Path, estimate: Sequence[str], keypoints: str | None, options:
 
 def _images(truth: Path, estimate: Sequence[str], keypoints: str | None, min_score: float | None) -> _Result:
     """Compare detections in images."""
-    from humansim_ros.evaluate.image_html import image_html_report
+    from humansim_ros.evaluate.html import image_html_report
     from humansim_ros.evaluate.image_report import show_images
     from humansim_ros.evaluate.images import evaluate_images
     from humansim_ros.evaluate.readers.image_estimates import read_image_estimates
@@ -262,9 +262,8 @@ def challenge(
     ] = False,
 ) -> None:
     """Run a tracker through difficulties of three strengths, and show where it breaks."""
-    from humansim_ros.challenge.page import write_pages
+    from humansim_ros.challenge.report import show_table, write_pages
     from humansim_ros.challenge.results import CaseResult, Report
-    from humansim_ros.challenge.table import show_table
 
     other = None if compare is None else Report.read(compare)
     if tracker is None:

@@ -1,14 +1,25 @@
-"""Report of an evaluation as one HTML page that loads nothing else."""
+"""Reports of an evaluation as one HTML page that loads nothing else."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from html import escape
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
+from humansim_ros.drawing.markup import Markup, element, joined, page, picture, section, table
 from humansim_ros.evaluate.evaluation import Evaluation, WorstPose
+from humansim_ros.evaluate.image_report import (
+    TITLES,
+    camera_header,
+    camera_rows,
+    image_summary,
+    keypoint_rows,
+    name_rows,
+    pixels,
+)
+from humansim_ros.evaluate.images import ImageEvaluation, WorstImage
 from humansim_ros.evaluate.joint_pairs import body_joint
 from humansim_ros.evaluate.metrics import AUC_THRESHOLDS, pck
 from humansim_ros.evaluate.pictures import (
@@ -17,10 +28,10 @@ from humansim_ros.evaluate.pictures import (
     Pictures,
     Shape,
     draw_over,
-    jpeg_image,
 )
 from humansim_ros.evaluate.plots import bar_plot, line_plot, pose_plot
 from humansim_ros.evaluate.report import camera_count_rows, millimetres, percent, summary
+from humansim_ros.keypoints import keypoint_set
 from humansim_ros.types import Array
 
 _STYLE = """
@@ -49,8 +60,10 @@ def html_report(evaluation: Evaluation, pictures: Pictures | None = None) -> str
         HumansimError: An image cannot be rendered or read.
     """
     e = evaluation
-    parts = [
-        '<div class="row">',
+    views = "From the front, and from above"
+    if pictures is not None:
+        views = "In the camera that shows most of the person, from the front, and from above"
+    figures = [
         section("Metrics", table((), summary(e))),
         section("Error over time", _error_over_time(e)),
         section("Error by joint (MPJPE)", bar_plot({n: _mm(j.mpjpe) for n, j in e.by_joint.items()}, "mm")),
@@ -61,42 +74,25 @@ def html_report(evaluation: Evaluation, pictures: Pictures | None = None) -> str
             "Error by number of cameras with the joint in their image",
             table(("cameras", "joints", "MPJPE"), camera_count_rows(e)) if e.by_cameras else "",
         ),
-        "</div>",
-        "<h2>Worst poses</h2>",
-        "<p>In the camera that shows most of the person, from the front, and from above, in the colours of "
-        "truth and estimate.</p>"
-        if pictures is not None
-        else "<p>From the front, and from above, in the colours of truth and estimate.</p>",
-        '<div class="row">',
-        *_worst(e, pictures),
-        "</div>",
     ]
-    return page(e.truth, e.estimate, parts)
-
-
-def page(truth: str, estimate: str, parts: Iterable[str]) -> str:
-    """An HTML page that loads nothing else: where truth and estimate come from, and some elements."""
-    content = (
-        "<h1>Evaluation</h1>"
-        f'<p class="truth">Truth: {escape(truth)}</p>'
-        f'<p class="estimate">Estimate: {escape(estimate)}</p>{"".join(parts)}'
-    )
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8"><title>Evaluation</title>'
-        f"<style>{_STYLE}</style></head>\n<body>{content}</body></html>\n"
+    return _page(
+        e,
+        element("div", *figures, class_="row"),
+        element("h2", "Worst poses"),
+        element("p", f"{views}, in the colours of truth and estimate."),
+        element("div", *_worst(e, pictures), class_="row"),
     )
 
 
-def section(title: str, content: str) -> str:
-    """Element with a heading."""
-    return f"<section><h2>{escape(title)}</h2>{content or '<p>No data.</p>'}</section>"
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """Table of texts."""
-    head = "".join(f"<th>{escape(word)}</th>" for word in header)
-    body = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
-    return f"<table>{f'<tr>{head}</tr>' if head else ''}{body}</table>"
+def _page(evaluation: Evaluation | ImageEvaluation, *content: str) -> str:
+    return page(
+        "Evaluation",
+        _STYLE,
+        element("h1", "Evaluation"),
+        element("p", f"Truth: {evaluation.truth}", class_="truth"),
+        element("p", f"Estimate: {evaluation.estimate}", class_="estimate"),
+        *content,
+    )
 
 
 def _mm(metres: float | None) -> float | None:
@@ -108,7 +104,7 @@ def _seconds(e: Evaluation) -> Array:
     return np.asarray((e.frame_times - e.frame_times[0]) * 1e-9, float)
 
 
-def _error_over_time(e: Evaluation) -> str:
+def _error_over_time(e: Evaluation) -> Markup:
     times = _seconds(e)
     with np.errstate(invalid="ignore"):
         count = np.isfinite(e.errors).sum(axis=1)
@@ -122,18 +118,18 @@ def _error_over_time(e: Evaluation) -> str:
     return line_plot(lines, "time (s)", "mean error (mm)")
 
 
-def _pck_curve(e: Evaluation) -> str:
+def _pck_curve(e: Evaluation) -> Markup:
     shares = [100 * (pck(e.counted_errors, float(t), e.missed_joints) or 0.0) for t in AUC_THRESHOLDS]
     return line_plot({"PCK": (1000 * AUC_THRESHOLDS, np.array(shares))}, "threshold (mm)", "share (%)", 100)
 
 
-def _people_over_time(e: Evaluation) -> str:
+def _people_over_time(e: Evaluation) -> Markup:
     counts = e.found_by_frame.astype(float)
     lines = {name: (_seconds(e), counts[:, i]) for i, name in enumerate(("found", "missed", "false"))}
     return line_plot(lines, "time (s)", "people")
 
 
-def _people_table(e: Evaluation) -> str:
+def _people_table(e: Evaluation) -> Markup:
     rows = (
         (
             name,
@@ -147,7 +143,7 @@ def _people_table(e: Evaluation) -> str:
     return table(("person", "found", "MPJPE", "PA-MPJPE", "PCP"), rows)
 
 
-def _worst(e: Evaluation, pictures: Pictures | None) -> list[str]:
+def _worst(e: Evaluation, pictures: Pictures | None) -> list[Markup]:
     places = {body_joint(name): index for index, name in reversed(list(enumerate(e.joints)))}
     chains = [[places[name] for name in line.split() if name in places] for line in _LINES]
     edges = [pair for chain in chains for pair in pairwise(chain)]
@@ -157,15 +153,15 @@ def _worst(e: Evaluation, pictures: Pictures | None) -> list[str]:
         row = keys.index((pose.stamp, pose.person))
         title = f"{pose.person} at {pose.stamp * 1e-9:.3f} s: {millimetres(pose.error)}"
         truth, estimate = e.matches.truth[row], e.matches.estimate[row]
-        over = "" if pictures is None else _over_image(pictures, pose, truth, estimate, edges)
-        sections.append(section(title, over + pose_plot(truth, estimate, edges)))
+        over = Markup() if pictures is None else _over_image(pictures, pose, truth, estimate, edges)
+        sections.append(section(title, joined([over, pose_plot(truth, estimate, edges)])))
     return sections
 
 
 def _over_image(
     pictures: Pictures, pose: WorstPose, truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]
-) -> str:
-    """A pose drawn over the image of the camera that shows most of it; "" if no camera shows it."""
+) -> Markup:
+    """A pose drawn over the image of the camera that shows most of it; empty if no camera shows it."""
     best, found = (0, 0.0), ""
     pixels: dict[str, tuple[Array, Array]] = {}
     for name, camera in pictures.cameras(pose.stamp).items():
@@ -176,10 +172,77 @@ def _over_image(
             best, found = value, name
     image = pictures.image(pose.stamp, found) if found else None
     if image is None:
-        return ""
+        return Markup()
     shapes = [
         Shape(color, points, edges)
         for color, points in zip((TRUTH_COLOR, ESTIMATE_COLOR), pixels[found], strict=True)
     ]
-    title = escape(f"{pose.person} in {found}")
-    return f"<p>{escape(found)}</p>{jpeg_image(draw_over(image, shapes), title)}<br>"
+    drawn = picture(draw_over(image, shapes), f"{pose.person} in {found}")
+    return joined([element("p", found), drawn, element("br")])
+
+
+def image_html_report(evaluation: ImageEvaluation, pictures: Pictures | None = None) -> str:
+    """The page: tables, and the worst frames of each kind of detection, drawn over the images.
+
+    ``pictures``: images to draw over; None: without them.
+
+    Raises:
+        HumansimError: An image cannot be rendered or read.
+    """
+    parts = [section("Metrics", table((), image_summary(evaluation)))]
+    for kind, scores in evaluation.kinds.items():
+        title, word = TITLES[kind]
+        parts += [
+            section(f"{title.capitalize()}: cameras", table(camera_header(kind), camera_rows(scores))),
+            section(
+                f"{title.capitalize()}: people and objects",
+                table(("name", "found", f"mean {word}"), name_rows(scores)),
+            ),
+        ]
+        if scores.by_keypoint:
+            bars = {name: each.error for name, each in scores.by_keypoint.items()}
+            parts.append(section("Error by keypoint", bar_plot(bars, "px")))
+            rows = table(("keypoint", "error", "bias x, y (px)"), keypoint_rows(scores))
+            parts.append(section("Keypoints", rows))
+    content = [element("div", *parts, class_="row")]
+    for kind, scores in evaluation.kinds.items() if pictures is not None else ():
+        title, word = TITLES[kind]
+        content.append(element("h2", f"Worst {title}"))
+        content.append(element("p", "In the colours of truth and estimate."))
+        pairs = []
+        for worst in scores.worst:
+            error = f", {pixels(worst.error)}" if worst.error is not None else ""
+            heading = (
+                f"{worst.name} in {worst.camera}, frame {worst.frame}: {word} {percent(worst.similarity)}"
+            )
+            pairs.append(section(heading + error, _picture(evaluation, kind, worst, pictures)))
+        content.append(element("div", *pairs, class_="row"))
+    return _page(evaluation, *content)
+
+
+def _picture(evaluation: ImageEvaluation, kind: str, worst: WorstImage, pictures: Pictures | None) -> Markup:
+    image = pictures.image(worst.stamp, worst.camera) if pictures is not None else None
+    if image is None:
+        return Markup()
+    truth, estimate = evaluation.matches[kind, worst.image, worst.name]
+    shapes = [_shape(evaluation, kind, truth, TRUTH_COLOR)]
+    if estimate is not None:
+        shapes.append(_shape(evaluation, kind, estimate, ESTIMATE_COLOR))
+    return picture(draw_over(image, shapes), f"{worst.name} in {worst.camera}")
+
+
+def _shape(
+    evaluation: ImageEvaluation, kind: str, row: Mapping[str, Any], color: tuple[int, int, int]
+) -> Shape:
+    """What is drawn of an annotation or a detection."""
+    nothing = np.zeros((0, 2))
+    if kind == "keypoints":
+        points = np.reshape(np.asarray(row["keypoints"], float), (-1, 3))
+        absent = ~points.any(axis=1) | (points[:, 2] <= 0)
+        edges = keypoint_set(evaluation.keypoint_set).edges
+        return Shape(color, np.where(absent[:, None], np.nan, points[:, :2]), edges)
+    if kind == "boxes":
+        return Shape(color, nothing, box=np.asarray(row["bbox"], float))
+    from pycocotools.mask import decode
+
+    return Shape(color, nothing, mask=decode(row["segmentation"]).astype(bool))

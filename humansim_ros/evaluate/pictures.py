@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -23,7 +22,6 @@ TRUTH_COLOR, ESTIMATE_COLOR = (0, 114, 178), (213, 94, 0)
 SIDE = 480
 #: Share of the size of a person that is shown around it, and the least side of a section in pixels.
 _MARGIN, _LEAST = 0.35, 48
-_JPEG_QUALITY = 82
 _WHITE = (255, 255, 255)
 #: Fractional bits of coordinates for drawing.
 _SHIFT = 4
@@ -166,11 +164,3 @@ def _draw(canvas: NDArray[np.uint8], shape: Shape, corner: Array, scale: float) 
         for index in np.flatnonzero(known).tolist():
             radius = (4 << _SHIFT) + (wider << _SHIFT - 1)
             cv2.circle(canvas, spots[index], radius, color, -1, cv2.LINE_AA, _SHIFT)
-
-
-def jpeg_image(image: NDArray[np.uint8], title: str) -> str:
-    """Element ``img`` of HTML with a whole image (H, W, 3) RGB in it; ``title`` is escaped text."""
-    _, encoded = cv2.imencode(".jpg", image[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY])
-    data = base64.b64encode(encoded.tobytes()).decode("ascii")
-    height, width = image.shape[:2]
-    return f'<img alt="{title}" width="{width}" height="{height}" src="data:image/jpeg;base64,{data}">'

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from html import escape
 
 import numpy as np
 
+from humansim_ros.drawing.markup import Markup, element, polyline, svg
 from humansim_ros.types import Array
 
 WIDTH, HEIGHT = 640, 240
@@ -19,34 +19,33 @@ _INTERVALS = 5
 _MOST_POINTS = 1000
 
 
-def line_plot(lines: Mapping[str, tuple[Array, Array]], x_label: str, y_label: str, top: float = 0.0) -> str:
-    """Plot of lines.
+def line_plot(
+    lines: Mapping[str, tuple[Array, Array]], x_label: str, y_label: str, top: float = 0.0
+) -> Markup:
+    """Plot of lines; empty if no value is finite.
 
     Args:
         lines: x (N,) and y (N,) by name; NaN in y breaks a line.
         x_label: Quantity and unit of x.
         y_label: Quantity and unit of y.
-        top: Greatest y of the axis; that of the lines if 0.
+        top: Greatest y of the axis; the greatest y of the lines if 0.
     """
     known = [(x, y) for x, y in lines.values() if np.isfinite(y).any()]
     if not known:
-        return ""
+        return Markup()
     left, right = min(float(x[0]) for x, _ in known), max(float(x[-1]) for x, _ in known)
     highest = top or max(float(np.nanmax(y)) for _, y in known) or 1.0
-    shapes = [_axes((left, right), highest, x_label, y_label)]
+    shapes = _axes((left, right), highest, x_label, y_label)
     for number, (name, (x, y)) in enumerate(lines.items()):
         color = COLORS[number % len(COLORS)]
         chosen = np.unique(np.linspace(0, len(x) - 1, _MOST_POINTS).astype(np.intp))
         points = _pixels(x[chosen], y[chosen], (left, right), highest)
-        for part in _finite_parts(points):
-            path = " ".join(f"{px:.1f},{py:.1f}" for px, py in part)
-            shapes.append(f'<polyline points="{path}" fill="none" stroke="{color}" stroke-width="1.5"/>')
-        place = _LEFT + 8 + 110 * number
-        shapes.append(f'<text x="{place}" y="{_TOP - 3}" fill="{color}">{escape(name)}</text>')
-    return _svg(shapes, HEIGHT)
+        shapes += [polyline(part, color, 1.5) for part in _finite_parts(points)]
+        shapes.append(element("text", name, x=_LEFT + 8 + 110 * number, y=_TOP - 3, fill=color))
+    return _plot(shapes, HEIGHT)
 
 
-def bar_plot(values: Mapping[str, float | None], unit: str) -> str:
+def bar_plot(values: Mapping[str, float | None], unit: str) -> Markup:
     """Plot of a horizontal bar with its value for each name; None has no bar."""
     widest = max((value for value in values.values() if value is not None), default=0.0) or 1.0
     shapes = []
@@ -54,13 +53,13 @@ def bar_plot(values: Mapping[str, float | None], unit: str) -> str:
         y = 18 * row + 14
         width = 0.0 if value is None else (WIDTH - 250) * value / widest
         text = "–" if value is None else f"{value:.1f} {unit}"
-        shapes.append(f'<text x="150" y="{y}" text-anchor="end">{escape(name)}</text>')
-        shapes.append(f'<rect x="158" y="{y - 10}" width="{width:.1f}" height="12" fill="{COLORS[0]}"/>')
-        shapes.append(f'<text x="{164 + width:.1f}" y="{y}">{text}</text>')
-    return _svg(shapes, 18 * len(values) + 8)
+        shapes.append(element("text", name, x=150, y=y, text_anchor="end"))
+        shapes.append(element("rect", x=158, y=y - 10, width=width, height=12, fill=COLORS[0]))
+        shapes.append(element("text", text, x=164 + width, y=y))
+    return _plot(shapes, 18 * len(values) + 8)
 
 
-def pose_plot(truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]) -> str:
+def pose_plot(truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]) -> Markup:
     """A pose (C, 3) and its estimate from the front (y to the left, z up) and from above (y left, x up)."""
     known = np.concatenate([truth, estimate])
     known = known[np.isfinite(known).all(axis=1)]
@@ -74,29 +73,26 @@ def pose_plot(truth: Array, estimate: Array, edges: Sequence[tuple[int, int]]) -
             for start, end in edges:
                 if np.isfinite(pixels[[start, end]]).all():
                     (x1, y1), (x2, y2) = pixels[[start, end]].tolist()
-                    shapes.append(
-                        f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{color}"/>'
-                    )
+                    shapes.append(element("line", x1=x1, y1=y1, x2=x2, y2=y2, stroke=color))
             for x, y in pixels[np.isfinite(pixels).all(axis=1)].tolist():
-                shapes.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="2.5" fill="{color}"/>')
-    return _svg(shapes, 240, 500)
+                shapes.append(element("circle", cx=x, cy=y, r=2.5, fill=color))
+    return _plot(shapes, 240, 500)
 
 
-def _axes(span: tuple[float, float], highest: float, x_label: str, y_label: str) -> str:
+def _axes(span: tuple[float, float], highest: float, x_label: str, y_label: str) -> list[Markup]:
     bottom, right = HEIGHT - _BOTTOM, WIDTH - _RIGHT
     shapes = []
     for value in _ticks(0.0, highest):
         y = bottom - value / highest * (bottom - _TOP)
-        shapes.append(f'<line x1="{_LEFT}" y1="{y:.1f}" x2="{right}" y2="{y:.1f}" stroke="#cdd1d7"/>')
-        shapes.append(f'<text x="{_LEFT - 5}" y="{y + 4:.1f}" text-anchor="end">{value:g}</text>')
+        shapes.append(element("line", x1=_LEFT, y1=y, x2=right, y2=y, stroke="#cdd1d7"))
+        shapes.append(element("text", f"{value:g}", x=_LEFT - 5, y=y + 4, text_anchor="end"))
     for value in _ticks(*span):
         x = _LEFT + (value - span[0]) / ((span[1] - span[0]) or 1.0) * (right - _LEFT)
-        shapes.append(f'<text x="{x:.1f}" y="{bottom + 14}" text-anchor="middle">{value:g}</text>')
+        shapes.append(element("text", f"{value:g}", x=x, y=bottom + 14, text_anchor="middle"))
     middle = (_LEFT + right) / 2
-    shapes.append(f'<text x="{middle}" y="{HEIGHT - 4}" text-anchor="middle">{escape(x_label)}</text>')
-    place = f'transform="translate(12 {HEIGHT / 2}) rotate(-90)"'
-    shapes.append(f'<text {place} text-anchor="middle">{escape(y_label)}</text>')
-    return "".join(shapes)
+    shapes.append(element("text", x_label, x=middle, y=HEIGHT - 4, text_anchor="middle"))
+    upright = f"translate(12 {HEIGHT / 2}) rotate(-90)"
+    return [*shapes, element("text", y_label, transform=upright, text_anchor="middle")]
 
 
 def _ticks(low: float, high: float) -> list[float]:
@@ -116,18 +112,13 @@ def _pixels(x: Array, y: Array, span: tuple[float, float], highest: float) -> Ar
     return np.stack([_LEFT + width * share, HEIGHT - _BOTTOM - height * np.minimum(y / highest, 1)], axis=1)
 
 
-def _finite_parts(points: Array) -> list[list[list[float]]]:
-    parts: list[list[list[float]]] = [[]]
-    for point in points.tolist():
-        if np.isfinite(point).all():
-            parts[-1].append(point)
-        elif parts[-1]:
-            parts.append([])
-    return [part for part in parts if part]
+def _finite_parts(points: Array) -> list[Array]:
+    """Runs of finite points (N, 2)."""
+    finite = np.isfinite(points).all(axis=1)
+    ends = np.flatnonzero(np.diff(finite)) + 1
+    parts = zip(np.split(points, ends), np.split(finite, ends), strict=True)
+    return [part for part, known in parts if len(part) and known[0]]
 
 
-def _svg(shapes: Sequence[str], height: int, width: int = WIDTH) -> str:
-    return (
-        f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {width} {height}" width="{width}" '
-        f'height="{height}" font-family="sans-serif" font-size="11" fill="#3c4048">{"".join(shapes)}</svg>'
-    )
+def _plot(shapes: Sequence[str], height: int, width: int = WIDTH) -> Markup:
+    return svg(shapes, width, height, font_family="sans-serif", font_size="11", fill="#3c4048")

@@ -10,10 +10,8 @@ from pathlib import Path
 import pytest
 from challenge_support import made_report, small_suite
 
-from humansim_ros.challenge.page import PAGE, PICTURE, page, write_pages
-from humansim_ros.challenge.picture import color_of, picture
+from humansim_ros.challenge.report import PAGE, PICTURE, color_of, html_page, picture, show_table, write_pages
 from humansim_ros.challenge.results import RESULTS, CaseResult, Report
-from humansim_ros.challenge.table import show_table
 from humansim_ros.errors import ChallengeError, HumansimError
 
 _SVG = "{http://www.w3.org/2000/svg}"
@@ -106,7 +104,7 @@ def test_everything_in_the_picture_is_inside_of_it(tmp_path: Path) -> None:
 
 def test_the_page_is_one_file_with_every_case(tmp_path: Path) -> None:
     report = made_report(small_suite(tmp_path), "tracker <b>", failure="died & gone")
-    content = page(report)
+    content = html_page(report)
     assert "tracker &lt;b&gt;" in content and "died &amp; gone" in content
     assert content.count("<tr") == 1 + len(report.results)
     assert "src=" not in content and "href=" not in content

@@ -55,7 +55,7 @@ EXTRAS = {
     # texture coordinates for bodies without any
     "photographs": ["xatlas>=0.0.9"],
     # the page of humansim view, with viser 1.1.1 tested; scene files that it edits
-    "view": ["ruamel.yaml>=0.19", "viser>=1.1,<1.2"],
+    "view": ["ruamel-yaml>=0.19", "viser>=1.1,<1.2"],
     # recording on a cluster, and to URLs; client is for addresses such as ray://host:10001
     "ray": ["fsspec>=2023.1", "mcap>=1.1", "ray[client]>=2.9", "rosbags>=0.10.6"],
     "test": [

@@ -10,6 +10,8 @@
 VENV ?= .venv
 BIN := $(VENV)/bin
 export VENV
+# Without compiled modules, each test process takes half a second longer to import the package.
+export PYTHONDONTWRITEBYTECODE :=
 
 # A sourced ROS would put its own Python packages and libraries in front of those in the environment.
 ifdef ROS_DISTRO

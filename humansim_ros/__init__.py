@@ -60,7 +60,7 @@ _load, __dir__, __all__ = lazy_exports(
         "Scene": "scene.scene",
         "Simulation": "scene.simulation",
         "View": "render.channels",
-        "idealize": "camera.idealize",
+        "idealize": "camera.ideal",
         "load_human": "humans.loading",
         "read_bvh": "motion.bvh",
         "read_calibration": "camera.calibration",

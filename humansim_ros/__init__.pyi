@@ -4,7 +4,7 @@ from typing import Any
 from humansim_ros.camera.calibration import read_calibration as read_calibration
 from humansim_ros.camera.calibration import write_calibration as write_calibration
 from humansim_ros.camera.camera import Camera as Camera
-from humansim_ros.camera.idealize import idealize as idealize
+from humansim_ros.camera.ideal import idealize as idealize
 from humansim_ros.errors import HumansimError as HumansimError
 from humansim_ros.errors import HumansimWarning as HumansimWarning
 from humansim_ros.humans.human import Human as Human

@@ -69,6 +69,47 @@ def moved(poses: NDArray[Any], linear: NDArray[Any], angular: NDArray[Any], seco
     return out
 
 
+def rotation_vector_to_quaternion(vector: NDArray[Any]) -> Array:
+    """Unit quaternions (..., 4) xyzw of rotation vectors (..., 3): axis times angle in radians."""
+    v = np.asarray(vector, dtype=float)
+    angle = np.sqrt(v[..., 0] ** 2 + v[..., 1] ** 2 + v[..., 2] ** 2)
+    squared, small = angle * angle, angle <= 1e-3
+    scale = np.where(
+        small, 0.5 - squared / 48 + squared * squared / 3840, np.sin(angle / 2) / np.where(small, 1.0, angle)
+    )
+    return np.concatenate([scale[..., None] * v, np.cos(angle / 2)[..., None]], axis=-1)
+
+
+def quaternion_to_rotation_vector(quaternion: NDArray[Any]) -> Array:
+    """Rotation vectors (..., 3) of unit quaternions (..., 4) xyzw; at most pi long."""
+    q = np.where(quaternion[..., 3:] < 0, -quaternion, quaternion)
+    angle = 2 * np.arctan2(np.sqrt(q[..., 0] ** 2 + q[..., 1] ** 2 + q[..., 2] ** 2), q[..., 3])
+    squared, small = angle * angle, angle <= 1e-3
+    scale = np.where(
+        small,
+        2 + squared / 12 + 7 * squared * squared / 2880,
+        angle / np.sin(np.where(small, 1.0, angle) / 2),
+    )
+    return np.asarray(scale[..., None] * q[..., :3])
+
+
+def multiply_quaternions(a: NDArray[Any], b: NDArray[Any]) -> Array:
+    """Unit quaternions (..., 4) xyzw of rotation ``b`` followed by rotation ``a``; any lengths but zero."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = (np.moveaxis(_normalised(q), -1, 0) for q in (a, b))
+    product = (
+        aw * bx + bw * ax + (ay * bz - az * by),
+        aw * by + bw * ay + (az * bx - ax * bz),
+        aw * bz + bw * az + (ax * by - ay * bx),
+        aw * bw - ax * bx - ay * by - az * bz,
+    )
+    return _normalised(np.stack(product, axis=-1))
+
+
+def _normalised(quaternion: NDArray[Any]) -> Array:
+    x, y, z, w = np.moveaxis(np.asarray(quaternion, dtype=float), -1, 0)
+    return np.asarray(quaternion / np.sqrt(x * x + y * y + z * z + w * w)[..., None], dtype=float)
+
+
 def matrix_to_quaternion(matrix: NDArray[Any]) -> Array:
     """Unit quaternions (..., 4) xyzw with w >= 0 of rotation matrices (..., 3, 3) (Shepperd's method)."""
     m = np.asarray(matrix, dtype=float)

@@ -141,7 +141,7 @@ def _functions(value: Any) -> list[FunctionType]:
     """The function itself, or the methods of a class, if they are defined in this folder; else nothing."""
     value = getattr(value, "__wrapped__", value)
     if isinstance(value, type):
-        return [f for each in vars(value).values() for f in _functions(each)]
+        return [f for each in list(vars(value).values()) for f in _functions(each)]
     if isinstance(value, FunctionType) and value.__code__.co_filename.startswith(str(TESTS)):
         return [value]
     return []

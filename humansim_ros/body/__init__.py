@@ -2,14 +2,29 @@
 
 import warnings
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from humansim_ros.body.fitting import fit_skeleton, fit_to_skeleton
-from humansim_ros.body.rigging import rig
-from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
-from humansim_ros.body.skinning import skin
+from humansim_ros import lazy_exports
 
-__all__ = ["Skeleton", "fit_skeleton", "fit_to_skeleton", "hanim_skeleton", "rig", "skin"]
+if TYPE_CHECKING:
+    from humansim_ros.body.fitting import fit_skeleton as fit_skeleton
+    from humansim_ros.body.fitting import fit_to_skeleton as fit_to_skeleton
+    from humansim_ros.body.rigging import rig as rig
+    from humansim_ros.body.skeleton import Skeleton as Skeleton
+    from humansim_ros.body.skeleton import hanim_skeleton as hanim_skeleton
+    from humansim_ros.body.skinning import skin as skin
+
+_load, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "Skeleton": "skeleton",
+        "fit_skeleton": "fitting",
+        "fit_to_skeleton": "fitting",
+        "hanim_skeleton": "skeleton",
+        "rig": "rigging",
+        "skin": "skinning",
+    },
+)
 
 _MOVED = {"Human": "humansim_ros.humans", "Mesh": "humansim_ros.mesh", "read_mesh": "humansim_ros.mesh"}
 
@@ -23,4 +38,4 @@ def moved(module: str, name: str) -> Any:
 
 
 def __getattr__(name: str) -> Any:
-    return moved(__name__, name)
+    return _load(name) if name in __all__ else moved(__name__, name)

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
 
 from humansim_ros.body.skeleton import Skeleton, side_of
 from humansim_ros.body.volume import Volume, solid
@@ -76,7 +74,7 @@ def heat_weights(mesh: Mesh, skeleton: Skeleton) -> sparse.csr_matrix:
     if _has_long_faces(points, triangles, height):
         weights = _conjugate_gradients(matrix, transfer[:, None] * share)
     else:
-        weights = np.asarray(splu(matrix).solve(transfer[:, None] * share))
+        weights = np.asarray(sparse.linalg.splu(matrix).solve(transfer[:, None] * share))
     weights = _small_pieces(np.clip(weights, 0.0, None), points, triangles)
     weights *= _own_side(points, skeleton, height)
     weights[weights < _LEAST * weights.sum(axis=1, keepdims=True)] = 0.0
@@ -273,7 +271,7 @@ def _interpolation(
 def _pieces(count: int, triangles: NDArray[np.intp]) -> tuple[int, NDArray[np.intp]]:
     edges = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]]])
     graph = sparse.coo_matrix((np.ones(len(edges)), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    number, piece = connected_components(graph, directed=False)
+    number, piece = sparse.csgraph.connected_components(graph, directed=False)
     return number, piece.astype(np.intp)
 
 
@@ -285,7 +283,7 @@ def _small_pieces(weights: Array, points: Array, triangles: NDArray[np.intp]) ->
     if not small.any() or small.all():
         return weights
     body, rows = np.flatnonzero(~small[piece]), np.flatnonzero(small[piece])
-    _, near = cKDTree(points[body]).query(points[rows])
+    _, near = scipy.spatial.cKDTree(points[body]).query(points[rows])
     total = np.zeros((number, weights.shape[1]))
     np.add.at(total, piece[rows], weights[body[near]])
     out = weights.copy()

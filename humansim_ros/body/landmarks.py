@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra
 
 from humansim_ros.body.volume import Volume, solid
 from humansim_ros.errors import MeshError, warn_about
@@ -221,7 +220,7 @@ def _trunk(
     front, back, width = (np.full(len(heights), np.nan) for _ in range(3))
     middle, core = np.abs(xs) < 1.2 * size, np.abs(xs) < _CORE
     for row in range(len(heights)):
-        number, _ = ndimage.label(filled[:, row])
+        number, _ = scipy.ndimage.label(filled[:, row])
         labels = number[middle]
         labels = labels[labels > 0]
         if not len(labels):
@@ -271,7 +270,7 @@ def _arm(volume: Volume, sign: float) -> Arm:
 
     def distances(start: int) -> Array:
         limit = (_REACH + 0.05) / volume.spacing
-        lengths = dijkstra(graph, directed=False, indices=start, limit=limit)
+        lengths = scipy.sparse.csgraph.dijkstra(graph, directed=False, indices=start, limit=limit)
         return np.asarray(lengths * volume.spacing)
 
     tip = int(np.argmax(points[:, 0] * sign))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
@@ -104,7 +104,7 @@ def _side(points: Array, upward: Array | None, forward: Array | None) -> int:
     """Axis of the left-right symmetry of the points."""
     given = [axis for axis in (upward, forward) if axis is not None]
     free = [axis for axis in range(3) if all(vector[axis] == 0 for vector in given)]
-    tree = cKDTree(points)
+    tree = scipy.spatial.cKDTree(points)
     errors = []
     for axis in free:
         mirrored = points[::4] * np.where(np.arange(3) == axis, -1.0, 1.0)

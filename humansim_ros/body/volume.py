@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from humansim_ros.errors import MeshError
 from humansim_ros.mesh.mesh import Mesh
@@ -64,13 +64,13 @@ def solid(mesh: Mesh, spacing: float) -> Volume:
 
 def _enclosed(surface: NDArray[np.bool_], axis: int) -> NDArray[np.bool_]:
     """Voxels that cannot be reached from the border within slices across an axis."""
-    neighbours = np.array(ndimage.generate_binary_structure(3, 1))
+    neighbours = np.array(scipy.ndimage.generate_binary_structure(3, 1))
     index = [slice(None)] * 3
     for side in (0, 2):
         index[axis] = slice(side, side + 1)
         neighbours[tuple(index)] = False
     # the border is empty, so the outside of a slice has the label of its corner
-    label, _ = ndimage.label(~surface, structure=neighbours)
+    label, _ = scipy.ndimage.label(~surface, structure=neighbours)
     corner = [slice(0, 1)] * 3
     corner[axis] = slice(None)
     return np.asarray(~surface & (label != label[tuple(corner)]))

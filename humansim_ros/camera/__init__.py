@@ -1,29 +1,37 @@
 """Cameras: projection, lenses, calibration files, ideal cameras, rigs and trajectories."""
 
-from humansim_ros.camera.calibration import (
-    Calibration,
-    load_calibration,
-    read_calibration,
-    resolve_url,
-    write_calibration,
-)
-from humansim_ros.camera.camera import Camera
-from humansim_ros.camera.idealize import Ideal, idealize, rectify
-from humansim_ros.camera.lens import Lens
-from humansim_ros.camera.region import Region
-from humansim_ros.camera.trajectory import Trajectory
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "Calibration",
-    "Camera",
-    "Ideal",
-    "Lens",
-    "Region",
-    "Trajectory",
-    "idealize",
-    "load_calibration",
-    "read_calibration",
-    "rectify",
-    "resolve_url",
-    "write_calibration",
-]
+from humansim_ros import lazy_exports
+
+if TYPE_CHECKING:
+    from humansim_ros.camera.calibration import Calibration as Calibration
+    from humansim_ros.camera.calibration import load_calibration as load_calibration
+    from humansim_ros.camera.calibration import read_calibration as read_calibration
+    from humansim_ros.camera.calibration import resolve_url as resolve_url
+    from humansim_ros.camera.calibration import write_calibration as write_calibration
+    from humansim_ros.camera.camera import Camera as Camera
+    from humansim_ros.camera.ideal import Ideal as Ideal
+    from humansim_ros.camera.ideal import idealize as idealize
+    from humansim_ros.camera.ideal import rectify as rectify
+    from humansim_ros.camera.lens import Lens as Lens
+    from humansim_ros.camera.region import Region as Region
+    from humansim_ros.camera.trajectory import Trajectory as Trajectory
+
+__getattr__, __dir__, __all__ = lazy_exports(
+    __name__,
+    {
+        "Calibration": "calibration",
+        "Camera": "camera",
+        "Ideal": "ideal",
+        "Lens": "lens",
+        "Region": "region",
+        "Trajectory": "trajectory",
+        "idealize": "ideal",
+        "load_calibration": "calibration",
+        "read_calibration": "calibration",
+        "rectify": "ideal",
+        "resolve_url": "calibration",
+        "write_calibration": "calibration",
+    },
+)

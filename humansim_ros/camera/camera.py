@@ -15,8 +15,8 @@ from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.linalg import rq
 
 from humansim_ros.camera.lens import Lens
 from humansim_ros.errors import CameraError, HumansimWarning
@@ -160,7 +160,7 @@ class Camera(Pictured):
                 "P is singular: its camera is at infinity, or it is not a projection matrix", key="P"
             )
         p = p * np.sign(np.linalg.det(p[:, :3]))
-        k, r = rq(p[:, :3])
+        k, r = scipy.linalg.rq(p[:, :3])
         signs = np.diag(np.sign(np.diag(k)))
         k, r = k @ signs, signs @ r
         return cls(size, k / k[2, 2], r, np.linalg.solve(k, p[:, 3]))

@@ -11,8 +11,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.types import Array
@@ -34,7 +34,9 @@ class RigPlacement:
     @classmethod
     def from_degrees(cls, rotation_deg: ArrayLike, position: ArrayLike = (0.0, 0.0, 0.0)) -> RigPlacement:
         """RigPlacement from angles (3,) about the x axis of ``map``, then y, then z, in degrees."""
-        rotation = Rotation.from_euler("xyz", np.asarray(rotation_deg, dtype=float), degrees=True)
+        rotation = scipy.spatial.transform.Rotation.from_euler(
+            "xyz", np.asarray(rotation_deg, dtype=float), degrees=True
+        )
         return cls(np.asarray(rotation.as_matrix()), np.asarray(position, dtype=float))
 
     @property
@@ -42,7 +44,7 @@ class RigPlacement:
         """Angles (3,) of :meth:`from_degrees`, degrees."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # a quarter turn about y has many triples of angles: one is right
-            angles = Rotation.from_matrix(self.rotation).as_euler("xyz", degrees=True)
+            angles = scipy.spatial.transform.Rotation.from_matrix(self.rotation).as_euler("xyz", degrees=True)
         return np.asarray(angles, dtype=float)
 
     def points(self, points: ArrayLike) -> Array:

@@ -32,7 +32,7 @@ from humansim_ros.errors import CameraError, HumansimError, HumansimWarning
 if TYPE_CHECKING:
     from humansim_ros.camera import Camera
     from humansim_ros.camera.calibration import Calibration
-    from humansim_ros.camera.idealize import Ideal
+    from humansim_ros.camera.ideal import Ideal
 
 
 def show(
@@ -312,7 +312,7 @@ def idealize(
     camera: CameraOption = None,
 ) -> None:
     """Convert cameras and images to ideal cameras: no distortion, no skew, a centred principal point."""
-    from humansim_ros.camera.idealize import idealize as make_ideal
+    from humansim_ros.camera.ideal import idealize as make_ideal
 
     calibration = load(file, size, image, unit, up)
     real = select_cameras(calibration.cameras, camera, file)

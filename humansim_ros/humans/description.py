@@ -9,8 +9,7 @@ from pydantic import Field, StringConstraints, ValidationError, model_validator
 
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.human import Skinning
-from humansim_ros.humans.makehuman.paint import Outfit
-from humansim_ros.humans.makehuman.shape import MakeHumanConfig
+from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit
 from humansim_ros.io.schema import Axis, ByteColor, Section
 from humansim_ros.io.schema_errors import Expected, schema_error
 from humansim_ros.io.yaml import read_yaml

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 
-from humansim_ros.body.fitting import fit_skeleton
 from humansim_ros.body.rigging import dominant_bones, rig
 from humansim_ros.body.skeleton import Skeleton, hanim_skeleton
 from humansim_ros.errors import MeshError, warn_about
@@ -27,14 +26,12 @@ from humansim_ros.humans.description import (
 )
 from humansim_ros.humans.figure import to_body_space
 from humansim_ros.humans.human import MAX_BONES, Human, Skinning, human_from_arrays, read_human
-from humansim_ros.humans.makehuman.building import build
 from humansim_ros.humans.makehuman.data import find_data
 from humansim_ros.humans.smpl import is_smpl, read_smpl
 from humansim_ros.io.assets import find_asset
 from humansim_ros.io.files import missing_file, read_bytes, resolve_relative
 from humansim_ros.io.images import MAX_IMAGE_BYTES, decode_image, encode_image
 from humansim_ros.io.npz import MAX_BYTES as MAX_NPZ_BYTES
-from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.load import read_mesh_or_figure
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.mesh_format import MAX_BYTES, MESH_SUFFIXES, format_of, read_format
@@ -148,6 +145,8 @@ def _described(path: Path) -> Human:
         key = content_key([b"makehuman", repr(description).encode(), data.version.encode()])
 
         def make() -> Human:
+            from humansim_ros.humans.makehuman.building import build  # slow to import
+
             arrays = build(data, description.makehuman, description.outfits)
             human = human_from_arrays(arrays, path.stem)
             return replace(human, skinning=description.skinning or "linear")
@@ -198,6 +197,8 @@ def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
     if path.suffix.lower() == ".npz":
         return
     if kind == "gltf":
+        from humansim_ros.mesh.gltf_document import Gltf  # slow to import
+
         yield from Gltf.parse(path, data).external_data()
     elif kind == "obj":
         for file in material_files(path):
@@ -209,6 +210,8 @@ def _content(path: Path, options: MeshHuman) -> Iterable[bytes]:
 
 def _rigged(mesh: Mesh, options: MeshHuman) -> tuple[Mesh, Skeleton, csr_matrix]:
     """Fit a skeleton to a mesh, and rig it."""
+    from humansim_ros.body.fitting import fit_skeleton  # slow to import
+
     fitted, skeleton = fit_skeleton(
         mesh,
         options.skeleton,

@@ -8,7 +8,6 @@ from typing import Literal
 
 import numpy as np
 
-from humansim_ros.mesh.gltf_mesh import read_gltf, read_gltf_materials, read_gltf_scene
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.mesh_format import MeshFormat, read_format
 from humansim_ros.mesh.obj import read_obj, read_obj_materials
@@ -51,7 +50,11 @@ def read_mesh_or_figure(path: str | os.PathLike[str]) -> Mesh | SkinnedMesh:
     Raises MeshError.
     """
     kind, data = read_format(path)
-    return read_gltf(path, data) if kind == "gltf" else _read(path, kind, data)[0]
+    if kind != "gltf":
+        return _read(path, kind, data)[0]
+    from humansim_ros.mesh.gltf_mesh import read_gltf  # slow to import
+
+    return read_gltf(path, data)
 
 
 def read_mesh_z_up(path: str | os.PathLike[str]) -> Mesh:
@@ -67,9 +70,12 @@ def read_materials_z_up(path: str | os.PathLike[str], up: Literal["y", "z"] | No
     their unit and are in metres. Raises MeshError.
     """
     kind, data = read_format(path)
-    if kind in ("gltf", "obj"):
-        read = read_gltf_materials if kind == "gltf" else read_obj_materials
-        return [_to_z_up(mesh, up or ("y" if kind == "gltf" else "z")) for mesh in read(path, data)]
+    if kind == "gltf":
+        from humansim_ros.mesh.gltf_mesh import read_gltf_materials  # slow to import
+
+        return [_to_z_up(mesh, up or "y") for mesh in read_gltf_materials(path, data)]
+    if kind == "obj":
+        return [_to_z_up(mesh, up or "z") for mesh in read_obj_materials(path, data)]
     foreign = read_foreign(path, kind, data)
     mesh = foreign.mesh
     if mesh.colors is None:
@@ -80,6 +86,8 @@ def read_materials_z_up(path: str | os.PathLike[str], up: Literal["y", "z"] | No
 def _read(path: str | os.PathLike[str], kind: MeshFormat, data: bytes) -> tuple[Mesh, str, float]:
     """Mesh, up axis and metres per unit of a file with its format and content."""
     if kind == "gltf":
+        from humansim_ros.mesh.gltf_mesh import read_gltf_scene  # slow to import
+
         return read_gltf_scene(path, data), "y", 1.0
     if kind == "obj":
         return read_obj(path, data), "z", 1.0

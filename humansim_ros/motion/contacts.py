@@ -8,8 +8,8 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d, uniform_filter1d
 
 from humansim_ros.body.skeleton import Skeleton
 from humansim_ros.errors import MotionError
@@ -183,7 +183,9 @@ def _drops(skeleton: Skeleton, hips: Array, goals: Array, standing: NDArray[np.b
     width = 2 * max(1, round(_DROP_TIME / step / 2)) + 1
     for _ in range(2):
         # the mean of maxima over the same window is never below the required value
-        drop = uniform_filter1d(maximum_filter1d(drop, width, mode="nearest"), width, mode="nearest")
+        drop = scipy.ndimage.uniform_filter1d(
+            scipy.ndimage.maximum_filter1d(drop, width, mode="nearest"), width, mode="nearest"
+        )
     return np.asarray(drop)
 
 

@@ -6,9 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError
+from humansim_ros.rotations import (
+    multiply_quaternions,
+    quaternion_to_rotation_vector,
+    rotation_vector_to_quaternion,
+)
 from humansim_ros.types import Array
 
 #: Half the time span of the central differences that give velocities, seconds.
@@ -53,10 +57,8 @@ class JointPoses:
             raise MotionError("these joints have no velocities")
         steps = np.asarray(seconds, dtype=float)[:, None, None]
         positions = self.positions + self.linear * steps
-        delta = Rotation.from_rotvec((self.angular * steps).reshape(-1, 3))
-        rotations = np.broadcast_to(self.rotations, (*positions.shape[:-1], 4)).reshape(-1, 4)
-        rotated = (delta * Rotation.from_quat(rotations)).as_quat()
-        return JointPoses(self.names, positions, rotated.reshape(*positions.shape[:-1], 4))
+        turns = rotation_vector_to_quaternion(self.angular * steps)
+        return JointPoses(self.names, positions, multiply_quaternions(turns, self.rotations))
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +94,5 @@ def central_difference(
     Returns:
         Linear and angular velocity, (..., 3) each.
     """
-    delta = (
-        Rotation.from_quat(rotation_after.reshape(-1, 4))
-        * Rotation.from_quat(rotation_before.reshape(-1, 4)).inv()
-    )
-    return (after - before) / seconds, delta.as_rotvec().reshape(before.shape) / seconds
+    turn = multiply_quaternions(rotation_after, rotation_before * (-1, -1, -1, 1))
+    return (after - before) / seconds, quaternion_to_rotation_vector(turn) / seconds

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
@@ -40,7 +40,8 @@ class KeyframePose:
     @property
     def quaternion(self) -> Array:
         """(..., 4) xyzw of R = Rz Ry Rx: about the fixed x axis first, then y, then z [thesis §9.2]."""
-        rotation = Rotation.from_euler("xyz", self.rotation.reshape(-1, 3), degrees=True)
+        angles = self.rotation.reshape(-1, 3)
+        rotation = scipy.spatial.transform.Rotation.from_euler("xyz", angles, degrees=True)
         return np.asarray(rotation.as_quat().reshape(*self.rotation.shape[:-1], 4))
 
 

@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Literal, Protocol
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike
-from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError
 from humansim_ros.motion.file_frame import FileFrame
@@ -16,7 +16,13 @@ from humansim_ros.motion.joint_match import JointMatch, opposite_joints
 from humansim_ros.motion.joint_poses import VELOCITY_STEP, JointPoses, central_difference
 from humansim_ros.motion.jumps import Jump, find_jumps, joint_path, steady_frames
 from humansim_ros.motion.kinematics import Motion
-from humansim_ros.rotations import WORLD_FROM_BODY, matrix_to_quaternion, quaternion_to_matrix, slerp
+from humansim_ros.rotations import (
+    WORLD_FROM_BODY,
+    matrix_to_quaternion,
+    multiply_quaternions,
+    quaternion_to_matrix,
+    slerp,
+)
 from humansim_ros.types import Array, Indices
 
 MotionLoop = Literal["none", "repeat", "continue"]
@@ -278,9 +284,8 @@ class WorldMotion:
         cycle_rotation, cycle_translation = (part[0] for part in self._cycle_transforms(np.ones(1)))
         unit, axes, offset = self.frame.unit, self._map_from_file, self._translation
         placed = (unit * translations @ axes.T + offset - cycle_translation) @ cycle_rotation
-        back = Rotation.from_matrix(axes.T @ cycle_rotation.T @ axes)
-        rotated = (back * Rotation.from_quat(rotations.reshape(-1, 4))).as_quat().reshape(rotations.shape)
-        return (placed - offset) @ axes / unit, rotated
+        back = scipy.spatial.transform.Rotation.from_matrix(axes.T @ cycle_rotation.T @ axes).as_quat()
+        return (placed - offset) @ axes / unit, multiply_quaternions(back, rotations)
 
     def _to_map(self, translations: Array, rotations: Array) -> tuple[Array, Array]:
         """Positions (N, J, 3) in ``map`` and rotations from rest (N, J, 3, 3) of local poses."""

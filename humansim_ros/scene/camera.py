@@ -6,14 +6,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from humansim_ros.camera import Calibration, Camera, load_calibration
-from humansim_ros.camera.idealize import Ideal, rectify
+from humansim_ros.camera.camera import Camera
+from humansim_ros.camera.ideal import Ideal, rectify
 from humansim_ros.camera.region import Region
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import CameraError, did_you_mean, in_section
@@ -27,6 +28,9 @@ from humansim_ros.scene.faults import FaultSchedule, FrameFaults
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.sensor import Sensor
 from humansim_ros.types import Array, Float32Array
+
+if TYPE_CHECKING:
+    from humansim_ros.camera.calibration import Calibration
 
 
 @dataclass(frozen=True)
@@ -70,7 +74,8 @@ class CameraPose:
         """Pose ``seconds`` later at constant velocity."""
         if self.velocity is None or seconds == 0:
             return self
-        r = self.R @ Rotation.from_rotvec(-seconds * self.velocity.angular).as_matrix()
+        turn = scipy.spatial.transform.Rotation.from_rotvec(-seconds * self.velocity.angular)
+        r = self.R @ turn.as_matrix()
         return CameraPose(r, -r @ (seconds * self.velocity.linear - self.R.T @ self.t), self.velocity)
 
     def toward(self, other: CameraPose, share: float) -> CameraPose:
@@ -317,6 +322,8 @@ def read_cameras(file: str, key: str, config: CameraConfig | RigConfig, source: 
     with in_section(key):
         path = source.find_url(file)
     try:
+        from humansim_ros.camera.calibration import load_calibration  # slow to import
+
         read = load_calibration(
             path,
             size=config.size,

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+import scipy
 
 from humansim_ros.errors import SceneError
 from humansim_ros.mesh.mesh import Mesh
@@ -88,7 +88,7 @@ def clutter(config: SceneConfig, source: SceneSource, obstacles: Obstacles) -> d
         return placed
     area = _area(config, obstacles.humans)
     trees = [
-        (cKDTree(points), distance)
+        (scipy.spatial.cKDTree(points), distance)
         for points, distance in (
             (obstacles.humans, _FROM_HUMANS),
             (obstacles.cameras, _FROM_CAMERAS),

@@ -192,7 +192,7 @@ class HumanConfig(_ShortSection):
     skinning: Literal["linear", "dual_quaternion"] | None = Field(
         default=None, description="skinning function; as the human's file says if absent"
     )
-    motion: MotionConfig = MotionConfig()
+    motion: MotionConfig = MotionConfig.model_construct()
     keyframes: KeyframesConfig | None = Field(
         default=None, description="move, rotate and scale the human on top of the motion"
     )
@@ -332,7 +332,7 @@ class CameraConfig(Section):
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
     roi: RegionConfig | None = Field(default=None, description="region of interest of the sensor")
-    sensor: SensorConfig = Field(default=SensorConfig(), description="model of the sensor")
+    sensor: SensorConfig = Field(default=SensorConfig.model_construct(), description="model of the sensor")
     faults: FaultsConfig | None = Field(default=None, description="faults of the camera; none if absent")
     background: FileName | None = Field(
         default=None, description="image behind everything; the background of the world if absent"
@@ -399,7 +399,7 @@ class RigConfig(_ShortSection):
     binning: tuple[int, int] = Field(
         default=(1, 1), description="pixels of the sensor per pixel along x and y"
     )
-    sensor: SensorConfig = Field(default=SensorConfig(), description="model of the sensors")
+    sensor: SensorConfig = Field(default=SensorConfig.model_construct(), description="model of the sensors")
     faults: FaultsConfig | None = Field(default=None, description="faults of the cameras; none if absent")
     background: FileName | dict[str, FileName] | None = Field(
         default=None,
@@ -567,7 +567,7 @@ class RandomiseConfig(Section):
         default=0, ge=0, le=1000, description="number of random objects on the floor where nobody walks"
     )
     clutter_label: bool = Field(default=False, description="give these objects instance labels")
-    camera_jitter: JitterConfig = JitterConfig()
+    camera_jitter: JitterConfig = JitterConfig.model_construct()
 
 
 class MemberConfig(_ShortSection):
@@ -636,16 +636,18 @@ class SceneConfig(Section):
 
     rate: float = Field(default=30.0, gt=0, le=1000, description="frames per second")
     renderer: RendererName = Field(default="moderngl", description="pyrender is for comparisons")
-    room: RoomConfig | None = Field(default=RoomConfig(), description="furnished room; null for none")
+    room: RoomConfig | None = Field(
+        default=RoomConfig.model_construct(), description="furnished room; null for none"
+    )
     humans: dict[_Name, HumanConfig] = Field(default_factory=dict)
     variety: VarietyConfig | None = Field(default=None, description="random humans besides these")
     objects: dict[_Name, ObjectConfig] = Field(default_factory=dict)
     rig: RigConfig | None = Field(default=None, description="cameras of a calibration file")
     cameras: dict[_Name, CameraConfig] = Field(default_factory=dict)
-    world: WorldConfig = Field(default=WorldConfig(), description="mesh files and background")
-    light: LightConfig = Field(default=LightConfig(), description="light and shadows")
+    world: WorldConfig = Field(default=WorldConfig.model_construct(), description="mesh files and background")
+    light: LightConfig = Field(default=LightConfig.model_construct(), description="light and shadows")
     randomise: RandomiseConfig | None = Field(default=None, description="random looks")
-    time: TimeConfig = Field(default=TimeConfig(), description="real time, or lockstep")
+    time: TimeConfig = Field(default=TimeConfig.model_construct(), description="real time, or lockstep")
 
     @model_validator(mode="after")
     def _has_cameras_and_labels(self) -> SceneConfig:

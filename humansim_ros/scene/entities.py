@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from humansim_ros.motion.joint_poses import JointPoses, Velocity
 from humansim_ros.rotations import matrix_to_quaternion
@@ -44,7 +44,7 @@ class EntityPose:
         ``poses``: joints at one time (N = 1). ``hips``: number of the joint of the hips.
         """
         x, y, _ = poses.positions[0, hips]
-        heading = Rotation.from_quat(poses.rotations[0, hips]).apply([1.0, 0.0, 0.0])
+        heading = scipy.spatial.transform.Rotation.from_quat(poses.rotations[0, hips]).apply([1.0, 0.0, 0.0])
         yaw = np.arctan2(heading[1], heading[0])
         velocity = None
         if poses.linear is not None and poses.angular is not None:
@@ -52,7 +52,8 @@ class EntityPose:
             flat = max(float(heading[:2] @ heading[:2]), 1e-9)  # of somebody who lies on the back
             rate = (heading[0] * change[1] - heading[1] * change[0]) / flat
             velocity = Velocity(poses.linear[0, hips] * (1, 1, 0), np.array([0.0, 0.0, rate]))
-        return cls(np.array([x, y, 0.0]), Rotation.from_euler("z", yaw).as_quat(), velocity)
+        rotation = np.array([0.0, 0.0, np.sin(yaw / 2), np.cos(yaw / 2)])
+        return cls(np.array([x, y, 0.0]), rotation, velocity)
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property, lru_cache
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from humansim_ros.errors import in_section
 from humansim_ros.mesh.load import read_materials_z_up
@@ -93,7 +93,8 @@ def _load_meshes(config: WorldMeshConfig, source: SceneSource, key: str) -> list
     with in_section(f"{key}.file"):
         mesh = source.mesh(config.file)
         meshes = read_materials_z_up(source.find(config.file), config.up_axis) if mesh is None else [mesh]
-    rotation = config.scale * Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_matrix()
+    turn = scipy.spatial.transform.Rotation.from_euler("xyz", config.rotation_deg, degrees=True)
+    rotation = config.scale * turn.as_matrix()
     meshes = [replace(m, vertices=m.vertices @ rotation.T + np.array(config.position)) for m in meshes]
     points = np.concatenate([mesh.vertices for mesh in meshes])
     side = float(np.ptp(points, axis=0).max())

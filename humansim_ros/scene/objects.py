@@ -7,8 +7,8 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError, did_you_mean, in_section, warn_about
 from humansim_ros.mesh.load import read_mesh_z_up
@@ -17,7 +17,12 @@ from humansim_ros.motion.joint_poses import Velocity
 from humansim_ros.motion.keyframe_tracks import KeyframeTrack
 from humansim_ros.motion.keyframes import Keyframes, read_keyframes
 from humansim_ros.render import Body
-from humansim_ros.rotations import quaternion_to_matrix, transform
+from humansim_ros.rotations import (
+    multiply_quaternions,
+    quaternion_to_matrix,
+    rotation_vector_to_quaternion,
+    transform,
+)
 from humansim_ros.scene.config import ObjectConfig, SceneConfig
 from humansim_ros.scene.furniture import FURNITURE
 from humansim_ros.scene.source import SceneSource
@@ -47,9 +52,9 @@ class ObjectPose:
         """Pose ``seconds`` later at constant velocity."""
         if self.velocity is None or seconds == 0:
             return self
-        turn = Rotation.from_rotvec(seconds * self.velocity.angular)
+        turn = rotation_vector_to_quaternion(seconds * self.velocity.angular)
         position = self.position + seconds * self.velocity.linear
-        return replace(self, position=position, rotation=(turn * Rotation.from_quat(self.rotation)).as_quat())
+        return replace(self, position=position, rotation=multiply_quaternions(turn, self.rotation))
 
     @property
     def matrix(self) -> Array:
@@ -123,8 +128,8 @@ class SceneObject:
             color = config.color if colored else FURNITURE[shape].color
         elif colored or (mesh.colors is None and mesh.texture is None):
             mesh = replace(mesh, colors=np.tile(np.array(color, np.uint8), (len(mesh.vertices), 1)))
-        rotation = Rotation.from_euler("xyz", config.rotation_deg, degrees=True).as_quat()
-        pose = ObjectPose(np.array(config.position), rotation, np.array(config.size))
+        turn = scipy.spatial.transform.Rotation.from_euler("xyz", config.rotation_deg, degrees=True)
+        pose = ObjectPose(np.array(config.position), turn.as_quat(), np.array(config.size))
         return cls(name, shape, color, mesh, pose, keyframes, instance)
 
     @property
@@ -137,9 +142,9 @@ class SceneObject:
         if self.keyframes is None:
             return self.initial_pose
         times, key = self.keyframes.around(seconds)
-        turn = Rotation.from_quat(key.quaternion)
+        turn = scipy.spatial.transform.Rotation.from_quat(key.quaternion)
         position = key.position + turn.apply(key.size * self.initial_pose.position)
-        rotation = (turn * Rotation.from_quat(self.initial_pose.rotation)).as_quat()
+        rotation = multiply_quaternions(key.quaternion, self.initial_pose.rotation)
         velocity = Velocity.between(position[::2], rotation[::2], times[2] - times[0])
         return ObjectPose(position[1], rotation[1], key.size[1] * self.initial_pose.size, velocity)
 
@@ -147,10 +152,10 @@ class SceneObject:
         """Transform points (N, P, 3) in ``map`` at scene times (N,) to the mesh at size 1."""
         pose = self.initial_pose
         position, size = np.tile(pose.position, (len(times), 1)), np.tile(pose.size, (len(times), 1))
-        turn = Rotation.from_quat(np.tile(pose.rotation, (len(times), 1)))
+        turn = scipy.spatial.transform.Rotation.from_quat(np.tile(pose.rotation, (len(times), 1)))
         if self.keyframes is not None:
             key = self.keyframes.at(times)
-            moved = Rotation.from_quat(key.quaternion)
+            moved = scipy.spatial.transform.Rotation.from_quat(key.quaternion)
             position = key.position + moved.apply(key.size * position)
             turn, size = moved * turn, key.size * size
         return np.asarray(

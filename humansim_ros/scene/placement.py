@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from humansim_ros.scene.actor import Actor
 from humansim_ros.types import Array
@@ -97,10 +97,10 @@ class Floor:
 
     def __init__(self, room: Sequence[float] | None, things: Array, spacing: float) -> None:
         self._half = None if room is None else np.array(room[:2]) / 2 - _FROM_WALLS
-        self._things = cKDTree(things) if len(things) else None
+        self._things = scipy.spatial.cKDTree(things) if len(things) else None
         self._spacing = spacing
         self._middles = np.zeros((0, 2))
-        self._old: cKDTree | None = None
+        self._old: scipy.spatial.cKDTree | None = None
         self._paths: list[Array] = []
         self._recent: list[Array] = []
 
@@ -115,7 +115,7 @@ class Floor:
         self._recent.append(path.points)
         if len(self._recent) == _GROUP:
             self._paths, self._recent = [*self._paths, *self._recent], []
-            self._old = cKDTree(np.concatenate(self._paths))
+            self._old = scipy.spatial.cKDTree(np.concatenate(self._paths))
 
     def spaced(self, middles: Array) -> NDArray[np.bool_]:
         """Whether middles of paths (N, 2) have the spacing from all others."""
@@ -135,7 +135,7 @@ class Floor:
         """Whether a path moved by each of the shifts (N, 2) is away from things, and from ``humans``."""
         trees = [(self._things, _FROM_THINGS)]
         if humans:
-            recent = cKDTree(np.concatenate(self._recent)) if self._recent else None
+            recent = scipy.spatial.cKDTree(np.concatenate(self._recent)) if self._recent else None
             trees += [(self._old, _FROM_HUMANS), (recent, _FROM_HUMANS)]
         free = np.ones(len(shifts), bool)
         for points in (path.points[::_COARSE], path.points):

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+import scipy
 from pydantic import ValidationError
-from scipy.spatial.transform import Rotation
 
 from humansim_ros.errors import MotionError, in_section
 from humansim_ros.io.schema_errors import schema_error
 from humansim_ros.motion.joint_poses import JointPoses, Velocity
 from humansim_ros.motion.world_motion import WorldMotion
+from humansim_ros.rotations import multiply_quaternions
 from humansim_ros.scene.actor import Actor
 from humansim_ros.scene.camera import CameraPose
 from humansim_ros.scene.config import MotionConfig
@@ -204,7 +205,7 @@ class Playback:
         }
         self.elapsed = self.version = 0
         #: Rotation and translation of each object that was put somewhere else than its keyframes do.
-        self._shifts: dict[str, tuple[Rotation, Array]] = {}
+        self._shifts: dict[str, tuple[scipy.spatial.transform.Rotation, Array]] = {}
 
     def show(self, elapsed: int, pace: float = 1.0) -> ScenePoses:
         """Poses at ``elapsed`` nanoseconds of the scene, with velocities per second of the wall clock.
@@ -279,7 +280,7 @@ class Playback:
         turn, offset = self._shifts[name]
         position, rotation = (
             turn.apply(pose.position) + offset,
-            (turn * Rotation.from_quat(pose.rotation)).as_quat(),
+            multiply_quaternions(turn.as_quat(), pose.rotation),
         )
         velocity = pose.velocity
         if velocity is not None:
@@ -295,7 +296,9 @@ class Playback:
             rotation: (4,) quaternion xyzw.
         """
         pose = self.scene.moving_objects[name].at(self.elapsed * 1e-9)
-        turn = Rotation.from_quat(rotation) * Rotation.from_quat(pose.rotation).inv()
+        turn = scipy.spatial.transform.Rotation.from_quat(
+            multiply_quaternions(rotation, pose.rotation * (-1, -1, -1, 1))
+        )
         self._shifts[name] = turn, position - turn.apply(pose.position)
         self.version += 1
 
@@ -323,7 +326,7 @@ class Playback:
             yaw: Direction that they are to face, radians.
         """
         now, settings = self.human_pose(name), self.settings[name]
-        turn = yaw - Rotation.from_quat(now.rotation).as_euler("xyz")[2]
+        turn = yaw - scipy.spatial.transform.Rotation.from_quat(now.rotation).as_euler("xyz")[2]
         cos, sin = np.cos(turn), np.sin(turn)
         anchor = position + np.array([[cos, -sin], [sin, cos]]) @ (settings.position - now.position[:2])
         return {"position": tuple(anchor.tolist()), "yaw_deg": settings.yaw_deg + float(np.degrees(turn))}

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
+import scipy
 
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.scene.camera import SceneCamera
@@ -99,5 +99,5 @@ def _jitter(camera: SceneCamera, randomise: RandomiseConfig) -> SceneCamera:
     jitter, uniform = randomise.camera_jitter, random_numbers(randomise.seed, f"camera {camera.name}")
     shift = np.array([jitter.position * (2 * uniform() - 1) for _ in range(3)])
     turn = np.radians([jitter.rotation_deg * (2 * uniform() - 1) for _ in range(3)])
-    r = Rotation.from_rotvec(turn).as_matrix() @ camera.whole.R
+    r = scipy.spatial.transform.Rotation.from_rotvec(turn).as_matrix() @ camera.whole.R
     return replace(camera, whole=replace(camera.whole, R=r, t=-r @ (camera.whole.center + shift)))

@@ -6,8 +6,9 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
-from humansim_ros.camera import Calibration, Camera
+from humansim_ros.camera.camera import Camera
 from humansim_ros.camera.placement import RigPlacement, common_point
 from humansim_ros.camera.region import Region
 from humansim_ros.errors import CameraError, SceneError, did_you_mean, in_section
@@ -18,6 +19,9 @@ from humansim_ros.scene.config import RigConfig, SceneConfig, load_config
 from humansim_ros.scene.faults import FaultSchedule
 from humansim_ros.scene.source import SceneSource
 from humansim_ros.sensor import Sensor
+
+if TYPE_CHECKING:
+    from humansim_ros.camera.calibration import Calibration
 
 
 def build_cameras(config: SceneConfig, source: SceneSource) -> dict[str, SceneCamera]:

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from humansim_ros.camera import Camera, resolve_url
+from humansim_ros.camera import Camera
 from humansim_ros.errors import HumansimError, SceneError, in_section, warn_about
 from humansim_ros.humans.human import Human, Skinning
 from humansim_ros.humans.loading import load_human
@@ -81,6 +81,8 @@ class SceneSource:
         if "://" not in name:
             return self.find(name)
         try:
+            from humansim_ros.camera.calibration import resolve_url  # slow to import
+
             path = resolve_url(name)
         except HumansimError as error:
             raise SceneError(f"{name}: {error.message}") from None

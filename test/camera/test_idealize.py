@@ -24,7 +24,7 @@ from waiting import PATIENCE
 
 from humansim_ros.camera import Camera
 from humansim_ros.camera.calibration import read_calibration, write_calibration
-from humansim_ros.camera.idealize import Fit, Ideal, idealize, rectify
+from humansim_ros.camera.ideal import Fit, Ideal, idealize, rectify
 from humansim_ros.errors import CameraError, RenderError
 from humansim_ros.render import GLRenderer
 from humansim_ros.scene.room import furnished_room

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from humansim_ros.camera import Camera
-from humansim_ros.camera.idealize import idealize
+from humansim_ros.camera.ideal import idealize
 from humansim_ros.camera.thesis_cam import (
     CamFile,
     aspect_of,

@@ -22,8 +22,7 @@ from humansim_ros.humans.human import Human
 from humansim_ros.humans.loading import load_human
 from humansim_ros.humans.makehuman.building import build
 from humansim_ros.humans.makehuman.data import MakeHumanData, find_data, read_base
-from humansim_ros.humans.makehuman.paint import Outfit
-from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
+from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
 from humansim_ros.render import Body
 from humansim_ros.rotations import WORLD_FROM_BODY, transform
 

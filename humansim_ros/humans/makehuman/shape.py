@@ -14,7 +14,7 @@ from pydantic import Field, field_validator
 
 from humansim_ros.errors import MeshError
 from humansim_ros.humans.makehuman.data import MakeHumanData, read_base
-from humansim_ros.io.schema import Section, Share
+from humansim_ros.io.schema import ByteColor, Section, Share
 from humansim_ros.types import Array
 
 Race = Literal["african", "asian", "caucasian"]
@@ -40,6 +40,29 @@ _COMBINATIONS = (
 )
 #: Range of the scale factor for a stature, beyond the height slider.
 _TALLEST, _SHORTEST = 1.35, 0.7
+
+
+Fabric = Literal["plain", "knit", "twill", "denim", "stripes", "checks", "dots", "flowers"]
+
+
+class Outfit(Section):
+    """Outfit of a made body: colours (sRGB, 0 to 255) and fabrics."""
+
+    skin: ByteColor = (214, 166, 138)
+    hair: ByteColor = (62, 44, 32)
+    iris: ByteColor = (88, 110, 118)
+    shirt: ByteColor = (152, 44, 46)
+    shirt_fabric: Fabric = "knit"
+    shirt_second: ByteColor = Field(default=(232, 228, 218), description="of patterned fabrics")
+    trousers: ByteColor = (52, 66, 96)
+    trousers_fabric: Fabric = "denim"
+    trousers_second: ByteColor = Field(default=(150, 152, 156), description="of patterned fabrics")
+    belt: ByteColor = (62, 40, 26)
+    shoes: ByteColor = (58, 46, 40)
+    soles: ByteColor = (176, 168, 154)
+    stubble: float = Field(default=0.0, ge=0, le=1, description="strength of a shaved beard")
+    wrinkles: float = Field(default=0.0, ge=0, le=1, description="strength of wrinkles")
+    lips: float = Field(default=0.0, ge=0, le=1, description="strength of lipstick")
 
 
 class MakeHumanConfig(Section):

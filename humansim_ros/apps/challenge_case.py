@@ -22,8 +22,8 @@ import numpy as np
 
 from humansim_ros.errors import EvaluationError, HumansimError, show_warnings
 from humansim_ros.evaluate.evaluation import evaluate_poses
-from humansim_ros.evaluate.names import set_of_names
-from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.evaluate.joint_names import set_of_names
+from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.evaluate.truth import truth_at
 from humansim_ros.keypoints import keypoint_set

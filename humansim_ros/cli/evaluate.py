@@ -112,7 +112,7 @@ def evaluate(
     ] = None,
 ) -> None:
     """Compare estimated 3D poses of people, or detections in images, with the truth."""
-    from humansim_ros.evaluate.readers.image_estimates import is_of_images
+    from humansim_ros.evaluate.readers.detections import is_of_images
 
     for output in filter(None, (json, report)):
         check_output(output)
@@ -143,16 +143,15 @@ def _open_truth(path: Path) -> SceneTruth | RecordedTruth | ExportTruth:
 
 def _poses(truth: Path, estimate: Sequence[str], keypoints: str | None, options: _PoseOptions) -> _Result:
     """Compare 3D poses."""
-    from humansim_ros.evaluate.camera_counts import with_camera_counts
+    from humansim_ros.evaluate.alignment import MAX_OFFSET
     from humansim_ros.evaluate.evaluation import DEFAULT_GATE, evaluate_poses
     from humansim_ros.evaluate.html import html_report
-    from humansim_ros.evaluate.names import read_names, set_of_names
-    from humansim_ros.evaluate.offset import MAX_OFFSET
+    from humansim_ros.evaluate.joint_names import read_names, set_of_names
     from humansim_ros.evaluate.pictures import ScenePictures
     from humansim_ros.evaluate.readers.estimates import read_estimates
-    from humansim_ros.evaluate.readers.options import ReadOptions
+    from humansim_ros.evaluate.readers.pose_files import ReadOptions
     from humansim_ros.evaluate.report import show, to_data
-    from humansim_ros.evaluate.truth import RecordedTruth, SceneTruth
+    from humansim_ros.evaluate.truth import RecordedTruth, SceneTruth, with_camera_counts
     from humansim_ros.keypoints import keypoint_set
 
     late = _seconds(options.offset)
@@ -194,10 +193,9 @@ def _poses(truth: Path, estimate: Sequence[str], keypoints: str | None, options:
 def _images(truth: Path, estimate: Sequence[str], keypoints: str | None, min_score: float | None) -> _Result:
     """Compare detections in images."""
     from humansim_ros.evaluate.html import image_html_report
-    from humansim_ros.evaluate.image_report import show_images
     from humansim_ros.evaluate.images import evaluate_images
-    from humansim_ros.evaluate.readers.image_estimates import read_image_estimates
-    from humansim_ros.evaluate.report import to_data
+    from humansim_ros.evaluate.readers.detections import read_image_estimates
+    from humansim_ros.evaluate.report import show_images, to_data
     from humansim_ros.export.truth import open_image_truth
 
     source = open_image_truth(truth, keypoints)

@@ -1,18 +1,18 @@
-"""Pair the frames of a truth and an estimate by time, and find what makes them impossible to compare."""
+"""Pair the frames and people of a truth and an estimate, and find what makes them impossible to compare."""
 
 from __future__ import annotations
 
 import itertools
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment, minimize_scalar
 
 from humansim_ros.errors import EvaluationError
-from humansim_ros.evaluate.matching import match_people, pair_distances
-from humansim_ros.evaluate.tracks import People, PoseSequence
+from humansim_ros.evaluate.pose_sequence import People, PoseSequence
 from humansim_ros.types import Array, Indices
 
 #: Names of axes of files: map x, y, z as axes of the file.
@@ -21,10 +21,17 @@ AXES = {"z-up": "x,y,z", "y-up": "z,x,y", "y-down": "x,z,-y"}
 _UNIT_FACTOR = 2.0
 #: Frames that the checks of unit and axes look at.
 _CHECKED_FRAMES = 50
-#: Longest time offset that is measured, seconds.
-MAX_OFFSET = 1.0
 #: Stamps from this time on, nanoseconds, are those of a wall clock: 2001.
 _WALL_CLOCK = 10**18
+#: Longest offset that is measured, seconds.
+MAX_OFFSET = 1.0
+#: Poses of the estimate that are compared.
+_SAMPLES = 300
+_STEPS = 101
+#: A wrong offset costs at most this distance, metres: people who are not found do not decide.
+_MOST = 1.0
+#: The cost must rise by this distance, metres, within ``_AROUND`` seconds: else people hardly move.
+_LEAST_RISE, _AROUND = 0.001, 0.1
 
 
 @dataclass(frozen=True)
@@ -217,3 +224,85 @@ def _frames(sequence: PoseSequence, frames: Indices) -> list[People]:
     chosen = frames[frames >= 0]
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, _CHECKED_FRAMES).astype(np.intp))]
     return [sequence.people[frame] for frame in chosen]
+
+
+def measure_offset(truth: PoseSequence, estimate: PoseSequence) -> float | None:
+    """Seconds by which the stamps of the estimate are late, up to :data:`MAX_OFFSET`; None if unknown.
+
+    The mean joint distance to the nearest person of the truth, which is interpolated linearly, is least at
+    that offset. It is unknown if people hardly move. Both have the same joints.
+    """
+    cost = _cost(truth, estimate)
+    if cost is None:
+        return None
+    grid = np.linspace(-MAX_OFFSET, MAX_OFFSET, _STEPS)
+    values = np.array([cost(late) for late in grid])
+    if not np.isfinite(values).any():
+        return None
+    best, step = float(grid[np.nanargmin(values)]), float(grid[1] - grid[0])
+    found = minimize_scalar(
+        cost, bounds=(best - step, best + step), method="bounded", options={"xatol": 1e-5}
+    )
+    late = float(found.x)
+    rise = [cost(late + side) - found.fun for side in (-_AROUND, _AROUND)]
+    return late if np.nanmax([*rise, -np.inf]) > _LEAST_RISE else None
+
+
+def _cost(truth: PoseSequence, estimate: PoseSequence) -> Callable[[float], float] | None:
+    poses = [(time, pose) for time, people in zip(estimate.times, estimate.people, strict=True)
+             for pose in people.values()]  # fmt: skip
+    if not poses or len(truth.times) < 2:
+        return None
+    chosen = [poses[i] for i in np.unique(np.linspace(0, len(poses) - 1, _SAMPLES).astype(np.intp))]
+    start = int(truth.times[0])
+    times = np.array([int(time) - start for time, _ in chosen]) * 1e-9
+    own: Array = np.stack([pose for _, pose in chosen])
+    known = (truth.times - start) * 1e-9
+    names = sorted({name for people in truth.people for name in people})
+    absent = np.full((len(truth.names), 3), np.nan)
+    paths = np.stack([[people.get(name, absent) for name in names] for people in truth.people])
+
+    def cost(late: float) -> float:
+        """Mean distance if the estimate is late by some seconds; NaN if most times are outside the truth."""
+        at = times - late
+        inside = (at >= known[0]) & (at <= known[-1])
+        if inside.mean() < 0.5:
+            return np.nan
+        after = np.clip(np.searchsorted(known, at[inside]), 1, len(known) - 1)
+        share = (at[inside] - known[after - 1]) / (known[after] - known[after - 1])
+        share = share[:, None, None, None]
+        people = (1 - share) * paths[after - 1] + share * paths[after]
+        errors = np.linalg.norm(people - own[inside][:, None], axis=3)
+        common = np.isfinite(errors)
+        count = common.sum(axis=2)
+        mean = np.where(count, np.where(common, errors, 0.0).sum(axis=2) / np.maximum(count, 1), _MOST)
+        return float(np.minimum(mean.min(axis=1), _MOST).mean())
+
+    return cost
+
+
+def pair_distances(truth: Sequence[Array], estimate: Sequence[Array]) -> Array:
+    """Mean distances (T, E) of the joints that two people both have; inf if they have none in common.
+
+    ``truth`` and ``estimate``: joints (C, 3) of each person, NaN where one is absent.
+    """
+    if not truth or not estimate:
+        return np.zeros((len(truth), len(estimate)))
+    errors = np.linalg.norm(np.stack(truth)[:, None] - np.stack(estimate)[None], axis=3)
+    common = np.isfinite(errors)
+    count = common.sum(axis=2)
+    total = np.where(common, errors, 0.0).sum(axis=2)
+    return np.divide(total, count, out=np.full(count.shape, np.inf), where=count > 0)
+
+
+def match_people(distances: Array, gate: float) -> list[tuple[int, int]]:
+    """Pairs (truth, estimate) with the least sum of distances, as many as are within a gate.
+
+    Args:
+        distances: (T, E) mean joint distances, metres.
+        gate: Greatest distance of a pair, metres.
+    """
+    # a pair beyond the gate costs more than any number of pairs within it
+    cost = np.where(distances <= gate, distances, (1.0 + gate) * (1 + min(distances.shape)))
+    rows, columns = linear_sum_assignment(cost)
+    return [(int(r), int(c)) for r, c in zip(rows, columns, strict=True) if distances[r, c] <= gate]

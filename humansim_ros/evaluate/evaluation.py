@@ -10,10 +10,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from humansim_ros.errors import EvaluationError, warn_about
-from humansim_ros.evaluate.alignment import FramePairs, check_axes, check_unit, pair_frames
-from humansim_ros.evaluate.joint_pairs import pair_joints
-from humansim_ros.evaluate.limbs import limbs_of
-from humansim_ros.evaluate.matching import match_people, pair_distances
+from humansim_ros.evaluate.alignment import (
+    FramePairs,
+    check_axes,
+    check_unit,
+    match_people,
+    measure_offset,
+    pair_distances,
+    pair_frames,
+)
+from humansim_ros.evaluate.joint_names import limbs_of, pair_joints
 from humansim_ros.evaluate.metrics import (
     Detections,
     acceleration_errors,
@@ -26,10 +32,8 @@ from humansim_ros.evaluate.metrics import (
     runs,
     velocity_errors,
 )
-from humansim_ros.evaluate.offset import measure_offset
-from humansim_ros.evaluate.timing import Timing, timing
+from humansim_ros.evaluate.pose_sequence import PoseSequence, Timing, timing
 from humansim_ros.evaluate.tracking import TrackedFrame, TrackingScores, similarity, tracking_scores
-from humansim_ros.evaluate.tracks import PoseSequence
 from humansim_ros.types import Array, Indices
 
 #: Greatest mean joint distance of a person who counts as found, metres: that of the recall of [Tu 2020].

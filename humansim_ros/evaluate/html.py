@@ -10,17 +10,8 @@ import numpy as np
 
 from humansim_ros.drawing.markup import Markup, element, joined, page, picture, section, table
 from humansim_ros.evaluate.evaluation import Evaluation, WorstPose
-from humansim_ros.evaluate.image_report import (
-    TITLES,
-    camera_header,
-    camera_rows,
-    image_summary,
-    keypoint_rows,
-    name_rows,
-    pixels,
-)
 from humansim_ros.evaluate.images import ImageEvaluation, WorstImage
-from humansim_ros.evaluate.joint_pairs import body_joint
+from humansim_ros.evaluate.joint_names import body_joint
 from humansim_ros.evaluate.metrics import AUC_THRESHOLDS, pck
 from humansim_ros.evaluate.pictures import (
     ESTIMATE_COLOR,
@@ -30,7 +21,19 @@ from humansim_ros.evaluate.pictures import (
     draw_over,
 )
 from humansim_ros.evaluate.plots import bar_plot, line_plot, pose_plot
-from humansim_ros.evaluate.report import camera_count_rows, millimetres, percent, summary
+from humansim_ros.evaluate.report import (
+    TITLES,
+    camera_count_rows,
+    camera_header,
+    camera_rows,
+    image_summary,
+    keypoint_rows,
+    millimetres,
+    name_rows,
+    percent,
+    pixels,
+    summary,
+)
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.types import Array
 

@@ -10,9 +10,9 @@ from typing import Any
 from humansim_ros.errors import EvaluationError, printable
 from humansim_ros.evaluate.alignment import axes_matrix, seconds
 from humansim_ros.evaluate.evaluation import DEFAULT_GATE, Evaluation, evaluate_poses
-from humansim_ros.evaluate.names import read_names
+from humansim_ros.evaluate.joint_names import read_names
 from humansim_ros.evaluate.readers.estimates import in_map
-from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.evaluate.report import to_data
 from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.evaluate.truth import SceneTruth

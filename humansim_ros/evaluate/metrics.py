@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.evaluate.limbs import LimbEnd
+from humansim_ros.evaluate.joint_names import LimbEnd
 from humansim_ros.rotations import fit_similarity
 from humansim_ros.types import Array, Indices
 

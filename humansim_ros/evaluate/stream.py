@@ -9,7 +9,7 @@ from operator import itemgetter
 import numpy as np
 
 from humansim_ros.errors import EvaluationError, printable
-from humansim_ros.evaluate.tracks import Arrivals, PoseSequence, SequenceBuilder
+from humansim_ros.evaluate.pose_sequence import Arrivals, PoseSequence, SequenceBuilder
 from humansim_ros.messages.people import MAX_PEOPLE, Pose, PoseFrame
 
 #: Most different joint names of an estimate, and most characters of a name: they come from other programs.

@@ -15,9 +15,9 @@ from humansim_ros.camera import Camera
 from humansim_ros.errors import EvaluationError, MeshError
 from humansim_ros.evaluate.images import ImageTruth, image_table
 from humansim_ros.evaluate.pictures import ScenePictures
+from humansim_ros.evaluate.pose_sequence import PoseSequence
 from humansim_ros.evaluate.readers.estimates import is_bag, read_estimates
-from humansim_ros.evaluate.readers.options import ReadOptions
-from humansim_ros.evaluate.tracks import PoseSequence
+from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.evaluate.truth import FIRST_STAMP
 from humansim_ros.export.coco import CHANNELS, CocoWriter, coco_document, scene_categories
 from humansim_ros.export.folder import ExportFolder

@@ -11,8 +11,8 @@ from rclpy.clock_type import ClockType
 from rclpy.qos import QoSProfile
 
 from humansim_ros.errors import HumansimError, RosError, printable
-from humansim_ros.evaluate.readers.bag_topics import topic_pattern, topic_person
-from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.evaluate.readers.estimates import topic_pattern, topic_person
+from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.messages.cdr import deserialised
 from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, read_people
 from humansim_ros.messages.types import message_type

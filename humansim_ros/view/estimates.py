@@ -7,10 +7,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from humansim_ros.errors import EvaluationError, printable
-from humansim_ros.evaluate.alignment import axes_matrix
-from humansim_ros.evaluate.joint_pairs import pair_joints
+from humansim_ros.evaluate.alignment import axes_matrix, match_people, pair_distances
+from humansim_ros.evaluate.joint_names import pair_joints
 from humansim_ros.evaluate.live import LiveOptions
-from humansim_ros.evaluate.matching import match_people, pair_distances
 from humansim_ros.messages.people import Pose, PoseFrame
 from humansim_ros.types import Array
 

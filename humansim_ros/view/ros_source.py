@@ -21,7 +21,7 @@ from rclpy.signals import SignalHandlerOptions
 from humansim_ros import messages
 from humansim_ros.errors import HumansimError, RosError, printable
 from humansim_ros.evaluate.live import LiveOptions
-from humansim_ros.evaluate.readers.bag_topics import topic_pattern
+from humansim_ros.evaluate.readers.estimates import topic_pattern
 from humansim_ros.humans import Human
 from humansim_ros.messages.cdr import check_serialised, deserialised
 from humansim_ros.messages.people import read_people

@@ -6,7 +6,7 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from humansim_ros.evaluate.readers.bag_topics import topic_pattern, topic_person
+from humansim_ros.evaluate.readers.estimates import topic_pattern, topic_person
 from humansim_ros.keypoints import KeypointSet
 from humansim_ros.messages.people import MESSAGE_TYPES
 from humansim_ros.render.channels import CHANNEL_TABLE

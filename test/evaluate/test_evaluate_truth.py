@@ -16,13 +16,19 @@ from humansim_ros.bags.topics import BagTopic, message_types
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.camera.trajectory import Trajectory
 from humansim_ros.errors import BagError, EvaluationError, HumansimWarning
-from humansim_ros.evaluate.camera_counts import camera_counts, with_camera_counts
 from humansim_ros.evaluate.evaluation import evaluate_poses
-from humansim_ros.evaluate.names import set_of_names
-from humansim_ros.evaluate.readers.bag_topics import read_bag_topic
-from humansim_ros.evaluate.readers.options import ReadOptions
-from humansim_ros.evaluate.tracks import PoseSequence
-from humansim_ros.evaluate.truth import FIRST_STAMP, bag_truth, open_truth, scene_truth
+from humansim_ros.evaluate.joint_names import set_of_names
+from humansim_ros.evaluate.pose_sequence import PoseSequence
+from humansim_ros.evaluate.readers.estimates import read_bag_topic
+from humansim_ros.evaluate.readers.pose_files import ReadOptions
+from humansim_ros.evaluate.truth import (
+    FIRST_STAMP,
+    bag_truth,
+    camera_counts,
+    open_truth,
+    scene_truth,
+    with_camera_counts,
+)
 from humansim_ros.keypoints import KeypointLocator, keypoint_set
 
 SCENE = {

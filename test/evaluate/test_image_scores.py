@@ -18,7 +18,7 @@ from pycocotools.coco import COCO
 from pycocotools.cocoeval import COCOeval
 
 from humansim_ros.evaluate.images import Detections2D, ImageTruth, evaluate_images
-from humansim_ros.evaluate.readers.coco_results import encoded_mask
+from humansim_ros.evaluate.readers.detections import encoded_mask
 
 SIZE = (80, 60)
 COCO17 = keypoint_set("coco17")

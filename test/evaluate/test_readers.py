@@ -13,10 +13,10 @@ import pytest
 from evaluate_support import NAMES, PERIOD, pose, walking
 
 from humansim_ros.errors import EvaluationError
-from humansim_ros.evaluate.names import read_names
+from humansim_ros.evaluate.joint_names import read_names
+from humansim_ros.evaluate.pose_sequence import PoseSequence
 from humansim_ros.evaluate.readers.estimates import read_estimates
-from humansim_ros.evaluate.readers.options import ReadOptions
-from humansim_ros.evaluate.tracks import PoseSequence
+from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.messages.people import Pose, read_people
 from humansim_ros.types import Array
 

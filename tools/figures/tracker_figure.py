@@ -17,7 +17,7 @@ sys.path.insert(0, str(ROOT))
 from humansim_ros import Scene, Simulation  # noqa: E402
 from humansim_ros.drawing.canvas import draw_disc, draw_line, draw_text  # noqa: E402
 from humansim_ros.evaluate.readers.estimates import read_estimates  # noqa: E402
-from humansim_ros.evaluate.readers.options import ReadOptions  # noqa: E402
+from humansim_ros.evaluate.readers.pose_files import ReadOptions  # noqa: E402
 from humansim_ros.keypoints import keypoint_set  # noqa: E402
 from humansim_ros.types import Image  # noqa: E402
 

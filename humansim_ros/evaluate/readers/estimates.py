@@ -1,23 +1,24 @@
-"""Read an estimate of any known format."""
+"""Read an estimate of any known format: files, and topics of bags."""
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from humansim_ros.errors import EvaluationError
+from humansim_ros.bags.reader import BagReader
+from humansim_ros.bags.topics import BagTopic, message_types
+from humansim_ros.errors import EvaluationError, did_you_mean, printable, warn_about
 from humansim_ros.evaluate.alignment import axes_matrix
-from humansim_ros.evaluate.readers.bag_topics import read_bag_topic
-from humansim_ros.evaluate.readers.c3d import read_c3d
-from humansim_ros.evaluate.readers.csv_files import read_csv
-from humansim_ros.evaluate.readers.json_files import read_json_3d
-from humansim_ros.evaluate.readers.options import ReadOptions
-from humansim_ros.evaluate.readers.trc import read_trc
-from humansim_ros.evaluate.tracks import PoseSequence, SequenceBuilder
+from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
+from humansim_ros.evaluate.readers.pose_files import ReadOptions, read_c3d, read_csv, read_json_3d, read_trc
+from humansim_ros.evaluate.stream import EstimateStream
 from humansim_ros.io.files import missing_file
+from humansim_ros.messages.people import MESSAGE_TYPES, PoseFrame, read_people
 
 _Reader = Callable[[Path, ReadOptions], PoseSequence]
 #: By suffix: the reader, and the axes of files of that format.
@@ -28,6 +29,10 @@ _READERS: dict[str, tuple[_Reader, str]] = {
     ".json": (read_json_3d, "z-up"),
 }
 _BAG_SUFFIXES = (".mcap", ".db3")
+#: Stamp and log time that differ by more, nanoseconds, are of different clocks.
+_SAME_CLOCK = 3600 * 10**9
+#: Frame of all positions.
+_WORLD = "map"
 
 
 def split_topic(text: str) -> tuple[str, str | None]:
@@ -48,11 +53,11 @@ def read_estimates(texts: Sequence[str], options: ReadOptions) -> PoseSequence:
         EvaluationError: A file is missing, of an unknown kind, empty or damaged, or two have one person.
         BagError: The bag cannot be read.
     """
-    parts = [_read(text, options) for text in texts]
+    parts = [_read_estimate(text, options) for text in texts]
     return parts[0] if len(parts) == 1 else _merged(parts)
 
 
-def _read(text: str, options: ReadOptions) -> PoseSequence:
+def _read_estimate(text: str, options: ReadOptions) -> PoseSequence:
     name, topic = split_topic(text)
     path = Path(name)
     if topic is not None:
@@ -107,3 +112,83 @@ def _merged(parts: Sequence[PoseSequence]) -> PoseSequence:
                 builder.add(time, person, part.names, pose, scores.get(person))
     builder.has_identities = all(part.has_identities for part in parts)
     return builder.build()
+
+
+def topic_pattern(topic: str) -> re.Pattern[str]:
+    """Pattern of topics in which each ``*`` stands for a part without ``/``, as a group."""
+    return re.compile("([^/]+)".join(re.escape(part) for part in topic.split("*")))
+
+
+def topic_person(match: re.Match[str]) -> str | None:
+    """Name of the person that a topic has in place of ``*``; None without ``*``."""
+    return "/".join(match.groups()) or None
+
+
+def read_bag_topic(path: str | os.PathLike[str], topic: str, options: ReadOptions) -> EstimateStream:
+    """Read the people on a topic.
+
+    ``*`` in the name of the topic stands for the name of a person, or any other part without ``/``. Several
+    messages with one stamp on one topic are several people without names. Latencies are those from stamp to
+    log time; unknown if the bag was recorded with a time that stands while a frame is computed.
+
+    Raises:
+        EvaluationError: No topic matches, its type holds no poses, or its messages cannot be read.
+        BagError: The bag cannot be read.
+    """
+    pattern = topic_pattern(topic)
+    source = f"{os.fspath(path)}:{topic}"
+    with BagReader(path) as reader:
+        people = {
+            index: topic_person(match)
+            for index, each in enumerate(reader.topics)
+            if (match := pattern.fullmatch(each.name))
+        }
+        names = [each.name for each in reader.topics]
+        if not people:
+            listed = did_you_mean(topic, names) or f"; it has {_poses_of(reader.topics)}"
+            raise EvaluationError(f"the bag has no topic {topic}{listed}", path=path)
+        for index in people:
+            _check_type(reader.topics[index], path)
+        stream = EstimateStream(source)
+        frames = set[str]()
+        for message in reader.messages([reader.topics[index].name for index in people]):
+            kind = reader.topics[message.topic]
+            try:
+                content = _read_message(message.data, kind.type, options)
+                latency = _latency(content.stamp, message.stamp)
+                stream.add(content, kind.name, message.stamp, people[message.topic], latency)
+            except EvaluationError as error:
+                raise EvaluationError(error.message, path=path, key=kind.name) from None
+            frames.add(content.frame_id)
+    if others := sorted(frames - {"", _WORLD}):
+        warn_about(source, f"frame_id is {printable(others[0], 80)!r}, and is taken as {_WORLD}")
+    return stream
+
+
+def _read_message(data: Any, kind: str, options: ReadOptions) -> PoseFrame:
+    try:
+        content = message_types().deserialize_cdr(bytes(data), kind)
+    except Exception as reason:  # rosbags documents no exceptions for damaged messages
+        raise EvaluationError(f"a message cannot be read: {type(reason).__name__}: {reason}") from None
+    return read_people(kind, content, options.names)
+
+
+def _latency(stamp: int | None, logged: int) -> float | None:
+    """Seconds from stamp to log time; None if they are equal, because simulated time stands in lockstep."""
+    if stamp is None or stamp == logged or abs(logged - stamp) > _SAME_CLOCK:
+        return None
+    return (logged - stamp) * 1e-9
+
+
+def _poses_of(topics: Any) -> str:
+    names = [topic.name for topic in topics if topic.type in MESSAGE_TYPES]
+    return f"poses on {', '.join(names[:5])}" if names else "no topic with poses"
+
+
+def _check_type(topic: BagTopic, path: str | os.PathLike[str]) -> None:
+    if topic.type not in MESSAGE_TYPES:
+        raise EvaluationError(
+            f"{topic.type} holds no poses of people; known are {', '.join(MESSAGE_TYPES)}",
+            path=path,
+            key=topic.name,
+        )

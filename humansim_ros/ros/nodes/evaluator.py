@@ -22,7 +22,7 @@ from sensor_msgs.msg import TimeReference
 from humansim_ros.errors import EvaluationError, HumansimError, RosError, printable
 from humansim_ros.evaluate.evaluation import DEFAULT_GATE, Evaluation
 from humansim_ros.evaluate.live import LiveEvaluation, LiveOptions
-from humansim_ros.evaluate.readers.options import ReadOptions
+from humansim_ros.evaluate.readers.pose_files import ReadOptions
 from humansim_ros.evaluate.report import show
 from humansim_ros.evaluate.truth import SceneTruth
 from humansim_ros.io.files import atomic_path

@@ -1,18 +1,32 @@
-"""Find the joints that a truth and an estimate have in common, by their names."""
+"""Joints that a truth and an estimate have in common, limbs between them, and tables of names."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
 from functools import cache
+from pathlib import Path
 
 from humansim_ros.body.joint_names import JOINT_NAMES, SETS
 from humansim_ros.errors import EvaluationError, did_you_mean, some_of
+from humansim_ros.io.yaml import read_yaml
+from humansim_ros.keypoints import KEYPOINT_SETS, KeypointSet
 
 #: Other spellings of joints, beside those of :mod:`humansim_ros.body.joint_names`.
 _SPELLINGS = {
     "vt3": ("neck", "lower_neck", "upper_neck"),
     "vt3_end": ("head_top", "top_head", "head"),
+}
+#: An end of a limb: a joint, or joints of which it is the middle.
+LimbEnd = tuple[int, ...]
+#: Ends of each limb by group, joints of the package's skeleton.
+_LIMBS = {
+    "upper arms": (("l_shoulder", "l_elbow"), ("r_shoulder", "r_elbow")),
+    "lower arms": (("l_elbow", "l_wrist"), ("r_elbow", "r_wrist")),
+    "upper legs": (("l_hip", "l_knee"), ("r_hip", "r_knee")),
+    "lower legs": (("l_knee", "l_ankle"), ("r_knee", "r_ankle")),
+    "torso": (("l_hip r_hip", "vt3"),),
+    "head": (("vt3", "vt3_end"),),
 }
 
 
@@ -97,3 +111,47 @@ def _check_table(table: Mapping[str, str], truth: Sequence[str], estimate: Seque
                 raise EvaluationError(
                     f"the {kind} has no joint {name!r}{did_you_mean(name, known)}", key="--names"
                 )
+
+
+def limbs_of(names: Sequence[str]) -> tuple[tuple[str, ...], list[tuple[LimbEnd, LimbEnd]]]:
+    """Limbs whose ends are among joints.
+
+    Returns:
+        Group of each limb, such as "upper arms", and the joints at its two ends.
+    """
+    places = {body_joint(name): index for index, name in reversed(list(enumerate(names)))}
+    groups: list[str] = []
+    limbs: list[tuple[LimbEnd, LimbEnd]] = []
+    for group, members in _LIMBS.items():
+        for start, end in members:
+            ends = [tuple(places.get(joint, -1) for joint in each.split()) for each in (start, end)]
+            if all(index >= 0 for each in ends for index in each):
+                groups.append(group)
+                limbs.append((ends[0], ends[1]))
+    return tuple(groups), limbs
+
+
+def set_of_names(names: Sequence[str]) -> KeypointSet | None:
+    """The smallest keypoint set with all these names; None if there is none, or all are joints of bodies."""
+    sets = [each for each in KEYPOINT_SETS.values() if set(names) <= set(each.names)]
+    if not sets or all(body_joint(name) is not None for name in names):
+        return None
+    return min(sets, key=len)
+
+
+def read_names(path: Path) -> dict[str, str] | list[str]:
+    """Read a YAML file: name in the truth by name in the estimate, or the names of points in their order.
+
+    Raises:
+        EvaluationError: It is neither, or a name occurs twice.
+    """
+    content, _ = read_yaml(path, EvaluationError, "name table")
+    words = list(content.values()) if isinstance(content, dict) else content
+    if not isinstance(words, list) or not words or not all(isinstance(word, str) for word in words):
+        raise EvaluationError(
+            "a mapping is needed (name in the estimate: name in the truth), or a list of names", path=path
+        )
+    if len(set(words)) < len(words):
+        twice = next(word for word in words if words.count(word) > 1)
+        raise EvaluationError(f"{twice!r} occurs twice", path=path)
+    return {str(key): value for key, value in content.items()} if isinstance(content, dict) else words

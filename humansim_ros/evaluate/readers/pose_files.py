@@ -1,0 +1,366 @@
+"""Files of 3D poses: CSV, TRC, C3D, and JSON of CMU Panoptic and OpenPose."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from humansim_ros.errors import EvaluationError
+from humansim_ros.evaluate.alignment import axes_matrix
+from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
+from humansim_ros.io.files import open_file, read_text
+from humansim_ros.types import Array
+
+#: Greatest size of a file of poses: as text, an hour of ten people at 30 Hz.
+MAX_BYTES = 1 << 31
+#: Seconds beyond which a time cannot be a stamp in 64 bits.
+_MAX_SECONDS = 9e9
+_AXIS = re.compile(r"(.+?)[_ .:]?([xyz])", re.IGNORECASE)
+_HELP = (
+    "the first line must name the columns: time (seconds), stamp (nanoseconds) or frame; person, if there "
+    "are several; then joint, x, y, z, or three columns of each joint, such as l_knee_x, l_knee_y, l_knee_z"
+)
+#: Metres of each unit.
+UNITS = {"m": 1.0, "dm": 0.1, "cm": 0.01, "mm": 0.001}
+#: Metres of a unit of Panoptic.
+_CENTIMETRE = 0.01
+#: Names of the joints of Panoptic [Joo 2015] by the key of their list.
+_PANOPTIC: dict[str, tuple[str, ...]] = {
+    "joints19": (
+        *("neck", "nose", "mid_hip", "l_shoulder", "l_elbow", "l_wrist", "l_hip", "l_knee", "l_ankle"),
+        *("r_shoulder", "r_elbow", "r_wrist", "r_hip", "r_knee", "r_ankle"),
+        *("l_eye", "l_ear", "r_eye", "r_ear"),
+    ),
+}
+_PANOPTIC["joints15"] = _PANOPTIC["joints19"][:15]
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """Facts that some formats do not state.
+
+    Attributes:
+        names: Names of the points, in their order, for formats without names.
+        period: Nanoseconds between frames, for formats that number frames; 0 if unknown.
+        start: Stamp of frame 0 and of time 0, nanoseconds.
+        axes: Axes of the file, as of ``axes_matrix``; those of its format if None.
+        scale: Metres of a unit of the file, after the unit that the file states.
+    """
+
+    names: tuple[str, ...] | None = None
+    period: int = 0
+    start: int = 0
+    axes: str | None = None
+    scale: float = 1.0
+
+
+def number(text: str, path: str | os.PathLike[str], line: int, key: str) -> float:
+    """A number of a file; NaN for an empty field.
+
+    Args:
+        text: The field.
+        path: File, for messages.
+        line: Line of the file.
+        key: Name of the field.
+
+    Raises:
+        EvaluationError: It is no number; with path, line and key.
+    """
+    text = text.strip()
+    if not text:
+        return math.nan
+    try:
+        return float(text)
+    except ValueError:
+        raise EvaluationError(f"{text[:40]!r} is not a number", path=path, line=line, key=key) from None
+
+
+def nanoseconds(value: float, path: str | os.PathLike[str], line: int, key: str) -> int:
+    """A time as nanoseconds.
+
+    Args:
+        value: Seconds.
+        path: File, for messages.
+        line: Line of the file.
+        key: Name of the field.
+
+    Raises:
+        EvaluationError: It is not finite, or beyond all stamps; with path, line and key.
+    """
+    if not abs(value) < _MAX_SECONDS:
+        raise EvaluationError(f"{value:g} s is no time", path=path, line=line, key=key)
+    return round(value * 1e9)
+
+
+def split_name(label: str, path: Path) -> tuple[str, str]:
+    """Person and joint of a label such as ``anna:l_knee``; the person is that of the file's name without."""
+    person, found, joint = label.rpartition(":")
+    return (person, joint) if found and person and joint else (path.stem, label)
+
+
+def read_csv(path: Path, options: ReadOptions) -> PoseSequence:
+    """Read a CSV file with a line of column names; see docs/evaluation.md. Raises EvaluationError."""
+    text = read_text(path, EvaluationError, "CSV", MAX_BYTES)
+    sample = text[: text.find("\n") + 1] or text
+    separator = max(",;\t", key=sample.count)
+    try:
+        return _read(csv.reader(io.StringIO(text), delimiter=separator), path, options)
+    except csv.Error as reason:
+        raise EvaluationError(f"not valid CSV: {reason}", path=path) from None
+
+
+def _read(rows: Any, path: Path, options: ReadOptions) -> PoseSequence:
+    header = [word.strip() for word in next(rows)]
+    columns = {word.lower(): index for index, word in enumerate(header)}
+    clock = next((word for word in ("time", "stamp", "frame") if word in columns), None)
+    by_joint = {"joint", "x", "y", "z"} <= columns.keys()
+    joints = {} if by_joint else _joint_columns(header)
+    if clock is None or not (by_joint or joints):
+        raise EvaluationError(_HELP, path=path, line=1)
+    if clock == "frame" and not options.period:
+        raise EvaluationError("frame numbers need a truth with more than one frame", path=path, line=1)
+    poses: dict[tuple[int, str], tuple[list[str], list[list[float]], float | None]] = {}
+    for row in rows:
+        line = rows.line_num
+        if not any(field.strip() for field in row):
+            continue
+        if len(row) != len(header):
+            raise EvaluationError(f"{len(row)} fields, but {len(header)} column names", path=path, line=line)
+        time = _csv_time(row[columns[clock]], clock, options, path, line)
+        person = row[columns["person"]].strip() if "person" in columns else "1"
+        score = number(row[columns["score"]], path, line, "score") if "score" in columns else None
+        names, positions, _ = poses.setdefault((time, person), ([], [], score))
+        given = {row[columns["joint"]].strip(): [columns[a] for a in "xyz"]} if by_joint else joints
+        for name, places in given.items():
+            if name in names:
+                raise EvaluationError(
+                    f"joint {name!r} of person {person!r} is given twice for one time", path=path, line=line
+                )
+            names.append(name)
+            positions.append([number(row[place], path, line, header[place]) for place in places])
+    builder = SequenceBuilder(str(path))
+    for (time, person), (names, positions, score) in poses.items():
+        builder.add(time, person, tuple(names), np.array(positions), score)
+    return builder.build()
+
+
+def _csv_time(text: str, clock: str, options: ReadOptions, path: Path, line: int) -> int:
+    if clock == "stamp" and text.strip().lstrip("-").isdecimal():
+        return nanoseconds(int(text) * 1e-9, path, line, clock) and int(text)
+    value = number(text, path, line, clock)
+    if clock == "stamp":
+        return nanoseconds(value * 1e-9, path, line, clock)
+    if clock == "frame":
+        return options.start + nanoseconds(value * options.period * 1e-9, path, line, clock)
+    return nanoseconds(value, path, line, clock)
+
+
+def _joint_columns(header: Sequence[str]) -> dict[str, list[int]]:
+    """Columns of x, y, z by joint; only joints with all three."""
+    found: dict[str, dict[str, int]] = {}
+    for index, word in enumerate(header):
+        if (match := _AXIS.fullmatch(word)) and word.lower() not in ("x", "y", "z"):
+            found.setdefault(match[1], {})[match[2].lower()] = index
+    return {name: [axes[a] for a in "xyz"] for name, axes in found.items() if len(axes) == 3}
+
+
+def read_trc(path: Path, options: ReadOptions) -> PoseSequence:
+    """Read a TRC file; times count from the start of the truth, positions are converted to metres.
+
+    A marker ``anna:l_knee`` is of person anna; others are of the person after whom the file is named.
+    Raises EvaluationError.
+    """
+    lines = read_text(path, EvaluationError, "TRC", MAX_BYTES).splitlines()
+    if len(lines) < 6 or not lines[0].startswith("PathFileType"):
+        raise EvaluationError("not a TRC file: it must begin with PathFileType", path=path, line=1)
+    facts = dict(zip(lines[1].split("\t"), lines[2].split("\t"), strict=False))
+    unit = facts.get("Units", "").strip()
+    if unit not in UNITS:
+        known = ", ".join(UNITS)
+        raise EvaluationError(f"unknown unit {unit!r}; known are {known}", path=path, line=3, key="Units")
+    markers = [split_name(word.strip(), path) for word in lines[3].split("\t")[2:] if word.strip()]
+    if not markers:
+        raise EvaluationError("no marker names", path=path, line=4)
+    people: dict[str, list[int]] = {}
+    for index, (person, _) in enumerate(markers):
+        people.setdefault(person, []).append(index)
+    builder = SequenceBuilder(str(path))
+    for line, text in enumerate(lines[5:], 6):
+        fields = text.split("\t")
+        if not text.strip():
+            continue
+        values = [number(field, path, line, f"column {i}") for i, field in enumerate(fields[:2], 1)]
+        values += [number(field, path, line, f"column {i}") for i, field in enumerate(fields[2:], 3)]
+        while len(values) > 2 + 3 * len(markers) and np.isnan(values[-1]):
+            values.pop()  # separators at the end of the line
+        values += [np.nan] * (2 + 3 * len(markers) - len(values))
+        if len(values) != 2 + 3 * len(markers):
+            raise EvaluationError(
+                f"{len(values)} numbers, but {2 + 3 * len(markers)} for {len(markers)} markers",
+                path=path,
+                line=line,
+            )
+        time = options.start + nanoseconds(values[1], path, line, "Time")
+        positions = UNITS[unit] * np.array(values[2:]).reshape(-1, 3)
+        for person, indices in people.items():
+            names = tuple(markers[i][1] for i in indices)
+            builder.add(time, person, names, positions[indices])
+    return builder.build()
+
+
+def read_c3d(path: Path, options: ReadOptions) -> PoseSequence:
+    """Read the points of a C3D file; times count from the start of the truth, positions become metres.
+
+    A label ``anna:l_knee`` is of person anna; others are of the person after whom the file is named.
+    Raises EvaluationError.
+    """
+    open_file(path, EvaluationError, "C3D", MAX_BYTES).close()
+    labels, unit, rate, first, points = _points(path)
+    if unit not in UNITS:
+        raise EvaluationError(
+            f"unknown unit {unit!r}; known are {', '.join(UNITS)}", path=path, key="POINT:UNITS"
+        )
+    if not rate > 0:
+        raise EvaluationError("the rate must be positive", path=path, key="POINT:RATE")
+    markers = [split_name(label, path) for label in labels]
+    people: dict[str, list[int]] = {}
+    for index, (person, _) in enumerate(markers):
+        people.setdefault(person, []).append(index)
+    builder = SequenceBuilder(str(path))
+    for frame, positions in enumerate(points * UNITS[unit], first):
+        for person, indices in people.items():
+            names = tuple(markers[i][1] for i in indices)
+            builder.add(options.start + round(frame * 1e9 / rate), person, names, positions[indices])
+    return builder.build()
+
+
+def _points(path: Path) -> tuple[list[str], str, float, int, Array]:
+    """Labels (K), unit, frames per second, number of the first frame from 0, and points (F, K, 3)."""
+    try:
+        import ezc3d
+    except ImportError:
+        raise EvaluationError(
+            "C3D files need the library ezc3d; install it with: pip install 'humansim_ros[evaluate]'",
+            path=path,
+        ) from None
+    try:
+        file: Any = ezc3d.c3d(str(path))
+        facts = file["parameters"]["POINT"]
+        points = np.transpose(np.asarray(file["data"]["points"], dtype=float)[:3], (2, 1, 0))
+        labels = [str(label) for label in facts["LABELS"]["value"]][: points.shape[1]]
+        unit, rate = str(facts["UNITS"]["value"][0]), float(facts["RATE"]["value"][0])
+        first = int(file["header"]["points"]["first_frame"])
+    except Exception as reason:  # the library documents no exceptions
+        raise EvaluationError(f"not a C3D file that can be read: {reason}", path=path) from None
+    return labels, unit, rate, first, points
+
+
+def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:
+    """Read a folder with a file a frame, or one such file. The folder may be a sequence of Panoptic.
+
+    Positions of Panoptic (centimetres, y down) become those of ``map``. The last number in the name of a
+    file is its frame. Raises EvaluationError.
+    """
+    sequence = sorted(path.glob("hdPose3d_*/*.json"))
+    files = (sequence or sorted(path.glob("*.json"))) if path.is_dir() else [path]
+    if not files:
+        raise EvaluationError("there are no .json files in this folder", path=path)
+    builder = SequenceBuilder(str(path))
+    for file in files:
+        content = load_json(file)
+        time = _file_time(file, options)
+        builder.add_frame(time)
+        if isinstance(content.get("bodies"), list):
+            _add_panoptic(builder, time, content["bodies"], file, options)
+        elif isinstance(content.get("people"), list):
+            _add_openpose(builder, time, content["people"], file, options)
+        else:
+            raise EvaluationError("neither Panoptic (key bodies) nor OpenPose (key people)", path=file)
+    return builder.build()
+
+
+def load_json(path: Path) -> dict[str, Any]:
+    """Content of a JSON file, a mapping. Raises EvaluationError."""
+    text = read_text(path, EvaluationError, "JSON", MAX_BYTES)
+    try:
+        content = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as reason:
+        line = getattr(reason, "lineno", None)
+        raise EvaluationError(f"not valid JSON: {reason}", path=path, line=line) from None
+    if not isinstance(content, dict):
+        raise EvaluationError("a list at the top; 3D poses of Panoptic or OpenPose are a mapping", path=path)
+    return content
+
+
+def _file_time(path: Path, options: ReadOptions) -> int:
+    numbers = re.findall(r"\d+", path.stem.replace("body3DScene", "").replace("_keypoints", ""))
+    if not numbers:
+        raise EvaluationError("the name of the file needs the number of its frame at the end", path=path)
+    if not options.period:
+        raise EvaluationError("frame numbers need a truth with more than one frame", path=path)
+    return options.start + int(numbers[-1][-12:]) * options.period
+
+
+def _add_panoptic(
+    builder: SequenceBuilder, time: int, bodies: Sequence[Any], path: Path, options: ReadOptions
+) -> None:
+    to_map = np.eye(3) if options.axes else axes_matrix("y-down")
+    for body in bodies:
+        key = next((key for key in _PANOPTIC if isinstance(body, dict) and key in body), None)
+        if key is None:
+            raise EvaluationError(f"a body without {' or '.join(_PANOPTIC)}", path=path, key="bodies")
+        values = _matrix(body[key], 4, path, f"bodies.{key}")
+        if len(values) != len(_PANOPTIC[key]):
+            raise EvaluationError(f"{len(values)} joints", path=path, key=f"bodies.{key}")
+        values[values[:, 3] < 0] = np.nan  # Panoptic marks joints that were not seen so
+        person = body.get("id")
+        score = body.get("score")
+        builder.add(
+            time,
+            None if person is None else str(person),
+            _PANOPTIC[key],
+            _CENTIMETRE * values[:, :3] @ to_map.T,
+            float(score) if isinstance(score, (int, float)) else None,
+        )
+
+
+def _add_openpose(
+    builder: SequenceBuilder, time: int, people: Sequence[Any], path: Path, options: ReadOptions
+) -> None:
+    for person in people:
+        points = person.get("pose_keypoints_3d") if isinstance(person, dict) else None
+        if not points:
+            raise EvaluationError(
+                "these are 2D keypoints of one camera (pose_keypoints_3d is empty); give a 3D estimate",
+                path=path,
+                key="people",
+            )
+        values = _matrix(points, 4, path, "people.pose_keypoints_3d")
+        if options.names is None or len(options.names) != len(values):
+            known = f"the set has {len(options.names)}" if options.names else "give --keypoints"
+            raise EvaluationError(f"{len(values)} keypoints without names; {known}", path=path, key="people")
+        values[values[:, 3] <= 0] = np.nan  # OpenPose marks absent keypoints so
+        number = person.get("person_id", [-1])
+        number = number[0] if isinstance(number, list) and number else number
+        name = str(number) if isinstance(number, int) and number >= 0 else None
+        builder.add(time, name, options.names, values[:, :3])
+
+
+def _matrix(values: Any, columns: int, path: Path, key: str) -> Array:
+    try:
+        numbers = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        raise EvaluationError("not a list of numbers", path=path, key=key) from None
+    if numbers.ndim != 1 or len(numbers) % columns or not len(numbers):
+        raise EvaluationError(f"the numbers must come in groups of {columns}", path=path, key=key)
+    return numbers.reshape(-1, columns)

@@ -1,8 +1,9 @@
 """Chunks of messages: the unit in which a bag is encoded, compressed, appended and found again.
 
 A chunk is an MCAP Chunk record with its MessageIndex records. Its bytes do not depend on its place in the
-file, so that workers encode chunks and one process appends them. This module is the only one that writes
-records by hand; all other records are written by the mcap library.
+file: workers encode chunks, and one process appends them. The mcap library would copy the messages four times
+(2.5 MB of images: 3.9 ms instead of 0.4 ms to encode, 2.7 ms instead of 0.4 ms to decode). Therefore this
+module encodes and decodes Chunk, Message and MessageIndex records itself.
 """
 
 from __future__ import annotations
@@ -13,9 +14,10 @@ import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import chain
 from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias, get_args
 
-from humansim_ros.bags.libraries import needs_libraries
+from humansim_ros.bags import needs_libraries
 from humansim_ros.errors import BagError
 
 if TYPE_CHECKING:
@@ -26,24 +28,25 @@ Buffer: TypeAlias = bytes | bytearray | memoryview
 Compression: TypeAlias = Literal["none", "zstd", "lz4"]
 COMPRESSIONS: tuple[Compression, ...] = get_args(Compression)
 
-_CHUNK, _MESSAGE, _MESSAGE_INDEX = 0x06, 0x05, 0x07
+#: Bytes to which direct writing to a disk needs places in files and memory aligned.
+BLOCK = 4096
+MESSAGE, CHUNK, MESSAGE_INDEX = 0x05, 0x06, 0x07
 #: Opcode and length, which begin every record.
 RECORD = struct.Struct("<BQ")
-#: Start, end, size of the records before compression, their CRC, length of the name of the compression.
-_CHUNK_HEAD = struct.Struct("<QQQII")
+#: Opcode, length, start, end, size before compression, checksum, length of the name of the compression.
+_CHUNK_HEAD = struct.Struct("<BQQQQII")
 _SIZE = struct.Struct("<Q")
 #: Opcode, length, channel, sequence, log time, publish time.
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")
 #: The same without opcode and length.
 _MESSAGE_CONTENT = struct.Struct("<HIQQ")
-#: Opcode, length, channel, size of the entries.
+#: Opcode, length, channel, size of the entries; an entry is log time and offset in the chunk, 8 bytes each.
 _INDEX_HEAD = struct.Struct("<BQHI")
-#: Log time, offset in the records of the chunk.
-_INDEX_ENTRY = struct.Struct("<QQ")
+_INDEX_ENTRY = 16
 #: Compression level of zstd: level 3 makes rendered frames 12 % smaller in twice the time.
 _ZSTD_LEVEL = 1
 #: A chunk that claims to be larger is damaged: nothing writes chunks of this size.
-MAX_CHUNK = 1 << 32
+_MAX_CHUNK = 1 << 32
 
 
 class BagMessage(NamedTuple):
@@ -90,7 +93,7 @@ class Chunk:
     def index_lengths(self) -> Iterator[tuple[int, int]]:
         """Index of the topic and number of bytes of each MessageIndex record, in their order."""
         for topic, count in self.counts.items():
-            yield topic, _INDEX_HEAD.size + count * _INDEX_ENTRY.size
+            yield topic, _INDEX_HEAD.size + count * _INDEX_ENTRY
 
     def data(self) -> Buffer:
         """The bytes in one buffer."""
@@ -132,7 +135,7 @@ def encode_chunk(messages: Sequence[BagMessage], compression: Compression = "non
         view = memoryview(data).cast("B")
         length = _MESSAGE_HEAD.size + view.nbytes
         sent = stamp if published is None else max(0, published)  # headers can have times before 1970
-        head = _MESSAGE_HEAD.pack(_MESSAGE, length - RECORD.size, topic + 1, 0, stamp, sent)
+        head = _MESSAGE_HEAD.pack(MESSAGE, length - RECORD.size, topic + 1, 0, stamp, sent)
         crc = zlib.crc32(view, zlib.crc32(head, crc))
         parts += (head, view)
         entries.setdefault(topic, []).append((stamp, offset))
@@ -143,11 +146,11 @@ def encode_chunk(messages: Sequence[BagMessage], compression: Compression = "non
         parts, compressed_size = [compressed], len(compressed)
     name = b"" if compression == "none" else compression.encode()
     start, end = min(m.stamp for m in messages), max(m.stamp for m in messages)
-    head = b"".join((_CHUNK_HEAD.pack(start, end, offset, crc, len(name)), name, _SIZE.pack(compressed_size)))
-    length = len(head) + compressed_size
+    length = _CHUNK_HEAD.size + len(name) + _SIZE.size + compressed_size
+    head = _CHUNK_HEAD.pack(CHUNK, length - RECORD.size, start, end, offset, crc, len(name))
     return Chunk(
-        buffers=(RECORD.pack(_CHUNK, length) + head, *parts, _index_records(entries)),
-        chunk_length=RECORD.size + length,
+        buffers=(head + name + _SIZE.pack(compressed_size), *parts, _index_records(entries)),
+        chunk_length=length,
         start=start,
         end=end,
         compression=name.decode(),
@@ -161,10 +164,11 @@ def _index_records(entries: Mapping[int, Sequence[tuple[int, int]]]) -> bytes:
     """MessageIndex records: log time and offset of each message, for each topic."""
     records = []
     for topic in sorted(entries):
-        size = len(entries[topic]) * _INDEX_ENTRY.size
-        length = _INDEX_HEAD.size - RECORD.size + size
-        records.append(_INDEX_HEAD.pack(_MESSAGE_INDEX, length, topic + 1, size))
-        records += [_INDEX_ENTRY.pack(*entry) for entry in entries[topic]]
+        size = len(entries[topic]) * _INDEX_ENTRY
+        records.append(
+            _INDEX_HEAD.pack(MESSAGE_INDEX, _INDEX_HEAD.size - RECORD.size + size, topic + 1, size)
+        )
+        records.append(struct.pack(f"<{size // 8}Q", *chain.from_iterable(entries[topic])))
     return b"".join(records)
 
 
@@ -196,7 +200,15 @@ def chunk_records(record: Buffer) -> Iterator[tuple[int, memoryview]]:
     Raises:
         BagError: The chunk is damaged, or its compression is not known.
     """
-    data = _records_of(memoryview(record).cast("B"))
+    whole = memoryview(record).cast("B")
+    chunk, crc, position = _read_head(whole)
+    if whole.nbytes != chunk.chunk_length:
+        raise BagError("a damaged chunk: it is not whole")
+    data = _decompressed(whole[position:], chunk.compression, chunk.uncompressed_size)
+    if data.nbytes != chunk.uncompressed_size:
+        raise BagError("a damaged chunk: its size is wrong")
+    if crc and zlib.crc32(data) != crc:
+        raise BagError("a damaged chunk: its checksum is wrong")
     position = 0
     while position < data.nbytes:
         if position + RECORD.size > data.nbytes:
@@ -227,67 +239,40 @@ def chunk_messages(record: Buffer) -> list[BagMessage]:
     Raises:
         BagError: The chunk is damaged, or its compression is not known.
     """
-    return [message_of(content) for opcode, content in chunk_records(record) if opcode == _MESSAGE]
-
-
-class ChunkHead(NamedTuple):
-    """Fields at the start of a Chunk record; ``position``: first byte of the messages in the record."""
-
-    start: int
-    end: int
-    uncompressed_size: int
-    crc: int
-    compression: str
-    compressed_size: int
-    position: int
-
-    @classmethod
-    def read(cls, record: Buffer) -> ChunkHead:
-        """Read the fields from the first ``HEAD_SIZE`` bytes of a Chunk record, or more.
-
-        Raises:
-            BagError: The header is damaged.
-        """
-        try:
-            start, end, size, crc, name_length = _CHUNK_HEAD.unpack_from(record, RECORD.size)
-            position = RECORD.size + _CHUNK_HEAD.size
-            name = bytes(record[position : position + name_length]).decode()
-            position += name_length
-            (compressed_size,) = _SIZE.unpack_from(record, position)
-        except (struct.error, UnicodeDecodeError):
-            raise BagError("a damaged chunk: its header is not whole") from None
-        _, length = RECORD.unpack_from(record)
-        position += _SIZE.size
-        if start > end or size > MAX_CHUNK or position + compressed_size != RECORD.size + length:
-            raise BagError("a damaged chunk: its header is wrong")
-        return cls(start, end, size, crc, name, compressed_size, position)
+    return [message_of(content) for opcode, content in chunk_records(record) if opcode == MESSAGE]
 
 
 #: Bytes that hold the head of a Chunk record; names of compressions are shorter than 23 characters.
 HEAD_SIZE = 80
 
 
-def index_count(record: Buffer) -> tuple[int, int]:
-    """Index of the topic and number of messages, from the first bytes of a MessageIndex record."""
+def read_chunk_head(record: Buffer) -> Chunk:
+    """The chunk of a Chunk record, without bytes and counts, from its first ``HEAD_SIZE`` bytes or more.
+
+    Raises:
+        BagError: The head is damaged.
+    """
+    return _read_head(record)[0]
+
+
+def _read_head(record: Buffer) -> tuple[Chunk, int, int]:
+    """The chunk without bytes and counts, its checksum, and the position of its records."""
+    try:
+        _, length, start, end, size, crc, name_length = _CHUNK_HEAD.unpack_from(record)
+        name = bytes(record[_CHUNK_HEAD.size : _CHUNK_HEAD.size + name_length]).decode()
+        (compressed_size,) = _SIZE.unpack_from(record, _CHUNK_HEAD.size + name_length)
+    except (struct.error, UnicodeDecodeError):
+        raise BagError("a damaged chunk: its header is not whole") from None
+    position = _CHUNK_HEAD.size + name_length + _SIZE.size
+    if start > end or size > _MAX_CHUNK or position + compressed_size != RECORD.size + length:
+        raise BagError("a damaged chunk: its header is wrong")
+    return Chunk((), RECORD.size + length, start, end, name, compressed_size, size, {}), crc, position
+
+
+def read_index_head(record: Buffer) -> tuple[int, int]:
+    """Index of the topic and number of messages of a MessageIndex record, from its first bytes."""
     _, _, channel, size = _INDEX_HEAD.unpack_from(record)
-    return channel - 1, size // _INDEX_ENTRY.size
-
-
-INDEX_HEAD_SIZE = _INDEX_HEAD.size
-
-
-def _records_of(record: memoryview) -> memoryview:
-    """The records in a Chunk record, decompressed."""
-    head = ChunkHead.read(record)
-    data = record[head.position :]
-    if data.nbytes != head.compressed_size:
-        raise BagError("a damaged chunk: it is not whole")
-    data = _decompressed(data, head.compression, head.uncompressed_size)
-    if data.nbytes != head.uncompressed_size:
-        raise BagError("a damaged chunk: its size is wrong")
-    if head.crc and zlib.crc32(data) != head.crc:
-        raise BagError("a damaged chunk: its checksum is wrong")
-    return data
+    return channel - 1, size // _INDEX_ENTRY
 
 
 def _decompressed(data: memoryview, compression: str, size: int) -> memoryview:

@@ -1,4 +1,4 @@
-"""``metadata.yaml`` of a bag, version 9, as rosbag2 of ROS 2 Jazzy writes it."""
+"""Storages of bags, and ``metadata.yaml`` (version 9) as rosbag2 of ROS 2 Jazzy writes it."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, TypeAlias
 
 import yaml
 
@@ -14,8 +14,9 @@ from humansim_ros.bags.topics import BagTopic, Qos
 from humansim_ros.errors import BagError
 from humansim_ros.io.files import read_bytes
 
+Storage: TypeAlias = Literal["mcap", "sqlite3"]
+SUFFIXES: dict[Storage, str] = {"mcap": ".mcap", "sqlite3": ".db3"}
 NAME = "metadata.yaml"
-_VERSION = 9
 #: Start of a bag without messages, as rosbag2 writes it.
 _NEVER = (1 << 63) - 1
 # libyaml writes the same text ten times faster
@@ -68,7 +69,7 @@ def metadata_text(
     for _, content in files:
         whole.add(content.counts, content.start, content.end)
     information = {
-        "version": _VERSION,
+        "version": 9,
         "storage_identifier": storage,
         **_times(whole),
         "message_count": whole.total,
@@ -131,18 +132,16 @@ def topics_in(information: Mapping[str, Any]) -> list[BagTopic]:
     for each in information.get("topics_with_message_count") or []:
         with suppress(LookupError, AttributeError, TypeError, ValueError):
             topic = each["topic_metadata"]
-            profiles = topic.get("offered_qos_profiles") or []
-            qos = tuple(Qos.from_yaml(profile) for profile in profiles)
-            topics.append(
-                BagTopic(
-                    str(topic["name"]),
-                    str(topic["type"]),
-                    qos,
-                    "",
-                    str(topic.get("type_description_hash", "")),
-                )
-            )
+            qos = tuple(Qos.from_yaml(profile) for profile in topic.get("offered_qos_profiles") or [])
+            name, kind, type_hash = topic["name"], topic["type"], topic.get("type_description_hash", "")
+            topics.append(BagTopic(str(name), str(kind), qos, "", str(type_hash)))
     return topics
+
+
+def custom_in(information: Mapping[str, Any]) -> dict[str, str]:
+    """Texts of the user in such metadata."""
+    custom = information.get("custom_data")
+    return {str(key): str(text) for key, text in custom.items()} if isinstance(custom, dict) else {}
 
 
 def write_metadata(folder: Path, text: str) -> None:

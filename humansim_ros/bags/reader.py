@@ -9,31 +9,19 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path, PurePath
 from types import TracebackType
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
-from humansim_ros.bags.chunks import BagMessage, Chunk
-from humansim_ros.bags.libraries import needs_libraries
-from humansim_ros.bags.metadata import Content, read_metadata
-from humansim_ros.bags.storages import SUFFIXES, Storage
+from humansim_ros.bags import needs_libraries
+from humansim_ros.bags.chunks import BagMessage
+from humansim_ros.bags.metadata import SUFFIXES, Content, Storage, custom_in, read_metadata
 from humansim_ros.bags.topics import BagTopic
 from humansim_ros.errors import BagError, did_you_mean, warn_about
 
+if TYPE_CHECKING:
+    from humansim_ros.bags.mcap_file import McapInput
+    from humansim_ros.bags.sqlite_file import SqliteInput
+
 _FOREVER = (1 << 63) - 1
-
-
-class BagInput(Protocol):
-    """A file of a bag that is read. ``whole``: the file was finished."""
-
-    path: Path
-    topics: list[BagTopic]
-    content: Content
-    whole: bool
-
-    def messages(self, topics: Collection[int], start: int, end: int) -> Iterator[BagMessage]:
-        """Messages of some topics, from a log time up to one that is excluded, in order of time."""
-
-    def close(self) -> None:
-        """Close the file."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +60,7 @@ class BagReader:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
-        self._inputs: list[BagInput] = []
+        self._inputs: list[McapInput | SqliteInput] = []
         storage, paths, metadata = _files(self.path)
         try:
             for file in paths:
@@ -107,7 +95,6 @@ class BagReader:
             for index, number in each.content.counts.items():
                 content.add({indices[index]: number}, each.content.start, each.content.end)
         files = tuple(each.path for each in self._inputs)
-        custom = metadata.get("custom_data")
         return BagInfo(
             storage=storage,
             files=files,
@@ -116,7 +103,7 @@ class BagReader:
             start=content.start,
             end=content.end,
             whole=all(each.whole for each in self._inputs),
-            custom={str(key): str(text) for key, text in custom.items()} if isinstance(custom, dict) else {},
+            custom=custom_in(metadata),
         )
 
     def messages(
@@ -154,24 +141,11 @@ class BagReader:
 
     @staticmethod
     def _messages_of(
-        each: BagInput, indices: Sequence[int], wanted: Collection[int], start: int, end: int
+        each: McapInput | SqliteInput, indices: Sequence[int], wanted: Collection[int], start: int, end: int
     ) -> Iterator[BagMessage]:
         own = {index for index, place in enumerate(indices) if place in wanted}
         for message in each.messages(own, start, end):
             yield message._replace(topic=indices[message.topic])
-
-    def groups(self) -> Iterator[list[Chunk]]:
-        """Chunks of each whole group with their bytes, as they were appended; for bags of humansim in MCAP.
-
-        Raises:
-            BagError: The bag was written by another program, or is not in MCAP.
-        """
-        from humansim_ros.bags.mcap_reading import McapInput
-
-        for each in self._inputs:
-            if not isinstance(each, McapInput):
-                raise BagError("only bags in MCAP consist of chunks", path=self.path)
-            yield from each.groups()
 
     def close(self) -> None:
         """Close the files."""
@@ -187,10 +161,10 @@ class BagReader:
         self.close()
 
 
-def _open(storage: Storage, path: Path) -> BagInput:
+def _open(storage: Storage, path: Path) -> McapInput | SqliteInput:
     with needs_libraries():
-        from humansim_ros.bags.mcap_reading import McapInput
-        from humansim_ros.bags.sqlite_reading import SqliteInput
+        from humansim_ros.bags.mcap_file import McapInput
+        from humansim_ros.bags.sqlite_file import SqliteInput
     return McapInput(path) if storage == "mcap" else SqliteInput(path)
 
 

@@ -1,22 +1,29 @@
-"""One sqlite3 file of a bag, with the tables of rosbag2 (schema version 4).
+"""One sqlite3 file of a bag, with the tables of rosbag2 (schema version 4): append, continue, read.
 
 Each group is one transaction, so that a killed process leaves whole groups; ``user_version`` counts them.
+
+The classes of rosbags do not do: its writer has one transaction for the whole bag, of which a killed process
+leaves nothing; its reader ignores locks and the journal of a killed process, and refuses a bag with a type
+whose definition is unknown.
 """
 
 from __future__ import annotations
 
 import errno
+import os
 import sqlite3
-from collections.abc import Iterator, Sequence
+import struct
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
+from urllib.parse import quote
 
-from humansim_ros.bags.chunks import Chunk, chunk_messages
+from humansim_ros.bags.chunks import BagMessage, Chunk, chunk_messages
 from humansim_ros.bags.metadata import Content
-from humansim_ros.bags.sqlite_reading import SqliteInput, connect
-from humansim_ros.bags.topics import BagTopic, qos_text
-from humansim_ros.errors import BagError
+from humansim_ros.bags.topics import BagTopic, qos_of_text, qos_text
+from humansim_ros.errors import BagError, warn_about
+from humansim_ros.io.files import ANY_SIZE, open_file
 
 _TABLES = """
 CREATE TABLE schema(schema_version INTEGER PRIMARY KEY, ros_distro TEXT NOT NULL);
@@ -33,12 +40,21 @@ INSERT INTO schema(schema_version, ros_distro) VALUES (4, 'jazzy');
 """
 #: Bytes of a page: images are written in half of the processor time that the usual 4096 bytes take.
 _PAGE = 1 << 16
-#: In the header of our files, so that they are not taken for those of other programs.
+#: In the header of our files; files of other programs are not continued.
 _APPLICATION = 0x68736D62
+#: Rows that a damaged file does not have.
+_VALID = "typeof(topic_id) = 'integer' AND typeof(timestamp) = 'integer' AND typeof(data) = 'blob'"
+
+
+def _connect(path: Path, mode: str) -> sqlite3.Connection:
+    """Open a database; ``mode``: ``ro``, ``rw`` or ``rwc``."""
+    return sqlite3.connect(
+        f"file:{quote(str(path))}?mode={mode}", uri=True, isolation_level=None, check_same_thread=False
+    )
 
 
 @contextmanager
-def as_os_errors() -> Iterator[None]:
+def _as_os_errors() -> Iterator[None]:
     """Convert errors of sqlite3 to OSError, as other files raise them."""
     try:
         yield
@@ -48,7 +64,11 @@ def as_os_errors() -> Iterator[None]:
 
 
 class SqliteFile:
-    """A sqlite3 file that is being written; see :class:`BagFile`. Topics have the ``id`` 1, 2 …."""
+    """A sqlite3 file that is being written. Topics have the ``id`` 1, 2 … in their order.
+
+    Raises:
+        OSError: By all methods, if the file cannot be written.
+    """
 
     smallest: ClassVar[int] = 1 << 20
 
@@ -74,8 +94,8 @@ class SqliteFile:
         temporary = path.with_name(f".{path.name}.new")
         try:
             temporary.unlink(missing_ok=True)
-            with as_os_errors():
-                file = cls(temporary, connect(temporary, "rwc"))
+            with _as_os_errors():
+                file = cls(temporary, _connect(temporary, "rwc"))
                 try:
                     pragmas = f"PRAGMA page_size={_PAGE}; PRAGMA application_id={_APPLICATION};"
                     file._database.executescript(f"{pragmas} BEGIN; {_TABLES} COMMIT")
@@ -87,21 +107,21 @@ class SqliteFile:
         except BaseException:
             temporary.unlink(missing_ok=True)
             raise
-        with as_os_errors():
-            created = cls(path, connect(path, "rw"))
+        with _as_os_errors():
+            created = cls(path, _connect(path, "rw"))
         created.topics, created._types = file.topics, file._types
         return created
 
     @classmethod
-    def reopen(cls, path: Path, *, whole_groups: bool, spare: int = 0) -> tuple[SqliteFile, int | None]:
-        """Open a file to continue it; see :class:`BagFile`. sqlite3 itself removes what is not whole.
+    def reopen(cls, path: Path, *, spare: int = 0) -> tuple[SqliteFile, int | None]:
+        """Open a file to continue it after its last whole group; see :meth:`McapFile.reopen`.
 
-        Nothing is written to finish a file: so no group is removed to gain space.
+        sqlite3 itself removes what is not whole. To finish a file needs no space: ``spare`` has no effect.
         """
-        with as_os_errors():
-            file = cls(path, connect(path, "rw"))
+        with _as_os_errors():
+            file = cls(path, _connect(path, "rw"))
         try:
-            with as_os_errors():
+            with _as_os_errors():
                 (application,) = file._database.execute("PRAGMA application_id").fetchone()
                 (groups,) = file._database.execute("PRAGMA user_version").fetchone()
             # sqlite3 has used and removed a journal with a group that is not whole; one of a process that was
@@ -119,7 +139,7 @@ class SqliteFile:
 
     @classmethod
     def content_of(cls, path: Path) -> Content:
-        """Content of a finished file; see :class:`BagFile`."""
+        """Content of a finished file. Raises BagError if the file is damaged."""
         with SqliteInput(path) as found:
             if not found.whole:
                 raise BagError("this file was not finished", path=path)
@@ -127,7 +147,7 @@ class SqliteFile:
 
     def add_topic(self, topic: BagTopic) -> None:
         """Add a topic after those that exist."""
-        with as_os_errors():
+        with _as_os_errors():
             if topic.type not in self._types:
                 self._database.execute(
                     "INSERT INTO message_definitions(topic_type, encoding, encoded_message_definition, "
@@ -143,7 +163,7 @@ class SqliteFile:
 
     def append(self, chunk: Chunk, group: int, ends_group: bool) -> None:
         """Append a chunk. ``group``: number of its group in the bag."""
-        with as_os_errors():
+        with _as_os_errors():
             record = memoryview(chunk.data())[: chunk.chunk_length]
             if not self._database.in_transaction:
                 self._database.execute("BEGIN")
@@ -163,3 +183,102 @@ class SqliteFile:
     def close(self) -> None:
         """Close the file; a group that is not whole is lost. More calls do nothing."""
         self._database.close()
+
+
+def _was_cut(path: Path) -> bool:
+    """Whether a file is shorter than its header says; sqlite3 takes the missing bytes for zeros."""
+    with open_file(path, BagError, "bag", ANY_SIZE) as file:
+        header = file.read(100)
+        size = file.seek(0, os.SEEK_END)
+    if len(header) < 100:
+        return True
+    (page,), (pages,) = struct.unpack_from(">H", header, 16), struct.unpack_from(">I", header, 28)
+    return size < int(pages) * (1 << 16 if page == 1 else int(page))
+
+
+class SqliteInput:
+    """A sqlite3 file that is read; ``whole`` is False if it had to be repaired.
+
+    Raises:
+        BagError: The file cannot be read, is damaged, or is no sqlite3 file of a bag.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        journal = path.with_name(f"{path.name}-journal")
+        #: A journal is left by a process that was killed: sqlite3 takes back what was not whole.
+        self.whole = not journal.exists()
+        with self._errors():
+            if self.whole and _was_cut(path):
+                raise sqlite3.DatabaseError("the file was cut; try the command .recover of sqlite3")
+            self._database = _connect(path, "ro" if self.whole else "rw")
+        try:
+            with self._errors():
+                self._read_topics()
+        except BaseException:
+            self.close()
+            raise
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except (OSError, sqlite3.Error) as reason:
+            hint = "" if self.whole else "; its folder must be writable, because it was interrupted"
+            raise BagError(f"cannot be read: {reason}{hint}", path=self.path) from None
+
+    def _read_topics(self) -> None:
+        columns = [row[1] for row in self._database.execute("PRAGMA table_info(topics)")]
+        rows = self._database.execute("SELECT * FROM topics ORDER BY id").fetchall()
+        topics = [dict(zip(columns, row, strict=True)) for row in rows]
+        query = "SELECT topic_type, encoded_message_definition FROM message_definitions"
+        has_definitions = self._database.execute("PRAGMA table_info(message_definitions)").fetchall()
+        definitions = dict(self._database.execute(query).fetchall()) if has_definitions else {}
+        self.topics = [
+            BagTopic(
+                name=str(topic.get("name")),
+                type=str(topic.get("type")),
+                qos=qos_of_text(str(topic.get("offered_qos_profiles", ""))),
+                definition=definitions.get(str(topic.get("type")), ""),
+                type_hash=str(topic.get("type_description_hash", "")),
+            )
+            for topic in topics
+        ]
+        self._indices = {topic.get("id"): index for index, topic in enumerate(topics)}
+        numbers = self._database.execute(
+            f"SELECT topic_id, COUNT(*), MIN(timestamp), MAX(timestamp) FROM messages WHERE {_VALID} "
+            "GROUP BY topic_id"
+        )
+        self.content = Content()
+        for number, count, start, end in numbers:
+            counts = {self._indices[number]: count} if number in self._indices else {}
+            self.content.add(counts, start, end)
+
+    def messages(self, topics: Collection[int], start: int, end: int) -> Iterator[BagMessage]:
+        """Messages in the order of their times.
+
+        Args:
+            topics: Indices of the topics.
+            start: First log time in nanoseconds.
+            end: Log time after the last one.
+        """
+        query = (
+            "SELECT topic_id, timestamp, data FROM messages "
+            f"WHERE timestamp >= ? AND timestamp < ? AND {_VALID} ORDER BY timestamp, id"
+        )
+        try:
+            for number, stamp, data in self._database.execute(query, (start, end)):
+                if self._indices.get(number) in topics:
+                    yield BagMessage(self._indices[number], stamp, data)
+        except sqlite3.Error as reason:
+            warn_about(self.path, f"the file is damaged ({reason}); only the messages before are read")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._database.close()
+
+    def __enter__(self) -> SqliteInput:
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        self.close()

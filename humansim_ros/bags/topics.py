@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from humansim_ros.bags.libraries import needs_libraries
+from humansim_ros.bags import needs_libraries
 from humansim_ros.errors import BagError, warn_about
 
 if TYPE_CHECKING:
@@ -155,7 +155,7 @@ def _description(name: str) -> tuple[str, str]:
 
 
 def _installed_hash(name: str) -> str:
-    """Hash of a type as ROS has computed it; that of rosbags differs for types with a field of kind char."""
+    """Hash of a type as ROS has computed it; rosbags computes another for types with a field of kind char."""
     path = _installed_file(name, ".json")
     if path is None:
         return ""

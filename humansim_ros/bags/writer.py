@@ -1,34 +1,198 @@
-"""Write a bag of rosbag2: append encoded chunks, split into files, keep ``metadata.yaml`` up to date."""
+"""Write a bag of rosbag2: append encoded chunks, split into files, keep ``metadata.yaml`` up to date.
+
+An interrupted bag is finished as it is, or opened to be continued.
+"""
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import os
+import re
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
+from humansim_ros.bags import needs_libraries
 from humansim_ros.bags.chunks import COMPRESSIONS, Chunk, Compression
-from humansim_ros.bags.guardian import Guardian
-from humansim_ros.bags.recovery import OpenBag, finish_bag, lock_bag, reopen_bag
-from humansim_ros.bags.storages import SUFFIXES, Storage, file_class
+from humansim_ros.bags.metadata import (
+    SUFFIXES,
+    Content,
+    Storage,
+    custom_in,
+    metadata_text,
+    read_metadata,
+    topics_in,
+    write_metadata,
+)
 from humansim_ros.bags.topics import BagTopic, check_topics, described
 from humansim_ros.errors import BagError
 
+if TYPE_CHECKING:
+    from humansim_ros.bags.mcap_file import McapFile
+    from humansim_ros.bags.sqlite_file import SqliteFile
+
 #: Seconds between renewals of metadata.yaml.
 _RENEWAL = 1.0
+#: Errors of a disk without space.
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+#: Bytes that are freed at first on a full disk, for the summary and metadata.yaml.
+_SPARE = 1 << 14
+
+
+def _file_class(storage: Storage) -> type[McapFile] | type[SqliteFile]:
+    """The class of the files of a storage.
+
+    Raises:
+        BagError: There is no such storage, or the libraries of bags are not installed.
+    """
+    if storage not in SUFFIXES:
+        raise BagError(f"{storage!r} is no storage of bags; choose one of {', '.join(SUFFIXES)}")
+    with needs_libraries():
+        import rosbags.rosbag2  # noqa: F401
+
+        from humansim_ros.bags.mcap_file import McapFile
+        from humansim_ros.bags.sqlite_file import SqliteFile
+    return McapFile if storage == "mcap" else SqliteFile
+
+
+@dataclass
+class _OpenBag:
+    """A bag that is being written: finished files, the one that grows, and the number of whole groups.
+
+    ``prefix`` is the beginning of the names of all files.
+    """
+
+    folder: Path
+    storage: Storage
+    prefix: str
+    file: McapFile | SqliteFile
+    done: list[tuple[str, Content]] = field(default_factory=list)
+    groups: int = 0
+    custom: dict[str, str] = field(default_factory=dict)
+
+    def write_metadata(self) -> None:
+        """Bring metadata.yaml up to date. Raises OSError."""
+        files = [*self.done, (self.file.path.name, self.file.content)]
+        write_metadata(self.folder, metadata_text(self.storage, self.file.topics, files, self.custom))
+
+    def split(self) -> None:
+        """Finish the file, and begin the next. Raises OSError."""
+        self.file.finish()
+        name = f"{self.prefix}_{len(self.done) + 1}{SUFFIXES[self.storage]}"
+        following = _file_class(self.storage).create(self.folder / name, self.file.topics)
+        self.done.append((self.file.path.name, self.file.content))
+        self.file = following
+        self.write_metadata()
+
+
+def _lock_bag(folder: Path) -> int:
+    """Lock a bag for this process; close the descriptor that is returned to unlock it.
+
+    Raises:
+        BagError: Another process writes the bag.
+        OSError: The folder cannot be opened.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        os.close(descriptor)
+        raise BagError("another process is writing this bag", path=folder) from None
+    except OSError:  # a file system without locks
+        pass
+    return descriptor
+
+
+def _reopen_bag(folder: Path, *, spare: int = 0) -> _OpenBag:
+    """Open a bag to continue it, finished or not; what is not whole is removed from the end of its files.
+
+    Args:
+        folder: Folder of the bag.
+        spare: Bytes of groups to remove from the end as well, at least.
+
+    Raises:
+        BagError: The folder holds no bag of humansim, or the bag is damaged.
+        OSError: A file cannot be written.
+    """
+    information = read_metadata(folder)
+    storage: Storage = "sqlite3" if information.get("storage_identifier") == "sqlite3" else "mcap"
+    prefix, paths = _files(folder, SUFFIXES[storage])
+    kind = _file_class(storage)
+    for path in folder.glob(".*.new"):
+        path.unlink()
+    while True:
+        file, groups = kind.reopen(paths[-1], spare=spare)
+        if groups is not None:
+            break
+        # without messages: perhaps not even its topics are whole
+        file.close()
+        paths[-1].unlink()
+        if len(paths) == 1:
+            listed = topics_in(information)
+            topics = file.topics if len(file.topics) >= len(listed) else listed
+            file = kind.create(paths[0], [described(topic) for topic in topics])
+            break
+        paths.pop()
+        spare = 0
+    try:
+        done = [(path.name, kind.content_of(path)) for path in paths[:-1]]
+    except BaseException:
+        file.close()
+        raise
+    return _OpenBag(folder, storage, prefix, file, done, groups or 0, custom_in(information))
+
+
+def _files(folder: Path, suffix: str) -> tuple[str, list[Path]]:
+    """Common beginning of the names, and files of a bag in their order. Raises BagError if there are none."""
+    found: dict[str, dict[int, Path]] = {}
+    for path in folder.glob(f"*{suffix}"):
+        if match := re.fullmatch(r"(.+)_(\d+)", path.stem):
+            found.setdefault(match[1], {})[int(match[2])] = path
+    for prefix, paths in found.items():
+        if len(found) == 1 and sorted(paths) == list(range(len(paths))):
+            return prefix, [paths[number] for number in range(len(paths))]
+    raise BagError("there is no bag to continue here; remove the folder, and record again", path=folder)
+
+
+def _finish_bag(folder: Path, custom: Mapping[str, str]) -> _OpenBag:
+    """Finish an interrupted bag after its last whole group, and close its file.
+
+    On a full disk, groups are removed from the end until there is space for the rest.
+
+    Raises:
+        BagError: The folder holds no bag of humansim, or the bag is damaged.
+        OSError: A file cannot be written.
+    """
+    spare = 0
+    while True:
+        bag = _reopen_bag(folder, spare=spare)
+        try:
+            bag.custom = dict(custom)
+            bag.file.finish()
+            bag.write_metadata()
+            return bag
+        except OSError as reason:
+            if reason.errno not in _FULL or bag.groups == 0:
+                raise
+            spare = max(_SPARE, 2 * spare)
+        finally:
+            with suppress(OSError):
+                bag.file.close()
 
 
 class BagWriter:
     """Writer of a bag.
 
     Use it in a ``with`` block, or call :meth:`close`. A bag keeps the chunks that have been appended,
-    whatever happens to the process: if it is killed, a second process (the guardian) finishes the bag. All
-    methods are for one thread. Start other processes by ``spawn`` or ``forkserver``: those of ``fork`` keep
-    the bag open.
+    whatever happens to the process: if it is killed, BagReader reads the bag, and :meth:`resume` continues or
+    finishes it. All methods are for one thread. Start other processes by ``spawn`` or ``forkserver``:
+    processes of ``fork`` keep the bag locked.
 
     Args:
         folder: Folder of the bag, which is created.
@@ -55,7 +219,7 @@ class BagWriter:
         custom: Mapping[str, str] | None = None,
     ) -> None:
         path = Path(folder).resolve()
-        kind = file_class(storage)
+        kind = _file_class(storage)
         if compression not in COMPRESSIONS:
             raise BagError(
                 f"{compression!r} is no compression of chunks; choose one of {', '.join(COMPRESSIONS)}"
@@ -72,9 +236,9 @@ class BagWriter:
         except OSError as reason:
             raise _unwritable(path, reason) from None
         try:
-            lock = lock_bag(path)
+            lock = _lock_bag(path)
             file = kind.create(path / f"{path.name}_0{SUFFIXES[storage]}", topics)
-            self._begin(OpenBag(path, storage, path.name, file, custom=dict(custom or {})), lock)
+            self._begin(_OpenBag(path, storage, path.name, file, custom=dict(custom or {})), lock)
         except BaseException as reason:
             shutil.rmtree(path, ignore_errors=True)
             if isinstance(reason, OSError):
@@ -103,9 +267,9 @@ class BagWriter:
             raise BagError("there is no bag to continue here", path=folder)
         writer = cls.__new__(cls)
         try:
-            lock = lock_bag(path)
+            lock = _lock_bag(path)
             try:
-                bag = reopen_bag(path, whole_groups=True)
+                bag = _reopen_bag(path)
                 writer._set_limits(bag.storage, max_size, max_duration)
                 writer._begin(bag, lock)
             except BaseException:
@@ -116,19 +280,18 @@ class BagWriter:
         return writer
 
     def _set_limits(self, storage: Storage, max_size: int, max_duration: float) -> None:
-        smallest = file_class(storage).smallest
+        smallest = _file_class(storage).smallest
         if max_size != 0 and max_size < smallest:
             raise BagError(f"must be 0 (never split) or at least {smallest} bytes", key="max_size")
         if not max_duration >= 0:
             raise BagError("must be 0 (never split) or a number of seconds", key="max_duration")
         self._max_size, self._max_duration = max_size, round(max_duration * 1e9)
 
-    def _begin(self, bag: OpenBag, lock: int) -> None:
+    def _begin(self, bag: _OpenBag, lock: int) -> None:
         self._bag, self._lock = bag, lock
         self._in_group = self._closed = self._torn = False
         self._renewed = time.monotonic()
         bag.write_metadata()
-        self._guardian = Guardian(bag.folder)
 
     @property
     def folder(self) -> Path:
@@ -233,7 +396,7 @@ class BagWriter:
         self._write(self._bag.write_metadata)
 
     def close(self) -> None:
-        """Finish the bag. More calls do nothing.
+        """Finish the bag. More calls do nothing. An interrupt meanwhile leaves a bag for :meth:`resume`.
 
         Raises:
             BagError: The disk is full. The bag ends with the groups for which there is space.
@@ -245,17 +408,8 @@ class BagWriter:
             self._finish()
         except OSError as reason:
             raise _unwritable(self.folder, reason) from None
-        except BagError:
-            raise
-        except BaseException:  # such as a second Ctrl-C
-            os.close(self._lock)
-            self._lock = -1
-            self._guardian.finish()
-            raise
         finally:
-            self._guardian.stop()
-            if self._lock >= 0:
-                os.close(self._lock)
+            os.close(self._lock)
 
     def _finish(self) -> None:
         if self._torn:
@@ -271,7 +425,7 @@ class BagWriter:
     def _finish_again(self) -> None:
         """Finish the bag from what its files hold."""
         self._bag.file.close()
-        self._bag = finish_bag(self.folder, whole_groups=True, custom=self.custom)
+        self._bag = _finish_bag(self.folder, self.custom)
 
     def __enter__(self) -> BagWriter:
         return self

@@ -11,8 +11,7 @@ from typing import Any, Literal, TypeAlias
 
 from humansim_ros import __version__
 from humansim_ros.bags.chunks import Compression
-from humansim_ros.bags.metadata import read_metadata
-from humansim_ros.bags.storages import Storage
+from humansim_ros.bags.metadata import Storage, read_metadata
 from humansim_ros.errors import BagError, near_names
 from humansim_ros.messages import ImageCompression
 from humansim_ros.messages.topics import Topic, scene_topics

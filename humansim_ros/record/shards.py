@@ -90,9 +90,9 @@ def merged_chunks(paths: Sequence[Path], interleaved: bool) -> Iterator[tuple[Ch
 
 def _chunks(path: Path) -> Iterator[tuple[int, Chunk]]:
     """Number of the frame, and chunk."""
-    from humansim_ros.bags.mcap_scan import McapScan
+    from humansim_ros.bags.mcap_file import McapScan
 
     with open_file(path, BagError, "bag", ANY_SIZE) as file:
-        for unit in McapScan(file, path).units:
+        for unit in McapScan(file, path).own_units():
             file.seek(unit.start)
             yield unit.group, unit.chunk.with_data(file.read(unit.chunk.size))

@@ -18,8 +18,7 @@ from multiprocessing.connection import Connection
 from types import TracebackType
 from typing import NamedTuple, Protocol
 
-from humansim_ros.bags.chunks import Chunk
-from humansim_ros.bags.direct_file import BLOCK
+from humansim_ros.bags.chunks import BLOCK, Chunk
 from humansim_ros.errors import HumansimError
 from humansim_ros.ros.processes.stop_signals import end_with_parent
 

@@ -15,9 +15,7 @@ import pytest
 from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, chunks_of, content_of
 from mcap.reader import SeekingReader
 
-from humansim_ros.bags.direct_file import BLOCK, DirectFile
-from humansim_ros.bags.mcap_file import LARGE_CHUNK
-from humansim_ros.bags.mcap_scan import RECORD, padding
+from humansim_ros.bags.mcap_file import BLOCK, LARGE_CHUNK, RECORD, DirectFile, padding
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError
 
@@ -49,7 +47,7 @@ def refuse(monkeypatch: pytest.MonkeyPatch, error: int = errno.EINVAL) -> None:
 def allows_direct_writing(folder: Path) -> bool:
     descriptor = os.open(folder / "probe", os.O_RDWR | os.O_CREAT)
     try:
-        return DirectFile(descriptor).write([bytes(BLOCK)], 0) == BLOCK
+        return DirectFile(descriptor).write([memoryview(bytes(BLOCK))], 0) == BLOCK
     finally:
         os.close(descriptor)
 

@@ -17,9 +17,8 @@ from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, content_of
 from mcap.reader import SeekingReader
 from waiting import PATIENCE
 
-from humansim_ros.bags.direct_file import BLOCK, DirectFile
-from humansim_ros.bags.mcap_file import LARGE_CHUNK
-from humansim_ros.bags.storages import Storage
+from humansim_ros.bags.mcap_file import BLOCK, LARGE_CHUNK, DirectFile
+from humansim_ros.bags.metadata import Storage
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError
 

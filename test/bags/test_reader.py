@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import random
-import shutil
 import warnings
 from pathlib import Path
 
@@ -15,9 +14,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as RosbagsWriter
 
 from humansim_ros.bags.chunks import Compression
-from humansim_ros.bags.mcap_scan import MAGIC
+from humansim_ros.bags.mcap_file import MAGIC
+from humansim_ros.bags.metadata import Storage
 from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.storages import Storage
 from humansim_ros.bags.topics import described
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError, HumansimWarning
@@ -206,22 +205,6 @@ def test_a_sqlite3_bag_that_was_cut_is_refused(tmp_path: Path) -> None:
         path.write_bytes(whole[:size])
         with pytest.raises(BagError, match=r"bag_0\.db3: (cannot be read|the bag file is empty)"):
             BagReader(folder)
-
-
-def test_groups_are_the_chunks_that_were_appended(tmp_path: Path) -> None:
-    folder = make_bag(tmp_path / "bag", compression="zstd", max_size=5000)
-    copy = tmp_path / "copy" / "bag"
-    with BagReader(folder) as reader, BagWriter(copy, reader.topics, max_size=5000) as writer:
-        writer.custom.update(reader.info.custom)
-        for group in reader.groups():
-            assert len(group) == 2
-            writer.append(group[0], ends_group=False)
-            writer.append(group[1])
-    for path in folder.iterdir():
-        assert path.read_bytes() == (copy / path.name).read_bytes()
-    shutil.rmtree(copy)
-    with BagReader(make_bag(copy, "sqlite3")) as reader, pytest.raises(BagError, match="only bags in MCAP"):
-        next(reader.groups())
 
 
 def test_a_bag_is_read_while_it_is_written(tmp_path: Path) -> None:

@@ -1,10 +1,9 @@
-"""Bags whose writing is interrupted: by kill -9, with and without guardian, by signals, by errors."""
+"""Bags whose writing is interrupted: by kill -9, by signals, by errors."""
 
 from __future__ import annotations
 
 import os
 import random
-import select
 import shutil
 import signal
 import sqlite3
@@ -17,13 +16,12 @@ from unittest.mock import Mock
 
 import pytest
 from bag_support import TOPICS, append_frame, by_mcap, by_rosbags, content_of
-from waiting import PATIENCE, wait_until
+from waiting import PATIENCE
 
 from humansim_ros.bags.chunks import Compression
-from humansim_ros.bags.direct_file import DirectFile
+from humansim_ros.bags.mcap_file import DirectFile
+from humansim_ros.bags.metadata import Storage
 from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.recovery import finish_bag
-from humansim_ros.bags.storages import Storage
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError, HumansimWarning
 
@@ -33,7 +31,7 @@ LARGE = 2_000_000
 
 
 class WritingProcess:
-    """A process that appends frames to a bag; ``guardian`` is a descriptor of its guardian."""
+    """A process that appends frames to a bag."""
 
     def __init__(
         self,
@@ -49,29 +47,17 @@ class WritingProcess:
             text=True,
             env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
         )
-        self.number = int(self._line())
-        self.guardian = os.pidfd_open(self.number)
-
-    def _line(self) -> str:
-        assert self.process.stdout is not None
-        return self.process.stdout.readline()
 
     def wait_for_frame(self, frame: int) -> None:
-        while int(self._line()) < frame:
+        assert self.process.stdout is not None
+        while int(self.process.stdout.readline()) < frame:
             pass
 
-    def kill(self, *, with_guardian: bool = False) -> int:
-        """Kill the process, wait for its guardian, and return the last frame that it reported."""
-        if with_guardian:
-            signal.pidfd_send_signal(self.guardian, signal.SIGKILL)
-        self.process.kill()
+    def end(self, number: int = signal.SIGKILL) -> int:
+        """Send a signal to the process, and return the last frame that it reported."""
+        self.process.send_signal(number)
         lines = self.process.communicate(timeout=PATIENCE)[0].split()
-        self._await_guardian()
         return int(lines[-1]) if lines else -1
-
-    def _await_guardian(self) -> None:
-        assert select.select([self.guardian], [], [], PATIENCE)[0], "the guardian still runs"
-        os.close(self.guardian)
 
 
 def frames_in(found: list[tuple[str, int, bytes]], size: int) -> int:
@@ -84,35 +70,19 @@ def frames_in(found: list[tuple[str, int, bytes]], size: int) -> int:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("refused", [False, True])
-def test_the_guardian_finishes_a_bag_when_its_writer_is_killed(refused: bool, tmp_path: Path) -> None:
-    dice = random.Random(1)
-    for attempt in range(6):
-        folder = tmp_path / f"bag{attempt}"
-        writing = WritingProcess(folder, max_size=dice.choice((0, 3 * LARGE)), refused=refused)
-        writing.wait_for_frame(dice.randrange(1, 5))
-        time.sleep(dice.uniform(0, 0.02))  # the kill comes anywhere within the writing of a frame
-        last = writing.kill()
-        found = by_rosbags(folder)
-        assert found == by_mcap(folder)
-        assert frames_in(found, LARGE) > last
-        assert not list(folder.glob(".*"))
-        shutil.rmtree(folder)
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_a_bag_without_guardian_is_read_and_continued(storage: Storage, tmp_path: Path) -> None:
+def test_a_killed_bag_is_read_and_finished(storage: Storage, tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     writing = WritingProcess(folder, storage, size=200_000)
     writing.wait_for_frame(3)
-    last = writing.kill(with_guardian=True)
+    last = writing.end()
     with pytest.warns(HumansimWarning, match="was not finished"), BagReader(folder) as reader:
         found = sorted((reader.topics[m.topic].name, m.stamp, bytes(m.data)) for m in reader.messages())
     assert frames_in(found, 200_000) > last
     with BagWriter.resume(folder):
         pass
     assert 0 <= len(found) - len(by_rosbags(folder)) <= 1
+    assert not list(folder.glob(".*")) and not list(folder.glob("*-journal"))
 
 
 @pytest.mark.slow
@@ -126,10 +96,11 @@ def test_a_bag_is_continued_to_the_same_bytes_after_any_kill(
         for frame in range(frames):
             append_frame(writer, frame, size=size)
     folder = tmp_path / "bag"
-    for attempt in range(6):
+    for _ in range(6):
         writing = WritingProcess(folder, size=size, max_size=10 * size, refused=refused)
         writing.wait_for_frame(dice.randrange(1, 40))
-        last = writing.kill(with_guardian=attempt % 2 == 0)
+        time.sleep(dice.uniform(0, 0.02))  # the kill comes anywhere within the writing of a frame
+        last = writing.end()
         with BagWriter.resume(folder, max_size=10 * size) as writer:
             assert last < writer.groups <= frames and writer.custom == {"plan": "p"}
             for frame in range(writer.groups, frames):
@@ -159,48 +130,15 @@ def test_a_bag_that_was_cut_is_continued_to_the_same_bytes(compression: Compress
         assert (folder / "metadata.yaml").read_text() == metadata
 
 
-def ignores(process: int, number: int) -> bool:
-    """Whether a process ignores a signal: the guardian has started."""
-    status = Path(f"/proc/{process}/status").read_text()
-    mask = next(line.split()[1] for line in status.splitlines() if line.startswith("SigIgn"))
-    return bool(int(mask, 16) >> (number - 1) & 1)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("storage", ["mcap", "sqlite3"])
-def test_a_bag_is_continued_while_its_guardian_finishes_it(storage: Storage, tmp_path: Path) -> None:
-    size, frames = 150_000, 25
-    for attempt in range(4):
-        folder = tmp_path / f"bag{attempt}"
-        writing = WritingProcess(folder, storage, size=size, max_size=10 * size)
-        writing.wait_for_frame(attempt + 1)
-        writing.process.kill()
-        with BagWriter.resume(folder, max_size=10 * size) as writer:
-            assert attempt < writer.groups
-            for frame in range(writer.groups, frames):
-                append_frame(writer, frame, size=size)
-        before = {path.name: path.stat().st_mtime_ns for path in folder.iterdir()}
-        found = by_rosbags(folder)
-        writing.kill()
-        number = frames_in(found, size)
-        assert number >= frames and len(found) == 2 * number
-        # the guardian, when it gets the bag at last, leaves it alone
-        assert {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} == before
-        shutil.rmtree(folder)
-
-
-@pytest.mark.slow
-def test_sqlite3_bags_are_finished_and_continued_after_any_kill(tmp_path: Path) -> None:
+def test_sqlite3_bags_are_continued_after_any_kill(tmp_path: Path) -> None:
     dice, size = random.Random(6), 200_000
     for attempt in range(6):
         folder = tmp_path / f"bag{attempt}"
         writing = WritingProcess(folder, "sqlite3", size=size, max_size=10 * size)
         writing.wait_for_frame(dice.randrange(1, 25))
         time.sleep(dice.uniform(0, 0.01))
-        alone = attempt % 2 == 0
-        last = writing.kill(with_guardian=alone)
-        if not alone:
-            assert frames_in(by_rosbags(folder), size) > last
+        last = writing.end()
         with BagWriter.resume(folder, max_size=10 * size) as writer:
             assert last < writer.groups and writer.custom == {"plan": "p"}
             frames = writer.groups + 5
@@ -227,19 +165,14 @@ def test_the_journal_of_a_full_sqlite3_file_goes_when_the_bag_is_continued(tmp_p
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_signals_leave_a_bag_that_is_whole(number: int, tmp_path: Path) -> None:
+def test_ctrl_c_leaves_a_bag_that_is_whole(tmp_path: Path) -> None:
     folder = tmp_path / "bag"
     writing = WritingProcess(folder)
     writing.wait_for_frame(2)
-    wait_until(lambda: ignores(writing.number, signal.SIGHUP))
-    signal.pidfd_send_signal(writing.guardian, number)  # such as Ctrl-C for all processes
-    writing.process.send_signal(number)
-    lines = writing.process.communicate(timeout=PATIENCE)[0].split()
-    writing._await_guardian()
+    last = writing.end(signal.SIGINT)
     found = by_rosbags(folder)
     assert found == by_mcap(folder)
-    assert frames_in(found, LARGE) > (int(lines[-1]) if lines else 2)
+    assert frames_in(found, LARGE) > max(last, 2)
 
 
 def test_an_error_while_writing_leaves_a_bag_that_is_whole(tmp_path: Path) -> None:
@@ -300,17 +233,18 @@ def test_readers_do_not_stop_the_writing_of_a_sqlite3_bag(tmp_path: Path) -> Non
     reader.close()
 
 
-def test_a_second_interrupt_leaves_the_end_to_the_guardian(
+def test_a_bag_whose_end_was_interrupted_is_finished_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Ctrl-C while the summary is written."""
     folder = tmp_path / "bag"
     writer = BagWriter(folder, TOPICS)
     append_frame(writer, 0)
-    interrupt = Mock(side_effect=KeyboardInterrupt)
-    monkeypatch.setattr("humansim_ros.bags.mcap_file.Statistics", interrupt)
+    monkeypatch.setattr("humansim_ros.bags.mcap_file.Statistics", Mock(side_effect=KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         writer.close()
+    monkeypatch.undo()
+    BagWriter.resume(folder).close()
     assert by_rosbags(folder) == by_mcap(folder) == content_of([0])
 
 
@@ -325,10 +259,7 @@ def test_a_moved_bag_is_continued(tmp_path: Path) -> None:
     assert by_rosbags(tmp_path / "moved") == content_of(range(5))
 
 
-def test_a_bag_that_is_being_written_is_not_continued(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("humansim_ros.bags.recovery._LEAVING", 0.0)
+def test_a_bag_that_is_being_written_is_not_continued(tmp_path: Path) -> None:
     with BagWriter(tmp_path / "bag", TOPICS), pytest.raises(BagError, match="another process"):
         BagWriter.resume(tmp_path / "bag")
 
@@ -360,5 +291,5 @@ def test_finishing_twice_changes_nothing(tmp_path: Path) -> None:
         for frame in range(10):
             append_frame(writer, frame)
     before = {path.name: path.read_bytes() for path in folder.iterdir()}
-    finish_bag(folder)
+    BagWriter.resume(folder).close()
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

@@ -167,10 +167,3 @@ def test_metadata_is_renewed_while_chunks_come(tmp_path: Path, monkeypatch: pyte
 def test_an_empty_bag_is_read(tmp_path: Path) -> None:
     BagWriter(tmp_path / "bag", TOPICS).close()
     assert by_rosbags(tmp_path / "bag") == by_mcap(tmp_path / "bag") == []
-
-
-def test_no_guardian_outlives_its_bag(tmp_path: Path) -> None:
-    with BagWriter(tmp_path / "bag", TOPICS) as writer:
-        process = writer._guardian._process
-        assert process is not None and process.poll() is None
-    assert process.poll() is not None

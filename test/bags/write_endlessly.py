@@ -1,6 +1,6 @@
 """Program: append frames to a bag until it is killed.
 
-Prints the number of its guardian, then a line for each frame.
+Prints a line for each frame.
 Arguments: folder, storage, size of images in bytes, max_size of files, whether direct writing is refused.
 """
 
@@ -9,8 +9,8 @@ from itertools import count
 
 from bag_support import TOPICS, append_frame
 
-from humansim_ros.bags.direct_file import DirectFile
-from humansim_ros.bags.storages import Storage
+from humansim_ros.bags.mcap_file import DirectFile
+from humansim_ros.bags.metadata import Storage
 from humansim_ros.bags.writer import BagWriter
 
 
@@ -20,7 +20,6 @@ def main() -> None:
     if sys.argv[5] == "True":
         DirectFile.write = lambda *_: 0  # type: ignore[method-assign]
     with BagWriter(folder, TOPICS, storage=storage, max_size=max_size, custom={"plan": "p"}) as writer:
-        print(writer._guardian._process.pid, flush=True)  # type: ignore[union-attr]
         for frame in count():
             append_frame(writer, frame, size=size)
             print(frame, flush=True)

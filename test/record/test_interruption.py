@@ -8,6 +8,7 @@ import random
 import resource
 import signal
 import subprocess
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,8 @@ import yaml
 from record_support import SCENE, hashes, run, start, workers_of, write_scene
 from waiting import PATIENCE, wait_until
 
+from humansim_ros.bags.reader import BagReader
+from humansim_ros.errors import HumansimWarning
 from humansim_ros.record.plan import PLAN
 
 pytest.importorskip("rosbags")
@@ -51,14 +54,6 @@ def written(bag: Path) -> int:
     return sum(path.stat().st_size for path in bag.glob("*.mcap")) if bag.is_dir() else 0
 
 
-def is_unlocked(bag: Path) -> bool:
-    """Whether neither a recording nor its guardian writes a bag."""
-    from humansim_ros.bags.recovery import lock_bag
-
-    os.close(lock_bag(bag))
-    return True
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_killed_recording_is_readable_and_is_completed(
@@ -73,8 +68,10 @@ def test_a_killed_recording_is_readable_and_is_completed(
     process.kill()
     process.communicate(timeout=PATIENCE)
     assert wait_until(lambda: not any(Path(f"/proc/{worker}").exists() for worker in workers))
-    assert is_unlocked(bag)
-    assert messages_of(bag) > 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HumansimWarning)  # the last file was not finished
+        with BagReader(bag) as reader:
+            assert len(list(reader.messages())) > 0
     code, out, err = run(scene, bag, *OPTIONS, "--jobs", generator.choice((1, 2)), "--resume")
     assert code == 0, err
     assert "wrote" in out or "already" in out

@@ -16,7 +16,7 @@ from ros_support import rclpy
 from waiting import PATIENCE, wait_until
 
 from humansim_ros.bags.chunks import BagMessage, encode_chunk
-from humansim_ros.bags.storages import Storage
+from humansim_ros.bags.metadata import Storage
 from humansim_ros.bags.topics import BagTopic, Qos
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError, HumansimWarning

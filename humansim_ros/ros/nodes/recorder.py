@@ -20,8 +20,8 @@ from std_msgs.msg import Header
 
 from humansim_ros.bags.bag_thread import BagThread
 from humansim_ros.bags.chunks import BagMessage, Compression
+from humansim_ros.bags.metadata import Storage
 from humansim_ros.bags.reader import BagReader
-from humansim_ros.bags.storages import Storage
 from humansim_ros.bags.topics import BagTopic, check_topics
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import HumansimError, HumansimWarning, RosError, did_you_mean, printable, some_of

@@ -51,7 +51,7 @@ PARSED |= {
 }
 OWN_FILE = re.compile(r"[A-Z][A-Z_0-9]*(\.\w+)?/?")
 #: Options before a file that the command writes.
-WRITES = ("-o", "--output", "--preview", "--json", "--report", "--bvh", "--npz")
+WRITES = ("-o", "--output", "--picture", "--report", "--bvh", "--npz")
 
 
 def commands(text: str) -> list[list[str]]:
@@ -122,7 +122,7 @@ def run_as_printed(words: list[str], folder: Path, patch: pytest.MonkeyPatch) ->
             assert set(parsed[0].get("live") or ()) <= set(loaded.actors)
     elif key == ("run",):
         assert set(parsed[0].get("live") or ()) <= set(Scene.load().actors)
-        for option, kind in (("motion", "motions"), ("mesh", "humans")):
+        for option, kind in (("motion", "motions"), ("body", "humans")):
             value = parsed[0].get(option)
             assert value is None or OWN_FILE.fullmatch(str(value)) or value in built_in_names(kind)
     for before, word in pairwise(words):

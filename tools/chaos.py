@@ -62,7 +62,7 @@ class Chaos:
         recorded = RecordOptions(bag) if bag else None
         found = scene_processes(scene, processes, time=TimeOptions(lockstep=True), record=recorded)
         self.victims = [*(each.node_name for each in found), TRACKER]
-        options = [] if processes is None else ["--processes", str(processes)]
+        options = [] if processes is None else ["--jobs", str(processes)]
         options += ["--record", str(bag)] if bag else []
         members = ["--wait-for", "topic:/tracker/poses", "--timeout", str(limit)]
         command = [sys.executable, "-m", "humansim_ros.cli", "run", str(scene), "--lockstep", *members]

@@ -25,6 +25,6 @@ for file in dist/*.whl dist/*.tar.gz; do
     "$python" -m venv "$target"
     "$target/bin/pip" install --quiet "$PWD/${file}[ros]"
     mkdir "$target/empty"
-    (cd "$target/empty" && "$target/bin/humansim" demo --duration 2 --output demo && ls demo)
+    (cd "$target/empty" && "$target/bin/humansim" demo --seconds 2 --output demo && ls demo)
 done
 echo "dist/ is ready: $(cd dist && echo *)"

@@ -1,6 +1,6 @@
 """Let the programs of their fields judge an export: TrackEval (mot) and mlcroissant (croissant).
 
-    humansim export --frames 0:60 -o walk --format mot,croissant
+    humansim export --frames 60 -o walk --format mot,croissant
     python tools/check_export.py walk
 
 The truth, scored against itself, must have HOTA, MOTA and IDF1 of 1, and every image must be read. Both

@@ -147,7 +147,7 @@ class Suite:
         """``limit``: seconds until a process counts as lost."""
         self._limit = limit
         self.victims = victims_of(scene, processes)
-        options = [] if processes is None else ["--processes", str(processes)]
+        options = [] if processes is None else ["--jobs", str(processes)]
         self.run = subprocess.Popen([sys.executable, "-m", "humansim_ros.cli", "run", str(scene), *options])
         prepare_transport()
         rclpy.init(args=[])

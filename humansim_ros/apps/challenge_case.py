@@ -49,6 +49,8 @@ class CaseOrder:
         start_within: Seconds until the topic must have a publisher.
         is_realtime: Frames follow the wall clock.
         keypoints: Keypoint set of the estimate; None: as its names say.
+        scale: Metres of a unit of the estimate.
+        axes: Axes of the estimate; None: the axes of ``map``.
     """
 
     scene: str
@@ -59,6 +61,8 @@ class CaseOrder:
     start_within: float
     is_realtime: bool
     keypoints: str | None
+    scale: float = 1.0
+    axes: str | None = None
 
 
 class _Orders:
@@ -103,7 +107,9 @@ class _Collector:
         self.finite = False
         self.last = time.monotonic()
         self.fault = ""
-        self.topics = PoseTopics(node, order.topic, ReadOptions(names), self._on_frame)
+        self.topics = PoseTopics(
+            node, order.topic, ReadOptions(names, axes=order.axes, scale=order.scale), self._on_frame
+        )
         node.create_subscription(TimeReference, SCENE_TIME, self._on_time, DATA)
 
     def _on_time(self, message: Any) -> None:

@@ -20,6 +20,7 @@ from humansim_ros.challenge.results import RESULTS, CaseResult, Report
 from humansim_ros.challenge.suite import Case, Suite
 from humansim_ros.challenge.tracker import TrackerProcess, command_words
 from humansim_ros.errors import ChallengeError
+from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.io.files import atomic_path
 from humansim_ros.keypoints import keypoint_set
 from humansim_ros.ros.transport import claim_domain, domain_environment
@@ -48,6 +49,8 @@ class ChallengeOptions:
         start_within: Seconds until it must publish its topic.
         is_realtime: Frames follow the wall clock.
         is_quick: The short form of the suite.
+        scale: Metres of a unit of its estimate.
+        axes: Axes of its estimate; None: the axes of ``map``.
     """
 
     tracker: str
@@ -57,11 +60,15 @@ class ChallengeOptions:
     start_within: float = 20.0
     is_realtime: bool = False
     is_quick: bool = False
+    scale: float = 1.0
+    axes: str | None = None
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Everything but the command."""
-        return {key: value for key, value in asdict(self).items() if key != "tracker"}
+        """Everything but the command, and the defaults that older reports do not have."""
+        added = {"scale": 1.0, "axes": None}
+        values = {key: value for key, value in asdict(self).items() if key != "tracker"}
+        return {key: value for key, value in values.items() if key not in added or value != added[key]}
 
 
 def open_report(suite: Suite, options: ChallengeOptions, folder: Path, resume: bool) -> Report:
@@ -78,6 +85,8 @@ def open_report(suite: Suite, options: ChallengeOptions, folder: Path, resume: b
     """
     if options.keypoints is not None:
         keypoint_set(options.keypoints)
+    if options.axes is not None:
+        axes_matrix(options.axes)
     new = Report.of_suite(suite, options.tracker, options.settings)
     if not (folder / RESULTS).exists():
         _make_folder(folder / CASES)
@@ -262,6 +271,8 @@ def run_case(
         "start_within": options.start_within,
         "is_realtime": options.is_realtime,
         "keypoints": options.keypoints,
+        "scale": options.scale,
+        "axes": options.axes,
     }
     nodes.start()
     log = folder / f"{case.name}.log"

@@ -21,6 +21,7 @@ from humansim_ros.cli.options import (
     ImageOption,
     JsonOption,
     OutputFolderOption,
+    OutputImageOption,
     SizeOption,
     UnitOption,
     UpOption,
@@ -70,7 +71,12 @@ def convert(
     files: CalibrationsArgument,
     output: Annotated[
         Path,
-        typer.Option("--output", "-o", help="Output file, or folder for formats of one file per camera."),
+        typer.Option(
+            "--output",
+            "-o",
+            metavar="PATH",
+            help="Output file, or folder for formats of one file per camera.",
+        ),
     ],
     to: Annotated[
         str | None,
@@ -327,26 +333,40 @@ def idealize(
 
 def rig(
     output: OutputFolderOption,
-    ring: Annotated[int | None, typer.Option(help="Number of cameras on a circle.")] = None,
-    grid: Annotated[str | None, typer.Option(help="Rows and columns of a wall of cameras, as 2x4.")] = None,
-    dome: Annotated[int | None, typer.Option(help="Number of cameras on a half sphere.")] = None,
-    stereo: Annotated[float | None, typer.Option(help="Baseline of a stereo pair, metres.")] = None,
-    radius: Annotated[float, typer.Option(help="Distance from the target, metres.")] = 4.0,
+    ring: Annotated[int | None, typer.Option(metavar="N", help="Number of cameras on a circle.")] = None,
+    grid: Annotated[
+        str | None,
+        typer.Option(metavar="ROWSxCOLUMNS", help="Rows and columns of a wall of cameras, as 2x4."),
+    ] = None,
+    dome: Annotated[int | None, typer.Option(metavar="N", help="Number of cameras on a half sphere.")] = None,
+    stereo: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Baseline of a stereo pair, metres.")
+    ] = None,
+    radius: Annotated[float, typer.Option(metavar="METRES", help="Distance from the target, metres.")] = 4.0,
     height: Annotated[
         float | None,
-        typer.Option(help="Height above the floor, metres (1.8); not for a dome.", show_default=False),
+        typer.Option(
+            metavar="METRES", help="Height above the floor, metres (1.8); not for a dome.", show_default=False
+        ),
     ] = None,
     look_at: Annotated[
-        tuple[float, float, float], typer.Option(help="Target of all cameras: x y z in map, metres.")
+        tuple[float, float, float],
+        typer.Option(metavar="X Y Z", help="Target of all cameras: x y z in map, metres."),
     ] = (0.0, 0.0, 1.0),
     start_deg: Annotated[
-        float, typer.Option(help="Azimuth of the first camera, degrees from +x towards +y.")
+        float,
+        typer.Option(metavar="DEGREES", help="Azimuth of the first camera, degrees from +x towards +y."),
     ] = 0.0,
-    spacing: Annotated[float, typer.Option(help="Distance of the cameras of a grid, metres.")] = 0.5,
-    size: Annotated[str, typer.Option(help="Image size, as 640x480 or 640 480.")] = "640x480",
-    fov_deg: Annotated[float, typer.Option(help="Horizontal field of view through the lens.")] = 60.0,
+    spacing: Annotated[
+        float, typer.Option(metavar="METRES", help="Distance of the cameras of a grid, metres.")
+    ] = 0.5,
+    size: Annotated[str, typer.Option(metavar="WIDTHxHEIGHT", help="Image size, as 640x480.")] = "640x480",
+    fov_deg: Annotated[
+        float, typer.Option(metavar="DEGREES", help="Horizontal field of view through the lens.")
+    ] = 60.0,
     distortion: Annotated[
-        str | None, typer.Option(help="Distortion coefficients, such as -0.3 0.1 0 0.")
+        str | None,
+        typer.Option(metavar="NUMBERS", help="Distortion coefficients, such as -0.3 0.1 0 0."),
     ] = None,
     model: Annotated[
         LensChoice | None,
@@ -386,15 +406,22 @@ def rig(
 
 def plot(
     files: CalibrationsArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Output image (.png).")],
+    output: OutputImageOption,
     coverage: Annotated[
         bool, typer.Option("--coverage", help="Draw the number of cameras that see each position.")
     ] = False,
-    at: Annotated[float, typer.Option(help="Coverage: height of a point above the floor, metres.")] = 1.2,
-    stature: Annotated[float, typer.Option(help="Coverage: height of a person, metres.")] = 1.8,
+    height: Annotated[
+        float, typer.Option(metavar="METRES", help="Coverage: height of a point above the floor, metres.")
+    ] = 1.2,
+    stature: Annotated[
+        float, typer.Option(metavar="METRES", help="Coverage: height of a person, metres.")
+    ] = 1.8,
     area: Annotated[
         tuple[float, float, float, float] | None,
-        typer.Option(help="Coverage: x y of two corners, metres; the surroundings of the rig if absent."),
+        typer.Option(
+            metavar="X Y X Y",
+            help="Coverage: x y of two corners, metres; the surroundings of the rig if absent.",
+        ),
     ] = None,
     size: SizeOption = None,
     image: ImageOption = None,
@@ -406,12 +433,10 @@ def plot(
     from humansim_ros.drawing.canvas import write_png
     from humansim_ros.drawing.rigs import coverage_image, rig_image
 
-    if output.suffix.lower() != ".png":
-        raise HumansimError("the image is a .png file: give it this suffix", path=output)
-    check_output(output)
+    check_output(output, ".png")
     cameras = select_cameras(read_cameras(files, size, image, unit, up), camera, files[0])
     _warn_of_one_position(cameras)
-    drawing = coverage_image(cameras, at, stature, area) if coverage else rig_image(cameras)
+    drawing = coverage_image(cameras, height, stature, area) if coverage else rig_image(cameras)
     write_png(output, drawing)
     print_text(f"wrote {output}")
 

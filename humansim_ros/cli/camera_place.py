@@ -62,8 +62,8 @@ class BoardChoice(Enum):
 class _Method:
     """How a rig is placed: the options of ``place`` with these names."""
 
-    tilt: float | None
-    roll: float
+    tilt_deg: float | None
+    roll_deg: float
     height: float | None
     camera: str | None
     floor_points: Path | None
@@ -80,10 +80,12 @@ class _Method:
         if name not in cameras:
             known = ", ".join(list(cameras)[:8])
             raise CameraError(f"no camera {name!r}; the names are {known}", path=file)
-        if self.tilt is not None:
+        if self.tilt_deg is not None:
             if self.height is None:
-                raise HumansimError("--tilt needs --height as well: the height of the camera above the floor")
-            angles = math.radians(self.tilt), math.radians(self.roll)
+                raise HumansimError(
+                    "--tilt-deg needs --height as well: the height of the camera above the floor"
+                )
+            angles = math.radians(self.tilt_deg), math.radians(self.roll_deg)
             return placing.place_by_tilt(cameras, name, self.height, *angles)
         if self.floor_points is not None or self.floor_point:
             points = _floor_points(calibration, self.floor_points, self.floor_point)
@@ -99,31 +101,47 @@ def place(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", help="Scene to write (.yaml). Without it, the section rig is printed."
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Scene to write (.yaml). Without it, the section rig is printed.",
         ),
     ] = None,
-    plot: Annotated[
+    picture: Annotated[
         Path | None,
-        typer.Option(help="Image of the placed rig (.png); beside the scene if absent.", show_default=False),
+        typer.Option(
+            metavar="FILE",
+            help="Also draw the placed rig (.png); beside the scene if absent.",
+            show_default=False,
+        ),
     ] = None,
-    tilt: Annotated[
+    tilt_deg: Annotated[
         float | None,
-        typer.Option(help="Degrees by which a camera looks down; with --height. The other cameras follow."),
+        typer.Option(
+            metavar="DEGREES",
+            help="Degrees by which a camera looks down; with --height. The other cameras follow.",
+        ),
     ] = None,
-    roll: Annotated[
-        float, typer.Option(help="Degrees by which that camera is turned clockwise; with --tilt.")
+    roll_deg: Annotated[
+        float,
+        typer.Option(
+            metavar="DEGREES", help="Degrees by which that camera is turned clockwise; with --tilt-deg."
+        ),
     ] = 0.0,
     camera: Annotated[
-        str | None, typer.Option(help="Camera of --tilt or --board-pose; the first if absent.")
+        str | None,
+        typer.Option(metavar="NAME", help="Camera of --tilt-deg or --board-pose; the first if absent."),
     ] = None,
     floor_points: Annotated[
-        Path | None, typer.Option(help="YAML or JSON file with three floor points or more.")
+        Path | None,
+        typer.Option(metavar="FILE", help="YAML or JSON file with three floor points or more."),
     ] = None,
     floor_point: Annotated[
         list[str] | None,
         typer.Option(
+            metavar="POINT",
             help="Floor point: its pixels, as 'left:312,400 right:280,410', or its place in the world of the "
-            "file, as '0.1,0.2,3'; 'map:0,1' adds its place in the room. Three or more."
+            "file, as '0.1,0.2,3'; 'map:0,1' adds its place in the room. Give three or more.",
         ),
     ] = None,
     board: Annotated[
@@ -137,24 +155,30 @@ def place(
     board_pose: Annotated[
         str | None,
         typer.Option(
+            metavar="NUMBERS",
             help="Rotation vector and translation of the board in the frame of a camera: six numbers. "
-            "Without it, the board is the world of the file."
+            "Without it, the board is the world of the file.",
         ),
     ] = None,
     height: Annotated[
         float | None,
         typer.Option(
-            help="Height above the floor, metres: of the camera of --tilt, of the origin of a standing "
-            "board, or the mean of all cameras."
+            metavar="METRES",
+            help="Height above the floor, metres: of the camera of --tilt-deg, of the origin of a standing "
+            "board, or the mean of all cameras.",
         ),
     ] = None,
     fit_unit: Annotated[
         bool, typer.Option("--fit-unit", help="Take the unit of the file from floor points with map.")
     ] = False,
-    yaw_deg: Annotated[float, typer.Option(help="Turn the rig about the vertical, degrees.")] = 0.0,
+    yaw_deg: Annotated[
+        float, typer.Option(metavar="DEGREES", help="Turn the rig about the vertical, degrees.")
+    ] = 0.0,
     at: Annotated[
         tuple[float, float],
-        typer.Option(help="x y of map below the point at which the cameras look (of the board), metres."),
+        typer.Option(
+            metavar="X Y", help="x y of map below the point at which the cameras look (of the board), metres."
+        ),
     ] = (0.0, 0.0),
     size: SizeOption = None,
     image: ImageOption = None,
@@ -165,10 +189,10 @@ def place(
     """Find the pose of a calibration in the room: by a tilt, floor points, a board, or level cameras."""
     from humansim_ros.camera import placing
 
-    if not all(map(math.isfinite, (tilt or 0, roll, height or 0, yaw_deg, *at))):
+    if not all(map(math.isfinite, (tilt_deg or 0, roll_deg, height or 0, yaw_deg, *at))):
         raise HumansimError("the options must be finite numbers")
     methods = {
-        "--tilt": tilt is not None,
+        "--tilt-deg": tilt_deg is not None,
         "--floor-points": floor_points is not None or bool(floor_point),
         "--board": board is not None,
     }
@@ -177,12 +201,11 @@ def place(
         raise HumansimError(f"give one of {', '.join(methods)}, not {' and '.join(given)}")
     if output is not None:
         _check_scene(output, file)
-        plot = plot or output.with_suffix(".png")
-    if plot is not None:
-        if plot.suffix.lower() != ".png":
-            raise HumansimError("the image is a .png file: give it this suffix", path=plot)
-        check_output(plot)
-    how = _Method(tilt, roll, height, camera, floor_points, tuple(floor_point or ()), board, board_pose)
+        picture = picture or output.with_suffix(".png")
+    check_output(picture, ".png")
+    how = _Method(
+        tilt_deg, roll_deg, height, camera, floor_points, tuple(floor_point or ()), board, board_pose
+    )
     calibration = load(file, size, image, unit, up)
     found = how.find(calibration, file)
     if fit_unit:
@@ -193,7 +216,7 @@ def place(
         found = how.find(calibration, file)
     found = placing.turned(found, math.radians(yaw_deg), at)
     placed = {name: found.placement.camera(one) for name, one in _posed(calibration, file).items()}
-    method = given[0].removeprefix("--") if given else "level"
+    method = given[0].removeprefix("--").removesuffix("-deg") if given else "level"
     facts = _facts(file, method, found, placed, calibration.unit)
     section = _rig_section(file, output, calibration, found, unit, up, size or image)
     if output is not None:
@@ -201,20 +224,20 @@ def place(
         person = f"{{motion: {{file: wave, position: [{x:g}, {y:g}], anchor: center}}}}"
         room = room_around(placed, (x, y))
         _write(output, f"rate: 30\nroom: {room}\nhumans:\n  person: {person}\n{section}")
-    if plot is not None:
+    if picture is not None:
         from humansim_ros.drawing.canvas import write_png
         from humansim_ros.drawing.rigs import rig_image
 
-        write_png(plot, rig_image(placed, found.points))
-    written = [str(path) for path in (output, plot) if path is not None]
+        write_png(picture, rig_image(placed, found.points))
+    written = [str(path) for path in (output, picture) if path is not None]
     _warn(placed, facts)
     if as_json:
         print_text(to_json({**facts, "wrote": written}))
         return
     print_text("\n".join(_lines(facts)))
     print_text(section if output is None else f"wrote {output}; try: humansim run {output}")
-    if plot is not None:
-        print_text(f"wrote {plot}")
+    if picture is not None:
+        print_text(f"wrote {picture}")
 
 
 def _check_scene(output: Path, file: str) -> None:

@@ -13,10 +13,11 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 import typer
 
+from humansim_ros.cli.options import JsonOption
 from humansim_ros.cli.output import print_text, to_json
 from humansim_ros.ros.transport import free_memory
 
@@ -355,7 +356,7 @@ _MARKS = {"ok": "ok     ", "warning": "warning", "wrong": "WRONG  "}
 
 
 def doctor(
-    as_json: Annotated[bool, typer.Option("--json", help="Print JSON for programs.")] = False,
+    as_json: JsonOption = False,
 ) -> None:
     """Check this machine (OpenGL, ROS, DDS, shared memory …), and print the line that mends what is wrong."""
     found = []

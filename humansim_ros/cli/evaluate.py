@@ -10,6 +10,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from humansim_ros.cli.options import (
+    AxesOption,
+    EstimateTopicOption,
+    JsonOption,
+    KeypointsOption,
+    ResumeOption,
+    ScaleOption,
+    list_option,
+)
 from humansim_ros.cli.output import check_output, print_text, to_json
 from humansim_ros.errors import ChallengeError, EvaluationError, RenderError, warn_about
 from humansim_ros.io.files import atomic_path
@@ -58,45 +67,42 @@ class _PoseOptions:
 def evaluate(
     truth: Annotated[
         Path,
-        typer.Option(help="Scene file, bag with the topics /humans/<id>/joints, or folder of an export."),
+        typer.Option(
+            metavar="PATH",
+            help="Scene file, bag with the topics /humans/<id>/joints, or folder of an export.",
+        ),
     ],
     estimate: Annotated[
         list[str],
-        typer.Option(
-            help="BAG:TOPIC (* stands for the name of a person), a file (.csv, .trc, .c3d, .json) or a "
-            "folder of files; may be repeated, such as for one file a person."
+        list_option(
+            "--estimate",
+            "PATH",
+            "BAG:TOPIC (* stands for the name of a person), a file (.csv, .trc, .c3d, .json) or a folder of "
+            "files; several, such as one file a person.",
         ),
     ],
-    keypoints: Annotated[
-        str | None,
-        typer.Option(
-            help="Keypoint set of the estimate, such as coco17; if absent, the joints of bodies, or the set "
-            "that has the names of the estimate. In images coco17, or the set of the export."
-        ),
-    ] = None,
+    keypoints: KeypointsOption = None,
     names: Annotated[
         Path | None,
         typer.Option(
+            metavar="FILE",
             help="YAML file: name of a joint in the truth by name in the estimate; or a list, for points "
-            "without names."
+            "without names.",
         ),
     ] = None,
-    scale: Annotated[
-        float, typer.Option(help="Metres of a unit of the estimate; 0.001 for millimetres.", min=1e-9)
-    ] = 1.0,
-    axes: Annotated[
-        str | None,
-        typer.Option(
-            help="Axes of the estimate: z-up, y-up, y-down, or those that are x, y, z of map, such as x,-z,y."
-        ),
-    ] = None,
+    scale: ScaleOption = 1.0,
+    axes: AxesOption = None,
     offset: Annotated[
         str,
-        typer.Option(help="Seconds by which the stamps of the estimate are late, or auto to measure them."),
+        typer.Option(
+            metavar="SECONDS|auto",
+            help="Seconds by which the stamps of the estimate are late, or auto to measure them.",
+        ),
     ] = "0",
     gate: Annotated[
         float | None,
         typer.Option(
+            metavar="METRES",
             help="Greatest mean joint distance of a person who is found, metres; 0.5 if absent.",
             min=0.001,
             max=1000,
@@ -104,18 +110,26 @@ def evaluate(
     ] = None,
     min_score: Annotated[
         float | None,
-        typer.Option(help="Detections in images with a lower score count for average precision only."),
+        typer.Option(
+            metavar="SCORE",
+            help="Detections in images with a lower score count for average precision only.",
+        ),
     ] = None,
-    json: Annotated[Path | None, typer.Option(help="Write the result to this JSON file.")] = None,
+    as_json: JsonOption = False,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", metavar="FILE", help="Write the result to this JSON file."),
+    ] = None,
     report: Annotated[
-        Path | None, typer.Option(help="Write tables, plots and the worst frames to this HTML file.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Write tables, plots and the worst frames to this HTML file."),
     ] = None,
 ) -> None:
     """Compare estimated 3D poses of people, or detections in images, with the truth."""
     from humansim_ros.evaluate.readers.detections import is_of_images
 
-    for output in filter(None, (json, report)):
-        check_output(output)
+    for path in (output, report):
+        check_output(path)
     options = _PoseOptions(names, scale, axes, offset, gate)
     if any(map(is_of_images, estimate)):
         options.check_unused()
@@ -124,14 +138,14 @@ def evaluate(
         raise EvaluationError("is for detections in images; the estimate is 3D poses", key="--min-score")
     else:
         result = _poses(truth, estimate, keypoints, options)
-    if json is not None:
-        with atomic_path(json) as temporary:
+    if output is not None:
+        with atomic_path(output) as temporary:
             temporary.write_text(to_json(result.data) + "\n", encoding="utf-8")
     if report is not None:
         page = result.report()
         with atomic_path(report) as temporary:
             temporary.write_text(page, encoding="utf-8")
-    print_text(result.table)
+    print_text(to_json(result.data) if as_json else result.table)
 
 
 def _open_truth(path: Path) -> SceneTruth | RecordedTruth | ExportTruth:
@@ -224,40 +238,47 @@ def _seconds(text: str) -> float | None:
 
 
 def challenge(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Folder of the report.")],
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Folder of the report.")],
     tracker: Annotated[
         str | None,
         typer.Option(
+            metavar="COMMAND",
             help="Command that starts the tracker; {cameras}, {topic} and {scene} in it are replaced. Not "
-            "needed to draw a finished report again."
+            "needed to draw a finished report again.",
         ),
     ] = None,
-    suite: Annotated[Path | None, typer.Option(help="Suite (YAML); that of the package if absent.")] = None,
+    suite: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Suite (YAML); the suite of the package if absent."),
+    ] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Fewer frames and strengths.")] = False,
     only: Annotated[
-        list[str] | None, typer.Option(help="Name of an axis to run; may be repeated. All if absent.")
+        list[str] | None, list_option("--only", "NAME", "Names of axes to run. All if absent.")
     ] = None,
     compare: Annotated[
-        Path | None, typer.Option(help="Report of another tracker to show beside this one.")
+        Path | None,
+        typer.Option(metavar="DIR", help="Report of another tracker to show beside this one."),
     ] = None,
-    estimate_topic: Annotated[
-        str, typer.Option(help="Topic of the tracker's poses, of any type that `evaluate` reads.")
-    ] = "/tracker/poses",
-    keypoints: Annotated[
-        str | None, typer.Option(help="Keypoint set of the tracker's poses, such as coco17.")
-    ] = None,
+    estimate: EstimateTopicOption = "/tracker/poses",
+    keypoints: KeypointsOption = None,
+    scale: ScaleOption = 1.0,
+    axes: AxesOption = None,
     timeout: Annotated[
-        float, typer.Option(help="Seconds that a frame waits for the tracker.", min=0.1, max=1000.0)
+        float,
+        typer.Option(
+            metavar="SECONDS", help="Seconds that a frame waits for the tracker.", min=0.1, max=1000.0
+        ),
     ] = 10.0,
     start_within: Annotated[
-        float, typer.Option(help="Seconds that the tracker may take to start.", min=1.0, max=1000.0)
+        float,
+        typer.Option(
+            metavar="SECONDS", help="Seconds that the tracker may take to start.", min=1.0, max=1000.0
+        ),
     ] = 20.0,
     realtime: Annotated[
         bool, typer.Option("--realtime", help="Frames follow the wall clock and do not wait.")
     ] = False,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Keep finished cases, and run the others.")
-    ] = False,
+    resume: ResumeOption = False,
 ) -> None:
     """Run a tracker through difficulties of three strengths, and show where it breaks."""
     from humansim_ros.challenge.report import show_table, write_pages
@@ -273,7 +294,17 @@ def challenge(
 
         require_ros()
         chosen = load_suite(suite, only or (), quick)
-        options = ChallengeOptions(tracker, estimate_topic, keypoints, timeout, start_within, realtime, quick)
+        options = ChallengeOptions(
+            tracker,
+            estimate or "/tracker/poses",
+            keypoints,
+            timeout,
+            start_within,
+            realtime,
+            quick,
+            scale,
+            axes,
+        )
         report = open_report(chosen, options, output, resume)
         todo = sum(case.name not in report.results for case in chosen.cases)
 

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from humansim_ros.cli import options
+from humansim_ros.bounds import MAX_FRAMES
+from humansim_ros.cli.options import JobsOption, RayOption, ResumeOption, export_formats, list_option
 from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
 from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import ExportError
@@ -39,50 +40,48 @@ def export(
     output: Annotated[
         str,
         typer.Option(
-            "--output", "-o", help="Folder, which must not exist; with --ray one that all hosts share."
+            "--output",
+            "-o",
+            metavar="DIR",
+            help="Folder, which must not exist; with --ray one that all hosts share.",
         ),
     ],
     formats: Annotated[
-        list[str],
-        typer.Option(
-            "--format",
-            help="Formats with commas between them, such as coco,mot; may be repeated.",
-            autocompletion=options.export_formats,
-        ),
+        list[str], list_option("--format", "FORMAT", "Formats, such as coco,mot.", export_formats)
     ],
     scene: Annotated[
         Path | None, typer.Argument(help="Scene file (YAML) or bag; the demo scene if absent.")
     ] = None,
     frames: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Number of frames, from the first; all of a bag if absent.",
+            min=1,
+            max=MAX_FRAMES,
+        ),
+    ] = None,
+    range_: Annotated[
         str | None,
         typer.Option(
-            help="Frames A:B, from A up to, but not including, B, such as 0:300; all of a bag if absent."
+            "--range",
+            metavar="A:B",
+            help="Frames from A up to, but not including, B, such as 100:300, instead of --frames.",
         ),
     ] = None,
     keypoints: Annotated[
-        str, typer.Option(help="Keypoint set of the formats with keypoints (docs/keypoints.md).")
+        str,
+        typer.Option(metavar="SET", help="Keypoint set of the formats with keypoints (docs/keypoints.md)."),
     ] = "coco17",
     images: Annotated[_ImageFormat, typer.Option(help="Format of colour images.")] = _ImageFormat.png,
     shard_size: Annotated[
-        int, typer.Option(help="Size of the shards of webdataset in bytes.", min=1)
+        int, typer.Option(metavar="BYTES", help="Size of the shards of webdataset in bytes.", min=1)
     ] = 1_000_000_000,
-    jobs: Annotated[
-        int | None,
-        typer.Option(help="Number of processes that render or read; all cores if absent.", min=1, max=1024),
-    ] = None,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", help="Continue an interrupted export, or start it; give the same options."),
-    ] = False,
-    ray: Annotated[
-        str | None,
-        typer.Option(
-            help="Export on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT; local starts Ray here with "
-            "--jobs workers."
-        ),
-    ] = None,
+    jobs: JobsOption = None,
+    resume: ResumeOption = False,
+    ray: RayOption = None,
     shard_frames: Annotated[
-        int, typer.Option(help="Frames that a worker of Ray writes at a time.", min=1)
+        int, typer.Option(metavar="N", help="Frames that a worker of Ray writes at a time.", min=1)
     ] = 100,
     show_list: Annotated[
         bool,
@@ -92,16 +91,17 @@ def export(
     """Write frames of a scene or bag as a data set: images, annotations, calibrations, motions."""
     from humansim_ros.export.export import Export
     from humansim_ros.export.formats import chosen_formats
-    from humansim_ros.export.plan import ExportPlan, parse_frames
+    from humansim_ros.export.plan import ExportPlan, parse_range
     from humansim_ros.keypoints.sets import keypoint_set
     from humansim_ros.record.output import is_url
     from humansim_ros.ros.processes.node_processes import cores
 
     if is_url(output):
         raise ExportError("an export needs a folder; with --ray one that all hosts share", key="--output")
-    chosen = None if frames is None else parse_frames(frames)
-    names = [word.strip() for text in formats for word in text.split(",") if word.strip()]
-    rows = tuple(chosen_formats(names))
+    if frames is not None and range_ is not None:
+        raise ExportError("give --frames or --range, not both", key="export")
+    chosen = parse_range(range_) if range_ is not None else range(frames) if frames is not None else None
+    rows = tuple(chosen_formats(formats))
     if ray is not None and scene is not None:
         scene = scene.resolve()  # workers are in other folders
     source = _source(scene, rows, keypoint_set(keypoints).name)

@@ -10,8 +10,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from humansim_ros.cli import options
-from humansim_ros.cli.options import JsonOption
+from humansim_ros.cli.options import (
+    BodyOption,
+    FacingOption,
+    JsonOption,
+    OutputImageOption,
+    PictureOption,
+    UnitOption,
+    UpOption,
+    list_option,
+)
+from humansim_ros.cli.options import built_in_humans as completed_humans
 from humansim_ros.cli.output import check_output, print_text, to_json
 from humansim_ros.errors import HumansimError, MeshError
 from humansim_ros.resources import resource_path
@@ -50,10 +59,12 @@ HumanArgument = Annotated[
     str,
     typer.Argument(
         help="Built-in human (`humansim human list`), or a file: .npz, .yaml, .obj, .glb …",
-        autocompletion=options.humans,
+        autocompletion=completed_humans,
     ),
 ]
-PreviewOption = Annotated[Path | None, typer.Option(help="Also draw the human (.png).")]
+OutputHumanOption = Annotated[
+    Path, typer.Option("--output", "-o", metavar="FILE", help="Output file (.npz).")
+]
 
 
 def list_humans(as_json: JsonOption = False) -> None:
@@ -91,11 +102,11 @@ def joints(as_json: JsonOption = False) -> None:
 
 def show(
     human: HumanArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Output image (.png).")],
-    outfit: Annotated[str | None, typer.Option(help="Name of the outfit.")] = None,
+    output: OutputImageOption,
+    outfit: Annotated[str | None, typer.Option(metavar="NAME", help="Name of the outfit.")] = None,
 ) -> None:
     """Draw a human from all sides, with its bones, weights and outfits."""
-    _check_image(output)
+    check_output(output, ".png")
     _draw(_load(human, outfit), output)
 
 
@@ -109,21 +120,21 @@ def build(
     config: Annotated[
         Path, typer.Argument(help="Description (.yaml); see config/humans and docs/humans.md.")
     ],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Output file (.npz).")],
-    preview: PreviewOption = None,
+    output: OutputHumanOption,
+    picture: PictureOption = None,
 ) -> None:
     """Build a human from a description: MakeHuman parameters or a mesh."""
     if config.suffix.lower() not in (".yaml", ".yml"):
         raise MeshError("a description is a .yaml file; use `humansim human rig` for meshes", path=config)
-    _check_human(output)
-    _check_image(preview)
-    _write(_load(str(config)), output, preview)
+    check_output(output, ".npz")
+    check_output(picture, ".png")
+    _write(_load(str(config)), output, picture)
 
 
 def rig(
     mesh: Annotated[Path, typer.Argument(help="Mesh in T or A pose (.obj, .glb, .stl …), or an SMPL model.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Output file (.npz).")],
-    preview: PreviewOption = None,
+    output: OutputHumanOption,
+    picture: PictureOption = None,
     rigging: Annotated[
         RiggingChoice, typer.Option(help="Method for the weights of a mesh without weights.")
     ] = RiggingChoice.heat,
@@ -131,10 +142,12 @@ def rig(
         SkeletonChoice, typer.Option(help="Joints detected in the mesh, or those of the general skeleton.")
     ] = SkeletonChoice.fitted,
     skinning: Annotated[SkinningChoice, typer.Option(help="Skinning method.")] = SkinningChoice.linear,
-    unit: Annotated[float | None, typer.Option(help="Metres per unit of the file.")] = None,
-    stature: Annotated[float | None, typer.Option(help="Height of the person, metres.")] = None,
-    up: Annotated[str | None, typer.Option(help="Axis of the file that points up, such as y or -z.")] = None,
-    facing: Annotated[str | None, typer.Option(help="Axis of the file that the person faces.")] = None,
+    unit: UnitOption = None,
+    stature: Annotated[
+        float | None, typer.Option(metavar="METRES", help="Height of the person, metres.")
+    ] = None,
+    up: UpOption = None,
+    facing: FacingOption = None,
 ) -> None:
     """Fit a skeleton to a mesh and compute weights. A mesh that has weights keeps them."""
     from pydantic import ValidationError
@@ -143,8 +156,8 @@ def rig(
     from humansim_ros.humans.loading import make_human
     from humansim_ros.io.schema_errors import schema_error
 
-    _check_human(output)
-    _check_image(preview)
+    check_output(output, ".npz")
+    check_output(picture, ".png")
     options = {"rigging": rigging.value, "skeleton": skeleton.value, "skinning": skinning.value}
     given = {"unit": unit, "stature": stature, "up": up, "facing": facing}
     try:
@@ -152,7 +165,7 @@ def rig(
     except ValidationError as reason:
         fault = schema_error(reason, MeshHuman, HumansimError)
         raise HumansimError(f"--{fault.key}: {fault.message}" if fault.key else fault.message) from None
-    _write(make_human(mesh, described), output, preview)
+    _write(make_human(mesh, described), output, picture)
 
 
 def built_in_humans() -> list[str]:
@@ -207,13 +220,13 @@ def _load(name: str, outfit: str | None = None) -> Human:
     return load_human(find_asset(name, "humans"), outfit)
 
 
-def _write(human: Human, output: Path, preview: Path | None) -> None:
+def _write(human: Human, output: Path, picture: Path | None) -> None:
     from humansim_ros.humans.human import write_human
 
     write_human(output, human)
     print_text(f"wrote {output}")
-    if preview is not None:
-        _draw(human, preview)
+    if picture is not None:
+        _draw(human, picture)
 
 
 def _draw(human: Human, output: Path) -> None:
@@ -222,20 +235,6 @@ def _draw(human: Human, output: Path) -> None:
 
     write_png(output, human_sheet(human))
     print_text(f"wrote {output}")
-
-
-def _check_human(output: Path) -> None:
-    if output.suffix.lower() != ".npz":
-        raise HumansimError("a human is written to a .npz file: give it this suffix", path=output)
-    check_output(output)
-
-
-def _check_image(output: Path | None) -> None:
-    if output is None:
-        return
-    if output.suffix.lower() != ".png":
-        raise HumansimError("the image is a .png file: give it this suffix", path=output)
-    check_output(output)
 
 
 # -- humans from photographs
@@ -255,28 +254,26 @@ class Method(Enum):
 
 def fit(
     views: ViewsArgument,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Fit to write (.yaml).")],
-    human: Annotated[
-        str | None,
-        typer.Option(
-            help="Human to start from, instead of that of the views file.", autocompletion=options.humans
-        ),
-    ] = None,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="FILE", help="Fit to write (.yaml).")],
+    body: BodyOption = None,
     detector: Annotated[
         str | None,
         typer.Option(
+            metavar="COMMAND",
             help="Command that finds the 2D points of an image: 'python detect.py {image} {points}'; "
-            "its results are kept in <name of the views file>_points."
+            "its results are kept in <name of the views file>_points.",
         ),
     ] = None,
     silhouettes: Annotated[
         bool, typer.Option("--silhouettes/--no-silhouettes", help="Use the masks of the views.")
     ] = True,
-    report: Annotated[
-        Path | None, typer.Option(help="Picture of the fit (.png): overlays and residuals.")
+    picture: PictureOption = None,
+    bvh: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Motion of a sequence to write (.bvh).")
     ] = None,
-    bvh: Annotated[Path | None, typer.Option(help="Motion of a sequence to write (.bvh).")] = None,
-    npz: Annotated[Path | None, typer.Option(help="Fitted human without a new texture (.npz).")] = None,
+    npz: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Fitted human without a new texture (.npz).")
+    ] = None,
 ) -> None:
     """Fit a human to calibrated photographs: pose, place, stature, proportions."""
     from humansim_ros.humans.human import write_human
@@ -287,27 +284,27 @@ def fit(
     from humansim_ros.photographs.person_fit import fit_motion
     from humansim_ros.photographs.views import read_views
 
-    _check(output, ".yaml", "a fit")
-    _check(report, ".png", "the picture")
-    _check(bvh, ".bvh", "a motion")
-    _check(npz, ".npz", "a human")
+    check_output(output, ".yaml")
+    check_output(picture, ".png")
+    check_output(bvh, ".bvh")
+    check_output(npz, ".npz")
     photos = read_views(views)
     if detector is not None:
         photos = detect_points(photos, detector, _print_progress)
-    found = fit_person(photos, human, silhouettes=silhouettes, progress=_print_step)
+    found = fit_person(photos, body, silhouettes=silhouettes, progress=_print_step)
     write_fit(output, found)
     print_text("\n".join(_lines(found, photos)))
     print_text(f"wrote {output}")
-    if report is not None:
+    if picture is not None:
         from humansim_ros.drawing.canvas import write_png
         from humansim_ros.photographs.reports import draw_report
 
         # of a sequence, another fit would take long
         masks = any(photo.mask_path is not None for photo in photos.frames[0])
         compared = silhouettes and masks and len(photos.frames) == 1
-        before = fit_person(photos, human, silhouettes=False) if compared else None
-        write_png(report, draw_report(found, photos, before))
-        print_text(f"wrote {report}")
+        before = fit_person(photos, body, silhouettes=False) if compared else None
+        write_png(picture, draw_report(found, photos, before))
+        print_text(f"wrote {picture}")
     if bvh is not None:
         write_bvh(bvh, fit_motion(found))
         print_text(
@@ -320,8 +317,10 @@ def fit(
 
 def texture(
     views: ViewsArgument,
-    fit_file: Annotated[Path, typer.Option("--fit", help="Fit of these views, of `humansim human fit`.")],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Human to write (.npz).")],
+    fit_file: Annotated[
+        Path, typer.Option("--fit", metavar="FILE", help="Fit of these views, of `humansim human fit`.")
+    ],
+    output: OutputHumanOption,
     method: Annotated[
         Method,
         typer.Option(
@@ -329,16 +328,17 @@ def texture(
             "photograph that sees it best."
         ),
     ] = Method.atlas,
-    size: Annotated[
-        int, typer.Option(min=64, max=8192, help="Side of the texture of --method atlas, pixels.")
+    texture_size: Annotated[
+        int,
+        typer.Option(
+            metavar="PIXELS", min=64, max=8192, help="Side of the texture of --method atlas, pixels."
+        ),
     ] = 2048,
     frame: Annotated[
-        list[int] | None,
-        typer.Option(min=0, help="Number of a frame to use; may be repeated. The first if absent."),
+        list[str] | None,
+        list_option("--frame", "N", "Numbers of frames to use, from 0; the first if absent."),
     ] = None,
-    report: Annotated[
-        Path | None, typer.Option(help="Picture of the result (.png): all sides, texture, cameras.")
-    ] = None,
+    picture: PictureOption = None,
 ) -> None:
     """Texture a fitted human from the photographs."""
     from humansim_ros.humans.human import write_human
@@ -346,20 +346,21 @@ def texture(
     from humansim_ros.photographs.texturing import texture_person
     from humansim_ros.photographs.views import read_views
 
-    _check(output, ".npz", "a human")
-    _check(report, ".png", "the picture")
+    check_output(output, ".npz")
+    check_output(picture, ".png")
+    numbers = tuple(_whole_number(word) for word in frame or ("0",))
     photos, fitted = read_views(views), read_fit(fit_file)
-    textured = texture_person(fitted, photos, method.value, frames=tuple(frame or (0,)), size=size)
+    textured = texture_person(fitted, photos, method.value, frames=numbers, size=texture_size)
     write_human(output, textured.human)
     seen = float(textured.seen.mean())
     print_text(f"{textured.human.name}: {seen:.0%} of the faces are seen by a camera")
     print_text(f"wrote {output}")
-    if report is not None:
+    if picture is not None:
         from humansim_ros.drawing.canvas import write_png
         from humansim_ros.photographs.reports import draw_sheet
 
-        write_png(report, draw_sheet(textured))
-        print_text(f"wrote {report}")
+        write_png(picture, draw_sheet(textured))
+        print_text(f"wrote {picture}")
 
 
 def _lines(fit: PersonFit, photos: PhotoSet) -> list[str]:
@@ -394,10 +395,7 @@ def _print_progress(done: int, count: int) -> None:
         print_text(f"detector: {done} of {count} images")
 
 
-def _check(output: Path | None, suffix: str, what: str) -> None:
-    """Raise HumansimError if a file cannot be written; before the work begins."""
-    if output is None:
-        return
-    if output.suffix.lower() not in ((".yaml", ".yml") if suffix == ".yaml" else (suffix,)):
-        raise HumansimError(f"{what} is written to a {suffix} file: give it this suffix", path=output)
-    check_output(output)
+def _whole_number(text: str) -> int:
+    if not (text.isascii() and text.isdecimal() and len(text) < 10):
+        raise HumansimError(f"--frame: needs numbers of frames, from 0, not {text!r}")
+    return int(text)

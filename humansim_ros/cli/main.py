@@ -10,8 +10,8 @@ from typing import Annotated, Any
 
 import typer
 
-from humansim_ros.cli.options import join_numbers
-from humansim_ros.cli.output import flush_output, give_up_output, print_error, print_text
+from humansim_ros.cli.options import join_numbers, new_names
+from humansim_ros.cli.output import flush_output, give_up_output, print_error, print_text, print_warning
 from humansim_ros.errors import HumansimError, show_warnings
 
 #: Module and function of each command, in the order of the help.
@@ -133,7 +133,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ``arguments``: words after ``humansim``; the words of this process if None.
     """
     show_warnings()
-    arguments = join_numbers(sys.argv[1:] if arguments is None else arguments)
+    given = sys.argv[1:] if arguments is None else arguments
+    arguments = join_numbers(new_names(given, print_warning))
     try:
         # a shell that asks for completions gives the words in variables
         app = make_app(None if _COMPLETION in os.environ else arguments)

@@ -11,8 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from humansim_ros.cli import options
-from humansim_ros.cli.options import JsonOption, parse_size
+from humansim_ros.cli.options import (
+    BodyOption,
+    FacingOption,
+    JointTableOption,
+    JsonOption,
+    UnitOption,
+    UpOption,
+    parse_size,
+)
+from humansim_ros.cli.options import built_in_motions as completed_motions
 from humansim_ros.cli.output import (
     check_output,
     print_text,
@@ -56,28 +64,13 @@ MotionArgument = Annotated[
     str,
     typer.Argument(
         help="Motion file (BVH), or a built-in motion (`humansim motion list`).",
-        autocompletion=options.motions,
+        autocompletion=completed_motions,
     ),
-]
-JointTableOption = Annotated[
-    str | None,
-    typer.Option(
-        help="Joint table: built-in name or YAML file; detected if absent.",
-        autocompletion=options.joint_tables,
-    ),
-]
-MotionUnitOption = Annotated[
-    float | None, typer.Option(help="Metres per unit of the file; detected if absent.", min=0.0)
-]
-MotionUpOption = Annotated[
-    str | None, typer.Option(help="Axis of the file that points up, such as y or -z; detected if absent.")
-]
-FacingOption = Annotated[
-    str | None, typer.Option(help="Axis of the file that the person faces at rest; detected if absent.")
 ]
 MinConfidenceOption = Annotated[
     float | None,
     typer.Option(
+        metavar="FRACTION",
         help="Lowest confidence that the motion is that of a person; 0.12 if absent, 0 for animals.",
         min=0.0,
         max=1.0,
@@ -93,8 +86,8 @@ def info(
     file: MotionArgument,
     as_json: JsonOption = False,
     joint_names: JointTableOption = None,
-    unit: MotionUnitOption = None,
-    up: MotionUpOption = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
     facing: FacingOption = None,
     positions: PositionsOption = PositionsChoice.auto,
     min_confidence: MinConfidenceOption = None,
@@ -111,7 +104,7 @@ def info(
 
 def joints(
     file: MotionArgument,
-    frame: Annotated[int, typer.Option(help="Number of the frame, from 0.")] = 0,
+    frame: Annotated[int, typer.Option(metavar="N", help="Number of the frame, from 0.")] = 0,
     as_json: JsonOption = False,
     positions: PositionsOption = PositionsChoice.auto,
 ) -> None:
@@ -131,33 +124,39 @@ def joints(
 
 def retarget(
     file: MotionArgument,
-    frame: Annotated[int | None, typer.Option(help="Number of the frame, from 0 (the default).")] = None,
+    frame: Annotated[
+        int | None, typer.Option(metavar="N", help="Number of the frame, from 0 (the default).")
+    ] = None,
     as_json: JsonOption = False,
     output: Annotated[
         Path | None,
-        typer.Option("--output", "-o", help="Write all frames to a file: .bvh, .npz or .json."),
+        typer.Option(
+            "--output", "-o", metavar="FILE", help="Write all frames to a file: .bvh, .npz or .json."
+        ),
     ] = None,
     mode: Annotated[
         RetargetingChoice,
         typer.Option(help="full: rotations with twist; thesis: bones parallel to links, without twist."),
     ] = RetargetingChoice.full,
     joint_names: JointTableOption = None,
-    unit: MotionUnitOption = None,
-    up: MotionUpOption = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
     facing: FacingOption = None,
     positions: PositionsOption = PositionsChoice.auto,
     min_confidence: MinConfidenceOption = None,
     root_scale: Annotated[
-        str | None, typer.Option(help="Scale of the root motion: legs, height, or a number.")
+        str | None,
+        typer.Option(
+            metavar="legs|height|NUMBER", help="Scale of the root motion: legs, height, or a number."
+        ),
     ] = None,
-    body: Annotated[
-        str | None, typer.Option(help="Body with the skeleton; the general H-Anim skeleton if absent.")
-    ] = None,
-    position: Annotated[tuple[float, float], typer.Option(help="Position of the start: x y, metres.")] = (
-        0.0,
-        0.0,
-    ),
-    yaw_deg: Annotated[float, typer.Option(help="Heading of the motion's forward direction.")] = 0.0,
+    body: BodyOption = None,
+    position: Annotated[
+        tuple[float, float], typer.Option(metavar="X Y", help="Position of the start: x y, metres.")
+    ] = (0.0, 0.0),
+    yaw_deg: Annotated[
+        float, typer.Option(metavar="DEGREES", help="Heading of the motion's forward direction.")
+    ] = 0.0,
     mirror: Annotated[bool, typer.Option("--mirror", help="Swap left and right.")] = False,
     pin_feet: Annotated[bool, typer.Option("--pin-feet", help="Remove foot sliding.")] = False,
     clamp: Annotated[bool, typer.Option("--clamp", help="Keep joints within their limits.")] = False,
@@ -218,7 +217,10 @@ def table(
     output: Annotated[
         Path | None,
         typer.Option(
-            "--output", "-o", help="Write the joint table (YAML) to a file, for editing and --joint-names."
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write the joint table (YAML) to a file, for editing and --joint-names.",
         ),
     ] = None,
     joint_names: JointTableOption = None,
@@ -255,25 +257,31 @@ def list_motions(as_json: JsonOption = False) -> None:
 def render(
     file: MotionArgument,
     output: Annotated[
-        Path, typer.Option("--output", "-o", help="Output strip (.png) or video (.mp4, .gif).")
+        Path,
+        typer.Option("--output", "-o", metavar="FILE", help="Output strip (.png) or video (.mp4, .gif)."),
     ],
-    phases: Annotated[int, typer.Option(help="Frames of a strip.", min=1, max=60)] = 8,
+    frames: Annotated[int, typer.Option(metavar="N", help="Number of frames of a strip.", min=1, max=60)] = 8,
     size: Annotated[
-        str, typer.Option(help="Width and height of one image, as 220x300 or 220 300.")
+        str, typer.Option(metavar="WIDTHxHEIGHT", help="Width and height of one image, as 220x300.")
     ] = "220x300",
     view: Annotated[ViewpointChoice, typer.Option(help="Viewpoint.")] = ViewpointChoice.three_quarter,
-    body: Annotated[str, typer.Option(help="Body that is drawn.")] = "adult_man",
+    body: BodyOption = "adult_man",
     no_skin: Annotated[bool, typer.Option("--no-skin", help="Draw only the stick figure.")] = False,
     rate: Annotated[
         float | None,
         typer.Option(
-            help="Frames per second of a video; those of the motion, up to 60, if absent.", min=1.0, max=120.0
+            metavar="HZ",
+            help="Frames per second of a video; the rate of the motion, up to 60, if absent.",
+            min=1.0,
+            max=120.0,
         ),
     ] = None,
-    seconds: Annotated[float, typer.Option(help="Longest video, seconds.", min=0.1, max=600.0)] = 60.0,
+    seconds: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Longest video, seconds.", min=0.1, max=600.0)
+    ] = 60.0,
     joint_names: JointTableOption = None,
-    unit: MotionUnitOption = None,
-    up: MotionUpOption = None,
+    unit: UnitOption = None,
+    up: UpOption = None,
     facing: FacingOption = None,
     positions: PositionsOption = PositionsChoice.auto,
     min_confidence: MinConfidenceOption = None,
@@ -308,11 +316,11 @@ def render(
             _warn_of(world)
             artists.append(StickFigureArtist.of_world(world, panel, view.value))
             if not no_skin:
-                artists.append(SkinnedArtist(_human(body), world, panel, view.value))
+                artists.append(SkinnedArtist(_human(body or "adult_man"), world, panel, view.value))
         if output.suffix.lower() != ".png" and motion.duration > seconds:
             print_warning(f"only the first {seconds:g} s of {motion.duration:g} s are drawn (--seconds)")
         title = f"{Path(motion.path).stem}: {motion.n_frames} frames, {motion.duration:.2f} s"
-        write_motion_image(output, artists, title, phases, rate, seconds, progress_bar)
+        write_motion_image(output, artists, title, frames, rate, seconds, progress_bar)
     finally:
         for artist in artists:
             artist.close()

@@ -1,44 +1,308 @@
-"""Options and arguments that several commands share."""
+"""Options that several commands share, lists and numbers as values, and old names of options."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from humansim_ros.errors import HumansimError
 from humansim_ros.io.assets import built_in_names
+from humansim_ros.io.files import exists
 from humansim_ros.resources import resource_path
 
-JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON for programs.")]
 
+def split_commas(values: list[str] | None) -> list[str]:
+    """Values of an option that is a list: it may be repeated, and has commas between its words.
+
+    The name of a file that exists may have a comma.
+
+    Example:
+        >>> split_commas(["left,right", "top"])
+        ['left', 'right', 'top']
+    """
+    words = (word for text in values or () for word in ([text] if exists(Path(text)) else text.split(",")))
+    return [word.strip() for word in words if word.strip()]
+
+
+def list_option(
+    name: str, metavar: str, help: str, complete: Callable[[str], list[str]] | None = None
+) -> Any:
+    """An option that is a list, by repetition or commas.
+
+    Args:
+        name: Name of the option.
+        metavar: What one word of the list is.
+        help: Help text.
+        complete: Words that a shell offers.
+    """
+    return typer.Option(
+        name, metavar=f"{metavar},...", help=help, callback=split_commas, autocompletion=complete
+    )
+
+
+# -- words that shells complete
+
+#: Export formats: their own table loads OpenCV and moderngl, for which a shell would wait.
+EXPORT_FORMATS = (
+    *("images", "depth-png", "depth-exr", "depth-npy", "labels", "flow-flo", "flow-kitti", "coco", "yolo"),
+    *("mot", "thesis", "mp4", "openpose", "anipose", "trc", "c3d", "panoptic", "human36m", "bvh", "glb"),
+    *("webdataset", "croissant"),
+)
+
+
+def built_in_motions(incomplete: str) -> list[str]:
+    """Built-in motions."""
+    return _beginning(incomplete, built_in_names("motions"))
+
+
+def built_in_humans(incomplete: str) -> list[str]:
+    """Built-in humans."""
+    return _beginning(incomplete, built_in_names("humans"))
+
+
+def joint_tables(incomplete: str) -> list[str]:
+    """Built-in joint tables."""
+    return _beginning(incomplete, (path.stem for path in resource_path("config/joint_names").glob("*.yaml")))
+
+
+def built_in_channels(incomplete: str) -> list[str]:
+    """Channels, the last of several with commas between them."""
+    from humansim_ros.render.channels import ALL_CHANNELS
+
+    return _last_of_list(incomplete, ALL_CHANNELS)
+
+
+def export_formats(incomplete: str) -> list[str]:
+    """Export formats, the last of several with commas between them."""
+    return _last_of_list(incomplete, EXPORT_FORMATS)
+
+
+def _last_of_list(incomplete: str, words: Iterable[str]) -> list[str]:
+    before, comma, last = incomplete.rpartition(",")
+    return [f"{before}{comma}{word}" for word in _beginning(last, words)]
+
+
+def _beginning(incomplete: str, words: Iterable[str]) -> list[str]:
+    return sorted(word for word in words if word.startswith(incomplete))
+
+
+# -- options that several commands share
+
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+SceneArgument = Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")]
 CalibrationArgument = Annotated[
     str, typer.Argument(help="Calibration file of any format, folder of such files, or URL.")
 ]
 CalibrationsArgument = Annotated[
     list[str], typer.Argument(help="Calibration files of any format, folders of such files, or URLs.")
 ]
-SizeOption = Annotated[
-    str | None, typer.Option(help="Image size, as 640x480 or 640 480; overrides the size in the file.")
+OutputFolderOption = Annotated[
+    Path,
+    typer.Option("--output", "-o", metavar="DIR", help="Output folder; it is created if it is missing."),
 ]
-ImageOption = Annotated[Path | None, typer.Option(help="Image (.png, .jpg) that has the image size.")]
+OutputImageOption = Annotated[
+    Path, typer.Option("--output", "-o", metavar="FILE", help="Output image (.png).")
+]
+PictureOption = Annotated[
+    Path | None, typer.Option("--picture", metavar="FILE", help="Also draw the result (.png).")
+]
+JobsOption = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs", metavar="N", help="Number of worker processes; one per core if absent.", min=1, max=1024
+    ),
+]
+TopicsOption = Annotated[
+    list[str] | None,
+    list_option("--topics", "TOPIC", "Topics, or patterns such as '/left/*'."),
+]
+NetworkOption = Annotated[
+    bool, typer.Option("--network", help="Let other hosts find the nodes, hear them and steer them.")
+]
+ResumeOption = Annotated[
+    bool,
+    typer.Option("--resume", help="Continue what was interrupted, or start it; give the same options."),
+]
+RayOption = Annotated[
+    str | None,
+    typer.Option(
+        "--ray",
+        metavar="ADDRESS",
+        help="Work on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT; local starts Ray here with --jobs "
+        "workers.",
+    ),
+]
+BodyOption = Annotated[
+    str | None,
+    typer.Option(
+        "--body",
+        metavar="BODY",
+        help="Body: built-in (`humansim human list`), or a file (.npz, .yaml, .obj, .glb …).",
+        autocompletion=built_in_humans,
+    ),
+]
+
+# estimates of a tracker
+EstimateTopicOption = Annotated[
+    str | None,
+    typer.Option(
+        "--estimate",
+        metavar="TOPIC",
+        help="Topic of the tracker's poses, such as /tracker/poses; * stands for the name of a person.",
+    ),
+]
+KeypointsOption = Annotated[
+    str | None,
+    typer.Option(
+        "--keypoints",
+        metavar="SET",
+        help="Keypoint set of the estimate, such as coco17; as its names say if absent.",
+    ),
+]
+ScaleOption = Annotated[
+    float,
+    typer.Option(
+        "--scale", metavar="METRES", help="Metres of a unit of the estimate; 0.001 for millimetres.", min=1e-9
+    ),
+]
+AxesOption = Annotated[
+    str | None,
+    typer.Option(
+        "--axes",
+        metavar="AXES",
+        help="Axes of the estimate: z-up, y-up, y-down, or the axes that are x, y, z of map, such as x,-z,y.",
+    ),
+]
+
+# calibrations
+SizeOption = Annotated[
+    str | None,
+    typer.Option(
+        "--size", metavar="WIDTHxHEIGHT", help="Image size, as 640x480; overrides the size in the file."
+    ),
+]
+ImageOption = Annotated[
+    Path | None,
+    typer.Option("--image", metavar="FILE", help="Image (.png, .jpg) that has the image size."),
+]
 UnitOption = Annotated[
-    float | None, typer.Option(help="Metres per unit of the file; that of its format if absent.")
+    float | None,
+    typer.Option(
+        "--unit",
+        metavar="METRES",
+        help="Metres per unit of the file; its format or content says it if absent.",
+    ),
 ]
 UpOption = Annotated[
     str | None,
-    typer.Option(help="Axis of the file that points up, such as y or -z; that of its format if absent."),
+    typer.Option(
+        "--up",
+        metavar="AXIS",
+        help="Axis of the file that points up, such as y or -z; its format or content says it if absent.",
+    ),
 ]
 CameraOption = Annotated[
     list[str] | None,
-    typer.Option("--camera", help="Use only cameras with this name or pattern, such as left or 'S9_*'."),
+    list_option("--camera", "NAME", "Use only cameras with this name or pattern, such as left or 'S9_*'."),
 ]
-OutputFolderOption = Annotated[
-    Path, typer.Option("--output", "-o", help="Output folder; it is created if it is missing.")
+
+# motions
+JointTableOption = Annotated[
+    str | None,
+    typer.Option(
+        "--joint-names",
+        metavar="TABLE",
+        help="Joint table: built-in name or YAML file; detected if absent.",
+        autocompletion=joint_tables,
+    ),
 ]
+FacingOption = Annotated[
+    str | None,
+    typer.Option(
+        "--facing",
+        metavar="AXIS",
+        help="Axis of the file that the person faces at rest; detected if absent.",
+    ),
+]
+
+
+# -- the command line before it is parsed
+
+
+@dataclass(frozen=True)
+class Renamed:
+    """An option with another name now.
+
+    Attributes:
+        old: Old name.
+        new: New name.
+        value: Pattern of the values that make it the old option, if the old name has another meaning now.
+    """
+
+    old: str
+    new: str
+    value: str = ""
+
+
+#: Version that removes the old names.
+REMOVED_IN = "0.4.0"
+#: Renamed options of each command.
+RENAMED = {
+    "run": (
+        Renamed("--duration", "--seconds"),
+        Renamed("--processes", "--jobs"),
+        Renamed("--mesh", "--body"),
+        Renamed("--record-topics", "--topics"),
+        Renamed("--record-compression", "--compression"),
+        Renamed("--evaluate", "--estimate"),
+        Renamed("--evaluate-keypoints", "--keypoints"),
+        Renamed("--evaluate-output", "--output"),
+    ),
+    "demo": (Renamed("--duration", "--seconds"),),
+    "bench": (Renamed("--processes", "--jobs"),),
+    "export": (Renamed("--frames", "--range", ".*:.*"),),
+    "evaluate": (Renamed("--json", "--output", "[^-].*"),),
+    "challenge": (Renamed("--estimate-topic", "--estimate"),),
+    "camera plot": (Renamed("--at", "--height"),),
+    "camera place": (
+        Renamed("--plot", "--picture"),
+        Renamed("--tilt", "--tilt-deg"),
+        Renamed("--roll", "--roll-deg"),
+    ),
+    "human build": (Renamed("--preview", "--picture"),),
+    "human rig": (Renamed("--preview", "--picture"),),
+    "human fit": (Renamed("--human", "--body"), Renamed("--report", "--picture")),
+    "human texture": (Renamed("--report", "--picture"), Renamed("--size", "--texture-size")),
+    "motion render": (Renamed("--phases", "--frames"),),
+}
+
+
+def new_names(arguments: Sequence[str], warn: Callable[[str], object]) -> list[str]:
+    """The command line with the new names of renamed options; ``warn`` gets a line about each old one.
+
+    Example:
+        >>> new_names(["run", "--duration", "5"], print)
+        --duration is now --seconds; version 0.4.0 removes the old name
+        ['run', '--seconds', '5']
+    """
+    words = [word for word in arguments if not word.startswith("-")]
+    renamed = {each.old: each for n in (1, 2) for each in RENAMED.get(" ".join(words[:n]), ())}
+    changed = list(arguments)
+    end = changed.index("--") if "--" in changed else len(changed)
+    for place, word in enumerate(changed[:end]):
+        name, equals, value = word.partition("=")
+        found = renamed.get(name)
+        following = value if equals else next(iter(changed[place + 1 : end]), "")
+        if found is not None and (not found.value or re.fullmatch(found.value, following)):
+            changed[place] = f"{found.new}{equals}{value}"
+            warn(f"{found.old} is now {found.new}; version {REMOVED_IN} removes the old name")
+    return changed
+
 
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 #: Options with several numbers: how their values are joined, and the most that there may be.
@@ -77,49 +341,3 @@ def parse_size(text: str) -> tuple[int, int]:
     if matched is None:
         raise HumansimError(f"--size: needs width and height, such as 640x480, not {text!r}")
     return int(matched[1]), int(matched[2])
-
-
-# -- words that shells complete
-
-#: Export formats: their own table loads OpenCV and moderngl, for which a shell would wait.
-EXPORT_FORMATS = (
-    *("images", "depth-png", "depth-exr", "depth-npy", "labels", "flow-flo", "flow-kitti", "coco", "yolo"),
-    *("mot", "thesis", "mp4", "openpose", "anipose", "trc", "c3d", "panoptic", "human36m", "bvh", "glb"),
-    *("webdataset", "croissant"),
-)
-
-
-def motions(incomplete: str) -> list[str]:
-    """Built-in motions."""
-    return _beginning(incomplete, built_in_names("motions"))
-
-
-def humans(incomplete: str) -> list[str]:
-    """Built-in humans."""
-    return _beginning(incomplete, built_in_names("humans"))
-
-
-def joint_tables(incomplete: str) -> list[str]:
-    """Built-in joint tables."""
-    return _beginning(incomplete, (path.stem for path in resource_path("config/joint_names").glob("*.yaml")))
-
-
-def channels(incomplete: str) -> list[str]:
-    """Channels, the last of several with commas between them."""
-    from humansim_ros.render.channels import ALL_CHANNELS
-
-    return _last_of_list(incomplete, ALL_CHANNELS)
-
-
-def export_formats(incomplete: str) -> list[str]:
-    """Export formats, the last of several with commas between them."""
-    return _last_of_list(incomplete, EXPORT_FORMATS)
-
-
-def _last_of_list(incomplete: str, words: Iterable[str]) -> list[str]:
-    before, comma, last = incomplete.rpartition(",")
-    return [f"{before}{comma}{word}" for word in _beginning(last, words)]
-
-
-def _beginning(incomplete: str, words: Iterable[str]) -> list[str]:
-    return sorted(word for word in words if word.startswith(incomplete))

@@ -20,8 +20,26 @@ if TYPE_CHECKING:
     from humansim_ros.record.progress import FrameProgress
 
 
-def check_output(output: Path) -> None:
-    """Raise HumansimError if a file cannot be written; called before long work, not after it."""
+#: Suffix of an output -> other suffixes of its format, and its name in messages.
+_KINDS = {
+    ".png": ((), "the image is a"),
+    ".npz": ((), "a human is written to a"),
+    ".bvh": ((), "a motion is written to a"),
+    ".yaml": ((".yml",), "this is written to a"),
+}
+
+
+def check_output(output: Path | None, suffix: str | None = None) -> None:
+    """Raise HumansimError if a file cannot be written; called before long work, not after it.
+
+    ``output``: the file; None: nothing is written. ``suffix``: suffix that it must have.
+    """
+    if output is None:
+        return
+    if suffix is not None:
+        others, what = _KINDS[suffix]
+        if output.suffix.lower() not in (suffix, *others):
+            raise HumansimError(f"{what} {suffix} file: give it this suffix", path=output)
     with report_write_errors(output):
         if output.is_dir():
             raise HumansimError("this is a folder: give a file in it", path=output)

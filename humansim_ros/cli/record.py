@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from humansim_ros.bounds import MAX_FRAMES
+from humansim_ros.cli.options import JobsOption, RayOption, ResumeOption, TopicsOption
 from humansim_ros.cli.output import frame_progress, print_error, print_text, rate_text
 from humansim_ros.cli.scene import warn_about_mistakes
 from humansim_ros.errors import BagError
@@ -55,6 +56,7 @@ def record(
         typer.Option(
             "--output",
             "-o",
+            metavar="DIR",
             help="Folder of the bag, which must not exist; with --ray also a URL such as s3://bucket/walk. "
             "Several scenes get a folder each in it.",
         ),
@@ -63,21 +65,15 @@ def record(
         list[Path] | None,
         typer.Argument(help="Scene file (YAML), with --ray several; the demo scene if absent."),
     ] = None,
-    frames: Annotated[int | None, typer.Option(help="Number of frames.", min=1, max=MAX_FRAMES)] = None,
+    frames: Annotated[
+        int | None, typer.Option(metavar="N", help="Number of frames.", min=1, max=MAX_FRAMES)
+    ] = None,
     seconds: Annotated[
-        float | None, typer.Option(help="Length in seconds, instead of --frames.", min=1e-3, max=1e7)
+        float | None,
+        typer.Option(metavar="SECONDS", help="Length in seconds, instead of --frames.", min=1e-3, max=1e7),
     ] = None,
-    topics: Annotated[
-        list[str] | None,
-        typer.Option(
-            help="Topics, such as /camera_1/image_raw or '/camera_*/joints', with commas between them; may "
-            "be repeated. If absent: what humansim demo shows, and the legends."
-        ),
-    ] = None,
-    jobs: Annotated[
-        int | None,
-        typer.Option(help="Number of processes that render; all cores if absent.", min=1, max=1024),
-    ] = None,
+    topics: TopicsOption = None,
+    jobs: JobsOption = None,
     storage: Annotated[_Storage, typer.Option(help="Storage plugin of rosbag2.")] = _Storage.mcap,
     compression: Annotated[
         _Compression, typer.Option(help="Compression of the chunks of an MCAP file; lossless.")
@@ -89,24 +85,14 @@ def record(
         _Depth, typer.Option(help="Depth: raw, or PNG of 16 bits (depth/image/compressedDepth).")
     ] = _Depth.raw,
     max_bag_size: Annotated[
-        int, typer.Option(help="Bytes after which a new file begins; 0: one file.", min=0)
+        int, typer.Option(metavar="BYTES", help="Bytes after which a new file begins; 0: one file.", min=0)
     ] = 0,
     max_bag_duration: Annotated[
-        float, typer.Option(help="Seconds after which a new file begins; 0: one file.", min=0)
+        float,
+        typer.Option(metavar="SECONDS", help="Seconds after which a new file begins; 0: one file.", min=0),
     ] = 0.0,
-    resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume", help="Continue an interrupted recording, or start it; give the same options."
-        ),
-    ] = False,
-    ray: Annotated[
-        str | None,
-        typer.Option(
-            help="Record on a Ray cluster: auto, HOST:PORT or ray://HOST:PORT; local starts Ray here with "
-            "--jobs workers."
-        ),
-    ] = None,
+    resume: ResumeOption = False,
+    ray: RayOption = None,
     shards: Annotated[
         _Shards,
         typer.Option(
@@ -114,7 +100,7 @@ def record(
             "whole scenes."
         ),
     ] = _Shards.frames,
-    shard_frames: Annotated[int, typer.Option(help="Frames of a shard of frames.", min=1)] = 100,
+    shard_frames: Annotated[int, typer.Option(metavar="N", help="Frames of a shard of frames.", min=1)] = 100,
     merge: Annotated[
         bool,
         typer.Option(
@@ -144,7 +130,7 @@ def record(
         plan = RecordingPlan.of(
             loaded,
             frames or max(1, round((seconds or 0.0) * loaded.config.rate)),
-            [word.strip() for text in topics or () for word in text.split(",") if word.strip()],
+            topics or (),
             images=images.value,
             depth=depth.value,
             storage=storage.value,

@@ -16,8 +16,22 @@ from typing import Annotated, Any
 import typer
 
 from humansim_ros.bounds import MAX_FRAMES
-from humansim_ros.cli import options as cli_options
-from humansim_ros.cli.options import JsonOption
+from humansim_ros.cli.options import (
+    AxesOption,
+    BodyOption,
+    EstimateTopicOption,
+    JobsOption,
+    JointTableOption,
+    JsonOption,
+    KeypointsOption,
+    NetworkOption,
+    ScaleOption,
+    SceneArgument,
+    TopicsOption,
+    built_in_channels,
+    built_in_motions,
+    list_option,
+)
 from humansim_ros.cli.output import check_output, print_error, print_text, to_json
 from humansim_ros.cli.scene import SceneOptions, warn_about_mistakes
 from humansim_ros.errors import HumansimError
@@ -26,50 +40,42 @@ from humansim_ros.ros.processes.stop_signals import Stopped
 
 
 def run(
-    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    scene: SceneArgument = None,
     motion: Annotated[
         str | None,
         typer.Option(
-            help="Motion file or built-in motion in place of that of the scene.",
-            autocompletion=cli_options.motions,
+            metavar="MOTION",
+            help="Motion file or built-in motion instead of the motion of the first human.",
+            autocompletion=built_in_motions,
         ),
     ] = None,
-    mesh: Annotated[
-        str | None,
-        typer.Option(
-            help="Body (.obj, .glb, .stl, .npz or built-in) in place of that of the scene.",
-            autocompletion=cli_options.humans,
-        ),
-    ] = None,
-    joint_names: Annotated[
-        str | None,
-        typer.Option(
-            help="Joint table for the motion (name or YAML file).", autocompletion=cli_options.joint_tables
-        ),
-    ] = None,
+    body: BodyOption = None,
+    joint_names: JointTableOption = None,
     live: Annotated[
         list[str] | None,
-        typer.Option(help="Human that another node moves, such as live motion capture; may be repeated."),
+        list_option("--live", "NAME", "Humans that another node moves, such as live motion capture."),
     ] = None,
-    duration: Annotated[float | None, typer.Option(help="Seconds after which to stop.", min=0.1)] = None,
-    processes: Annotated[
-        int | None,
-        typer.Option(help="Number of processes that share the cameras; one per core if absent.", min=1),
+    seconds: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Seconds after which to stop.", min=0.1)
     ] = None,
+    jobs: JobsOption = None,
     only: Annotated[
-        str,
-        typer.Option(
-            help="Nodes to start here, such as player,skinners; other hosts start the others, such as "
-            "cameras or camera_1,camera_2. All if absent."
+        list[str] | None,
+        list_option(
+            "--only",
+            "NAME",
+            "Nodes to start here, such as player,skinners; other hosts start the others, such as cameras or "
+            "camera_1,camera_2. All if absent.",
         ),
+    ] = None,
+    namespace: Annotated[
+        str, typer.Option(metavar="NAME", help="ROS namespace of all nodes and topics.")
     ] = "",
-    namespace: Annotated[str, typer.Option(help="ROS namespace of all nodes and topics.")] = "",
     frame_prefix: Annotated[
-        str, typer.Option(help="Text before the optical frames of the cameras, such as lab/.")
+        str,
+        typer.Option(metavar="TEXT", help="Text before the optical frames of the cameras, such as lab/."),
     ] = "",
-    network: Annotated[
-        bool, typer.Option("--network", help="Let other hosts find the nodes, hear them and steer them.")
-    ] = False,
+    network: NetworkOption = False,
     respawn: Annotated[
         bool, typer.Option("--respawn/--no-respawn", help="Start a node again that has died.")
     ] = True,
@@ -83,49 +89,56 @@ def run(
     ] = None,
     frames: Annotated[
         int | None,
-        typer.Option(help="Number of frames in lockstep; without end if absent.", min=1, max=MAX_FRAMES),
+        typer.Option(
+            metavar="N", help="Number of frames in lockstep; without end if absent.", min=1, max=MAX_FRAMES
+        ),
     ] = None,
     wait_for: Annotated[
         list[str] | None,
-        typer.Option(
-            help="Node that frames in lockstep wait for besides the cameras, or topic:/NAME; may be repeated."
+        list_option(
+            "--wait-for",
+            "NAME",
+            "Nodes that frames in lockstep wait for besides the cameras, and topics as topic:/NAME.",
         ),
     ] = None,
     timeout: Annotated[
-        float | None, typer.Option(help="Seconds after which a frame waits no longer.", min=0.1, max=1e6)
+        float | None,
+        typer.Option(
+            metavar="SECONDS", help="Seconds after which a frame waits no longer.", min=0.1, max=1e6
+        ),
     ] = None,
     on_timeout: Annotated[
-        str | None, typer.Option(help="Then stop, or continue without the nodes that are late.")
+        str | None,
+        typer.Option(metavar="stop|continue", help="Then stop, or continue without the nodes that are late."),
     ] = None,
     pace: Annotated[
         float | None,
         typer.Option(
-            help="Most frames per second in lockstep; as fast as possible if absent.", min=0.01, max=1e3
+            metavar="HZ",
+            help="Most frames per second in lockstep; as fast as possible if absent.",
+            min=0.01,
+            max=1e3,
         ),
     ] = None,
     record: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Record the topics of the scene into a new bag.")
     ] = None,
-    record_topics: Annotated[
-        list[str] | None,
-        typer.Option(help="Topic to record, or pattern such as '/left/*'; may be repeated."),
-    ] = None,
-    record_compression: Annotated[
-        str, typer.Option(help="Compression of the bag: none, zstd or lz4.")
+    topics: TopicsOption = None,
+    compression: Annotated[
+        str, typer.Option(metavar="none|zstd|lz4", help="Compression of the bag of --record.")
     ] = "none",
-    evaluate: Annotated[
-        str | None,
+    estimate: EstimateTopicOption = None,
+    keypoints: KeypointsOption = None,
+    scale: ScaleOption = 1.0,
+    axes: AxesOption = None,
+    output: Annotated[
+        Path | None,
         typer.Option(
-            metavar="TOPIC",
-            help="Evaluate the poses of a tracker on this topic, such as /tracker/poses; * stands for the "
-            "name of a person.",
+            "--output",
+            "-o",
+            metavar="FILE",
+            help="Write the evaluation of --estimate to this JSON file.",
         ),
-    ] = None,
-    evaluate_keypoints: Annotated[
-        str, typer.Option(help="Keypoint set of these poses, such as coco17; joints of bodies if absent.")
-    ] = "",
-    evaluate_output: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write the result to this JSON file.")
     ] = None,
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
@@ -148,7 +161,7 @@ def run(
     _check_machine()
     with temporary_folder() as folder:
         path = scene or resource_path("config/scenes/demo.yaml")
-        options = SceneOptions(motion, mesh, joint_names, live or ())
+        options = SceneOptions(motion, body, joint_names, live or ())
         if options:
             changed = options.write(path, folder)
             loaded, path = options.load(path, changed), changed
@@ -162,16 +175,19 @@ def run(
         options_of_time = _time_options(
             loaded, TimeOptions(lockstep, wait_for, timeout, on_timeout, pace, frames), folder
         )
-        if record_topics and record is None:
-            raise HumansimError("--record-topics goes with --record only")
-        recorded = RecordOptions(record, record_topics or (), record_compression) if record else None
-        if evaluate_output is not None:
-            check_output(evaluate_output)
-        if (evaluate_keypoints or evaluate_output) and evaluate is None:
-            raise HumansimError("--evaluate-keypoints and --evaluate-output go with --evaluate only")
-        evaluated = EvaluateOptions(evaluate, evaluate_keypoints, evaluate_output) if evaluate else None
+        if topics and record is None:
+            raise HumansimError("--topics goes with --record only")
+        recorded = RecordOptions(record, topics or (), compression) if record else None
+        if output is not None:
+            check_output(output)
+        given = {"--keypoints": keypoints, "--scale": scale != 1, "--axes": axes, "--output": output}
+        if estimate is None and any(given.values()):
+            raise HumansimError(f"{', '.join(given)} go with --estimate only")
+        evaluated = (
+            EvaluateOptions(estimate, keypoints or "", output, scale, axes or "") if estimate else None
+        )
         node_processes = scene_processes(
-            path, processes, namespace, frame_prefix, only, options_of_time, recorded, evaluated
+            path, jobs, namespace, frame_prefix, ",".join(only or ()), options_of_time, recorded, evaluated
         )
         transport = prepare_transport(len(node_processes) + 1, network)
         with Supervisor(node_processes) as nodes:
@@ -182,7 +198,7 @@ def run(
                 if cameras := [name for name in loaded.cameras if name in names]:
                     first = FirstImages(cameras, list(loaded.actors), start, namespace)
                     nodes.start_helper("humansim_ros.apps.first_images", first.to_argument())
-                until = None if duration is None else time.monotonic() + duration
+                until = None if seconds is None else time.monotonic() + seconds
                 dead = nodes.wait(until, respawn, lambda _: _is_complete(options_of_time))
             except Stopped:
                 dead = None
@@ -204,9 +220,13 @@ def run(
 
 
 def demo(
-    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
-    output: Annotated[Path, typer.Option("--output", "-o", help="Output folder.")] = Path("demo"),
-    duration: Annotated[float, typer.Option(help="Seconds to record.", min=1.0, max=120.0)] = 10.0,
+    scene: SceneArgument = None,
+    output: Annotated[Path, typer.Option("--output", "-o", metavar="DIR", help="Output folder.")] = Path(
+        "demo"
+    ),
+    seconds: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Seconds to record.", min=1.0, max=120.0)
+    ] = 10.0,
 ) -> None:
     """Run a scene, subscribe to its topics like a client, and draw the received messages."""
     from humansim_ros.apps.demo import record_demo
@@ -214,7 +234,7 @@ def demo(
     _check_machine()
     path = scene or resource_path("config/scenes/demo.yaml")
     video = "walk.mp4" if scene is None else f"{scene.stem}.mp4"
-    if not record_demo(path, output, duration, video):
+    if not record_demo(path, output, seconds, video):
         raise typer.Exit(1)
 
 
@@ -281,16 +301,21 @@ def _print_ways_to_see(scene: Path | None) -> None:
 
 
 def bench(
-    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    scene: SceneArgument = None,
     channels: Annotated[
-        str, typer.Option(help="Channels that are subscribed to, such as rgb,depth,part.")
-    ] = "rgb",
-    seconds: Annotated[float, typer.Option(help="Seconds to measure.", min=0.5, max=600.0)] = 5.0,
-    processes: Annotated[
-        int | None,
-        typer.Option(help="Number of processes that share the cameras; one per core if absent.", min=1),
+        list[str] | None,
+        list_option(
+            "--channels",
+            "CHANNEL",
+            "Channels that are subscribed to, such as rgb,depth,part; rgb if absent.",
+            built_in_channels,
+        ),
     ] = None,
-    json_output: JsonOption = False,
+    seconds: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Seconds to measure.", min=0.5, max=600.0)
+    ] = 5.0,
+    jobs: JobsOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Measure how many cameras at how many frames per second this machine holds.
 
@@ -301,9 +326,9 @@ def bench(
 
     require_ros()
     path = scene or resource_path("config/scenes/demo.yaml")
-    names = list(dict.fromkeys(name.strip() for name in channels.split(",")))
-    result = measure(path, names, seconds, processes, lambda line: print(line, file=sys.stderr, flush=True))
-    print_text(to_json(result.to_dict()) if json_output else result.text())
+    names = list(dict.fromkeys(channels or ["rgb"]))
+    result = measure(path, names, seconds, jobs, lambda line: print(line, file=sys.stderr, flush=True))
+    print_text(to_json(result.to_dict()) if as_json else result.text())
 
 
 def play(
@@ -317,19 +342,20 @@ def play(
         ),
     ] = 0.0,
     rate: Annotated[
-        float, typer.Option(help="Recorded seconds per second, from 0.001 to 1000.", min=0.001, max=1000.0)
+        float,
+        typer.Option(
+            metavar="FACTOR", help="Recorded seconds per second, from 0.001 to 1000.", min=0.001, max=1000.0
+        ),
     ] = 1.0,
     loop: Annotated[
         bool, typer.Option("--loop", help="Begin again at the end; stamps go back then.")
     ] = False,
     start_offset: Annotated[
-        float, typer.Option(help="Recorded seconds at the beginning that are left out.", min=0.0)
+        float,
+        typer.Option(metavar="SECONDS", help="Recorded seconds at the beginning that are left out.", min=0.0),
     ] = 0.0,
-    topics: Annotated[
-        list[str] | None,
-        typer.Option("--topics", help="Topic or pattern such as '/left/*'; may be repeated. All if absent."),
-    ] = None,
-    network: Annotated[bool, typer.Option("--network", help="Let other hosts find the topics.")] = False,
+    topics: TopicsOption = None,
+    network: NetworkOption = False,
 ) -> None:
     """Publish the messages of a bag again, with recorded stamps, types and quality of service.
 

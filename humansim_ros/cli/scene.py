@@ -13,8 +13,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from humansim_ros.cli import options
-from humansim_ros.cli.options import JsonOption
+from humansim_ros.cli.options import (
+    JsonOption,
+    OutputImageOption,
+    SceneArgument,
+    built_in_channels,
+    list_option,
+)
 from humansim_ros.cli.output import check_output, print_text, print_warning, report_write_errors, to_json
 from humansim_ros.errors import HumansimError, did_you_mean
 from humansim_ros.io.files import exists, expand_user
@@ -29,18 +34,18 @@ class SceneOptions:
 
     Attributes:
         motion: Motion file or built-in motion of the first human; it is placed in the centre of the room.
-        mesh: Body of the first human.
+        body: Body of the first human.
         joint_names: Joint table of that motion.
         live: Names of the humans that another node moves.
     """
 
     motion: str | None = None
-    mesh: str | None = None
+    body: str | None = None
     joint_names: str | None = None
     live: Sequence[str] = ()
 
     def __bool__(self) -> bool:
-        return bool(self.motion or self.mesh or self.joint_names or self.live)
+        return bool(self.motion or self.body or self.joint_names or self.live)
 
     def write(self, path: Path, folder: Path) -> Path:
         """Write a copy of a scene with the replaced parts. Raises HumansimError.
@@ -63,7 +68,7 @@ class SceneOptions:
         config.setdefault("room", None)
         humans = config["humans"]
         if not humans:
-            raise SceneError("the scene has no human to give a motion or mesh to", path=path, key="humans")
+            raise SceneError("the scene has no human to give a motion or body to", path=path, key="humans")
         for name in self.live:
             if name not in humans:
                 known = ", ".join(humans)
@@ -76,8 +81,8 @@ class SceneOptions:
                 "yaw_deg": place["yaw_deg"],
             }
         human = next(iter(humans.values()))
-        if self.mesh:
-            human["body"] = _absolute(self.mesh)
+        if self.body:
+            human["body"] = _absolute(self.body)
             human.pop("outfit", None)
         if self.motion:
             human["motion"] = {"file": _absolute(self.motion), "anchor": "center"}
@@ -103,8 +108,8 @@ class SceneOptions:
         given = {
             f"{section}motion.joint_names": ("--joint-names", self.joint_names),
             f"{section}motion": ("--motion", self.motion),
-            f"{section}body": ("--mesh", self.mesh),
-            f"{section}outfit": ("--mesh", self.mesh),
+            f"{section}body": ("--body", self.body),
+            f"{section}outfit": ("--body", self.body),
         }
         replaced = (name for start, (name, value) in given.items() if value and _begins(key, start))
         live = ("--live" for name in self.live if _begins(key, f"humans.{name}.motion"))
@@ -145,7 +150,7 @@ def _absolute(name: str) -> str:
 
 
 def check(
-    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
+    scene: SceneArgument = None,
     as_json: JsonOption = False,
 ) -> None:
     """Find probable mistakes in a scene: cameras that see nobody, people in walls … Exit code 1 if any."""
@@ -183,18 +188,23 @@ def _count(number: int, word: str) -> str:
 
 
 def snapshot(
-    output: Annotated[Path, typer.Option("--output", "-o", help="Output image (.png).")],
-    scene: Annotated[Path | None, typer.Argument(help="Scene file (YAML); the demo scene if absent.")] = None,
-    time: Annotated[float, typer.Option(help="Scene time, seconds.", min=0.0, max=1e6)] = 0.0,
+    output: OutputImageOption,
+    scene: SceneArgument = None,
+    time: Annotated[
+        float, typer.Option(metavar="SECONDS", help="Scene time, seconds.", min=0.0, max=1e6)
+    ] = 0.0,
     channels: Annotated[
-        str,
-        typer.Option(
-            help="Channels to draw, a row each, such as rgb,depth,part; or all.",
-            autocompletion=options.channels,
+        list[str] | None,
+        list_option(
+            "--channels",
+            "CHANNEL",
+            "Channels to draw, a row each, such as rgb,depth,part; or all. rgb if absent.",
+            built_in_channels,
         ),
-    ] = "rgb",
+    ] = None,
     width: Annotated[
-        int, typer.Option(help="Greatest width of the sheet in pixels.", min=160, max=8192)
+        int,
+        typer.Option(metavar="PIXELS", help="Greatest width of the sheet in pixels.", min=160, max=8192),
     ] = 1600,
     no_joints: Annotated[bool, typer.Option("--no-joints", help="Do not draw the joints.")] = False,
     no_plan: Annotated[bool, typer.Option("--no-plan", help="Do not draw the scene from above.")] = False,
@@ -205,10 +215,8 @@ def snapshot(
     from humansim_ros.render import ALL_CHANNELS
     from humansim_ros.scene import Scene
 
-    if output.suffix.lower() != ".png":
-        raise HumansimError("the image is a .png file: give it this suffix", path=output)
-    check_output(output)
-    words = [word.strip() for word in channels.replace(" ", ",").split(",") if word.strip()]
+    check_output(output, ".png")
+    words = " ".join(channels or ["rgb"]).split()
     chosen = ALL_CHANNELS if words == ["all"] else tuple(words)
     image = draw(Scene.load(scene), time, chosen, width, not no_joints, not no_plan)
     write_png(output, image)
@@ -216,7 +224,9 @@ def snapshot(
 
 
 def schema(
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="File to write (.json).")] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", metavar="FILE", help="File to write (.json).")
+    ] = None,
 ) -> None:
     """Print the JSON schema of scene files, for editors that complete and check YAML."""
     from humansim_ros.scene.schema import schema_text

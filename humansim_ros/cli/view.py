@@ -8,6 +8,14 @@ from typing import Annotated
 
 import typer
 
+from humansim_ros.cli.options import (
+    AxesOption,
+    EstimateTopicOption,
+    KeypointsOption,
+    ScaleOption,
+    built_in_humans,
+    list_option,
+)
 from humansim_ros.cli.output import print_text
 from humansim_ros.errors import HumansimError
 
@@ -21,7 +29,10 @@ def view(
         ),
     ] = None,
     port: Annotated[
-        int, typer.Option(help="Port on this machine; the next free one if it is in use.", min=0, max=65535)
+        int,
+        typer.Option(
+            metavar="PORT", help="Port on this machine; the next free one if it is in use.", min=0, max=65535
+        ),
     ] = 8080,
     no_browser: Annotated[bool, typer.Option("--no-browser", help="Do not open a browser.")] = False,
     ros: Annotated[
@@ -30,22 +41,17 @@ def view(
     namespace: Annotated[
         str, typer.Option(help="With --ros: show only topics below this namespace.", metavar="NAME")
     ] = "",
-    estimate: Annotated[
-        str | None,
-        typer.Option(
-            help="Topic of a tracker's estimate in the graph or bag, shown beside the truth with its error; "
-            "* stands for the name of a person.",
-            metavar="TOPIC",
-        ),
-    ] = None,
-    keypoints: Annotated[
-        str | None, typer.Option(help="Keypoint set of the estimate, such as coco17.", metavar="SET")
-    ] = None,
+    estimate: EstimateTopicOption = None,
+    keypoints: KeypointsOption = None,
+    scale: ScaleOption = 1.0,
+    axes: AxesOption = None,
     body: Annotated[
-        list[Path] | None,
-        typer.Option(
-            help="Name or file of a body that people of the graph or bag have; may be repeated.",
-            metavar="FILE",
+        list[str] | None,
+        list_option(
+            "--body",
+            "BODY",
+            "Names or files of bodies that people of the graph or bag have.",
+            built_in_humans,
         ),
     ] = None,
 ) -> None:
@@ -62,9 +68,9 @@ def view(
     from humansim_ros.view.inputs import TopicOptions, open_graph, open_source
 
     topics = None
-    if estimate is not None or keypoints is not None or body:
-        reading = LiveOptions.of(keypoints or "", "", 1.0, "", DEFAULT_GATE)
-        topics = TopicOptions(estimate, reading, tuple(body or ()))
+    if estimate is not None or keypoints is not None or body or scale != 1 or axes is not None:
+        reading = LiveOptions.of(keypoints or "", "", scale, axes or "", DEFAULT_GATE)
+        topics = TopicOptions(estimate, reading, tuple(map(Path, body or ())))
     if ros and what is not None:
         raise HumansimError("a graph is shown, or a file: leave out one of --ros and the path", key="--ros")
     if namespace and not ros:

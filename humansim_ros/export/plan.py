@@ -136,27 +136,27 @@ def _checked_frames(frames: range | None, count: int | None) -> range:
     """Numbers of frames, all if None. ``count``: number of those that there are; None without an end."""
     if frames is None:
         if count is None:
-            raise ExportError("a scene has no end: give frames, such as 0:300", key="--frames")
+            raise ExportError("a scene has no end: give a number of frames, such as 300", key="--frames")
         return range(count)
     if count is not None and frames.stop > count:
         raise ExportError(f"the bag has {count} frames, so that the last one is {count - 1}", key="--frames")
     return frames
 
 
-def parse_frames(text: str) -> range:
-    """Numbers of frames of ``A:B``: from A up to, but not including, B. ``:B`` and ``B`` begin with 0.
+def parse_range(text: str) -> range:
+    """Numbers of frames of ``A:B``: from A up to, but not including, B. ``:B`` begins with 0.
 
     Raises:
         ExportError: The text has another form, or there is no frame between.
     """
-    first, _, end = text.strip().rpartition(":")
+    first, colon, end = text.strip().rpartition(":")
     words = (first or "0", end)
-    if all(word.isascii() and word.isdecimal() and len(word) < 10 for word in words):
+    if colon and all(word.isascii() and word.isdecimal() and len(word) < 10 for word in words):
         frames = range(int(words[0]), int(words[1]))
         if len(frames) and frames.stop <= MAX_FRAMES:
             return frames
     raise ExportError(
-        f"frames are A:B, from A up to, but not including, B, such as 0:300; not {text!r}", key="--frames"
+        f"a range is A:B, from A up to, but not including, B, such as 0:300; not {text!r}", key="--range"
     )
 
 

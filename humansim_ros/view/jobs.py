@@ -40,7 +40,8 @@ def command_words(text: str, folder: Path) -> list[str]:
         known = ", ".join(COMMANDS)
         raise HumansimError(f"give 'humansim' with one of {known}; found {printable(text, 60)!r}")
     for word in words[2:]:
-        check_value(folder, re.sub(r"^--?[\w-]*=?", "", word))
+        for value in {word, *word.split(",")}:  # a list has commas
+            check_value(folder, re.sub(r"^--?[\w-]*=?", "", value))
     return words
 
 

@@ -52,7 +52,7 @@ def test_table_and_json(
     files: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     output = tmp_path / "result.json"
-    given = ("--truth", files / "scene.yaml", "--estimate", files / "good.csv", "--json", output)
+    given = ("--truth", files / "scene.yaml", "--estimate", files / "good.csv", "--output", output)
     assert run(monkeypatch, *given, "--report", tmp_path / "report.html") == 0
     page = (tmp_path / "report.html").read_text()
     assert page.startswith("<!DOCTYPE html>") and page.count("<p>front</p><img ") == 10
@@ -90,7 +90,7 @@ def test_keypoints_are_chosen_by_the_names_of_the_estimate(
             table.append(f"{frame},{person}," + ",".join(f"{value:.9f}" for value in points.ravel()))
     (tmp_path / "coco.csv").write_text("\n".join(table))
     given = ("--truth", files / "scene.yaml", "--estimate", tmp_path / "coco.csv")
-    assert run(monkeypatch, *given, "--json", tmp_path / "r.json") == 0
+    assert run(monkeypatch, *given, "--output", tmp_path / "r.json") == 0
     assert "nose" in capsys.readouterr().out
     assert json.loads((tmp_path / "r.json").read_text())["position"]["mpjpe"] < 1e-6
 
@@ -106,7 +106,7 @@ def test_keypoints_are_chosen_by_the_names_of_the_estimate(
         (("--names", "gone.yaml"), "gone.yaml: no such name table file"),
         (("--gate", "0"), "--gate"),
         (("--report", "gone/report.html"), "gone/report.html: its folder does not exist"),
-        (("--json", "gone/result.json"), "gone/result.json: its folder does not exist"),
+        (("--output", "gone/result.json"), "gone/result.json: its folder does not exist"),
     ],
 )
 def test_wrong_options_exit_with_2(

@@ -67,7 +67,7 @@ def test_show_draws_a_sheet(figure: Path, tmp_path: Path) -> None:
 def test_rig_makes_a_human_of_a_mesh(tmp_path: Path, name: str) -> None:
     out = tmp_path / "human.npz"
     mesh = mesh_path(name)
-    result = humansim("rig", mesh, "-o", out, "--preview", tmp_path / "sheet.png", "--stature", "1.9")
+    result = humansim("rig", mesh, "-o", out, "--picture", tmp_path / "sheet.png", "--stature", "1.9")
     assert result.returncode == 0, result.stderr
     human = load_human(out)
     assert np.ptp(human.mesh.vertices[:, 1]) == pytest.approx(1.9, abs=1e-5)

@@ -197,7 +197,7 @@ def test_the_list_names_existing_files(command: Command) -> None:
 @pytest.mark.gl
 def test_a_strip_shows_the_figure_and_the_person(command: Command, tmp_path: Path) -> None:
     out = tmp_path / "strip.png"
-    code, _, err = command("render", "walk", "-o", out, "--phases", 3, "--size", 120, 160)
+    code, _, err = command("render", "walk", "-o", out, "--frames", 3, "--size", 120, 160)
     assert code == 0, err
     image = cv2.imread(str(out))
     assert image.shape[1] == 360 and 320 <= image.shape[0] < 400
@@ -223,7 +223,7 @@ def test_a_video_plays_the_whole_motion(command: Command, tmp_path: Path, suffix
 
 @pytest.mark.parametrize("stem", ["no_end_sites", *if_shared("fairmotion_sinusoidal")])
 def test_motions_of_no_person_are_drawn_in_file_axes(command: Command, stem: str, tmp_path: Path) -> None:
-    code, _, err = command("render", motion_path(stem), "-o", tmp_path / "s.png", "--phases", 2)
+    code, _, err = command("render", motion_path(stem), "-o", tmp_path / "s.png", "--frames", 2)
     assert code == 0
     assert "not as a person" in err
     assert cv2.imread(str(tmp_path / "s.png")).std() > 5

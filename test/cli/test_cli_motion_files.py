@@ -90,7 +90,7 @@ def test_every_command_gives_a_result_or_one_line(
     for words in (["joints", file], ["joints", file, "--frame", str(facts["frames"] - 1), "--json"]):
         assert humansim(*words)[0] == 0
     strip = tmp_path / "strip.png"
-    words = ["--no-skin", "--phases", "2", "--size", "60", "60"]
+    words = ["--no-skin", "--frames", "2", "--size", "60", "60"]
     assert humansim("render", file, "-o", str(strip), *words)[0] == 0
     assert strip.stat().st_size > 0
     for words in (

@@ -129,7 +129,7 @@ def options_of(method: str, tmp_path: Path) -> list[Any]:
     board = [*Rotation.from_matrix(seen[:3, :3]).as_rotvec(), *(1000 * seen[:3, 3])]
     return {
         "level": [],
-        "tilt": ["--camera", "camera_3", "--tilt", tilt, "--height", 2.3],
+        "tilt": ["--camera", "camera_3", "--tilt-deg", tilt, "--height", 2.3],
         "floor": ["--floor-points", floor_file(tmp_path, False)],
         "board": ["--board", "floor", "--camera", "camera_2", "--board-pose", " ".join(map(str, board))],
     }[method]
@@ -226,16 +226,16 @@ def test_cameras_that_do_not_stand_upright_are_told(
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--tilt", 10], "--tilt needs --height"),
-        (["--tilt", 100, "--height", 1], "tilt: must be from -90 to 90 degrees"),
-        (["--tilt", 10, "--height", "nan"], "must be finite numbers"),
+        (["--tilt-deg", 10], "--tilt-deg needs --height"),
+        (["--tilt-deg", 100, "--height", 1], "tilt: must be from -90 to 90 degrees"),
+        (["--tilt-deg", 10, "--height", "nan"], "must be finite numbers"),
         (
-            ["--tilt", 10, "--height", 1, "--camera", "left"],
+            ["--tilt-deg", 10, "--height", 1, "--camera", "left"],
             "no camera 'left'; the names are camera_1, camera_2",
         ),
         (
-            ["--tilt", 10, "--board", "floor"],
-            "give one of --tilt, --floor-points, --board, not --tilt and --board",
+            ["--tilt-deg", 10, "--board", "floor"],
+            "give one of --tilt-deg, --floor-points, --board, not --tilt-deg and --board",
         ),
         (["--board", "floor", "--board-pose", "1 2 3"], "--board-pose: needs six numbers"),
         (["--floor-point", "1,2,3"], "three points or more, not 1"),
@@ -244,7 +244,7 @@ def test_cameras_that_do_not_stand_upright_are_told(
         (["--floor-point", "a:1,2 a:1,2"], "--floor-point: 'a:1,2' is repeated"),
         (["--floor-point", "map:1,2"], "is not a floor point: use"),
         (["--fit-unit"], "--fit-unit needs two floor points or more"),
-        (["--plot", "rig.jpg"], "the image is a .png file"),
+        (["--picture", "rig.jpg"], "the image is a .png file"),
         (["-o", "scene.txt"], "a scene is a .yaml file"),
         (["--floor-points", "nowhere.yaml"], "no such floor points file"),
     ],
@@ -296,7 +296,7 @@ def test_a_calibration_without_extrinsics_cannot_be_placed(
     # one camera needs none: it is placed by its height and tilt
     (tmp_path / "one.yml").write_text(f"%YAML:1.0\n---\nK: {k}\n")
     out = tmp_path / "scene.yaml"
-    options = ("--size", "640x480", "--height", 2, "--tilt", 30, "-o", out)
+    options = ("--size", "640x480", "--height", 2, "--tilt-deg", 30, "-o", out)
     assert run(capsys, monkeypatch, tmp_path / "one.yml", *options)[0] == 0
     (camera,) = Scene.load(out).cameras.values()
     assert camera.center[2] == pytest.approx(2)

@@ -49,7 +49,7 @@ def completed(line: str) -> list[str]:
         ("humansim vi", ["view"]),
         ("humansim camera pl", ["plot", "place"]),
         ("humansim run --motion wav", ["wave"]),
-        ("humansim run --mesh chi", ["child"]),
+        ("humansim run --body chi", ["child"]),
         ("humansim snapshot --channels rgb,dep", ["rgb,depth"]),
         ("humansim snapshot --wid", ["--width"]),
         ("humansim export --format coco,web", ["coco,webdataset"]),

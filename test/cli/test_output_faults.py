@@ -27,7 +27,7 @@ WRITERS = [
     ["motion", "render", "walk", "-o", "out.png"],
     ["camera", "convert", "cameras.yaml", "--to", "opencv", "-o", "out.yaml"],
     ["camera", "plot", "cameras.yaml", "-o", "out.png"],
-    ["camera", "place", "cameras.yaml", "--height", "1.5", "--tilt", "10", "-o", "out.yaml"],
+    ["camera", "place", "cameras.yaml", "--height", "1.5", "--tilt-deg", "10", "-o", "out.yaml"],
     ["human", "show", "adult_man", "-o", "out.png"],
     ["snapshot", "-o", "out.png"],
 ]

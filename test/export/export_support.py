@@ -11,7 +11,7 @@ import yaml
 from humansim_ros import Scene
 from humansim_ros.export.export import Export, export
 from humansim_ros.export.formats import chosen_formats
-from humansim_ros.export.plan import ExportPlan, parse_frames
+from humansim_ros.export.plan import ExportPlan, parse_range
 from humansim_ros.export.source import SimulatedSource
 
 #: Two people, a labelled box, a camera with noise and one with a distorted lens.
@@ -44,7 +44,7 @@ def job(
 ) -> Export:
     rows = tuple(chosen_formats(formats.split(",")))
     source = SimulatedSource(scene or small_scene(), rows, keypoints)
-    return Export(source, ExportPlan.of(source, parse_frames(frames), **options), root)
+    return Export(source, ExportPlan.of(source, parse_range(frames), **options), root)
 
 
 def exported(root: Path, formats: str, scene: Scene | None = None, **options: Any) -> Path:

@@ -288,15 +288,15 @@ def test_the_command_exports_all_frames_of_a_bag(
     words = [bag, "--format", "trc,anipose", "--jobs", "1"]
     assert command(monkeypatch, *words, "-o", tmp_path / "out") == 0
     assert index_of(tmp_path / "out")["plan"]["end"] == FRAMES
-    assert command(monkeypatch, *words, "-o", tmp_path / "part", "--frames", "1:3") == 0
+    assert command(monkeypatch, *words, "-o", tmp_path / "part", "--range", "1:3") == 0
     assert "NumFrames" in (tmp_path / "part/trc/anna.trc").read_text()
     capsys.readouterr()
-    assert command(monkeypatch, *words, "-o", tmp_path / "more", "--frames", "0:9") == 2
+    assert command(monkeypatch, *words, "-o", tmp_path / "more", "--frames", "9") == 2
     assert "--frames: the bag has 4 frames, so that the last one is 3" in capsys.readouterr().err
     scene = tmp_path / "scene.yaml"
     scene.write_text(SCENE)
     assert command(monkeypatch, scene, "--format", "trc", "-o", tmp_path / "more") == 2
-    assert "--frames: a scene has no end: give frames, such as 0:300" in capsys.readouterr().err
+    assert "--frames: a scene has no end: give a number of frames, such as 300" in capsys.readouterr().err
 
 
 def test_a_damaged_message_is_named(tmp_path: Path, bag: Path) -> None:

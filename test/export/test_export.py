@@ -22,7 +22,7 @@ from humansim_ros.cli.main import main
 from humansim_ros.errors import ExportError
 from humansim_ros.export.export import export
 from humansim_ros.export.formats import EXPORT_FORMATS
-from humansim_ros.export.plan import parse_frames
+from humansim_ros.export.plan import parse_range
 from humansim_ros.record.progress import FrameProgress
 
 FORMATS = "images,depth-png,labels"
@@ -209,7 +209,7 @@ def test_the_formats_are_listed(capsys: pytest.CaptureFixture[str], monkeypatch:
         (["--format", "imags"], "--format: no export format 'imags'; did you mean 'images'?; the formats "),
         (["--format", "coco", "--keypoints", "coco_17"], "no keypoint set 'coco_17'; the sets are "),
         (["--format", ","], "--format: give a format, such as coco; humansim export --list shows all"),
-        (["--format", "images", "--frames", "5:5"], "--frames: frames are A:B, from A up to"),
+        (["--format", "images", "--range", "5:5"], "--range: a range is A:B, from A up to"),
     ],
 )
 def test_wrong_words_are_one_line_and_exit_code_2(
@@ -221,7 +221,7 @@ def test_wrong_words_are_one_line_and_exit_code_2(
 ) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE)
     output = str(tmp_path / "out")
-    given = [str(tmp_path / "scene.yaml"), "--frames", "0:3", "-o", output, *words]
+    given = [str(tmp_path / "scene.yaml"), "--frames", "3", "-o", output, *words]
     assert command(monkeypatch, *given) == 2
     error = capsys.readouterr().err
     assert error.startswith(f"error: {said}") and error.count("\n") == 1
@@ -229,11 +229,11 @@ def test_wrong_words_are_one_line_and_exit_code_2(
 
 
 def test_frames_are_from_a_up_to_but_not_including_b() -> None:
-    assert parse_frames("3:5") == range(3, 5)
-    assert parse_frames(":5") == parse_frames("5") == range(5)
-    for text in ("", ":", "5:", "5:3", "-1:3", "1:2:3", "a:b", "0:1.5", "0:999999999", "٣:٥"):
-        with pytest.raises(ExportError, match="--frames: frames are A:B"):
-            parse_frames(text)
+    assert parse_range("3:5") == range(3, 5)
+    assert parse_range(":5") == range(5)
+    for text in ("", "5", ":", "5:", "5:3", "-1:3", "1:2:3", "a:b", "0:1.5", "0:999999999", "٣:٥"):
+        with pytest.raises(ExportError, match="--range: a range is A:B"):
+            parse_range(text)
 
 
 def test_a_format_without_its_library_names_the_extra(

@@ -25,7 +25,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("exported")
     (folder / "scene.yaml").write_text(SCENE)
     with pytest.MonkeyPatch.context() as patch:
-        words = ["--frames", "0:3", "-o", "set", "--format", "panoptic,trc,c3d"]
+        words = ["--frames", "3", "-o", "set", "--format", "panoptic,trc,c3d"]
         patch.chdir(folder)
         patch.setattr("sys.argv", ["humansim", "export", "scene.yaml", *words])
         assert cli.main() == 0
@@ -38,7 +38,7 @@ def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_exported_poses_are_the_truth(
     exported: Path, monkeypatch: pytest.MonkeyPatch, estimates: list[str], people: int
 ) -> None:
-    words = ["--truth", "scene.yaml", "--estimate", *estimates, "--json", "result.json"]
+    words = ["--truth", "scene.yaml", "--estimate", *estimates, "--output", "result.json"]
     monkeypatch.chdir(exported)
     monkeypatch.setattr("sys.argv", ["humansim", "evaluate", *words])
     assert cli.main() == 0

@@ -49,7 +49,7 @@ def run(
         output = tmp_path / "result.json"
         output.unlink(missing_ok=True)
         monkeypatch.chdir(root)
-        given = ["--truth", truth, "--estimate", *words, "--json", str(output)]
+        given = ["--truth", truth, "--estimate", *words, "--output", str(output)]
         monkeypatch.setattr("sys.argv", ["humansim", "evaluate", *given])
         code = cli.main()
         text = capsys.readouterr()

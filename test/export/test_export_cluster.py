@@ -122,7 +122,7 @@ def test_the_command_exports_on_ray(
 ) -> None:
     (tmp_path / "scene.yaml").write_text(SCENE)
     monkeypatch.chdir(tmp_path)
-    words = ["scene.yaml", "--format", FORMATS, "--frames", FRAMES, "-o", "out", "--shard-frames", "3"]
+    words = ["scene.yaml", "--format", FORMATS, "--range", FRAMES, "-o", "out", "--shard-frames", "3"]
     monkeypatch.setattr(sys, "argv", ["humansim", "export", *words, "--ray", "local"])
     assert main() == 0
     assert f"wrote {tmp_path / 'out'}: 5 frames" in capsys.readouterr().out

@@ -46,7 +46,7 @@ def test_the_demo_draws_any_scene(tmp_path: Path, name: str) -> None:
             "humansim_ros.cli",
             "demo",
             str(scene),
-            "--duration",
+            "--seconds",
             "2",
             "-o",
             str(pictures),

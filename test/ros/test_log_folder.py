@@ -56,7 +56,7 @@ def test_run_works_without_write_access_and_warns_once(tmp: Path) -> None:
         tmp, "room: null\ncameras: {front: {size: [64, 48], position: [3, 0, 1], look_at: [0, 0, 1]}}\n"
     )
     run = subprocess.run(
-        [sys.executable, "-m", "humansim_ros", "run", str(scene), "--duration", "4"],
+        [sys.executable, "-m", "humansim_ros", "run", str(scene), "--seconds", "4"],
         capture_output=True,
         text=True,
         check=False,

@@ -25,7 +25,7 @@ CAMERA = "{position: [3, 0, 1], look_at: [0, 0, 1]}"
 def running(tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     with (tmp_path / "output").open("w") as output:
         process = subprocess.Popen(
-            [*HUMANSIM, "run", str(write_scene(tmp_path)), "--processes", "2", "--no-respawn"],
+            [*HUMANSIM, "run", str(write_scene(tmp_path)), "--jobs", "2", "--no-respawn"],
             stdout=output,
             stderr=subprocess.STDOUT,
             text=True,
@@ -129,7 +129,7 @@ def test_a_run_in_a_namespace(ros: None, tmp_path: Path) -> None:
     topics = ["/lab/left/image_raw", "/lab/right/depth/image"]
     client.subscribe(Image, topics)
     output = tmp_path / "output"
-    options = ["--namespace", "/lab", "--frame-prefix", "lab/", "--processes", "1"]
+    options = ["--namespace", "/lab", "--frame-prefix", "lab/", "--jobs", "1"]
     with output.open("w") as file:
         run = subprocess.Popen([*HUMANSIM, "run", write_scene(tmp_path), *options], stdout=file, stderr=file)
     try:
@@ -208,7 +208,7 @@ def test_a_broken_mesh_is_refused_with_its_file_and_line(name: str, tmp_path: Pa
     text, words = BROKEN_MESHES[name]
     path = tmp_path / f"{name}.obj"
     path.write_text(text)
-    refused(humansim("run", "--mesh", path), f"{name}.obj", *words)
+    refused(humansim("run", "--body", path), f"{name}.obj", *words)
 
 
 BROKEN_SCENES = {
@@ -243,7 +243,7 @@ def test_a_broken_scene_is_refused_with_its_key(name: str, tmp_path: Path) -> No
 def test_a_missing_file_is_refused(tmp_path: Path) -> None:
     refused(humansim("run", tmp_path / "nothing.yaml"), "nothing.yaml", "no such")
     refused(humansim("run", "--motion", tmp_path / "nothing.bvh"), "nothing.bvh", "no such")
-    refused(humansim("run", "--mesh", tmp_path / "nothing.obj"), "nothing.obj", "no such")
+    refused(humansim("run", "--body", tmp_path / "nothing.obj"), "nothing.obj", "no such")
     refused(humansim("run", "--joint-names", tmp_path / "nothing.yaml"), "nothing.yaml")
 
 
@@ -261,7 +261,7 @@ def test_a_folder_that_cannot_be_created_is_refused(tmp_path: Path) -> None:
 def test_without_opengl_the_missing_packages_are_named(tmp_path: Path) -> None:
     nothing = str(tmp_path / "nothing")
     without = {"__EGL_VENDOR_LIBRARY_DIRS": nothing, "__EGL_VENDOR_LIBRARY_FILENAMES": nothing}
-    refused(humansim("run", "--duration", "5", **without), "libegl1", "libgl1-mesa-dri")
+    refused(humansim("run", "--seconds", "5", **without), "libegl1", "libgl1-mesa-dri")
     refused(humansim("demo", "-o", tmp_path / "demo", **without), "libegl1", "libgl1-mesa-dri")
     assert list(tmp_path.iterdir()) == []
 
@@ -299,7 +299,7 @@ def test_a_node_refuses_invalid_input_with_exit_code_2(tmp_path: Path) -> None:
 def test_the_demo_writes_its_pictures(tmp_path: Path) -> None:
     import cv2
 
-    result = humansim("demo", "--duration", "3", "-o", tmp_path / "pictures")
+    result = humansim("demo", "--seconds", "3", "-o", tmp_path / "pictures")
     assert result.returncode == 0, result.stdout + result.stderr
     assert "/camera_4/image_raw" in result.stdout
     assert "equal stamps" in result.stdout

@@ -364,7 +364,7 @@ def processes(scene: Path, namespace: str, *options: str) -> Iterator[Listener]:
 def test_lockstep_shows_what_simulation_shows(
     ros: None, everything: Path, expected: field_hashes.Hashes, run: int, camera_processes: int
 ) -> None:
-    options = ("--lockstep", "--frames", str(FRAMES), "--processes", str(camera_processes))
+    options = ("--lockstep", "--frames", str(FRAMES), "--jobs", str(camera_processes))
     with processes(everything, f"lockstep_{run}", *options) as listener:
         assert listener.client.spin_until(lambda: listener.frames() >= FRAMES)
     assert_same(listener.hashes(), expected, FRAMES)
@@ -374,7 +374,7 @@ def test_lockstep_shows_what_simulation_shows(
 @pytest.mark.parametrize("run", range(3))
 def test_frames_of_realtime_are_those_of_simulation(ros: None, everything: Path, run: int) -> None:
     """Whichever it shows: a machine that is late skips some, and flow then leads to the next one shown."""
-    with processes(everything, f"realtime_{run}", "--realtime", "--processes", "2") as listener:
+    with processes(everything, f"realtime_{run}", "--realtime", "--jobs", "2") as listener:
         assert listener.client.spin_until(lambda: listener.frames() >= FRAMES)
     # a matrix has no stamp: the last one is of another frame
     shown = {

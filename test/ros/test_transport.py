@@ -241,7 +241,7 @@ def run(tmp_path: Path) -> Iterator[Mapping[str, subprocess.Popen[str]]]:
                         "humansim_ros.cli",
                         "run",
                         scene,
-                        "--processes",
+                        "--jobs",
                         "1",
                         *options.split(),
                     ],

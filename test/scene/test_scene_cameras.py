@@ -134,7 +134,7 @@ def test_running_a_scene_with_a_rig_tells_what_is_odd_once(folder: Path) -> None
     pytest.importorskip("rclpy")
     scene = folder / "scene.yaml"
     scene.write_text("rig: shelf.json\nroom: null\n" + WALK)
-    command = [sys.executable, "-m", "humansim_ros.cli", "run", scene, "--duration", "4"]
+    command = [sys.executable, "-m", "humansim_ros.cli", "run", scene, "--seconds", "4"]
     done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
     assert done.returncode == 0
     assert done.stderr.count("the image size is not in the file") == 1

@@ -56,7 +56,7 @@ def main(folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     scene = folder / "scene.yaml"
     scene.write_text(yaml.safe_dump(SCENE))
-    command = [sys.executable, "-m", "humansim_ros", "export", str(scene), "--frames", f"0:{FRAMES}"]
+    command = [sys.executable, "-m", "humansim_ros", "export", str(scene), "--frames", str(FRAMES)]
     options = ["-o", str(folder / "export"), "--format", FORMATS, "--keypoints", KEYPOINTS, "--jobs", "1"]
     subprocess.run([*command, *options], check=True)
     write_truth(Scene.load(scene), folder / "truth.npz")

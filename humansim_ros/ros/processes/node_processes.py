@@ -61,11 +61,15 @@ class EvaluateOptions:
         topic: Its topic; ``*`` stands for the name of a person.
         keypoints: Its keypoint set; empty: joints of bodies.
         output: JSON file for the result; None: none.
+        scale: Metres of a unit of the estimate.
+        axes: Its axes; empty: the axes of ``map``.
     """
 
     topic: str
     keypoints: str = ""
     output: str | os.PathLike[str] | None = None
+    scale: float = 1.0
+    axes: str = ""
 
 
 @dataclass(frozen=True)
@@ -381,6 +385,10 @@ def _evaluator(evaluate: EvaluateOptions, names: SceneNames, in_lockstep: bool) 
     """The evaluator of a run. Raises RosError if a camera has its name."""
     _check_free(EVALUATOR_NODE, "evaluates", names)
     parameters: dict[str, ParameterValue] = {"topic": evaluate.topic, "keypoints": evaluate.keypoints}
+    if evaluate.scale != 1:
+        parameters["scale"] = evaluate.scale
+    if evaluate.axes:
+        parameters["axes"] = evaluate.axes
     if evaluate.output is not None:
         parameters["output"] = str(Path(evaluate.output).resolve())
     if in_lockstep:

@@ -15,7 +15,7 @@ _START, _STOP = "Start", "Stop"
 _BEGINNINGS = {
     "run": "humansim run {scene}",
     "record": "humansim record {scene} -o {stem}_bag --frames 100",
-    "export": "humansim export {scene} -o {stem}_export --format coco --frames 0:100",
+    "export": "humansim export {scene} -o {stem}_export --format coco --frames 100",
     "evaluate": "humansim evaluate --truth {scene} --estimate estimate.csv",
 }
 

@@ -130,6 +130,8 @@ def evaluate(
 
     for path in (output, report):
         check_output(path)
+    if not estimate:  # a comma alone
+        raise EvaluationError("give a file, or BAG:TOPIC", key="--estimate")
     options = _PoseOptions(names, scale, axes, offset, gate)
     if any(map(is_of_images, estimate)):
         options.check_unused()

@@ -98,8 +98,8 @@ def test_run_warns_about_the_same_mistakes(tmp_path: Path, capsys: pytest.Captur
         ("motion", "gone.bvh", "no such file"),
         ("motion", "wlak", "no 'wlak'"),
         ("motion", "broken.bvh", "broken.bvh:1: "),
-        ("mesh", "gone.glb", "no such file"),
-        ("mesh", "broken.obj", "broken.obj"),
+        ("body", "gone.glb", "no such file"),
+        ("body", "broken.obj", "broken.obj"),
         ("joint_names", "gone.yaml", "gone.yaml"),
     ],
 )

@@ -143,7 +143,7 @@ def run(
 ) -> None:
     """Start all nodes of a scene as processes. Ctrl-C stops them; a second Ctrl-C kills them."""
     from humansim_ros.apps.first_images import FirstImages
-    from humansim_ros.io.temporary import temporary_folder
+    from humansim_ros.io.files import temporary_folder
     from humansim_ros.ros.processes.node_processes import (
         QUIT,
         WRONG_INPUT,

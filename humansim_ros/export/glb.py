@@ -16,8 +16,7 @@ from humansim_ros.export.folder import ExportFolder
 from humansim_ros.export.poses import AnimatedHuman, PoseWriter
 from humansim_ros.export.writer import Record
 from humansim_ros.humans.human import Human
-from humansim_ros.io.images import encode_image
-from humansim_ros.io.srgb import decode_srgb
+from humansim_ros.io.images import decode_srgb, encode_image
 from humansim_ros.mesh.mesh import Mesh
 from humansim_ros.mesh.normals import SurfaceNormals
 from humansim_ros.rotations import WORLD_FROM_BODY, matrix_to_quaternion

@@ -1,4 +1,4 @@
-"""Decode and encode image files (PNG, JPEG), with limits for untrusted files."""
+"""Decode and encode image files (PNG, JPEG), with limits for untrusted files; encode and decode sRGB."""
 
 from __future__ import annotations
 
@@ -122,3 +122,16 @@ def declared_size(data: bytes) -> tuple[int, int] | None:
             return int(width), int(height)
         offset += 2 + struct.unpack_from(">H", data, offset + 2)[0]
     return None
+
+
+# --- sRGB of linear light and its inverse (IEC 61966-2-1), for values from 0 to 1
+
+
+def encode_srgb(linear: Array) -> Array:
+    """sRGB values of linear light."""
+    return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)
+
+
+def decode_srgb(encoded: Array) -> Array:
+    """Linear light of sRGB values."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)

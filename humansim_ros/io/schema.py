@@ -58,7 +58,7 @@ class Checked(BaseModel):
 
 
 class _SectionType(ModelMetaclass):
-    """Makes errors of constructors errors of this package; ``model_validate`` raises those of the library."""
+    """Converts errors of constructors to errors of this package; ``model_validate`` raises errors of pydantic."""
 
     def __call__(cls, *values: Any, **keys: Any) -> Any:
         try:

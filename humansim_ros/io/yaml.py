@@ -100,25 +100,6 @@ def parse_yaml(
     raise AssertionError
 
 
-def compose_yaml(
-    text: str, error: type[HumansimError], path: str | os.PathLike[str], loader: Loader
-) -> yaml.Node | None:
-    """Nodes of a YAML text as they are written: aliases and merge keys are not applied.
-
-    Args:
-        text: Content of the file.
-        error: Error class to raise.
-        path: File, for messages.
-        loader: Loader of the text.
-
-    Raises:
-        HumansimError: As for :func:`parse_yaml`.
-    """
-    with _yaml_errors(text, error, path):
-        return loader.get_single_node()
-    raise AssertionError
-
-
 @contextmanager
 def _yaml_errors(text: str, error: type[HumansimError], path: str | os.PathLike[str]) -> Iterator[None]:
     """Convert exceptions of PyYAML to ``error`` with path and line."""
@@ -160,7 +141,7 @@ def line_of(node: yaml.Node | None, keys: Sequence[str | int]) -> int | None:
 def _refuse_repeated_keys(
     root: yaml.Node | None, error: type[HumansimError], path: str | os.PathLike[str]
 ) -> None:
-    """Raise ``error`` for a repeated key, of which PyYAML would silently take the last value."""
+    """Raise ``error`` for a repeated key: PyYAML would silently take its last value."""
     pending, visited = [root], set[int]()
     while pending:
         node = pending.pop()

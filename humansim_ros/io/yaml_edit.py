@@ -182,7 +182,7 @@ class _Editor:
             node[name] = self._new(given, name if isinstance(node, dict) else None, depth)
 
     def _replace(self, node: Any, key: YamlKey, value: Any, depth: int) -> None:
-        """Replace a value; aliases of it get the new one."""
+        """Replace a value; its aliases get the new value."""
         old, new = node[key], self._new(value, key if isinstance(node, dict) else None, depth)
         places = [] if self._is_alias(node, key) else self.places(old)
         if len(places) > 1:
@@ -339,7 +339,7 @@ def _taken_over(
         if a == b:  # a new key comes before the comments of the next one
             a = b = 1 + max((n for n in range(a) if not _is_comment(before[n])), default=a - 1)
         new[a] = [line + end for line in after[c:d]]
-        while b > a and _is_comment(before[b - 1]):  # those of a removed key belong to the next one
+        while b > a and _is_comment(before[b - 1]):  # comments after a removed key belong to the next key
             b -= 1
             kept.add(b)
     found: list[str] = []
@@ -380,7 +380,7 @@ def _dotted(keys: Sequence[YamlKey]) -> str:
 
 
 def _own_keys(node: Any) -> list[Any]:
-    """Keys of a mapping without those of merge keys, or numbers of the items of a list."""
+    """Keys of a mapping without merged keys, or numbers of the items of a list."""
     if isinstance(node, list):
         return list(range(len(node)))
     return [key for key, _ in node.non_merged_items()] if hasattr(node, "non_merged_items") else []

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix, vstack
 
 from humansim_ros.errors import MeshError, warn_about
-from humansim_ros.io.srgb import encode_srgb
+from humansim_ros.io.images import encode_srgb
 from humansim_ros.mesh.atlas import PLAIN, atlas_mesh, plain_tile
 from humansim_ros.mesh.gltf_document import Gltf
 from humansim_ros.mesh.gltf_material import read_image, read_material, texture_transform

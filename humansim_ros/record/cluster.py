@@ -27,7 +27,7 @@ from humansim_ros.bags.metadata import Content, metadata_text
 from humansim_ros.bags.topics import BagTopic
 from humansim_ros.bags.writer import BagWriter
 from humansim_ros.errors import BagError, HumansimError, RenderError, some_of
-from humansim_ros.io.temporary import temporary_folder
+from humansim_ros.io.files import temporary_folder
 from humansim_ros.record.output import OutputFolder
 from humansim_ros.record.progress import FrameProgress
 from humansim_ros.record.shards import SHARD_FRAMES, Shard, ShardKind, merged_chunks, shards_of

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from humansim_ros.io.srgb import encode_srgb
+from humansim_ros.io.images import encode_srgb
 from humansim_ros.types import Float32Array, Image
 
 #: Largest value of the analog-to-digital converter.

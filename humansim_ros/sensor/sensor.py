@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from humansim_ros.camera.camera import Camera
 from humansim_ros.errors import CameraError
-from humansim_ros.io.srgb import decode_srgb
+from humansim_ros.io.images import decode_srgb
 from humansim_ros.sensor.config import SensorConfig
 from humansim_ros.sensor.noise import add_noise, generator
 from humansim_ros.sensor.optics import aberrate, corner_distance, transmission

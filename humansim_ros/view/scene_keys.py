@@ -14,8 +14,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
 from humansim_ros.errors import SceneError, printable
-from humansim_ros.io.schema_errors import needed, show_value
-from humansim_ros.io.unknown_keys import unknown_key
+from humansim_ros.io.schema_errors import needed, show_value, unknown_key
 from humansim_ros.io.yaml_edit import YamlKey
 from humansim_ros.scene.config import SceneConfig
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from render_scenes import renderer_or_skip
 
-from humansim_ros.io.srgb import decode_srgb
+from humansim_ros.io.images import decode_srgb
 from humansim_ros.scene import Frame, Scene, Simulation
 from humansim_ros.scene.fault_config import FaultsConfig
 from humansim_ros.scene.faults import FaultSchedule

@@ -58,7 +58,7 @@ class Checked(BaseModel):
 
 
 class _SectionType(ModelMetaclass):
-    """Converts errors of constructors to errors of this package; ``model_validate`` raises errors of pydantic."""
+    """Converts errors of constructors to errors of this package, except in ``model_validate``."""
 
     def __call__(cls, *values: Any, **keys: Any) -> Any:
         try:

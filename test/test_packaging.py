@@ -24,7 +24,7 @@ import humansim_ros
 from humansim_ros.errors import ResourceError, RosError, SceneError
 from humansim_ros.resources import resource_path, resource_root
 from humansim_ros.ros.processes.node_processes import NodeProcess, TimeOptions, scene_processes
-from humansim_ros.ros.processes.node_processes import node_processes as processes
+from humansim_ros.ros.processes import node_processes as processes
 
 ROOT = Path(__file__).resolve().parents[1]
 SHARED_FOLDERS = ("config", "assets", "launch")
@@ -107,7 +107,7 @@ def test_package_xml_has_the_packages_of_ros_that_the_code_imports() -> None:
 def test_a_colcon_workspace_gets_every_requirement_from_rosdep_or_from_pip() -> None:
     """tomli is for Pythons that are older than that of Jazzy."""
     constants = setup_constants()
-    required = [*constants["REQUIRES"], *constants["EXTRAS"]["record"]]
+    required = [*constants["REQUIRES"], *constants["EXTRAS"]["record"], "google-re2"]
     names = {re.split("[<>=;]", line)[0] for line in required} - {"tomli"}
     keys = {"opencv-python-headless": "opencv", "pyyaml": "yaml"}
     of_rosdep = {name for name in names if f"python3-{keys.get(name, name)}" in dependencies("exec_depend")}
@@ -205,13 +205,13 @@ def test_colcon_requirements_agree_with_setup() -> None:
     lines = (ROOT / "requirements-colcon.txt").read_text().splitlines()
     requirements = {line for line in lines if line and not line.startswith("#")}
     constants = setup_constants()
-    assert requirements <= {*constants["REQUIRES"], *constants["EXTRAS"]["record"]}
+    assert requirements <= {*constants["REQUIRES"], *constants["EXTRAS"]["ros"]}
 
 
 def test_ros_is_pinned_to_jazzy_and_never_required() -> None:
     constants = setup_constants()
     pins = ["ros-jazzy-rclpy[fastrtps]==7.1.6", "ros-jazzy-common-interfaces==5.3.6"]
-    assert constants["EXTRAS"]["ros"] == [*pins, *constants["EXTRAS"]["record"]]
+    assert constants["EXTRAS"]["ros"] == [*pins, *constants["EXTRAS"]["record"], "google-re2>=1.1"]
     assert set(constants["EXTRAS"]["record"]) <= set(constants["EXTRAS"]["test"])
     assert not [name for name in constants["REQUIRES"] if name.startswith(("ros-", "rclpy"))]
 

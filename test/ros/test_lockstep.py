@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from humansim_ros.ros.lockstep.rules import MAX_JOINED, START_LIMIT, Lockstep
@@ -188,27 +188,33 @@ EVENTS = st.lists(
 
 @settings(max_examples=300, deadline=None)
 @given(EVENTS)
+@example(
+    [("report", name, 0) for name in ("left", "right", "other")]
+    + [("give up", "", 0), ("report", "left", 0), ("give up", "", 0), ("report", "other", -1)]
+)
 def test_no_frame_is_sent_before_all_members_have_finished_the_last_one_and_none_later(
     events: list[tuple[str, str, int]],
 ) -> None:
     """Random reports, joins, deaths and time-outs against a model with sets."""
     state = Lockstep((*CAMERAS, "tracker"), CAMERAS, 5.0, 0.0)
     present, done, frame, now = {*CAMERAS, "tracker"}, set[str](), 100, 0.0
+    known = set(present)
     state.begin(frame, now)
     for kind, name, offset in events:
         now += 1.0
         if kind == "report":
             stamp = frame + offset
-            if name not in NAMES[:3] and name not in present and not 100 <= stamp <= frame:
+            if name not in known and not 100 <= stamp <= frame:
                 stamp = frame  # of a member that is not one yet
             state.add_report(name, stamp, now)
             if stamp >= frame:
                 done.add(name)
+            if stamp >= frame or name not in known:  # one that was given up comes back with a new frame
                 present.add(name)
-            elif name not in NAMES[:3]:
-                present.add(name)
+            known.add(name)
         elif kind == "leave" and state.leave(name):
             present.discard(name)
+            known.discard(name)
         elif kind == "join":
             state.add_node(now)
         elif kind == "give up":

@@ -47,6 +47,8 @@ EXTRAS = {
         "ros-jazzy-common-interfaces==5.3.6",
         "mcap>=1.1",
         "rosbags>=0.10.6",
+        # filters of simulation_interfaces
+        "google-re2>=1.1",
     ],
     # writing and reading of bags; mcap brings zstandard and lz4
     "record": ["mcap>=1.1", "rosbags>=0.10.6"],

@@ -53,7 +53,7 @@ EXTRAS = {
     # writing and reading of bags; mcap brings zstandard and lz4
     "record": ["mcap>=1.1", "rosbags>=0.10.6"],
     # estimates in C3D files, in bags, and in images
-    "evaluate": ["ezc3d>=1.5", "mcap>=1.1", "pycocotools>=2.0.7", "rosbags>=0.10.6"],
+    "evaluate": ["c3d>=0.6", "mcap>=1.1", "pycocotools>=2.0.7", "rosbags>=0.10.6"],
     # texture coordinates for bodies without any
     "photographs": ["xatlas>=0.0.9"],
     # the page of humansim view, with viser 1.1.1 tested; scene files that it edits
@@ -62,7 +62,7 @@ EXTRAS = {
     "ray": ["fsspec>=2023.1", "mcap>=1.1", "ray[client]>=2.9", "rosbags>=0.10.6"],
     "test": [
         "bvhio",
-        "c3d>=0.5",
+        "c3d>=0.6",
         "colcon-common-extensions",
         "DracoPy>=1.5",
         "embreex",
@@ -101,7 +101,7 @@ EXTRAS = {
     # panoramas of that kind
     "exr": ["OpenEXR>=3.3"],
     # formats of data sets (docs/export.md)
-    "export": ["OpenEXR>=3.3", "c3d>=0.5", "pycocotools>=2.0.7"],
+    "export": ["OpenEXR>=3.3", "c3d>=0.6", "pycocotools>=2.0.7"],
     # frame.plot()
     "plot": ["matplotlib>=3.8"],
     # the other renderer

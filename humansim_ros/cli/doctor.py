@@ -39,7 +39,7 @@ _LAST_DOMAIN, _RISKY_DOMAINS = 232, range(102, 215)
 _CLEAN_SHARED_MEMORY = "stop all ROS programs, then: rm -f /dev/shm/fastrtps_* /dev/shm/sem.fastrtps_*"
 #: Modules of each extra.
 EXTRAS = {
-    "evaluate": ("ezc3d", "mcap", "pycocotools", "rosbags"),
+    "evaluate": ("c3d", "mcap", "pycocotools", "rosbags"),
     "export": ("OpenEXR", "c3d", "pycocotools"),
     "exr": ("OpenEXR",),
     "meshes": ("DracoPy", "lxml", "networkx", "collada"),

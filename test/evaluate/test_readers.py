@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from evaluate_support import NAMES, PERIOD, pose, walking
 
-from humansim_ros.errors import EvaluationError
+from humansim_ros.errors import EvaluationError, HumansimWarning
 from humansim_ros.evaluate.joint_names import read_names
 from humansim_ros.evaluate.pose_sequence import PoseSequence
 from humansim_ros.evaluate.readers.estimates import read_estimates
@@ -214,6 +214,27 @@ def test_damaged_files_are_refused(name: str, content: str, message: str, tmp_pa
     path.write_text(content)
     with pytest.raises(EvaluationError, match=message):
         read_estimates([str(path)], OPTIONS)
+
+
+def test_c3d_files_with_many_markers_gaps_or_no_end_are_those_of_ezc3d(tmp_path: Path) -> None:
+    ezc3d = pytest.importorskip("ezc3d")
+    file = ezc3d.c3d()
+    names = [f"marker_{number}" for number in range(300)]
+    file["parameters"]["POINT"]["LABELS"]["value"] = names
+    file["parameters"]["POINT"]["UNITS"]["value"] = ["cm"]
+    file["parameters"]["POINT"]["RATE"]["value"] = [100]
+    points = np.random.default_rng(3).normal(size=(4, 300, 5))
+    points[:3, 7, 2] = np.nan
+    file["data"]["points"] = points
+    path = tmp_path / "anna.c3d"
+    file.write(str(path))
+    read = read_estimates([str(path)], OPTIONS)
+    assert read.names == tuple(names) and (np.diff(read.times) == 10_000_000).all()
+    expected = ezc3d.c3d(str(path))["data"]["points"][:3].transpose(2, 1, 0) / 100
+    np.testing.assert_allclose([people["anna"] for people in read.people], expected, atol=1e-9)
+    path.write_bytes(path.read_bytes()[:-4800])
+    with pytest.warns(HumansimWarning, match="ends after 4 of 5 frames"):
+        assert len(read_estimates([str(path)], OPTIONS).times) == 4
 
 
 def test_damaged_trc_files(tmp_path: Path) -> None:

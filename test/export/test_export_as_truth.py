@@ -17,7 +17,7 @@ from export_support import SCENE, exported, small_scene
 from humansim_ros.cli import main as cli
 
 pytest.importorskip("pycocotools")
-pytest.importorskip("ezc3d")
+pytest.importorskip("c3d")
 
 Run = Callable[..., tuple[int, dict[str, Any], str]]
 

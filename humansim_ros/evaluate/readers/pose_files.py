@@ -8,6 +8,7 @@ import json
 import math
 import os
 import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from humansim_ros.errors import EvaluationError
+from humansim_ros.errors import EvaluationError, warn_about
 from humansim_ros.evaluate.alignment import axes_matrix
 from humansim_ros.evaluate.pose_sequence import PoseSequence, SequenceBuilder
 from humansim_ros.io.files import open_file, read_text
@@ -247,22 +248,30 @@ def read_c3d(path: Path, options: ReadOptions) -> PoseSequence:
 def _points(path: Path) -> tuple[list[str], str, float, int, Array]:
     """Labels (K), unit, frames per second, number of the first frame from 0, and points (F, K, 3)."""
     try:
-        import ezc3d
+        import c3d
     except ImportError:
         raise EvaluationError(
-            "C3D files need the library ezc3d; install it with: pip install 'humansim_ros[evaluate]'",
+            "C3D files need the library c3d; install it with: pip install 'humansim_ros[evaluate]'",
             path=path,
         ) from None
     try:
-        file: Any = ezc3d.c3d(str(path))
-        facts = file["parameters"]["POINT"]
-        points = np.transpose(np.asarray(file["data"]["points"], dtype=float)[:3], (2, 1, 0))
-        labels = [str(label) for label in facts["LABELS"]["value"]][: points.shape[1]]
-        unit, rate = str(facts["UNITS"]["value"][0]), float(facts["RATE"]["value"][0])
-        first = int(file["header"]["points"]["first_frame"])
+        with path.open("rb") as file, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # such as of a file without analog data
+            reader: Any = c3d.Reader(file)
+            last = int(reader.last_frame)  # a NumPy number of 16 bits overflows in the library
+            reader.__class__ = type("Reader", (c3d.Reader,), {"last_frame": last})
+            rows = np.array([row[:, :4] for _, row, _ in reader.read_frames()], float)
+            # a parameter holds at most 255 labels
+            parts = (reader.get(f"POINT:LABELS{number}") for number in ("", *range(2, 258)))
+            labels = [word.strip() for part in parts if part is not None for word in part.string_array]
+            unit, rate = reader.get_string("POINT:UNITS").strip(), float(reader.point_rate)
+            first, count = reader.first_frame - 1, reader.frame_count
     except Exception as reason:  # the library documents no exceptions
         raise EvaluationError(f"not a C3D file that can be read: {reason}", path=path) from None
-    return labels, unit, rate, first, points
+    if len(rows) < count:
+        warn_about(path, f"the file ends after {len(rows)} of {count} frames")
+    points = np.where(rows[..., 3:] < 0, np.nan, rows[..., :3])
+    return labels[: points.shape[1]], unit, rate, first, points
 
 
 def read_json_3d(path: Path, options: ReadOptions) -> PoseSequence:
